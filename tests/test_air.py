@@ -288,7 +288,7 @@ def test_camera_in_space_is_refused(tmp_path):
 
 def test_the_reference_engine_refuses_air(tmp_path):
     scene = tr.load_scene(write(tmp_path / "s", plane(4.0)))
-    with pytest.raises(ThermorenderError, match=r"has \[atmosphere\], which the reference engine does not know"):
+    with pytest.raises(ThermorenderError, match=r"has \[atmosphere\], which the reference engine does not support"):
         reference.render(scene, tr.pose(0, 0, 5.0, **DOWN), samples=1)
 
 
@@ -380,6 +380,6 @@ def test_ground_less_than_a_metre_below_clouds(tmp_path):
 @pytest.mark.parametrize("altitude", [-600.0, 30_100.0, 100_000.0])
 def test_surfaces_outside_the_modelled_air_are_refused_by_altitude(tmp_path, altitude):
     scene = tr.load_scene(write(tmp_path / "s", plane(4.0), AIR + f"altitude_m = {altitude}\n"))
-    words = rf"scene.toml: surfaces lie {altitude:.7g} … {altitude:.7g} m above sea level, out of range of the air"
+    words = rf"surfaces are at {altitude:.7g} … {altitude:.7g} m above sea level, outside the range of the air"
     with pytest.raises(ThermorenderError, match=words):
         tr.Renderer(scene)

@@ -217,7 +217,7 @@ def test_enclosures_without_loss_are_refused(tmp_path):
     transport, _, _ = traced(tmp_path / "s", box, 16)
     with pytest.raises(ThermorenderError, match=r"reflect 1.00000000 of the light between them, which never leaves"):
         solved(transport, [0.0])
-    with pytest.raises(ThermorenderError, match=r"does not converge: .* remain where 1e-30 are asked; give a larger"):
+    with pytest.raises(ThermorenderError, match=r"does not converge: .* remain where 1e-30 are allowed; give a larger"):
         solved(transport, [0.5, 0.6], tolerance=1e-30)
 
 
@@ -341,7 +341,7 @@ def test_unwritable_folder_gives_the_reason(terrain, tmp_path, monkeypatch):
     monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path / "file" / "kept"))
     assert cache.load("e" * 40) is None
     why = cache.store("e" * 40, terrain)
-    assert "file/kept/light cannot be written (Not a directory); set THERMORENDER_CACHE to a folder that can" in why
+    assert "file/kept/light cannot be written (Not a directory); set THERMORENDER_CACHE to a writable folder" in why
 
 
 def test_interrupted_store_leaves_nothing(terrain, kept, monkeypatch):
@@ -369,7 +369,7 @@ def test_least_recently_used_is_removed_first(terrain, kept):
     assert cache.store(d, terrain, limit=3 * size + 100) is None
     assert {path.name for path in kept.iterdir()} == {f"{a}.npz", f"{c}.npz", f"{d}.npz", new.name}
     why = cache.store(e, terrain, limit=1000)
-    assert "GB are more than the" in why and not (kept / f"{e}.npz").exists()
+    assert "GB exceed the cache's limit of" in why and not (kept / f"{e}.npz").exists()
 
 
 def test_trimming_leaves_other_files_alone(terrain, kept):

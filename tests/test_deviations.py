@@ -33,7 +33,7 @@ def test_deviations_match_columns_in_the_open(level):
     The two simulations differ in their steps, which affects all alike, and in single precision (5 mK,
     test_heat_device.py).
     """
-    from thermorender.render.heat.march import solved
+    from thermorender.render.heat.simulation import solved
 
     names = [material.name for material in level.materials]
     columns = open_ground.columns(level.materials, level.weather, station_roughness_m=open_ground.STATION_ROUGHNESS_M)
@@ -71,7 +71,7 @@ def test_deviations_match_columns_in_the_open(level):
 
 
 def test_only_texels_with_deviations_change(level):
-    from thermorender.render.heat.march import solved
+    from thermorender.render.heat.simulation import solved
 
     wet = np.ones(level.surfaces[0].material.shape, np.float32)
     wet[:8, :8] = 3.0

@@ -5,7 +5,7 @@ import pytest
 from test_heat_balance import COLUMNS, sunny
 
 from thermorender.physics import balance
-from thermorender.render.heat.march import _evaluate, _Library
+from thermorender.render.heat.simulation import _evaluate, _Library
 from thermorender.render.variant import activate
 
 

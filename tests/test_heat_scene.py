@@ -10,7 +10,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
 from thermorender.materials.mixture import mix
 from thermorender.physics import humidity
-from thermorender.render.heat import march as heat
+from thermorender.render.heat import simulation as heat
 from thermorender.scene import open_ground
 from thermorender.scene.load import load_scene
 
@@ -156,7 +156,7 @@ def test_scene_without_heat_balance_imports_none_of_it():
 
     code = (
         "import sys; from thermorender.render.renderer import Renderer; from thermorender.scene.load import load_scene;"
-        "load_scene('heath'); print([name for name in sys.modules if name in ('thermorender.render.heat.march',"
+        "load_scene('heath'); print([name for name in sys.modules if name in ('thermorender.render.heat.simulation',"
         "'thermorender.scene.open_ground', 'thermorender.physics.balance', 'thermorender.weather.station')])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -47,7 +47,7 @@ def written(folder, extra=TABLES, **options):
 @pytest.fixture(scope="module", autouse=True)
 def _short_simulations():
     """Simulations start as late as possible: these tests do not judge their accuracy, only how they are used."""
-    from thermorender.render.heat import march as heat
+    from thermorender.render.heat import simulation as heat
     from thermorender.scene import open_ground
 
     with pytest.MonkeyPatch.context() as patch:
@@ -69,8 +69,8 @@ def scene(tmp_path_factory):
 @pytest.fixture(scope="module")
 def tools():
     """The modules that import Mitsuba, imported on first use."""
-    from thermorender.render.heat import march as heat
     from thermorender.render.heat import moved
+    from thermorender.render.heat import simulation as heat
 
     return heat, moved
 
@@ -321,7 +321,7 @@ def test_wrong_settings_are_refused(tmp_path, call, tools):
 
 def test_scene_without_a_moved_map_imports_none_of_it():
     code = "import thermorender as tr; tr.Renderer(tr.load_scene('heath'), rays=1)"
-    absent = ("thermorender.render.heat.moved", "thermorender.materials.shifted", "thermorender.render.heat.march")
+    absent = ("thermorender.render.heat.moved", "thermorender.materials.shifted", "thermorender.render.heat.simulation")
     check = f"import sys\n{code}\nfound = [n for n in {absent!r} if n in sys.modules]\nsys.exit(str(found or ''))"
     run = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True)
     assert not run.stderr.strip(), run.stderr

@@ -14,7 +14,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
 from thermorender.physics import srgb
 from thermorender.render.heat import conditions as conditions_module
-from thermorender.render.heat import march as heat
+from thermorender.render.heat import simulation as heat
 from thermorender.render.renderer import Renderer
 from thermorender.scene import open_ground
 from thermorender.sensor.camera import model_path

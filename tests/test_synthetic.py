@@ -288,7 +288,7 @@ def test_temperature_grid_must_divide(tmp_path):
 
 def test_the_balance_predicts_the_truth_except_for_hidden_properties(truth, monkeypatch, tmp_path):
     """With source="balance" the written scene differs from the truth by its hidden random properties only."""
-    from thermorender.render.heat.march import solved
+    from thermorender.render.heat.simulation import solved
 
     folder = truth("heath")
     shown = load_scene(folder)

@@ -73,13 +73,13 @@ def simulations(monkeypatch):
         assert scene.balanced and all(isinstance(time, np.datetime64) for time in times)
         done.append(list(times))
         if progress:
-            progress("marching the heat balance", 1.0)
+            progress("simulating the heat balance", 1.0)
         return [
             scene.with_solved_temperatures(time, [scene.weather.at(time).air_k + 2.0 * scene.surfaces[0].material])
             for time in times
         ]
 
-    for name, function in (("weather.declared", declared_weather), ("render.heat.march", solved)):
+    for name, function in (("weather.declared", declared_weather), ("render.heat.simulation", solved)):
         module = ModuleType(f"thermorender.{name}")
         setattr(module, function.__name__, function)
         monkeypatch.setitem(sys.modules, module.__name__, module)
@@ -255,7 +255,7 @@ def test_temperatures_of_a_scene_are_solved_on_demand(scene, simulations):
             ask()
     messages = []
     renderer = tr.Renderer(scene, rays=4, samples=1, progress=lambda what, share: messages.append(what))
-    assert simulations == [[NOON]] and messages[0] == "marching the heat balance"
+    assert simulations == [[NOON]] and messages[0] == "simulating the heat balance"
     solved = renderer.scene
     assert solved.temperature_state.solved and not scene.temperature_state.solved
     expected = scene.weather.at(NOON).air_k + 2.0 * scene.surfaces[0].material

@@ -44,7 +44,8 @@ def _ground(side_m):
 def _read(up):
     """Values at pixel centres over rough ground, from straight above: (single precision, in double at the same points,
     in double at points found in double), radiance; and the ulp allowed for points and for places on the map [K]."""
-    from thermorender.render.geometry import Channels, Geometry, opaque_view, view_ray
+    from thermorender.render.arrays import Channels, opaque_view, view_ray
+    from thermorender.render.geometry import Geometry
     from thermorender.render.pixels.sampling import CameraRays
     from thermorender.render.variant import activate
     from thermorender.trajectory.path import pose

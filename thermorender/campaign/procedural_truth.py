@@ -75,7 +75,7 @@ def true_temperature(
         Scene read from the declared files, with temperature.source="balance".
     scene : SyntheticScene
     """
-    from thermorender.render.heat.march import solved
+    from thermorender.render.heat.simulation import solved
 
     true, exchange = drawn(loaded, scene.kind, scene.seed)
     deviations = replace(scene.deviations, exchange=np.float32(exchange) * scene.deviations.exchange)

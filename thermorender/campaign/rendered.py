@@ -145,8 +145,8 @@ def render_campaign(
 def _pairs(world, hours, views, camera, materials, report_progress):
     """Yield (Entry, files) of all pairs of a World."""
     from thermorender.render.geometry import Geometry
-    from thermorender.render.heat.march import solved
     from thermorender.render.heat.relief import reliefs
+    from thermorender.render.heat.simulation import solved
     from thermorender.render.renderer import Renderer
     from thermorender.render.variant import activate
 

@@ -1,31 +1,36 @@
-"""What a ray brings back from what it meets: through the air of one camera position, or through none.
+"""The medium between a camera position and the surfaces: the scene's air, or vacuum.
 
-A path from a given camera is told by its length and the altitude it ends at. For each position the air is computed
-on a small grid of both, as wide as the scene can be from there: the weights of the texels' channels and the path
-radiance. Rays look it up; rays that meet nothing look up sky and surroundings by their zenith angle.
+A path from a given camera is determined by its length and the altitude of its end. For each camera position the air is
+computed on a small grid of both, as wide as the scene requires: the weights of the texels' channels and the path
+radiance. Rays interpolate in this grid; rays that hit nothing look up sky and surroundings by zenith angle.
 """
+
+from collections.abc import Callable
 
 import drjit as dr
 import numpy as np
+from numpy.typing import ArrayLike
 
-from thermorender.atmosphere.model import HIGHEST_CAMERA_M, LOWEST_M
+from thermorender.atmosphere.model import HIGHEST_CAMERA_M, LOWEST_M, Atmosphere
 from thermorender.atmosphere.rays import EARTH_RADIUS_M, MEAN_RADIUS_M, horizon_cos_zenith
 from thermorender.errors import ThermorenderError
-from thermorender.render.geometry import aligned
+from thermorender.render.arrays import Floats, Jit, Mitsuba, aligned
+from thermorender.render.geometry import Hit
+from thermorender.render.spectrum import Spectrum
+from thermorender.scene.scene import Scene
 
-# A grid's lengths grow by at most this factor from one to the next, and its altitudes are at most this far apart [m].
+# Largest ratio of successive path lengths in a grid, fewest lengths, and largest step in altitude [m].
 _GROWTH = 1.08
 _FEWEST = 4
 _ALTITUDE_M = 100.0
-# Zenith angles of what lies beyond the surfaces, below and above the horizon; densest there. 5 mK of the sky from
-# 120 m.
+# Zenith angles of the background, below and above the horizon and densest there; error 5 mK of the sky from 120 m.
 _BACKGROUND = 64
-# Heights above the ground at which these are computed [m], each higher by a factor, and how many are kept.
+# The background is computed at heights in geometric steps from the lowest [m]; number of heights kept.
 _LOWEST_M, _STEP, _KEPT = 0.1, 1.03, 16
 
 
-def refuse_camera(scene, positions):
-    """Refuse cameras at positions (..., 3) of a scene's local frame that are above the range of its air, or clouds."""
+def refuse_camera(scene: Scene, positions: ArrayLike) -> None:
+    """Raise for cameras at local positions (..., 3) outside the range of the scene's air or above its clouds."""
     if scene.air is None:
         return
     heights = altitude(positions, scene.altitude_m)
@@ -35,27 +40,20 @@ def refuse_camera(scene, positions):
     if camera > HIGHEST_CAMERA_M or lowest < LOWEST_M:
         outside = lowest if lowest < LOWEST_M else camera
         raise ThermorenderError(
-            f"pose: the camera is {outside:.0f} m above sea level, out of range of the air; give −{-LOWEST_M:.0f} … "
-            f"{HIGHEST_CAMERA_M:.0f} m"
+            f"pose: the camera is {outside:.0f} m above sea level, outside the range of the air; give "
+            f"−{-LOWEST_M:.0f} … {HIGHEST_CAMERA_M:.0f} m"
         )
 
 
 class Vacuum:
-    """No air: channels arrive as they left, from sky and surroundings as they are.
+    """No air: channels arrive unchanged. `sky` and `background` (C,) are seen by rays that hit nothing."""
 
-    Parameters
-    ----------
-    mi : module
-    sky, background : (C,) floats
-        Channels of rays that meet nothing, above and below the horizon.
-    """
-
-    def __init__(self, mi, sky, background):
+    def __init__(self, mi: Mitsuba, sky: Floats, background: Floats) -> None:
         rows = (sky, background)
         self._sky, self._background = ([dr.opaque(mi.Float, float(value)) for value in row] for row in rows)
 
-    def at_camera(self, hit, values, origin, direction):
-        """Return what rays bring back, a list of Float, of the channels `values` where they meet something."""
+    def at_camera(self, hit: Hit, values: list[Jit], origin: Jit, direction: Jit) -> list[Jit]:
+        """Return the radiance at the camera, a list of Float; `values` are the channels at the points hit."""
         up = direction.z >= 0.0
         return [
             dr.select(hit.valid, value, dr.select(up, sky, background))
@@ -64,31 +62,18 @@ class Vacuum:
 
 
 class Air:
-    """The air of a scene, from which views of single camera positions are made.
+    """The air of a scene, which makes views of single camera positions."""
 
-    Parameters
-    ----------
-    mi : module
-    scene : Scene
-    spectrum : Spectrum
-    """
-
-    def __init__(self, mi, scene, spectrum):
+    def __init__(self, mi: Mitsuba, scene: Scene, spectrum: Spectrum) -> None:
+        assert scene.air is not None
         self._mi, self._air, self._solver = mi, scene.air, spectrum.solver
         self._altitude_m, self._background_k = scene.altitude_m, scene.surroundings_temperature
-        self._seen = {}
+        self._seen: dict[int, Floats] = {}
 
-    def view(self, origin, box, clear=False):
-        """Return the AirView from a camera position.
+    def view(self, origin: Floats, box: Floats, clear: bool = False) -> "AirView":
+        """Return the AirView from a camera position `origin` (3,) [m] to surfaces in a `box` (2, 3) [m].
 
-        Parameters
-        ----------
-        origin : (3,) array
-            In the scene's local frame [m].
-        box : (2, 3) array
-            Lowest and highest corner of all that can be met [m].
-        clear : bool
-            Whether the path to what is met lets all pass and shines not.
+        With `clear`, paths to surfaces transmit all light and emit none.
         """
         base = self._altitude_m
         camera = float(altitude(origin, base))
@@ -98,7 +83,7 @@ class Air:
         corner = np.append(np.abs(box[:, :2]).max(axis=0), box[1, 2])
         limits = base + box[0, 2], float(altitude(corner, base))
 
-        def cells(passed, added):
+        def cells(passed: Floats, added: Floats) -> Floats:
             if clear:
                 passed, added = np.ones_like(passed), np.zeros_like(added)
             return np.concatenate([passed @ self._solver, added.sum(axis=-1, keepdims=True)], axis=-1)
@@ -107,8 +92,8 @@ class Air:
         horizon = float(horizon_cos_zenith(camera))
         return AirView(self._mi, grid, base, self._background(camera), horizon)
 
-    def _background(self, camera):
-        """Band radiance of rays that meet nothing, (2, _BACKGROUND), linear between altitudes of earlier views."""
+    def _background(self, camera: float) -> Floats:
+        """Band radiance of rays that hit nothing, (2, _BACKGROUND), interpolated between fixed altitudes."""
         height = max(camera - self._altitude_m, _LOWEST_M)
         lower = int(np.log(height / _LOWEST_M) / np.log(_STEP))
         level, both = [], []
@@ -125,28 +110,27 @@ class Air:
 
 
 class PathGrid:
-    """Numbers of the paths from one altitude, by the length of a path and the altitude of its end.
+    """Numbers of the paths from one altitude, by path length and altitude of the end.
 
     Parameters
     ----------
-    mi : module
-    air : Atmosphere
     from_m : float
-        Altitude that paths begin at above sea level [m].
-    limits : (2,) floats
-        Lowest and highest altitude that they end at [m].
-    lengths : (2,) floats
-        Shortest and longest of them [m].
+        Altitude of the start above sea level [m].
+    limits, lengths : (2,) floats
+        Lowest and highest altitude of the end, shortest and longest path [m].
     cells : callable
-        Returns (..., C) numbers of the (transmittances, path radiances) of paths, each (..., n).
+        Returns (..., C) numbers from (transmittances, path radiances) of paths, each (..., n).
     """
 
-    def __init__(self, mi, air, from_m, limits, lengths, cells):
+    def __init__(
+        self, mi: Mitsuba, air: Atmosphere, from_m: float, limits: tuple[float, float], lengths: tuple[float, float],
+        cells: Callable[[Floats, Floats], Floats],
+    ) -> None:  # fmt: skip
         (low, high), (nearest, farthest) = limits, lengths
         columns = max(_FEWEST, 1 + int(np.ceil(np.log(farthest / nearest) / np.log(_GROWTH))))
         rows = 2 + int((high - low) / _ALTITUDE_M)
         length = np.geomspace(nearest, farthest, columns)
-        # At each length, from the lowest to the highest point at that distance.
+        # For each length, ends from the lowest to the highest point that it can reach.
         bottom, top = np.maximum(low, from_m - length), np.minimum(high, from_m + length)
         end = bottom + np.linspace(0.0, 1.0, rows)[:, None] * np.maximum(top - bottom, 0.0)
         end = np.clip(end, from_m - length, from_m + length)
@@ -157,8 +141,10 @@ class PathGrid:
         frame = (low, high, from_m, np.log(nearest), (columns - 1) / np.log(farthest / nearest), columns, rows - 1)
         self._numbers = [dr.opaque(mi.Float, float(number)) for number in frame]
 
-    def corners(self, distance, end, valid):
-        """Return [(weight, [number (Float), …]), …] of the cells round paths of lengths and altitudes of their ends."""
+    def corners(self, distance: Jit, end: Jit, valid: Jit) -> list[tuple[Jit, list[Jit]]]:
+        """Return [(weight, [number (Float), …]), …] of the grid points round paths of given length and altitude of the
+        end.
+        """
         mi = self._mi
         low, high, start, first, step, count, rows = self._numbers
         column = dr.clip((dr.log(distance) - first) * step, 0.0, count - 1.001)
@@ -178,26 +164,17 @@ class PathGrid:
 class AirView:
     """The air seen from one camera position.
 
-    Parameters
-    ----------
-    mi : module
-    grid : PathGrid
-        Of the weights of the channels and the path radiance, K + 1 numbers.
-    base : float
-        Altitude of the local frame's origin [m].
-    background : (2, n) array
-        As by `background`.
-    horizon : float
-        Cosine of the horizon's zenith angle.
+    `grid` holds the weights of the channels and the path radiance, K + 1 numbers; `base` is the altitude of the local
+    frame's origin [m], `background` (2, n) from the function of that name, `horizon` the cosine of its zenith angle.
     """
 
-    def __init__(self, mi, grid, base, background, horizon):
+    def __init__(self, mi: Mitsuba, grid: PathGrid, base: float, background: Floats, horizon: float) -> None:
         self._mi, self._grid, self._base = mi, grid, dr.opaque(mi.Float, float(base))
         self._sky = mi.Float(aligned(background))
         self._horizon = dr.opaque(mi.Float, horizon)
 
-    def at_camera(self, hit, values, origin, direction):
-        """Return what rays bring back, [Float], of the channels `values` where they meet something."""
+    def at_camera(self, hit: Hit, values: list[Jit], origin: Jit, direction: Jit) -> list[Jit]:
+        """Return the radiance at the camera, [Float]; `values` are the channels at the points hit."""
         mi = self._mi
         point = origin + hit.distance * direction
         end = self._base + point.z + 0.5 / MEAN_RADIUS_M * (point.x * point.x + point.y * point.y)
@@ -207,10 +184,10 @@ class AirView:
             total += weight * sum(number * factor for number, factor in zip(found, factors, strict=True))
         return [dr.select(hit.valid, total, self._seen_background(direction.z, ~hit.valid))]
 
-    def _seen_background(self, cosine, active):
-        """What rays see that meet nothing."""
+    def _seen_background(self, cosine: Jit, active: Jit) -> Jit:
+        """Band radiance of rays that hit nothing."""
         mi, half = self._mi, _BACKGROUND - 1
-        # Two tables one after the other, below and above the horizon, as `background` makes them.
+        # Two tables, below and then above the horizon, as from `background`.
         rise = cosine - self._horizon
         above = rise >= 0.0
         span = dr.select(above, 1.0 - self._horizon, 1.0 + self._horizon)
@@ -221,29 +198,23 @@ class AirView:
         return dr.lerp(a, b, position - mi.Float(lower))
 
 
-def altitude(points, altitude_m):
+def altitude(points: ArrayLike, altitude_m: float) -> Floats:
     """Return the altitude above sea level [m] of points (..., 3) of the local frame, over a round Earth."""
     points = np.asarray(points, dtype=np.float64)
     return altitude_m + points[..., 2] + np.square(points[..., :2]).sum(axis=-1) * (0.5 / MEAN_RADIUS_M)
 
 
-def background(air, camera_m, ground_m, temperature, position):
-    """Return the band radiance of rays that meet nothing, (2, n): below the horizon, and above it [W m⁻² sr⁻¹].
+def background(air: Atmosphere, camera_m: float, ground_m: float, temperature: float, position: Floats) -> Floats:
+    """Return the band radiance of rays that hit nothing, (2, n): below and above the horizon [W m⁻² sr⁻¹].
 
-    Parameters
-    ----------
-    air : Atmosphere
-    camera_m, ground_m : float
-        Altitudes of the camera and of the black ground beyond the scene [m].
-    temperature : float
-        Of that ground [K].
-    position : (n,) array
-        Square roots of how far the cosine of the zenith angle lies from the horizon's, 0 there, 1 straight down or up.
+    `camera_m`, `ground_m` and `temperature` are altitudes of the camera and of the black ground beyond the scene [m],
+    and its temperature [K]. `position` (n,) is the square root of the distance of the zenith angle's cosine from the
+    horizon's: 0 at the horizon, 1 straight down or up.
     """
     horizon = float(horizon_cos_zenith(camera_m))
     rise = np.square(position)
     sky = air.sky_radiance(camera_m, horizon + rise * (1.0 - horizon)).sum(axis=-1)
-    # A chord of the sphere down to the ground, at most as long as to its own horizon.
+    # A chord of the sphere down to the ground, at most to the horizon.
     ground_m = min(ground_m, camera_m - 0.1)
     height, radius = camera_m - ground_m, EARTH_RADIUS_M + ground_m
     along = (radius + height) * (rise * (1.0 + horizon) - horizon)

@@ -1,8 +1,8 @@
-"""A baked scene: a scene whose light between surfaces is solved and laid into its texels, ready for any view.
+"""A baked scene: a scene whose light between surfaces is solved and stored in its texels, ready for any view.
 
-It is a value: NumPy arrays that nothing changes, which can be sent to another process and be solved anew after an edit
-of temperature, material, sky or air, with the rays between its faces traced once. What the device needs is uploaded
-when first asked for and made again where the value arrives.
+It is an immutable value of NumPy arrays. It can be sent to another process, and solved again after an edit of
+temperature, material, sky or air, with the rays between its faces traced once. Arrays are uploaded to the device when
+first needed, in each process.
 """
 
 from collections.abc import Callable
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.render import mirrors
+from thermorender.render.arrays import Floats
 from thermorender.render.device import DeviceScene, flat
 from thermorender.render.dynamic import StaticLight
 from thermorender.render.geometry import Geometry, refuse_other_surfaces
@@ -44,17 +45,17 @@ class BakedScene:
     face_error : (F,) float32 or None
         Mean square error of the light on each face [(W m⁻² sr⁻¹)²].
     mirror_black : (n, K) or None
-        Channels of blackbodies of the directional texels' temperatures; None where there are none, or where mirrors are
-        left out.
+        Channels of blackbodies at the temperatures of the directional texels; None without such texels or without
+        mirrors.
     static_light : StaticLight or None
-        What dynamic objects must know; None without them.
+        Light of the static scene for dynamic objects; None without them.
     errors_mk : dict
-        Errors of the reflected light [mK at 300 K]: "solution", from the bound that its residual sets, and root mean
-        squares over the surfaces: "noise" of the rays, from independent halves, "faces", of light taken as constant
-        over a face, and "texels", of baking it to texels; with air "air" too, from above, of leaving it out between
+        Errors of the reflected light [mK at 300 K]: "solution", the bound from its residual, and root mean squares over
+        the surfaces: "noise" of the rays, from independent halves, "faces", of light taken as constant over a face, and
+        "texels", of baking it to texels; with air also "air", an estimate from above, of leaving it out between
         surfaces.
     cache_note : str or None
-        Why the traced light could not be kept on disk, where it could not.
+        Why the traced light could not be kept on disk; None where it was kept or need not be.
     """
 
     scene: Scene
@@ -78,7 +79,7 @@ class BakedScene:
 
     @property
     def device(self) -> DeviceScene:
-        """The DeviceScene, uploaded when first asked for."""
+        """The DeviceScene, uploaded on first use."""
         if "scene" not in self._uploaded:
             self._uploaded["scene"] = DeviceScene(self, self.geometry)
         return self._uploaded["scene"]
@@ -91,7 +92,7 @@ class BakedScene:
         return {**vars(self), "_uploaded": {}}
 
     def solved_for(self, scene: Scene, progress: Progress | None = None) -> "BakedScene":
-        """Return the BakedScene of an edited scene: other temperatures, materials, sky or air; nothing is traced.
+        """Return the BakedScene of an edited scene: other temperatures, materials, sky or air. No rays are traced.
 
         Parameters
         ----------
@@ -103,7 +104,7 @@ class BakedScene:
         Raises
         ------
         ThermorenderError
-            Surfaces that differ, temperatures that are not solved, or parts of the scene that disagree.
+            Surfaces differ, temperatures are not solved, or parts of the scene disagree.
         """
         old = self.plan
         plan = make_plan(
@@ -119,7 +120,7 @@ class BakedScene:
         same = all(getattr(scene, name) is getattr(old, name) for name in parts)
         light = ("rays", "tolerance_mk", "band_um")
         same &= all(getattr(plan, name) == getattr(self.plan, name) for name in light)
-        # The altitude says where the scene lies in its air.
+        # The altitude determines the position of the scene in its air.
         same &= all(getattr(scene, name) == getattr(old, name) for name in ("sun", "altitude_m", "terrain_count"))
         same &= replace(scene.spec, camera="") == replace(old.spec, camera="")
         return replace(self, scene=scene, plan=plan) if same else None
@@ -140,16 +141,16 @@ def bake(
     plan : Plan
         From `make_plan`.
     geometry : Geometry, optional
-        Of the scene's surfaces, where it is there already.
+        Of the scene's surfaces, where it exists already.
     like : BakedScene, optional
-        Of the same surfaces; its rays are used again where they are as many.
+        Of the same surfaces; its rays are used again if their number per face is the same.
     progress : callable, optional
         Called with (what, share done).
 
     Raises
     ------
     ThermorenderError
-        Surfaces that differ from those of `like`, or light that does not converge.
+        Surfaces differ from those of `like`, or the light does not converge.
     """
     known = None
     if like is not None:
@@ -160,25 +161,71 @@ def bake(
     spectrum, material, temperature = plan.spectrum, flat(scene, "material"), flat(scene, "temperature")
     texel = texels.emitted(plan, scene.materials, material, temperature)
     black = None
-    # An object that moves may be the only one of such a material.
+    # Such a material may occur on dynamic objects only.
     if plan.specular and plan.specular.number[material].any():
         black = mirrors.black_of(plan, plan.specular.number, material, temperature)
-    uploaded = {"geometry": geometry}
+    uploaded: dict[str, Any] = {"geometry": geometry}
     if not plan.bake:
         none = dict.fromkeys(("solution", "noise", "faces", "texels"), 0.0)
         return BakedScene(scene, plan, None, tuple(texel), None, None, black, None, none, None, uploaded)
-    tell, note = progress or (lambda what, share: None), None
+    report_progress, note = progress or (lambda what, share: None), None
     if known is None:
         what = "tracing the light between surfaces"
-        tell(what, 0.0)
-        known, note = cache.traced(geometry, plan.rays, lambda share: tell(what, share))
-    tell("solving the light between surfaces", 0.0)
-    per_mk = plan.radiance_per_mk
+        report_progress(what, 0.0)
+        known, note = cache.traced(geometry, plan.rays, lambda share: report_progress(what, share))
+    report_progress("solving the light between surfaces", 0.0)
+    per_mk, share = plan.radiance_per_mk, geometry.share
+    solved = _solve(scene, plan, geometry, known, material, temperature)
+    incident, noise = solved.incident, solved.noise
+    lost: Any = 0.0 if scene.air is None else left_out(scene, known, solved.reflectance)
+    # The operator takes as much memory as the rays.
+    known.forget_operator()
+    face = np.empty((geometry.face_count, spectrum.channels), dtype=np.float32)
+    covers = geometry.face_of_texel()
+    if spectrum.channels > 1:
+        # Scatter is converted to kelvin in the band radiance without a path.
+        light = texels.light(incident, np.tensordot(spectrum.solver.sum(axis=0), spectrum.reflected, (0, 1)))
+        _, _, scatter = texels.bake_channel(geometry, covers, texel[0], material, light)
+    for channel in range(spectrum.channels):
+        light = texels.light(incident, spectrum.reflected[:, channel])
+        texel[channel], face[:, channel], left = texels.bake_channel(geometry, covers, texel[channel], material, light)
+    scatter = left if spectrum.channels == 1 else scatter
+    varies = texels.variation(geometry, incident @ solved.mean_reflectance.astype(np.float32), noise)
+    solution = ((1.0 - spectrum.emissivity).max(axis=0) * solved.bounds).sum()
+    rms = [np.sqrt(share @ square) for square in (noise**2, scatter)]
+    errors = {"solution": solution, "noise": rms[0], "faces": varies, "texels": rms[1]}
+    if scene.air is not None:
+        errors["air"] = np.sqrt(share @ lost**2)
+    errors = {name: float(value / per_mk) for name, value in errors.items()}
+    report_progress("solving the light between surfaces", 1.0)
+    # Per face, for the error budget of frames.
+    square = (noise**2 + scatter + lost**2).astype(np.float32)
+    return BakedScene(scene, plan, known, tuple(texel), face, square, black, solved.static, errors, note, uploaded)
+
+
+@dataclass(frozen=True, eq=False)
+class _Light:
+    """Light between surfaces at all nodes."""
+
+    incident: NDArray[np.float32]  # (F, N) mean incident radiance of each face [W m⁻² sr⁻¹]
+    noise: Floats  # (F,) a draw of the Monte Carlo error of each face's reflected radiance [W m⁻² sr⁻¹]
+    reflectance: Floats  # (F,) mean over the nodes
+    bounds: Floats  # (N,) error bound of `incident` [W m⁻² sr⁻¹]
+    mean_reflectance: Floats  # (N,) mean over the faces
+    static: StaticLight | None  # None without dynamic objects
+
+
+def _solve(
+    scene: Scene, plan: Plan, geometry: Geometry, known: radiosity.Transport, material: NDArray[np.uint8],
+    temperature: NDArray[np.float32],
+) -> _Light:  # fmt: skip
+    """The _Light of a scene with known Transport, solved in blocks of nodes."""
+    spectrum = plan.spectrum
     around = environment.of_scene(scene, plan, geometry)
-    tolerance = 0.1 * plan.tolerance_mk * per_mk / spectrum.nodes
-    shape, share = (geometry.face_count, spectrum.nodes), geometry.share
-    incident, noise = np.empty(shape, dtype=np.float32), np.zeros(shape[0])
-    bounds, mean_reflectance, shiny = np.empty(shape[1]), np.empty(shape[1]), np.zeros(shape[0])
+    tolerance = 0.1 * plan.tolerance_mk * plan.radiance_per_mk / spectrum.nodes
+    shape = (geometry.face_count, spectrum.nodes)
+    incident, noise, mean = np.empty(shape, dtype=np.float32), np.zeros(shape[0]), np.zeros(shape[0])
+    bounds, mean_reflectance = np.empty(shape[1]), np.empty(shape[1])
     black_share = spectrum.black([REFERENCE_K])[0] / spectrum.black([REFERENCE_K]).sum()
     static = StaticLight.around(around, *shape) if scene.tracked_objects else None
     blocks = radiosity.blocks(*shape)
@@ -186,32 +233,8 @@ def bake(
     for nodes, (emitted, reflectance) in zip(blocks, means, strict=True):
         found, bounds[nodes] = radiosity.solve(known, emitted, reflectance, around.at(nodes), tolerance)
         noise += radiosity.noise(known, emitted, reflectance, around.at(nodes), found)
-        incident[:, nodes], mean_reflectance[nodes] = found, share @ reflectance
-        shiny += reflectance @ black_share[nodes]
+        incident[:, nodes], mean_reflectance[nodes] = found, geometry.share @ reflectance
+        mean += reflectance @ black_share[nodes]
         if static:
             static.add(nodes, emitted + reflectance * found, reflectance)
-    del emitted, reflectance, found
-    lost = 0.0 if scene.air is None else left_out(scene, known, shiny)
-    # As large as the rays it is made of.
-    known.forget_operator()
-    face = np.empty((geometry.face_count, spectrum.channels), dtype=np.float32)
-    covers = geometry.face_of_texel()
-    if spectrum.channels > 1:
-        # What scatter means in kelvin is told by the band, whose light no path has weakened.
-        light = texels.light(incident, np.tensordot(spectrum.solver.sum(axis=0), spectrum.reflected, (0, 1)))
-        _, _, scatter = texels.bake_channel(geometry, covers, texel[0], material, light)
-    for channel in range(spectrum.channels):
-        light = texels.light(incident, spectrum.reflected[:, channel])
-        texel[channel], face[:, channel], left = texels.bake_channel(geometry, covers, texel[channel], material, light)
-    scatter = left if spectrum.channels == 1 else scatter
-    varies = texels.variation(geometry, incident @ mean_reflectance.astype(np.float32), noise)
-    solution = ((1.0 - spectrum.emissivity).max(axis=0) * bounds).sum()
-    rms = [np.sqrt(share @ square) for square in (noise**2, scatter)]
-    errors = {"solution": solution, "noise": rms[0], "faces": varies, "texels": rms[1]}
-    if scene.air is not None:
-        errors["air"] = np.sqrt(share @ lost**2)
-    errors = {name: float(value / per_mk) for name, value in errors.items()}
-    tell("solving the light between surfaces", 1.0)
-    # Of each face, for the budget of a frame that shows some of them.
-    square = (noise**2 + scatter + lost**2).astype(np.float32)
-    return BakedScene(scene, plan, known, tuple(texel), face, square, black, static, errors, note, uploaded)
+    return _Light(incident, noise, mean, bounds, mean_reflectance, static)

@@ -1,32 +1,34 @@
-"""A baked scene on the ray-tracing device: what is uploaded once, and the layers of one view of it."""
+"""A baked scene on the ray-tracing device: the arrays uploaded once, and the layers of one view."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.physics.planck import band_radiance
 from thermorender.render import mirrors
-from thermorender.render.air import Air, Vacuum
-from thermorender.render.dynamic import DynamicObject
-from thermorender.render.geometry import Channels, Layer, OutgoingRadiance, aligned, box_of, opaque_view
+from thermorender.render.air import Air, AirView, Vacuum
+from thermorender.render.arrays import Channels, Floats, Jit, aligned, opaque_view
+from thermorender.render.dynamic import DynamicObject, Placement
+from thermorender.render.geometry import Geometry, box_of
+from thermorender.render.layers import Layer, OutgoingRadiance
+from thermorender.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from thermorender.render.baked import BakedScene
 
 
 class DeviceScene:
-    """The arrays of a BakedScene on the device; everything it keeps can be made again from that.
+    """The arrays of a BakedScene on the device, all derived from it."""
 
-    Parameters
-    ----------
-    baked : BakedScene
-    geometry : Geometry
-        Of its surfaces.
-    """
-
-    def __init__(self, baked, geometry):
+    def __init__(self, baked: "BakedScene", geometry: Geometry) -> None:
         scene, plan, mi = baked.scene, baked.plan, geometry.mi
         self.geometry, self._mi = geometry, mi
         tables = mirrors.DeviceTables(mi, plan.specular, scene, plan.spectrum) if plan.specular else None
         mirror = None
-        if baked.mirror_black is not None:
+        if tables and baked.mirror_black is not None:
             mirror = mirrors.Mirror(mi, tables, flat(scene, "material"), baked.mirror_black)
         self._outgoing = OutgoingRadiance.of(geometry, baked.texels, baked.faces, mirror)
         self._faces, self._light = baked.faces, baked.static_light
@@ -34,25 +36,28 @@ class DeviceScene:
         self._static_error = None if baked.face_error is None else mi.Float(aligned(baked.face_error))
         self.objects = [DynamicObject(mi, tracked, plan, scene.materials, tables) for tracked in scene.tracked_objects]
         self._corners = box_of(scene)
+        self._air: Vacuum | Air
         if scene.air is None:
             outside = np.array([scene.spec.sky_temperature, scene.surroundings_temperature])
             self._air = Vacuum(mi, *band_radiance(outside, *plan.band_um)[:, None])
         else:
             self._air = Air(mi, scene, plan.spectrum)
-        self._last_medium = self._last_light = self._last_outgoing = None, None
+        self._last_medium: tuple[Any, Any] = None, None
+        self._last_light: tuple[Any, Any] = None, None
+        self._last_outgoing: tuple[Any, Any] = None, None
 
-    def layers(self, pose, placements):
-        """Return the Layers that a view from `pose` shows: the static scene and each object at its Placement."""
+    def layers(self, pose: Floats, placements: Sequence[Placement]) -> list[Layer]:
+        """Return the Layers of a view from `pose`: the static scene and each object at its Placement."""
         outgoing, own, _ = self._lit(placements)
         layers = [Layer(self.geometry, opaque_view(self._mi, pose), outgoing)]
         for item, placement, radiance in zip(self.objects, placements, own, strict=True):
             layers.append(Layer(item.geometry, opaque_view(self._mi, np.linalg.inv(placement.pose) @ pose), radiance))
         return layers
 
-    def face_errors(self, placements):
-        """Return what the light on each face of each layer errs by, squared, in the order of `layers`.
+    def face_errors(self, placements: Sequence[Placement]) -> list[Jit]:
+        """Return the squared error of the light on the faces of each layer, in the order of `layers`.
 
-        Float [W² m⁻⁴ sr⁻²], as by `BakedScene.face_error` and `DynamicObject.light`; None where light is left out.
+        Float [W² m⁻⁴ sr⁻²], from `BakedScene.face_error` and `DynamicObject.light`; None where light is left out.
         """
         if self._face_error is None:
             return [None] * (1 + len(self.objects))
@@ -64,9 +69,11 @@ class DeviceScene:
             whole[faces] += square
         return [self._mi.Float(aligned(whole)), *(self._mi.Float(aligned(own)) for _, own, _ in errors)]
 
-    def medium(self, pose, placements, through_air=True):
-        """Return what lies between a camera at `pose` and what it sees: its air, or none; or its air, but as if it let
-        all pass."""
+    def medium(self, pose: Floats, placements: Sequence[Placement], through_air: bool = True) -> Vacuum | AirView:
+        """Return the medium between a camera at `pose` and the surfaces: vacuum or air.
+
+        Without `through_air` paths to surfaces are clear, but the background is still seen through the air.
+        """
         if isinstance(self._air, Vacuum):
             return self._air
         moved = [item.box(placement.pose) for item, placement in zip(self.objects, placements, strict=True)]
@@ -75,15 +82,18 @@ class DeviceScene:
         if not through_air:
             return self._air.view(pose[:3, 3], box, clear=True)
         key, last = pose[:3, 3].tobytes() + box.tobytes(), self._last_medium
-        # Read and replaced as a whole, as another thread may look from elsewhere meanwhile.
+        # Read and replaced as a whole: another thread may render another view meanwhile.
         if last[0] != key:
             last = self._last_medium = key, self._air.view(pose[:3, 3], box)
         return last[1]
 
-    def _lit(self, placements):
-        """(OutgoingRadiance of the static scene, [that of each object], [(faces, own error, error on these)]).
+    def _lit(
+        self, placements: Sequence[Placement]
+    ) -> tuple[OutgoingRadiance, list[OutgoingRadiance], list[tuple[NDArray[np.int64], Floats, Floats]]]:
+        """(OutgoingRadiance of the static scene, [of each object], [(faces, squared error of the object, of these
+        faces)]).
 
-        With the objects' light on the static scene, and its light on them; the errors are squares.
+        It includes the objects' light on the static scene and the scene's light on them.
         """
         if not self.objects:
             return self._outgoing, [], []
@@ -95,7 +105,7 @@ class DeviceScene:
                 for item, placement in zip(self.objects, lit, strict=True)
             ]
             outgoing = self._outgoing
-            if self._light is not None:
+            if self._light is not None and self._faces is not None:
                 light = self._faces.copy()
                 for _, (faces, added), _ in found:
                     light[faces] += added
@@ -103,14 +113,14 @@ class DeviceScene:
             errors = [(faces, *error) for _, (faces, _), error in found]
             last = self._last_light = key, (outgoing, [own for own, *_ in found], errors)
         outgoing, light, errors = last[1]
-        key, last = (key, tuple(each.temperature for each in placements)), self._last_outgoing
-        if last[0] != key:
+        shown, last = (key, tuple(each.temperature for each in placements)), self._last_outgoing
+        if last[0] != shown:
             each = zip(self.objects, placements, light, strict=True)
-            last = self._last_outgoing = key, [item.outgoing(one.temperature, own) for item, one, own in each]
+            last = self._last_outgoing = shown, [item.outgoing(one.temperature, own) for item, one, own in each]
         return outgoing, last[1], errors
 
 
-def flat(scene, name):
-    """Return an attribute of all texels of a scene, (T,); that of a single surface is not copied: it may be large."""
+def flat(scene: Scene, name: str) -> NDArray[Any]:
+    """Return an attribute of all texels of a scene, (T,); the array of a single surface is not copied."""
     images = [getattr(surface, name) for surface in scene.surfaces]
     return images[0].reshape(-1) if len(images) == 1 else np.concatenate([image.ravel() for image in images])

@@ -1,80 +1,79 @@
 """Light on and from a dynamic object, for one pose and temperature at a time, without baking the scene again.
 
-The scene was solved without the object. Rays off its faces tell what it receives; by reciprocity the same rays tell
-what each face of the static scene receives from it, and the rays' other ends what it hides from there. One bounce each
-way: light that went twice between object and ground is left out, as is light between two dynamic objects; both are
-weaker by the reflectances of the two.
+The scene is solved without the object. Rays from the object's faces show the light it receives. By reciprocity the same
+rays show the light that the static scene receives from it, and the light it hides from there. One bounce each way is
+traced. Light that passes twice between object and ground is left out, as is light between two dynamic objects: both are
+weaker by the product of two reflectances.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
+from thermorender.materials.material import Material
 from thermorender.render import mirrors
-from thermorender.render.geometry import Geometry, OutgoingRadiance
+from thermorender.render.arrays import Floats, Jit, Mitsuba
+from thermorender.render.geometry import Geometry
+from thermorender.render.layers import OutgoingRadiance
 from thermorender.render.light import radiosity
+from thermorender.render.light.environment import Environment
 from thermorender.render.light.gmres import gmres
+from thermorender.render.plan import Plan
+from thermorender.scene.parts.tracks import TrackedObject
+from thermorender.scene.scene import Scene
+
+# {name of a dynamic object: {column of its track: value}}.
+Objects = Mapping[str, Mapping[str, float]]
+# As from `DynamicObject.light`.
+_Exchange = tuple[Floats, tuple[NDArray[np.int64], NDArray[np.float32]], tuple[Floats, NDArray[Any]]]
 
 
 @dataclass(frozen=True)
 class Placement:
-    """Where a dynamic object is and how warm, at one time.
-
-    Attributes
-    ----------
-    name : str
-    pose : (4, 4) float64
-        From the object's own frame to the scene's.
-    temperature : float
-        [K].
-    lit : Placement or None
-        That whose light it gets and gives; None where it is its own.
-    """
+    """Pose and temperature of a dynamic object at one time."""
 
     name: str
-    pose: np.ndarray
-    temperature: float
-    lit: "Placement | None" = None
+    pose: Floats  # (4, 4) from the object's own frame to the scene's
+    temperature: float  # [K]
+    lit: "Placement | None" = None  # the Placement whose light is used instead; None for its own
 
     @property
-    def key(self):
-        """What it is but for its light, hashable."""
+    def key(self) -> tuple[bytes, float]:
+        """Pose and temperature, hashable."""
         return self.pose.tobytes(), self.temperature
 
 
-def placements(scene, time_s, objects=None, lit_s=None):
-    """Return the Placement of each dynamic object of a scene at a time, a tuple in their order.
+def placements(
+    scene: Scene, time_s: float, objects: Objects | None = None, lit_s: float | None = None
+) -> tuple[Placement, ...]:
+    """Return the Placement of each dynamic object of a scene at a time on their tracks [s], in their order.
 
-    Parameters
-    ----------
-    scene : Scene
-    time_s : float
-        On their tracks [s].
-    objects : dict, optional
-        {name: {column of its track: value}} to take instead of the track's.
-    lit_s : float, optional
-        Time whose light they get and give [s], which takes as long as all else: for instants next to that.
+    `objects` replaces values of the tracks: {name: {column of its track: value}}. `lit_s` is the time whose light they
+    receive and give [s]; near it this saves tracing the light, as costly as the rest of a frame.
 
     Raises
     ------
     ThermorenderError
-        A time that is no finite number, an object that has no track or leaves the terrain, or an unknown column.
+        The time is not a finite number, an object has no track or leaves the terrain, or a column is unknown.
     """
     try:
         finite = np.isfinite(float(time_s))
     except (TypeError, ValueError):
         finite = False
     if not finite:
-        raise ThermorenderError(f"time_s={shortened(repr(time_s))} is no time; give a finite number of seconds")
+        raise ThermorenderError(f"time_s={shortened(repr(time_s))} is not a time; give a finite number of seconds")
     objects = objects or {}
     names = [tracked.name for tracked in scene.tracked_objects]
     for name in objects:
         if name not in names:
             raise ThermorenderError(
                 f"object {name!r} has no track and cannot change; give one that has "
-                f"({', '.join(names) or 'there is none'}), or add its track to the scene"
+                f"({', '.join(names) or 'this scene has none'}), or add its track to the scene"
             )
     found = []
     for tracked in scene.tracked_objects:
@@ -88,96 +87,67 @@ def placements(scene, time_s, objects=None, lit_s=None):
 
 @dataclass(frozen=True)
 class StaticLight:
-    """What a dynamic object must know of the static scene's light.
+    """Light of the static scene, for dynamic objects."""
 
-    Attributes
-    ----------
-    reflectance : (F, N) float32
-        Of each face at each node.
-    seen : (F + SKY_BINS + 1, N) float32
-        Radiance that leaves each face, and that of the sky's bins and of the surroundings [W m⁻² sr⁻¹].
-    """
-
-    reflectance: np.ndarray
-    seen: np.ndarray
+    reflectance: NDArray[np.float32]  # (F, N) of each face at each node
+    # (F + SKY_BINS + 1, N) radiance that leaves faces, and that of the sky's bins and of the surroundings [W m⁻² sr⁻¹].
+    seen: NDArray[np.float32]
 
     @classmethod
-    def around(cls, environment, faces, nodes):
-        """Return that of a number of faces of which nothing is known yet; see `add`."""
-        # As faces beyond the last: rays that hit nothing see these.
+    def around(cls, environment: Environment, faces: int, nodes: int) -> "StaticLight":
+        """Return a StaticLight with zeros for all faces; see `add`."""
+        # Rays that hit nothing see these, numbered after the last face.
         outside = np.vstack([environment.sky.mean(axis=0), environment.background]).astype(np.float32)
         return cls(np.zeros((faces, nodes), np.float32), np.vstack([np.zeros((faces, nodes), np.float32), outside]))
 
-    def add(self, nodes, leaving, reflectance):
-        """Tell what faces radiate [W m⁻² sr⁻¹] and reflect at a slice of the nodes, both (F, n)."""
+    def add(self, nodes: slice, leaving: Floats, reflectance: Floats) -> None:
+        """Set radiance that leaves faces [W m⁻² sr⁻¹] and reflectance at a slice of the nodes, both (F, n)."""
         self.seen[: len(leaving), nodes] = leaving
         self.reflectance[:, nodes] = reflectance
 
 
 class DynamicObject:
-    """An object with a track, on the render side.
+    """An object with a track, on the render side, with its `geometry` in its own frame.
 
-    Parameters
-    ----------
-    mi : module
-    tracked : TrackedObject
-    plan : Plan
-    materials : sequence of Material
-    tables : DeviceTables or None
-        Of the scene's directional materials; None where none is shown as such.
-
-    Attributes
-    ----------
-    geometry : Geometry
-        In the object's own frame.
+    `tables` holds the scene's directional materials; None where these are rendered as diffuse.
     """
 
-    def __init__(self, mi, tracked, plan, materials, tables=None):
+    def __init__(
+        self, mi: Mitsuba, tracked: TrackedObject, plan: Plan, materials: Sequence[Material],
+        tables: mirrors.DeviceTables | None = None,
+    ) -> None:  # fmt: skip
         self.surfaces, self._plan = tracked.surfaces, plan
         self.geometry = Geometry(mi, tracked.surfaces)
-        # One material all over.
+        # All texels have the same material.
         self._material = int(tracked.surfaces[0].material.flat[0])
         self._emissivity_at = materials[self._material].emissivity_at
         self._texel_count = sum(surface.material.size for surface in tracked.surfaces)
         self._tables = tables if tables and tables.number[self._material] else None
 
-    def light(self, placement, geometry, static):
-        """Return (light that each own face reflects, (faces, light it adds to them), errors) at a Placement.
+    def light(self, placement: Placement, geometry: Geometry, static: StaticLight | None) -> _Exchange:
+        """Return (light reflected by each own face, (faces, light added to them), squared errors) at a Placement.
 
-        Parameters
-        ----------
-        placement : Placement
-        geometry : Geometry
-            Of the static scene.
-        static : StaticLight or None
-            None where reflection is left out.
+        `geometry` is the static scene's; `static` is None where reflection is left out.
 
         Returns
         -------
         own : (F, K)
             In each channel [W m⁻² sr⁻¹].
-        faces : (n,) int64
-            Of the static scene.
-        added : (n, K) float32
-            What these reflect more than without the object, in each channel [W m⁻² sr⁻¹].
+        faces, added : (n,) int64, (n, K) float32
+            Faces of the static scene, and the change of their reflected light in each channel [W m⁻² sr⁻¹].
         own_square : (F,), square : (n,)
-            Of the standard errors of these by the rays' number, in the band [W² m⁻⁴ sr⁻²].
-
-        Notes
-        -----
-        The errors are those of rays that know nothing of each other. Of Sobol's, which stand evenly, they are too large
-        rather than too small.
+            Squared standard errors of these due to the number of rays, in the band [W² m⁻⁴ sr⁻²]. They assume
+            independent rays; for the evenly spread Sobol rays they are too large rather than too small.
         """
         if static is None:
             channels = self._plan.spectrum.channels
-            return np.zeros((self.geometry.face_count, channels)), (
-                np.zeros(0, np.int64),
-                np.zeros((0, channels), np.float32),
-            ), (np.zeros(self.geometry.face_count), np.zeros(0))  # fmt: skip
+            nothing = np.zeros(0, np.int64), np.zeros((0, channels), np.float32)
+            count = self.geometry.face_count
+            return np.zeros((count, channels)), nothing, (np.zeros(count), np.zeros(0))
         return self._light(placement.pose, placement.temperature, geometry, static)
 
-    def outgoing(self, temperature, own):
-        """Return the OutgoingRadiance at a temperature [K], with light that its faces reflect as by `light`."""
+    def outgoing(self, temperature: float, own: Floats) -> OutgoingRadiance:
+        """Return the OutgoingRadiance at a temperature [K], with the light that its faces reflect from `light`."""
         mi, plan = self.geometry.mi, self._plan
         mirror = None
         if self._tables:
@@ -189,12 +159,12 @@ class DynamicObject:
         texels = [np.full(self._texel_count, value, np.float32) for value in emitted]
         return OutgoingRadiance.of(self.geometry, texels, own, mirror)
 
-    def box(self, pose):
+    def box(self, pose: Floats) -> Floats:
         """Return the lowest and highest corner of the object at a pose, (2, 3) [m]."""
         corner = np.concatenate([surface.vertices for surface in self.surfaces]) @ pose[:3, :3].T + pose[:3, 3]
         return np.stack([corner.min(axis=0), corner.max(axis=0)])
 
-    def _light(self, pose, temperature, geometry, static):
+    def _light(self, pose: Floats, temperature: float, geometry: Geometry, static: StaticLight) -> _Exchange:
         """As `light`."""
         from scipy.sparse import csr_array
 
@@ -205,17 +175,17 @@ class DynamicObject:
         origin, direction, reverse, _ = radiosity.face_rays(self.geometry, half)
         matrix, origin_m = _matrix(mi, pose)
         start, along = matrix @ origin + origin_m, matrix @ direction
-        # Both ways off a face: a sheet shines to both sides, and either end tells what the object hides from the other.
-        # A static face gets light on its front alone, as in the bake: what stands in the ground does not light it.
-        codes, ends, fronts = [], [], []
+        # Rays go both ways from a face: a sheet radiates to both sides, and each end shows the light that the object
+        # hides from the other. As in the bake, a static face receives light on its front only.
+        codes, ends, fronts = list[Jit](), list[Jit](), list[Jit]()
         for own_from, sign in ((origin, 1.0), (reverse, -1.0)):
             own = self.geometry.cast(mi.Ray3f(mi.Point3f(own_from), mi.Vector3f(sign * direction)))
-            end = geometry.cast(mi.Ray3f(mi.Point3f(start), sign * along))
-            there = dr.select(end.valid, end.face, others + radiosity.background_code(mi, sign * along))
-            codes.append(dr.select(own.distance < end.distance, known + own.face, there))
+            other = geometry.cast(mi.Ray3f(mi.Point3f(start), sign * along))
+            there = dr.select(other.valid, other.face, others + radiosity.background_code(mi, sign * along))
+            codes.append(dr.select(own.distance < other.distance, known + own.face, there))
             ends.append(there)
-            normal = mi.Vector3f(*geometry.normals.at(end.face, end.valid))
-            fronts.append(end.valid & (dr.dot(normal, sign * along) < 0.0))
+            normal = mi.Vector3f(*geometry.normals.at(other.face, other.valid))
+            fronts.append(other.valid & (dr.dot(normal, sign * along) < 0.0))
         dr.eval(codes, ends, fronts)
         met, met_reverse = (np.array(values, dtype=np.int64) for values in codes)
         end, end_reverse = (np.array(values, dtype=np.int64) for values in ends)
@@ -228,19 +198,19 @@ class DynamicObject:
         incident = gmres(between, rho, source, 1e-6 * np.abs(source).max(axis=0))
         leaving = emitted + rho * incident
 
-        # Of each ray that ends on the ground, that face sees the object in place of what lies behind.
-        faces, changes, squares = [], [], []
+        # Each ray that ends on a static face: that face sees the object instead of the surface behind it.
+        ends_on, changes, squares = [], [], []
         for first, hidden, front in ((met, end_reverse, fronts[0]), (met_reverse, end, fronts[1])):
             hit = np.flatnonzero((first < others) & np.array(front))
-            face, own = first[hit], hit // rays
-            weight = self.geometry.area[own] / (rays * geometry.area[face])
-            change = (leaving[own] - static.seen[hidden[hit]]) * static.reflectance[face]
-            faces.append(face)
+            face, source_face = first[hit], hit // rays
+            weight = self.geometry.area[source_face] / (rays * geometry.area[face])
+            change = (leaving[source_face] - static.seen[hidden[hit]]) * static.reflectance[face]
+            ends_on.append(face)
             squares.append((change.sum(axis=1) * weight) ** 2)
             changes.append((change @ spectrum.share.T) * weight[:, None])
-        faces, row = np.unique(np.concatenate(faces), return_inverse=True)
-        changes = np.concatenate(changes)
-        added = np.stack([np.bincount(row, change, len(faces)) for change in changes.T], axis=1)
+        faces, row = np.unique(np.concatenate(ends_on), return_inverse=True)
+        columns = np.concatenate(changes).T
+        added = np.stack([np.bincount(row, change, len(faces)) for change in columns], axis=1)
         square = np.bincount(row, np.concatenate(squares), len(faces))
         reflected = np.concatenate([(static.seen * rho[0]).sum(axis=1), (leaving * rho[0]).sum(axis=1)])
         own_square = np.maximum(seen @ reflected**2 - (seen @ reflected) ** 2, 0.0) / rays
@@ -248,8 +218,8 @@ class DynamicObject:
         return own_light, (faces, added.astype(np.float32)), (own_square, square)
 
 
-def _matrix(mi, pose):
-    """(rotation, translation) of a pose as opaque Dr.Jit values, so that a new one reuses the compiled kernel."""
+def _matrix(mi: Mitsuba, pose: Floats) -> tuple[Jit, Jit]:
+    """(rotation, translation) of a pose as opaque Dr.Jit values, so that a new pose reuses the kernel."""
     values = [[dr.opaque(mi.Float, float(value)) for value in row] for row in pose[:3]]
     rotation = mi.Matrix3f([row[:3] for row in values])
     return rotation, mi.Vector3f(*(row[3] for row in values))

@@ -1,47 +1,39 @@
 """A scene's meshes on the render side: the ray caster, and flat per-face and per-texel arrays for its kernels.
 
-All surfaces share one numbering of faces and one of texels, so a hit becomes two gathers: the face's record and the
-texels around the point. The record is the affine map from a point of the face's
-plane to its position on the texel map; it also tells the plane, so that points near a hit need no ray of their own.
+All surfaces share one numbering of faces and one of texels. A hit then needs two gathers: the face's record and the
+texels around the point. The record is the affine map from a point of the face's plane to its position on the texel map.
+It also defines the plane, so points near a hit need no ray.
 """
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import drjit as dr
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError
+from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned
 from thermorender.render.pixels import pyramid, slender
+from thermorender.scene.scene import Scene
+from thermorender.scene.surface import Surface
 
 _RAYS_AT_ONCE, _FACES_AT_ONCE = 1 << 22, 1 << 20
-# A direction upwards that hardly a face's plane holds.
+# An upward direction that is parallel to hardly any face.
 _ASIDE = (0.3717, 0.4693, 0.8010)
-# From so many bytes on the C library gives memory as pages of its own, behind 16 bytes that tell their number.
-_OWN_PAGES = 1 << 25
 
 
 @dataclass(frozen=True)
 class Hit:
-    """Where rays end: Dr.Jit arrays, one entry per ray.
+    """Where rays end: Dr.Jit arrays, one entry per ray."""
 
-    Attributes
-    ----------
-    valid : Bool
-        Whether anything is hit.
-    distance : Float
-        Along the ray [m]; infinite for a miss.
-    face, surface : UInt32
-        Numbers over the whole scene; 0 for a miss.
-    mirrored : Float
-        From a mirror to what it shows [m]; 0 where there is none.
-    """
-
-    valid: object
-    distance: object
-    face: object
-    surface: object
-    mirrored: object = 0.0
+    valid: Jit  # whether the ray hits a surface
+    distance: Jit  # along the ray [m]; infinite for a miss
+    face: Jit  # number over the whole scene; 0 for a miss
+    surface: Jit  # number over the whole scene; 0 for a miss
+    mirrored: Jit = 0.0  # from a mirror to the point seen in it [m]; 0 without a mirror
 
 
 class Geometry:
@@ -51,7 +43,6 @@ class Geometry:
     ----------
     mi : module
         Mitsuba with a variant active.
-    surfaces : sequence of Surface
 
     Attributes
     ----------
@@ -60,16 +51,16 @@ class Geometry:
     face_start, texel_start : (S + 1,) int64
         First face and texel of each surface in the flat numbering.
     area, share : (F,) float64
-        Each face's area [m²], and its share of the area of all.
+        Area of each face [m²], and its share of the total area.
     reach : float
-        Greatest distance of a vertex from the origin along an axis [m].
+        Largest vertex coordinate along any axis [m].
     hair : float
-        A hair's breadth [m], which coordinates in single precision tell apart: 64 of their steps at `reach`.
+        Smallest offset used between points [m]: 64 float32 steps at `reach`.
     levels : int
-        Of the texels' averages over squares, `Geometry.averaged`; 1 where all surfaces have a single texel.
+        Levels of the texels' averages over squares, see `averaged`; 1 where every surface has a single texel.
     """
 
-    def __init__(self, mi, surfaces):
+    def __init__(self, mi: Mitsuba, surfaces: Sequence[Surface]) -> None:
         self.mi = mi
         self.surfaces = surfaces
         self.face_start = np.cumsum([0] + [len(surface.faces) for surface in surfaces])
@@ -83,45 +74,45 @@ class Geometry:
             f"s{number}": _mesh(mi, f"s{number}", surface.vertices, surface.faces)
             for number, surface in enumerate(surfaces)
         }
-        # Without robust intersections rays leak through triangle edges, and a leak is a sky pixel.
+        # Without robust intersections rays leak through triangle edges and show the sky.
         self.caster = mi.load_dict({"type": "scene", "embree_use_robust_intersections": True, **meshes})
-        # Mitsuba numbers shapes over the whole process: number → surface.
+        # Mitsuba numbers shapes over the whole process; this maps its numbers to surfaces.
         registry = [int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(mesh))[0]) for mesh in meshes.values()]
         surface_of = np.zeros(max(registry) + 1, dtype=np.uint32)
         surface_of[registry] = np.arange(len(registry))
         self._surface_of = mi.UInt32(aligned(surface_of, np.uint32))
         self._face_start = mi.UInt32(aligned(self.face_start[:-1], np.uint32))
-        # (levels, surfaces): squares of all surfaces lie behind one another, level after level.
-        shapes = [pyramid.sizes(*surface.material.shape) for surface in surfaces]
-        self.levels = max(map(len, shapes))
-        shapes = np.array([shape + [(1, 1)] * (self.levels - len(shape)) for shape in shapes], dtype=np.int64)
+        # The squares are stored level after level, and in each level surface after surface.
+        sizes = [pyramid.sizes(*surface.material.shape) for surface in surfaces]
+        self.levels = max(map(len, sizes))
+        shapes = np.array([size + [(1, 1)] * (self.levels - len(size)) for size in sizes], dtype=np.int64)
         shapes = shapes.transpose(1, 0, 2).reshape(-1, 2)
         start = np.concatenate([[0], np.cumsum(shapes.prod(axis=1))])
-        self._surfaces, self._boxes = len(surfaces), {}
+        self._surfaces, self._boxes = len(surfaces), dict[int, Floats]()
         parts = (start[:-1], shapes[:, 0], shapes[:, 1])
         self._lattice = tuple(mi.Int32(aligned(part, np.int32)) for part in parts)
         self._record = mi.Float(aligned(of_faces(surfaces, _map_records, (8,))))
 
-    def cast(self, ray, coherent=False):
+    def cast(self, ray: Jit, coherent: bool = False) -> Hit:
         """Return the Hit of rays (an mi.Ray3f)."""
         return self._hit(self.caster.ray_intersect_preliminary(ray, coherent=coherent))
 
-    def _hit(self, found):
+    def _hit(self, found: Jit) -> Hit:
         mi = self.mi
         valid = found.is_valid()
         surface = dr.gather(mi.UInt32, self._surface_of, dr.reinterpret_array(mi.UInt32, found.shape), valid)
         face = dr.gather(mi.UInt32, self._face_start, surface, valid) + found.prim_index
         return Hit(valid, found.t, dr.select(valid, face, 0), surface)
 
-    def seen(self, ray):
-        """Return the Hit of a view's rays (an mi.Ray3f), with no distance of 0.
+    def seen(self, ray: Jit) -> Hit:
+        """Return the Hit of a view's rays (an mi.Ray3f), without distances of 0.
 
-        Embree answers that for a camera on a surface, which has no picture, and for a ray in the plane of a triangle,
-        wherever this lies. Such rays, and they alone, are cast anew from a hair's breadth aside.
+        Embree returns distance 0 for a camera on a surface and for a ray in the plane of any triangle. Only such rays
+        are cast again, offset by `hair`.
         """
         hit = self.cast(ray, coherent=True)
         touches = hit.valid & (hit.distance <= 0.0)
-        # Opaque: as a literal it would have the kernel compiled anew for each scene.
+        # Opaque: a literal would compile the kernel again for each scene.
         aside = dr.opaque(self.mi.Float, self.hair) * self.mi.Vector3f(*_ASIDE)
         beside = self.mi.Ray3f(ray.o + aside, ray.d)
         found = self._hit(self.caster.ray_intersect_preliminary(beside, coherent=True, active=touches))
@@ -130,55 +121,57 @@ class Geometry:
             dr.select(touches, found.face, hit.face), dr.select(touches, found.surface, hit.surface),
         )  # fmt: skip
 
-    def record(self, face, active=True):
-        """Return the records of faces, as two Vector4f: the gradient of the column and its offset, and the row's."""
+    def record(self, face: Jit, active: Jit = True) -> tuple[Jit, ...]:
+        """Return the records of faces, two Vector4f: gradient and offset of the column, then of the row."""
         return tuple(dr.gather(self.mi.Vector4f, self._record, 2 * face + k, active) for k in (0, 1))
 
-    def map_position(self, record, point):
-        """Return (column, row) on the texel map, in texels from its upper left corner, of points of a face."""
-        return tuple(dr.fma(g.x, point.x, dr.fma(g.y, point.y, dr.fma(g.z, point.z, g.w))) for g in record)
+    def map_position(self, record: Sequence[Jit], point: Jit) -> tuple[Jit, Jit]:
+        """Return (column, row) of points of a face on the texel map, in texels from the upper left corner."""
+        column, row = (dr.fma(g.x, point.x, dr.fma(g.y, point.y, dr.fma(g.z, point.z, g.w))) for g in record)
+        return column, row
 
-    def normal(self, record):
+    def normal(self, record: Sequence[Jit]) -> Jit:
         """Return a vector along the normal of a face; zero where its map is constant."""
         u, v = (self.mi.Vector3f(g.x, g.y, g.z) for g in record)
         return dr.cross(u, v)
 
-    def points_in_faces(self, pattern):
-        """Yield (surface, column, row) on the texel maps, in each face, at every barycentric (u, v) of `pattern`."""
+    def points_in_faces(self, pattern: ArrayLike) -> Iterator[tuple[Jit, Jit, Jit]]:
+        """Yield (surface, column, row) on the texel maps of all faces, for each barycentric (u, v) of `pattern`."""
         mi = self.mi
         face_counts = np.diff(self.face_start)
         surface = mi.UInt32(aligned(np.repeat(np.arange(len(face_counts)), face_counts), np.uint32))
         size = [surface_.material.shape[::-1] for surface_ in self.surfaces]
-        corner = np.concatenate([s.uv * np.array(n, np.float32) for s, n in zip(self.surfaces, size, strict=True)])
-        corner = [[mi.Float(aligned(corner[:, k, axis])) for axis in (0, 1)] for k in range(3)]
+        corners = np.concatenate([s.uv * np.array(n, np.float32) for s, n in zip(self.surfaces, size, strict=True)])
+        corner = [[mi.Float(aligned(corners[:, k, axis])) for axis in (0, 1)] for k in range(3)]
         for u, v in np.asarray(pattern).tolist():
-            # Opaque weights: as literals they would have the kernel that uses them compiled anew for each point.
+            # Opaque: literals would compile the kernel again for each point.
             u, v = dr.opaque(mi.Float, u), dr.opaque(mi.Float, v)
             column, row = (
                 (1.0 - u - v) * corner[0][axis] + u * corner[1][axis] + v * corner[2][axis] for axis in (0, 1)
             )
             yield surface, column, row
 
-    def nearest(self, surface, column, row, active=True):
-        """Return the flat number of the texel at a position on a surface's map; outside, that at its edge."""
+    def nearest(self, surface: Jit, column: Jit, row: Jit, active: Jit = True) -> Jit:
+        """Return the flat number of the texel at a position on a surface's map; outside, of the texel at the edge."""
         mi = self.mi
         start, rows, columns = self.lattice(surface, active)
         i = dr.clip(mi.Int32(dr.floor(row)), 0, rows - 1)
         j = dr.clip(mi.Int32(dr.floor(column)), 0, columns - 1)
         return mi.UInt32(start + i * columns + j)
 
-    def lattice(self, surface, active=True, level=None):
-        """Return (first texel, rows, columns) of surfaces, Int32; or of their squares of 2^level texels a side."""
+    def lattice(self, surface: Jit, active: Jit = True, level: Jit = None) -> tuple[Jit, ...]:
+        """Return (first texel, rows, columns) of surfaces, Int32; with `level`, of their squares of 2^level texels a
+        side.
+        """
         index = surface if level is None else surface + level * self._surfaces
         return tuple(dr.gather(self.mi.Int32, values, index, active) for values in self._lattice)
 
-    def averaged(self, values):
-        """Return Channels of texels (T, C), and of their means over squares of 2, 4, 8 … texels a side behind them."""
+    def averaged(self, values: ArrayLike) -> Channels:
+        """Return Channels of texels (T, C), followed by their means over squares of 2, 4, 8 … texels a side."""
         values = np.asarray(values, dtype=np.float32)
-        levels = [[] for _ in range(self.levels - 1)]
-        for surface, covered, part in zip(
-            self.surfaces, self.covered, np.split(values, self.texel_start[1:-1]), strict=True
-        ):
+        levels: list[list[NDArray[np.float32]]] = [[] for _ in range(self.levels - 1)]
+        parts = np.split(values, self.texel_start[1:-1])
+        for surface, covered, part in zip(self.surfaces, self.covered, parts, strict=True):
             last = part.reshape(*surface.material.shape, -1)
             found = list(pyramid.squares(last, covered))
             for number, level in enumerate(levels):
@@ -186,16 +179,17 @@ class Geometry:
                 level.append(last.reshape(-1, values.shape[1]))
         return Channels(self.mi, np.concatenate([values, *(part for level in levels for part in level)]))
 
-    def boxes(self, first=0):
-        """Return boxes round the connected parts of the surfaces from number `first` on, as `slender.boxes`."""
+    def boxes(self, first: int = 0) -> Floats:
+        """Return the boxes round connected parts of the surfaces from number `first` on, as `slender.boxes`."""
         if first not in self._boxes:
             self._boxes[first] = slender.boxes(self.surfaces[first:])
         return self._boxes[first]
 
     @cached_property
-    def covered(self):
-        """Which texels some face covers, (rows, columns) bool for each surface; None where it is all of them."""
-        found, covers = [], None
+    def covered(self) -> list[NDArray[np.bool_] | None]:
+        """Texels that a face covers, (rows, columns) bool for each surface; None where all are."""
+        found: list[NDArray[np.bool_] | None] = []
+        covers = None
         for number, surface in enumerate(self.surfaces):
             area = of_faces([surface], _mapped_area, (), np.float64).sum()
             if abs(area - 1.0) < 1e-6 or surface.material.size == 1:
@@ -207,8 +201,8 @@ class Geometry:
             found.append(part.reshape(surface.material.shape))
         return found
 
-    def corners(self, lattice, column, row):
-        """Return the four texels round a position as [(flat number, weight), …]; outside the map, those at its edge."""
+    def corners(self, lattice: Sequence[Jit], column: Jit, row: Jit) -> list[tuple[Jit, Jit]]:
+        """Return the four texels round a position as [(flat number, weight), …]; outside the map, those at the edge."""
         mi = self.mi
         start, rows, columns = lattice
         x, y = column - 0.5, row - 0.5
@@ -223,24 +217,25 @@ class Geometry:
             for at, share in ((j0, 1.0 - fx), (j1, fx))
         ]
 
-    def bilinear(self, channels, lattice, column, row, active=True):
-        """Return the Channels at a position on a surface's map, linear between texel centres, as a list of Float."""
-        total = None
+    def bilinear(
+        self, channels: Channels, lattice: Sequence[Jit], column: Jit, row: Jit, active: Jit = True
+    ) -> list[Jit]:
+        """Return the Channels at a position on a surface's map, bilinear between texel centres, as a list of Float."""
+        total: list[Jit] = []
         for texel, weight in self.corners(lattice, column, row):
             values = [weight * value for value in channels.at(texel, active)]
-            total = values if total is None else [a + b for a, b in zip(total, values, strict=True)]
+            total = [a + b for a, b in zip(total, values, strict=True)] if total else values
         return total
 
     @cached_property
-    def normals(self):
-        """Unit normals of all faces, Channels; zero where a face has no area."""
+    def normals(self) -> Channels:
+        """Unit normals of all faces; zero where a face has no area."""
         return Channels(self.mi, of_faces(self.surfaces, _unit_across, (3,)))
 
-    def face_of_texel(self):
-        """Return the face that covers each texel's centre, UInt32 over all texels; `face_count` where there is none.
+    def face_of_texel(self) -> Jit:
+        """Return the face that covers each texel's centre, UInt32 over all texels; `face_count` where no face does.
 
-        The map itself is looked at from above: rays down onto its triangles. A face whose map has no area covers
-        nothing.
+        Rays are cast down onto the triangles of the map. A face whose map has no area covers nothing.
         """
         mi = self.mi
         found = np.full(int(self.texel_start[-1]), self.face_count, dtype=np.uint32)
@@ -249,14 +244,14 @@ class Geometry:
             if rows * columns == 1:
                 continue
             here = found[int(self.texel_start[number]) :][: rows * columns].reshape(rows, columns)
-            # The map's triangles, like those of the scene, take 200 bytes each: not all at once.
+            # The map's triangles take 200 bytes each, so they are made in parts.
             for first in range(0, len(surface.faces), _FACES_AT_ONCE):
                 part = surface.uv[first : first + _FACES_AT_ONCE]
                 self._cover(here, part, int(self.face_start[number]) + first)
         return mi.UInt32(aligned(found, np.uint32))
 
-    def _cover(self, found, uv, first_face):
-        """Write into (rows, columns) of texels which of some faces' maps (n, 3, 2) covers each."""
+    def _cover(self, found: NDArray[np.uint32], uv: NDArray[np.float32], first_face: int) -> None:
+        """Write into (rows, columns) of texels the face, of some faces' maps (n, 3, 2), that covers each."""
         mi, (rows, columns) = self.mi, found.shape
         corner = uv.reshape(-1, 2).astype(np.float64) * (columns, rows)
         flat = np.column_stack([corner, np.zeros(len(corner))])
@@ -276,103 +271,19 @@ class Geometry:
             np.copyto(texels, face, where=face < self.face_count)
 
 
-class Channels:
-    """A few numbers per texel or face, kept side by side so that one gather brings them all.
-
-    Parameters
-    ----------
-    mi : module
-    values : (n, channels) float array
-    """
-
-    def __init__(self, mi, values):
-        values = np.asarray(values, dtype=np.float32)
-        self.count = values.shape[1]
-        self.groups = []
-        for first in range(0, self.count, 4):
-            group = values[:, first : first + 4]
-            width = {1: 1, 2: 2, 3: 4, 4: 4}[group.shape[1]]
-            if group.shape[1] != width:
-                group = np.pad(group, ((0, 0), (0, width - group.shape[1])))
-            kind = {1: mi.Float, 2: mi.Vector2f, 4: mi.Vector4f}[width]
-            self.groups.append((kind, min(self.count - first, width), mi.Float(aligned(group))))
-
-    def at(self, index, active=True):
-        """Return the channels at flat indices, as a list of Float."""
-        found = []
-        for kind, used, values in self.groups:
-            packet = dr.gather(kind, values, index, active)
-            found += [packet] if used == 1 and kind.__name__ == "Float" else [packet[i] for i in range(used)]
-        return found
-
-
-@dataclass(frozen=True)
-class OutgoingRadiance:
-    """Radiance that leaves surfaces towards a camera: channels of their texels, and corrections of their faces.
-
-    Attributes
-    ----------
-    texels : Channels
-        From `Geometry.averaged`, read at every tap of a pixel: all there is, or the first of the spectral channels,
-        which carries nearly all.
-    rest : Channels or None
-        The other spectral channels, read once per ray, as they tell a hundredth of what the first does.
-    faces : Channels or None
-        Added to all channels of the texels.
-    mirror : Mirror or None
-        What changes where the material depends on the angle of view; None where none does.
-    """
-
-    texels: Channels
-    rest: Channels | None = None
-    faces: Channels | None = None
-    mirror: object = None
-
-    @classmethod
-    def of(cls, geometry, texels, faces=None, mirror=None):
-        """Return what leaves surfaces by spectral channels of texels, K arrays (T,), and of faces, (F, K)."""
-        rest = geometry.averaged(np.stack(texels[1:], axis=1)) if len(texels) > 1 else None
-        own = None if faces is None else Channels(geometry.mi, faces)
-        return cls(geometry.averaged(texels[0][:, None]), rest, own, mirror)
-
-    def at_texel(self, texel, face, active):
-        """Return all channels of texels, seen on faces, as a list of Float; 0 where not active."""
-        values = [part.at(texel, active) for part in (self.texels, self.rest) if part]
-        return self._on(face, [each for part in values for each in part], active)
-
-    def at(self, geometry, hit, position):
-        """Return all channels at positions (column, row) of a Hit, linear between texels, as a list of Float."""
-        lattice = geometry.lattice(hit.surface, hit.valid)
-        values = [geometry.bilinear(part, lattice, *position, hit.valid) for part in (self.texels, self.rest) if part]
-        return self._on(hit.face, [each for part in values for each in part], hit.valid)
-
-    def _on(self, face, values, active):
-        added = self.faces.at(face, active) if self.faces else [0.0] * len(values)
-        return [a + b for a, b in zip(values, added, strict=True)]
-
-
-@dataclass(frozen=True)
-class Layer:
-    """A ray caster, the view (rotation, origin) in its frame, and what leaves its surfaces."""
-
-    geometry: Geometry
-    view: tuple
-    outgoing: OutgoingRadiance | None
-
-
-def box_of(scene):
+def box_of(scene: Scene) -> Floats:
     """Return the lowest and the highest corner of a scene's surfaces, (2, 3) [m]."""
     corner = [limit(surface.vertices, axis=0) for limit in (np.min, np.max) for surface in scene.surfaces]
     return np.stack([np.min(corner, axis=0), np.max(corner, axis=0)])
 
 
-def farthest(scene):
-    """Return the length of the longest path between surfaces of a scene [m], from 2 m on."""
+def farthest(scene: Scene) -> float:
+    """Return the length of the longest path between surfaces of a scene [m], at least 2 m."""
     return max(float(np.linalg.norm(np.diff(box_of(scene), axis=0))), 2.0)
 
 
-def refuse_other_surfaces(known, surfaces):
-    """Raise unless two sequences of surfaces have the same geometry: vertices, faces, and where texels lie on them."""
+def refuse_other_surfaces(known: Sequence[Surface], surfaces: Sequence[Surface]) -> None:
+    """Raise unless two sequences of surfaces have the same vertices, faces and texel maps."""
     differ = None
     if len(known) != len(surfaces):
         differ = f"{len(known)} surfaces, not {len(surfaces)}"
@@ -385,14 +296,17 @@ def refuse_other_surfaces(known, surfaces):
             differ = differ or f"{one.material.shape} texels, not {other.material.shape}, in surface {other.name!r}"
     if differ:
         raise ThermorenderError(
-            f"like=… has {differ}; give one of the same surfaces, at other temperatures or of other materials"
+            f"like=… has {differ}; give one of the same surfaces; only temperatures and materials may differ"
         )
 
 
-def of_faces(surfaces, job, shape, dtype=np.float32):
-    """Return what `job(surface, faces)` finds of all faces, (F, *shape), asked for a million of them at a time.
+def of_faces(
+    surfaces: Sequence[Surface], job: Callable[[Surface, slice], NDArray[Any]], shape: tuple[int, ...],
+    dtype: Any = np.float32,
+) -> NDArray[Any]:  # fmt: skip
+    """Return `job(surface, faces)` of all faces, (F, *shape), computed for a million faces at a time.
 
-    A job works in double precision on all corners, which for all faces at once would be most of the memory of a scene.
+    Jobs use float64 on all corners; for all faces at once that would dominate a scene's memory.
     """
     found = np.empty((sum(len(surface.faces) for surface in surfaces), *shape), dtype)
     first = 0
@@ -404,59 +318,28 @@ def of_faces(surfaces, job, shape, dtype=np.float32):
     return found
 
 
-def _across(surface, part):
-    """Vectors across faces, twice as long as these are large."""
+def _across(surface: Surface, part: slice) -> Floats:
+    """Normals of faces, of twice their area."""
     corner = surface.vertices[surface.faces[part]]
     return np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
 
 
-def _unit_across(surface, part):
+def _unit_across(surface: Surface, part: slice) -> Floats:
     """Unit normals of faces; zero where a face has no area."""
     normal = _across(surface, part)
     return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
 
 
-def _mapped_area(surface, part):
-    """Areas of faces on the map, whose whole is 1."""
+def _mapped_area(surface: Surface, part: slice) -> Floats:
+    """Areas of faces on the map; the whole map has area 1."""
     edge = surface.uv[part, 1:].astype(np.float64) - surface.uv[part, :1]
     return 0.5 * np.abs(edge[:, 0, 0] * edge[:, 1, 1] - edge[:, 0, 1] * edge[:, 1, 0])
 
 
-def aligned(values, kind=np.float32):
-    """Return an array flat, of a kind and at a multiple of 64 bytes: itself where it is so, or else a copy.
-
-    Dr.Jit takes NumPy's memory as it lies, and compiles a kernel anew where it lies otherwise than before: in this
-    process or, of those that it keeps on disk, in another. Whatever kernels read goes through here, but not what Embree
-    alone reads. What is large has pages of its own, and so lies alike each time; a copy would double its memory.
-    """
-    values = np.asarray(values)
-    lies = values.ctypes.data % 64 == 0 or values.nbytes >= _OWN_PAGES
-    if lies and values.dtype == kind and values.flags.c_contiguous:
-        return values.reshape(-1)
-    size = np.dtype(kind).itemsize
-    whole = np.empty(values.size + 64 // size, kind)
-    first = -whole.ctypes.data % 64 // size
-    found = whole[first : first + values.size]
-    found.reshape(values.shape)[...] = values
-    return found
-
-
-def opaque_view(mi, pose):
-    """Return (rows of the rotation, origin) of a pose as Dr.Jit values: a new one reuses the compiled kernel."""
-    values = [[dr.opaque(mi.Float, float(value)) for value in row] for row in pose[:3]]
-    return [mi.Vector3f(*row[:3]) for row in values], mi.Point3f(*(row[3] for row in values))
-
-
-def view_ray(mi, rotation, origin, x, y):
-    """Return the rays (mi.Ray3f) of a view at slopes (x/z, y/z); their directions are of unit length."""
-    local = dr.normalize(mi.Vector3f(x, y, 1.0))
-    return mi.Ray3f(origin, mi.Vector3f(*(dr.dot(row, local) for row in rotation)))
-
-
-def _map_records(surface, part):
+def _map_records(surface: Surface, part: slice) -> Floats:
     """Affine maps (F, 8) from points to texels: gradient and offset of the column, then of the row.
 
-    The gradient lies in the face's plane. Faces without area or with a constant map have the gradient 0.
+    The gradient is parallel to the face's plane; it is 0 for faces without area or with a constant map.
     """
     corner = surface.vertices[surface.faces[part]]
     texel = surface.uv[part].astype(np.float64) * surface.material.shape[::-1]
@@ -472,14 +355,14 @@ def _map_records(surface, part):
     return np.concatenate([gradient, offset[..., None]], axis=-1).reshape(-1, 8)
 
 
-def positions(vertices):
-    """Return vertices (V, 3) as a mesh takes them, (3 V,) float32, with the four bytes behind that Embree reads too."""
+def positions(vertices: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Return vertices (V, 3) flat, (3 V,) float32, with the four bytes of padding that Embree reads."""
     whole = np.empty(3 * len(vertices) + 1, np.float32)
     whole[:-1] = np.ravel(vertices)
     return whole[:-1]
 
 
-def _mesh(mi, name, vertices, faces):
+def _mesh(mi: Mitsuba, name: str, vertices: Floats, faces: NDArray[np.integer]) -> Jit:
     mesh = mi.Mesh(name, len(vertices), len(faces))
     parameters = mi.traverse(mesh)
     parameters["vertex_positions"] = positions(vertices)

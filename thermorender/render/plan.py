@@ -1,7 +1,8 @@
-"""What a scene needs and what it does not: spectral nodes, bake, air, samples; each choice with its error in mK."""
+"""The plan of a scene: spectral nodes, bake, air and samples, each choice with its error in mK."""
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -10,11 +11,12 @@ from thermorender.errors import ThermorenderError
 from thermorender.physics.band import quadrature
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, spectral_radiance
 from thermorender.physics.sun import irradiance
-from thermorender.render.mirrors import ReflectanceTables, make_tables
 from thermorender.render.pixels.sampling import PATTERNS, STAGES
+from thermorender.render.reflectance import ReflectanceTables, make_tables
 from thermorender.render.spectrum import REFERENCE_K, Envelope, Spectrum, make_spectrum
+from thermorender.scene.scene import Scene
 
-# Rays per pixel, texture taps per ray, the error from which on an edge pixel gets more rays [mK], and rays per face.
+# Rays per pixel, texture taps per ray, error above which an edge pixel gets more rays [mK], and rays per face.
 QUALITIES = {"fast": (1, 4, 500.0, 128), "standard": (1, 4, 150.0, 128), "high": (4, 4, 24.0, 512)}
 
 
@@ -27,40 +29,40 @@ class Plan:
     ----------
     band_um : (2,) floats
     tolerance_mk : float
-        Error allowed to the spectral nodes and to the solution of the light between surfaces [mK]; the solution keeps
-        to a tenth of it by a proven bound, the nodes on the scene's envelope.
+        Error allowed to the spectral nodes and to the solution of the light between surfaces [mK]. A proven bound
+        limits the solution's error to a tenth of it; the nodes' error is the largest on the scene's envelope.
     spectrum : Spectrum
         Nodes at which light between surfaces is solved, and channels of a texel.
     reflection_mk : float
-        Upper bound of what diffuse surfaces reflect, the sun's light apart: as if all they see were as bright as the
-        warmest of the scene's surfaces, sky and air [mK at 300 K].
+        Upper bound of the light reflected by diffuse surfaces, without sunlight: as if their whole surroundings were as
+        bright as the warmest of the scene's surfaces, sky and air [mK at 300 K].
     bake : bool
-        Whether reflection is solved at all.
+        Whether reflection is solved.
     rays : int
         Rays per face of the bake.
     samples, taps : int
-        Rays per pixel, and taps per ray at which the texture is read.
+        Rays per pixel, and texture taps per ray.
     edge_mk : float
-        Error of a pixel that shows an edge from which on it gets more rays [mK]; infinite: never.
+        Error above which a pixel that shows an edge gets more rays [mK]; infinite: never.
     coldest, warmest : float
         Temperatures of the scene, its sky and surroundings [K].
     dynamic : int
-        Objects with a track.
+        Number of objects with a track.
     air_mk : float or None
-        What a kilometre of the scene's air changes a surface of 300 K by [mK]; None without air.
+        Change of a surface of 300 K behind a kilometre of the scene's air [mK]; None without air.
     sun_mk : float or None
-        Upper bound of the sun's own light off any diffuse surface, facing it above the air [mK at 300 K]; None where
-        the scene declares no sun.
+        Upper bound of sunlight in the camera's band reflected by any diffuse surface, facing the sun above the air [mK
+        at 300 K]; None where the scene declares no sun.
     sun : bool
-        Whether it is in.
+        Whether sunlight is included.
     specular_mk : float or None
-        Estimate from above of what the angle of view changes a directional material by, up to 80° [mK at 300 K]; None
-        where nothing is of one.
+        Estimate from above of the effect of the angle of view on directional materials, up to 80° [mK at 300 K]; None
+        without such materials.
     specular : ReflectanceTables or None
         How such materials reflect; None where mirror rays are left out.
     """
 
-    band_um: tuple
+    band_um: tuple[float, float]
     tolerance_mk: float
     spectrum: Spectrum
     reflection_mk: float
@@ -78,7 +80,7 @@ class Plan:
     specular_mk: float | None
     specular: ReflectanceTables | None
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         air = "no air" if self.air_mk is None else f"air in {self.spectrum.channels} channels"
         return (
             f"Plan({self.band_um[0]:g}–{self.band_um[1]:g} µm, {self.nodes} nodes, "
@@ -86,51 +88,51 @@ class Plan:
             f"{self.tolerance_mk:g} mK, {air}, {self.coldest:.1f}–{self.warmest:.1f} K)"
         )
 
-    def __str__(self):
+    def __str__(self) -> str:
         return "\n".join(["plan", *(f"  {item:<22}{value:<14}{why}" for item, value, why in self.rows())])
 
     @cached_property
-    def radiance_per_mk(self):
+    def radiance_per_mk(self) -> float:
         """Band radiance of a millikelvin at the reference temperature [W m⁻² sr⁻¹ mK⁻¹]."""
         return float(band_radiance_derivative(REFERENCE_K, *self.band_um)) * 1e-3
 
     @property
-    def nodes(self):
-        """Number of spectral nodes that are solved, 0 where reflection is left out."""
+    def nodes(self) -> int:
+        """Number of spectral nodes solved, 0 where reflection is left out."""
         return self.spectrum.nodes if self.bake else 0
 
-    def rows(self):
-        """Return the plan as (item, in or out, why) rows for a table."""
+    def rows(self) -> list[tuple[str, str, str]]:
+        """Return the plan as (item, in or out, reason) rows for a table."""
         needed = "in" if self.bake else "out"
         dynamic = ("dynamic objects", "out", "none has a track")
         if self.dynamic:
-            dynamic = (dynamic[0], str(self.dynamic), "cast in their own frames; their light by one bounce each way")
+            dynamic = (dynamic[0], str(self.dynamic), "cast in their own frames; light by one bounce each way")
         edges = ("more rays at edges", "out", "edge_mk is infinite")
         if self.edge_mk < np.inf:
-            edges = (edges[0], "in", f"up to {STAGES[-1]} where one surface hides another and errs {self.edge_mk:g} mK")
+            edges = (edges[0], "in", f"up to {STAGES[-1]} where an edge's error exceeds {self.edge_mk:g} mK")
         return [
             ("emission", "in", f"full spectral integral per material, {self.coldest:.1f}–{self.warmest:.1f} K"),
             ("reflection", needed, f"adds at most {_kelvin(self.reflection_mk)} to a diffuse surface at 300 K"),
             ("spectral nodes", str(self.nodes), f"error up to {self.spectrum.nodes_mk:.3g} mK on the scene's envelope"),
             ("bake rays per face", str(self.rays if self.bake else 0), "sky visibility and inter-reflection"),
             ("rays per pixel", str(self.samples), "band radiance averaged, never temperature"),
-            ("texture taps per ray", str(self.taps), "on the plane of the face that is hit; 16 a pixel of many texels"),
+            ("texture taps per ray", str(self.taps), "on the plane of the face hit; 16 in a pixel of many texels"),
             edges,
             dynamic,
             *self._air_rows(),
             self._specular_row(),
         ]
 
-    def _specular_row(self):
+    def _specular_row(self) -> tuple[str, str, str]:
         if self.specular_mk is None:
             return ("specular rays", "out", "every material is Lambertian")
-        why = f"from directional materials, which they change by an estimated {_kelvin(self.specular_mk)}"
+        why = f"change directional materials by an estimated {_kelvin(self.specular_mk)}"
         if self.specular is None:
             return ("specular rays", "out", why)
         return ("specular rays", "in", f"{why}; error up to {self.specular.error_mk:.3g} mK on the envelope")
 
-    def _air_rows(self):
-        """Rows of what the atmosphere brings."""
+    def _air_rows(self) -> list[tuple[str, str, str]]:
+        """Rows of the atmosphere."""
         if self.air_mk is None:
             return [("air", "out", "this scene declares none")]
         spectrum = self.spectrum
@@ -142,11 +144,11 @@ class Plan:
                 sun = f"adds at most {_kelvin(self.sun_mk)} to a diffuse surface at 300 K"
         return [
             ("air", f"{spectrum.channels} channels", f"{why}{spectrum.channels_mk:.3g} mK"),
-            ("air between surfaces", "out", "of what they reflect of each other; the light's error counts it"),
+            ("air between surfaces", "out", "in reflected light; included in the light's error"),
             ("sun", "in" if self.sun else "out", sun),
         ]
 
-    def as_dict(self):
+    def as_dict(self) -> dict[str, Any]:
         """Return the plan as plain numbers, for the record beside each frame."""
         return {
             "band_um": list(self.band_um),
@@ -165,18 +167,22 @@ class Plan:
         }
 
 
-def checked(quality="standard", samples=None, taps=None, edge_mk=None, rays=None, tolerance_mk=5.0):
-    """Return (samples, taps, edge_mk, rays) of a quality or given in its place; as `make_plan`, without a scene.
+def checked(
+    quality: str = "standard", samples: int | None = None, taps: int | None = None, edge_mk: float | None = None,
+    rays: int | None = None, tolerance_mk: float = 5.0,
+) -> tuple[int, int, float, int]:  # fmt: skip
+    """Return (samples, taps, edge_mk, rays) of a quality, or those given instead; parameters as of `make_plan`.
 
     Raises
     ------
     ThermorenderError
-        A setting out of range.
+        A setting is out of range.
     """
     if quality not in QUALITIES:
         raise ThermorenderError(f"quality={quality!r} is unknown; give one of {', '.join(QUALITIES)}")
-    given = (samples, taps, edge_mk, rays)
-    samples, taps, edge_mk, rays = (a if b is None else b for a, b in zip(QUALITIES[quality], given, strict=True))
+    preset = QUALITIES[quality]
+    samples, taps = preset[0] if samples is None else samples, preset[1] if taps is None else taps
+    edge_mk, rays = preset[2] if edge_mk is None else edge_mk, preset[3] if rays is None else rays
     for name, value in (("samples", samples), ("taps", taps)):
         if value not in PATTERNS:
             allowed = ", ".join(map(str, sorted(PATTERNS)))
@@ -190,21 +196,22 @@ def checked(quality="standard", samples=None, taps=None, edge_mk=None, rays=None
     return samples, taps, edge_mk, rays
 
 
-def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, rays=None, tolerance_mk=5.0):
+def make_plan(
+    scene: Scene, quality: str = "standard", samples: int | None = None, taps: int | None = None,
+    edge_mk: float | None = None, rays: int | None = None, tolerance_mk: float = 5.0,
+) -> Plan:  # fmt: skip
     """Return the Plan of a scene.
 
     Parameters
     ----------
-    scene : Scene
     quality : {"fast", "standard", "high"}
-        Names the four numbers that follow.
+        Sets the four numbers that follow.
     samples, taps : int, optional
-        Rays per pixel and texture taps per ray (1, 2, 4, 8 or 16) in place of the quality's own.
+        Rays per pixel and texture taps per ray (1, 2, 4, 8 or 16), instead of the quality's.
     edge_mk : float, optional
-        Error from which on a pixel that shows an edge gets more rays [mK], in place of the quality's own; infinite:
-        never.
+        Error above which a pixel that shows an edge gets more rays [mK], instead of the quality's; infinite: never.
     rays : int, optional
-        Rays per face for the bake in place of the quality's own; powers of two serve best.
+        Rays per face for the bake, instead of the quality's; powers of two are most efficient.
     tolerance_mk : float
         Largest error on the scene's envelope allowed to the spectral nodes [mK]; reflection that adds less than a tenth
         of it to any pixel, at 300 K, is left out.
@@ -212,18 +219,18 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
     Raises
     ------
     ThermorenderError
-        A setting out of range, a scene whose temperatures are not solved, or one whose parts disagree.
+        A setting is out of range, temperatures are not solved, or parts of the scene disagree.
     """
     samples, taps, edge_mk, rays = checked(quality, samples, taps, edge_mk, rays, tolerance_mk)
     scene.refuse_disagreement()
     scene.refuse_unsolved()
-    band = tuple(scene.camera.band_um)
+    band = scene.camera.band_um
     envelope = _envelope(scene)
     coldest, warmest = min(envelope.temperatures), max(envelope.temperatures)
     wavelength, weight = quadrature(*band)
     reflectance = np.array([1.0 - material.emissivity_at(wavelength) for material in scene.materials])
     per_mk = band_radiance_derivative(REFERENCE_K, *band) * 1e-3
-    # With air the sky may be warmer than anything else, but not than the air at its warmest.
+    # With air the sky may be warmer than all surfaces, but not than the warmest air.
     brightest = max([warmest, *([] if scene.air is None else [scene.air.temperature.max()])])
     reflection_mk = float((reflectance @ (spectral_radiance(wavelength, brightest) * weight)).max() / per_mk)
     bake = reflection_mk > 0.1 * tolerance_mk
@@ -260,20 +267,20 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
     )
 
 
-def _refuse_surfaces(where, low, high):
-    """Refuse surfaces between altitudes above sea level [m] that no air is known at."""
+def _refuse_surfaces(where: str, low: float, high: float) -> None:
+    """Raise for surfaces at altitudes above sea level [m] outside the range of the air."""
     if low < LOWEST_M or high > HIGHEST_CAMERA_M:
         raise ThermorenderError(
-            f"{where}: surfaces lie {low:.7g} … {high:.7g} m above sea level, out of range of the air; give "
-            f"−{-LOWEST_M:.0f} … {HIGHEST_CAMERA_M:.0f} m, by the terrain's heights or altitude_m of [atmosphere]"
+            f"{where}: surfaces are at {low:.7g} … {high:.7g} m above sea level, outside the range of the air; give "
+            f"−{-LOWEST_M:.0f} … {HIGHEST_CAMERA_M:.0f} m by the terrain's heights or altitude_m of [atmosphere]"
         )
 
 
-def _envelope(scene):
+def _envelope(scene: Scene) -> Envelope:
     """The Envelope of a scene."""
     terrain, static = scene.surfaces[: scene.terrain_count], scene.surfaces[scene.terrain_count :]
     ground = [float(limit(surface.temperature)) for surface in terrain for limit in (np.min, np.max)]
-    own = {}
+    own: dict[int, list[float]] = {}
     for surface in static:
         for material in np.unique(surface.material):
             own.setdefault(int(material), []).extend(surface.temperature[surface.material == material].ravel())
@@ -284,7 +291,7 @@ def _envelope(scene):
     objects = [(material, temperature) for material, both in extremes.items() for temperature in sorted(both)]
     height = [limit(surface.vertices[:, 2]) for surface in scene.surfaces for limit in (np.min, np.max)]
     return Envelope(
-        band_um=tuple(scene.camera.band_um),
+        band_um=scene.camera.band_um,
         ground=(min(ground), max(ground)),
         objects=objects,
         sky_temperature=scene.spec.sky_temperature,
@@ -294,5 +301,5 @@ def _envelope(scene):
     )
 
 
-def _kelvin(millikelvin):
+def _kelvin(millikelvin: float) -> str:
     return f"{millikelvin * 1e-3:.3g} K" if millikelvin >= 1e3 else f"{millikelvin:.3g} mK"

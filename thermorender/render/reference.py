@@ -1,60 +1,70 @@
-"""The reference engine: stock Mitsuba path tracing of the same scene, to say how wrong the renderer is.
+"""The reference engine: stock Mitsuba path tracing of the same scene, to measure the renderer's error.
 
-A spectral variant, a `specfilm` with the camera's band as its response, a stock path integrator, stock diffuse
-surfaces and area emitters. Three small parts are our own: a texture, Planck radiance of a temperature map times its
-material's emissivity, or the reflectance; surfaces that are diffuse at some texels and mirrors at others, at every
-meeting; and a sensor for cameras of any lens, whose rays start anywhere in a pixel.
-It shares no transport, bake, plan or node with the renderer; its wavelengths are sampled at random, so its error is
-noise that falls with the square root of the samples.
+It uses a spectral variant, a `specfilm` with the camera's band as its response, a stock path integrator, stock diffuse
+surfaces and area emitters. Three small parts are our own: a texture (Planck radiance of a temperature map times its
+material's emissivity, or the reflectance), surfaces that are diffuse at some texels and mirrors at others, and a sensor
+for cameras of any lens, whose rays start anywhere in a pixel. It shares no transport, bake, plan or node with the
+renderer. Its wavelengths are sampled at random, so its error is noise that falls with the square root of the samples.
 """
 
 import itertools
+from collections.abc import Callable, Iterator
 from types import SimpleNamespace
+from typing import Any
 
+import drjit as dr
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError
+from thermorender.frame import Frame
 from thermorender.physics.fresnel import COSINES
 from thermorender.physics.planck import C1L, C2
-from thermorender.render.geometry import aligned, box_of, positions
-from thermorender.render.mirrors import directional
-from thermorender.render.renderer import checked_pose
+from thermorender.render.arrays import Floats, Jit, Mitsuba, aligned
+from thermorender.render.geometry import box_of, positions
+from thermorender.render.reflectance import directional
+from thermorender.render.renderer import Renderer
 from thermorender.render.variant import activate, switch
+from thermorender.render.view import checked_pose
+from thermorender.scene.scene import Scene
+from thermorender.scene.surface import Surface
+from thermorender.sensor.camera import Camera
 
 VARIANTS = {"llvm_ad_mono": "llvm_ad_spectral", "cuda_ad_mono": "cuda_ad_spectral"}
 _NAMES = itertools.count()
 _SAMPLES_AT_ONCE = 64
 
 
-def render(scene, pose, samples=64, depth=8, seed=0, device="auto", integrator="path", progress=None):
+def render(
+    scene: Scene, pose: ArrayLike, samples: int = 64, depth: int = 8, seed: int = 0, device: str = "auto",
+    integrator: str = "path", progress: Callable[[float], object] | None = None,
+) -> Floats:  # fmt: skip
     """Return band radiance by path tracing, (H, W) float64 [W m⁻² sr⁻¹].
 
     Parameters
     ----------
-    scene : Scene
     pose : (4, 4) array
         world_from_camera.
     samples : int
         Paths per pixel.
     depth : int
-        Longest path, counted in surfaces seen.
-    seed : int
+        Longest path, in surfaces.
     device : {"auto", "cpu", "cuda"}
     integrator : {"path", "direct"}
-        Mitsuba's; "direct" sees one reflection only.
+        Mitsuba's; "direct" includes one reflection only.
     progress : callable, optional
         Called with the share done.
 
     Raises
     ------
     ThermorenderError
-        A pose that is no rigid transform, samples below 1, air.
+        The pose is not a rigid transform, samples are below 1, or the scene has air.
     """
     pose = checked_pose(pose)
     camera = scene.camera
     if scene.air is not None:
         raise ThermorenderError(
-            f"scene {scene.name!r} has [atmosphere], which the reference engine does not know; give it a [sky] instead"
+            f"scene {scene.name!r} has [atmosphere], which the reference engine does not support; give [sky] instead"
         )
     if samples < 1:
         raise ThermorenderError(f"samples={samples} is not allowed; give at least 1 path per pixel")
@@ -66,66 +76,57 @@ def render(scene, pose, samples=64, depth=8, seed=0, device="auto", integrator="
         total, done = np.zeros((camera.height, camera.width)), 0
         while done < samples:
             count = min(_SAMPLES_AT_ONCE, samples - done)
-            # Every part has a seed of its own; the sum over parts is one render of all samples.
+            # Every part has its own seed; the sum over parts is one render of all samples.
             image = mi.render(world, spp=count, seed=(seed << 12) + done)
             total += np.array(image)[..., 0].astype(np.float64) * count
             done += count
             if progress:
                 progress(done / samples)
-        # The film integrates over nanometres what is radiance per micrometre.
+        # The film integrates radiance per micrometre over nanometres.
         return total / samples * 1e-3
     finally:
         switch(mi, before)
 
 
-def frame(renderer, pose, samples=64, depth=8, progress=None):
-    """Return the Frame of a pose with its radiance path traced; sensor and truth are the renderer's.
-
-    Parameters
-    ----------
-    renderer : Renderer
-    pose, samples, depth, progress
-        As in `render`.
-    """
+def frame(
+    renderer: Renderer, pose: ArrayLike, samples: int = 64, depth: int = 8,
+    progress: Callable[[float], object] | None = None,
+) -> Frame:  # fmt: skip
+    """Return the Frame of a pose with its radiance path traced; sensor and truth are the renderer's."""
     radiance = render(renderer.scene, pose, samples, depth, renderer.seed, progress=progress)
     plan = {"engine": "reference", "paths": samples, "depth": depth}
     return renderer.frame_of(radiance.astype(np.float32), pose, plan)
 
 
-def squared_error(frame, first, second):
+def squared_error(frame: NDArray[Any], first: NDArray[Any], second: NDArray[Any]) -> tuple[float, float]:
     """Return (mean squared error, its standard error) of an image against two independent noisy references.
 
-    Parameters
-    ----------
-    frame, first, second : (…) arrays
-        The image to be judged, and two renders of the truth with independent noise.
-
-    Notes
-    -----
-    mean((f − a)(f − b)) is an unbiased estimate of mean((f − truth)²): the noise of a and b is independent, so it
-    does not add up as it would in mean((f − a)²).
+    mean((f − a)(f − b)) is an unbiased estimate of mean((f − truth)²): the noise of a and b is independent, so it does
+    not add up as in mean((f − a)²).
     """
     product = ((frame - first) * (frame - second)).ravel()
     product = product[np.isfinite(product)]
     return float(product.mean()), float(product.std(ddof=1) / np.sqrt(product.size))
 
 
-def mitsuba_scene(mi, scene, pose, integrator, depth):
-    """Return the Mitsuba scene of stock plugins and the thermal texture, for the active spectral variant."""
+def mitsuba_scene(mi: Mitsuba, scene: Scene, pose: Floats, integrator: str, depth: int) -> Jit:
+    """Return the Mitsuba scene of stock plugins and our three parts, for the active spectral variant."""
     scene.refuse_disagreement()
     scene.refuse_unsolved()
     number = next(_NAMES)
     name, lens = f"thermal{number}", f"lens{number}"
     limits = box_of(scene)
     middle = float(limits[:, 2].mean())
-    # Mitsuba keeps what is registered as long as the process lives. So what is large belongs to the instances, which
-    # end with their scene, and is here only until they are made.
-    loaded = SimpleNamespace()
-    _register(mi, name, scene, middle, loaded)
+    # Mitsuba keeps registered classes until the process ends. Large arrays therefore belong to the instances, which end
+    # with their scene; `loaded` holds the arrays only until the instances exist.
+    loaded = SimpleNamespace(texels=_texel_reader(mi, scene))
+    outside = scene.sky_temperature, scene.surroundings_temperature
+    mi.register_texture(name, _texture(mi, outside, middle, loaded))
+    mi.register_bsdf(f"{name}-mirror", _mirror(mi, loaded))
     camera = scene.camera
     _register_lens(mi, lens, camera, pose, loaded)
     lower, upper = (1e3 * edge for edge in camera.band_um)
-    parts = {
+    parts: dict[str, Any] = {
         "type": "scene",
         "embree_use_robust_intersections": True,
         "integrator": {"type": integrator, **({"max_depth": depth, "rr_depth": depth} if integrator == "path" else {})},
@@ -142,7 +143,7 @@ def mitsuba_scene(mi, scene, pose, integrator, depth):
             },
         },
     }
-    # So large that its horizon is that of the camera and of every point of the scene to 1e-3 rad.
+    # So large that its horizon is the camera's and that of every point of the scene to 1e-3 rad.
     reach = 1e3 * max(float(np.abs(limits).max()), float(np.abs(pose[:3, 3]).max()))
     parts["outside"] = {
         "type": "sphere",
@@ -160,27 +161,25 @@ def mitsuba_scene(mi, scene, pose, integrator, depth):
     return world
 
 
-def _register_lens(mi, name, camera, pose, loaded):
-    """Register the sensor: a camera's rays through its distortion and principal point, exact at pixels' corners.
+def _register_lens(mi: Mitsuba, name: str, camera: Camera, pose: Floats, loaded: SimpleNamespace) -> None:
+    """Register the sensor: a camera's rays through its distortion and principal point, exact at the pixels' corners.
 
-    Between these directions are bilinear: within a pixel a lens is linear to 1e-6 of a pixel.
+    Between corners directions are bilinear: within a pixel a lens is linear to 1e-6 of a pixel.
     """
-    import drjit as dr
-
     width, height = camera.width, camera.height
     place = np.stack(np.meshgrid(np.arange(width + 1.0), np.arange(height + 1.0)), axis=-1)
     loaded.slopes = mi.Float(aligned(camera.directions(place)))
     rotation, origin = mi.Matrix3f(pose[:3, :3]), mi.Point3f(pose[:3, 3])
 
     class Lens(mi.Sensor):
-        def __init__(self, properties):
+        def __init__(self, properties: Any) -> None:
             mi.Sensor.__init__(self, properties)
             self.slopes = loaded.slopes
 
-        def sample_ray(self, time, wavelength_sample, position_sample, aperture_sample, active=True):
-            wavelengths, weight = self.sample_wavelengths(
-                dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active
-            )
+        def sample_ray(
+            self, time: Jit, wavelength_sample: Jit, position_sample: Jit, aperture_sample: Jit, active: Jit = True
+        ) -> Jit:
+            wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active)
             column, row = position_sample.x * width, position_sample.y * height
             left = dr.clip(mi.Int32(dr.floor(column)), 0, width - 1)
             top = dr.clip(mi.Int32(dr.floor(row)), 0, height - 1)
@@ -194,33 +193,35 @@ def _register_lens(mi, name, camera, pose, loaded):
             direction = rotation @ dr.normalize(mi.Vector3f(slope.x, slope.y, 1.0))
             return mi.Ray3f(origin, direction, time, wavelengths), weight
 
-        def sample_ray_differential(self, time, wavelength_sample, position_sample, aperture_sample, active=True):
+        def sample_ray_differential(
+            self, time: Jit, wavelength_sample: Jit, position_sample: Jit, aperture_sample: Jit, active: Jit = True
+        ) -> Jit:
             ray, weight = self.sample_ray(time, wavelength_sample, position_sample, aperture_sample, active)
             return mi.RayDifferential3f(ray), weight
 
     mi.register_sensor(name, Lens)
 
 
-def _mesh(mi, name, number, surface, terrain_count, mirrors):
+def _mesh(mi: Mitsuba, name: str, number: int, surface: Surface, terrain_count: int, mirrors: NDArray[np.bool_]) -> Jit:
     """A surface as a stock mesh with map coordinates, a two-sided material and an area emitter.
 
-    `mirrors` tells which materials are directional, (M,) bool.
+    `mirrors` is True for directional materials, (M,) bool.
     """
     properties = mi.Properties()
     texture = {"type": name, "surface": number}
     diffuse = {"type": "diffuse", "reflectance": {**texture, "what": "reflectance"}}
-    emitter = {"type": "area", "radiance": {**texture, "what": "emission"}}
+    emitter: dict[str, Any] = {"type": "area", "radiance": {**texture, "what": "emission"}}
     if mirrors[np.unique(surface.material)].any():
         properties["bsdf"] = mi.load_dict({"type": f"{name}-mirror", "surface": number})
-        # Only where it is met is the angle known at which it shines.
+        # The angle of emission is known only at a hit, so the emitter is not sampled.
         emitter["sampling_weight"] = 0.0
     else:
         properties["bsdf"] = mi.load_dict({"type": "twosided", "bsdf": diffuse})
     properties["emitter"] = mi.load_dict(emitter)
-    # Corners are not shared, since each face has map coordinates of its own.
+    # Corners are not shared, as each face has its own map coordinates.
     corners, uv = surface.vertices[surface.faces], surface.uv
     if number >= terrain_count:
-        # A stock area emitter shines to one side; a second skin, a millimetre behind, is the other.
+        # A stock area emitter radiates to one side; a copy a millimetre behind it radiates to the other.
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
         corners = np.concatenate([corners, (corners - 1e-3 * normal[:, None])[:, ::-1]])
@@ -235,19 +236,13 @@ def _mesh(mi, name, number, surface, terrain_count, mirrors):
     return mesh
 
 
-def _register(mi, name, scene, horizon_m, loaded):
-    """Register what surfaces are made of, by their texels: a texture and a material.
-
-    The texture is spectral radiance, emitted at the angle of view, or the reflectance of diffuse ones.
-    """
-    import drjit as dr
-
-    outside = scene.spec.sky_temperature, scene.surroundings_temperature
+def _texel_reader(mi: Mitsuba, scene: Scene) -> Callable[..., Iterator[tuple[Jit, Jit, Jit, Jit]]]:
+    """A generator function of the four texels round a surface interaction, for the active spectral variant."""
     grid = np.linspace(*scene.camera.band_um, 2401)
     table = np.array([material.emissivity_at(grid) for material in scene.materials])
     spectra = mi.Float(aligned(table))
     start, step = float(grid[0]), float(grid[1] - grid[0])
-    # Of each directional material, by angle and wavelength; 0 is none, others are counted from 1.
+    # Emissivity of directional materials by angle and wavelength; row 0 stands for other materials.
     by_angle = directional(scene.materials)
     row = np.zeros(len(scene.materials), dtype=np.uint32)
     row[by_angle] = 1 + np.arange(len(by_angle))
@@ -263,10 +258,7 @@ def _register(mi, name, scene, horizon_m, loaded):
         for surface in scene.surfaces
     ]
 
-    def planck(wavelength, temperature):
-        return C1L / wavelength**5 / (dr.exp(C2 / (wavelength * temperature)) - 1.0)
-
-    def spectrum(values, base, wavelength, active):
+    def spectrum(values: Jit, base: Jit, wavelength: Jit, active: Jit) -> Jit:
         """Values of rows that begin at `base`, linear between wavelengths."""
         position, found = (wavelength - start) / step, mi.UnpolarizedSpectrum(0.0)
         for k in range(len(found)):
@@ -275,7 +267,7 @@ def _register(mi, name, scene, horizon_m, loaded):
             found[k] = dr.lerp(*ends, position[k] - mi.Float(lower))
         return found
 
-    def texels(si, surface, active):
+    def texels(si: Jit, surface: int, active: Jit) -> Iterator[tuple[Jit, Jit, Jit, Jit]]:
         """Yield (share, temperature, emissivity at the angle of view, whether a mirror) of the four round a point."""
         (rows, columns), temperature, material, mirror = maps[surface]
         wavelength, cosine = si.wavelengths * 1e-3, dr.clip(dr.abs(si.wi.z), 0.0, 1.0)
@@ -301,45 +293,60 @@ def _register(mi, name, scene, horizon_m, loaded):
                 emissivity = dr.select(shiny, dr.lerp(*ends, across), emissivity)
             yield share, dr.gather(mi.Float, temperature, index, active), emissivity, shiny
 
-    loaded.texels = texels
+    return texels
+
+
+def _planck(wavelength: Jit, temperature: Jit) -> Jit:
+    """Spectral radiance [W m⁻² sr⁻¹ µm⁻¹] at wavelengths [µm] and temperatures [K]."""
+    return C1L / wavelength**5 / (dr.exp(C2 / (wavelength * temperature)) - 1.0)
+
+
+def _texture(mi: Mitsuba, outside: tuple[float, float], horizon_m: float, loaded: SimpleNamespace) -> type:
+    """The texture: spectral radiance emitted at the angle of view, or the reflectance of diffuse materials."""
 
     class Thermal(mi.Texture):
-        def __init__(self, properties):
+        def __init__(self, properties: Any) -> None:
             mi.Texture.__init__(self, properties)
             self.what, self.surface = properties["what"], int(properties["surface"])
             self.texels = loaded.texels
 
-        def eval(self, si, active=True):
+        def eval(self, si: Jit, active: Jit = True) -> Jit:
             wavelength = si.wavelengths * 1e-3
             if self.what == "outside":
                 up = si.p.z >= horizon_m
-                warm = [planck(wavelength, t) if t > 0.0 else wavelength * 0.0 for t in outside]
+                warm = [_planck(wavelength, t) if t > 0.0 else wavelength * 0.0 for t in outside]
                 return dr.select(up, *warm) & active
             result = wavelength * 0.0
             for share, temperature, emissivity, _ in self.texels(si, self.surface, active):
                 emits = self.what == "emission"
-                result += share * (emissivity * planck(wavelength, temperature) if emits else 1.0 - emissivity)
+                result += share * (emissivity * _planck(wavelength, temperature) if emits else 1.0 - emissivity)
             return result & active
 
-        def mean(self):
+        def mean(self) -> Jit:
             return mi.Float(0.5)
 
-        def is_spatially_varying(self):
+        def is_spatially_varying(self) -> bool:
             return True
 
-        def to_string(self):
+        def to_string(self) -> str:
             return f"Thermal[{self.what}]"
 
+    return Thermal
+
+
+def _mirror(mi: Mitsuba, loaded: SimpleNamespace) -> type:
+    """The material of surfaces that are diffuse at some texels and mirrors at others."""
+
     class Mirror(mi.BSDF):
-        def __init__(self, properties):
+        def __init__(self, properties: Any) -> None:
             mi.BSDF.__init__(self, properties)
             self.surface, self.texels = int(properties["surface"]), loaded.texels
             both = mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
             self.m_components = [mi.BSDFFlags.DiffuseReflection | both, mi.BSDFFlags.DeltaReflection | both]
             self.m_flags = self.m_components[0] | self.m_components[1]
 
-        def _shares(self, si, active):
-            """(diffuse, mirrored share of the light, chance to follow the mirror)."""
+        def _shares(self, si: Jit, active: Jit) -> tuple[Jit, Jit, Jit]:
+            """(diffuse, mirrored share of the light, probability of following the mirror)."""
             diffuse, mirrored = mi.UnpolarizedSpectrum(0.0), mi.UnpolarizedSpectrum(0.0)
             for share, _, emissivity, shiny in self.texels(si, self.surface, active):
                 diffuse += dr.select(shiny, 0.0, share * (1.0 - emissivity))
@@ -347,7 +354,7 @@ def _register(mi, name, scene, horizon_m, loaded):
             both = dr.mean(diffuse) + dr.mean(mirrored)
             return diffuse, mirrored, dr.select(both > 0.0, dr.mean(mirrored) / both, 0.0)
 
-        def sample(self, context, si, sample1, sample2, active=True):
+        def sample(self, context: Any, si: Jit, sample1: Jit, sample2: Jit, active: Jit = True) -> Jit:
             diffuse, mirrored, chance = self._shares(si, active)
             follow = sample1 < chance
             out = mi.warp.square_to_cosine_hemisphere(sample2)
@@ -363,19 +370,18 @@ def _register(mi, name, scene, horizon_m, loaded):
             weight = dr.select(follow, mirrored / chance, diffuse / (1.0 - chance))
             return found, weight & (active & (found.pdf > 0.0))
 
-        def eval(self, context, si, wo, active=True):
+        def eval(self, context: Any, si: Jit, wo: Jit, active: Jit = True) -> Jit:
             return self.eval_pdf(context, si, wo, active)[0]
 
-        def pdf(self, context, si, wo, active=True):
+        def pdf(self, context: Any, si: Jit, wo: Jit, active: Jit = True) -> Jit:
             return self.eval_pdf(context, si, wo, active)[1]
 
-        def eval_pdf(self, context, si, wo, active=True):
+        def eval_pdf(self, context: Any, si: Jit, wo: Jit, active: Jit = True) -> tuple[Jit, Jit]:
             diffuse, _, chance = self._shares(si, active)
             cosine = dr.select(si.wi.z * wo.z > 0.0, dr.abs(wo.z), 0.0) / dr.pi
             return diffuse * cosine & active, dr.select(active, (1.0 - chance) * cosine, 0.0)
 
-        def to_string(self):
+        def to_string(self) -> str:
             return "Mirror[]"
 
-    mi.register_texture(name, Thermal)
-    mi.register_bsdf(f"{name}-mirror", Mirror)
+    return Mirror

@@ -1,7 +1,6 @@
 """The renderer: frames of one baked scene, each a function of camera, pose, time and objects alone."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import partial
 from operator import index as whole
 from typing import Any, Literal
@@ -16,32 +15,26 @@ from thermorender.physics.planck import band_radiance
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
 from thermorender.render import truth
 from thermorender.render.air import Vacuum, refuse_camera
+from thermorender.render.arrays import opaque_view, view_ray
 from thermorender.render.baked import BakedScene, Progress, bake
-from thermorender.render.dynamic import Placement, placements
-from thermorender.render.geometry import (
-    Geometry,
-    Layer,
-    OutgoingRadiance,
-    opaque_view,
-    refuse_other_surfaces,
-    view_ray,
-)
-from thermorender.render.pixels import budget, slender
+from thermorender.render.dynamic import Objects, placements
+from thermorender.render.geometry import Geometry, refuse_other_surfaces
+from thermorender.render.layers import Layer, OutgoingRadiance, Shape
+from thermorender.render.pixels import slender
 from thermorender.render.pixels.sampling import CameraRays
 from thermorender.render.pixels.tracer import Sampling, Tracer
 from thermorender.render.plan import Plan, checked, make_plan
 from thermorender.render.variant import activate
+from thermorender.render.view import View, checked_pose, parts_of
 from thermorender.scene.scene import Scene
 from thermorender.scene.surface import FILLED, Surface
 from thermorender.scene.temperature_state import Conditional, Moved
 from thermorender.sensor.camera import Camera
 
-# Error from which on edge pixels of a visible view get more rays: a share of white, summed over the colours.
+# Error above which edge pixels of a visible view get more rays: a share of white, summed over the colours.
 _VISIBLE_EDGE = 0.03
-# Cameras whose rays are in memory.
+# Cameras whose rays stay in memory.
 _RAYS_KEPT = 4
-# {name of a dynamic object: {column of its track: value}}.
-Objects = Mapping[str, Mapping[str, float]]
 
 
 class Renderer:
@@ -53,10 +46,10 @@ class Renderer:
     quality : {"fast", "standard", "high"}
         How finely a pixel is sampled; see `thermorender.render.plan.QUALITIES`.
     samples, taps, edge_mk : optional
-        Rays per pixel, texture taps per ray, and the error from which on a pixel that shows an edge gets more rays
-        [mK], in place of the quality's own.
+        Rays per pixel, texture taps per ray, and error above which a pixel that shows an edge gets more rays [mK],
+        instead of the quality's.
     rays : int, optional
-        Rays per face of the bake, in place of the quality's own.
+        Rays per face of the bake, instead of the quality's.
     tolerance_mk : float
         Error allowed to the spectral nodes and to the solution of the bake [mK].
     seed : int
@@ -70,14 +63,14 @@ class Renderer:
     Attributes
     ----------
     scene : Scene
-        Where its temperatures follow the weather, the scene with these solved for its time.
+        Temperatures that follow the weather are solved for the scene's time.
     plan : Plan
-        What this scene needs and what was left out.
+        Choices for this scene and the steps left out.
 
     Raises
     ------
     ThermorenderError
-        What is not a Scene, one whose parts disagree, a setting out of range, or a `like` of other surfaces.
+        `scene` is not a Scene, its parts disagree, a setting is out of range, or `like` has other surfaces.
     """
 
     scene: Scene
@@ -107,7 +100,7 @@ class Renderer:
         self._like, self._progress, self._baked, self._rays_of, self._coloured = None, progress, None, {}, None
         scene.refuse_disagreement()
         if scene.temperature_state.solved:
-            # Before the device, so that a setting that does not suit the scene is refused at once.
+            # Before the device is started, so that wrong settings are refused at once.
             self.plan = make_plan(scene, *sampling)
         mi = activate(device)
         if like is None:
@@ -142,15 +135,13 @@ class Renderer:
 
     @property
     def baked(self) -> BakedScene:
-        """The BakedScene; light between surfaces is traced and solved when first asked for."""
+        """The BakedScene; light between surfaces is traced and solved on first use."""
         if self._baked is None:
             self._baked = bake(self.scene, self.plan, self._geometry, self._like, self._progress)
             self._like = None
         return self._baked
 
-    def frame(
-        self, pose: ArrayLike, time_s: float = 0.0, index: int = 0, objects: Objects | None = None
-    ) -> Frame:
+    def frame(self, pose: ArrayLike, time_s: float = 0.0, index: int = 0, objects: Objects | None = None) -> Frame:
         """Return the Frame seen from `pose`.
 
         Parameters
@@ -158,17 +149,17 @@ class Renderer:
         pose : (4, 4) array
             world_from_camera: camera looks along +z, x right, y down; metres in the scene's local frame.
         time_s : float
-            Where on their tracks dynamic objects are [s].
+            Time on the tracks of dynamic objects [s].
         index : int
-            Number of the frame; with the seed it decides the noise.
+            Number of the frame; with the seed it determines the noise.
         objects : dict, optional
-            {name of a dynamic object: {column of its track: value}} to take instead of the track's.
+            {name of a dynamic object: {column of its track: value}} to use instead of the track's.
 
         Raises
         ------
         ThermorenderError
-            A pose that is no rigid transform, an index that is no whole number from 0 on, or an object that does not
-            move or leaves the terrain.
+            The pose is not a rigid transform, the index is not a whole number from 0 on, or an object has no track or
+            leaves the terrain.
         """
         view = self._view(pose, time_s, objects)
         radiance, sampling = view.radiance()
@@ -178,23 +169,24 @@ class Renderer:
         self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None, through_air: bool = True,
         camera: Camera | None = None, lit_s: float | None = None,
     ) -> NDArray[np.float32]:  # fmt: skip
-        """Return the band radiance of `frame` alone, (H, W) float32 [W m⁻² sr⁻¹], without noise or truth.
+        """Return the band radiance of `frame`, (H, W) float32 [W m⁻² sr⁻¹], without noise or truth.
 
-        Without `through_air` it is what leaves the surfaces towards the camera, lit through the air as ever. `camera`
-        stands in for the scene's, as one that takes a part of its image does; band and air stay the scene's. With
-        `lit_s` moving objects get and give the light of that time [s], which saves tracing it for instants beside it.
+        Without `through_air` it is the radiance that leaves the surfaces towards the camera; they are still lit through
+        the air. `camera` replaces the scene's, for example by a part of its image; band and air stay the scene's. With
+        `lit_s` moving objects receive and give the light of that time [s], which saves tracing it for instants close to
+        it.
         """
         return self._view(pose, time_s, objects, camera, lit_s).radiance(through_air)[0]
 
     def refuse_camera(self, positions: ArrayLike) -> None:
-        """Refuse cameras at positions (…, 3) of the local frame that are above the range of the air, or its clouds."""
+        """Raise for cameras at local positions (…, 3) outside the range of the air or above its clouds."""
         refuse_camera(self.scene, positions)
 
     def frame_of(
         self, radiance: NDArray[np.float32], pose: ArrayLike, plan: dict[str, Any], time_s: float = 0.0, index: int = 0,
         objects: Objects | None = None,
     ) -> Frame:  # fmt: skip
-        """Return the Frame of a radiance image (H, W) made elsewhere for this view; `plan` (a dict) says how."""
+        """Return the Frame of a radiance image (H, W) made elsewhere for this view; `plan` is its record."""
         return self._frame(self._view(pose, time_s, objects), radiance, time_s, index, plan)
 
     def visible(
@@ -202,34 +194,26 @@ class Renderer:
     ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         """Return (image (H, W, 3) uint8 sRGB, valid (H, W) bool): the orthophoto seen from `pose`.
 
-        The texture carries its own sun and shade; light is averaged linearly over a pixel's rays. Pixels without
-        surface, or where its colour is unknown, are not valid. `camera` stands in for the scene's.
+        The texture contains its own sun and shade; light is averaged linearly over a pixel's rays. Pixels without a
+        surface or with unknown colour are not valid. `camera` replaces the scene's.
         """
         if camera is not None and not isinstance(camera, Camera):
             raise ThermorenderError(
-                f"camera={shortened(repr(camera))} is no Camera; give what load_camera returns, and a time by its "
-                "name, time_s"
+                f"camera={shortened(repr(camera))} is not a Camera; give what load_camera returns, and a time as "
+                "time_s=…"
             )
         pose, mi = checked_pose(pose), self._geometry.mi
         if self._coloured is None:
-            # The geometry may be that of another scene of the same surfaces, in other colours.
+            # The geometry may come from another scene with the same surfaces but other colours.
             shapes = [(self._geometry, self.scene.surfaces)]
             shapes += [(Geometry(mi, one.surfaces), one.surfaces) for one in self.scene.tracked_objects]
             self._coloured = [(shape, _colours(shape, surfaces)) for shape, surfaces in shapes]
-        placed = placements(self.scene, time_s, objects)
-        poses = [np.eye(4), *(placement.pose for placement in placed)]
-        layers = [
-            Layer(shape, opaque_view(mi, np.linalg.inv(own) @ pose), outgoing)
-            for (shape, outgoing), own in zip(self._coloured, poses, strict=True)
-        ]
-        nothing, rays = Vacuum(mi, *np.zeros((2, 4))), self._camera_rays(camera)
-        parts = _parts(self.scene, self._geometry, [shape for shape, _ in self._coloured[1:]], placed)
-        thin = partial(slender.rectangles, parts, pose, rays.camera)
-        found, _ = Tracer(layers, rays, nothing, self.plan, thin).image(_VISIBLE_EDGE)
+        nothing = Vacuum(mi, *np.zeros((2, 4)))
+        found, _ = self._tracer(self._coloured, nothing, pose, time_s, objects, camera).image(_VISIBLE_EDGE)
         return bytes_from_linear(np.moveaxis(found[:3], 0, -1)), found[3] > 0.999
 
     def texels(self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None) -> NDArray[np.int64]:
-        """Return the number of the terrain's texel that each pixel's middle shows, (H, W) int64; −1 for anything else.
+        """Return the number of the terrain's texel at each pixel's middle, (H, W) int64; −1 elsewhere.
 
         Texels are counted row by row over the terrain's surfaces.
         """
@@ -241,22 +225,25 @@ class Renderer:
     def sky(
         self, pose: ArrayLike, camera: Camera | None = None, time_s: float = 0.0, objects: Objects | None = None
     ) -> NDArray[np.bool_]:
-        """Return where a pixel's middle shows nothing and looks above the horizon, (H, W); `camera` as of `visible`."""
+        """Return where a pixel's middle is above the horizon without a surface, (H, W); `camera` as of `visible`."""
         view = self._view(pose, time_s, objects)
         layers = self.baked.device.layers(view.pose, view.placements)
         valid, _, up, *_ = truth.pixel_middles(layers, self._camera_rays(camera))
         return ~valid & up
 
     def depth(self, pose: ArrayLike, camera: Camera | None = None) -> NDArray[np.float32]:
-        """Return how far along the axis each pixel's middle shows the scene at rest, (H, W); infinite where it shows
-        nothing [m]. `camera` as of `visible`."""
-        at_rest = Layer(self._geometry, opaque_view(self._geometry.mi, checked_pose(pose)), None)
+        """Return the depth along the axis of the static scene at each pixel's middle, (H, W) [m]; infinite without a
+        surface.
+
+        `camera` as of `visible`.
+        """
+        at_rest = Shape(self._geometry, opaque_view(self._geometry.mi, checked_pose(pose)))
         return np.asarray(truth.pixel_middles([at_rest], self._camera_rays(camera))[4], np.float32)
 
     def objects_seen(
         self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None
     ) -> tuple[NDArray[np.int64], list[str]]:
-        """Return (number of the object that each pixel's middle shows, (H, W), −1 for anything else; their names)."""
+        """Return (number of the object at each pixel's middle, (H, W), −1 elsewhere; names of the objects)."""
         view = self._view(pose, time_s, objects)
         valid, number, *_ = truth.pixel_middles(self.baked.device.layers(view.pose, view.placements), view.rays)
         dynamic = [surface for tracked in self.scene.tracked_objects for surface in tracked.surfaces]
@@ -271,12 +258,12 @@ class Renderer:
     def pictured(
         self, values: NDArray[np.float32], pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None
     ) -> NDArray[np.float32]:
-        """Return the mean over each pixel of radiances given to all texels, (H, W) float32: no light, no air.
+        """Return the mean over each pixel of radiances given to all texels, (H, W) float32, without light or air.
 
         Parameters
         ----------
         values : (T,) array
-            Of the texels of all surfaces, those of dynamic objects last [W m⁻² sr⁻¹].
+            Of the texels of all surfaces, dynamic objects last [W m⁻² sr⁻¹].
         pose, time_s, objects
             As of `frame`. Sky and surroundings are those of `frame`, seen without air.
         """
@@ -284,17 +271,12 @@ class Renderer:
         shapes = [self._geometry, *(item.geometry for item in self.baked.device.objects)]
         ends = np.cumsum([shape.texel_start[-1] for shape in shapes])
         parts = np.split(np.asarray(values, np.float32), ends[:-1])
-        placed = placements(self.scene, time_s, objects)
-        poses = [np.eye(4), *(placement.pose for placement in placed)]
-        layers = [
-            Layer(shape, opaque_view(mi, np.linalg.inv(own) @ pose), OutgoingRadiance(shape.averaged(part[:, None])))
-            for shape, part, own in zip(shapes, parts, poses, strict=True)
+        leaving = [
+            (shape, OutgoingRadiance(shape.averaged(part[:, None]))) for shape, part in zip(shapes, parts, strict=True)
         ]
         outside = np.array([self.scene.sky_temperature, self.scene.surroundings_temperature])
         outside = band_radiance(outside, *self.plan.band_um)
-        rays, bodies = self._camera_rays(), _parts(self.scene, self._geometry, shapes[1:], placed)
-        thin = partial(slender.rectangles, bodies, pose, rays.camera)
-        tracer = Tracer(layers, rays, Vacuum(mi, *outside[:, None]), self.plan, thin)
+        tracer = self._tracer(leaving, Vacuum(mi, *outside[:, None]), pose, time_s, objects)
         return tracer.image(self.plan.edge_mk * self.plan.radiance_per_mk)[0][0]
 
     def rays(self, pose: ArrayLike) -> list[Sequence[Any]]:
@@ -303,7 +285,7 @@ class Renderer:
         return view.tracer().slopes(view.radiance()[1])
 
     def cast_only(self, pose: ArrayLike, rays: Sequence[Sequence[Any]]) -> None:
-        """Cast rays, as by `rays`, and nothing else: the floor under the time of a frame."""
+        """Cast rays from `rays` and do nothing else: a lower limit of the time of a frame."""
         mi = self._geometry.mi
         view = opaque_view(mi, checked_pose(pose))
         cast = self._geometry.caster.ray_intersect_preliminary
@@ -323,113 +305,36 @@ class Renderer:
         sampling: Sampling | None = None,
     ) -> Frame:  # fmt: skip
         return Frame(
-            radiance=radiance,
-            pose=view.pose,
-            time_s=float(time_s),
-            index=_whole("index", index),
-            seed=self.seed,
-            camera=self.scene.camera,
-            plan=plan,
-            time=self.scene.time,
-            _view=view,
-            _sampling=sampling,
-        )
+            radiance=radiance, pose=view.pose, time_s=float(time_s), index=_whole("index", index), seed=self.seed,
+            camera=self.scene.camera, plan=plan, time=self.scene.time, _view=view, _sampling=sampling,
+        )  # fmt: skip
+
+    def _tracer(
+        self, leaving: Sequence[tuple[Geometry, OutgoingRadiance]], medium: Vacuum, pose: NDArray[np.float64],
+        time_s: float, objects: Objects | None, camera: Camera | None = None,
+    ) -> Tracer:  # fmt: skip
+        """The Tracer of a view of other radiance than the baked one; dynamic objects follow the static scene."""
+        placed, rays, mi = placements(self.scene, time_s, objects), self._camera_rays(camera), self._geometry.mi
+        poses = [np.eye(4), *(placement.pose for placement in placed)]
+        layers = [
+            Layer(shape, opaque_view(mi, np.linalg.inv(own) @ pose), outgoing)
+            for (shape, outgoing), own in zip(leaving, poses, strict=True)
+        ]
+        parts = parts_of(self.scene, self._geometry, [shape for shape, _ in leaving[1:]], placed)
+        return Tracer(layers, rays, medium, self.plan, partial(slender.rectangles, parts, pose, rays.camera))
 
     def _camera_rays(self, camera: Camera | None = None) -> CameraRays:
         camera = camera or self.scene.camera
         if camera not in self._rays_of:
-            # The latest alone: parts of an image that things move in are other ones with each frame.
+            # Only the latest are kept: parts of an image around moving objects change with each frame.
             latest = list(self._rays_of.items())[1 - _RAYS_KEPT :]
             self._rays_of = dict(latest) | {camera: CameraRays(self._geometry.mi, camera)}
         self._rays_of[camera] = rays = self._rays_of.pop(camera)
         return rays
 
 
-@dataclass(frozen=True)
-class View:
-    """A baked scene seen from one pose at one time.
-
-    Attributes
-    ----------
-    baked : BakedScene
-    rays : CameraRays
-    pose : (4, 4) float64
-        world_from_camera.
-    placements : tuple of Placement
-        Of the dynamic objects.
-    """
-
-    baked: BakedScene
-    rays: CameraRays
-    pose: NDArray[np.float64]
-    placements: tuple[Placement, ...]
-
-    def tracer(self, through_air: bool = True) -> Tracer:
-        """Return the Tracer of this view."""
-        device = self.baked.device
-        medium = device.medium(self.pose, self.placements, through_air)
-        layers = device.layers(self.pose, self.placements)
-        shapes = [item.geometry for item in device.objects]
-        parts = _parts(self.baked.scene, self.baked.geometry, shapes, self.placements)
-        thin = partial(slender.rectangles, parts, self.pose, self.rays.camera)
-        return Tracer(layers, self.rays, medium, self.baked.plan, thin)
-
-    def radiance(self, through_air: bool = True) -> tuple[NDArray[np.float32], Sampling]:
-        """Return (band radiance (H, W) float32 [W m⁻² sr⁻¹], Sampling)."""
-        plan = self.baked.plan
-        limit = plan.edge_mk * plan.radiance_per_mk
-        image, sampling = self.tracer(through_air).image(limit)
-        return image[0], sampling
-
-    def truth(self) -> dict[str, NDArray[Any]]:
-        """Return what is really there, as `Frame.truth` has it, without the sensor's flags."""
-        return truth.truth(self.baked, self.rays, self.pose, self.placements)
-
-    def targets(self) -> dict[str, dict[str, Any]]:
-        """Return where objects are, as `Frame.targets` has it."""
-        return truth.targets(self.baked, self.rays.camera, self.pose, self.placements)
-
-    def budget_mk(self, radiance: NDArray[np.float32], sampling: Sampling | None) -> dict[str, float] | None:
-        """Return the error budget, as `Frame.budget_mk` has it, of a radiance image; None without its Sampling."""
-        if sampling is None:
-            return None
-        return budget.budget_mk(self.baked, self.tracer(), self.pose, self.placements, radiance, sampling)
-
-    def error_mk(self, radiance: NDArray[np.float32], sampling: Sampling | None) -> NDArray[np.float32] | None:
-        """Return the estimated error of each pixel, as `Frame.error_mk` has it; None without its Sampling."""
-        if sampling is None:
-            return None
-        return budget.error_mk(self.baked, self.tracer(), self.pose, self.placements, radiance, sampling)
-
-
-def checked_pose(pose: ArrayLike) -> NDArray[np.float64]:
-    """Return a pose as (4, 4) float64 after refusing what is no rigid transform."""
-    pose = np.array(pose, dtype=np.float64)
-    if pose.shape != (4, 4) or not np.isfinite(pose).all() or not np.allclose(pose[3], [0, 0, 0, 1]):
-        raise ThermorenderError(
-            f"pose of shape {pose.shape} is no world_from_camera; give (4, 4) with last row 0 0 0 1"
-        )
-    rotation = pose[:3, :3]
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0.0:
-        raise ThermorenderError(
-            "pose has a rotation that is not orthonormal and right-handed; normalise its quaternion"
-        )
-    return pose
-
-
-def _parts(
-    scene: Scene, geometry: Geometry, moving: Sequence[Geometry], placed: Sequence[Placement]
-) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """What may be thinner than a pixel, as `slender.rectangles` takes it.
-
-    All but ground made of an elevation raster, which hangs together.
-    """
-    first = scene.terrain_count if scene.spec.terrain.mesh is None else 0
-    return [(geometry.boxes(first), np.eye(4)), *((g.boxes(), p.pose) for g, p in zip(moving, placed, strict=True))]
-
-
 def _colours(geometry: Geometry, surfaces: Sequence[Surface]) -> OutgoingRadiance:
-    """The linear colour of the surfaces' texels, and 1 where it is known, else 0, as OutgoingRadiance."""
+    """OutgoingRadiance of the linear colour of the surfaces' texels, and 1 where it is known, else 0."""
     linear = linear_from_bytes(np.concatenate([surface.colour.reshape(-1, 3) for surface in surfaces]))
     flags = np.concatenate([surface.flags.ravel() for surface in surfaces])
     known = ((flags & FILLED) == 0).astype(np.float32)
@@ -437,10 +342,10 @@ def _colours(geometry: Geometry, surfaces: Sequence[Surface]) -> OutgoingRadianc
 
 
 def _solved(scene: Scene, like: "Renderer | None", geometry: Geometry, progress: Progress | None) -> Scene:
-    """A scene with its temperatures solved; those of `like` where it was asked for the same, but for the camera."""
+    """A scene with its temperatures solved; those of `like` where only the camera differs."""
     if like is not None and scene.like_but_for_camera(like._asked):
         known = like.scene.with_camera(scene.camera)
-        # Under another band the sky that a conditional map is seen under may differ, and its temperatures with it.
+        # A conditional map's temperatures depend on the sky in the camera's band and may differ.
         if known.temperature_state.solved:
             return known
     assert scene.time is not None
@@ -450,18 +355,18 @@ def _solved(scene: Scene, like: "Renderer | None", geometry: Geometry, progress:
 def solved_at(
     scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None
 ) -> list[Scene]:
-    """Return the scene with its temperatures solved for each of some instants, by what its state names as their source.
+    """Return the scene with its temperatures solved for each of some instants, by the source in its temperature state.
 
-    Parameters and errors are those of `heat.march.solved`, `heat.moved.moved` and `heat.relief.mapped`.
+    Parameters and errors are those of `heat.simulation.solved`, `heat.moved.moved` and `heat.relief.mapped`.
     """
-    # Only here: no other scene needs them.
+    # Imported here, as other scenes do not need them.
     source = scene.temperature_state.source
     if isinstance(source, Conditional):
         from thermorender.render.heat.relief import mapped
 
         return mapped(scene, times, geometry, progress)
     if not isinstance(source, Moved):
-        from thermorender.render.heat.march import solved
+        from thermorender.render.heat.simulation import solved
 
         return solved(scene, times, geometry, progress)
     from thermorender.render.heat.moved import moved
@@ -470,7 +375,7 @@ def solved_at(
 
 
 def _whole(name: str, value: int) -> int:
-    """Return what the generator of the noise takes, a seed or the number of a frame, as an int."""
+    """Return a seed or a frame's number as an int; raise unless the generator of the noise accepts it."""
     try:
         number = whole(value)
     except TypeError:

@@ -1,36 +1,40 @@
-"""How few numbers stand for the spectrum of a scene, and what that costs in mK.
+"""Spectral nodes and channels: how few numbers represent the spectrum of a scene, and the error of that in mK.
 
-*Points* are a fine quadrature of the camera's band; with air, every wavelength counts once for each absorption term
-of its sub-band. *Nodes* are sets of points, not necessarily neighbours, at which light between surfaces is solved: in
+*Points* are a fine quadrature of the camera's band; with air, every wavelength occurs once for each absorption term of
+its sub-band. *Nodes* are sets of points, not necessarily neighbours, at which light between surfaces is solved. Within
 a node every material has nearly the same reflectance, its light nearly the same colour and the air nearly the same
-transmittance. Ward's clustering (1963, doi:10.1080/01621459.1963.10500845) finds them. *Channels* are what a texel
-keeps: without air its band radiance; with air a few sums over the spectrum, of which the radiance behind any path is
-a weighted sum. They are the principal components of what all paths make of all spectra of the scene.
+transmittance. Ward's clustering (1963, doi:10.1080/01621459.1963.10500845) finds them. *Channels* are stored in texels:
+without air the band radiance; with air a few sums over the spectrum whose weighted sum is the radiance behind any path.
+They are the principal components of all spectra of the scene behind all paths.
 
 Emission is integrated over all points and needs no nodes. Reflection couples the reflectance of one surface with the
-spectrum of its surroundings; its nodes are as few as keep the error below the tolerance for every light of the scene's
-envelope. That is a list of spectra, so these errors are the largest found on it, not bounds on all light of a scene.
+spectrum of its surroundings. Its nodes are as few as keep the error below the tolerance for the light in the scene's
+envelope, a list of spectra: these errors are the largest on that list, not bounds for all light of a scene.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
-from thermorender.physics.band import RadianceTable, emitted_radiance, quadrature
-from thermorender.physics.planck import band_radiance, kelvin_per_radiance, spectral_radiance
+from thermorender.materials.material import Material
+from thermorender.physics.band import Emissivity, RadianceTable, emitted_radiance, quadrature
+from thermorender.physics.planck import Floats, band_radiance, kelvin_per_radiance, spectral_radiance
 
 MOST_NODES = 64
 MOST_CHANNELS = 8
 REFERENCE_K = 300.0
-# How strongly the fit of reflected light is drawn to the mean, and number of paths that it is judged behind.
+# Regularisation of the fit of reflected light towards the mean, and number of paths on which its error is measured.
 _RIDGE = 1e-4
 _JUDGED_PATHS = 12
-# How much the light's colour (ln of warm over cold Planck spectra) counts beside reflectance; found on the shipped
-# scenes, where 0.03 … 0.3 need about as many nodes.
+# Weight of the light's colour (ln of warm over cold Planck spectra) relative to reflectance; on the shipped scenes
+# 0.03 … 0.3 need about as many nodes.
 _COLOUR_WEIGHT = 0.1
-# Tables of materials have their kinks every 0.05 µm.
+# Tables of materials are piecewise linear with knots every 0.05 µm.
 _PANEL_UM = 0.05
 # Directions of the sky, and of paths from cameras, from straight up or down to grazing.
 _SKY_COSINES = (1.0, 0.5, 0.2, 0.05)
@@ -42,24 +46,15 @@ _CHUNK = 256
 
 @dataclass(frozen=True)
 class Points:
-    """Fine quadrature of a band.
+    """Fine quadrature of a band."""
 
-    Attributes
-    ----------
-    wavelength_um, weight : (Q,) float64
-        [µm].
-    air : Atmosphere or None
-    node : (Q,) int
-        The air's node of each point; zeros without air.
-    """
-
-    wavelength_um: np.ndarray
-    weight: np.ndarray
-    air: object
-    node: np.ndarray
+    wavelength_um: Floats  # (Q,)
+    weight: Floats  # (Q,) [µm]
+    air: Atmosphere | None
+    node: NDArray[np.integer]  # (Q,) the air's node of each point; zeros without air
 
     @classmethod
-    def of(cls, band_um, air=None):
+    def of(cls, band_um: tuple[float, float], air: Atmosphere | None = None) -> "Points":
         """Return the points of a band, for an Atmosphere in it or for none."""
         if air is None:
             wavelength, weight = quadrature(*band_um)
@@ -69,88 +64,72 @@ class Points:
             for low, high in zip(air.lower_um, air.upper_um, strict=True)
         ]
         node = np.repeat(np.arange(air.nodes), [len(part[0]) for part in parts])
-        return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)), air, node)
+        wavelength, weight = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return cls(wavelength, weight, air, node)
 
-    def planck(self, temperature):
-        """Return a blackbody's radiance at each point, weight included, (..., Q) [W m⁻² sr⁻¹]."""
+    def planck(self, temperature: ArrayLike) -> Floats:
+        """Return a blackbody's radiance at each point, including the weight, (..., Q) [W m⁻² sr⁻¹]."""
         temperature = np.asarray(temperature, dtype=np.float64)
         radiance = spectral_radiance(self.wavelength_um, temperature[..., None]) * self.weight
         return radiance if self.air is None else radiance * self.air.shares(temperature)[..., self.node]
 
     @cached_property
-    def _inside(self):
+    def _inside(self) -> Floats:
         """Share of each point in its node's light."""
         black = self.planck(REFERENCE_K)
         return black / np.bincount(self.node, black)[self.node]
 
-    def spread(self, radiance):
+    def spread(self, radiance: Floats) -> Floats:
         """Return radiance of the air's nodes, (..., n), spread over the points as a blackbody's is, (..., Q)."""
         return radiance[..., self.node] * self._inside
 
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Nodes and channels of one scene.
-
-    Attributes
-    ----------
-    points : Points
-    label : (Q,) int
-        Node of each point.
-    emissivity : (M, N) float64
-        Planck-weighted emissivity of each material in each node.
-    reflected : (M, K, N) float64
-        What each material reflects into each channel of the light in each node.
-    share : (K, N) float64
-        Of each node's light in each channel.
-    basis : (K, n) float64
-        Share of each of the air's nodes in each channel; ones without air.
-    solver : (n, K) float64
-        Transmittance of a path in the air's nodes to the weights of the channels behind it.
-    nodes_mk : float
-        Largest error of the nodes in reflected light, over the envelope's light and some of its paths [mK].
-    channels_mk : float
-        Largest error of the channels in what surfaces show, over the envelope's light and paths [mK]; 0 without air.
-    """
+    """Nodes and channels of one scene."""
 
     points: Points
-    label: np.ndarray
-    emissivity: np.ndarray
-    reflected: np.ndarray
-    share: np.ndarray
-    basis: np.ndarray
-    solver: np.ndarray
+    label: NDArray[np.integer]  # (Q,) node of each point
+    emissivity: Floats  # (M, N) Planck-weighted, of each material in each node
+    reflected: Floats  # (M, K, N) share of each node's light that each material reflects into each channel
+    share: Floats  # (K, N) of each node's light in each channel
+    basis: Floats  # (K, n) share of each of the air's nodes in each channel; ones without air
+    # (n, K) matrix from a path's transmittance in the air's nodes to the weights of the channels behind it.
+    solver: Floats
+    # Largest error of the nodes in reflected light, over the envelope's light and some of its paths [mK].
     nodes_mk: float
-    channels_mk: float
+    channels_mk: float  # the same of the channels in radiance of surfaces, over all paths; 0 without air
 
     @property
-    def nodes(self):
+    def nodes(self) -> int:
         """Number of nodes N."""
         return self.emissivity.shape[1]
 
     @property
-    def channels(self):
+    def channels(self) -> int:
         """Number of channels K."""
         return len(self.basis)
 
-    def gathered(self, values):
+    def gathered(self, values: Floats) -> Floats:
         """Return sums of (..., Q) values over the points of each node, (..., N)."""
         return _gathered(values, self.label)
 
-    def black(self, temperature):
+    def black(self, temperature: ArrayLike) -> Floats:
         """Return blackbody radiance of each node, (n, N) [W m⁻² sr⁻¹], at temperatures (n,)."""
         temperature = np.asarray(temperature, dtype=np.float64)
         parts = np.split(temperature, range(_CHUNK, len(temperature), _CHUNK))
         return np.concatenate([self.gathered(self.points.planck(part)) for part in parts])
 
-    def of_air(self, radiance):
-        """Return radiance of the air's nodes, (..., n), as that of these nodes, (..., N)."""
+    def of_air(self, radiance: Floats) -> Floats:
+        """Return radiance of the air's nodes, (..., n), as radiance of the spectral nodes, (..., N)."""
         return self.gathered(self.points.spread(radiance))
 
-    def emitted(self, emissivity, coldest, warmest, band_um):
-        """Return (temperatures (G,) [K], channels (G, K) [W m⁻² sr⁻¹]) that a material emits, for interpolation.
+    def emitted(
+        self, emissivity: Emissivity, coldest: float, warmest: float, band_um: tuple[float, float]
+    ) -> tuple[Floats, Floats]:
+        """Return (temperatures (G,) [K], channels (G, K) [W m⁻² sr⁻¹]) emitted by a material, for interpolation.
 
-        As `RadianceTable.of`, with its error; `emissivity` is a callable of wavelengths [µm].
+        As `RadianceTable.of`, with the same error; `emissivity` is a function of wavelength [µm].
         """
         air = self.points.air
         if air is None:
@@ -166,67 +145,53 @@ class Spectrum:
         nodes = air.planck(grid) * np.stack(ratio, axis=1)[:, band_of.reshape(-1)]
         return grid, nodes @ self.basis.T
 
-    def emitted_at(self, emissivity, temperature, band_um):
-        """Return the channels (K,) that a material emits at one temperature [W m⁻² sr⁻¹]."""
+    def emitted_at(self, emissivity: Emissivity, temperature: float, band_um: tuple[float, float]) -> Floats:
+        """Return the channels (K,) emitted by a material at one temperature [W m⁻² sr⁻¹]."""
         grid, table = self.emitted(emissivity, temperature, temperature, band_um)
         return np.array([np.interp(temperature, grid, channel) for channel in table.T])
 
 
 @dataclass(frozen=True)
 class Envelope:
-    """What temperatures and light a scene has.
+    """Range of temperatures and light of a scene."""
 
-    Attributes
-    ----------
-    band_um : (2,) floats
-    ground : (2,) floats
-        Coldest and warmest temperature of the terrain [K].
-    objects : list of (material, temperature)
-        Objects, each material at its extremes.
-    sky_temperature : float or None
-        Of an isotropic sky [K]; None where there is air.
-    surroundings_temperature : float
-        [K].
-    air : Atmosphere or None
-    altitude_m : (2,) floats
-        Of the lowest and the highest surface above sea level.
-    """
-
-    band_um: tuple
-    ground: tuple
-    objects: list
-    sky_temperature: float | None
-    surroundings_temperature: float
-    air: object
-    altitude_m: tuple
+    band_um: tuple[float, float]
+    ground: tuple[float, float]  # coldest and warmest temperature of the terrain [K]
+    objects: list[tuple[int, float]]  # (material, temperature [K]), each material at its extremes
+    sky_temperature: float | None  # of an isotropic sky [K]; None with air
+    surroundings_temperature: float  # [K]
+    air: Atmosphere | None
+    altitude_m: tuple[float, float]  # of the lowest and the highest surface above sea level
 
     @property
-    def temperatures(self):
+    def temperatures(self) -> list[float]:
         """All temperatures [K]."""
         skies = [] if self.sky_temperature is None else [self.sky_temperature]
         own = [temperature for _, temperature in self.objects]
         return [*self.ground, *own, *skies, self.surroundings_temperature]
 
-    def sources(self, points):
-        """Return (outside (n, Q), ground (2, Q), objects (t, Q)): what shines by itself, at the points.
+    def sources(self, points: Points) -> tuple[Floats, Floats, Floats]:
+        """Return emission at the points: (outside (n, Q), ground (2, Q), objects (t, Q)).
 
-        Sky and surroundings; blackbodies at the terrain's extremes and at each object's temperature.
+        Outside is sky and surroundings; the others are blackbodies at the terrain's extremes and at each object's
+        temperature.
         """
         ground = _black(points, self.ground)
         objects = _black(points, [temperature for _, temperature in self.objects]) if self.objects else ground[:0]
         background = _black(points, [self.surroundings_temperature])
         if self.air is None:
+            assert self.sky_temperature is not None
             return np.concatenate([_black(points, [self.sky_temperature]), background]), ground, objects
         at, cosine = np.meshgrid(self.altitude_m, _SKY_COSINES)
         sky = self.air.sky_radiance(at.ravel(), cosine.ravel())
         return np.concatenate([points.spread(sky), background]), ground, objects
 
-    def light(self, emissivity, outside, ground, objects):
+    def light(self, emissivity: Floats, outside: Floats, ground: Floats, objects: Floats) -> Floats:
         """Return spectra that can fall on a surface of this scene, (n, X), from sources at points or at nodes.
 
-        The outside; any material of the ground at its extremes, reflecting the outside or ground at its extremes; and
-        objects, reflecting the outside. Light of an object off another surface is left out: it is weakened by the
-        small solid angle of one seen from the other.
+        They are: the outside; any material of the ground at its extremes, reflecting the outside or ground at its
+        extremes; and objects, reflecting the outside. Reflected light of objects is left out: an object fills a small
+        solid angle.
         """
         others = np.concatenate([ground, outside])
         light = [outside]
@@ -236,12 +201,12 @@ class Envelope:
             light.append(emissivity[material] * black + (1.0 - emissivity[material]) * outside)
         return np.concatenate(light)
 
-    def paths(self):
-        """Return transmittances (P, n) of paths from cameras of any height to the surfaces; the first has no length."""
+    def paths(self) -> Floats:
+        """Return transmittances (P, n) of paths from cameras at any height to the surfaces; the first has length 0."""
         if self.air is None:
             return np.ones((1, 1))
         low, high = self.altitude_m
-        # A cloud's base may lie less than a metre above the surfaces, or on them.
+        # The base of clouds may be less than a metre above the surfaces, or on them.
         room = max(self.air.ceiling_m - high, 0.0)
         height = np.minimum(np.geomspace(1.0, max(room, 2.0), 14), room)
         height, cosine, to = (a.ravel() for a in np.meshgrid(height, _PATH_COSINES, (low, high)))
@@ -251,28 +216,17 @@ class Envelope:
         return np.concatenate([np.ones((1, self.air.nodes)), passed])
 
 
-def make_spectrum(materials, envelope, tolerance_mk, reflects):
-    """Return the Spectrum of a scene.
+def make_spectrum(materials: Sequence[Material], envelope: Envelope, tolerance_mk: float, reflects: bool) -> Spectrum:
+    """Return the Spectrum of a scene, with errors up to `tolerance_mk` on the envelope; one node unless it `reflects`.
 
-    Parameters
-    ----------
-    materials : sequence of Material
-    envelope : Envelope
-    tolerance_mk : float
-        Largest error on the envelope allowed to nodes and channels [mK].
-    reflects : bool
-        Whether reflection is solved; without, one node stands for all.
+    A material's reflection of a node's light is not its mean reflectance in the node. It is a least-squares fit, over
+    the envelope's light, to the reflection at the points, regularised towards the mean. This corrects most variation
+    within a node and needs a third of the nodes.
 
     Raises
     ------
     ThermorenderError
         The tolerance is not reached with 64 nodes.
-
-    Notes
-    -----
-    What a material reflects of a node's light is not its mean reflectance there but the least-squares fit, over the
-    envelope's light, of what it reflects at the points, drawn to the mean. That corrects most of what spectra vary
-    within a node, so that a third of the nodes do.
     """
     points = Points.of(envelope.band_um, envelope.air)
     spectra = np.array([material.emissivity_at(points.wavelength_um) for material in materials])
@@ -295,10 +249,10 @@ def make_spectrum(materials, envelope, tolerance_mk, reflects):
     )
 
 
-def with_nodes(spectrum, materials, count):
-    """Return a Spectrum with about `count` nodes, even parts of its points by wavelength, whatever they err by.
+def with_nodes(spectrum: Spectrum, materials: Sequence[Material], count: int) -> Spectrum:
+    """Return a Spectrum with about `count` nodes, equal parts of its points by wavelength, whatever their error.
 
-    For measuring what nodes cost: `make_spectrum` takes as few as do.
+    This serves to measure the time that nodes take; `make_spectrum` uses as few as suffice.
     """
     points = spectrum.points
     label = np.arange(len(points.node)) * min(count, len(points.node)) // len(points.node)
@@ -308,27 +262,27 @@ def with_nodes(spectrum, materials, count):
 
 
 class _Case:
-    """A scene's envelope at the points: its light, what its surfaces show of it, and the kelvin these are judged by."""
+    """A scene's envelope at the points: its light, its reflections, and the radiance of a millikelvin."""
 
-    def __init__(self, points, spectra, envelope, passed):
+    def __init__(self, points: Points, spectra: Floats, envelope: Envelope, passed: Floats) -> None:
         self.points, self.spectra, self.envelope, self.passed = points, spectra, envelope, passed
         self.black = points.planck(REFERENCE_K)
         self.sources = envelope.sources(points)
         self.light = envelope.light(spectra, *self.sources)
 
     @cached_property
-    def per_mk(self):
-        """Radiance of a millikelvin of each surface at its coldest that reflects each light, (M, L)."""
+    def per_mk(self) -> Floats:
+        """Radiance per millikelvin of each surface at its coldest, reflecting each light, (M, L)."""
         coldest = self.sources[1][0]
         shown = (1.0 - self.spectra) @ self.light.T + (self.spectra @ coldest)[:, None]
         return 1e-3 / kelvin_per_radiance(shown, *self.envelope.band_um)
 
-    def wanted(self, basis):
-        """What each surface reflects of each light into each channel, (M, K, L)."""
+    def wanted(self, basis: Floats) -> Floats:
+        """Reflection of each light by each material into each channel, (M, K, L)."""
         return np.stack([(1.0 - self.spectra) * row[self.points.node] @ self.light.T for row in basis], axis=1)
 
-    def features(self):
-        """What the points of one node should have in common, (Q, n)."""
+    def features(self) -> Floats:
+        """Quantities that the points of one node should have in common, (Q, n)."""
         points, envelope, spectra = self.points, self.envelope, self.spectra
         warmest, coldest = max(envelope.temperatures), min(envelope.ground)
         colour = np.log(
@@ -336,17 +290,20 @@ class _Case:
         )
         features = [*(1.0 - spectra), _COLOUR_WEIGHT * (colour - colour.mean())]
         if envelope.air is not None:
-            # The sky matters as far as it is reflected. How air lets light pass matters little beside.
+            # The sky counts by the share reflected. The air's transmittance has little effect.
             sky = self.sources[0][:-1] / self.black
             features += [*((1.0 - spectra).mean(axis=1).max() * sky[[0, -1]])]
         return np.stack(features, axis=1)
 
-    def spectrum(self, label, basis, solver, channels_mk, wanted=None):
-        """Return the Spectrum of nodes; with a fit to what is `wanted` to be reflected, and its error, where given."""
+    def spectrum(
+        self, label: NDArray[np.integer], basis: Floats, solver: Floats, channels_mk: float,
+        wanted: Floats | None = None,
+    ) -> Spectrum:  # fmt: skip
+        """Return the Spectrum of nodes, where `wanted` is given with a fit to these reflections and its error."""
         emissivity, reflected, share = _means(self.points, self.spectra, basis, label)
         nodes_mk = 0.0
         if wanted is not None:
-            # As it will be solved: light at nodes, reflected once with their mean reflectance.
+            # The bake solves for light at nodes, reflected with mean reflectances.
             light = self.envelope.light(emissivity, *(_gathered(source, label) for source in self.sources))
             missing = (wanted - reflected @ light.T) / self.per_mk.min(axis=0)
             left, size, right = np.linalg.svd(light / self.per_mk.min(axis=0)[:, None], full_matrices=False)
@@ -358,11 +315,11 @@ class _Case:
         return Spectrum(self.points, label, emissivity, reflected, share, basis, solver, nodes_mk, channels_mk)
 
 
-def _channels(case, tolerance_mk):
-    """(basis (K, n), solver (n, K), largest error [mK]) that stand for transmittances (P, n)."""
+def _channels(case: _Case, tolerance_mk: float) -> tuple[Floats, Floats, float]:
+    """(basis (K, n), solver (n, K), largest error [mK]) that represent the envelope's paths."""
     if case.envelope.air is None:
         return np.ones((1, 1)), np.ones((1, 1)), 0.0
-    # What surfaces show: each at the extremes of the ground, or at its own temperature, reflecting any light.
+    # Radiance of surfaces: each at the extremes of the ground, or at its own temperature, reflecting any light.
     ground, objects = case.sources[1:]
     own = [(m, black) for m in range(len(case.spectra)) for black in ground]
     own += [(m, black) for (m, _), black in zip(case.envelope.objects, objects, strict=True)]
@@ -375,7 +332,7 @@ def _channels(case, tolerance_mk):
     left, size, _ = np.linalg.svd(case.passed @ (axes * np.sqrt(np.maximum(size, 0.0))), full_matrices=False)
     for count in range(1, MOST_CHANNELS + 1):
         basis = np.linalg.lstsq(left[:, :count] * size[:count], case.passed, rcond=None)[0]
-        # Channels of the size of a radiance keep their digits in float32.
+        # Scaled to the size of a radiance, to keep their digits in float32.
         basis /= np.abs(basis).max(axis=1, keepdims=True)
         solver = square @ basis.T @ np.linalg.pinv(basis @ square @ basis.T)
         worst = float(np.abs((case.passed @ solver @ basis - case.passed) @ shown.T).max())
@@ -384,7 +341,7 @@ def _channels(case, tolerance_mk):
     return basis, solver, worst
 
 
-def _means(points, spectra, basis, label):
+def _means(points: Points, spectra: Floats, basis: Floats, label: NDArray[np.integer]) -> tuple[Floats, Floats, Floats]:
     """Planck-weighted (emissivity (M, N), reflected (M, K, N), share (K, N)) of nodes, as in `Spectrum`."""
     black = points.planck(REFERENCE_K)
     inside = black / np.bincount(label, black)[label]
@@ -393,12 +350,12 @@ def _means(points, spectra, basis, label):
     return _gathered(spectra * inside, label), reflected, _gathered(channels, label)
 
 
-def _black(points, temperatures):
-    """Blackbody radiance at the points, (n, Q); none at 0 K."""
+def _black(points: Points, temperatures: Sequence[float]) -> Floats:
+    """Blackbody radiance at the points, (n, Q); zeros at 0 K."""
     return np.stack([points.planck(t) if t > 0.0 else np.zeros(len(points.node)) for t in temperatures])
 
 
-def _gathered(values, label):
+def _gathered(values: Floats, label: NDArray[np.integer]) -> Floats:
     """Sums of (..., Q) values over the points of each node, (..., N)."""
     order = np.argsort(label, kind="stable")
     first = np.flatnonzero(np.diff(label[order], prepend=-1))

@@ -1,35 +1,40 @@
-"""What is really there: temperature, material, depth and position at the middle of each pixel, and where targets are.
+"""Ground truth: temperature, material, depth and position at the middle of each pixel, and where targets are.
 
-Truth is that of the one surface a pixel's middle shows, not a mean over the pixel: a mean of depths or materials at
-an edge would be that of nothing.
+Truth describes the one surface that a pixel's middle shows. It is not a mean over the pixel: at an edge a mean of
+depths or materials would describe no surface.
 """
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.physics.band import quadrature
 from thermorender.physics.fresnel import COSINES
 from thermorender.physics.planck import band_radiance, spectral_radiance
-from thermorender.render.geometry import aligned, view_ray
-from thermorender.render.mirrors import directional
+from thermorender.render.arrays import Floats, aligned, view_ray
+from thermorender.render.dynamic import Placement
+from thermorender.render.layers import Shape
+from thermorender.render.pixels.sampling import CameraRays
+from thermorender.render.reflectance import directional
 from thermorender.render.spectrum import REFERENCE_K
 from thermorender.scene.surface import BACKGROUND, BEHIND
+from thermorender.sensor.camera import Camera
+
+if TYPE_CHECKING:
+    from thermorender.render.baked import BakedScene
 
 NO_MATERIAL = 255
+# (H, W) of any dtype.
+Image = NDArray[Any]
 
 
-def truth(baked, rays, pose, placements):
-    """Return {name: image} of what the pixels' middles show; the images are those of `Frame.truth`.
-
-    Parameters
-    ----------
-    baked : BakedScene
-    rays : CameraRays
-    pose : (4, 4) array
-        world_from_camera.
-    placements : sequence of Placement
-        Of the dynamic objects.
-    """
+def truth(
+    baked: "BakedScene", rays: CameraRays, pose: Floats, placements: Sequence[Placement]
+) -> dict[str, NDArray[Any]]:
+    """Return {name: image} of the ground truth at the pixels' middles, as `Frame.truth` has it."""
     scene, camera, layers = baked.scene, rays.camera, baked.device.layers(pose, placements)
     warm = [placement.temperature for placement in placements]
     by_angle = directional(scene.materials)
@@ -60,27 +65,20 @@ def truth(baked, rays, pose, placements):
     }
 
 
-def pixel_middles(layers, rays, facing=False):
-    """Return what the middles of pixels show, as images (H, W): valid, texel, up, cosine, depth, position.
-
-    Parameters
-    ----------
-    layers : sequence of Layer
-        Of a view: the static scene's and those of dynamic objects.
-    rays : CameraRays
-    facing : bool
-        Whether the cosine between normal and view is asked for.
+def pixel_middles(
+    layers: Sequence[Shape], rays: CameraRays, facing: bool = False
+) -> tuple[Image, Image, Image, Image, Image, list[Image]]:
+    """Return the surface points at the pixels' middles as images (H, W): valid, texel, up, cosine, depth, position.
 
     Returns
     -------
-    valid : bool
-        Whether something is hit.
+    valid, up : bool
+        Whether a surface is hit, and whether the ray points to the horizon or above.
     texel : uint32
         Its number over all surfaces of the layers.
-    up : bool
-        Whether the ray does not point below the horizon.
     cosine, depth : float32
-        Of the angle at the surface, below 0 on its back; along the optical axis [m], infinity where nothing is hit.
+        Of the angle at the surface, below 0 on its back, computed only if `facing`; along the optical axis [m],
+        infinity where nothing is hit.
     position : list of three float32
         In the local frame [m].
     """
@@ -103,10 +101,10 @@ def pixel_middles(layers, rays, facing=False):
         first += int(geometry.texel_start[-1])
     ray = view_ray(mi, *layers[0].view, *slope)
     position = ray.o + distance * ray.d
-    # The direction is unit length, so depth along the axis is the distance over the slope's length.
+    # Directions have unit length, so depth along the axis is distance over the length of (slope, 1).
     depth = distance / dr.sqrt(1.0 + slope[0] * slope[0] + slope[1] * slope[1])
     found = [mi.UInt32(valid), texel, mi.UInt32(ray.d.z >= 0.0), cosine, depth, *position]
-    # One evaluation for all: each by itself would cast the rays again.
+    # One evaluation for all; separate ones would cast the rays again.
     dr.eval(found)
     images = []
     for values in found:
@@ -117,18 +115,10 @@ def pixel_middles(layers, rays, facing=False):
     return valid > 0, number, up > 0, cosine, depth, position
 
 
-def targets(baked, camera, pose, placements):
-    """Return {object: {pixel, in_view, visible, range_m}} of the scene's objects, as `Frame.targets` has it.
-
-    Parameters
-    ----------
-    baked : BakedScene
-    camera : Camera
-    pose : (4, 4) array
-        world_from_camera.
-    placements : sequence of Placement
-        Of the dynamic objects.
-    """
+def targets(
+    baked: "BakedScene", camera: Camera, pose: Floats, placements: Sequence[Placement]
+) -> dict[str, dict[str, Any]]:
+    """Return {object: {pixel, in_view, visible, range_m}} of the scene's objects, as `Frame.targets` has it."""
     middles = dict(baked.scene.targets)
     for tracked, placement in zip(baked.scene.tracked_objects, placements, strict=True):
         corner = np.concatenate([surface.vertices for surface in tracked.surfaces])
@@ -146,7 +136,7 @@ def targets(baked, camera, pose, placements):
     shown += [(item.geometry, item.surfaces, each.pose) for item, each in moving]
     for shapes, surfaces, own_pose in shown:
         mi, inverse = shapes.mi, np.linalg.inv(own_pose)
-        # Opaque numbers: as literals they would have a kernel compiled, and kept, for each pose.
+        # Opaque: literals would compile, and keep, a kernel for each pose.
         start = [dr.opaque(mi.Float, float(value)) for value in inverse[:3, :3] @ pose[:3, 3] + inverse[:3, 3]]
         direction = ((centre - pose[:3, 3]) / distance[:, None]) @ inverse[:3, :3].T
         hit = shapes.cast(mi.Ray3f(mi.Point3f(*start), mi.Vector3f(*map(aligned, direction.T))))
@@ -154,7 +144,7 @@ def targets(baked, camera, pose, placements):
         nearer = met < nearest
         names[nearer] = [surfaces[number].name.split(":")[0] for number in surface[nearer]]
         nearest = np.minimum(nearest, met)
-    found = {}
+    found: dict[str, dict[str, Any]] = {}
     for k, name in enumerate(middles):
         inside = bool(0.0 <= pixel[k, 0] < camera.width and 0.0 <= pixel[k, 1] < camera.height)
         found[name] = {

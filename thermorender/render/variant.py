@@ -1,8 +1,8 @@
-"""Which Mitsuba variant runs here, and the LLVM library its CPU back end needs.
+"""The Mitsuba variant of this process, and the LLVM library that its CPU back end needs.
 
-Dr.Jit compiles its CPU kernels through an LLVM shared library found at run time. Versions below 16 are
-unusable: 14 is refused, 15 aborts the whole process during code generation. The library is therefore
-chosen here, by the version in its file name, before Dr.Jit looks for one by itself.
+Dr.Jit compiles its CPU kernels through an LLVM shared library found at run time. Versions below 16 are unusable: 14 is
+refused, 15 aborts the process during code generation. The library is therefore chosen here, by the version in its file
+name, before Dr.Jit searches for one.
 """
 
 import ctypes.util
@@ -13,6 +13,7 @@ import subprocess
 import sys
 import warnings
 from pathlib import Path
+from typing import Any
 
 from thermorender.errors import ThermorenderError
 
@@ -34,14 +35,14 @@ _INSTALL_HINT = (
 )
 
 
-def llvm_version(path):
-    """Return the major version of an LLVM shared library as its resolved file name tells it, or None."""
+def llvm_version(path: str | Path) -> int | None:
+    """Return the major version in the resolved file name of an LLVM shared library, or None."""
     name = Path(path).resolve().name
     match = re.search(r"libLLVM(?:-(\d+)|(?:\.so|)\.(\d+)\.\d|(?:\.so)\.(\d+)$)", name)
     return int(next(group for group in match.groups() if group)) if match else None
 
 
-def llvm_libraries():
+def llvm_libraries() -> dict[Path, int | None]:
     """Return every LLVM shared library found on this machine as {resolved path: major version or None}."""
     found = []
     for pattern in _SEARCH:
@@ -52,7 +53,7 @@ def llvm_libraries():
     return {path.resolve(): llvm_version(path) for path in found}
 
 
-def usable_llvm():
+def usable_llvm() -> tuple[Path, int | None] | None:
     """Return (path, version) of the newest usable LLVM library, or None; DRJIT_LIBLLVM_PATH comes first.
 
     Raises
@@ -77,18 +78,18 @@ def usable_llvm():
     return path, version
 
 
-def activate(device="auto"):
+def activate(device: str = "auto") -> Any:
     """Choose and activate the Mitsuba variant for `device` and return the mitsuba module.
 
     Parameters
     ----------
     device : {"auto", "cpu", "cuda"}
-        "auto" takes the GPU where Dr.Jit finds one, else the CPU.
+        "auto" uses the GPU if Dr.Jit finds one, else the CPU.
 
     Raises
     ------
     ThermorenderError
-        An unknown device, no GPU, no usable LLVM library, or another device active in this process.
+        The device is unknown, no GPU or usable LLVM library exists, or this process already uses another device.
     """
     if device not in ("auto", *DEVICES):
         raise ThermorenderError(f"device={device!r} is unknown; give one of auto, {', '.join(DEVICES)}")
@@ -119,21 +120,21 @@ def activate(device="auto"):
     return mi
 
 
-def switch(mi, variant):
-    """Make a variant of Mitsuba the active one.
+def switch(mi: Any, variant: str) -> None:
+    """Activate a variant of Mitsuba.
 
-    Mitsuba then compiles its integrators in Python anew (0.1 s; none is used here), of which Dr.Jit warns in a process
-    that switches often.
+    Mitsuba then recompiles its Python integrators (0.1 s; none is used here). Dr.Jit's warning about repeated
+    compilation is suppressed.
     """
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "The AST-transforming decorator", RuntimeWarning)
         mi.set_variant(variant)
 
 
-def active_device():
-    """Return what computes the frames of this process: {"variant": name, "llvm" or "cuda": its version}.
+def active_device() -> dict[str, str]:
+    """Return the device that computes this process's frames: {"variant": name, "llvm" or "cuda": its version}.
 
-    Compilers of other versions may round otherwise. {} before a variant is active.
+    Other compiler versions may round differently. The result is {} before a variant is active.
     """
     mi = sys.modules.get("mitsuba")
     if mi is None or mi.variant() is None:
@@ -145,10 +146,10 @@ def active_device():
     return {"variant": mi.variant(), library: ".".join(map(str, version))}
 
 
-def works(variant):
-    """Return (True, seconds) or (False, reason) from rendering one ray in a process of its own.
+def works(variant: str) -> tuple[bool, str]:
+    """Return (True, "") or (False, reason) after casting one ray in a separate process.
 
-    A separate process, because a wrong LLVM library aborts the process it is loaded into.
+    The process is separate because a wrong LLVM library aborts the process that loads it.
     """
     environment = dict(os.environ)
     if variant.startswith("llvm"):
@@ -172,25 +173,26 @@ def works(variant):
     return False, lines[-1].strip() if lines else f"exit status {run.returncode}"
 
 
-def install_llvm():
-    """Install an LLVM runtime with apt where that is possible and allowed; return what was done as a sentence.
+def install_llvm() -> str:
+    """Install an LLVM runtime with apt if possible and allowed; return a sentence about the result.
 
     Raises
     ------
     ThermorenderError
-        No usable library is present and none can be installed from here.
+        There is no usable library, and none can be installed.
     """
     llvm = usable_llvm()
     if llvm:
         return f"LLVM {llvm[1]} is present: {llvm[0]}"
-    apt = shutil.which("apt-get")
-    prefix = [] if getattr(os, "geteuid", lambda: 1)() == 0 else [shutil.which("sudo"), "-n"]
-    if not apt or None in prefix:
+    apt, sudo = shutil.which("apt-get"), shutil.which("sudo")
+    root = getattr(os, "geteuid", lambda: 1)() == 0
+    if not apt or not (root or sudo):
         raise ThermorenderError(f"this machine has no LLVM library of version {OLDEST_LLVM} or newer; {_INSTALL_HINT}")
+    prefix = [] if root else [str(sudo), "-n"]
     subprocess.run([*prefix, apt, "update", "-q"], capture_output=True)
     for version in (19, 18, 20, 17, 16):
         for package in (f"libllvm{version}", f"libllvm{version}t64"):
             command = [*prefix, apt, "install", "-y", "-q", "--no-install-recommends", package]
-            if subprocess.run(command, capture_output=True).returncode == 0 and usable_llvm():
-                return f"installed {package}: {usable_llvm()[0]}"
+            if subprocess.run(command, capture_output=True).returncode == 0 and (llvm := usable_llvm()):
+                return f"installed {package}: {llvm[0]}"
     raise ThermorenderError(f"apt-get could not install an LLVM runtime; {_INSTALL_HINT}")

@@ -22,8 +22,8 @@ from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
 from thermorender.materials.shifted import strayed
 from thermorender.render.geometry import Geometry
-from thermorender.render.heat.march import solved
 from thermorender.render.heat.moved import Carried, balances, expected
+from thermorender.render.heat.simulation import solved
 from thermorender.render.variant import activate
 from thermorender.scene.load import load_scene
 from thermorender.scene.spec import TemperatureSpec, WeatherSpec

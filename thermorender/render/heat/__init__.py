@@ -1,1 +1,1 @@
-"""Temperatures of a terrain by heat balance: marched for its texels, and a learned map's moved to another instant."""
+"""Temperatures of a terrain by its heat balance: simulated per texel, or a learned map's moved to another instant."""

@@ -1,8 +1,7 @@
-"""Hour and weather in numbers, for maps that learn from many campaigns.
+"""Hour and weather in numbers, as input of learned maps.
 
-Beside what a station measures stands what the heat balance makes of it: how much warmer than the air a few typical
-materials are there, lying level in the open and in shade. That brings what the ground remembers of the hours before
-into a few numbers, from tables and the station's weather alone.
+Besides the station's measurements they include results of the heat balance: how much warmer than the air a few typical
+materials are there, level in the open and in shade. A few numbers thus hold the ground's memory of the past hours.
 """
 
 from dataclasses import replace
@@ -13,6 +12,7 @@ from thermorender.materials.library import find, load_library
 from thermorender.physics.sun import solar_hour
 from thermorender.scene import open_ground
 from thermorender.units import ZERO_CELSIUS_K
+from thermorender.weather.series import Weather
 
 TYPICAL = (
     "grass_green", "soil_loam", "sand_quartz", "asphalt", "granite", "conifer", "roof_tile_clay", "water", "snow",
@@ -20,16 +20,16 @@ TYPICAL = (
 _HOUR, _DAY = np.timedelta64(3600, "s"), np.timedelta64(86400, "s")
 
 
-def conditions(weather, time, inside_c=20.0):
+def conditions(weather: Weather, time: np.datetime64, inside_c: float = 20.0) -> dict[str, float]:
     """Return {name: float} of an instant (datetime64, UTC) of a Weather.
 
     Returns
     -------
     dict
-        air_k, vapour_pa, wind_m_s, direct_w_m2, diffuse_w_m2, longwave_w_m2, snow_m as at the instant; air_day_k, the
-        air's mean over the day before above what it is now; rain_day_mm; sun_elevation_deg; solar_hour; day, of the
-        year; and for each of `TYPICAL` materials open_NAME and shade_NAME: its temperature above the air's [K], level
-        in the open, or without direct sun for a day.
+        air_k, vapour_pa, wind_m_s, direct_w_m2, diffuse_w_m2, longwave_w_m2, snow_m at the instant; air_day_k, the
+        air's mean over the day before minus its present temperature; rain_day_mm; sun_elevation_deg; solar_hour; day,
+        of the year; and for each of `TYPICAL` materials open_NAME and shade_NAME: its temperature above the air's [K],
+        level in the open, or without direct sun for a day.
     """
     now = weather.at(time)
     elevation = float(weather.sun(time)[1])
@@ -44,15 +44,15 @@ def conditions(weather, time, inside_c=20.0):
     found["day"] = float((time.astype("M8[D]") - time.astype("M8[Y]").astype("M8[D]")).astype(int))
     library = load_library(None)
     materials = [find(library, name, "typical materials") for name in TYPICAL]
-    made = open_ground.columns(materials, weather, found["snow_m"], open_ground.STATION_ROUGHNESS_M)
+    columns = open_ground.columns(materials, weather, found["snow_m"], open_ground.STATION_ROUGHNESS_M)
     inside_k = inside_c + ZERO_CELSIUS_K
-    start, _ = open_ground.settled(made, weather, before, inside_k)
-    # Leaves in shade close their stomata, so the sun is taken out of the weather and not of what is absorbed alone.
+    start, _ = open_ground.settled(columns, weather, before, inside_k)
+    # Stomata of leaves in shade close, so the sun is removed from the weather, not only from absorption.
     shaded = replace(weather, direct_w_m2=np.zeros(weather.time.size))
     for where, under in (("open", weather), ("shade", shaded)):
         state = start
         if time > before:
-            state, _ = open_ground.march(made, under, start, before, time, inside_k)
+            state, _ = open_ground.march(columns, under, start, before, time, inside_k)
         for name, kelvin in zip(TYPICAL, state.surface_k, strict=True):
             found[f"{where}_{name}"] = float(kelvin - now.air_k)
     return found

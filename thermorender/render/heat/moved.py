@@ -1,31 +1,31 @@
 """A map's temperatures moved from the instant it was trained for to another hour and weather, by heat balance.
 
-At the trained instant t₀ a texel of the map differs from its heat balance by d = T_map(t₀) − T_balance(t₀). What it
-differs by at t is taken for a Gaussian process over instants and weathers of three independent parts:
+At the trained instant t₀ a texel of the map differs from its heat balance by d = T_map(t₀) − T_balance(t₀). The
+difference at t is modelled as a Gaussian process over instants and weathers with three independent parts:
 
-- its material is not quite what the table says: Σₖ Sₖ(t) pₖ, with pₖ ~ N(0, 1) for each property of
-  `materials.shifted.PROPERTIES` in its own standard deviations, and Sₖ(t) [K] what one of these changes in a march of
-  the balance. Sunlight absorbed lately, shadow, wind, and the column's memory of them are all in S: an asphalt too
-  warm by day for its absorptance is hardly too warm at night, and one too warm for its inertia is then too cold.
-- what the balance gets wrong and these properties do not tell, of variance w²;
+- deviations of the material from its table: Σₖ Sₖ(t) pₖ, with pₖ ~ N(0, 1) for each property of
+  `materials.shifted.PROPERTIES` in units of its standard deviation, and Sₖ(t) [K] the effect of such a change in a
+  simulation of the balance. S includes recently absorbed sunlight, shadow, wind, and the column's memory of them: an
+  asphalt whose absorptance makes it too warm by day is hardly too warm at night, while one whose inertia makes it too
+  warm by day is then too cold.
+- errors of the balance that these properties do not explain, of variance w²;
 - the map's own error, of variance e², which the truth does not share.
 
 w is correlated between t₀ and t by ρ = exp(−½ Σ (Δ/reach)²) over hour of day, day, sunshine, air temperature and wind
-(`REACH`), whose reaches are chosen: no measurement gives them. The map's error is kept as if it were of the surface,
-but only over a quarter of these reaches, ρ¹⁶: so that the map is itself at t₀ and goes over into the linear estimate of
-least variance (kriging; Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, eq. 2.25). With
-C = Σ Sₖ(t) Sₖ(t₀), D = Σ Sₖ(t₀)² and A = Σ Sₖ(t)², texel by texel,
+(`REACH`); the reaches are chosen, not measured. The map's error is treated as a property of the surface, but only over
+a quarter of these reaches, ρ¹⁶. The result thus equals the map at t₀ and changes continuously into the linear estimate
+of least variance (kriging; Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, eq. 2.25). With C = Σ
+Sₖ(t) Sₖ(t₀), D = Σ Sₖ(t₀)² and A = Σ Sₖ(t)², for each texel
 
     T(t) = T_balance(t) + g d,    g = (C + ρ w² + ρ¹⁶ e²) / (D + w² + e²),
 
 whose error against the truth has the variance g² (D + w² + e²) − 2 g (C + ρ w²) + A + w²: e² at t₀, and without a map
-to lean on (g = 0) the balance's own, A + w². Where the differences of a material's texels are larger than all this
-tells, neither its properties nor the map is to be believed more than the other: C, D, A and e² grow in one ratio, told
-by the median of d².
+(g = 0) the balance's own, A + w². Where the differences of a material's texels are larger than this model predicts, its
+properties and the map are equally suspect: C, D, A and e² grow by a common ratio, from the median of d².
 
-Nothing is carried where the map had no temperature of its own, where snow lay or melted at one of the instants only, or
-where rain had fallen before one of them only: the balance stands alone, and the texel is UNMOVED. Snow
-stays at or below its melting point, also where the map has it warmer.
+The balance is used alone, and the texel is UNMOVED, where the map had no own temperature, where snow lay or melted at
+only one of the instants, or where rain had fallen before only one of them. Snow stays at or below its melting point,
+even where the map is warmer.
 """
 
 from collections.abc import Callable, Sequence
@@ -36,33 +36,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
+from thermorender.materials.material import Material
 from thermorender.materials.shifted import PROPERTIES, shifted
 from thermorender.render.geometry import Geometry
-from thermorender.render.heat.march import solved
+from thermorender.render.heat.simulation import solved
 from thermorender.render.variant import activate
 from thermorender.scene.scene import Scene
 from thermorender.scene.surface import FALLBACK, UNMOVED
 from thermorender.scene.temperature_state import Moved as MovedSource
 from thermorender.units import ZERO_CELSIUS_K, utc_text
+from thermorender.weather.series import Weather
 
-# What a balance with the right properties is wrong by, one standard deviation w [K]: chosen.
+# Error of a balance with the right properties, one standard deviation w [K]: chosen.
 BALANCE_ERROR_K = 0.5
-# Differences of two instants at which what no property explains has lost 40 % of its correlation, all chosen: hours of
-# the day, days of the year, level sunshine of the last hours [W m⁻²], air [K], wind [m/s].
+# Differences of two instants at which the unexplained error has lost 40 % of its correlation, all chosen: hours of the
+# day, days of the year, sunlight on level ground in the last hours [W m⁻²], air [K], wind [m/s].
 REACH = {"hour": 4.0, "day": 45.0, "sun": 300.0, "air": 10.0, "wind": 3.0}
 _RECENT = np.arange(-6, 1) * np.timedelta64(1800, "s")
-# Rain so long before an instant leaves a surface wet [h], from so much on [mm].
+# A surface is wet if at least this much rain [mm] fell in this time before an instant [h].
 _WET_H, _WET_MM = 6, 0.1
 # Snow this near to its melting point may melt [K].
 _MELTS_K = 0.05
-# A standard deviation above which a texel is flagged, unless the map's own error is larger [K]: chosen.
+# Standard deviation above which a texel is flagged, unless the map's own error is larger [K]: chosen.
 MOST_STD_K = 5.0
-# The square of a normal variable has its median here.
+# Median of the square of a standard normal variable.
 _MEDIAN_OF_SQUARE = 0.4549
-# Of the exponent of ρ, where the map's own error is concerned: a quarter of the reaches.
+# Exponent of ρ for the map's own error: a quarter of the reaches.
 _OF_ERROR = 16.0
 
 Progress = Callable[[str, float], object]
+# A weather, and an instant in it.
+Instant = tuple[Weather, np.datetime64]
 
 
 @dataclass(frozen=True)
@@ -72,8 +76,7 @@ class Moved:
     Attributes
     ----------
     scene : Scene
-        With the moved temperatures; UNMOVED in its flags, and what a user should know in the `moved_report` of its
-        temperature state.
+        With the moved temperatures, UNMOVED in its flags, and a summary in the `moved_report` of its temperature state.
     std_k : tuple of (h, w) float32 arrays
         One standard deviation of the temperatures of each of the terrain's surfaces [K].
     """
@@ -90,55 +93,57 @@ def moved(
     Parameters
     ----------
     scene : Scene
-        With [weather] and a map that was trained at a known instant: temperatures of source Moved.
+        With [weather] and a map trained at a known instant: temperatures of source Moved.
     times : sequence of datetime64
         UTC, inside the weather.
     geometry, progress
-        As of `heat.solved`.
+        As of `heat.simulation.solved`.
 
     Raises
     ------
     ThermorenderError
-        A material without thermal properties, an instant outside the weather, or trained outside its own.
+        A material has no thermal properties, an instant is outside the weather, or the trained instant is outside its
+        own.
 
     Notes
     -----
-    Takes a march of the balance, and one for each property, under each of the two weathers, and memory of 12 bytes per
+    Takes one simulation of the balance and one per property under each of the two weathers, and 12 bytes of memory per
     texel and instant.
     """
     here, there = balances(scene)
     geometry = geometry or Geometry(activate(), scene.surfaces)
     asked = sorted(set(times))
-    told = [None if progress is None else lambda what, share, n=n: progress(what, 0.5 * (n + share)) for n in (0, 1)]
-    before = expected(there, [there.time], geometry, told[0])[0]
+    assert there.time is not None
+    first, second = _share_of(progress, 0, 2), _share_of(progress, 1, 2)
+    before = expected(there, [there.time], geometry, first)[0]
     found = {}
     if there.time in asked and here.weather_digest() == there.weather_digest():
-        # The same to the last bit.
+        # The result is the same to the last bit.
         found[there.time] = before
     others = [at for at in asked if at not in found]
-    found.update(zip(others, expected(here, others, geometry, told[1]), strict=True))
+    found.update(zip(others, expected(here, others, geometry, second), strict=True))
     carried = Carried(scene, there, here, before)
-    made = {at: carried.to(at, found[at]) for at in asked}
-    return [made[at] for at in times]
+    results = {at: carried.to(at, found[at]) for at in asked}
+    return [results[at] for at in times]
 
 
 def balances(scene: Scene) -> tuple[Scene, Scene]:
-    """Return (the scene as its heat balance has it, the same at the trained instant and weather), both to be solved.
+    """Return (the scene with source "balance", the same at the trained instant and weather), both unsolved.
 
     Raises
     ------
     ThermorenderError
-        The scene has no map that could be moved, or the weather it was trained in cannot be read.
+        The scene has no map to move, or the weather it was trained in cannot be read.
     """
     if not isinstance(scene.temperature_state.source, MovedSource):
         raise ThermorenderError(
-            f"{scene.where} has no map that could be moved; add [weather], and [temperature.trained] with when and in "
-            "what weather its temperatures were taken"
+            f"{scene.where} has no map that could be moved; add [weather], and [temperature.trained] with the time and "
+            "weather of its temperatures"
         )
     here = scene.with_temperature("balance")
     there = here.with_weather(scene.temperature_state.source.trained)
     try:
-        there.weather  # noqa: B018 - read here, so that its errors name the training
+        there.weather  # noqa: B018 - read here, so that its errors name the right section
     except ThermorenderError as error:
         raise ThermorenderError(str(error).replace("[weather]", "[temperature.trained]", 1)) from None
     return here, there
@@ -146,55 +151,41 @@ def balances(scene: Scene) -> tuple[Scene, Scene]:
 
 @dataclass(frozen=True)
 class Expected:
-    """What the heat balance expects of the terrain's texels at an instant.
+    """Result of the heat balance for the terrain's texels at an instant."""
 
-    Attributes
-    ----------
-    kelvin : (T,) float32
-    changes : (P, T) float16
-        What one standard deviation of each of `PROPERTIES` changes [K], to 0.05 %.
-    """
-
-    kelvin: NDArray[np.float32]
-    changes: NDArray[np.float16]
+    kelvin: NDArray[np.float32]  # (T,)
+    changes: NDArray[np.float16]  # (P, T) effect of one standard deviation of each of `PROPERTIES` [K], to 0.05 %
 
 
 def expected(
     scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry, progress: Progress | None = None
 ) -> list[Expected]:
-    """Return what the heat balance of a scene expects at each of some instants, with as many marches as P and one."""
+    """Return the Expected of a scene at each of some instants, from one simulation and one per property."""
     if not len(times):
         return []
     count = len(PROPERTIES) + 1
 
-    def marched(of: Scene, number: int) -> list[NDArray[np.float32]]:
-        tell = None if progress is None else lambda what, share: progress(what, (number + share) / count)
-        return [_kelvin(each) for each in solved(of, times, geometry, tell)]
+    def simulated(of: Scene, number: int) -> list[NDArray[np.float32]]:
+        return [_kelvin(each) for each in solved(of, times, geometry, _share_of(progress, number, count))]
 
-    kelvin = marched(scene, 0)
+    kelvin = simulated(scene, 0)
     changes = [np.empty((len(PROPERTIES), len(values)), dtype=np.float16) for values in kelvin]
     for number, name in enumerate(PROPERTIES):
         other = scene.with_surfaces(materials=tuple(shifted(material, name) for material in scene.materials))
-        for change, values, own in zip(changes, marched(other, number + 1), kelvin, strict=True):
+        for change, values, own in zip(changes, simulated(other, number + 1), kelvin, strict=True):
             change[number] = values - own
     return [Expected(*each) for each in zip(kelvin, changes, strict=True)]
 
 
 class Carried:
-    """How a map's texels differ from the balance at the trained instant, ready to be carried to others.
+    """Differences of a map's texels from the balance at the trained instant, to be moved to others.
 
-    Parameters
-    ----------
-    scene : Scene
-        With the map.
-    there, here : Scene
-        Of `balances`.
-    before : Expected
-        At the trained instant.
+    `there` and `here` come from `balances`; `before` is the Expected at the trained instant.
     """
 
     def __init__(self, scene: Scene, there: Scene, here: Scene, before: Expected) -> None:
-        self.scene, self.there, self.here, self.before = scene, there, here, before
+        assert there.time is not None
+        self.scene, self.before, self.here, self.trained = scene, before, here.weather, (there.weather, there.time)
         terrain = scene.surfaces[: scene.terrain_count]
         self.shape = [surface.material.shape for surface in terrain]
         material = np.concatenate([surface.material.ravel() for surface in terrain])
@@ -208,17 +199,17 @@ class Carried:
         own, ratio = _product(before, before), np.ones(len(scene.materials))
         for number in np.unique(material[~self.failed]):
             of = (material == number) & ~self.failed
-            seen = float(np.median(self.difference[of] ** 2)) / _MEDIAN_OF_SQUARE
-            told = max(float(np.median(own[of])) + self.error, 1e-12)
-            ratio[number] = max(1.0, (seen - BALANCE_ERROR_K**2) / told)
+            observed = float(np.median(self.difference[of] ** 2)) / _MEDIAN_OF_SQUARE
+            predicted = max(float(np.median(own[of])) + self.error, 1e-12)
+            ratio[number] = max(1.0, (observed - BALANCE_ERROR_K**2) / predicted)
         self.ratio = ratio[material]
         self.own = self.ratio * own
 
     def to(self, at: np.datetime64, after: Expected) -> Moved:
-        """Return the map Moved to an instant, with what the balance expects there."""
+        """Return the map Moved to an instant, given the Expected of that instant."""
         kelvin, rest = after.kelvin, BALANCE_ERROR_K**2
         shared, spread = self.ratio * _product(self.before, after), self.ratio * _product(after, after)
-        correlation = _correlation(self.there, self.here, at)
+        correlation = _correlation(self.trained, (self.here, at))
         error = self.ratio * self.error
         whole = self.own + rest + error
         gain = (shared + correlation * rest + correlation**_OF_ERROR * error) / whole
@@ -226,40 +217,45 @@ class Carried:
         gain[alone] = 0.0
         variance = gain**2 * whole - 2.0 * gain * (shared + correlation * rest) + spread + rest
         std = np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
-        # At the trained instant the map's own error is what there is, to rounding.
+        # At the trained instant the error is the map's own, up to rounding.
         unmoved = alone | (std > np.maximum(MOST_STD_K, 1.001 * np.sqrt(error)))
         values = kelvin + gain * self.difference
-        # Snow cannot be warmer.
+        # Snow is not warmer than its melting point.
         values = np.where(self.snow, np.minimum(values, np.maximum(kelvin, ZERO_CELSIUS_K)), values)
         flags = [
             (surface.flags & ~np.uint8(UNMOVED)) | np.where(mask, np.uint8(UNMOVED), np.uint8(0))
             for surface, mask in zip(self.scene.surfaces, self._split(unmoved), strict=False)
         ]
         report = {
-            "trained": utc_text(self.there.time),
+            "trained": utc_text(self.trained[1]),
             "mean_absolute_difference_k": round(float(np.abs(self.difference[~self.failed]).mean()), 3)
             if not self.failed.all() else None,
             "mean_uncertainty_k": round(float(std.mean(dtype=np.float64)), 3),
             "share_unmoved": round(float(unmoved.mean()), 5),
             "correlation": round(correlation, 3),
         }  # fmt: skip
-        made = self.scene.with_solved_temperatures(at, self._split(values), flags=flags, moved_report=report)
-        return Moved(made, tuple(self._split(std)))
+        solved_scene = self.scene.with_solved_temperatures(at, self._split(values), flags=flags, moved_report=report)
+        return Moved(solved_scene, tuple(self._split(std)))
 
     def _split(self, flat: NDArray[Any]) -> list[NDArray[Any]]:
-        """An array over all texels as one of each surface."""
+        """An array over all texels as one per surface."""
         pieces = np.split(flat, np.cumsum([np.prod(shape) for shape in self.shape])[:-1])
         return [piece.reshape(shape) for piece, shape in zip(pieces, self.shape, strict=True)]
 
     def _ground_changes(self, at: np.datetime64, kelvin: NDArray[Any]) -> NDArray[np.bool_]:
-        """Where the ground is white, wet or melting at one of the instants only."""
-        both = (self.there.weather, self.there.time), (self.here.weather, at)
+        """Where the ground is white, wet or melting at only one of the instants."""
+        both = self.trained, (self.here, at)
         white = [bool(weather.at(instant).snow_m > 0.0) for weather, instant in both]
         wet = [_wet(*each) for each in both]
         if white[0] != white[1] or wet[0] != wet[1]:
             return np.ones(len(kelvin), dtype=bool)
         melts = [values > ZERO_CELSIUS_K - _MELTS_K for values in (self.before.kelvin, kelvin)]
         return self.snow & (melts[0] != melts[1])
+
+
+def _share_of(progress: Progress | None, number: int, count: int) -> Progress | None:
+    """Progress of one of `count` equal parts of the work."""
+    return None if progress is None else lambda what, share: progress(what, (number + share) / count)
 
 
 def _product(one: Expected, other: Expected) -> NDArray[np.float64]:
@@ -274,21 +270,21 @@ def _kelvin(scene: Scene) -> NDArray[np.float32]:
     return np.concatenate([surface.temperature.ravel() for surface in scene.surfaces[: scene.terrain_count]])
 
 
-def _is_snow(material: Any) -> bool:
+def _is_snow(material: Material) -> bool:
     parts = getattr(material, "parts", None) or ((material, 1.0),)
     return any(part.thermal is not None and part.thermal.cover == "snow" for part, _ in parts)
 
 
-def _wet(weather: Any, at: np.datetime64) -> bool:
-    """Whether rain has fallen in the hours before an instant, as far as the weather reaches back."""
+def _wet(weather: Weather, at: np.datetime64) -> bool:
+    """Whether rain has fallen in the hours before an instant, or since the weather begins."""
     hours = at - np.arange(_WET_H) * np.timedelta64(3600, "s")
     return float(weather.at(np.maximum(hours, weather.time[0])).rain_mm_h.sum()) > _WET_MM
 
 
-def _correlation(there: Scene, here: Scene, at: np.datetime64) -> float:
-    """ρ between the trained instant and another, of what no property of the materials explains."""
+def _correlation(there: Instant, here: Instant) -> float:
+    """ρ between the trained instant and another, of the error that no property explains."""
     both = []
-    for weather, instant in ((there.weather, there.time), (here.weather, at)):
+    for weather, instant in (there, here):
         recent = np.maximum(instant + _RECENT, weather.time[0])
         seen = weather.at(recent)
         sine = np.sin(np.radians(np.maximum(weather.sun(recent)[1], 0.0)))
@@ -297,7 +293,7 @@ def _correlation(there: Scene, here: Scene, at: np.datetime64) -> float:
             "air": float(seen.air_k[-1]),
             "wind": float(seen.wind_m_s.mean()),
         })  # fmt: skip
-    hours = float((at - there.time) / np.timedelta64(1, "h"))
+    hours = float((here[1] - there[1]) / np.timedelta64(1, "h"))
     # The nearest way round the clock, and round the year.
     away = {
         "hour": abs((hours + 12.0) % 24.0 - 12.0),

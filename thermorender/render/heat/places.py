@@ -1,19 +1,17 @@
-"""Places on a terrain: where its texels lie in space, and how the sun shines there."""
+"""Points on a terrain: positions of its texels in space, and sunlight there."""
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.render.arrays import Jit
+from thermorender.render.geometry import Geometry
+from thermorender.scene.surface import Surface
 
 
-def texel_points(geometry, texels, face):
-    """Return the middles of texels in space, (n, 3) float32 [m].
-
-    Parameters
-    ----------
-    geometry : Geometry
-    texels : (n,) int array
-        Numbers of texels over all surfaces, rising.
-    face : (n,) int array
-        The face that covers each.
+def texel_points(geometry: Geometry, texels: NDArray[np.integer], face: NDArray[np.integer]) -> NDArray[np.float32]:
+    """Return the middles of `texels` in space, (n, 3) float32 [m]: ascending numbers over all surfaces; `face` covers
+    each.
     """
     spot = np.empty((len(texels), 3), dtype=np.float32)
     for number, surface in enumerate(geometry.surfaces):
@@ -26,16 +24,10 @@ def texel_points(geometry, texels, face):
     return spot
 
 
-def sun_cosine(geometry, point, normal, towards):
-    """Return the cosine of the sun's rays at points, 0 in shadow, Float.
+def sun_cosine(geometry: Geometry, point: Jit, normal: Jit, towards: NDArray[np.float64]) -> Jit:
+    """Return the cosine of the sun's rays at points a little above the surface, 0 in shadow, Float.
 
-    Parameters
-    ----------
-    geometry : Geometry
-    point, normal : mi.Point3f, mi.Vector3f
-        Points a little above the surface.
-    towards : (3,) floats
-        Direction to the sun.
+    `towards` is the direction to the sun, (3,).
     """
     mi = geometry.mi
     sun = mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards))
@@ -45,14 +37,16 @@ def sun_cosine(geometry, point, normal, towards):
     return dr.select((cosine > 0.0) & seen, cosine, 0.0)
 
 
-def _on_faces(surface, face, at, size):
+def _on_faces(
+    surface: Surface, face: NDArray[np.integer], at: NDArray[np.float64], size: tuple[int, int]
+) -> NDArray[np.float64]:
     """Points (n, 3) of faces (n,) whose map positions are `at` (n, 2) [texels]."""
     corner, texel = surface.vertices[surface.faces], surface.uv.astype(np.float64) * size
     edge, change = corner[:, 1:] - corner[:, :1], texel[:, 1:] - texel[:, :1]
     area = np.linalg.det(change)
     flat = np.abs(area) < 1e-12
     change[flat] = np.eye(2)
-    # Rows of the inverse take a map position to barycentric numbers, and these to the point.
+    # Map position to barycentric coordinates, and these to the point.
     to_point = np.einsum("fij,fjk->fik", np.linalg.inv(change), edge)
     to_point[flat] = 0.0
     offset = np.where(flat[:, None], corner.mean(axis=1), corner[:, 0])

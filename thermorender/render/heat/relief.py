@@ -1,57 +1,71 @@
-"""What a terrain knows of its texels and a photograph does not: slope, aspect, height, sky view, and sun with shadow.
+"""Terrain inputs of learned maps that a photograph lacks: slope, aspect, height, sky view, and sunlight with shadow.
 
-Learned maps that take it as input hold for more than one hour and relief; see
-`learned.temperature_map.Inputs.terrain`. The sun is looked for by rays from every texel, now and over the hours before,
-as the ground remembers what it absorbed.
+Learned maps with these inputs work at more than one hour and on other relief; see
+`learned.temperature_map.Inputs.terrain`. Rays from every texel test for the sun, now and over the hours before, as the
+ground stores the sunlight absorbed.
 """
 
+from collections.abc import Callable, Sequence
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.materials.library import load_library
 from thermorender.physics.sun import direction
-from thermorender.render.geometry import Geometry, aligned
+from thermorender.render.arrays import aligned
+from thermorender.render.geometry import Geometry
 from thermorender.render.heat.conditions import conditions
 from thermorender.render.heat.places import sun_cosine, texel_points
 from thermorender.render.light import cache
 from thermorender.render.variant import activate
+from thermorender.scene.scene import Scene
 from thermorender.scene.surface import FALLBACK
 from thermorender.scene.temperature import Texels, from_map
+from thermorender.scene.temperature_state import Conditional
+from thermorender.weather.series import Weather
 
-# Sunlight is averaged over the past with weights exp(−t/τ), for these τ [h], in steps of so much, back to so many τ.
+Progress = Callable[[str, float], object]
+Planes = dict[str, NDArray[np.float32]]
+
+# Sunlight is averaged over the past with weights exp(−t/τ), for these τ [h]: step [h] and length of the past in τ.
 MEMORY_H = (1.0, 4.0, 16.0)
 _STEP_H, _BACK = 1.0 / 3.0, 2.5
-# A place is high or low against the mean of its surroundings: standard deviation of their Gaussian window [m].
+# Heights are relative to a Gaussian mean of the surroundings: its standard deviation [m].
 _AROUND_M = 15.0
 _RAYS = 64
-# Steps of the past that weigh less are left out.
+# Steps of the past with smaller weights are left out.
 _LEAST_SHARE = 1e-4
-# By geometry, the planes of the instant that was asked for last: the maps of a comparison ask for the same in turn.
-_LAST: WeakKeyDictionary = WeakKeyDictionary()
+# The latest planes of one instant, by geometry: a comparison evaluates several maps for the same instant.
+_LAST: WeakKeyDictionary[Geometry, tuple[Any, Any]] = WeakKeyDictionary()
 NAMES = (
     "normal_east", "normal_north", "normal_up", "above_m", "sky_view", "sunlight",
     *(f"sunlight_{hours:g}h" for hours in MEMORY_H),
 )  # fmt: skip
 
 
-def relief(scene, time, geometry=None, progress=None):
-    """Return {name of `NAMES`: (h, w) float32} of the texels of a scene's terrain at an instant, as by `reliefs`."""
+def relief(
+    scene: Scene, time: np.datetime64, geometry: Geometry | None = None, progress: Progress | None = None
+) -> Planes:
+    """Return {name of `NAMES`: (h, w) float32} of the texels of a scene's terrain at an instant, as `reliefs`."""
     return reliefs(scene, [time], geometry, progress)[time]
 
 
-def reliefs(scene, times, geometry=None, progress=None):
+def reliefs(
+    scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None
+) -> "dict[np.datetime64, Planes]":
     """Return {time: {name of `NAMES`: (h, w) float32}} of the texels of a scene's terrain.
 
     Parameters
     ----------
     scene : Scene
-        Of a raster terrain, whose map is one of the ground, with [weather].
+        With a raster terrain, whose texels are a map of the ground, and [weather].
     times : sequence of datetime64
-        UTC. Those near each other share most of what is traced.
+        UTC. Instants close to each other share most rays.
     geometry : Geometry, optional
-        Of the scene's surfaces, where it is there already.
+        Of the scene's surfaces, where it exists already.
     progress : callable, optional
         Called with (what, share done).
 
@@ -59,14 +73,14 @@ def reliefs(scene, times, geometry=None, progress=None):
     -------
     dict
         Components of the unit normal; height above the mean around [m]; share of the hemisphere that is sky, cosine
-        weighted, one value a face; sunlight on the surface, direct with shadow and diffuse by sky view [W m⁻²], now and
-        as weighted means over the past, which begins with the weather and is the present where that has just begun.
-        What one instant has does not depend on the others.
+        weighted, one value per face; sunlight on the surface, direct with shadow plus diffuse by sky view [W m⁻²], now
+        and as weighted means over the past. The past begins with the weather; if that begins at the instant, the means
+        are the present value. The planes of an instant do not depend on the other instants.
 
     Raises
     ------
     ThermorenderError
-        No weather.
+        The scene has no weather.
     """
     geometry = geometry or Geometry(activate(), scene.surfaces)
     asked = (*times, scene.weather_digest())
@@ -78,7 +92,9 @@ def reliefs(scene, times, geometry=None, progress=None):
     return found
 
 
-def _traced(scene, times, geometry, progress):
+def _traced(
+    scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry, progress: Progress | None
+) -> "dict[np.datetime64, Planes]":
     """The planes of `reliefs`, traced."""
     import cv2
     from scipy.ndimage import distance_transform_edt
@@ -88,7 +104,7 @@ def _traced(scene, times, geometry, progress):
     covers = np.array(geometry.face_of_texel())[: texels.size]
     bare = covers >= len(surface.faces)
     if bare.any() and not bare.all():
-        # Beyond the outermost posts and in holes: as the nearest texel that a face covers.
+        # Beyond the outermost posts and in holes the nearest texel that a face covers is used.
         nearest = distance_transform_edt(bare.reshape(shape), return_distances=False, return_indices=True)
         covers = covers[np.ravel_multi_index(tuple(nearest), shape).ravel()]
     corner = surface.vertices[surface.faces]
@@ -103,7 +119,7 @@ def _traced(scene, times, geometry, progress):
     place, up = mi.Point3f(*upload(point)), mi.Vector3f(*upload(normal))
     dr.eval(place, up)
 
-    def sunlight(instant):
+    def sunlight(instant: np.datetime64) -> NDArray[np.float32]:
         azimuth, elevation = map(float, weather.sun(instant))
         found = weather.at(instant)
         total = np.float32(found.diffuse_w_m2) * view
@@ -115,7 +131,7 @@ def _traced(scene, times, geometry, progress):
     shares = {time: _past(weather, time) for time in dict.fromkeys(times)}
     memory = {time: np.zeros((len(MEMORY_H), texels.size), dtype=np.float32) for time in shares}
     instants = sorted({instant for of_time in shares.values() for instant in of_time})
-    # Each instant of the past is traced once, for all times that remember it.
+    # Each instant of the past is traced once for all times that include it.
     for number, instant in enumerate(instants):
         light = sunlight(instant)
         for time, of_time in shares.items():
@@ -132,10 +148,10 @@ def _traced(scene, times, geometry, progress):
     return found
 
 
-def _past(weather, time):
+def _past(weather: Weather, time: np.datetime64) -> "dict[np.datetime64, NDArray[np.float64]]":
     """{instant: shares (len(MEMORY_H),) of it in the sunlight of the past}.
 
-    An instant is the middle of a step of the day, or of what the weather and `time` leave of it, for which it stands.
+    An instant is the middle of a step of the day, clipped to the weather before `time`, and represents that step.
     """
     step, day = np.timedelta64(round(_STEP_H * 3600.0), "s"), time.astype("M8[D]").astype("M8[s]")
     until = int((time - day) // step) + 1
@@ -144,13 +160,16 @@ def _past(weather, time):
     ago_h = (time - edges) / np.timedelta64(3600, "s")
     shares = np.diff(np.exp(-ago_h[:, None] / np.array(MEMORY_H)), axis=0)
     if not shares.any():
-        # The weather has just begun: there is no past but the present.
+        # The weather begins at this instant: the present stands in for the past.
         return {time: np.ones(len(MEMORY_H))}
     middles = edges[:-1] + np.diff(edges) // 2
     return dict(zip(middles, shares / shares.sum(axis=0), strict=True))
 
 
-def mapped(scene, times, geometry=None, progress=None, material=False):
+def mapped(
+    scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None,
+    material: bool = False,
+) -> list[Scene]:  # fmt: skip
     """Return a scene with its terrain's temperatures by a learned map that takes relief, hour and weather as input.
 
     Parameters
@@ -162,32 +181,36 @@ def mapped(scene, times, geometry=None, progress=None, material=False):
     geometry, progress
         As of `reliefs`.
     material : bool
-        Adds the plane "material", numbers into the names of the shipped library in their order: for oracles only.
+        Adds the input "material", numbers into the names of the shipped library in their order: for oracles only.
 
     Returns
     -------
     list of Scene
-        One per instant. What the map tells of its apparent temperatures is seen under the sky of that instant: the
-        scene's own, or that of its air. Where it cannot be trusted, the air's temperature stands in.
+        One per instant. A map of apparent temperatures refers to the sky of that instant: the scene's own, or that of
+        its air. Where the map reports failure, the air's temperature is used.
     """
     from thermorender.learned.temperature_map import Inputs
 
-    spec, surface, model, made = scene.spec, scene.surfaces[0], scene.temperature_state.source.model, {}
-    fields = reliefs(scene, times, geometry, progress) if "terrain" in model.needs else {time: {} for time in times}
+    source = scene.temperature_state.source
+    assert isinstance(source, Conditional) and scene.spec.weather is not None
+    surface, model, solved = scene.surfaces[0], source.model, {}
+    planes_of: dict[np.datetime64, Planes] = dict.fromkeys(times, {})
+    if "terrain" in model.needs:
+        planes_of = reliefs(scene, times, geometry, progress)
     if material:
         names = sorted(load_library())
         number = np.array([names.index(each.name) if each.name in names else np.nan for each in scene.materials])
         own = number.astype(np.float32)[surface.material]
-        fields = {time: {**planes, "material": own} for time, planes in fields.items()}
-    for time in fields:
+        planes_of = {time: {**planes, "material": own} for time, planes in planes_of.items()}
+    for time, planes in planes_of.items():
         sky = scene.sky_temperature
-        report = {}
+        report: dict[str, Any] = {}
         texels = Texels(surface.colour, surface.material, scene.materials, scene.grid, surface.texel_m, scene.where,
                         report)  # fmt: skip
-        given = conditions(scene.weather, time, spec.weather.inside_c)
-        # A material's own temperature knows nothing of the hour; the air's does.
-        values, flags = from_map(model, Inputs(surface.colour, surface.texel_m, fields[time], given), texels, sky,
+        given = conditions(scene.weather, time, scene.spec.weather.inside_c)
+        # Where the map fails, the air's temperature follows the hour; a material's own does not.
+        values, flags = from_map(model, Inputs(surface.colour, surface.texel_m, planes, given), texels, sky,
                                  given["air_k"])  # fmt: skip
         known = (surface.flags & ~np.uint8(FALLBACK)) | flags
-        made[time] = scene.with_solved_temperatures(time, [values], flags=[known], report=report)
-    return [made[time] for time in times]
+        solved[time] = scene.with_solved_temperatures(time, [values], flags=[known], report=report)
+    return [solved[time] for time in times]

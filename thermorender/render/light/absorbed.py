@@ -1,38 +1,33 @@
-"""What light from one surface to another would lose to the air between them, or get from it, which is left out."""
+"""The air between surfaces, which the light between them ignores: an estimate of the error."""
 
 import numpy as np
 
 from thermorender.physics.planck import band_radiance
+from thermorender.render.arrays import Floats
 from thermorender.render.geometry import farthest
+from thermorender.render.light.radiosity import Transport
+from thermorender.scene.scene import Scene
 
-# Lengths at which the change is known, from a metre on; and faces handled at a time.
+# Number of lengths, from 1 m on, at which the change is computed; faces handled at a time.
 _LENGTHS = 24
 _FACES_AT_ONCE = 1 << 16
 
 
-def left_out(scene, transport, reflectance):
-    """Return the change of what faces reflect of each other if it passed the air, (F,) [W m⁻² sr⁻¹], from above.
+def left_out(scene: Scene, transport: Transport, reflectance: Floats) -> Floats:
+    """Return an estimate from above of the change of light reflected between faces due to air, (F,) [W m⁻² sr⁻¹].
 
-    Parameters
-    ----------
-    scene : Scene
-        With air.
-    transport : Transport
-    reflectance : (F,) array
-        Of each face, mean over the band.
-
-    Notes
-    -----
-    Over each distance between the middles of two faces the air changes black light of the coldest or of the warmest
-    texel of a surface by some radiance; the larger of these is what light of its faces is taken to change by.
+    `reflectance` is the mean over the band of each face, (F,). Over each distance between the middles of two faces, the
+    air changes blackbody radiance at the coldest and at the warmest temperature of a surface. The larger change is used
+    for all light of its faces.
     """
+    assert scene.air is not None
     length = np.geomspace(1.0, farthest(scene), _LENGTHS)
     low = scene.altitude_m + min(float(surface.vertices[:, 2].min()) for surface in scene.surfaces)
     passed, added = scene.air.path(low, low, length)
     limits = np.array([[each.temperature.min(), each.temperature.max()] for each in scene.surfaces], np.float64)
     seen = scene.air.planck(limits) @ passed.T + added.sum(axis=-1)
     change = np.abs(seen - band_radiance(limits, *scene.camera.band_um)[..., None]).max(axis=1)
-    # By surface and length, none at none.
+    # By surface and length, 0 at length 0.
     change, length = np.pad(change, ((0, 0), (1, 0))), np.append(0.0, length)
     middle = np.concatenate([each.vertices[each.faces].mean(axis=1) for each in scene.surfaces]).astype(np.float32)
     surface = np.repeat(np.arange(len(scene.surfaces)), [len(each.faces) for each in scene.surfaces])

@@ -1,39 +1,46 @@
 """Traced light kept on disk, so that a scene is traced once and not once per process.
 
-A file's name is a hash of all that its content depends on; a scene that changes has another name. A file is written
-whole or not at all, and a checksum tells what is damaged; what is damaged is traced again. Only files of such names in
-the cache's own folder for light are ever removed. Only the speed depends on the cache: without a usable folder
-everything works, and the reason is handed to the caller to be shown.
+A file's name is a hash of everything its content depends on, so an edited scene has another name. A file is written
+whole or not at all. Its checksum reveals damage, and damaged light is traced again. Only files with such names in the
+cache's folder for light are ever removed. The cache affects speed only: without a usable folder everything works, and
+the caller receives the reason to display.
 """
 
 import hashlib
 import os
 import re
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import fields
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender import files, formats
 from thermorender.cache import cache_folder
 from thermorender.errors import ThermorenderError
+from thermorender.render.geometry import Geometry
 from thermorender.render.light import radiosity
 
-# Bytes that all files together may take; the longest unused go first.
+# Largest total size of the files [bytes]; the least recently used are removed first.
 LIMIT = 4 << 30
-# A scene of fewer rays is traced in about the time that reading a file takes.
+# Tracing fewer rays takes about as long as reading a file.
 WORTH_RAYS = 1 << 22
-# What a file is called, without its suffix: the hash of `key`.
+# Name of a file without its suffix: the hash from `key`.
 _NAME = r"[0-9a-f]{40}"
-# A temporary file this old [s] is left over from a process that was killed.
+# A temporary file of this age [s] remains from a killed process.
 _STALE_S = 3600.0
 
 
-def traced(geometry, rays, progress=None, seed=0):
+def traced(
+    geometry: Geometry, rays: int, progress: Callable[[float], object] | None = None, seed: int = 0
+) -> tuple[radiosity.Transport, str | None]:
     """Return (Transport of a scene, reason why the disk cache could not be used or None).
 
-    As `radiosity.trace`, but read from disk where the same scene was traced before. Small scenes, below WORTH_RAYS, are
-    always traced.
+    As `radiosity.trace`, but read from disk if the same scene was traced before. Scenes of fewer than WORTH_RAYS rays
+    are always traced.
     """
     if geometry.face_count * rays < WORTH_RAYS:
         return radiosity.trace(geometry, rays, progress, seed), None
@@ -45,10 +52,10 @@ def traced(geometry, rays, progress=None, seed=0):
     return transport, store(name, transport)
 
 
-def key(geometry, rays, seed=0):
-    """Return the name of a scene's traced light: a hash of its surfaces, the rays, the seed and the program."""
+def key(geometry: Geometry, rays: int, seed: int = 0) -> str:
+    """Return the name of a scene's traced light: a hash of its surfaces, the rays, the seed and the versions."""
     digest = hashlib.blake2b(digest_size=20)
-    # The CPU's and the GPU's ray casters differ in the last digits, so each keeps its own.
+    # The ray casters of CPU and GPU differ in the last digits, so each has its own files.
     mi = geometry.mi
     digest.update(repr((radiosity.VERSION, mi.__version__, mi.variant(), rays, seed, len(geometry.surfaces))).encode())
     for surface in geometry.surfaces:
@@ -57,55 +64,50 @@ def key(geometry, rays, seed=0):
     return digest.hexdigest()
 
 
-def load(name):
-    """Return the Transport stored under `name`, or None where there is none that is whole."""
+def load(name: str) -> radiosity.Transport | None:
+    """Return the Transport stored under `name`, or None where no undamaged one exists."""
     try:
         path = cache_folder("light") / f"{name}.npz"
     except RuntimeError:
-        # There is no home folder.
+        # No home folder exists.
         return None
     found = formats.read_arrays(path, name)
     if found is None:
         return None
     transport = radiosity.Transport(**found | {"rays": int(found["rays"])})
-    with suppress(OSError):
-        # The time of change tells when a file was last used.
+    try:
+        # The modification time records when a file was last used.
         os.utime(path)
     return transport
 
 
-def store(name, transport, limit=None):
+def store(name: str, transport: radiosity.Transport, limit: int | None = None) -> str | None:
     """Store a Transport under `name`; return None, or the reason why that was not possible.
 
-    Parameters
-    ----------
-    name : str
-    transport : Transport
-    limit : int, optional
-        Bytes that all files together may take; LIMIT where None. The longest unused are removed.
+    All files together take at most `limit` bytes, LIMIT where None; the least recently used are removed.
     """
     limit = LIMIT if limit is None else limit
     arrays = {field.name: np.asarray(getattr(transport, field.name)) for field in fields(transport)}
     size = sum(values.nbytes for values in arrays.values())
     if size > limit:
-        return f"traced light is not kept: its {size / 1e9:.2g} GB are more than the {limit / 1e9:.2g} GB of the cache"
+        return f"traced light is not kept: its {size / 1e9:.2g} GB exceed the cache's limit of {limit / 1e9:.2g} GB"
     folder = "the cache folder"
     try:
         folder = cache_folder("light")
         formats.write_arrays(folder / f"{name}.npz", name, arrays)
         _trim(folder, limit, keep=f"{name}.npz")
     except (OSError, RuntimeError, ThermorenderError) as error:
-        # RuntimeError: there is no home folder.
+        # RuntimeError: no home folder exists.
         why = error.__cause__ or error
         return (
             f"traced light is not kept: {folder} cannot be written ({getattr(why, 'strerror', None) or why}); "
-            "set THERMORENDER_CACHE to a folder that can"
+            "set THERMORENDER_CACHE to a writable folder"
         )
     return None
 
 
-def _trim(folder, limit, keep):
-    """Remove the longest unused files until all take at most `limit` bytes, and what killed processes left."""
+def _trim(folder: Path, limit: int, keep: str) -> None:
+    """Remove the least recently used files beyond `limit` bytes in total, and remains of killed processes."""
     kept = []
     for path in folder.iterdir():
         if re.fullmatch(rf"{_NAME}\.npz", path.name):
@@ -116,15 +118,15 @@ def _trim(folder, limit, keep):
     for newest, _, size, path in sorted(kept):
         if newest or total <= limit:
             break
-        # Where another process was faster, or holds it open, the next one removes it.
+        # A file that another process removed or holds open is left to the next process.
         with suppress(OSError):
             path.unlink()
         total -= size
     files.remove_parts(folder, _NAME, _STALE_S)
 
 
-def _feed(digest, values):
-    """Add an array to a hash: type and shape too, as equal bytes may mean other numbers."""
+def _feed(digest: "hashlib.blake2b", values: NDArray[Any]) -> None:
+    """Add an array to a hash, with type and shape, as equal bytes may represent other numbers."""
     values = np.ascontiguousarray(values)
     digest.update(f"{values.dtype.str}{values.shape}".encode())
-    digest.update(values.reshape(-1).view(np.uint8))
+    digest.update(values.reshape(-1).view(np.uint8).data)

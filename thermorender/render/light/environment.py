@@ -5,67 +5,62 @@ from dataclasses import dataclass
 import drjit as dr
 import numpy as np
 
+from thermorender.atmosphere.model import Atmosphere
 from thermorender.physics import sun
 from thermorender.render.air import altitude
+from thermorender.render.arrays import Floats
+from thermorender.render.geometry import Geometry
 from thermorender.render.light import radiosity
+from thermorender.render.plan import Plan
+from thermorender.render.spectrum import Spectrum
+from thermorender.scene.scene import Scene
 
 # Levels between which the sky changes linearly with altitude, at most this far apart [m].
 _LEVEL_M = 250.0
 _NODE, _WEIGHT = np.polynomial.legendre.leggauss(4)
-# Points of a face from which the sun is looked for, and rays cast at a time.
+# Points of a face from which rays test for the sun, and faces handled at a time.
 _SUN_POINTS = 4
 _FACES_AT_ONCE = 1 << 19
+_ALL = slice(None)
 
 
 @dataclass(frozen=True)
 class Environment:
-    """What lies beyond the surfaces, at the spectral nodes.
+    """Light from beyond the surfaces, at the spectral nodes [W m⁻² sr⁻¹]."""
 
-    Attributes
-    ----------
-    sky : (A, B, N) float64
-        Radiance of the sky at each level of altitude, in each of `radiosity.SKY_BINS` bins of zenith angle.
-    level : (F, A) float64
-        Share of each level in a face's altitude.
-    background : (N,) float64
-        Radiance of the surroundings below the horizon.
-    direct : (F, N) float64 or None
-        The sun's irradiance on each face over π, where it is in.
-    """
+    sky: Floats  # (A, B, N) at each level of altitude, in each of `radiosity.SKY_BINS` bins of zenith angle
+    level: Floats  # (F, A) interpolation weight of each level at a face's altitude
+    background: Floats  # (N,) surroundings below the horizon
+    direct: Floats | None = None  # (F, N) the sun's irradiance on each face over π, where included
 
-    sky: np.ndarray
-    level: np.ndarray
-    background: np.ndarray
-    direct: np.ndarray | None = None
-
-    def light(self, up, down, part=slice(None)):
+    def light(self, up: Floats, down: Floats, part: slice = _ALL) -> Floats:
         """Return the radiance on a part of the faces, (n, N), whose rays see shares of sky (n, B) and background (n,).
 
-        Without the sun, so that differences of rays may be given too.
+        Sunlight is excluded, so differences of shares are valid too.
         """
         total = down[:, None] * self.background
         for level, sky in zip(self.level[part].T, self.sky, strict=True):
             total += level[:, None] * (up @ sky)
         return total
 
-    def at(self, nodes):
+    def at(self, nodes: slice) -> "Environment":
         """Return the Environment at a slice of the nodes."""
         direct = None if self.direct is None else self.direct[:, nodes]
         return Environment(self.sky[..., nodes], self.level, self.background[nodes], direct)
 
 
-def even(sky, background, faces):
-    """Return the Environment of a sky of one radiance (N,) in all directions, for a number of faces."""
+def even(sky: Floats, background: Floats, faces: int) -> Environment:
+    """Return the Environment of a sky of equal radiance (N,) in all directions, for a number of faces."""
     bins = np.broadcast_to(sky, (1, radiosity.SKY_BINS, len(sky)))
     return Environment(bins, np.ones((faces, 1)), np.asarray(background))
 
 
-def of_scene(scene, plan, geometry):
+def of_scene(scene: Scene, plan: Plan, geometry: Geometry) -> Environment:
     """Return the Environment of a scene's faces."""
     spectrum = plan.spectrum
     background = spectrum.black([scene.surroundings_temperature])[0]
     if scene.air is None:
-        return even(spectrum.black([scene.spec.sky_temperature])[0], background, geometry.face_count)
+        return even(spectrum.black([scene.sky_temperature])[0], background, geometry.face_count)
     height = altitude(np.concatenate([s.vertices[s.faces].mean(axis=1) for s in geometry.surfaces]), scene.altitude_m)
     low, high = float(height.min()), float(height.max())
     levels = np.linspace(low, high, 1 + max(1, int(np.ceil((high - low) / _LEVEL_M))))
@@ -76,11 +71,11 @@ def of_scene(scene, plan, geometry):
     return Environment(sky, level, background, direct)
 
 
-def sky_bins(air, at_m):
+def sky_bins(air: Atmosphere, at_m: float) -> Floats:
     """Return the sky's mean radiance over each bin of zenith angle, (B, n) [W m⁻² sr⁻¹].
 
-    Weighted halfway between a wall, which sees all solid angles of a bin alike, and level ground, which sees them by
-    their cosine: light on either, and on slopes, is right to 25 mK of a blackbody of 280 K.
+    The weights are halfway between those of a wall (solid angle) and of level ground (cosine). Light on either, and on
+    slopes, is then accurate to 25 mK of a blackbody of 280 K.
     """
     edge = radiosity.sky_edges()
     half, middle = 0.5 * np.diff(edge)[:, None], 0.5 * (edge[1:] + edge[:-1])[:, None]
@@ -89,12 +84,13 @@ def sky_bins(air, at_m):
     return (weight[..., None] * air.sky_radiance(at_m, cosine)).sum(axis=1) / weight.sum(axis=1, keepdims=True)
 
 
-def _sunlight(scene, spectrum, geometry, at_m):
+def _sunlight(scene: Scene, spectrum: Spectrum, geometry: Geometry, at_m: float) -> Floats:
     """The sun's irradiance on each face over π, (F, N) [W m⁻²]."""
+    assert scene.air is not None and scene.sun is not None
     mi, towards = geometry.mi, sun.direction(scene.sun.elevation_deg, scene.sun.azimuth_deg)
     passed = scene.air.sun_transmittance(at_m, towards[2])
     points = spectrum.points
-    share = points.air.shares(sun.BRIGHTNESS_TEMPERATURE_K)[points.node]
+    share = scene.air.shares(sun.BRIGHTNESS_TEMPERATURE_K)[points.node]
     light = (1.0 - scene.air.cloud_fraction) * sun.irradiance(points.wavelength_um) * points.weight * share
     light = spectrum.gathered(light * passed[points.node]) / np.pi
     rays_of, seen = radiosity.FaceRays(geometry, _SUN_POINTS // 2), np.empty(geometry.face_count)

@@ -1,33 +1,27 @@
 """GMRES for the light between surfaces: many systems x = K ρ x + source at once, one per spectral node.
 
-Bouncing light to and fro converges like ρⁿ, thousands of bounces in a cavity of shiny walls; the minimal residual
-over the same bounces (Saad & Schultz 1986, doi:10.1137/0907058) is there in about eight.
+Plain iteration converges like ρⁿ and takes thousands of bounces in a cavity of reflective walls. The minimal residual
+over the same bounces (Saad & Schultz 1986, doi:10.1137/0907058) takes about eight.
 """
+
+from typing import Any
 
 import numpy as np
 
-# Steps of one call. Closed cavities of emissivity 0.001 need about 8; every step keeps one more vector.
+from thermorender.render.arrays import Floats
+
+# Steps of one call. Closed cavities of emissivity 0.001 need about 8; every step stores one more vector.
 STEPS = 16
 
 
-def gmres(operator, rho, source, wanted):
-    """Return x for which |source − x + K ρ x| ≤ wanted for every face, or the nearest to it in STEPS steps.
+def gmres(operator: Any, rho: Floats, source: Floats, wanted: Floats) -> Floats:
+    """Return x with |source − x + K ρ x| ≤ wanted (N,) for every face, or the closest after STEPS steps.
 
-    Parameters
-    ----------
-    operator : (F, F) sparse array
-        K.
-    rho, source : (F, N)
-        Reflectance and right-hand side of each face, a system per node.
-    wanted : (N,)
-        Largest residual allowed at each node.
-
-    Notes
-    -----
-    Every node has its own Krylov space, but all take their steps together, so that K is read once for all. (With
-    one space for all, each node would pay for the others' reflectances.) `scipy.sparse.linalg.gmres` solves one
-    system at a time, so that K would be read anew for every node and step, and stops at a root mean square where
-    here the largest residual counts.
+    `operator` is K, a sparse array (F, F); `rho` and `source` are reflectance and right-hand side, (F, N), a system per
+    node. Every node has its own Krylov space, but all take their steps together, so K is read once per step. A common
+    space would converge as slowly as the worst of all reflectances. `scipy.sparse.linalg.gmres` solves one system at a
+    time, so it would read K for every node and step. It also limits the root mean square, while here the largest
+    residual counts.
     """
     count, nodes = source.shape
     size = _norm(source)
@@ -41,7 +35,7 @@ def gmres(operator, rho, source, wanted):
             hessenberg[:, number, step] = share
             vector -= share * other
         length = _norm(vector)
-        # What rounding leaves of a direction already in the space is no direction.
+        # A remainder this small is rounding error, not a new direction.
         length[length < 1e-14 * before] = 0.0
         hessenberg[:, step + 1, step] = length
         basis.append(_scaled(vector, length))
@@ -58,15 +52,15 @@ def gmres(operator, rho, source, wanted):
     return _combined(basis[:-1], weights)
 
 
-def _norm(values):
+def _norm(values: Floats) -> Floats:
     return np.sqrt(np.einsum("fn,fn->n", values, values))
 
 
-def _scaled(values, length):
+def _scaled(values: Floats, length: Floats) -> Floats:
     return values * np.where(length > 0.0, 1.0 / np.where(length > 0.0, length, 1.0), 0.0)
 
 
-def _combined(basis, weights):
+def _combined(basis: list[Floats], weights: Floats) -> Floats:
     total = basis[0] * weights[:, 0]
     for number, vector in enumerate(basis[1:], start=1):
         total += vector * weights[:, number]

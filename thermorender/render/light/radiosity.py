@@ -1,140 +1,131 @@
 """Diffuse light between surfaces and from the sky, solved once per scene.
 
-For each face a fixed set of cosine-distributed rays is traced once. What they hit makes a sparse transport
-operator K (share of a face's hemisphere that sees each other face); what they miss is sky, or the surroundings
-below the horizon. Per spectral node the mean incident radiance x of every face then satisfies the linear system
+For each face a fixed set of cosine-distributed rays is traced once. Hits form a sparse transport operator K (share of a
+face's hemisphere that sees each other face); misses see the sky, or the surroundings below the horizon. Per spectral
+node the mean incident radiance x of every face then satisfies the linear system
 
     x = K (e + ρ x) + outside,
 
-with e and ρ the faces' mean emitted radiance and reflectance. GMRES solves it, whose work hardly depends on ρ,
-and the residual bounds the error: see `solve`.
+with e and ρ the faces' mean emitted radiance and reflectance. GMRES solves it in a time that hardly depends on ρ, and
+the residual bounds the error: see `solve`.
 
 The rays of a face are the points of Sobol' (1967, doi:10.1016/0041-5553(67)90144-9) in four dimensions, two of
-direction and two of place, whose digits each face shifts at random (Owen 2003, doi:10.1145/945511.945518). They come
-in two halves, and what these disagree about tells the Monte Carlo error of their mean, too large rather than too
+direction and two of position, with digits shifted at random for each face (Owen 2003, doi:10.1145/945511.945518). They
+are split into two halves, whose difference estimates the Monte Carlo error of their mean, rather too large than too
 small: see `noise`. Normals are those of the flat faces.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.render.geometry import aligned, of_faces
+from thermorender.render.arrays import Floats, Jit, Mitsuba, aligned
+from thermorender.render.geometry import Geometry, of_faces
 from thermorender.render.light.gmres import STEPS, gmres
+from thermorender.scene.surface import Surface
 
-# A cached Transport of another version is not used: count up with every change of what `trace` returns.
+if TYPE_CHECKING:
+    from thermorender.render.light.environment import Environment
+
+# A cached Transport of another version is not used: increase this when the result of `trace` changes.
 VERSION = 4
-# Bins of zenith angle in which rays to the sky are counted, even in the root of its cosine: narrow at the horizon.
+# Bins of zenith angle for rays to the sky, even in the root of its cosine: narrow at the horizon.
 SKY_BINS = 16
-# Some 30 bytes per ray at once.
+# About 30 bytes per ray at once.
 _RAYS_AT_ONCE = 1 << 21
-# Some 300 bytes per face at once.
+# About 300 bytes per face at once.
 _FACES_AT_ONCE = 1 << 18
 _SEED = 0x7E44
-# Memory that the vectors of one solution may take.
+# Memory for the vectors of one solution [bytes].
 _KRYLOV_BYTES = 1 << 30
-# Reflected back more completely than this, light is amplified beyond what float64 resolves.
+# Above this reflectance light is amplified beyond the resolution of float64.
 _MOST_REFLECTED = 1.0 - 1e-7
-# Accuracy to which the Monte Carlo error itself is wanted.
+# Relative accuracy of the Monte Carlo error itself.
 _NOISE_ACCURACY = 0.05
-# Steps of the table from which chords of the unit disk are drawn.
+# Steps of the table of chords of the unit disk.
 _CHORDS = 4096
 
 
 @dataclass(frozen=True)
 class Transport:
-    """What the faces' rays see, independent of any temperature.
+    """Surfaces seen by the faces' rays, independent of any temperature."""
 
-    Attributes
-    ----------
-    rays : int
-        Rays per face in each of the two halves.
-    start : (2 F + 1,) int64
-        Rows 2 i and 2 i + 1, what the first and second half of face i's rays hit, lie at start[row]:start[row + 1].
-    seen : (nnz,) int32
-        Faces that are hit, ascending in each row.
-    hits : (nnz,) uint16
-        How many rays hit them.
-    up : (F, 2, SKY_BINS) uint16
-        Rays of each half that see the sky, by zenith angle.
-    down : (F, 2) uint16
-        Rays of each half that see the surroundings below the horizon.
-    """
+    rays: int  # per face in each of the two halves
+    # (2 F + 1,) rows 2 i and 2 i + 1, the hits of the halves of face i's rays, are start[row]:start[row + 1].
+    start: NDArray[np.int64]
+    seen: NDArray[np.int32]  # (nnz,) faces hit, ascending in each row
+    hits: NDArray[np.uint16]  # (nnz,) number of rays that hit them
+    up: NDArray[np.uint16]  # (F, 2, SKY_BINS) rays of each half that see the sky, by zenith angle
+    down: NDArray[np.uint16]  # (F, 2) rays of each half that see the surroundings below the horizon
 
-    rays: int
-    start: np.ndarray
-    seen: np.ndarray
-    hits: np.ndarray
-    up: np.ndarray
-    down: np.ndarray
-
-    def __getstate__(self):
-        # The operator is made again from the rest, and is as large.
+    def __getstate__(self) -> dict[str, Any]:
+        # The operator is as large as the rest, from which it is computed again.
         return {name: value for name, value in vars(self).items() if name != "operator"}
 
     @property
-    def sky(self):
+    def sky(self) -> Floats:
         """Share of each face's cosine-weighted hemisphere that sees each bin of the sky, (F, SKY_BINS)."""
         return self.up.sum(axis=1) / (2.0 * self.rays)
 
     @property
-    def background(self):
+    def background(self) -> Floats:
         """Share of each face's cosine-weighted hemisphere that sees the surroundings below the horizon, (F,)."""
         return self.down.sum(axis=1) / (2.0 * self.rays)
 
     @cached_property
-    def operator(self):
+    def operator(self) -> Any:
         """Share of face i's cosine-weighted hemisphere that sees face j, (F, F) csr_array of float64."""
         from scipy.sparse import csr_array
 
-        # A row of the sum is both halves' rows one after the other: every second border is left out.
+        # A row of the sum is the two halves' rows in succession: every second border is left out.
         weight = self.hits / (2.0 * self.rays)
         return csr_array((weight, self.seen, self._borders[::2].copy()), shape=(len(self.up), len(self.up)))
 
-    def forget_operator(self):
-        """Free the operator's memory until it is asked for again."""
+    def forget_operator(self) -> None:
+        """Free the operator's memory until it is needed again."""
         vars(self).pop("operator", None)
 
     @property
-    def halves(self):
+    def halves(self) -> Any:
         """Rows 2 i and 2 i + 1 add up to row i of `operator`, (2 F, F); shares the operator's memory."""
         from scipy.sparse import csr_array
 
         return csr_array((self.operator.data, self.seen, self._borders), shape=(2 * len(self.up), len(self.up)))
 
     @property
-    def _borders(self):
-        # SciPy would widen the int32 columns to the borders' type, at twice the memory.
+    def _borders(self) -> NDArray[np.integer]:
+        # SciPy would convert the int32 columns to the borders' type, at twice the memory.
         return self.start.astype(np.int32) if self.start[-1] < 2**31 else self.start
 
 
-def trace(geometry, rays, progress=None, seed=0):
+def trace(geometry: Geometry, rays: int, progress: Callable[[float], object] | None = None, seed: int = 0) -> Transport:
     """Return the Transport of a scene.
 
     Parameters
     ----------
-    geometry : Geometry
     rays : int
-        Rays per face, 1…65536; an odd number counts as the next even one, for two equal halves. Powers of two spread
-        evenest.
+        Rays per face, 1…65536; odd numbers are rounded up, for two equal halves. Powers of two spread most evenly.
     progress : callable, optional
         Called with the share done, 0…1.
     seed : int
-        0…2³²−1; another seed is another, independent estimate.
+        0…2³²−1; another seed gives an independent estimate.
     """
     mi, count, half = geometry.mi, geometry.face_count, (rays + 1) // 2
     rays_of = FaceRays(geometry, half)
     up, down = np.empty((count, 2, SKY_BINS), dtype=np.uint16), np.empty((count, 2), dtype=np.uint16)
-    lengths, seen, hits = [], [], []
+    lengths, seen, hits = list[Any](), list[Any](), list[Any]()
     step = max(1, _RAYS_AT_ONCE // (2 * half))
     for first in range(0, count, step):
         here = min(step, count - first)
         origin, direction, _, _ = rays_of(first, here, seed)
         found = geometry.cast(mi.Ray3f(origin, direction))
-        # One number per ray: the face, or one beyond the last for each bin of the sky and for the surroundings.
+        # One number per ray: the face, or face count plus the code of the background.
         code = dr.select(found.valid, found.face, count + background_code(mi, direction))
         part = _counted(np.array(code, dtype=np.int32).reshape(2 * here, half), count)
         for whole, values in zip((lengths, seen, hits), part[:3], strict=True):
@@ -147,23 +138,26 @@ def trace(geometry, rays, progress=None, seed=0):
     return Transport(half, start, np.concatenate(seen), np.concatenate(hits), up, down)
 
 
-def sky_edges():
-    """Return the cosines of zenith angle between which the bins of the sky lie, (SKY_BINS + 1,)."""
+def sky_edges() -> Floats:
+    """Return the cosines of zenith angle at the edges of the sky bins, (SKY_BINS + 1,)."""
     return (np.arange(SKY_BINS + 1) / SKY_BINS) ** 2
 
 
-def background_code(mi, direction):
-    """Return what a ray sees that hits nothing: the bin of the sky, or SKY_BINS for the surroundings, UInt32."""
+def background_code(mi: Mitsuba, direction: Jit) -> Jit:
+    """Return the background seen by a ray that hits nothing: a bin of the sky, or SKY_BINS for the surroundings,
+    UInt32.
+    """
     position = mi.UInt32(dr.sqrt(dr.clip(direction.z, 0.0, 1.0)) * SKY_BINS)
     return dr.select(direction.z >= 0.0, dr.minimum(position, SKY_BINS - 1), SKY_BINS)
 
 
-def solve(transport, emitted, reflectance, environment, tolerance):
+def solve(
+    transport: Transport, emitted: Floats, reflectance: Floats, environment: "Environment", tolerance: float
+) -> tuple[Floats, Floats]:
     """Return (incident (F, N) mean incident radiance of each face, error bound (N,)), both [W m⁻² sr⁻¹].
 
     Parameters
     ----------
-    transport : Transport
     emitted, reflectance : (F, N)
         Mean emitted radiance [W m⁻² sr⁻¹] and reflectance of each face at each node.
     environment : Environment
@@ -178,9 +172,9 @@ def solve(transport, emitted, reflectance, environment, tolerance):
 
     Notes
     -----
-    An error δ with the residual r obeys δ = K ρ δ + r, and K ρ has no negative entries, hence
-    ‖δ‖∞ ≤ ‖r‖∞ / (1 − max K ρ). The residual is itself rounded, once per number that a row adds up. Nodes are solved
-    side by side, so that the operator is read once for all of them; see `blocks` for how many.
+    An error δ with the residual r obeys δ = K ρ δ + r, and K ρ has no negative entries, hence ‖δ‖∞ ≤ ‖r‖∞ / (1 − max K
+    ρ). The bound includes the rounding error of the residual, one unit per term of a row. Nodes are solved side by
+    side, so that the operator is read once for all of them; `blocks` limits their number.
     """
     operator = transport.operator
     source = operator @ emitted + _beyond(transport, environment, 1.0)
@@ -204,29 +198,22 @@ def solve(transport, emitted, reflectance, environment, tolerance):
             return x, bound
     raise ThermorenderError(
         f"the light between surfaces does not converge: {bound.max():.3g} W m⁻² sr⁻¹ remain where "
-        f"{tolerance:.3g} are asked; give a larger tolerance"
+        f"{tolerance:.3g} are allowed; give a larger tolerance"
     )
 
 
-def noise(transport, emitted, reflectance, environment, incident):
-    """Return a draw of the Monte Carlo error of each face's reflected radiance, (F,) [W m⁻² sr⁻¹].
+def noise(
+    transport: Transport, emitted: Floats, reflectance: Floats, environment: "Environment", incident: Floats
+) -> Floats:
+    """Return a draw of the Monte Carlo error of each face's reflected radiance, (F,) [W m⁻² sr⁻¹], summed over nodes.
 
-    The sum over nodes. That of one face tells little by itself; the root mean square over many faces is one standard
-    error. Draws of other nodes of the same transport add up with their signs.
+    Only the root mean square over many faces is meaningful: it is one standard error. Draws of other nodes of the same
+    transport add with their signs. Parameters as of `solve`, with its result `incident`.
 
-    Parameters
-    ----------
-    transport, emitted, reflectance, environment
-        As given to `solve`.
-    incident : (F, N)
-        Its result.
-
-    Notes
-    -----
-    The two halves of the rays see the solved radiosity J = e + ρ x as x₁ and x₂. If they were independent,
-    (x₁ − x₂) / 2 would have the variance of their mean's error. But they fill each other's gaps, and it is 1.0 to 1.4
-    times as large in scenes of the open. That error is light in its own right and is reflected on:
-    δ = K ρ δ + (x₁ − x₂) / 2 to first order, which matters in cavities.
+    The two halves of the rays see the solved radiosity J = e + ρ x as x₁ and x₂. If they were independent, (x₁ − x₂) /
+    2 would have the variance of their mean's error. But they fill each other's gaps, so it is 1.0 to 1.4 times too
+    large in open scenes. The error is itself light and is reflected: δ = K ρ δ + (x₁ − x₂) / 2 to first order, which
+    matters in cavities.
     """
     seen = (transport.halves @ (emitted + reflectance * incident)).reshape(len(emitted), 2, -1)
     source = seen[:, 0] - seen[:, 1] + _beyond(transport, environment, -1.0)
@@ -234,13 +221,13 @@ def noise(transport, emitted, reflectance, environment, incident):
     return (reflectance * gmres(transport.operator, reflectance, source, _NOISE_ACCURACY * size)).sum(axis=1)
 
 
-def blocks(faces, nodes):
-    """Return slices of nodes, as many at a time as the vectors of a solution have room for, at least one."""
+def blocks(faces: int, nodes: int) -> list[slice]:
+    """Return slices of nodes, each with as many as the memory for the vectors of a solution allows, at least one."""
     size = max(1, _KRYLOV_BYTES // (8 * max(faces, 1) * (STEPS + 4)))
     return [slice(first, min(first + size, nodes)) for first in range(0, nodes, size)]
 
 
-def _beyond(transport, environment, sign):
+def _beyond(transport: Transport, environment: "Environment", sign: float) -> Floats:
     """Light from beyond the surfaces on each face, (F, N): of both halves of its rays, the second times `sign`."""
     light = np.empty((len(transport.up), len(environment.background)))
     for first in range(0, len(light), _FACES_AT_ONCE):
@@ -253,29 +240,29 @@ def _beyond(transport, environment, sign):
     return light
 
 
-def face_rays(geometry, half):
-    """Return (origin, direction, origin on the face's other side, normal) of 2 × `half` rays off every face.
+def face_rays(geometry: Geometry, half: int) -> tuple[Jit, Jit, Jit, Jit]:
+    """Return (origin, direction, origin on the face's other side, normal) of 2 × `half` rays from every face.
 
-    Dr.Jit arrays, the rays of a face side by side.
+    They are Dr.Jit arrays, with the rays of a face side by side.
     """
     return FaceRays(geometry, half)(0, geometry.face_count, 0)
 
 
 class FaceRays:
-    """The cosine-distributed rays off faces, in two halves of `half` rays.
+    """The cosine-distributed rays from faces, in two halves of `half` rays.
 
     Notes
     -----
-    Cosine-distributed directions stand evenly over the unit disk (Malley's method). That is crossed here by level
-    chords: at angle θ, sin θ off the middle, with shares 1/2 + (θ + sin θ cos θ) / π of the disk below. A far horizon
-    then lies at one share of all chords, whatever the slope, which Sobol's points tell apart to 1 / n.
+    Cosine-distributed directions are even over the unit disk (Malley's method). The disk is divided here by level
+    chords: at angle θ, sin θ from the middle, a share 1/2 + (θ + sin θ cos θ) / π of the disk is below. A far horizon
+    then lies at the same share of all chords, whatever the slope, and Sobol points resolve it to 1 / n.
     """
 
-    def __init__(self, geometry, half):
+    def __init__(self, geometry: Geometry, half: int) -> None:
         from scipy.stats import qmc
 
         self._mi, self._rays = geometry.mi, 2 * half
-        # A power of two of them, which SciPy asks for, of which the first serve.
+        # SciPy requires a power of two; the first 2 × half points are used.
         points = qmc.Sobol(4, scramble=False).random_base2((2 * half - 1).bit_length())[: 2 * half]
         self._base = [self._mi.UInt32(aligned(column * 2.0**24, np.uint32)) for column in points.T]
         angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 64 * _CHORDS)
@@ -285,16 +272,16 @@ class FaceRays:
         self._faces = [self._mi.Float(aligned(found[:, k])) for k in range(4)]
         self._lift = dr.opaque(self._mi.Float, geometry.hair)
 
-    def __call__(self, first, count, seed):
+    def __call__(self, first: int, count: int, seed: int) -> tuple[Jit, Jit, Jit, Jit]:
         """(origin, direction, origin on the other side, normal) of the rays of `count` faces from `first` on."""
         mi = self._mi
         index = dr.arange(mi.UInt32, count * self._rays)
-        # Opaque numbers: as literals they would have the kernel compiled anew for each part.
+        # Opaque: literals would compile the kernel again for each part.
         face, number = index // self._rays + dr.opaque(mi.UInt32, first), index % self._rays
         corner, edge_u, edge_v, normal = (dr.gather(mi.Vector3f, values, face) for values in self._faces)
-        # One random shift per face decorrelates neighbours, and keeps the even spread.
+        # One random shift per face decorrelates neighbours and keeps the even spread.
         key = dr.opaque(mi.UInt32, seed) * 2 + _SEED
-        # With the customary 4 rounds the shifts of successive faces are correlated; with 6 no test tells.
+        # With the usual 4 rounds the shifts of successive faces are correlated; with 6 no test finds a correlation.
         shifts = (*mi.sample_tea_32(face, key, 8), *mi.sample_tea_32(face, key + 1, 8))
         base = (dr.gather(mi.UInt32, values, number) for values in self._base)
         u = [mi.Float(value ^ (shift >> 8)) * 2.0**-24 for value, shift in zip(base, shifts, strict=True)]
@@ -313,8 +300,10 @@ class FaceRays:
         return mi.Point3f(point + lift), towards, mi.Point3f(point - lift), normal
 
 
-def _counted(code, count):
-    """(length of each row, faces, hits, rays to nothing (rows, SKY_BINS + 1)) of what (rows, rays) of rays see."""
+def _counted(
+    code: NDArray[np.int32], count: int
+) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.uint16], NDArray[np.uint16]]:
+    """(length of each row, faces, hits, missing rays (rows, SKY_BINS + 1)) from the codes (rows, rays) of rays."""
     rows, rays = code.shape
     code.sort(axis=1)
     flat = code.ravel()
@@ -331,12 +320,12 @@ def _counted(code, count):
     return np.bincount(first[surface] // rays, minlength=rows), seen[surface], hits[surface], missing
 
 
-def _frames(surface, part):
+def _frames(surface: Surface, part: slice) -> Floats:
     """Corner, first edge, second edge and unit normal of faces, (n, 4, 3)."""
     corners = surface.vertices[surface.faces[part]]
     edge_u, edge_v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(edge_u, edge_v)
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
-    # A face without area sees nothing that matters, but a normal of 0 would make rays without direction.
+    # The light on a face without area does not matter, but its rays need a direction.
     normal = np.where(length > 0.0, normal / np.where(length > 0.0, length, 1.0), [0.0, 0.0, 1.0])
     return np.stack([corners[:, 0], edge_u, edge_v, normal], axis=1)

@@ -1,47 +1,49 @@
 """Emitted and reflected light baked into one radiance per texel and one correction per face.
 
-Light between surfaces is solved per face, materials and temperatures are given per texel. Each texel takes the
-light of the face that covers it; where a face is seen through texels of other faces (a wall narrower than a texel,
-an object of one texel), a constant per face restores its mean. A pixel then needs one texture and one number per
-face, however many spectral nodes the light was solved at. What is left, the scatter within faces, is returned.
+Light between surfaces is solved per face; materials and temperatures are given per texel. Each texel takes the light of
+the face that covers it. Where a face is seen through texels of other faces (a wall narrower than a texel, an object of
+one texel), a constant per face restores its mean. A pixel then needs one texture and one number per face, whatever the
+number of spectral nodes. The remaining scatter within faces is returned as an error.
 """
+
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
+from thermorender.materials.material import Material
 from thermorender.physics.band import RadianceTable
-from thermorender.render.geometry import aligned
+from thermorender.render.arrays import Floats, Jit, aligned
+from thermorender.render.geometry import Geometry
+from thermorender.render.plan import Plan
 
-# Places per face, and per texel of an average face, from which its mean is taken.
+# Number of points for the mean of a face: least, most, and per texel of an average face.
 _FEWEST, _MOST, _PER_TEXEL = 4, 64, 2
 _TEXELS_AT_ONCE = 1 << 22
 
 
-def face_means(geometry, plan, material, temperature, blocks):
+def face_means(
+    geometry: Geometry, plan: Plan, material: NDArray[np.uint8], temperature: NDArray[np.float32],
+    blocks: Sequence[slice],
+) -> Iterator[tuple[Floats, Floats]]:  # fmt: skip
     """Yield, for each slice of nodes, mean emitted radiance and reflectance of each face, both (F, n) float64.
 
-    Parameters
-    ----------
-    geometry : Geometry
-    plan : Plan
-    material : (T,) uint8
-        Number of each texel's material.
-    temperature : (T,) float32
-        Kinetic temperature of each texel [K].
-    blocks : sequence of slice
+    `material` and `temperature` are those of all texels, (T,) numbers and [K].
     """
     mi, count, spectrum = geometry.mi, geometry.face_count, plan.spectrum
     grid = RadianceTable.grid(plan.coldest, plan.warmest)
     black = spectrum.black(grid).astype(np.float32)
-    material, temperature = mi.UInt8(aligned(material, np.uint8)), mi.Float(aligned(temperature))
-    # Opaque numbers: as literals they would have the kernels compiled anew for each scene and hour.
+    materials, temperatures = mi.UInt8(aligned(material, np.uint8)), mi.Float(aligned(temperature))
+    # Opaque: literals would compile the kernels again for each scene and hour.
     coldest, step, last = (dr.opaque(mi.Float, float(value)) for value in (grid[0], grid[1] - grid[0], len(grid) - 2))
-    # Where each place of each face stands on the grid, and its material: five bytes a place.
+    # Position of each point on the temperature grid, and its material: five bytes a point.
     places = []
     for found in geometry.points_in_faces(_pattern(geometry)):
         number = geometry.nearest(*found)
-        position = (dr.gather(mi.Float, temperature, number) - coldest) / step
-        kind = dr.gather(mi.UInt8, material, number)
+        position = (dr.gather(mi.Float, temperatures, number) - coldest) / step
+        kind = dr.gather(mi.UInt8, materials, number)
         dr.eval(position, kind)
         places.append((position, kind))
     for block in blocks:
@@ -62,22 +64,17 @@ def face_means(geometry, plan, material, temperature, blocks):
         yield emitted, reflectance
 
 
-def emitted(plan, materials, material, temperature):
-    """Return what each texel emits into each channel, a list of K arrays (T,) float32 [W m⁻² sr⁻¹].
+def emitted(
+    plan: Plan, materials: Sequence[Material], material: NDArray[np.uint8], temperature: NDArray[np.float32]
+) -> list[NDArray[np.float32]]:
+    """Return the emission of each texel into each channel, a list of K arrays (T,) float32 [W m⁻² sr⁻¹].
 
-    Parameters
-    ----------
-    plan : Plan
-    materials : sequence of Material
-    material : (T,) uint8
-        Number of each texel's material.
-    temperature : (T,) float32
-        [K].
+    `material` and `temperature` are those of all texels, (T,) numbers and [K].
     """
     found = [np.empty(len(material), dtype=np.float32) for _ in range(plan.spectrum.channels)]
     limits = float(temperature.min()), float(temperature.max())
     tables = [plan.spectrum.emitted(each.emissivity_at, *limits, plan.band_um) for each in materials]
-    # A few million texels at a time: tables are looked up in double precision.
+    # A few million texels at a time, as the interpolation uses float64.
     for start in range(0, len(material), _TEXELS_AT_ONCE):
         part = slice(start, start + _TEXELS_AT_ONCE)
         for number in np.unique(material[part]):
@@ -88,32 +85,31 @@ def emitted(plan, materials, material, temperature):
     return found
 
 
-def bake_channel(geometry, covers, emitted, material, light):
-    """Return (radiance of each texel (T,), correction of each face (F,), what is left (F,)), float32.
+def bake_channel(
+    geometry: Geometry, covers: Jit, emitted: NDArray[np.float32], material: NDArray[np.uint8],
+    light: NDArray[np.float32],
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:  # fmt: skip
+    """Return (radiance of each texel (T,), correction of each face (F,), remaining scatter (F,)), float32.
+
+    Radiance and correction are in W m⁻² sr⁻¹. The scatter is the mean square, in their unit squared, of deviations
+    within a face that a constant does not restore.
 
     Parameters
     ----------
-    geometry : Geometry
     covers : UInt32
         The face that covers each texel, from `Geometry.face_of_texel`.
-    emitted : (T,) float32
-        Emitted band radiance of each texel [W m⁻² sr⁻¹].
-    material : (T,) uint8
+    emitted, material : (T,) float32 and uint8
+        Emitted band radiance [W m⁻² sr⁻¹] and material of each texel.
     light : (F, M) float32
         Band radiance that each material would reflect on each face [W m⁻² sr⁻¹].
-
-    Notes
-    -----
-    Radiance and correction in W m⁻² sr⁻¹. What is left is the mean square, in their unit squared, of the scatter
-    within a face, which a constant does not restore.
     """
     mi, count, kinds = geometry.mi, *light.shape
-    # One more row for texels that no face covers: the mean, as they only blend into their neighbours.
+    # One more row, the mean, for texels without a face, which only blend into their neighbours.
     table = mi.Float(aligned(np.vstack([light, light.mean(axis=0, dtype=np.float64)])))
-    material = mi.UInt8(aligned(material, np.uint8))
+    materials = mi.UInt8(aligned(material, np.uint8))
 
-    def reflected(face, number):
-        return dr.gather(mi.Float, table, face * kinds + mi.UInt32(dr.gather(mi.UInt8, material, number)))
+    def reflected(face: Jit, number: Jit) -> Jit:
+        return dr.gather(mi.Float, table, face * kinds + mi.UInt32(dr.gather(mi.UInt8, materials, number)))
 
     texel = mi.Float(aligned(emitted)) + reflected(covers, dr.arange(mi.UInt32, len(emitted)))
     dr.eval(texel)
@@ -130,34 +126,29 @@ def bake_channel(geometry, covers, emitted, material, light):
     return texel.numpy(), mean, np.maximum(square - mean * mean, 0.0)
 
 
-def light(incident, reflected):
+def light(incident: NDArray[np.float32], reflected: Floats) -> NDArray[np.float32]:
     """Return the radiance that each material reflects on each face, (F, M) float32 [W m⁻² sr⁻¹].
 
-    `incident` is that of each face at each node, (F, N) float32 [W m⁻² sr⁻¹], `reflected` a material's share of each,
-    (M, N).
+    It is computed from the `incident` radiance of each face at each node, (F, N), and the share reflected, (M, N).
     """
     return incident @ reflected.T.astype(np.float32)
 
 
-def variation(geometry, reflected, noise, samples=2000, seed=0):
+def variation(geometry: Geometry, reflected: NDArray[Any], noise: Floats, samples: int = 2000, seed: int = 0) -> float:
     """Return the root mean square error of taking light as constant over a face, in the unit of `reflected`.
 
     Parameters
     ----------
-    geometry : Geometry
-    reflected : (F,)
-        Light that each face would reflect with the mean reflectance of all.
-    noise : (F,)
-        Its Monte Carlo error, which also tells neighbours apart.
+    reflected, noise : (F,)
+        Light that each face would reflect with the mean reflectance of all, and its Monte Carlo error.
     samples : int
-        Vertices of each surface, whose faces are compared with their neighbours.
-    seed : int
+        Vertices of each surface whose faces are compared with their neighbours.
 
     Notes
     -----
-    Over an equilateral triangle of side a, a gradient g leaves g a / √24 around the mean, and neighbours differ by
-    g a / √6 in the mean square over their three directions: half of that is the error. Neighbours across a crease
-    tell nothing, as light jumps there; those whose normals differ by less than 8° count.
+    Over an equilateral triangle of side a, a gradient g leaves g a / √24 around the mean. Neighbours differ by g a / √6
+    in the mean square over their three directions: half of that is the error. Light jumps at creases, so only
+    neighbours whose normals differ by less than 8° count.
     """
     random = np.random.Generator(np.random.Philox(seed))
     total = weight = 0.0
@@ -172,20 +163,20 @@ def variation(geometry, reflected, noise, samples=2000, seed=0):
         side, owner = side[order], owner[order]
         shared = (side[1:] == side[:-1]).all(axis=1)
         one, other = owner[1:][shared], owner[:-1][shared]
-        corner = [surface.vertices[surface.faces[numbers - first]] for numbers in (one, other)]
-        normal = [np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]) for c in corner]
+        corners = [surface.vertices[surface.faces[numbers - first]] for numbers in (one, other)]
+        normal = [np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]) for c in corners]
         length = [np.linalg.norm(n, axis=1) for n in normal]
         flat = np.einsum("ij,ij->i", *normal) > 0.99 * length[0] * length[1]
         one, other = one[flat], other[flat]
         area = geometry.share[one] + geometry.share[other]
-        # The few faces of a sample stand for their whole surface.
+        # The faces of the sample represent their whole surface.
         scale = geometry.share[first : first + len(surface.faces)].sum() / max(area.sum(), 1e-300)
         total += scale * (area @ ((reflected[one] - reflected[other]) ** 2 - noise[one] ** 2 - noise[other] ** 2))
         weight += scale * area.sum()
     return float(np.sqrt(max(total / max(weight, 1e-300), 0.0) / 4.0))
 
 
-def _pattern(geometry):
+def _pattern(geometry: Geometry) -> list[tuple[float, float]]:
     """Barycentric points (n, 2), evenly spread over a triangle."""
     texels, faces = np.diff(geometry.texel_start), np.diff(geometry.face_start)
     count = max(
@@ -196,11 +187,11 @@ def _pattern(geometry):
     return [(1.0 - np.sqrt(a), np.sqrt(a) * b) for a, b in _low_discrepancy(count, 2)]
 
 
-def _low_discrepancy(count, dimensions):
+def _low_discrepancy(count: int, dimensions: int) -> Floats:
     """Return (count, dimensions) points in 0…1: the Kronecker sequence of the generalised golden ratio.
 
-    Roberts (2018), "The unreasonable effectiveness of quasirandom sequences". SciPy has no such sequence; its Sobol
-    points are even for powers of two only, while here it is any number.
+    Roberts (2018), "The unreasonable effectiveness of quasirandom sequences". SciPy has no such sequence. Its Sobol
+    points are even for powers of two only, while here any number is needed.
     """
     ratio = 2.0
     for _ in range(60):

@@ -1,51 +1,47 @@
-"""The error budget of a frame: an estimate of what its radiance errs by, cause by cause, in mK at 300 K.
+"""The error budget of a frame: estimated errors of its radiance by cause, in mK at 300 K.
 
-What a pixel's sampling errs by is guessed from the image and then measured: some pixels are rendered anew with more
-rays, and the guess is scaled by what they tell. So it holds at any distance, for any texture and relief. It does not
-hold for what no ray met and no neighbour tells of.
+The sampling error of a pixel is first predicted from the image. Some pixels are then rendered again with more rays, and
+the prediction is scaled to the errors measured there. It is thus valid at any distance, for any texture and relief, but
+not for details that no ray has hit and no neighbour indicates.
 """
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.render import mirrors
-from thermorender.render.geometry import view_ray
-from thermorender.render.pixels.sampling import STAGES, contrast, edge_estimate, texture_estimate
+from thermorender.render.arrays import Floats, view_ray
+from thermorender.render.dynamic import Placement
+from thermorender.render.pixels.sampling import STAGES, CameraRays, contrast, edge_estimate, texture_estimate
+from thermorender.render.pixels.tracer import Sampling, Tracer
+from thermorender.render.plan import Plan
 
-# Every how many pixels the light's error is looked up.
+if TYPE_CHECKING:
+    from thermorender.render.baked import BakedScene
+
+# The light's error is read at every n-th pixel.
 _PIXELS = 16
-# Pixels rendered anew, twice, with how many rays each: those of the first image, those that have got more already, and
-# those that may show something thin. Half are drawn evenly, half where the guess is large.
+# (number of pixels rendered again, rays per pixel) among pixels of the first image, refined pixels, and pixels that may
+# show something thin. Half are drawn evenly, half in proportion to the predicted squared error.
 _AUDITED = ((1024, STAGES[0]), (256, STAGES[-1]), (256, STAGES[-1]))
-# Standard errors of what these tell that are added to it: the few that err most are seldom drawn.
+# Standard errors added to the measured error: the few pixels with the largest errors are seldom drawn.
 _SURE = 3.0
-# Of the light between mirrors, the largest share that is taken to be passed on.
+# Largest share of light assumed to be passed on between mirrors.
 _MOST_PASSED = 0.98
-# No guess is smaller [mK].
+# Smallest predicted error [mK].
 _LEAST_MK = 1.0
 
 
-def budget_mk(baked, tracer, pose, placements, radiance, sampling):
-    """Return {cause: estimated root mean square error [mK]} of a frame, as `Frame.budget_mk` has it.
-
-    Over the pixels that show a surface.
-
-    Parameters
-    ----------
-    baked : BakedScene
-    tracer : Tracer
-        Of the view.
-    pose : (4, 4) array
-        world_from_camera.
-    placements : sequence of Placement
-        Of the dynamic objects.
-    radiance : (H, W) float32
-        [W m⁻² sr⁻¹].
-    sampling : Sampling
-    """
+def budget_mk(
+    baked: "BakedScene", tracer: Tracer, pose: Floats, placements: Sequence[Placement], radiance: NDArray[np.float32],
+    sampling: Sampling,
+) -> dict[str, float]:  # fmt: skip
+    """Return {cause: estimated root mean square error [mK]} of a frame over the pixels that show a surface."""
     errors = sampling_error(baked.plan, tracer, radiance, sampling)
     parts = _everywhere(baked)
-    # Of every so many pixels, for speed.
     light, mirrored = _light(baked, tracer.rays, pose, placements, _PIXELS)
     parts["bake"] = _rms(light)
     if baked.plan.specular:
@@ -54,11 +50,11 @@ def budget_mk(baked, tracer, pose, placements, radiance, sampling):
     return {**parts, "total": float(np.sqrt(sum(value**2 for value in parts.values())))}
 
 
-def error_mk(baked, tracer, pose, placements, radiance, sampling):
-    """Return the estimated error of each pixel by all causes, (H, W) float32 [mK at 300 K]; NaN without a surface.
-
-    Parameters as of `budget_mk`.
-    """
+def error_mk(
+    baked: "BakedScene", tracer: Tracer, pose: Floats, placements: Sequence[Placement], radiance: NDArray[np.float32],
+    sampling: Sampling,
+) -> NDArray[np.float32]:  # fmt: skip
+    """Return the estimated error of each pixel by all causes, (H, W) float32 [mK at 300 K]; NaN without a surface."""
     errors = sampling_error(baked.plan, tracer, radiance, sampling)
     rays = tracer.rays
     light = np.zeros(radiance.size)
@@ -68,8 +64,8 @@ def error_mk(baked, tracer, pose, placements, radiance, sampling):
     return np.sqrt(square).astype(np.float32)
 
 
-def _everywhere(baked):
-    """{cause: error [mK]} of what errs alike in all pixels."""
+def _everywhere(baked: "BakedScene") -> dict[str, float]:
+    """{cause: error [mK]} of causes that affect all pixels alike."""
     plan = baked.plan
     parts = {"nodes": plan.spectrum.nodes_mk + baked.errors_mk["solution"]}
     if baked.scene.air is not None:
@@ -79,14 +75,16 @@ def _everywhere(baked):
     return parts
 
 
-def _light(baked, rays, pose, placements, every):
-    """Errors of what every so many pixels show, in the order of `rays` [mK]; NaN where nothing is hit.
+def _light(
+    baked: "BakedScene", rays: CameraRays, pose: Floats, placements: Sequence[Placement], every: int
+) -> tuple[Floats, Floats]:
+    """Errors of every n-th pixel, in the order of `rays` [mK]; NaN where nothing is hit.
 
-    Those of the light on it, and what the limit to reflections by mirrors leaves out.
+    They are the error of the light on the surface, and of limiting the number of mirror reflections.
     """
     device, mi = baked.device, baked.device.geometry.mi
     slope = rays.slopes(0.5, 0.5, dr.arange(mi.UInt32, 0, len(rays.order), every))
-    # What differs within the faces is known of the static scene only.
+    # Variation within faces is known for the static scene only.
     within = dr.opaque(mi.Float, (baked.errors_mk["faces"] * baked.plan.radiance_per_mk) ** 2)
     distance = dr.full(mi.Float, np.inf, len(slope[0]))
     square, *steps = (dr.zeros(mi.Float, len(slope[0])) for _ in range(3))
@@ -110,26 +108,29 @@ def _light(baked, rays, pose, placements, every):
     nothing = ~np.isfinite(np.array(distance))
     found = [np.sqrt(np.array(square, dtype=np.float64)), *(np.array(step, dtype=np.float64) for step in steps)]
     light, mirrored, next_step = (np.where(nothing, np.nan, values) / baked.plan.radiance_per_mk for values in found)
-    # As if each step were as much less than the one before.
+    # Later steps are assumed to decrease by the same ratio.
     share = min(_rms(next_step) / max(_rms(mirrored), 1e-30), _MOST_PASSED)
     return light, mirrored / (1.0 - share)
 
 
-def _rms(values):
+def _rms(values: NDArray[Any]) -> float:
     values = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(np.square(values, dtype=np.float64)))) if values.size else 0.0
 
 
-def sampling_error(plan, tracer, radiance, sampling):
-    """Return the estimated error of each pixel by its rays and texture, (H, W) float32 [W m⁻² sr⁻¹].
+def sampling_error(
+    plan: Plan, tracer: Tracer, radiance: NDArray[np.float32], sampling: Sampling
+) -> NDArray[np.float32]:
+    """Return the estimated error of each pixel due to its rays and texture, (H, W) float32 [W m⁻² sr⁻¹].
 
-    NaN where a pixel shows no surface. Parameters as of `budget_mk`.
+    It is NaN where a pixel shows no surface.
     """
     span = contrast(radiance)
-    # Where nothing was asked about edges, any contrast may be one.
+    # Without a search for edges any contrast may be one.
     step = span if sampling.step is None else sampling.step
     guess = edge_estimate(step, plan.samples) ** 2 + texture_estimate(span - step, plan.samples * plan.taps) ** 2
-    guess, finer = guess.ravel(), np.zeros(radiance.size, dtype=bool)
+    guess = guess.ravel()
+    finer = np.zeros(radiance.size, dtype=bool)
     thin = np.zeros_like(finer)
     for part in sampling.refined:
         guess[part.pixels], finer[part.pixels] = edge_estimate(part.step, part.last) ** 2, True
@@ -137,19 +138,19 @@ def sampling_error(plan, tracer, radiance, sampling):
     guess += (_LEAST_MK * plan.radiance_per_mk) ** 2
     random = np.random.Generator(np.random.Philox(0))
     found = np.full(guess.shape, np.nan, dtype=np.float32)
-    for part, (count, again) in zip((sampling.hit.ravel() & ~finer, finer & ~thin, thin), _AUDITED, strict=True):
-        pixels = np.flatnonzero(part)
+    for mask, (count, again) in zip((sampling.hit.ravel() & ~finer, finer & ~thin, thin), _AUDITED, strict=True):
+        pixels = np.flatnonzero(mask)
         if not pixels.size:
             continue
         known = guess[pixels].astype(np.float64)
         chance = 0.5 / pixels.size + 0.5 * known / known.sum()
         number = random.choice(pixels.size, count, p=chance)
         drawn = pixels[number]
-        off = [radiance.ravel()[drawn] - tracer.anew(drawn, again, random)[0] for _ in range(2)]
-        # Rendered twice, what the two err by themselves does not add up; see `reference.squared_error`.
+        off = [radiance.ravel()[drawn] - tracer.resampled(drawn, again, random)[0] for _ in range(2)]
+        # The errors of two independent renders do not add up; see `reference.squared_error`.
         square = off[0].astype(np.float64) * off[1] / (chance[number] * pixels.size)
         mean = max(square.mean() + _SURE * square.std() / np.sqrt(count), 0.0)
-        # Rays may miss what is thin, and then tell nothing against the guess.
-        least = 1.0 if part is thin else 0.0
+        # Rays may miss something thin, so they cannot lower the prediction there.
+        least = 1.0 if mask is thin else 0.0
         found[pixels] = np.sqrt(known * max(mean / known.mean(), least))
     return found.reshape(radiance.shape)

@@ -1,46 +1,43 @@
-"""A pixel's footprint on a texture: how the cell of a ray lies on the plane that it hit, and where that is read.
+"""A pixel's footprint on a texture: the cell of a ray projected onto the plane it hit, and the points where it is read.
 
-A cell is read at a few places, evenly spread over it, each in squares of texels about as large as its share of the
-cell (`thermorender.render.pixels.pyramid`). Places and squares together tell the mean over the cell from any distance,
-and a cell costs the same whether it holds ten texels or ten thousand. Squares are chosen by the area of the footprint:
-at a slant its length is told by the places.
+A cell is read at a few points, evenly spread over it, each in squares of texels about as large as its share of the cell
+(`thermorender.render.pixels.pyramid`). Together they give the mean over the cell from any distance, at the same cost
+for ten texels or ten thousand. The area of the footprint selects the size of the squares; at grazing angles the points
+cover its length.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import drjit as dr
 
-from thermorender.render.pixels.sampling import places
+from thermorender.render.arrays import Channels, Jit, Mitsuba
+from thermorender.render.geometry import Geometry, Hit
+from thermorender.render.pixels.sampling import Footprint, places
 
-# Places of a ray in a pixel that holds more texels a side than this; where it holds fewer the plan's taps do.
+# Points read in a pixel that holds more texels a side than this; otherwise the plan's taps are read.
 PLACES, _FEW_TEXELS = 16, 1.2
-# A judge reads cells of up to so many texels a side at many places: faces are hardly smaller.
+# A judge reads cells of up to this many texels a side at many points: faces are hardly smaller.
 _JUDGED_TEXELS = 2.5
-# Side of the squares read, of the share of the cell that a place has; measured on heath from 20 m to 3 km.
+# Side of the squares read, relative to a point's share of the cell; measured on heath from 20 m to 3 km.
 SQUARE = 0.7
-# A plane that a cell meets at this share of its middle's distance is met no nearer: it is seen edge-on.
+# Smallest distance in a cell relative to its middle, for planes seen edge-on.
 _NEAREST = 0.5
 
 
 @dataclass(frozen=True)
 class OnMap:
-    """The cell of a ray on the texel map of the plane that the ray hit.
+    """The cell of a ray on the texel map of the plane that the ray hit."""
 
-    Attributes
-    ----------
-    across, along : (column, row)
-        How the position changes from one side of the cell to the other, at its middle [texels].
-    nearer : (right, down)
-        How the inverse of the distance changes, as shares of it.
-    """
-
-    across: tuple
-    along: tuple
-    nearer: tuple
+    across: tuple[Jit, Jit]  # change of (column, row) from the left to the right side of the cell [texels]
+    along: tuple[Jit, Jit]  # from its upper to its lower side [texels]
+    nearer: tuple[Jit, Jit]  # (right, down) relative change of the inverse distance
 
     @classmethod
-    def of(cls, mi, rotation, direction, distance, record, cell):
-        """Return that of hits at `distance` [m] along unit `direction`s; `record` as of `Geometry.record`."""
+    def of(
+        cls, mi: Mitsuba, rotation: list[Jit], direction: Jit, distance: Jit, record: Sequence[Jit], cell: Footprint
+    ) -> "OnMap":
+        """Return the OnMap of hits at `distance` [m] along unit `direction`s; `record` as of `Geometry.record`."""
         x, y = cell.slope
         column, row = (mi.Vector3f(g.x, g.y, g.z) for g in record)
         normal = dr.cross(column, row)
@@ -55,46 +52,41 @@ class OnMap:
             step = turned - share * direction
             changes.append((dr.dot(column, step), dr.dot(row, step)))
             nearer.append(share / distance)
-        return cls(*changes, tuple(nearer))
+        return cls(changes[0], changes[1], (nearer[0], nearer[1]))
 
     @property
-    def area(self):
-        """Texels that the cell holds."""
+    def area(self) -> Jit:
+        """Number of texels in the cell."""
         return dr.abs(self.across[0] * self.along[1] - self.across[1] * self.along[0])
 
-    def moved(self, right, down):
-        """Return (columns, rows) from the ray to a place in the cell [texels], given in sides of the cell."""
+    def moved(self, right: Jit, down: Jit) -> tuple[Jit, ...]:
+        """Return (columns, rows) from the ray to a point in the cell [texels], given in sides of the cell."""
         stretch = 1.0 / dr.maximum(dr.fma(right, self.nearer[0], dr.fma(down, self.nearer[1], 1.0)), _NEAREST)
         return tuple(stretch * dr.fma(right, self.across[axis], down * self.along[axis]) for axis in (0, 1))
 
 
 class Reading:
-    """Where the cells of rays are read: at `few` places where they hold a texel or less, else at `many`.
+    """Points at which the cells of rays are read: `few` where a cell holds about a texel or less, else `many`.
 
-    Parameters
-    ----------
-    mi : module
-    few : int
-    many : int
-    share : float
-        Of a pixel that is a cell.
-    judges : bool
-        Whether texels alone are read, no squares of them, and cells larger than a face may be at the hit alone: what
-        lies round it may be hidden.
+    A cell is a `share` of a pixel. `judges` read single texels instead of squares, and cells larger than a face at the
+    hit only, since their surroundings may be hidden.
     """
 
-    def __init__(self, mi, few, many, share, judges=False):
+    def __init__(self, mi: Mitsuba, few: int, many: int, share: float, judges: bool = False) -> None:
         self._mi, self._few, self._many, self._judges = mi, few, many, judges
         self._limit = _JUDGED_TEXELS**2 if judges else _FEW_TEXELS**2 * share
         offsets = places(few) + (places(many) if many != few else [])
         self._offsets = [mi.Float([place[axis] for place in offsets]) for axis in (0, 1)]
 
-    def level(self, area, count, levels):
-        """Return the level of squares to read at `count` places of a cell that holds `area` texels, UInt32."""
+    def level(self, area: Jit, count: Jit, levels: int) -> Jit:
+        """Return the level of squares to read at `count` points of a cell that holds `area` texels, UInt32."""
         level = 0.5 * dr.log2(dr.maximum(area * (SQUARE**2 / count), 1e-30)) + 0.5
         return self._mi.UInt32(dr.clip(level, 0.0, levels - 0.5))
 
-    def mean(self, geometry, channels, hit, position, on_map, middle):
+    def mean(
+        self, geometry: Geometry, channels: Channels, hit: Hit, position: Sequence[Jit], on_map: OnMap,
+        middle: Sequence[Jit],
+    ) -> tuple[list[Jit], Jit]:  # fmt: skip
         """Return (the mean of Channels over the cell, a list of Float; the level it was read at)."""
         mi = self._mi
         if self._many == self._few == 1:
@@ -109,7 +101,7 @@ class Reading:
         read = self._read(geometry, channels, hit, level)
         active = hit.valid
 
-        def body(number, *total):
+        def body(number: Jit, *total: Jit) -> tuple[Jit, ...]:
             right, down = (dr.gather(mi.Float, values, first + number) for values in self._offsets)
             values = read(position, on_map, right + middle[0], down + middle[1])
             return (number + 1, *(a + b for a, b in zip(total, values, strict=True)))
@@ -118,11 +110,11 @@ class Reading:
         _, *total = dr.while_loop(state, lambda number, *_: active & (number < count), body)
         return [value / mi.Float(count) for value in total], level
 
-    def _read(self, geometry, channels, hit, level):
+    def _read(self, geometry: Geometry, channels: Channels, hit: Hit, level: Jit) -> Callable[..., list[Jit]]:
         lattice = geometry.lattice(hit.surface, hit.valid, level)
         scale = 1.0 / self._mi.Float(1 << level)
 
-        def read(position, on_map, right, down):
+        def read(position: Sequence[Jit], on_map: OnMap, right: Jit, down: Jit) -> list[Jit]:
             column, row = (scale * (at + by) for at, by in zip(position, on_map.moved(right, down), strict=True))
             return geometry.bilinear(channels, lattice, column, row, hit.valid)
 

@@ -1,31 +1,30 @@
-"""Texels averaged over squares of 2, 4, 8 … of them a side: what a pixel that covers many texels is read from.
+"""Means of texels over squares of 2, 4, 8 … texels a side, read by pixels that cover many texels.
 
-Radiance is averaged, as a pixel does, never temperature. A square counts the texels that some face covers, so that
-what an image of several patches holds between them does not bleed in; where it covers none it is their plain mean.
+Radiance is averaged, as a pixel does, never temperature. Only texels that a face covers count, so that the unused parts
+of a texture image do not bleed in. A square without covered texels has the plain mean.
 """
 
-import numpy as np
+from collections.abc import Iterator
 
-# What a texel that no face covers counts for, beside one that is covered.
+import numpy as np
+from numpy.typing import NDArray
+
+# Weight of a texel that no face covers, relative to a covered one.
 _UNCOVERED = 1e-6
 
 
-def sizes(rows, columns):
-    """Return [(rows, columns), …] of an image of texels and of its squares, down to a single one."""
+def sizes(rows: int, columns: int) -> list[tuple[int, int]]:
+    """Return [(rows, columns), …] of an image of texels and of its levels of squares, down to a single one."""
     found = [(rows, columns)]
     while found[-1] != (1, 1):
-        found.append(tuple((side + 1) // 2 for side in found[-1]))
+        found.append(((found[-1][0] + 1) // 2, (found[-1][1] + 1) // 2))
     return found
 
 
-def squares(values, covered=None):
+def squares(values: NDArray[np.float32], covered: NDArray[np.bool_] | None = None) -> Iterator[NDArray[np.float32]]:
     """Yield the means over squares of 2, 4, 8 … texels a side of an image (rows, columns, C), as arrays like it.
 
-    Parameters
-    ----------
-    values : (rows, columns, C) float32
-    covered : (rows, columns) bool, optional
-        Texels that count; all where None.
+    Only the texels in `covered`, (rows, columns) bool, count; all where None.
     """
     weight = None if covered is None else np.where(covered, np.float32(1.0), np.float32(_UNCOVERED))[..., None]
     while values.shape[:2] != (1, 1):
@@ -37,8 +36,8 @@ def squares(values, covered=None):
         yield values
 
 
-def _halved(values):
-    """Means over squares of two texels a side; a side of odd length has its last texel twice."""
+def _halved(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Means over squares of two texels a side; a side of odd length repeats its last texel."""
     values = np.pad(values, [(0, side % 2) for side in values.shape[:2]] + [(0, 0)], mode="edge")
     total = values[::2, ::2] + values[1::2, ::2]
     total += values[::2, 1::2]

@@ -1,59 +1,56 @@
-"""Things thinner than a pixel: where a view may show them, so that rays go where by chance few or none would.
+"""Details thinner than a pixel: the pixels of a view that may show them, so that rays are cast there on purpose.
 
-A part of a surface, all that hangs together, is told by a box round it. Seen as a band across the image, it may show
-in the pixels that the band crosses, and in each only within the rectangle that holds the band there. Rays spread over
-that rectangle count by its area, those over the rest of the pixel by theirs: a spot of a thousandth of a pixel is then
-as well sampled as a wall.
+A box is put round each connected part of a surface. In the image it is a band that may show in the pixels it crosses,
+and in each only within the rectangle that holds the band there. Rays spread over that rectangle count by its area, rays
+over the rest of the pixel by theirs. A spot of a thousandth of a pixel is then sampled as well as a wall.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-# A band at least this wide is met by the ray in the middle of some pixel [px].
+from thermorender.render.arrays import Floats
+from thermorender.scene.surface import Surface
+from thermorender.sensor.camera import Camera
+
+# A band at least this wide is hit by the ray in the middle of some pixel [px].
 _WIDE = 1.5
-# A rectangle of more than this share of a pixel is taken for the whole of it.
+# A rectangle of more than this share of a pixel is extended to the whole pixel.
 _WHOLE = 0.5
-# Parts of which any corner lies nearer than this before the camera are not thin [m].
+# Parts with a corner nearer than this along the camera's axis are not thin [m].
 _NEAR = 0.05
-# What a square metre counts for beside a cubic one, times the longest side, where boxes are compared.
+# Weight of area times longest side relative to volume in the size of boxes.
 _FLAT = 1e-3
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
-# About each axis in steps of 7.5°.
+# Rotations about each axis in steps of 7.5°.
 _TURNS = Rotation.from_rotvec([angle * axis for axis in np.eye(3) for angle in np.arange(12) * np.pi / 24]).as_matrix()
 
 
 @dataclass(frozen=True)
 class Rectangles:
-    """Parts of pixels that show something thin.
+    """Parts of pixels that show something thin."""
 
-    Attributes
-    ----------
-    pixels : (n,) int64
-        Flat numbers, ascending.
-    corner, size : (n, 2) float64
-        Of the rectangle: (right, down) of its upper left corner in the pixel, 0…1, and its sides.
-    """
-
-    pixels: np.ndarray
-    corner: np.ndarray
-    size: np.ndarray
+    pixels: NDArray[np.int64]  # (n,) flat numbers, ascending
+    corner: Floats  # (n, 2) (right, down) of the upper left corner in the pixel, 0…1
+    size: Floats  # (n, 2) sides [px]
 
     @property
-    def share(self):
+    def share(self) -> Floats:
         """Area of each rectangle [pixels]."""
         return self.size.prod(axis=1)
 
 
-def boxes(surfaces):
+def boxes(surfaces: Sequence[Surface]) -> Floats:
     """Return the corners of boxes round the connected parts of surfaces, (n, 8, 3) [m]."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
     found = []
     for surface in surfaces:
-        # What is cut along an edge of the texture still hangs together.
+        # Parts separated only by an edge of the texture are connected.
         vertices, index = np.unique(np.asarray(surface.vertices, np.float64), axis=0, return_inverse=True)
         faces = index.reshape(-1)[surface.faces]
         sides = np.concatenate([faces[:, :2], faces[:, 1:]]).T
@@ -65,34 +62,28 @@ def boxes(surfaces):
         middle = np.add.reduceat(vertices, first) / np.bincount(part)[:, None]
         offset = vertices - middle[part]
         axes = np.linalg.eigh(np.add.reduceat(np.einsum("vi,vj->vij", offset, offset), first))[1]
-        # Where a part is as wide as long, its axes are any two: turned about each, the smallest box is taken.
+        # The axes of a part as wide as long are arbitrary, so the smallest of several rotated boxes is taken.
         least, best = np.full(count, np.inf), np.empty((count, 8, 3))
         for turn in _TURNS:
             turned = axes @ turn
             along = np.einsum("vi,vij->vj", offset, turned[part])
             low, high = np.minimum.reduceat(along, first), np.maximum.reduceat(along, first)
-            # By volume, and of what is flat by area.
+            # By volume, and for flat parts by area.
             side = high - low
             size = side.prod(axis=1) + _FLAT * side.max(axis=1) * (side.sum(axis=1) ** 2 - (side**2).sum(axis=1))
             corner = 0.5 * (low + high)[:, None] + 0.5 * side[:, None] * _CORNERS
             smaller = size < least
             least[smaller] = size[smaller]
             best[smaller] = (middle[:, None] + np.einsum("pcj,pij->pci", corner, turned))[smaller]
-        # A vertex that no face has is nothing.
+        # Single vertices without a face are left out.
         found.append(best[np.bincount(part) > 1])
     return np.concatenate(found) if found else np.empty((0, 8, 3))
 
 
-def rectangles(parts, pose, camera):
+def rectangles(parts: Sequence[tuple[Floats, Floats]], pose: Floats, camera: Camera) -> Rectangles:
     """Return the Rectangles of pixels that may show parts seen thinner than a pixel and a half.
 
-    Parameters
-    ----------
-    parts : sequence of (corners (n, 8, 3), world_from_own (4, 4))
-        From `boxes`, and where their frame stands.
-    pose : (4, 4) array
-        world_from_camera.
-    camera : Camera
+    `parts` holds boxes (n, 8, 3) from `boxes` with the pose of their frame, world_from_own (4, 4).
     """
     corners = np.concatenate([corners @ own[:3, :3].T + own[:3, 3] for corners, own in parts])
     local = (corners - pose[:3, 3]) @ pose[:3, :3]
@@ -108,10 +99,12 @@ def rectangles(parts, pose, camera):
     return _cut(middle[thin], axes[thin, :, 1], across[thin], low[thin], high[thin], size)
 
 
-def _cut(middle, direction, across, lowest, highest, size):
-    """The Rectangles of bands: `middle`, unit `direction`, half the width (n,), and the box that holds each [px]."""
+def _cut(
+    middle: Floats, direction: Floats, across: Floats, lowest: Floats, highest: Floats, size: NDArray[np.integer]
+) -> Rectangles:
+    """The Rectangles of bands: `middle`, unit `direction`, half the width (n,), and bounding rectangle [px]."""
     number = np.arange(len(middle))
-    # Cut into lines of pixels along the axis that a band follows more closely, then each piece into pixels.
+    # Bands are cut into lines of pixels along the closer axis, then each piece into pixels.
     main = np.argmax(np.abs(direction), axis=1)
     other = 1 - main
     slope = direction[number, other] / direction[number, main]
@@ -146,7 +139,7 @@ def _cut(middle, direction, across, lowest, highest, size):
     return Rectangles(pixels, corner, far - corner)
 
 
-def _ragged(counts):
-    """(row, number within it) of ragged rows of so many entries."""
+def _ragged(counts: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(row, number within it) of the entries of rows with `counts` entries."""
     row = np.repeat(np.arange(len(counts)), counts)
     return row, np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)

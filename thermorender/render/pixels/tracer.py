@@ -1,67 +1,61 @@
-"""From a pose to radiance: rays are cast, what they hit is looked up, passed through the air, and averaged in pixels.
+"""From a pose to radiance: rays are cast, radiance at their hits is read, passed through the air, and averaged in
+pixels.
 
-What a point of a surface sends to the camera lies ready in texels and faces (`thermorender.render.light.texels`), so a
-frame is casting rays, fetching these, and summing; band radiance is averaged over a pixel's rays, never temperature.
-Pixels that show an edge get more rays, in stages, until their error is small enough.
+Texels and faces hold the radiance that surfaces send to the camera (`thermorender.render.light.texels`). A frame
+therefore only casts rays, reads these values and sums. Band radiance is averaged over a pixel's rays, never
+temperature. Pixels that show an edge get more rays, in stages, until their error is small enough.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.render import mirrors
-from thermorender.render.geometry import Hit, view_ray
+from thermorender.render.air import AirView, Vacuum
+from thermorender.render.arrays import Jit, view_ray
+from thermorender.render.geometry import Hit
+from thermorender.render.layers import Layer
 from thermorender.render.pixels.footprint import PLACES, OnMap, Reading
-from thermorender.render.pixels.sampling import RING, STAGES, UNSEEN, edge_step, typical_edge_estimate
+from thermorender.render.pixels.sampling import (
+    RING,
+    STAGES,
+    UNSEEN,
+    CameraRays,
+    Footprint,
+    edge_step,
+    typical_edge_estimate,
+)
 from thermorender.render.pixels.slender import Rectangles
+from thermorender.render.plan import Plan
 
-# A thing with edges all round errs by more than one edge: of 3000 turned squares and rods 1.3 to 1.4 times.
+# Error of a detail with edges all round, relative to one edge: 1.3 to 1.4 for 3000 rotated squares and rods.
 _ISLAND = 1.5
-# Inverse depth of the sky in a mirror [1/m]: above 0, which tells that nothing is hit.
+# Inverse depth of the sky in a mirror [1/m]: above 0, which means that nothing is hit.
 _ENDLESS = 1e-37
 
 
 @dataclass(frozen=True)
 class Refined:
-    """Pixels that got more rays.
+    """Pixels that got more rays."""
 
-    Attributes
-    ----------
-    pixels : (n,) int64
-        Flat numbers.
-    step : (n,)
-        By how much radiance differs in a pixel, at most.
-    first, last : int
-        Number of the first of these rays, and of all that the pixels have got.
-    within : Rectangles or None
-        Parts of the pixels in which these rays are; None where it is all of them.
-    """
-
-    pixels: np.ndarray
-    step: np.ndarray
-    first: int
-    last: int
-    within: Rectangles | None
+    pixels: NDArray[np.int64]  # (n,) flat numbers
+    step: NDArray[Any]  # (n,) largest difference of radiance in a pixel
+    first: int  # number of the first of these rays
+    last: int  # total number of rays of the pixels
+    within: Rectangles | None  # parts of the pixels that contain these rays; None for whole pixels
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """What is known of the sampling error of an image.
+    """How an image was sampled, for its sampling error."""
 
-    Attributes
-    ----------
-    hit : (H, W) bool
-        Whether a pixel's ray meets a surface.
-    step : (H, W) float32 or None
-        As by `edge_step`; None where edges were not looked for.
-    refined : list of Refined
-        Pixels that got more rays; later entries hold for their pixels.
-    """
-
-    hit: np.ndarray
-    step: np.ndarray | None
-    refined: list = field(default_factory=list)
+    hit: NDArray[np.bool_]  # (H, W), whether a pixel's ray hits a surface
+    step: NDArray[np.float32] | None  # (H, W) from `edge_step`; None without a search for edges
+    refined: list[Refined] = field(default_factory=list)  # pixels with more rays; later entries replace earlier ones
 
 
 class Tracer:
@@ -71,46 +65,43 @@ class Tracer:
     ----------
     layers : sequence of Layer
         The static scene first, then each dynamic object, all seen from this pose.
-    rays : CameraRays
     medium : Vacuum or AirView
-        What lies between the camera and what it sees.
-    plan : Plan
-        How many rays and taps.
+        Between the camera and the surfaces.
     slender : callable
-        Returns the Rectangles of pixels that may show things thinner than they are.
+        Returns the Rectangles of pixels that may show details thinner than a pixel.
     """
 
-    def __init__(self, layers, rays, medium, plan, slender):
+    def __init__(
+        self, layers: Sequence[Layer], rays: CameraRays, medium: Vacuum | AirView, plan: Plan,
+        slender: Callable[[], Rectangles],
+    ) -> None:  # fmt: skip
         self._slender = slender
         self._layers, self.rays, self._medium = layers, rays, medium
         self._samples, self._mi = plan.samples, layers[0].geometry.mi
         self._reading = Reading(self._mi, plan.taps, max(plan.taps, PLACES), 1.0 / plan.samples)
         self._once, self._judge = Reading(self._mi, 1, 1, 1.0), Reading(self._mi, PLACES, 1, 1.0, judges=True)
 
-    def image(self, edge_limit):
-        """Return (image (channels, H, W) float32, Sampling): the mean over each pixel's rays of what they see.
+    def image(self, edge_limit: float) -> tuple[NDArray[np.float32], Sampling]:
+        """Return (image (channels, H, W) float32, Sampling): the mean radiance over each pixel's rays.
 
-        Parameters
-        ----------
-        edge_limit : float
-            Error, in the unit of the image's channels added up, from which on a pixel that shows an edge gets more
-            rays; infinite: never.
+        `edge_limit` is the error, in the unit of the sum of the channels, above which a pixel that shows an edge gets
+        more rays; infinite: never.
         """
         mi, rays = self._mi, self.rays
         several = sum(len(layer.geometry.surfaces) for layer in self._layers) > 1
-        total = None
+        total: list[Jit] = []
         for cell in rays.footprints(self._samples):
             hit, values = self._shade(cell, self._reading)
-            total = values if total is None else [a + b for a, b in zip(total, values, strict=True)]
+            total = [a + b for a, b in zip(total, values, strict=True)] if total else values
         channels = len(total)
         total = [value / self._samples for value in total]
-        # One or two more channels tell where the edges are.
+        # One or two more channels show the edges.
         x, y = cell.slope
         near = dr.sqrt(1.0 + x * x + y * y) / (hit.distance + hit.mirrored)
         total.append(dr.select(hit.valid, dr.maximum(near, _ENDLESS), 0.0))
         if several and edge_limit < np.inf:
             total.append(mi.Float(hit.surface))
-        # A target of its own for each channel: several scatters into one array would each cast the rays again.
+        # One target per channel: several scatters into one array would each cast the rays again.
         sides = rays.height + 2 * RING, rays.width + 2 * RING
         targets = [dr.zeros(mi.Float, sides[0] * sides[1]) for _ in total]
         for target, value in zip(targets, total, strict=True):
@@ -132,19 +123,19 @@ class Tracer:
             refined += self._refine(flat, thin.pixels, np.zeros(len(thin.pixels)), edge_limit, thin)
         return image, Sampling(met, step, refined)
 
-    def anew(self, pixels, count, random):
-        """Return (channels, n): the mean over `count` rays of pixels by flat number, each read as a judge does.
+    def resampled(self, pixels: NDArray[np.integer], count: int, random: np.random.Generator) -> NDArray[Any]:
+        """Return (channels, n): the mean over `count` other rays of pixels by flat number, each read as a judge does.
 
-        Rays stand where a random generator puts them: the mean errs, but by nothing that an image errs by.
+        Rays are at random offsets, so the error of the mean is independent of the image's.
         """
         shift = random.random((len(pixels), 2))
         _, values = self._shade(self.rays.finer(self.rays.position[pixels], 0, count, shift=shift), self._judge)
         return np.stack([np.array(dr.block_sum(value, count)) for value in values]) / count
 
-    def slopes(self, sampling):
+    def slopes(self, sampling: Sampling) -> list[Sequence[Jit]]:
         """Return the slopes of all rays that an image with this Sampling casts, [(x/z, y/z), …]."""
         rays = self.rays
-        found = [cell.slope for cell in rays.footprints(self._samples)]
+        found: list[Sequence[Jit]] = [cell.slope for cell in rays.footprints(self._samples)]
         for part in sampling.refined:
             position = rays.position[part.pixels]
             found.append(rays.finer(position, part.first, part.last, part.within).slope)
@@ -153,32 +144,28 @@ class Tracer:
         dr.eval(found)
         return found
 
-    def _refine(self, image, pixels, unseen, edge_limit, within=None):
-        """Replace pixels of an image (channels, H W) by the mean of more rays until these err little enough.
+    def _refine(
+        self, image: NDArray[np.float32], pixels: NDArray[Any], unseen: NDArray[Any], edge_limit: float,
+        within: Rectangles | None = None,
+    ) -> list[Refined]:  # fmt: skip
+        """Replace pixels of an image (channels, H W) by the mean of more rays until their error is below `edge_limit`.
 
-        Parameters
-        ----------
-        image : (channels, H W) array
-        pixels : (n,) int
-        unseen : (n,) array
-            By how much radiance may differ in a pixel although no ray tells.
-        edge_limit : float
-            As of `image`.
-        within : Rectangles, optional
-            Parts of the pixels to which these rays go; what is outside of them counts by its area.
-
-        Returns
-        -------
-        list of Refined
+        `unseen` (n,) is the difference of radiance that each of the `pixels` may contain although no ray shows it. With
+        Rectangles `within` the rays go to these parts; the rest of the pixel counts by its area.
         """
-        refined, total, low, high = [], 0.0, np.inf, -np.inf
-        share, outside, spread = np.ones(len(pixels)), np.zeros((len(image), len(pixels))), np.zeros(len(pixels))
+        refined: list[Refined] = []
+        total: Any = 0.0
+        low: Any = np.inf
+        high: Any = -np.inf
+        share: NDArray[Any] = np.ones(len(pixels))
+        outside: NDArray[Any] = np.zeros((len(image), len(pixels)))
+        spread: NDArray[Any] = np.zeros(len(pixels))
         if within is not None:
             share = within.share
             around, spread = self._outside(pixels, within)
             outside, spread = (1.0 - share) * around, (1.0 - share) * spread
         first = 0
-        # What is thin may slip between the first rays: it gets all.
+        # Thin details may lie between the first rays, so they get all rays at once.
         for last in STAGES if within is None else STAGES[-1:]:
             if not pixels.size:
                 break
@@ -194,55 +181,50 @@ class Tracer:
             total, outside, first = total[:, on], outside[:, on], last
         return refined
 
-    def _rays_in(self, pixels, first, last, within):
+    def _rays_in(
+        self, pixels: NDArray[np.int64], first: int, last: int, within: Rectangles | None
+    ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         """(sums (channels, n), least (n,), most (n,)) of rays first … last − 1 of pixels, or of parts of them."""
         _, values = self._shade(self.rays.finer(self.rays.position[pixels], first, last, within), self._once)
         guide = sum(values)
         dr.eval(values, guide)
         sums = np.stack([np.array(dr.block_sum(value, last - first)) for value in values])
-        ends = (np.array(dr.block_reduce(op, guide, last - first)) for op in (dr.ReduceOp.Min, dr.ReduceOp.Max))
-        return sums, *ends
+        least, most = (np.array(dr.block_reduce(op, guide, last - first)) for op in (dr.ReduceOp.Min, dr.ReduceOp.Max))
+        return sums, least, most
 
-    def _outside(self, pixels, within):
-        """(mean (channels, n), span (n,)) of a pixel's rays that lie outside of their Rectangles."""
+    def _outside(self, pixels: NDArray[np.int64], within: Rectangles) -> tuple[NDArray[Any], NDArray[Any]]:
+        """(mean (channels, n), range (n,)) of a pixel's rays outside their Rectangles."""
         count = STAGES[0]
-        _, values = self._shade(self.rays.finer(self.rays.position[pixels], 0, count), self._once)
-        dr.eval(values)
-        values = np.stack([np.array(value) for value in values]).reshape(len(values), -1, count)
+        _, channels = self._shade(self.rays.finer(self.rays.position[pixels], 0, count), self._once)
+        dr.eval(channels)
+        values = np.stack([np.array(value) for value in channels]).reshape(len(channels), -1, count)
         out = self.rays.outside(within, count)
-        # A rectangle that is the whole pixel leaves none.
+        # No ray is outside a rectangle that fills its pixel.
         number = np.maximum(out.sum(axis=1), 1)
         guide = values.sum(axis=0)
         span = np.where(out, guide, -np.inf).max(axis=1) - np.where(out, guide, np.inf).min(axis=1)
         return (values * out).sum(axis=2) / number, np.where(out.any(axis=1), span, 0.0)
 
-    def _shade(self, cell, reading):
-        """Return (hit, channels): what the rays of cells hit, and the mean over these of what comes from there.
-
-        Parameters
-        ----------
-        cell : Footprint
-        reading : Reading
-        """
+    def _shade(self, cell: Footprint, reading: Reading) -> tuple[Hit, list[Jit]]:
+        """Return (hits of the rays of cells, mean radiance over the cells as channels)."""
         layers = self._layers
-        best, surfaces = None, 0
-        for number, layer in enumerate(layers):
+        best, surfaces = list[Any](), 0
+        for place, layer in enumerate(layers):
             hit, values, mirror = self._trace(layer, cell, reading)
-            own = [hit.distance, hit.valid, hit.face, hit.surface + surfaces, self._mi.UInt32(number), *mirror, *values]
+            own = [hit.distance, hit.valid, hit.face, hit.surface + surfaces, self._mi.UInt32(place), *mirror, *values]
             nearer = best and hit.distance < best[0]
             best = [dr.select(nearer, a, b) for a, b in zip(own, best, strict=True)] if best else own
             surfaces += len(layer.geometry.surfaces)
-        (distance, valid, face, surface, *mirror), total = best[:7], best[7:]
+        (distance, valid, face, surface, number, texel, row), total = best[:7], best[7:]
         hit, ray = Hit(valid, distance, face, surface), view_ray(self._mi, *layers[0].view, *cell.slope)
         if any(layer.outgoing.mirror for layer in layers):
-            number, texel, row = mirror
             met = ray.o, ray.d, distance, number, face, texel, row
             added, mirrored = mirrors.correction(layers, mirrors.DEPTH, *met)
             hit, total = replace(hit, mirrored=mirrored), [a + b for a, b in zip(total, added, strict=True)]
         return hit, self._medium.at_camera(hit, total, ray.o, ray.d)
 
-    def _trace(self, layer, cell, reading):
-        """(hit, channels, (texel, row) as by `mirrors.met`) of one layer, without mirrors and before the medium."""
+    def _trace(self, layer: Layer, cell: Footprint, reading: Reading) -> tuple[Hit, list[Jit], tuple[Jit, Jit]]:
+        """(hit, channels, (texel, row) from `mirrors.met`) of one layer, without mirrors and before the medium."""
         mi, geometry, outgoing = self._mi, layer.geometry, layer.outgoing
         rotation, origin = layer.view
         ray = view_ray(mi, rotation, origin, *cell.slope)
@@ -254,7 +236,7 @@ class Tracer:
         if outgoing.rest:
             total += self._once.mean(geometry, outgoing.rest, hit, position, on_map, cell.middle)[0]
         if outgoing.faces:
-            # Squares of texels hold many faces, and the light on them.
+            # Squares of texels contain many faces with their light.
             own = outgoing.faces.at(hit.face, hit.valid & (level == 0))
             total = [a + b for a, b in zip(total, own, strict=True)]
         return hit, total, mirrors.met(layer, hit, position)

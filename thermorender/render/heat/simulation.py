@@ -1,28 +1,32 @@
-"""Temperatures of a terrain's texels from its heat balance, marched on the device under sun, shadow and surroundings.
+"""Temperatures of a terrain's texels by time stepping of its heat balance on the device, with sun, shadow and
+surroundings.
 
-Every texel is a column of its own: its material on what lies beneath, at its place on the mesh. The sun is looked for
-by a ray from each at both stages of every step; what the sky does not fill of its hemisphere is filled by the rays that
-the scene's light is solved with, which bring reflected sunlight and the surroundings' long-wave. That light is one per
-face and is solved every half hour, between columns that stand for the faces, at their middles.
+Every texel is a column: its material on the layers beneath, at its position on the mesh. At both stages of every step a
+ray from each texel tests for the sun. The part of its hemisphere that is not sky is covered by the rays that also solve
+the scene's light; they bring reflected sunlight and the long-wave radiation of the surroundings. That light is one
+value per face. It is solved every half hour, between columns at the middles of the faces.
 
-A march begins two days before the first instant asked, from columns in the open that are settled by then. Texels are
-marched in blocks, each together with all faces, so that memory stays bounded whatever the size of the texture.
+A simulation begins two days before the first instant requested, from columns in the open that have settled by then.
+Texels are simulated in blocks, each together with all faces, so that memory stays bounded for any texture size.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
+from thermorender.materials.material import Material
 from thermorender.materials.mixture import Mixture
 from thermorender.physics import balance, exchange, humidity
 from thermorender.physics.balance import STEFAN_BOLTZMANN, Forcing, Ground, State
 from thermorender.physics.srgb import linear_from_bytes
 from thermorender.physics.sun import direction
-from thermorender.render.geometry import Geometry, aligned
+from thermorender.render.arrays import Jit, aligned
+from thermorender.render.geometry import Geometry
 from thermorender.render.heat.places import sun_cosine, texel_points
 from thermorender.render.light import cache
 from thermorender.render.variant import activate
@@ -34,24 +38,24 @@ from thermorender.units import ZERO_CELSIUS_K, utc_text
 
 Progress = Callable[[str, float], object]
 
-# Marched before the first instant asked for, with steps that become shorter towards each instant [s]: light that
-# changed an hour ago is told apart to minutes, of light a day ago the mean matters.
+# Time simulated before the first instant, and steps (up to this long before an instant, length) [s]: changes of light
+# within the last hour matter to minutes, those a day ago only in the mean.
 _BEFORE_S = 48 * 3600.0
 _STEPS_S = ((3600.0, 300.0), (24 * 3600.0, 900.0), (np.inf, 1800.0))
-# The light between faces is solved anew so often [s], with so many rays a face, and so many reflections at first.
+# Interval between solutions of the light between faces [s], rays per face, and reflections of the first solution.
 _LIGHT_S, _RAYS, _REFLECTIONS = 1800.0, 64, 4
-# How long each texel has its own sun, before which those of a face and material share one [s].
+# Time before the first instant in which each texel has its own sun; earlier those of a face and material share it [s].
 _OWN_S = 4 * 3600.0
-# Texels marched at a time: some 300 bytes each.
+# Texels simulated at a time: about 300 bytes each.
 _AT_ONCE = 1 << 22
-# Brightness of a texel over that of its class tells so much darker or lighter ground, at most.
+# Largest factor on reflectance from the brightness of a texel over that of its class.
 _BRIGHTEST = 2.0
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. ITU-R BT.709-6, item 3.2
-_WHAT = "marching the heat balance"
+_WHAT = "simulating the heat balance"
 
 
 class _Library:
-    """What the physics needs of an array library, of Dr.Jit."""
+    """Functions of an array library that the physics needs, from Dr.Jit."""
 
     where, maximum, minimum, exp, sqrt = dr.select, dr.maximum, dr.minimum, dr.exp, dr.sqrt
 
@@ -69,66 +73,70 @@ def solved(
     times : sequence of datetime64
         UTC, inside the weather.
     geometry : Geometry, optional
-        Of the scene's surfaces, where it is there already.
+        Of the scene's surfaces, where it exists already.
     progress : callable, optional
         Called with (what, share done).
     deviations : Deviations, optional
-        How the texels stray from their materials, for a truth that is to differ from what its tables tell.
+        Deviations of the texels from their materials' properties, for a truth that differs from the tables.
 
     Raises
     ------
     ThermorenderError
-        A material without thermal properties, or an instant outside the weather.
+        A material has no thermal properties, or an instant is outside the weather.
 
     Notes
     -----
-    Objects keep the temperatures that the scene file gives them; they throw shadows and radiate. A mixed material is
-    the mean of its parts' emissions.
+    Objects keep the temperatures of the scene file; they cast shadows and radiate. A mixed material emits the mean of
+    its parts.
     """
     asked = sorted(set(times))
     geometry = geometry or Geometry(activate(), scene.surfaces)
-    tell = progress or (lambda what, share: None)
-    tell(_WHAT, 0.0)
+    report_progress = progress or (lambda what, share: None)
+    report_progress(_WHAT, 0.0)
     parts = [_parts(material) for material in scene.materials]
     terrain = scene.surfaces[: scene.terrain_count]
     kinds = np.unique(np.concatenate([np.unique(surface.material) for surface in terrain]))
     most = max(len(parts[kind]) for kind in kinds)
-    found, share_done = 0.0, 1.0 / most
-    march = _March(scene, geometry, asked, deviations)
+    found: Any = 0.0
+    share_done = 1.0 / most
+    simulation = _Simulation(scene, geometry, asked, deviations)
     for number in range(most):
         of = {kind: parts[kind][min(number, len(parts[kind]) - 1)][0] for kind in kinds}
         weight = np.array([_emits(part, number) for part in parts])
-        told = lambda share, n=number: tell(_WHAT, (n + share) * share_done)  # noqa: E731
-        # Of what texels of a mixture emit, the parts add up; few have as many parts as the one that has most.
-        kelvin = march.run(of, weight[march.material] > 0.0, told)
-        found = kelvin if most == 1 else found + weight[march.material] * kelvin.astype(np.float64) ** 4
-    kelvin = march.covered(found if most == 1 else found**0.25)
-    tell(_WHAT, 1.0)
+
+        def report(share: float, n: int = number) -> None:
+            report_progress(_WHAT, (n + share) * share_done)
+
+        # Emissions of a mixture's parts add up. Few texels have as many parts as the largest mixture.
+        kelvin = simulation.run(of, weight[simulation.material] > 0.0, report)
+        found = kelvin if most == 1 else found + weight[simulation.material] * kelvin.astype(np.float64) ** 4
+    kelvin = simulation.covered(found if most == 1 else found**0.25)
+    report_progress(_WHAT, 1.0)
     borders = geometry.texel_start[1 : scene.terrain_count]
     notes: tuple[str, ...] = ()
-    if march.settled_k >= open_ground.SETTLED_K:
-        note = f"the ground did not settle before {utc_text(march.start)}: two equal days differed by "
-        notes = (f"{note}{march.settled_k:.1f} K",)
-    made = {
+    if simulation.settled_k >= open_ground.SETTLED_K:
+        note = f"the ground did not settle before {utc_text(simulation.start)}: two equal days differed by "
+        notes = (f"{note}{simulation.settled_k:.1f} K",)
+    scenes = {
         at: scene.with_solved_temperatures(at, np.split(values, borders), notes=notes)
         for at, values in zip(asked, kelvin, strict=True)
     }
-    return [made[at] for at in times]
+    return [scenes[at] for at in times]
 
 
-def _parts(material):
+def _parts(material: Material) -> tuple[tuple[Material, float], ...]:
     return material.parts if isinstance(material, Mixture) else ((material, 1.0),)
 
 
-def _emits(parts, number):
-    """Share of a mixture's emission that is its part's at one temperature: of little emissivity there is little."""
+def _emits(parts: tuple[tuple[Material, float], ...], number: int) -> float:
+    """Share of one part in a mixture's emission at a common temperature; 0 where the mixture has fewer parts."""
     emissivity = [share * open_ground.broadband(material) for material, share in parts]
     return emissivity[number] / sum(emissivity) if number < len(parts) else 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class _Columns:
-    """Columns at places of the terrain: Dr.Jit arrays, an entry each."""
+    """Columns at points of the terrain: Dr.Jit arrays, an entry each."""
 
     point: Any  # a little above the face
     normal: Any
@@ -137,33 +145,36 @@ class _Columns:
     absorptance: Any
     wind_factor: Any
     indoors: Any
-    cooler: Any  # the air there over that of the weather [K]
+    cooler: Any  # air temperature there minus that of the weather [K]
 
 
-class _March:
-    """Marches of a terrain's texels: its faces and the light between them, which all share."""
+class _Simulation:
+    """Simulations of a terrain's texels, with the faces and the light between them that all share."""
 
-    def __init__(self, scene, geometry, asked, deviations):
+    def __init__(
+        self, scene: Scene, geometry: Geometry, asked: "list[np.datetime64]", deviations: Deviations | None
+    ) -> None:
         self.scene, self.geometry, self.mi, self.asked = scene, geometry, geometry.mi, asked
+        assert scene.spec.weather is not None
         self.weather, self.inside_k = scene.weather, scene.spec.weather.inside_c + ZERO_CELSIUS_K
         terrain = scene.surfaces[: scene.terrain_count]
         self.faces = int(geometry.face_start[scene.terrain_count])
         self.texels = int(geometry.texel_start[scene.terrain_count])
         self.material = np.concatenate([surface.material.ravel() for surface in terrain])
-        self.deviations = deviations and deviations.columns(self.texels)
+        self.deviations = None if deviations is None else deviations.columns(self.texels)
         corner = np.concatenate([surface.vertices[surface.faces] for surface in terrain])
         across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
         if across[:, 2].sum() < 0.0:
             raise ThermorenderError(
-                f"{scene.where}: most of the terrain's faces look down, and the sun would shine on their undersides; "
-                "reverse the order of their corners, counter-clockwise seen from above"
+                f"{scene.where}: most of the terrain's faces point down, so the sun would light their undersides; "
+                "reverse the order of their corners, to counter-clockwise seen from above"
             )
         self.middle = corner.mean(axis=1).astype(np.float32)
         self.normal = (across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)).astype(np.float32)
         self.covers = np.array(geometry.face_of_texel())[: self.texels]
         self.reflects = self._brightness() * (1.0 if self.deviations is None else self.deviations[0])
         self.start = max(asked[0] - np.timedelta64(int(_BEFORE_S), "s"), self.weather.time[0])
-        # Change of the ground over the last of the days that it settles in [K], the most of all runs.
+        # Change of the ground over the last day of settling [K], the largest of all runs.
         self.settled_k = 0.0
         transport, _ = cache.traced(geometry, _RAYS)
         self.operator = transport.operator.astype(np.float32)
@@ -171,7 +182,7 @@ class _March:
         self.background = transport.background.astype(np.float32)
         self.reflectance, self.emissivity = self._of_faces()
 
-    def _of_faces(self):
+    def _of_faces(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(reflectance of sunlight, emissivity) of every face of the scene, by the material at its middle."""
         geometry = self.geometry
         found = next(iter(geometry.points_in_faces([(1.0 / 3.0, 1.0 / 3.0)])))
@@ -185,10 +196,12 @@ class _March:
         emits = np.array([open_ground.broadband(each) for each in of], np.float32)[material]
         return reflects, emits
 
-    def run(self, materials, wanted, tell):
-        """Return the kelvin of all texels at each instant asked, (n, T) float32; 0 where they are not `wanted`.
+    def run(
+        self, materials: dict[int, Material], wanted: NDArray[np.bool_], progress: Callable[[float], object]
+    ) -> NDArray[np.float32]:
+        """Return the temperature of all texels at each instant requested, (n, T) float32 [K]; 0 where not `wanted`.
 
-        `materials` has the Material of each number on the terrain.
+        `materials` maps each number on the terrain to its Material.
         """
         self.row = np.zeros(256, dtype=np.uint32)
         self.row[list(materials)] = np.arange(len(materials))
@@ -202,13 +215,16 @@ class _March:
         every = np.flatnonzero(wanted)
         blocks = [every[first : first + _AT_ONCE] for first in range(0, len(every), _AT_ONCE)]
         for number, texels in enumerate(blocks):
-            told = lambda share, n=number: tell((n + share) / len(blocks))  # noqa: E731
-            for index, kelvin in enumerate(self._marched(texels, told)):
+
+            def report(share: float, n: int = number) -> None:
+                progress((n + share) / len(blocks))
+
+            for index, kelvin in enumerate(self._simulated(texels, report)):
                 found[index, texels] = kelvin[self.faces :]
         return found
 
-    def covered(self, found):
-        """Return kelvin of all texels, (n, T), with those that no face covers filled from the nearest that one does.
+    def covered(self, found: NDArray[Any]) -> NDArray[Any]:
+        """Return temperatures of all texels, (n, T) [K], where texels without a face take the nearest covered texel's.
 
         They only blend into their neighbours.
         """
@@ -221,7 +237,7 @@ class _March:
                     values[:] = fill(values.reshape(valid.shape), near).ravel()
         return found
 
-    def _brightness(self):
+    def _brightness(self) -> NDArray[np.float32]:
         """Factor on the reflectance of each texel, (T,) float32: its luminance over the mean of its class, or 1."""
         if not self.scene.spec.temperature.brightness:
             return np.ones(self.texels, dtype=np.float32)
@@ -231,8 +247,8 @@ class _March:
         ratio = light / np.maximum(mean[self.material], 1e-4)
         return np.clip(ratio, 1.0 / _BRIGHTEST, _BRIGHTEST).astype(np.float32)
 
-    def _columns(self, texels):
-        """The _Columns of all faces of the terrain, and then of some texels, by their numbers."""
+    def _columns(self, texels: NDArray[np.integer]) -> tuple[_Columns, State]:
+        """The _Columns of all faces of the terrain, followed by some texels, by their numbers, and their State."""
         geometry, mi = self.geometry, self.mi
         face = np.minimum(self.covers[texels], self.faces - 1)
         point = np.concatenate([self.middle, texel_points(geometry, texels, face)])
@@ -241,18 +257,20 @@ class _March:
         material = np.concatenate([self.face_material[: self.faces], self.material[texels]])
         kind = mi.UInt32(aligned(self.row[material], np.uint32))
         row = lambda values: dr.gather(mi.Float, mi.Float(aligned(values)), kind)  # noqa: E731
-        rows = lambda values: None if values is None else [row(each) for each in values]  # noqa: E731
-        ground = Ground(**{
-            name: rows(values) if isinstance(values, list) or values is None else row(values)
+        rows = lambda values: [row(each) for each in values]  # noqa: E731
+        properties: dict[str, Any] = {
+            name: rows(values) if isinstance(values, list) else None if values is None else row(values)
             for name, values in self.columns.ground._asdict().items()
-        })  # fmt: skip
-        # A face strays as the texel at its middle.
+        }
+        ground = Ground(**properties)
+        # A face has the deviations of the texel at its middle.
         column = np.concatenate([self.face_texel[: self.faces], texels])
         if self.deviations is not None:
             ground = _varied(ground, *(mi.Float(aligned(each[column])) for each in self.deviations[1:]))
         reflected = row(1.0 - self.columns.absorptance) * mi.Float(aligned(self.reflects[column]))
         begin = self.state
-        state = State(row(begin.surface_k), rows(begin.layers_k), row(begin.film), rows(begin.liquid))
+        liquid = None if begin.liquid is None else rows(begin.liquid)
+        state = State(row(begin.surface_k), rows(begin.layers_k), row(begin.film), liquid)
         absorptance = dr.clip(1.0 - reflected, 0.02, 0.98)
         above_m = point[:, 2] + np.float32(self.scene.altitude_m - self.weather.altitude_m)
         cooler = np.float32(-humidity.LAPSE_K_M) * above_m
@@ -266,13 +284,17 @@ class _March:
             row(self.columns.indoors) > 0.5, mi.Float(aligned(cooler)),
         ), state  # fmt: skip
 
-    def _marched(self, texels, tell):
-        """Yield the surface temperatures of all faces and of some texels, (C,) float32 [K], at each instant asked for.
+    def _simulated(
+        self, texels: NDArray[np.integer], progress: Callable[[float], object]
+    ) -> Iterator[NDArray[np.float32]]:
+        """Yield surface temperatures of all faces and of some texels, (C,) float32 [K], at each instant requested.
 
-        Texels of one face and material are one column until four hours before the first instant, where nothing else
-        tells them apart; from there each has its own sun.
+        Texels of one face and material share a column until four hours before the first instant, where no other
+        property differs; from then on each has its own sun.
         """
         mi, own = self.mi, None
+        light: _Light | None = None
+        self.arrives: Any = None
         steps = _steps(self.start, self.asked)
         first_s = float((self.asked[0] - self.start) / np.timedelta64(1, "s"))
         if first_s and self.deviations is None and not self.scene.spec.temperature.brightness:
@@ -285,31 +307,31 @@ class _March:
             columns, state = self._columns(texels[some[order]])
         else:
             columns, state = self._columns(texels)
-        light, self.arrives = None, None
         if not first_s:
             yield np.array(state.surface_k)
         for number, (at, seconds) in enumerate(steps):
             if own is not None and at >= first_s - _OWN_S - 1e-6:
                 index = mi.UInt32(aligned(np.concatenate([np.arange(self.faces), self.faces + own]), np.uint32))
-                each = lambda values, index=index: values and [dr.gather(mi.Float, v, index) for v in values]  # noqa: E731
-                state = State(*each([state.surface_k]), each(state.layers_k), *each([state.film]), each(state.liquid))
+                own_of = lambda values, index=index: [dr.gather(mi.Float, each, index) for each in values]  # noqa: E731
+                surface_k, *layers_k, film = own_of([state.surface_k, *state.layers_k, state.film])
+                state = State(surface_k, layers_k, film, state.liquid and own_of(state.liquid))
                 columns, _ = self._columns(texels)
                 _evaluate(state)
                 own = None
             if light is None or at >= light.until:
                 light = self._light(at, state.surface_k, columns)
-            stages = [self._forcing(at + offset, light, columns) for offset in balance.stage_times(seconds)]
-            state, _ = balance.step(_Library, state, columns.ground, *stages, dr.opaque(mi.Float, seconds))
+            first, second = (self._forcing(at + offset, light, columns) for offset in balance.stage_times(seconds))
+            state, _ = balance.step(_Library, state, columns.ground, first, second, dr.opaque(mi.Float, seconds))
             _evaluate(state)
-            tell((number + 1) / len(steps))
+            progress((number + 1) / len(steps))
             if self.start + np.timedelta64(round(at + seconds), "s") in self.asked:
                 yield np.array(state.surface_k)
 
-    def _sun(self, instant):
+    def _sun(self, instant: np.datetime64) -> NDArray[np.float64]:
         azimuth, elevation = self.weather.sun(instant)
         return direction(float(elevation), float(azimuth))
 
-    def _forcing(self, at_s, light, columns):
+    def _forcing(self, at_s: float, light: "_Light", columns: _Columns) -> Forcing:
         """The Forcing of columns at an instant [s after the start]."""
         mi = self.mi
         instant = self.start + np.timedelta64(round(1000.0 * at_s), "ms")
@@ -323,13 +345,13 @@ class _March:
         if towards[2] > 0.0 and found.direct_w_m2 > 0.0:
             sunlight += one(found.direct_w_m2) * sun_cosine(self.geometry, columns.point, columns.normal, towards)
         air = one(found.air_k) + columns.cooler
-        # With height the air keeps its relative humidity, and its pressure is that of the standard atmosphere's lapse.
+        # Relative humidity is constant with height; pressure follows the lapse of the standard atmosphere.
         saturation, below = (exchange.saturation_vapour(_Library, each)[0] for each in (air, one(found.air_k)))
         thinner = dr.exp(humidity.PRESSURE_EXPONENT * dr.log(air / one(found.air_k)))
         return Forcing(
             absorbed=columns.absorptance * sunlight,
             longwave=one(found.longwave_w_m2) * gathered(light.sky) + gathered(light.surroundings),
-            # Stomata of leaves open in the light that these leaves have.
+            # Stomata open in the light on their own leaves.
             sunlight=sunlight,
             air_k=air,
             vapour_pa=one(found.vapour_pa) * (saturation / below),
@@ -339,11 +361,11 @@ class _March:
             below_k=dr.select(columns.indoors, one(self.inside_k), air),
         )
 
-    def _light(self, at_s, surface_k, columns):
+    def _light(self, at_s: float, surface_k: Jit, columns: _Columns) -> "_Light":
         """The _Light between the faces from `at_s` on.
 
-        What arrived from other faces before is the first guess of what does now: one more reflection is followed each
-        time, and so all of them in the end.
+        The first guess is the light that arrived from other faces before. Each call adds one more reflection, so in
+        time all reflections are included.
         """
         mi = self.mi
         middle = self.start + np.timedelta64(round(1000.0 * (at_s + 0.5 * _LIGHT_S)), "ms")
@@ -365,13 +387,13 @@ class _March:
             leaves = np.column_stack([
                 self.reflectance * (own + before[:, 0]), emitted + (1.0 - self.emissivity) * (sky + before[:, 1])
             ])  # fmt: skip
-            beyond = np.float32([self.mean(leaves[:, 0]), self.mean(leaves[:, 1])])
+            beyond = np.array([self.mean(leaves[:, 0]), self.mean(leaves[:, 1])], np.float32)
             self.arrives = self.operator @ leaves + self.background[:, None] * beyond
         upload = lambda values: mi.Float(aligned(values[: self.faces]))  # noqa: E731
         until = _LIGHT_S * (np.floor(at_s / _LIGHT_S + 1e-9) + 1.0)
         return _Light(until, upload(self.sky), upload(self.arrives[:, 0]), upload(self.arrives[:, 1]))
 
-    def mean(self, values):
+    def mean(self, values: NDArray[Any]) -> Any:
         """Mean over the terrain's area."""
         share = self.geometry.share[: self.faces]
         return values[: self.faces] @ share / share.sum()
@@ -379,8 +401,11 @@ class _March:
 
 @dataclass(frozen=True, eq=False)
 class _Light:
-    """Light on the terrain's faces, Dr.Jit arrays (F,): share of the sky, reflected sunlight per level sunlight,
-    long-wave of the surroundings [W m⁻²]; and until when it holds [s]."""
+    """Light on the terrain's faces, Dr.Jit arrays (F,), valid until a time [s].
+
+    They are the share of the sky, reflected sunlight per sunlight on level ground, and long-wave radiation of the
+    surroundings [W m⁻²].
+    """
 
     until: float
     sky: Any
@@ -388,8 +413,8 @@ class _Light:
     surroundings: Any
 
 
-def _varied(ground, wetness, exchange, inertia):
-    """Ground of columns whose wetness, turbulent exchange and thermal inertia are the tables' times these factors."""
+def _varied(ground: Ground, wetness: Jit, exchange: Jit, inertia: Jit) -> Ground:
+    """Ground of columns with wetness, turbulent exchange and thermal inertia multiplied by these factors."""
     return ground._replace(
         wetness=dr.minimum(ground.wetness * wetness, 1.0),
         log_heat=ground.log_heat / exchange,
@@ -398,13 +423,13 @@ def _varied(ground, wetness, exchange, inertia):
     )
 
 
-def _evaluate(state):
-    """Compute a State, in one kernel: named tuples would be taken apart into one each."""
+def _evaluate(state: State) -> None:
+    """Compute a State in one kernel; dr.eval would use one kernel per entry of a named tuple."""
     dr.eval(state.surface_k, *state.layers_k, state.film, *(state.liquid or ()))
 
 
-def _steps(start, asked):
-    """[(beginning, length)] of the steps from `start` to the last instant asked for [s], an end at each of these."""
+def _steps(start: np.datetime64, asked: "list[np.datetime64]") -> list[tuple[float, float]]:
+    """[(beginning, length)] of the steps [s] from `start` to the last instant requested; steps end at every instant."""
     ends = [float((at - start) / np.timedelta64(1, "s")) for at in asked]
     steps, at = [], 0.0
     for end in ends:

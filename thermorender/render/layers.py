@@ -1,0 +1,65 @@
+"""What a view consists of: layers of geometry with the radiance that leaves their surfaces."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from thermorender.render.arrays import Channels, Jit
+from thermorender.render.geometry import Geometry, Hit
+
+if TYPE_CHECKING:
+    from thermorender.render.mirrors import Mirror
+
+
+@dataclass(frozen=True)
+class OutgoingRadiance:
+    """Radiance that leaves surfaces towards a camera: channels of texels and corrections of faces."""
+
+    # From `Geometry.averaged`, read at every tap: all channels, or the first spectral one, which carries nearly all.
+    texels: Channels
+    rest: Channels | None = None  # the other spectral channels, about a hundredth of the first, read once per ray
+    faces: Channels | None = None  # corrections added to all channels of the texels
+    mirror: "Mirror | None" = None  # data of the directional texels
+
+    @classmethod
+    def of(
+        cls, geometry: Geometry, texels: Sequence[NDArray[np.float32]], faces: ArrayLike | None = None,
+        mirror: "Mirror | None" = None,
+    ) -> "OutgoingRadiance":  # fmt: skip
+        """Return the radiance of spectral channels of texels, K arrays (T,), and of faces, (F, K)."""
+        rest = geometry.averaged(np.stack(texels[1:], axis=1)) if len(texels) > 1 else None
+        own = None if faces is None else Channels(geometry.mi, faces)
+        return cls(geometry.averaged(texels[0][:, None]), rest, own, mirror)
+
+    def at_texel(self, texel: Jit, face: Jit, active: Jit) -> list[Jit]:
+        """Return all channels of texels seen on faces, as a list of Float; 0 where inactive."""
+        values = [part.at(texel, active) for part in (self.texels, self.rest) if part]
+        return self._on(face, sum(values, list[Jit]()), active)
+
+    def at(self, geometry: Geometry, hit: Hit, position: tuple[Jit, Jit]) -> list[Jit]:
+        """Return all channels at positions (column, row) of a Hit, bilinear, as a list of Float."""
+        lattice = geometry.lattice(hit.surface, hit.valid)
+        values = [geometry.bilinear(part, lattice, *position, hit.valid) for part in (self.texels, self.rest) if part]
+        return self._on(hit.face, sum(values, list[Jit]()), hit.valid)
+
+    def _on(self, face: Jit, values: list[Jit], active: Jit) -> list[Jit]:
+        added = self.faces.at(face, active) if self.faces else [0.0] * len(values)
+        return [a + b for a, b in zip(values, added, strict=True)]
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A ray caster, and the view (rotation, origin) in its frame."""
+
+    geometry: Geometry
+    view: tuple[list[Jit], Jit]
+
+
+@dataclass(frozen=True)
+class Layer(Shape):
+    """A Shape with the radiance that leaves its surfaces."""
+
+    outgoing: OutgoingRadiance

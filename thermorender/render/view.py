@@ -1,0 +1,93 @@
+"""One view of a baked scene: its radiance, ground truth and error budget."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from thermorender.errors import ThermorenderError
+from thermorender.render import truth
+from thermorender.render.arrays import Floats
+from thermorender.render.baked import BakedScene
+from thermorender.render.dynamic import Placement
+from thermorender.render.geometry import Geometry
+from thermorender.render.pixels import budget, slender
+from thermorender.render.pixels.sampling import CameraRays
+from thermorender.render.pixels.tracer import Sampling, Tracer
+from thermorender.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class View:
+    """A baked scene seen from one pose at one time."""
+
+    baked: BakedScene
+    rays: CameraRays
+    pose: Floats  # (4, 4) world_from_camera
+    placements: tuple[Placement, ...]  # of the dynamic objects
+
+    def tracer(self, through_air: bool = True) -> Tracer:
+        """Return the Tracer of this view."""
+        device = self.baked.device
+        medium = device.medium(self.pose, self.placements, through_air)
+        layers = device.layers(self.pose, self.placements)
+        shapes = [item.geometry for item in device.objects]
+        parts = parts_of(self.baked.scene, self.baked.geometry, shapes, self.placements)
+        thin = partial(slender.rectangles, parts, self.pose, self.rays.camera)
+        return Tracer(layers, self.rays, medium, self.baked.plan, thin)
+
+    def radiance(self, through_air: bool = True) -> tuple[NDArray[np.float32], Sampling]:
+        """Return (band radiance (H, W) float32 [W m⁻² sr⁻¹], Sampling)."""
+        plan = self.baked.plan
+        limit = plan.edge_mk * plan.radiance_per_mk
+        image, sampling = self.tracer(through_air).image(limit)
+        return image[0], sampling
+
+    def truth(self) -> dict[str, NDArray[Any]]:
+        """Return the ground truth, as `Frame.truth`, without the sensor's flags."""
+        return truth.truth(self.baked, self.rays, self.pose, self.placements)
+
+    def targets(self) -> dict[str, dict[str, Any]]:
+        """Return the positions of objects, as `Frame.targets`."""
+        return truth.targets(self.baked, self.rays.camera, self.pose, self.placements)
+
+    def budget_mk(self, radiance: NDArray[np.float32], sampling: Sampling | None) -> dict[str, float] | None:
+        """Return the error budget of a radiance image, as `Frame.budget_mk`; None without its Sampling."""
+        if sampling is None:
+            return None
+        return budget.budget_mk(self.baked, self.tracer(), self.pose, self.placements, radiance, sampling)
+
+    def error_mk(self, radiance: NDArray[np.float32], sampling: Sampling | None) -> NDArray[np.float32] | None:
+        """Return the estimated error of each pixel, as `Frame.error_mk`; None without its Sampling."""
+        if sampling is None:
+            return None
+        return budget.error_mk(self.baked, self.tracer(), self.pose, self.placements, radiance, sampling)
+
+
+def checked_pose(pose: ArrayLike) -> Floats:
+    """Return a pose as (4, 4) float64; raise if it is not a rigid transform."""
+    pose = np.array(pose, dtype=np.float64)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all() or not np.allclose(pose[3], [0, 0, 0, 1]):
+        raise ThermorenderError(
+            f"pose of shape {pose.shape} is not a world_from_camera; give (4, 4) with last row 0 0 0 1"
+        )
+    rotation = pose[:3, :3]
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0.0:
+        raise ThermorenderError(
+            "pose has a rotation that is not orthonormal and right-handed; normalise its quaternion"
+        )
+    return pose
+
+
+def parts_of(
+    scene: Scene, geometry: Geometry, moving: Sequence[Geometry], placed: Sequence[Placement]
+) -> list[tuple[Floats, Floats]]:
+    """Return the boxes that may be thinner than a pixel, as `slender.rectangles` takes them.
+
+    Terrain from an elevation raster is connected and left out.
+    """
+    first = scene.terrain_count if scene.spec.terrain.mesh is None else 0
+    return [(geometry.boxes(first), np.eye(4)), *((g.boxes(), p.pose) for g, p in zip(moving, placed, strict=True))]
