@@ -4,6 +4,7 @@ Set ELEVATION and ORTHOPHOTO to your own files; the script makes a small land to
 """
 
 import subprocess
+import sys
 from pathlib import Path
 
 import thermorender as tr
@@ -11,7 +12,7 @@ import thermorender as tr
 
 def thermorender(text):
     """Run one command line."""
-    subprocess.run(["thermorender", *text.split()], check=True)
+    subprocess.run([sys.executable, "-m", "thermorender", *text.split()], check=True)
 
 
 land = Path("land")

@@ -1,6 +1,7 @@
 """Train a map from colour to temperature on pictures of one land, and compare it with the render of another."""
 
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import thermorender as tr
 
 def thermorender(text):
     """Run one command line."""
-    subprocess.run(["thermorender", *text.split()], check=True)
+    subprocess.run([sys.executable, "-m", "thermorender", *text.split()], check=True)
 
 
 # Pairs of a photograph and a thermal picture, from a flight over one land.

@@ -1,6 +1,7 @@
 """Copy a material, halve its emissivity, and print by how many kelvins the roofs of a village change."""
 
 import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,8 +11,8 @@ import thermorender as tr
 from thermorender.materials.library import load_library
 
 if not Path("village60").exists():
-    command = "thermorender make-scene village --seed 1 --size-m 60 --texel-m 0.25 -o village60"
-    subprocess.run(command.split(), check=True)
+    command = "make-scene village --seed 1 --size-m 60 --texel-m 0.25 -o village60"
+    subprocess.run([sys.executable, "-m", "thermorender", *command.split()], check=True)
 
 slate = load_library()["roof_slate"]
 coated = replace(slate, name="roof_coated", title="Slate with a coating", emissivity=0.5 * slate.emissivity)

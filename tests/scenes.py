@@ -34,7 +34,7 @@ def write_terrain(folder, height=None, temperature=None, classes=None, colour=No
     """
     folder.mkdir(parents=True, exist_ok=True)
     height = np.zeros((16, 16)) if height is None else np.asarray(height)
-    rows, columns = (int(round(n / texel)) for n in height.shape)
+    rows, columns = (round(n / texel) for n in height.shape)
     rng = np.random.default_rng(5)
     colour = rng.integers(40, 200, (rows, columns, 3)) if colour is None else colour
     temperature = rng.uniform(285.0, 300.0, (rows, columns)) if temperature is None else temperature

@@ -90,7 +90,7 @@ def test_isothermal_air_is_invisible(tmp_path, height, pitch):
     scene = tr.load_scene(write(folder, plane(4.0 * height), air, temperature=290.0, extra=extra))
     frame = tr.Renderer(scene).frame(tr.pose(0, 0, height, pitch_deg=pitch))
     below = ~((frame.truth["mask"] == 0) & ~np.isfinite(frame.truth["depth"]))
-    assert 0.3 < below.mean() and np.isfinite(frame.truth["depth"]).any()
+    assert below.mean() > 0.3 and np.isfinite(frame.truth["depth"]).any()
     # All of it but the sky, which is thin straight up: ground, and what lies beyond it.
     assert np.abs(frame.apparent_temperature[below] - 290.0).max() < 1e-3
 
@@ -310,7 +310,7 @@ def test_what_lies_above_the_base_of_clouds_is_refused_before_any_work(tmp_path,
     with pytest.raises(ThermorenderError, match=words):
         renderer.radiance(tr.pose(0, 0, 100.1, **DOWN))
     up = tr.Trajectory(np.array([0.0, 1.0]), np.array([[0, 0, 50.0], [0, 0, 101.0]]), np.array([[0, 1.0, 0, 0]] * 2))
-    with pytest.raises(ThermorenderError, match="pose: the camera is 501 m above sea level, above the base"):
+    with pytest.raises(ThermorenderError, match="pose: the camera is 501 m above sea level, above the cloud base"):
         tr.fly(renderer, up, tmp_path / "out")
     assert not (tmp_path / "out").exists()
     monkeypatch.undo()
@@ -338,7 +338,7 @@ def test_standard_air_in_place_of_a_scenes_sky(tmp_path):
     assert np.array_equal(*(tr.Renderer(each).radiance(pose) for each in (aired, told)))
     assert len({scene.digest(), aired.digest(), scene.with_air("tropical").digest()}) == 3
     arrays = [name for name, value in vars(aired.air).items() if isinstance(value, np.ndarray) and name[0] != "_"]
-    others = [replace(aired, air=replace(aired.air, **{name: getattr(aired.air, name) * 1.0001})) for name in arrays]
+    others = [aired.with_air(replace(aired.air, **{name: getattr(aired.air, name) * 1.0001})) for name in arrays]
     assert len(arrays) == 8 and len({aired.digest(), *(other.digest() for other in others)}) == 9
     with pytest.raises(ThermorenderError, match="standard='moon' is unknown"):
         scene.with_air("moon")

@@ -373,7 +373,7 @@ def test_saved_atmosphere_is_the_same(tmp_path):
     with pytest.raises(ThermorenderError, match="cannot be read"):
         Atmosphere.load(tmp_path / "none.npz")
     (tmp_path / "text.npz").write_text("not a table")
-    with pytest.raises(ThermorenderError, match="is not an .npz file with its arrays; give a file written by"):
+    with pytest.raises(ThermorenderError, match=r"is not an .npz file with its arrays; give a file written by"):
         Atmosphere.load(tmp_path / "text.npz")
 
 
@@ -461,9 +461,10 @@ def test_geometry_refuses():
     with pytest.raises(ThermorenderError, match="range_m=nan is shorter"):
         air.path_radiance(100.0, 0.0, np.nan)
     for length in (1e9, 1e28, np.inf):
-        with pytest.raises(ThermorenderError, match="is longer than any line of sight in the air, 2.43e.06 m"):
+        with pytest.raises(ThermorenderError, match=r"is longer than any line of sight in the air, 2.43e.06 m"):
             air.transmittance(0.0, 0.0, length)
-    with pytest.raises(ThermorenderError, match="cos_zenith=-0.2 is not a direction of the sky; at 120 m give -0.0057"):
+    words = r"cos_zenith=-0\.2 is not a direction of the sky; at 120 m give -0\.0057"
+    with pytest.raises(ThermorenderError, match=words):
         air.sky_radiance(120.0, [-0.2, 0.5])
     with pytest.raises(ThermorenderError, match="at_m=40000 is out of range; give metres above sea level, −500 … 30"):
         air.sky_radiance(4e4, 1.0)
@@ -551,7 +552,7 @@ def test_true_soundings_are_taken_at_any_height_and_step(tmp_path, base, step_m)
     # Steps of a few metres hide a wrong unit between neighbours, not over the whole ascent.
     for column, factor in ((0, 1.0 / 0.3048), (1, 0.1), (1, 100.0), (0, 0.9)):
         wrong = [tuple(v * factor if i == column else v for i, v in enumerate(row)) for row in rows]
-        with pytest.raises(ThermorenderError, match="hPa|lowest level between"):
+        with pytest.raises(ThermorenderError, match=r"hPa|lowest level between"):
             weather.read_profile(profile(tmp_path / "p.csv", wrong))
 
 
@@ -775,7 +776,8 @@ def test_modtran_as_a_second_opinion():
         if light is not None:
             # With multiple scattering, which the embedded table is without.
             assert air.sky_radiance(tape.from_m, tape.cos_zenith).sum() == pytest.approx(light, rel=0.02)
-    with pytest.raises(ThermorenderError, match="covers 8–12 µm, which does not include the camera's band 7.5–13.5 µm"):
+    words = r"covers 8–12 µm, which does not include the camera's band 7\.5–13\.5 µm"
+    with pytest.raises(ThermorenderError, match=words):
         modtran.read_tape7(shared_data("emissivity/pyradi_modtran/tape7.LWIRSun"), 7.5, 13.5)
-    with pytest.raises(ThermorenderError, match="covers 4.762–5 µm"):
+    with pytest.raises(ThermorenderError, match=r"covers 4.762–5 µm"):
         modtran.read_tape7(shared_data("emissivity/pyradi_modtran/ModTrantape7file"), 8.0, 12.0)

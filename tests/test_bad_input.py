@@ -575,7 +575,9 @@ def mesh_scene(scene, name, data):
 @pytest.mark.parametrize("suffix", ["obj", "glb", "gltf", "ply"])
 def test_garbage_and_empty_meshes(scene, refused, suffix):
     mesh_scene(scene, f"model.{suffix}", b"garbage \x00\xff\n no mesh")
-    refused([f"model.{suffix} cannot be read as a mesh", "give an OBJ, GLB or PLY file"], "render", scene)
+    # Newer releases of trimesh read any text as an OBJ without faces.
+    words = ["holds no triangles"] if suffix == "obj" else ["cannot be read as a mesh", "give an OBJ, GLB"]
+    refused([f"model.{suffix} ", *words], "render", scene)
     mesh_scene(scene, f"model.{suffix}", b"")
     refused([f"model.{suffix} is empty", "give an OBJ, GLB or PLY file"], "render", scene)
 
@@ -1035,7 +1037,7 @@ def test_wrong_options_of_a_flight(scene, refused, options, words):
         ("--seed -1", ["seed=-1 is not allowed"]),
         ("--quality finest", ["quality='finest' is unknown"]),
         ("--products bogus", ["product 'bogus' is unknown"]),
-        ("--pose 0,0,-5,0,-90,0", ["--pose='0,0,-5,0,-90,0' lies 5 m under the terrain", "--local-up"]),
+        ("--pose 0,0,-5,0,-90,0", ["--pose='0,0,-5,0,-90,0' is 5 m under the terrain", "--local-up"]),
         ("--engine reference --paths 0", ["--paths=0 is not allowed", "at least 1"]),
         ("--air tropical,rural-23km,5", ["--air='tropical,rural-23km,5' has 3 parts", "ATMOSPHERE,AEROSOL"]),
     ],
@@ -1176,7 +1178,7 @@ def test_resume_without_a_flight_starts_one(scene, call, tmp_path):
 def test_a_broken_exr(scene, tmp_path):
 
     (tmp_path / "a.exr").write_text("garbage")
-    with pytest.raises(ThermorenderError, match="a.exr cannot be read as EXR"):
+    with pytest.raises(ThermorenderError, match=r"a.exr cannot be read as EXR"):
         read_exr(tmp_path / "a.exr")
 
 

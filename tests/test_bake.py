@@ -215,9 +215,9 @@ def test_light_that_never_leaves_is_refused(tmp_path):
     box = trimesh.creation.box(extents=(4, 4, 4))
     box.invert()
     transport, _, _ = traced(tmp_path / "s", box, 16)
-    with pytest.raises(ThermorenderError, match="reflect 1.00000000 of the light between them, which never leaves"):
+    with pytest.raises(ThermorenderError, match=r"reflect 1.00000000 of the light between them, which never leaves"):
         solved(transport, [0.0])
-    with pytest.raises(ThermorenderError, match="does not converge: .* remain where 1e-30 are asked; give a larger"):
+    with pytest.raises(ThermorenderError, match=r"does not converge: .* remain where 1e-30 are asked; give a larger"):
         solved(transport, [0.5, 0.6], tolerance=1e-30)
 
 

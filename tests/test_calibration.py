@@ -245,7 +245,7 @@ def test_a_correction_between_frames_is_no_noise(base, tmp_path):
     # Every 1 s at 9 Hz a new pattern, of half the noise of single pixels.
     camera = replace(CAMERA, ffc_interval_s=1.0, ffc_duration_s=0.0)
     folder = write_frames(tmp_path / "static", footage(camera, 24, static=True))
-    with pytest.raises(ThermorenderError, match="changes from 008.tif to 009.tif, as by a flat-field correction"):
+    with pytest.raises(ThermorenderError, match=r"changes from 008.tif to 009.tif, as by a flat-field correction"):
         calibration.fit_camera([folder], base)
     between = calibration.fit_camera(sorted(folder.iterdir())[9:18], base)
     assert abs(between["sigma_vh_mk"].value - CAMERA.sigma_vh_mk) < 3.0 * between["sigma_vh_mk"].uncertainty
@@ -278,7 +278,7 @@ def test_pixels_at_the_end_of_the_range_tell_nothing(base, tmp_path):
         # What is cut off is not as warm as the noise's scale takes it.
         assert float(re.search(r"frames at (\d+) K", found["netd_mk"].how)[1]) >= 296.0
     folder = write_frames(tmp_path / "all", footage(CAMERA, 2, change=lambda view, index: 0.0 * view + 251.0))
-    with pytest.raises(ThermorenderError, match="cut off at an end|hold no noise"):
+    with pytest.raises(ThermorenderError, match=r"cut off at an end|hold no noise"):
         calibration.fit_camera([folder], base)
 
 
@@ -288,12 +288,12 @@ def test_frames_without_noise_or_beyond_the_range(base, tmp_path):
     with pytest.raises(ThermorenderError, match="the frames hold no noise"):
         calibration.fit_camera(sorted(tmp_path.glob("even*.tif")), base)
     write_image(tmp_path / "celsius.tif", np.full((256, 320), 7250, np.uint16))
-    with pytest.raises(ThermorenderError, match="the median temperature of .*celsius.tif=16.85 is below 100 K"):
+    with pytest.raises(ThermorenderError, match=r"the median temperature of .*celsius.tif=16.85 is below 100 K"):
         calibration.fit_camera([tmp_path / "celsius.tif"], base, (0.04, -273.15))
     hot = next(footage(CAMERA, 1))
     hot[100, 100] = 273.15 + 412.0
     write_tlinear(tmp_path / "hot.tif", hot, 0.04)
-    with pytest.raises(ThermorenderError, match="holds 412 °C, and high gain .* ends at 60 °C; .* gain = \"low\""):
+    with pytest.raises(ThermorenderError, match=r'holds 412 °C, and high gain .* ends at 60 °C; .* gain = "low"'):
         calibration.fit_camera([tmp_path / "hot.tif"], base)
     low = tmp_path / "low.toml"
     low.write_text(base.read_text(encoding="utf-8") + 'gain = "low"\n', encoding="utf-8")
@@ -417,7 +417,7 @@ def test_width_of_a_blurred_step(sigma):
 
 @pytest.mark.parametrize("blur", [0.4, 0.8])
 def test_blur_of_a_lens_without_its_pixel_and_diffraction(blur):
-    quiet = {key: 0.0 for key in ("sigma_tv_mk", "sigma_th_mk", "sigma_v_mk", "sigma_h_mk", "sigma_vh_mk")}
+    quiet = dict.fromkeys(("sigma_tv_mk", "sigma_th_mk", "sigma_v_mk", "sigma_h_mk", "sigma_vh_mk"), 0.0)
     camera = replace(CAMERA, blur_sigma_px=blur, netd_mk=30.0, **quiet)
     images = list(footage(camera, 2))
     estimate = calibration._blur_key(images, 0.060, camera)["blur_sigma_px"]
@@ -486,7 +486,7 @@ def test_what_is_refused(base, tmp_path):
             calibration.fit_camera(paths, base)
     with pytest.raises(ThermorenderError, match="base camera 'bogus' is unknown"):
         calibration.fit_camera([tmp_path / "odd.tif"], "bogus")
-    with pytest.raises(ThermorenderError, match="ends in .toml"):
+    with pytest.raises(ThermorenderError, match=r"ends in .toml"):
         calibration.write_camera(tmp_path / "a.txt", base, {})
     with pytest.raises(ThermorenderError, match="too small to read noise from"):
         Spectra((64, 64))

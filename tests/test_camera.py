@@ -37,7 +37,7 @@ def test_points_behind_the_camera_have_no_pixel():
 
 def test_folding_distortion_is_refused():
     camera = replace(load_camera("ideal"), distortion=(-5.0, 0.0, 0.0, 0.0, 0.0))
-    with pytest.raises(ThermorenderError, match="camera ideal: distortion=.*folds the image"):
+    with pytest.raises(ThermorenderError, match=r"camera ideal: distortion=.*folds the image"):
         camera.directions(np.array([[0.5, 0.5]]))
 
 

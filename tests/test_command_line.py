@@ -121,7 +121,7 @@ def test_a_process_that_is_told_to_end_cleans_up(tmp_path):
         time.sleep(1e-3)
         # It may be renamed while it is looked through.
         with suppress(FileNotFoundError):
-            begun = any(folder.glob(".scene.*.part/*"))
+            begun = any(folder.glob(".scene*.part/*"))
     process.send_signal(signal.SIGTERM)
     _, errors = process.communicate(timeout=60)
     assert (process.returncode, errors) == (128 + signal.SIGTERM, b"") and not folder.exists()

@@ -142,7 +142,7 @@ def test_neighbourhood_in_metres_reaches_the_temperatures():
 
 
 def test_errors():
-    with pytest.raises(ThermorenderError, match="'fok-1to2' is unknown; did you mean 'fok-1to1'.*fok-9to1"):
+    with pytest.raises(ThermorenderError, match=r"'fok-1to2' is unknown; did you mean 'fok-1to1'.*fok-9to1"):
         load_model("fok-1to2")
     with pytest.raises(ThermorenderError, match=r"range_c=\(24, 14\) is not a range.*coldest first"):
         load_model("fok-1to1", (24, 14))

@@ -132,7 +132,7 @@ def test_what_pictures_cannot_tell():
     grey = np.repeat(np.random.default_rng(4).integers(0, 256, (30, 30, 1), dtype=np.uint8), 3, axis=2)
     values, table = as_values(grey[..., 0] / 255.0)
     example = Example(Inputs(grey), values, np.ones(values.shape, bool))
-    with pytest.raises(ThermorenderError, match="tell 9 of 27 coefficients only.*grey.*penalty=1e-6"):
+    with pytest.raises(ThermorenderError, match=r"tell 9 of 27 coefficients only.*grey.*penalty=1e-6"):
         fit_correlation(task([example], table), 3)
     assert np.isfinite(fit_correlation(task([example], table, penalty=1e-6), 3).kernel).all()
     small = Example(Inputs(grey[:2, :2]), values[:2, :2], np.ones((2, 2), bool))

@@ -157,7 +157,7 @@ def test_parts_and_splits(tmp_path):
     split = dataset.split({"a-0": "test", "b-1": "validation"})
     assert [(each.key, each.part) for each in split.entries] == [("a-0", "test"), ("b-1", "validation")]
     assert len(split.of("test", "validation")) == 2 and len(split.of("train")) == 0 and len(dataset.of("train")) == 4
-    with pytest.raises(ThermorenderError, match="the split names 'c', which .* does not hold; leave it out"):
+    with pytest.raises(ThermorenderError, match=r"the split names 'c', which .* does not hold; leave it out"):
         dataset.split({"c": "test"})
     with pytest.raises(ThermorenderError, match="puts 'a-0' into 'tests'; give one of train, validation, test"):
         dataset.split({"a-0": "tests"})
@@ -376,12 +376,13 @@ def test_lines_that_are_no_pairs_are_refused_wherever_they_stand(tmp_path, chang
 def test_cards_that_tell_no_scale_are_refused(tmp_path, text):
     folder = made(tmp_path / "set", "a")
     (folder / "card.json").write_text(text)
-    with pytest.raises(ThermorenderError, match="card.json is not the card of a data set of format 1 .*; make the"):
+    with pytest.raises(ThermorenderError, match=r"card.json is not the card of a data set of format 1 .*; make the"):
         read_dataset(folder)
 
 
 def test_no_data_set(tmp_path):
-    with pytest.raises(ThermorenderError, match="is not a data set: card.json is missing; make one with `thermorender"):
+    words = r"is not a data set: card\.json is missing; make one with `thermorender"
+    with pytest.raises(ThermorenderError, match=words):
         read_dataset(tmp_path)
 
 

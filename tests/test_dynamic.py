@@ -178,10 +178,10 @@ def test_bad_settings(tmp_path):
     # A camera in the place of a time would be passed over where nothing moves.
     for time_s in (np.nan, scene.camera):
         for render in (renderer.frame, renderer.visible):
-            with pytest.raises(ThermorenderError, match="^time_s=.* is no time; give a finite number of seconds$"):
+            with pytest.raises(ThermorenderError, match=r"^time_s=.* is no time; give a finite number of seconds$"):
                 render(tr.pose(0, 0, 30, pitch_deg=-90), time_s=time_s)
     assert brightness_temperature(renderer.frame(tr.pose(0, 0, 30, pitch_deg=-90)).radiance.mean(), *BAND) > 200.0
-    with pytest.raises(ThermorenderError, match="camera=1.0 is no Camera; give what load_camera returns"):
+    with pytest.raises(ThermorenderError, match=r"camera=1.0 is no Camera; give what load_camera returns"):
         renderer.visible(tr.pose(0, 0, 30, pitch_deg=-90), 1.0)
 
 

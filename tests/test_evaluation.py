@@ -304,7 +304,7 @@ def _exact(visible, temperature, error, material):
 
 
 def test_tables_numbers_and_figures_are_written(scored):
-    dataset, result, folder = scored
+    _, result, folder = scored
     written = json.loads((folder / "evaluation.json").read_text())
     assert written["methods"] == json.loads(json.dumps(result["methods"]))
     header = written["models"]["linear"]
@@ -378,7 +378,7 @@ def test_pictures_without_a_scale_are_fitted_and_others_are_not(undrawn, tmp_pat
     with pytest.raises(ThermorenderError, match="has no picture of 1 of 2 pairs, the first 'p3'"):
         evaluate(dataset, ["fok-1to1"], tmp_path / "q", foreign=others)
     cv2.imwrite(str(tmp_path / "plain/p3.png"), np.zeros((4, 4), np.uint16))
-    with pytest.raises(ThermorenderError, match="p3.png is not a grey picture of 64×48 pixels"):
+    with pytest.raises(ThermorenderError, match=r"p3.png is not a grey picture of 64×48 pixels"):
         evaluate(dataset, ["fok-1to1"], tmp_path / "q", foreign=others)
     for key in ("p2", "p3"):
         cv2.imwrite(str(tmp_path / f"plain/{key}.png"), np.full(SHAPE, 7, np.uint8))

@@ -25,7 +25,7 @@ def names(folder):
 def test_a_file_is_whole_or_as_it_was(tmp_path):
     target = tmp_path / "a.txt"
     target.write_text("before")
-    with pytest.raises(ThermorenderError, match="a.txt cannot be written: no room; check the folder"):
+    with pytest.raises(ThermorenderError, match=r"a.txt cannot be written: no room; check the folder"):
         with files.atomic(target) as part:
             part.write_text("half")
             raise OSError("no room")
@@ -331,7 +331,7 @@ def test_each_kind_of_kept_files_has_its_folder(tmp_path, monkeypatch):
 def test_a_folder_that_another_process_is_about_to_fill_is_left_to_it(tmp_path):
     folder = tmp_path / "new" / "flight"
     with files.output_folder(folder) as out, files.in_use(out):
-        with pytest.raises(ThermorenderError, match="is being written by another process"):  # noqa: SIM117
+        with pytest.raises(ThermorenderError, match="is being written by another process"):
             with files.output_folder(folder) as same, files.in_use(same):
                 pytest.fail("two have it")
         assert folder.is_dir()
@@ -376,7 +376,7 @@ def test_kept_arrays_are_whole_or_absent(tmp_path):
         path.write_bytes(damaged)
         found = formats.read_arrays(path, 3)
         # Of what no reader uses, as a member's date, a bit may fall.
-        assert found is None or all(np.array_equal(found.pop(name), arrays[name]) for name in arrays) and not found
+        assert found is None or (all(np.array_equal(found.pop(name), arrays[name]) for name in arrays) and not found)
     for size in range(0, len(whole), 7):
         path.write_bytes(whole[:size])
         assert formats.read_arrays(path, 3) is None

@@ -200,7 +200,7 @@ def test_resume_continues_the_gain_control(setting, tmp_path, lost):
     # Without memory the last frame looks different, so the memory did reach it.
     fly(renderer, path, tmp_path / "none", replace(flight, display=DisplaySettings("plateau", "ironbow")))
     assert contents(tmp_path / "none")["frame_000004.png"] != contents(tmp_path / "whole")["frame_000004.png"]
-    with pytest.raises(ThermorenderError, match="was flown with display.mode="):
+    with pytest.raises(ThermorenderError, match=r"was flown with display.mode="):
         fly(renderer, path, tmp_path / "whole", replace(flight, display=DisplaySettings()), resume=True)
 
 
@@ -296,7 +296,7 @@ def test_resume_refuses_other_settings(setting, tmp_path):
     fly(renderer, path, tmp_path / "f", FlightOptions(rate_hz=2.0, products=("counts",)))
     with pytest.raises(ThermorenderError, match="already holds a flight; give another folder, or --resume"):
         fly(renderer, path, tmp_path / "f", FlightOptions(rate_hz=2.0, products=("counts",)))
-    with pytest.raises(ThermorenderError, match="was flown with rate_hz=2.0, now rate_hz=3.0"):
+    with pytest.raises(ThermorenderError, match=r"was flown with rate_hz=2.0, now rate_hz=3.0"):
         fly(renderer, path, tmp_path / "f", FlightOptions(rate_hz=3.0, products=("counts",)), resume=True)
     other = tr.Renderer(renderer.scene, rays=4, samples=1, seed=12)
     with pytest.raises(ThermorenderError, match="was flown with seed=11, now seed=12"):

@@ -14,11 +14,12 @@ from thermorender.learned.rows import ExtraInputs
 from thermorender.learned.temperature_map import Inputs, load_map
 from thermorender.learned.trees import Trees
 
-HEADER = dict(
-    format=1, predictor="correlation", name="m", method="x", range_k=[280.0, 300.0], band_um=[7.5, 13.5], texel_m=0.5,
-    texel_range_m=[0.4, 0.6], camera="c", sky_temperature=250.0, source="s", trained=None, error_k=None, about={},
-    of_predictor={"intercept": 0.0, "above_air": False},
-)  # fmt: skip
+HEADER = {
+    "format": 1, "predictor": "correlation", "name": "m", "method": "x", "range_k": [280.0, 300.0],
+    "band_um": [7.5, 13.5], "texel_m": 0.5, "texel_range_m": [0.4, 0.6], "camera": "c", "sky_temperature": 250.0,
+    "source": "s", "trained": None, "error_k": None, "about": {},
+    "of_predictor": {"intercept": 0.0, "above_air": False},
+}  # fmt: skip
 KERNEL = np.zeros((1, 1, 3))
 
 

@@ -99,7 +99,7 @@ def test_sensors_inside_the_cover_are_refused(tmp_path):
     """Where the logarithm of height over roughness is nothing or less, heat would flow the wrong way."""
     text = 'cover = [["conifer", 1.0]]\nsurface = "surface_c"\nair_height_m = 0.5\nwind_height_m = 2.0\n'
     found = measured(site_of(tmp_path, text, surface_c=np.zeros(49)), tmp_path)
-    with pytest.raises(ThermorenderError, match="air_height_m=0.5, wind_height_m=2 are too low over conifer"):
+    with pytest.raises(ThermorenderError, match=r"air_height_m=0.5, wind_height_m=2 are too low over conifer"):
         modelled(found)
 
 
@@ -107,7 +107,7 @@ def test_missing_columns_tables_and_materials_are_refused(tmp_path):
     site = site_of(tmp_path, 'cover = [["asphalt", 1.0]]\nsurface = "ground_c"\n')
     with pytest.raises(ThermorenderError, match=r"made.csv has no column 'ground_c'; row 1 names time_utc, air_c"):
         measured(site, tmp_path)
-    with pytest.raises(ThermorenderError, match="made.csv does not exist; give the folder of made.csv"):
+    with pytest.raises(ThermorenderError, match=r"made.csv does not exist; give the folder of made.csv"):
         measured(site, tmp_path / "elsewhere")
     site = site_of(tmp_path, 'cover = [["asfalt", 1.0]]\nsurface = "air_c"\n')
     with pytest.raises(ThermorenderError, match="site 'made': cover='asfalt' is not a material"):

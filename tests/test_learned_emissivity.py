@@ -166,7 +166,7 @@ def test_unseen_picture_is_mapped_right(model):
     assert (named == np.array(["", *STRIPES])[number]).mean() > RIGHT
     assert mapped.share.sum(axis=-1) == pytest.approx(np.ones(rgb.shape[:2]), abs=1e-5)
     assert (np.diff(mapped.share, axis=-1) <= 0.0).all()
-    assert model.about["held_out_accuracy"] > 0.95 and "stripes 1; stripes 2" == model.about["trained_on"]
+    assert model.about["held_out_accuracy"] > 0.95 and model.about["trained_on"] == "stripes 1; stripes 2"
 
 
 def test_same_seed_same_map():
@@ -194,7 +194,7 @@ def test_tiles_leave_no_seams(model, monkeypatch, axes):
 
     mapped = map_materials(heedful, rgb, 0.5, keep=keep)
     whole, novelty = heedful.probabilities(features(rgb).reshape(-1, len(NAMES)))
-    assert found.reshape(3, -1).T == pytest.approx(whole, abs=2e-4)
+    assert found.reshape(3, -1).transpose() == pytest.approx(whole, abs=2e-4)
     best = np.where(novelty <= 1.0, whole.max(axis=-1), 0.0).reshape(rgb.shape[:2])
     # A texel beside the threshold may fall to either side of it.
     assert (np.abs(mapped.confidence - best) > 2e-3).mean() < 1e-4
@@ -202,7 +202,7 @@ def test_tiles_leave_no_seams(model, monkeypatch, axes):
 
 @pytest.mark.parametrize("factor", [2, 5])
 def test_a_finer_orthophoto_is_brought_to_the_map_s_own_grid(model, factor):
-    rgb, number = striped(11)
+    rgb, _ = striped(11)
     fine = rgb.repeat(factor, axis=0).repeat(factor, axis=1)
     coarse = map_materials(model, rgb, 0.5)
     mapped = map_materials(model, fine, 0.5 / factor)
@@ -215,7 +215,7 @@ def test_a_finer_orthophoto_is_brought_to_the_map_s_own_grid(model, factor):
 
 
 def test_too_coarse_an_orthophoto_is_refused(model):
-    with pytest.raises(ThermorenderError, match="texels of 6 m, but emissivity map 'stripes' was trained at 0.5 m"):
+    with pytest.raises(ThermorenderError, match=r"texels of 6 m, but emissivity map 'stripes' was trained at 0.5 m"):
         map_materials(model, np.zeros((8, 8, 3), np.uint8), 6.0)
 
 
@@ -260,7 +260,7 @@ def test_more_materials_than_a_class_raster_tells_apart_are_refused(model, tmp_p
         )
         save_map(many, tmp_path / f"{count}.npz")
     assert len(load_map(tmp_path / "254.npz").materials) == 254
-    with pytest.raises(ThermorenderError, match="255.npz is no .*tells 255 materials apart, not 2…254"):
+    with pytest.raises(ThermorenderError, match=r"255.npz is no .*tells 255 materials apart, not 2…254"):
         load_map(tmp_path / "255.npz")
     rgb, number = np.zeros((16, 32, 3), np.uint8), 1 + np.arange(512).reshape(16, 32) % 200
     pictures = [
@@ -289,7 +289,7 @@ def test_a_file_that_is_no_map_is_refused(model, tmp_path, damage):
 
 
 def test_a_missing_map_names_the_shipped_one():
-    with pytest.raises(ThermorenderError, match="map 'nowhere.npz' does not exist; give a file .* procedural"):
+    with pytest.raises(ThermorenderError, match=r"map 'nowhere.npz' does not exist; give a file .* procedural"):
         load_map("nowhere.npz")
 
 
@@ -435,15 +435,15 @@ def test_scene_files_that_cannot_be_used(scene, text, words):
 def test_learned_materials_need_an_orthophoto(scene, tmp_path):
     text = (scene / "scene.toml").read_text(encoding="utf-8")
     (scene / "scene.toml").write_text(text.replace('orthophoto = "orthophoto.tif"\n', ""), encoding="utf-8")
-    with pytest.raises(ThermorenderError, match="emissivity.source='learned' reads materials from an orthophoto"):
+    with pytest.raises(ThermorenderError, match=r"emissivity.source='learned' reads materials from an orthophoto"):
         tr.load_scene(scene)
-    with pytest.raises(ThermorenderError, match="has no terrain.orthophoto beside terrain.elevation"):
+    with pytest.raises(ThermorenderError, match=r"has no terrain.orthophoto beside terrain.elevation"):
         labelled_scene(scene)
     import trimesh
 
     folder = write_mesh(tmp_path / "mesh", trimesh.creation.box())
     learned_source(folder, 'model = "procedural"\nfallback = "granite"\n')
-    with pytest.raises(ThermorenderError, match="emissivity.source='learned' needs an elevation raster"):
+    with pytest.raises(ThermorenderError, match=r"emissivity.source='learned' needs an elevation raster"):
         tr.load_scene(folder)
 
 
@@ -569,7 +569,7 @@ def test_training_takes_no_class_number_for_another(tmp_path):
     classes[:, 16:] = 2
     folder = write_terrain(tmp_path / "wide")
     write_raster(folder / "classes.tif", classes[None], 0.5)
-    with pytest.raises(ThermorenderError, match="classes.tif holds 300, which is no class number; give whole numbers"):
+    with pytest.raises(ThermorenderError, match=r"classes.tif holds 300, which is no class number; give whole numbers"):
         labelled_scene(folder)
 
 

@@ -78,7 +78,8 @@ def test_paths_are_asked_for_in_lowtrans_columns(grey, path, depth):
 
 def test_an_answer_that_is_none_is_one_sentence(monkeypatch):
     monkeypatch.setattr(lowtran, "_run", lambda *_: "S 685.0 NaN NaN")
-    with pytest.raises(ThermorenderError, match="LOWTRAN gives no spectrum for a path from 5 m to None m, zenith 99.0"):
+    words = r"LOWTRAN gives no spectrum for a path from 5 m to None m, zenith 99\.0"
+    with pytest.raises(ThermorenderError, match=words):
         lowtran.spectrum(lowtran.Air(1), 5.0, zenith_deg=99.0)
 
 

@@ -75,7 +75,7 @@ def test_fit_finds_the_terms_that_made_the_spectra(fitted):
 def test_fit_holds_for_paths_and_temperatures_it_has_not_seen(fitted, temperature):
     runs, _, ours, (weight, tilt, absorption, _) = fitted
     table = fit.node_table(weight, tilt, absorption, TWO)
-    plain = dict(altitude_m=np.array([0.0, 1e5]), temperature=np.full(2, 285.0), density=np.ones((11, 2)))
+    plain = {"altitude_m": np.array([0.0, 1e5]), "temperature": np.full(2, 285.0), "density": np.ones((11, 2))}
     named = {key: table[key] for key in ("lower_um", "upper_um", "weight", "tilt", "absorption")}
     share = Atmosphere(**named, **plain).shares(temperature)
     worst = 0.0

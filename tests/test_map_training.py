@@ -415,7 +415,7 @@ def test_shipped_maps_are_small():
 
 def test_shipped_maps_translate_and_ask_for_what_they_need(tmp_path, call):
     cv2.imwrite(str(tmp_path / "a.png"), colours(3))
-    status, out, errors = call("translate", "procedural-palette", tmp_path / "a.png", "-o", tmp_path / "o")
+    status, _, errors = call("translate", "procedural-palette", tmp_path / "a.png", "-o", tmp_path / "o")
     assert status == 0, errors
     status, _, errors = call("translate", "procedural-trees+", tmp_path / "a.png", "-o", tmp_path / "p")
     assert status == 2 and "procedural-trees+" in errors and not (tmp_path / "p").exists()

@@ -249,7 +249,7 @@ def test_roughness_raises_grazing_emissivity(library):
 def test_grey_is_constant_and_knows_no_other_wavelengths():
     material = grey("wall", 0.9)
     np.testing.assert_array_equal(material.emissivity_at([0.0, 3.7, 10.0, 1000.0]), 0.9)
-    with pytest.raises(ThermorenderError, match="emissivity=1.2 of grey material 'wall' is not within 0…1"):
+    with pytest.raises(ThermorenderError, match=r"emissivity=1.2 of grey material 'wall' is not within 0…1"):
         grey("wall", 1.2)
 
 
@@ -383,7 +383,7 @@ def test_a_hole_in_a_table_is_never_bridged(tmp_path):
     np.testing.assert_allclose(holed.emissivity_at([9.0, 10.4, 12.03]), 0.9)
     with pytest.raises(ThermorenderError, match=r"at 9.5 µm, but its table has no row between 9 and 10.4 µm"):
         holed.emissivity_at([8.0, 9.5])
-    with pytest.raises(ThermorenderError, match="has no row between 9 and 10.4"):
+    with pytest.raises(ThermorenderError, match=r"has no row between 9 and 10.4"):
         holed.band_emissivity(7.5, 13.5, 300.0)
 
 
@@ -502,7 +502,7 @@ def test_nothing_is_written_half_way(tmp_path, monkeypatch):
 
     monkeypatch.setattr(os, "replace", full_disk)
     for name, overwrite in (("zinc", False), ("tin", True)):
-        with pytest.raises(ThermorenderError, match="index.csv cannot be written: No space left"):
+        with pytest.raises(ThermorenderError, match=r"index.csv cannot be written: No space left"):
             store(ROW | {"name": name}, SPECTRUM.replace("0.2", "0.25"), folder, overwrite)
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
 
@@ -539,7 +539,7 @@ def test_libraries_that_end_at_different_wavelengths_make_one_table(tmp_path):
     assert np.isnan(rock.emissivity_std[0])
     apart = read_ecostress(ecostress_file(tmp_path / "c.txt", np.linspace(9.0, 14.2, 400), np.full(400, 20.0)))
     short = read_ecostress(ecostress_file(tmp_path / "d.txt", np.linspace(6.0, 8.0, 400), np.full(400, 20.0)))
-    with pytest.raises(ThermorenderError, match="no sample of material 'rock' covers 8.05 µm, between those that do"):
+    with pytest.raises(ThermorenderError, match=r"no sample of material 'rock' covers 8.05 µm, between those that do"):
         from_samples([apart, short], "rock", solar_absorptance=0.5)
 
 
@@ -608,7 +608,7 @@ def test_selection_names_files_only(tmp_path):
     header = "material,file,title,colour_r,colour_g,colour_b,solar_absorptance,temperature_k,note\n"
     selection.write_text(header + "rock,a.txt,Rock,1,2,3,0.5,20,\n")
     ecostress_file(tmp_path / "a.txt", np.linspace(2.0, 14.5, 200), np.full(200, 5.0))
-    with pytest.raises(ThermorenderError, match="selection.csv, row 2: temperature_k=20 is not within 100…6000"):
+    with pytest.raises(ThermorenderError, match=r"selection.csv, row 2: temperature_k=20 is not within 100…6000"):
         read_selection(selection, [tmp_path])
     selection.write_text(header + "rock,a.txt,Rock,1,2,3,0.5,300,\n")
     assert read_selection(selection, [tmp_path])[0].emissivity_at(10.0) == pytest.approx(0.95)

@@ -145,7 +145,7 @@ def test_properties_move_by_what_their_tables_state():
     both = shifted(mix([(grass, 0.5), (sand, 0.5)]), "wetness")
     assert both.parts[0][0].thermal.wetness == dry.wetness and both.parts[1][1] == 0.5
     unknown = replace(sand, thermal=None)
-    with pytest.raises(ThermorenderError, match="has no thermal properties; add thermal/sand_quartz.csv"):
+    with pytest.raises(ThermorenderError, match=r"has no thermal properties; add thermal/sand_quartz.csv"):
         shifted(unknown, "inertia")
 
 

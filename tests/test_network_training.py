@@ -301,7 +301,7 @@ def test_a_training_that_explodes_keeps_its_best_state(tmp_path, monkeypatch):
 
 def test_one_that_explodes_at_once_says_so(tmp_path):
     task = task_of("unet", examples(), tmp_path / "r", width=4, batch=2, crops=400, every=200, rate=1e3)
-    with pytest.raises(ThermorenderError, match="unet: training exploded at crop .*; take a smaller --set rate"):
+    with pytest.raises(ThermorenderError, match=r"unet: training exploded at crop .*; take a smaller --set rate"):
         train_network(task, "unet")
 
 
@@ -397,7 +397,7 @@ def test_a_folder_of_another_training_is_refused(tmp_path):
     with pytest.raises(ThermorenderError, match=r"training of other settings \(examples, encoding\)"):
         train_network(task_of("compact", others, tmp_path / "r", resume=True, **SMALL), "compact")
     best = (tmp_path / "r" / "best.safetensors").rename(tmp_path / "best")
-    with pytest.raises(ThermorenderError, match="lacks best.safetensors"):
+    with pytest.raises(ThermorenderError, match=r"lacks best.safetensors"):
         train_network(task_of("compact", examples(11), tmp_path / "r", resume=True, **SMALL), "compact")
     best.rename(tmp_path / "r" / "best.safetensors")
     last = tmp_path / "r" / "last.safetensors"

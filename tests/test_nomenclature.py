@@ -37,7 +37,7 @@ def names_of(room=None):
 def unknown(text, room=None):
     """The names in backticks of a text that the room's code does not hold; "_ending" is one of any name."""
     found, members = names_of(room)
-    every, all_members = names_of()
+    every, _ = names_of()
     for name in re.findall(r"`([^`]+)`", text):
         if name == "(H, W)" or name == "(4, 4)":
             continue

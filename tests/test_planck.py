@@ -196,9 +196,9 @@ def test_shapes_and_odd_values():
 
 
 def test_errors_name_the_argument():
-    with pytest.raises(ThermorenderError, match="temperature=-5 is below 0 K.*add 273.15"):
+    with pytest.raises(ThermorenderError, match=r"temperature=-5 is below 0 K.*add 273.15"):
         planck.band_radiance(-5.0, *BAND)
-    with pytest.raises(ThermorenderError, match="band 13.5–7.5 µm.*lower < upper"):
+    with pytest.raises(ThermorenderError, match=r"band 13.5–7.5 µm.*lower < upper"):
         planck.band_radiance(300.0, 13.5, 7.5)
     with pytest.raises(ThermorenderError, match="wavelength_um=0"):
         planck.spectral_radiance(0.0, 300.0)

@@ -398,7 +398,7 @@ def test_a_jpeg_cut_short_is_refused(tmp_path):
     cv2.imwrite(str(tmp_path / "a.jpg"), image)
     assert pictures.read_visible(tmp_path / "a.jpg")[0].shape == (60, 60, 3)
     (tmp_path / "a.jpg").write_bytes((tmp_path / "a.jpg").read_bytes()[:-400])
-    with pytest.raises(ThermorenderError, match="a.jpg is a truncated JPEG"):
+    with pytest.raises(ThermorenderError, match=r"a.jpg is a truncated JPEG"):
         pictures.read_visible(tmp_path / "a.jpg")
 
 

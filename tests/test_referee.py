@@ -28,7 +28,8 @@ from thermorender.compare.referee import (
     trial,
     views,
 )
-from thermorender.compare.referee.run import Flight, Options, compare
+from thermorender.compare.referee.flight import Flight
+from thermorender.compare.referee.run import Options, compare
 from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import write_tlinear
 from thermorender.learned.correlation import Correlation
@@ -170,7 +171,7 @@ def planted(ground, tmp_path_factory):
         "shifted": frames_of(ground, 5, place / "shifted", lambda kelvin, k: np.roll(kelvin, 2, axis=1), factor=2),
         "metal": frames_of(other, 5, place / "metal", factor=2),
     }
-    flown = flight(ground, poses=5)
+    flown = flight(ground, poses=5, factor=2)
     return compare([flown], place / "c", [], Options(foreign=folders, arrays=True, settings={"rays": 8}))
 
 

@@ -120,7 +120,7 @@ def test_what_is_no_toml_names_file_and_line(tmp_path, data, words):
     with pytest.raises(ThermorenderError, match=words) as caught:
         read_toml(tmp_path / "x.toml")
     assert "\n" not in str(caught.value)
-    with pytest.raises(ThermorenderError, match="^mine is not valid TOML"):
+    with pytest.raises(ThermorenderError, match=r"^mine is not valid TOML"):
         read_toml(tmp_path / "x.toml", "mine")
 
 
@@ -132,7 +132,7 @@ def test_a_byte_order_mark_is_passed_over(tmp_path):
 def test_a_file_that_cannot_be_read_is_named(tmp_path):
     with pytest.raises(ThermorenderError, match=re.escape(f"{tmp_path} cannot be read: Is a directory")):
         read_toml(tmp_path)
-    with pytest.raises(ThermorenderError, match="none.toml cannot be read: No such file"):
+    with pytest.raises(ThermorenderError, match=r"none.toml cannot be read: No such file"):
         read_toml(tmp_path / "none.toml")
 
 

@@ -169,7 +169,7 @@ def test_points_of_the_ground_move_as_all_cameras_see_them(ground, distortion):
     point = ray * depth(there, camera)[y, x, None] @ there[:3, :3].T + there[:3, 3]
     expected = camera.project((point - here[:3, 3]) @ here[:3, :3]) - 0.5
     inside = (np.abs(expected - (320, 256)) < (310, 246)).all(axis=-1)
-    assert 0.4 < inside.mean()
+    assert inside.mean() > 0.4
     np.testing.assert_allclose(np.stack([column, row], axis=-1)[y, x][inside], expected[inside], atol=0.03)
 
 
@@ -438,7 +438,7 @@ def test_validation_measures_lag_blur_and_chain(tmp_path, monkeypatch):
     assert all(0.0 <= record["aliasing_mk"] <= record["worst_mk"] for record in result["aliasing"]["views"])
     page = (tmp_path / "out" / "sensor.md").read_text(encoding="utf-8")
     assert "## Aliasing" in page and page.count("| 0.5 |") == 1
-    assert 0.0 < result["chain"]["standing_ratio"] and 0.0 < result["chain"]["subpixel_ratio"]
+    assert result["chain"]["standing_ratio"] > 0.0 and result["chain"]["subpixel_ratio"] > 0.0
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "sensor.json", "sensor.md", "sensor.png", "effects.png",
     }  # fmt: skip

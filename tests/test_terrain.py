@@ -82,10 +82,10 @@ def test_heights_in_feet_are_refused(tmp_path):
             file.write(np.full((1, 4, 4), 50.0, np.float32))
             if unit:
                 file.units = (unit,)
-        if unit == "m" or "+" not in crs and not unit:
+        if unit == "m" or ("+" not in crs and not unit):
             terrain.read_elevation(path)
             continue
-        with pytest.raises(ThermorenderError, match="holds heights in '(ft|US survey foot)'; give metres"):
+        with pytest.raises(ThermorenderError, match=r"holds heights in '(ft|US survey foot)'; give metres"):
             terrain.read_elevation(path)
 
 

@@ -170,7 +170,7 @@ def test_a_table_is_read_and_written_back(tmp_path):
     # A row that is empty says the same as none.
     write_text(tmp_path / "c.csv", TABLE + "melting_k,,,\n,,,\n")
     assert read_thermal(tmp_path / "c.csv") == thermal
-    with pytest.raises(ThermorenderError, match="beneath='soil_loam' has not been looked up; .*load_library"):
+    with pytest.raises(ThermorenderError, match=r"beneath='soil_loam' has not been looked up; .*load_library"):
         _ = thermal.layers
 
 

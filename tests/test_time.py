@@ -18,7 +18,8 @@ import trimesh
 
 import thermorender as tr
 from scenes import coarse, write_balance, write_mesh, write_terrain
-from thermorender.compare.referee.run import Flight, Options, compare
+from thermorender.compare.referee.flight import Flight
+from thermorender.compare.referee.run import Options, compare
 from thermorender.errors import ThermorenderError
 from thermorender.output import timed
 from thermorender.output.day import day, instant_of, solar_midnight
@@ -298,7 +299,7 @@ def test_a_truth_raster_is_of_the_scenes_own_instant(tmp_path):
     scene = tr.load_scene(write_terrain(tmp_path / "tiny", extra=DAY))
     assert scene.truth_temperature_spec.source == "raster"
     assert scene.at(NOON).spec.truth_temperature is not None
-    with pytest.raises(ThermorenderError, match="has no truth.temperature"):
+    with pytest.raises(ThermorenderError, match=r"has no truth.temperature"):
         _ = scene.at(NOON + MINUTE).truth_temperature_spec
 
 
@@ -310,7 +311,7 @@ def test_little_weather_before_the_instant_is_told(scene):
 
 def test_a_scene_without_an_hour_refuses_one(tmp_path, call):
     folder = write_terrain(tmp_path / "tiny")
-    with pytest.raises(ThermorenderError, match="needs temperature.source='balance' with \\[weather\\]"):
+    with pytest.raises(ThermorenderError, match=r"needs temperature.source='balance' with \[weather\]"):
         tr.load_scene(folder).at(NOON)
     for verb in ("plan", "render", "fly", "compare", "bench", "day"):
         output = [] if verb in ("plan", "bench") else ["-o", tmp_path / verb]
@@ -486,7 +487,7 @@ def test_days_that_cannot_be_are_refused(scene, tmp_path, marches):
         with pytest.raises(ThermorenderError, match=f"step_min={step} is not allowed; give minutes from 5 to 720"):
             day(scene, pose, tmp_path / "d", step)
     constant = scene.with_temperature(TemperatureSpec("constant", value=300.0))
-    with pytest.raises(ThermorenderError, match="a day needs temperature.source='balance'"):
+    with pytest.raises(ThermorenderError, match=r"a day needs temperature.source='balance'"):
         day(constant, pose, tmp_path / "d")
     scene = scene.with_weather(StandIn(NOON + 60 * MINUTE * np.arange(-3, 4), 21.0))
     with pytest.raises(ThermorenderError, match="is not all inside its weather, 2018-07-28T11:30:00Z to"):
@@ -526,7 +527,7 @@ def test_verbs_at_an_instant(tmp_path, call, marches):
 
 def test_an_hour_that_changes_nothing_is_said(tmp_path, call):
     folder = write_terrain(tmp_path / "tiny", extra=DAY)
-    status, output, errors = call("plan", folder, "--time", "2018-07-28T18:00Z")
+    status, _, errors = call("plan", folder, "--time", "2018-07-28T18:00Z")
     assert status == 0 and "note: temperatures of source 'raster' do not change with --time" in errors
 
 

@@ -12,7 +12,8 @@ import trimesh
 
 import thermorender as tr
 from scenes import write_balance, write_mesh
-from thermorender.compare.referee.run import Flight, Options, compare
+from thermorender.compare.referee.flight import Flight
+from thermorender.compare.referee.run import Options, compare
 from thermorender.errors import ThermorenderError
 from thermorender.learned.correlation import Correlation
 from thermorender.learned.linear import Linear, names_of_columns
@@ -51,10 +52,11 @@ def by_sunlight(kelvin_m2_w):
 
 
 def save(path, predictor, **options):
-    usual = dict(
-        name=path.stem, method="by hand", predictor=predictor, range_k=(270.0, 330.0), band_um=(7.5, 13.5), texel_m=0.5,
-        texel_range_m=(0.4, 0.6), camera="boson-640", sky_temperature=230.0, source="a test",
-    )  # fmt: skip
+    usual = {
+        "name": path.stem, "method": "by hand", "predictor": predictor, "range_k": (270.0, 330.0),
+        "band_um": (7.5, 13.5), "texel_m": 0.5, "texel_range_m": (0.4, 0.6), "camera": "boson-640",
+        "sky_temperature": 230.0, "source": "a test",
+    }  # fmt: skip
     save_map(TemperatureMap(**usual | options), path)
     return path
 
@@ -316,7 +318,7 @@ def test_refusals(tmp_path):
     trained = "[temperature.trained]\ntime = 2018-07-28T12:00:00Z\nair_low_c = 3.0\nair_high_c = 9.0\nhumidity = 0.5\n"
     trained += "wind_m_s = 2.0\ncloud = 0.0\n"
     (folder / "scene.toml").write_text(text.replace("[emissivity]", trained + "[emissivity]"))
-    with pytest.raises(ThermorenderError, match="is told hour and weather and is not moved by temperature.trained; "):
+    with pytest.raises(ThermorenderError, match=r"is told hour and weather and is not moved by temperature.trained; "):
         tr.load_scene(folder)
     mesh = write_mesh(tmp_path / "m", trimesh.creation.box((4.0, 4.0, 1.0)))
     with pytest.raises(ThermorenderError, match="needs a terrain with an elevation raster, and this one is a mesh; "):

@@ -65,7 +65,7 @@ def test_the_study_draws_curves_and_strips(tmp_path, call_module):
 def test_folders_without_comparable_trainings_are_refused(tmp_path):
     with pytest.raises(ThermorenderError, match="no training was given"):
         trainings.run([])
-    with pytest.raises(ThermorenderError, match="is no folder of a training: it has no settings.json of one"):
+    with pytest.raises(ThermorenderError, match=r"is no folder of a training: it has no settings.json of one"):
         trainings.run([tmp_path])
     for text in ("3", "{}", "["):
         (tmp_path / "settings.json").write_text(text, encoding="utf-8")

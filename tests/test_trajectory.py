@@ -120,7 +120,7 @@ def test_frame_times_reach_the_end_despite_rounding():
     assert np.allclose(times, [0.1, 0.2, 0.3, 0.4]) and times[-1] <= 0.4
     assert np.allclose(straight().frame_times(0.8), [0.0, 1.25])
     assert np.allclose(straight().frame_times(2.0, start_s=0.5, stop_s=1.4), [0.5, 1.0])
-    with pytest.raises(ThermorenderError, match="rate_hz=0.* must be a positive number"):
+    with pytest.raises(ThermorenderError, match=r"rate_hz=0.* must be a positive number"):
         path.frame_times(0.0)
     with pytest.raises(ThermorenderError, match="within the trajectory's span, 0 to 2 s"):
         straight().frame_times(2.0, start_s=-1.0)
@@ -364,7 +364,7 @@ def test_parsing():
         parse_anchor("1,2,3")
     with pytest.raises(ThermorenderError, match="heading is 'north', not a finite number"):
         parse_anchor("1,2,3,north")
-    with pytest.raises(ThermorenderError, match="mount=.*pitch is 'nan', not a finite number"):
+    with pytest.raises(ThermorenderError, match=r"mount=.*pitch is 'nan', not a finite number"):
         parse_mount("0,nan,0")
 
 
@@ -646,7 +646,7 @@ def test_date_times_of_a_dji_log(tmp_path):
     path = read(tmp_path, header + "".join(row + s + "\n" for s in stamps), **options)
     assert np.allclose(path.time_s, [0.0, 0.75], atol=1e-6)
     with pytest.raises(
-        ThermorenderError, match="row 2, column 'local_datetime': 'noon' with .* is not a time written as"
+        ThermorenderError, match=r"row 2, column 'local_datetime': 'noon' with .* is not a time written as"
     ):
         read(tmp_path, header + row + "noon,0,\n", **options)
     with pytest.raises(

@@ -124,7 +124,7 @@ def test_16_bit_colour_is_scaled_and_16_bit_grey_refused(tmp_path):
         assert np.array_equal(read_picture(tmp_path / name)[0], photograph())
     for name in ("grey.png", "grey.tif"):
         cv2.imwrite(str(tmp_path / name), deep[..., 0])
-        with pytest.raises(ThermorenderError, match="is grey in 16 bits or more .*; give the photograph"):
+        with pytest.raises(ThermorenderError, match=r"is grey in 16 bits or more .*; give the photograph"):
             read_picture(tmp_path / name)
 
 

@@ -41,7 +41,7 @@ def terrain(triangles, texels=None, seed=0, side_m=400.0):
     if texels is not None and texels < 1:
         raise ThermorenderError(f"texels={texels} is not allowed; give 1 or more along each side")
     rows = int(np.sqrt(triangles / 2))
-    columns = int(round(triangles / 2 / rows))
+    columns = round(triangles / 2 / rows)
     rng = np.random.Generator(np.random.Philox(seed))
     hills = 6.0 * _noise(rng, (rows + 1, columns + 1), 2.4)
     height = hills + np.clip(_noise(rng, hills.shape, 1.0) - 1.0, 0.0, 1.0) * 2.0

@@ -67,7 +67,7 @@ def test_a_disk_that_fails_when_it_syncs_is_told(tmp_path, monkeypatch):
 
     monkeypatch.setattr(os, "fsync", full)
     for code in (errno.ENOSPC, errno.EIO):  # noqa: B007
-        with pytest.raises(ThermorenderError, match="did not reach the disk: .*; check the disk and continue"):
+        with pytest.raises(ThermorenderError, match=r"did not reach the disk: .*; check the disk and continue"):
             files.on_disk(tmp_path)
     # A file system that does not sync folders.
     code = errno.EINVAL
@@ -162,7 +162,7 @@ def test_a_checkpoint_with_a_changed_number_is_refused(tmp_path):
         changed = bytearray(whole)
         changed[place] ^= 0x40
         path.write_bytes(changed)
-        with pytest.raises(ThermorenderError, match="is no checkpoint of this training .its bytes are not those"):
+        with pytest.raises(ThermorenderError, match=r"is no checkpoint of this training .its bytes are not those"):
             checkpoint.load(path, crash_targets.learner())
     path.write_bytes(whole)
     assert checkpoint.load(path, crash_targets.learner()) == {"crops": 1}

@@ -51,7 +51,7 @@ def moved(
         Pixels that the shift left without a value are not valid.
     """
     angle = _stream(cut.seed, name, "shift").uniform(0.0, 2.0 * np.pi)
-    right, down = (int(round(cut.shift_px * each)) for each in (np.cos(angle), np.sin(angle)))
+    right, down = (round(cut.shift_px * each) for each in (np.cos(angle), np.sin(angle)))
     known = np.roll(valid, (down, right), axis=(0, 1))
     height, width = valid.shape
     row, column = np.arange(height)[:, None] - down, np.arange(width)[None, :] - right

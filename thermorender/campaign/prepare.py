@@ -204,7 +204,7 @@ def _usable(source, registered, cut, skip_bad, report_progress):
     )
     sequence_of, keys = pictures.sequences_of(pairs, source.sequence, source.gap), pictures.keys_of(pairs)
     found, left_out = _checked(pairs, source, registered, cut, report_progress)
-    left_out = {name: "has no partner" for name in alone} | left_out
+    left_out = dict.fromkeys(alone, "has no partner") | left_out
     if left_out and not skip_bad:
         _refuse(left_out, len(pairs) + len(alone))
     kept = [pair for pair in pairs if pair.name in found]

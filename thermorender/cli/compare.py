@@ -63,6 +63,7 @@ def compare(
     """Compare learned 2D translation with the radiometric render of the same poses: a page, a table, pictures."""
     from thermorender.campaign.dataset import read_dataset
     from thermorender.compare.referee import findings, run
+    from thermorender.compare.referee.flight import Flight
     from thermorender.compare.referee.methods import LETTERS, learned_materials
 
     letters = split(methods)
@@ -73,7 +74,7 @@ def compare(
         flights = []
         for name in scenes:
             loaded = situation.load(name)
-            flights.append(run.Flight.of(loaded, log.read(loaded, rate_hz), rate_hz, log.start_s, log.stop_s))
+            flights.append(Flight.of(loaded, log.read(loaded, rate_hz), rate_hz, log.start_s, log.stop_s))
         options = run.Options(
             letters, oracle, folders, [read_dataset(one) for one in dataset or ()],
             learned_materials(emissivity, fallback), arrays, seed, {"device": device, **sampling.settings()},

@@ -27,7 +27,7 @@ def run(app: typer.Typer, without_arguments: Sequence[str] = ("--help",)) -> NoR
     odd = next((text for text in arguments if not _is_unicode(text)), None)
     if odd is not None:
         # OpenCV aborts the process at such a name, and GDAL refuses it.
-        _fail(f"{ascii(odd)} is not valid Unicode; rename the file or folder, or set LANG to a locale of UTF-8")
+        _fail(f"{odd!a} is not valid Unicode; rename the file or folder, or set LANG to a locale of UTF-8")
     try:
         status = app(args=arguments or list(without_arguments), standalone_mode=False)
     except UsageError as error:

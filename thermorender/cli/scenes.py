@@ -68,8 +68,8 @@ def make_scene(
     ] = None,
 ) -> None:  # fmt: skip
     """Make a procedural scene from a seed, under a weather, with known temperatures."""
-    from thermorender.campaign import worlds
-    from thermorender.synthetic.worlds import make, weather_of
+    from thermorender.campaign.procedural_truth import write
+    from thermorender.synthetic.procedural_scene import make, weather_of
 
     weather = weather_of(
         kind, weather_seed, time=time, air_low_c=air_low_c, air_high_c=air_high_c, humidity=humidity,
@@ -77,7 +77,7 @@ def make_scene(
     )  # fmt: skip
     with progress() as report:
         report("making the landscape", 0.0)
-        folder = worlds.write(make(kind, seed, size_m, texel_m, post_m, weather=weather), output, progress=report)
+        folder = write(make(kind, seed, size_m, texel_m, post_m, weather=weather), output, progress=report)
     typer.echo(str(folder))
 
 

@@ -6,7 +6,7 @@ pixel, once as it is and once after the camera's optics.
 """
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -160,7 +160,9 @@ def _times(renderer: Renderer, pose: NDArray[np.float64], repeats: int) -> dict[
 
     rays = renderer.rays(pose)
     per_pixel = sum(len(x) for x, _ in rays) / (renderer.scene.camera.width * renderer.scene.camera.height)
-    jobs = (lambda pose: renderer.cast_only(pose, rays), renderer.radiance, sensor)
+    jobs: tuple[Callable[[NDArray[np.float64]], Any], ...] = (
+        lambda pose: renderer.cast_only(pose, rays), renderer.radiance, sensor,
+    )  # fmt: skip
     # The camera moves by a millimetre each time, so that nothing cached for the last pose is reused.
     step = np.zeros((4, 4))
     step[2, 3] = 1e-3

@@ -1,4 +1,4 @@
-"""A simple detector of hot spots: is a target's contrast high enough to find it in a camera picture?
+"""A simple detector of hot spots, which tells whether a target's contrast is high enough in a camera picture.
 
 The response is the mean of a square of the target's size minus the mean of a ring around it, divided by the standard
 deviation of this difference over the picture: a matched filter for a small bright disc on a textured background.
@@ -37,7 +37,7 @@ def response(counts: ArrayLike, size_px: float) -> NDArray[np.float32]:
     )
     areas = [float(width * width) for width in widths[1:]]
     ring = (outer * areas[1] - inner * areas[0]) / (areas[1] - areas[0])
-    difference: NDArray[np.float32] = small - ring
+    difference = np.asarray(small - ring, np.float32)
     middle = np.median(difference)
     scale = 1.4826 * np.median(np.abs(difference - middle))
     return (difference - middle) / max(float(scale), 1e-6)

@@ -69,13 +69,13 @@ def _quarter(camera: Camera, right: int, lower: int) -> Camera:
     The rays of the whole image would take more than a gigabyte.
     """
     width, height = (n // 2 * FINER for n in (camera.width, camera.height))
-    middle = zip(camera.principal_offset_px, (right, lower), (width, height), strict=True)
+    across, along = camera.principal_offset_px
     return replace(
         camera,
         width=width,
         height=height,
         pixel_pitch_um=camera.pixel_pitch_um / FINER,
-        principal_offset_px=tuple(FINER * shift + (0.5 - side) * size for shift, side, size in middle),
+        principal_offset_px=(FINER * across + (0.5 - right) * width, FINER * along + (0.5 - lower) * height),
     )
 
 
@@ -98,7 +98,7 @@ def rms_mk(image: ArrayLike, reference: NDArray[np.floating], camera: Camera, si
 
 def mk_per_radiance(radiance: ArrayLike, band_um: tuple[float, float]) -> float:
     """Return the slope of apparent temperature at an image's mean band radiance [mK per W m⁻² sr⁻¹]."""
-    middle = brightness_temperature(float(np.mean(radiance)), *band_um)
+    middle = brightness_temperature(float(np.asarray(radiance).mean()), *band_um)
     return float(1e3 / band_radiance_derivative(middle, *band_um))
 
 
@@ -117,7 +117,7 @@ def optics_sigma_px(camera: Camera) -> float:
     ThermorenderError
         Diffraction removes all contrast at the Nyquist frequency.
     """
-    mtf = float(lens_otf(0.5 / camera.pixel_pitch_um, np.mean(camera.band_um), camera.f_number))
+    mtf = float(lens_otf(0.5 / camera.pixel_pitch_um, float(np.mean(camera.band_um)), camera.f_number))
     if mtf <= 0.0:
         raise ThermorenderError(
             f"camera {camera.name}: f_number={camera.f_number:g} blurs more than two pixels by diffraction; lower it"

@@ -162,7 +162,7 @@ def train(labelled, texel_m, name, augmentations=0, seed=0, progress=None):
         split=f"one block of {BLOCK_TEXELS * texel_m:g} m in {_HELD_OUT_ONE_IN} held out",
         augmentations=augmentations,
         seed=seed,
-        texels=int(len(drawn)),
+        texels=len(drawn),
         held_out_texels=int(held_out.sum()),
         held_out_accuracy=round(float(np.trace(confusion) / confusion.sum()), 4) if confusion.any() else None,
     )

@@ -273,7 +273,7 @@ def _video(how, source, outputs, told):
         str(source).encode()
     except UnicodeEncodeError:
         # With which OpenCV would end the process.
-        raise UnreadableError(f"{ascii(str(source))} is not valid Unicode; rename the video") from None
+        raise UnreadableError(f"{str(source)!a} is not valid Unicode; rename the video") from None
     reader = cv2.VideoCapture(str(source))
     with ExitStack() as stack:
         stack.callback(reader.release)

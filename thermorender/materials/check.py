@@ -326,7 +326,7 @@ def _column(where, numbers, column, texts):
 def _to_um(where, wavelength):
     """Return the wavelengths converted to µm from their apparent unit, and a finding if that is not µm."""
     known = wavelength[np.isfinite(wavelength)]
-    if not known.size or known.max() <= LONGEST_WAVELENGTH_UM and not 300.0 <= known.min():
+    if not known.size or (known.max() <= LONGEST_WAVELENGTH_UM and not known.min() >= 300.0):
         return wavelength, []
     span = f"wavelength_um runs over {known.min():g}–{known.max():g}"
     # 1–100 µm is 100–10000 cm⁻¹, and 1000–100000 nm; a thermal table that ends below 5000 is in wavenumbers.

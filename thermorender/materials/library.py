@@ -154,7 +154,7 @@ def _read_material(directory, index, row, cells, thermal):
         spectrum = {"lambertian": read_emissivity, "table": read_angles}[cells["directional"]](path, directory)
     return Material(
         name=cells["name"], title=cells["title"], **spectrum, rms_slope=rms_slope,
-        colour=tuple(int(round(c)) for c in colour),
+        colour=tuple(round(c) for c in colour),
         solar_absorptance=number("solar_absorptance", 0.0, 1.0, "give the share absorbed, 0.7 for 70 %"),
         temperature=temperature, source=cells["source"], citation=cells["citation"], licence=cells["licence"],
         directional=cells["directional"], samples=int(number("samples", 1, 1e6, "count the measured samples")),

@@ -53,7 +53,7 @@ def mix(parts: Sequence[tuple[Material, float]]) -> Material:
     return Mixture(
         name=names, title=f"mix of {names}", wavelength_um=wavelength, emissivity=emissivity,
         emissivity_std=np.full(wavelength.size, np.nan),
-        colour=tuple(int(round(c)) for c in share @ [material.colour for material in materials]),
+        colour=tuple(round(c) for c in share @ [material.colour for material in materials]),
         solar_absorptance=float(share @ [material.solar_absorptance for material in materials]),
         temperature=float(share @ [material.temperature for material in materials]), source=every("source"),
         citation=every("citation"), licence=every("licence"),

@@ -76,7 +76,7 @@ def fly(
     renderer: "Renderer",
     trajectory: Trajectory,
     folder: str | PathLike[str],
-    options: FlightOptions = FlightOptions(),  # noqa: B008  (frozen)
+    options: FlightOptions = FlightOptions(),
     *,
     resume: bool = False,
     verify: bool = False,

@@ -183,14 +183,17 @@ def step(xp: Any, state: State, ground: Ground, first: Forcing, second: Forcing,
     ahead = (1.0 - _GAMMA) / _GAMMA
     known = [t + ahead * (y - t) for t, y in zip(state.layers_k, early[1], strict=True)]
     late, later = _stage(xp, state, known, early[0], ground, second, stage)
-    means = [(1.0 - _GAMMA) * one + _GAMMA * other for one, other in zip(fluxes, later, strict=True)]
+    net_radiation, sensible, latent, into_ground, evaporated = (
+        (1.0 - _GAMMA) * one + _GAMMA * other for one, other in zip(fluxes, later, strict=True)
+    )
     rain = (1.0 - _GAMMA) * first.rain_kg_m2_s + _GAMMA * second.rain_kg_m2_s
-    film = xp.minimum(xp.maximum(state.film + seconds * (rain - means[-1]), 0.0), ground.held)
+    film = xp.minimum(xp.maximum(state.film + seconds * (rain - evaporated), 0.0), ground.held)
     layers, liquid, surface = late[1], state.liquid, late[0]
     molten = 0.0 * film
     if ground.water is not None:
         layers, liquid, molten = _melted(xp, layers, liquid, ground)
-    return State(surface, layers, film, liquid), Fluxes(*means, molten / seconds)
+    means = Fluxes(net_radiation, sensible, latent, into_ground, evaporated, molten / seconds)
+    return State(surface, layers, film, liquid), means
 
 
 def stage_times(seconds: float) -> tuple[float, float]:

@@ -338,13 +338,13 @@ class OutgoingRadiance:
     def at_texel(self, texel, face, active):
         """Return all channels of texels, seen on faces, as a list of Float; 0 where not active."""
         values = [part.at(texel, active) for part in (self.texels, self.rest) if part]
-        return self._on(face, sum(values, []), active)
+        return self._on(face, [each for part in values for each in part], active)
 
     def at(self, geometry, hit, position):
         """Return all channels at positions (column, row) of a Hit, linear between texels, as a list of Float."""
         lattice = geometry.lattice(hit.surface, hit.valid)
         values = [geometry.bilinear(part, lattice, *position, hit.valid) for part in (self.texels, self.rest) if part]
-        return self._on(hit.face, sum(values, []), hit.valid)
+        return self._on(hit.face, [each for part in values for each in part], hit.valid)
 
     def _on(self, face, values, active):
         added = self.faces.at(face, active) if self.faces else [0.0] * len(values)

@@ -190,7 +190,7 @@ class Camera:
         with np.errstate(all="ignore"):
             self.directions(_image_edge(self.width, self.height))
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         across, along = self.field_of_view_deg
         return (
             f"Camera({self.name!r}, {self.width}×{self.height}, {across:.1f}° × {along:.1f}°, "

@@ -208,7 +208,7 @@ def _calendar(path, stamps, year):
         raise ThermorenderError(f"{path} has {len(stamps)} rows; give whole days of hours 1 to 24, in order")
     first_row = {}
     for k in range(0, len(stamps), 24):
-        if len(set(stamp[:2] for stamp in stamps[k : k + 24])) > 1 or stamps[k][:2] in first_row:
+        if len({stamp[:2] for stamp in stamps[k : k + 24]}) > 1 or stamps[k][:2] in first_row:
             raise ThermorenderError(f"{path}: {stamps[k][0]}/{stamps[k][1]} occurs twice or changes within the day")
         first_row[stamps[k][:2]] = k
     whole = len(stamps) >= 8760

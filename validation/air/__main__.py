@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 
 from thermorender import defaults, formats
+from thermorender.cli.options import parse_air
 from thermorender.cli.terminal import Time, at_time
-from thermorender.cli.terminal import air as parse_air
 from validation.air import study
 from validation.air.figure import figure
 from validation.command import Device, Out, conclude, new_results, run_command

@@ -86,7 +86,7 @@ class LearnedMap:
 
     @property
     def kind(self) -> str:
-        """ "oracle" or "map"."""
+        """What the report calls it: "oracle" or "map"."""
         return "oracle" if self.oracle else "map"
 
     @property

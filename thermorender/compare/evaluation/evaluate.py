@@ -99,7 +99,9 @@ def evaluate(
     bounds = training.bounds_k or maps[0].model.range_k
     others = [Foreign(name, place, scored.entries) for name, place in (foreign or {}).items()]
     others = [other.fitted(views) for other in others]
-    tallies = [_Tally(method, len(scored)) for method in (*maps, *others, *baselines(training))]
+    drawn: list[LearnedMap | Foreign] = [*maps, *others]
+    methods: list[LearnedMap | Foreign | Simple] = [*drawn, *baselines(training)]
+    tallies = [_Tally(method, len(scored)) for method in methods]
     for number, view in enumerate(views):
         report_progress("scoring", number / len(scored))
         _score(view, number, tallies, bounds)
@@ -113,7 +115,7 @@ def evaluate(
     with files.atomic_folder(folder) as draft:
         for number, share in _quantiles(tallies[0].rows).items():
             view = views[number]
-            guesses = {method.label: method.guess(view) for method in (*maps, *others)}
+            guesses = {method.label: method.guess(view) for method in drawn}
             figures.picture(draft / f"errors_{round(100 * share):02d}_{view.pair.entry.key}.png", view, guesses, share)
         figures.against_time(draft / "error_against_time.png", result)
         result["seconds"] = time.perf_counter() - began
@@ -275,7 +277,7 @@ def _audit(train: Dataset, scored: Dataset) -> Audit:
 def _notes(scale: ThermalScale, maps: list[LearnedMap], entries: Sequence[Entry]) -> list[str]:
     """Return sentences that a reader should know before the numbers."""
     notes = []
-    if scale.unit == "intensity":
+    if scale.unit == "intensity" and scale.range_c is not None:
         low, high = scale.range_c
         notes.append(
             f"the scale of the thermal pictures is unknown: temperatures assume {low:g}…{high:g} °C for intensity 0…1"

@@ -82,9 +82,9 @@ def differences(
         measured.append(float(_mean(np.ones((1, kept.shape[1])), kept[group]).mean()))
     ends = 50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE)
     found: list[tuple[list[int], float | None, Interval | None]] = []
-    for group, error, own in zip(groups[1:], errors[1:], measured[1:], strict=True):
+    for group, error, mean in zip(groups[1:], errors[1:], measured[1:], strict=True):
         low, high = np.percentile(error - errors[0], ends).tolist()
-        found.append((group, own - measured[0], (low, high) if kept.shape[1] > 1 else None))
+        found.append((group, mean - measured[0], (low, high) if kept.shape[1] > 1 else None))
     return found
 
 

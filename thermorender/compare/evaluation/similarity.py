@@ -68,7 +68,7 @@ def summary(total: ArrayLike) -> dict[str, float | None]:
 
     None where nothing was compared; PSNR is also None for equal pictures, where it is infinite.
     """
-    square, pixels, like, windows = np.asarray(total)
+    square, pixels, like, windows = np.asarray(total, np.float64)
     return {
         "psnr_db": float(10.0 * np.log10(PEAK**2 * pixels / square)) if pixels and square else None,
         "ssim": float(like / windows) if windows else None,
@@ -79,5 +79,4 @@ def _blurred(image: NDArray[Any]) -> NDArray[np.float64]:
     import cv2
 
     side = 2 * RADIUS + 1
-    blurred: NDArray[np.float64] = cv2.GaussianBlur(image.astype(np.float64), (side, side), SIGMA_PX)
-    return blurred
+    return np.asarray(cv2.GaussianBlur(image.astype(np.float64), (side, side), SIGMA_PX), np.float64)

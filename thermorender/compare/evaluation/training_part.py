@@ -83,7 +83,7 @@ def read_training_part(
             total += np.bincount(where, levels.radiance(values), 256)
             amount += np.bincount(where, minlength=256)
     bounds: tuple[float, float] | None = None
-    if dataset.scale.unit == "intensity":
+    if dataset.scale.unit == "intensity" and dataset.scale.range_c is not None:
         cold_c, warm_c = dataset.scale.range_c
         bounds = ZERO_CELSIUS_K + cold_c, ZERO_CELSIUS_K + warm_c
     counts = histogram.counts

@@ -26,7 +26,7 @@ from thermorender.scene.scene import Scene
 from thermorender.versions import versions
 
 if TYPE_CHECKING:
-    from thermorender.compare.referee.run import Flight
+    from thermorender.compare.referee.flight import Flight
 
 
 @contextmanager

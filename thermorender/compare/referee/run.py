@@ -21,6 +21,7 @@ from thermorender import files, formats
 from thermorender.campaign.dataset import Dataset
 from thermorender.compare.machine import machine
 from thermorender.compare.referee import findings, methods, provenance, scores, training, views
+from thermorender.compare.referee.flight import Flight
 from thermorender.compare.referee.frames import Frames, waiting
 from thermorender.compare.referee.report.page import write_page
 from thermorender.compare.referee.report.pictures import Pictures
@@ -31,7 +32,6 @@ from thermorender.render.baked import Progress
 from thermorender.render.renderer import Renderer
 from thermorender.scene.scene import Scene
 from thermorender.scene.spec import EmissivitySpec
-from thermorender.trajectory.path import Trajectory
 from thermorender.versions import versions
 
 COLUMNS = (
@@ -39,37 +39,6 @@ COLUMNS = (
     "mean_error_k", "mean_absolute_error_k", "root_mean_square_error_k",
 )  # fmt: skip
 HEADER = ("method", "mean error [°C]", "mean absolute error [°C]", "95 %", "standard deviation [°C]", "pixels")
-
-
-@dataclass(frozen=True)
-class Flight:
-    """A scene and the poses from which it is seen.
-
-    Attributes
-    ----------
-    scene : Scene
-    times : (P,) array
-        [s]
-    poses : (P, 4, 4) array
-        world_from_camera.
-    """
-
-    scene: Scene
-    times: NDArray[np.float64]
-    poses: NDArray[np.float64]
-
-    @classmethod
-    def of(
-        cls,
-        scene: Scene,
-        trajectory: Trajectory,
-        rate_hz: float = 1.0,
-        start_s: float | None = None,
-        stop_s: float | None = None,
-    ) -> "Flight":
-        """Return the Flight of a Trajectory, or of a part of it [s], with `rate_hz` poses per second."""
-        times = trajectory.frame_times(rate_hz, start_s, stop_s)
-        return cls(scene, times, trajectory.sampled(times).poses())
 
 
 @dataclass(frozen=True)
@@ -192,7 +161,7 @@ def compare(
 
 def rows(summary: dict[str, Any]) -> list[tuple[str, ...]]:
     """Return the rows of a table of errors on ground, noise-free, under HEADER."""
-    found = []
+    found: list[tuple[str, ...]] = []
     for label, own in summary["methods"].items():
         if own["errors"]:
             ground = own["errors"][scores.RADIOMETRIC]["ground"]

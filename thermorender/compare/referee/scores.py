@@ -153,7 +153,7 @@ class Tally:
             self.poses.setdefault((stage, part), []).append(row)
         _into(self.scenes, (stage, scene), parts["ground"])
         materials = found.sum(axis=(2, 3, 4))
-        for number in np.flatnonzero(materials[..., 0].any(axis=0) | materials[..., 4].any(axis=0)):
+        for number in np.flatnonzero(materials[..., 0].any(axis=0) | materials[..., 4].any(axis=0)).tolist():
             _into(self.groups, (stage, "material", _material(view, number)), materials[:, number].sum(axis=0))
         for axis, (grouping, names) in enumerate(CLASSES.items()):
             rest = tuple(k for k in range(5) if k != axis + 2)
@@ -167,7 +167,7 @@ class Tally:
             for number, row in enumerate(classes.block_sums(error)):
                 if row[0]:
                     _into(self.blocks, (land, number), row)
-        used = np.argwhere(materials.any(axis=-1))
+        used = np.argwhere(materials.any(axis=-1)).tolist()
         return [(classes.surfaces[s], _material(view, m), materials[s, m]) for s, m in used]
 
     def summary(self, seed: int) -> dict[str, dict[str, Any]]:

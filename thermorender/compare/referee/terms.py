@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from thermorender.frame import apparent_temperature
 from thermorender.learned.temperature_map import Inputs
-from thermorender.materials.library import Material
+from thermorender.materials.material import Material
 from thermorender.physics.band import RadianceTable, emitted_radiance
 from thermorender.physics.planck import band_radiance
 

@@ -189,7 +189,7 @@ def training_of(own: Thermal, others: Iterable[Thermal], camera: Camera) -> Trai
 
 def _line(row: NDArray[np.float64]) -> tuple[float, float]:
     """Return (value at 0, slope) of the least-squares line of sums as in `Thermal.pairs`; slope 0 if s is constant."""
-    count, s, read, square, both = row / row[0]
+    _, s, read, square, both = row / row[0]
     spread = square - s * s
     slope = (both - s * read) / spread if spread > 1e-12 * max(square, 1e-12) else 0.0
     return float(read - slope * s), float(slope)

@@ -29,7 +29,7 @@ from thermorender.sensor.readout import radiance_from_counts
 from thermorender.units import ZERO_CELSIUS_K, utc_text
 
 if TYPE_CHECKING:
-    from thermorender.compare.referee.run import Flight
+    from thermorender.compare.referee.flight import Flight
 
 Image = NDArray[np.floating]
 Images = dict[str, Image]
@@ -224,7 +224,7 @@ class Trial:
             if index in chosen:
                 self.photographs.append(view.visible)
             seen, read, counts = self._seen(view, sensor)
-            if view.truth is not None:
+            if view.truth is not None and view.truth_radiance is not None:
                 true_counts = sensor.counts_at_rest(view.truth_radiance, index)
                 true_read = apparent_temperature(radiance_from_counts(true_counts, camera), camera.band_um)
                 self._totals.targets.add(self.scene.name, view, self._objects, view.truth, true_counts)
@@ -307,7 +307,7 @@ class Trial:
             pictures = self._setup.frames.terms(solid, view.index)
             parts = terms_of(pictures, seen[flat.label], seen[solid.label], read[flat.label], read[solid.label])
             whole = read[solid.label] - read[flat.label]
-            together: Image = sum(parts.values(), start=np.float32(0.0))
+            together = sum(parts.values(), start=np.zeros(whole.shape, np.float32))
             # Pixels where a step has no temperature do not count.
             known = view.known & np.isfinite(whole) & np.isfinite(together)
             pair = (transform(image, view.known) for image in (seen[flat.label], seen[solid.label]))

@@ -64,7 +64,7 @@ class View:
 def view_of(renderer: Renderer, pose: ArrayLike, time_s: float, index: int, has_truth: bool) -> View:
     """Return the View of a pose; `has_truth` says whether the renderer's temperatures are the true ones."""
     frame = renderer.frame(pose, time_s, index)
-    visible, covered = photograph(renderer, pose, time_s)
+    visible, covered = photograph(renderer, frame.pose, time_s)
     images: dict[str, Any] = frame.truth
     camera = renderer.scene.camera
     flags = images["mask"]

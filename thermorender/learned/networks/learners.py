@@ -5,6 +5,8 @@ which family they belong to. Pixels that are not valid count nowhere: a discrimi
 there.
 """
 
+from typing import ClassVar
+
 import torch
 from torch import nn
 from torch.nn import functional
@@ -44,7 +46,7 @@ class Learner:
     """
 
     # Which of the parts each optimiser moves.
-    MOVED = {"net": ("net",)}
+    MOVED: ClassVar = {"net": ("net",)}
 
     def __init__(self, net, others, optimiser, weight):
         self.net, self.applied, self.weight = net, net, weight
@@ -120,7 +122,7 @@ class Adversarial(Learner):
     the discriminator is halved, which slows it down beside the generator.
     """
 
-    MOVED = {"net": ("net",), "discriminator": ("discriminator",)}
+    MOVED: ClassVar = {"net": ("net",), "discriminator": ("discriminator",)}
 
     def step(self, batch):
         """Take a step of the discriminator, then one of the generator; return {name: loss}."""
@@ -152,7 +154,7 @@ class Scaled(Learner):
         Loss that is added, as much as the features'.
     """
 
-    MOVED = {"net": ("net",), "discriminator": ("discriminator",)}
+    MOVED: ClassVar = {"net": ("net",), "discriminator": ("discriminator",)}
     perceived = None
 
     def step(self, batch):
@@ -224,7 +226,7 @@ class Cycle(Learner):
     Photographs are the first half of a batch, thermal pictures the second half, of other crops.
     """
 
-    MOVED = {"net": ("net", "back"), "discriminators": ("photographs", "thermals")}
+    MOVED: ClassVar = {"net": ("net", "back"), "discriminators": ("photographs", "thermals")}
 
     def step(self, batch):
         """Take a step of the generators, then one of the discriminators; return {name: loss}."""

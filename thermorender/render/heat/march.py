@@ -410,7 +410,7 @@ def _steps(start, asked):
     for end in ends:
         while at < end - 1e-6:
             left = end - at
-            reach, length = next((reach, length) for reach, length in _STEPS_S if left <= reach + 1e-6)
+            length = next(length for reach, length in _STEPS_S if left <= reach + 1e-6)
             inner = max((r for r, _ in _STEPS_S if r < left - 1e-6), default=0.0)
             count = max(1, int(np.ceil((left - inner) / length - 1e-9)))
             size = (left - inner) / count

@@ -173,7 +173,7 @@ def mapped(scene, times, geometry=None, progress=None, material=False):
     from thermorender.learned.temperature_map import Inputs
 
     spec, surface, model, made = scene.spec, scene.surfaces[0], scene.temperature_state.source.model, {}
-    fields = reliefs(scene, times, geometry, progress) if "terrain" in model.needs else dict.fromkeys(times, {})
+    fields = reliefs(scene, times, geometry, progress) if "terrain" in model.needs else {time: {} for time in times}
     if material:
         names = sorted(load_library())
         number = np.array([names.index(each.name) if each.name in names else np.nan for each in scene.materials])

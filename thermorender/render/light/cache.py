@@ -68,11 +68,9 @@ def load(name):
     if found is None:
         return None
     transport = radiosity.Transport(**found | {"rays": int(found["rays"])})
-    try:
+    with suppress(OSError):
         # The time of change tells when a file was last used.
         os.utime(path)
-    except OSError:
-        pass
     return transport
 
 

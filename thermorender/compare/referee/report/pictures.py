@@ -47,8 +47,10 @@ class Pictures:
         place.mkdir(exist_ok=True)
         error_images(place / f"{scene}_{index:04d}.png", view, seen)
         shown = [] if view.truth is None else [("reference", view.truth)]
-        pictures = [{"label": label, "source": encoded(image, view.known), "reference": label == "reference"}
-                    for label, image in (*shown, *seen.items())]  # fmt: skip
+        pictures: list[dict[str, Any]] = [
+            {"label": label, "source": encoded(image, view.known), "reference": label == "reference"}
+            for label, image in (*shown, *seen.items())
+        ]
         size = sum(len(each["source"]) for each in pictures)
         if self._bytes + size > MOST_BYTES:
             return
