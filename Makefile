@@ -84,12 +84,11 @@ maps: $(READY)
 	$(BIN)/thermorender train trees out/campaign -o $(MAPS)/procedural-trees.npz
 	$(BIN)/thermorender train correlation+ out/campaign -o $(MAPS)/procedural-correlation+.npz
 	$(BIN)/thermorender train trees+ out/campaign -o $(MAPS)/procedural-trees+.npz
-	$(BIN)/thermorender train compact out/campaign -o $(MAPS)/procedural-compact.npz \
-	  --run out/compact.run --resume --set crops=3000 --set every=250
 	$(BIN)/thermorender train compact+ out/campaign -o $(MAPS)/procedural-compact+.npz \
-	  --run out/compact+.run --resume --set crops=40000 --set every=2000
+	  --run out/compact+.run --resume --set crops=40000 --set every=2000 --set tolerance_mk=15
 	$(BIN)/thermorender train pix2pix out/campaign -o $(MAPS)/procedural-pix2pix.npz \
-	  --run out/pix2pix.run --resume --set width=16 --set batch=4 --set crops=60000 --set every=3000
+	  --run out/pix2pix.run --resume --set width=16 --set batch=4 --set crops=60000 --set every=3000 \
+	  --set tolerance_mk=15
 
 clean:
 	rm -rf $(VENV) out build dist docs/_build

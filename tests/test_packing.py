@@ -1,13 +1,26 @@
 """Packed weights in files: exact multiples of their steps, coarse where the output allows it, and small."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 from test_network_training import SMALL, examples
 from test_networks import task_of
 
+from thermorender.errors import ThermorenderError
+from thermorender.frame import apparent_temperature
+from thermorender.learned.networks import packing
 from thermorender.learned.networks.loop import train_network
 from thermorender.learned.networks.packing import coarsest_steps, packed, unpacked
 from thermorender.learned.networks.predictor import Network
+from thermorender.learned.temperature_map import SHIPPED, Inputs, load_map, load_model
+
+HERE = Path(__file__).resolve().parent
+TERRAIN = (
+    "above_m", "normal_east", "normal_north", "normal_up", "sky_view", "sunlight", "sunlight_1h", "sunlight_4h",
+    "sunlight_16h",
+)  # fmt: skip
 
 
 def weights(*shape, seed=0):
@@ -53,14 +66,17 @@ def test_steps_are_as_coarse_as_the_sensitivity_of_the_output_allows():
     def give(state):
         return state["strong"] @ pictures + 0.01 * state["weak"] @ pictures
 
-    steps = coarsest_steps(state, give, 0.1)
+    steps, shift = coarsest_steps(state, give, 0.1)
     rounded = state | {name: np.rint(state[name] / step) * step for name, step in steps.items()}
-    assert 0.08 < np.abs(give(rounded) - give(state)).mean() <= 0.1
+    change = give(rounded) - give(state)
+    assert shift == pytest.approx(change.mean(), rel=1e-6) and 0.08 < np.abs(change - shift).mean() <= 0.1
     assert set(steps) == {"strong", "weak"} and steps["weak"] > 20.0 * steps["strong"]
 
 
 @pytest.mark.parametrize("name", ["compact", "pix2pix"])
-def test_a_network_is_kept_as_coarse_as_the_tolerance_allows(name, tmp_path):
+def test_a_network_is_kept_as_coarse_as_the_tolerance_allows(name, tmp_path, monkeypatch):
+    # So narrow a network has no large tensors.
+    monkeypatch.setattr(packing, "_LEAST_SIZE", 50)
     halves = train_network(task_of(name, examples(), tmp_path / "r", **SMALL), name)
     coarse = train_network(task_of(name, examples(), tmp_path / "s", **SMALL, tolerance_mk=50.0), name)
     assert halves.trained["kept_mk"] < 10.0 < coarse.trained["kept_mk"] < 75.0
@@ -69,3 +85,27 @@ def test_a_network_is_kept_as_coarse_as_the_tolerance_allows(name, tmp_path):
     again = Network.of(coarse.header(), coarse.arrays())
     assert again.header() == coarse.header()
     assert all(np.array_equal(values, coarse.arrays()[key]) for key, values in again.arrays().items())
+
+
+@pytest.mark.parametrize("name", ["procedural-compact+", "procedural-pix2pix"])
+def test_shipped_networks_give_what_their_weights_in_half_precision_gave(name):
+    """Pieces of the shipped scenes' orthophotos: 20 mK on average, as the shipped files were packed to keep."""
+    with np.load(HERE / "data" / "shipped_networks.npz") as stored:
+        arrays = dict(stored)
+    model, changes = load_model(name), []
+    for scene, facts in json.loads(str(arrays["about"])).items():
+        terrain = {plane: arrays[f"{scene} {plane}"].astype(np.float32) for plane in TERRAIN}
+        inputs = Inputs(arrays[f"{scene} rgb"], facts["texel_m"], terrain, facts["conditions"])
+        before = 200.0 + 1e-3 * arrays[f"{scene} {name}"]
+        changes.append(np.abs(apparent_temperature(model.radiance(inputs), model.band_um) - before).mean())
+    # Packed they are, and not without change.
+    assert model.predictor.steps and 1e-3 < np.mean(changes) <= 0.02
+
+
+def test_a_damaged_packed_network_is_refused_in_a_sentence(tmp_path):
+    with np.load(SHIPPED["procedural-pix2pix"]) as stored:
+        arrays = dict(stored)
+    arrays["packed"] = arrays["packed"][:-1000]
+    np.savez(tmp_path / "m.npz", **arrays)
+    with pytest.raises(ThermorenderError, match=r"m\.npz is no learned map of format 1 \(its weights are not those of"):
+        load_map(tmp_path / "m.npz")

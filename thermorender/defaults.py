@@ -10,7 +10,7 @@ TEMPERATURE_MAP = TEMPERATURE_MAPS[0]
 # Shipped as files; trained on rendered pictures of procedural scenes.
 TRAINED_MAPS = (
     "procedural-9to1", "procedural-palette", "procedural-trees", "procedural-correlation+", "procedural-trees+",
-    "procedural-compact", "procedural-compact+", "procedural-pix2pix",
+    "procedural-compact+", "procedural-pix2pix",
 )  # fmt: skip
 # The map that finds materials in the orthophoto, and the material of what it does not recognise.
 EMISSIVITY_MAP, FALLBACK_MATERIAL = "procedural", "soil_loam"

@@ -35,7 +35,6 @@ from thermorender.learned.networks.building import kind_of, learner_of, net_of
 from thermorender.learned.networks.crops import Crops
 from thermorender.learned.networks.encoding import Encoding
 from thermorender.learned.networks.learners import Batch
-from thermorender.learned.networks.packing import coarsest_steps
 from thermorender.learned.networks.predictor import MOST_WIDTH, Network, device, state_of
 from thermorender.learned.networks.recipes import recipe_of
 from thermorender.learned.training import Task
@@ -211,19 +210,16 @@ class _Run:
             self.recipe.net,
         )  # fmt: skip
         if self.task.options["tolerance_mk"]:
-            found = replace(found, steps=self._steps(found))
+            found = self._coarse(found)
         trained["kept_mk"] = self._cost_of_keeping(net.to(device()), found)
         return found
 
-    def _steps(self, network):
-        """Steps that the file keeps a network's weights in."""
+    def _coarse(self, network):
+        """A network with the steps that the file keeps its weights in."""
         some = self.validated[:: -(-len(self.validated) // _LOOKED_AT)]
-
-        def give(state):
-            changed = replace(network, state=state).net
-            return np.concatenate([guessed[crop.valid] for crop, _, guessed in self._guessed(changed, crops=some)])
-
-        return coarsest_steps(network.state, give, 1e-3 * self.task.options["tolerance_mk"])
+        planes = [self._encoded(some[start : start + _AT_ONCE]).planes for start in range(0, len(some), _AT_ONCE)]
+        kelvin = network.encoding.scale * self.kelvin.per_unit
+        return network.coarse(planes, 1e-3 * self.task.options["tolerance_mk"] / kelvin)
 
     def _cost_of_keeping(self, net, network):
         """Mean absolute change of the validation crops by how the file keeps a network's weights [mK]."""
@@ -234,12 +230,11 @@ class _Run:
         ]
         return 1000.0 * float(np.concatenate(changes).mean())
 
-    def _guessed(self, net, half=False, crops=None):
-        """Yield (crop, true, guessed) of each validation crop, or of some [K]."""
+    def _guessed(self, net, half=False):
+        """Yield (crop, true, guessed) of each validation crop [K]."""
         net.eval()
-        crops = self.validated if crops is None else crops
-        for start in range(0, len(crops), _AT_ONCE):
-            some = crops[start : start + _AT_ONCE]
+        for start in range(0, len(self.validated), _AT_ONCE):
+            some = self.validated[start : start + _AT_ONCE]
             batch = self._encoded(some)
             with torch.inference_mode(), torch.autocast(device(), torch.bfloat16, enabled=half):
                 given = kind_of(self.recipe).predict(net, batch.planes)[:, 0].cpu().numpy()
@@ -376,6 +371,9 @@ class _Kelvin:
         order = np.argsort(task.intensity[known])
         self.intensity, self.temperature = task.intensity[known][order], task.temperature[known][order]
         self.above_air, self.encoding = crops.above_air, encoding
+        # Kelvin of one unit of what the task is to learn, about.
+        cold, warm = np.interp((0.0, 1.0), self.intensity, self.temperature)
+        self.per_unit = 1.0 if self.above_air else float(warm - cold)
 
     def __call__(self, crop, given):
         """Return (true, found), (side, side) float64 each, NaN where the crop is not valid."""

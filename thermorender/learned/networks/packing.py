@@ -16,12 +16,14 @@ _LEAST_SIZE = 2000
 _MOST = {1: 127, 2: 32767}
 # Bytes that codes may unpack to: the largest network of full width, in two bytes a weight.
 _MOST_BYTES = 1 << 29
-# Part of a tensor's standard deviation that its influence is measured with, and halvings of the search for the steps.
-_TRIAL, _HALVINGS = 0.1, 10
+# Part of a tensor's standard deviation that its influence is measured with, and rounds of the search for the steps.
+_TRIAL, _DOUBLINGS, _HALVINGS = 0.1, 6, 7
 
 
 def coarsest_steps(state, give, allowed):
-    """Return {name: step} of the large tensors of a network, as coarse as a change of its output allows.
+    """Return ({name: step} of the large tensors of a network, as coarse as a change of its output allows, shift).
+
+    Coarse weights shift the whole output, too: by `shift`, which whoever applies the network takes off again.
 
     Parameters
     ----------
@@ -30,7 +32,7 @@ def coarsest_steps(state, give, allowed):
     give : callable
         What the network gives for some pictures with other weights: {name: array} → array.
     allowed : float
-        Greatest mean absolute change of what it gives, in its unit.
+        Greatest mean absolute change of what it gives, the shift taken off, in its unit.
     """
     whole, relative = give(state), {}
     for name, values in state.items():
@@ -45,13 +47,24 @@ def coarsest_steps(state, give, allowed):
         return {name: float(np.float32(np.clip(scale * relative[name], limits[name] / _MOST[2], limits[name])))
                 for name in relative}  # fmt: skip
 
-    low, high = 0.0, 4.0 * allowed / np.sqrt(sum(state[name].size for name in relative) or 1)
+    def changes(scale):
+        changed = {name: _rounded(state[name], step) for name, step in steps(scale).items()}
+        found = give(state | changed) - whole
+        return found - found.mean(), float(found.mean())
+
+    def fits(scale):
+        return np.mean(np.abs(changes(scale)[0])) <= allowed
+
+    # Where errors add up as those of independent tensors do, this is about the scale.
+    low, high = 0.0, 2.0 * allowed / np.sqrt(sum(state[name].size for name in relative) or 1)
+    for _ in range(_DOUBLINGS):
+        if not fits(high):
+            break
+        low, high = high, 2.0 * high
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        changed = {name: _rounded(state[name], step) for name, step in steps(middle).items()}
-        fits = np.mean(np.abs(give(state | changed) - whole)) <= allowed
-        low, high = (middle, high) if fits else (low, middle)
-    return steps(low)
+        low, high = (middle, high) if fits(middle) else (low, middle)
+    return steps(low), changes(low)[1]
 
 
 def _rounded(values, step):

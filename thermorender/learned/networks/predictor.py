@@ -1,6 +1,6 @@
 """A trained network as a predictor: what a learned map applies to pictures of any size."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -9,7 +9,7 @@ import torch
 from thermorender.learned.networks import tiles
 from thermorender.learned.networks.building import kind_of, net_of
 from thermorender.learned.networks.encoding import Encoding
-from thermorender.learned.networks.packing import packed, unpacked
+from thermorender.learned.networks.packing import coarsest_steps, packed, unpacked
 from thermorender.learned.networks.recipes import RECIPES, recipe_of
 from thermorender.learned.rows import at_shape
 
@@ -132,6 +132,27 @@ class Network:
             "encoding": self.encoding.header(), "texel_range_m": self.texel_range_m, "above_air": self.above_air,
             "published": self.published, "packed": self._packed[1] if self.steps else [],
         }  # fmt: skip
+
+    def coarse(self, planes, allowed):
+        """Return this network with weights as coarse as a change of what it gives allows; a file of it is small.
+
+        Parameters
+        ----------
+        planes : list of (n, channels, h, w) tensor
+            Encoded pictures to judge by.
+        allowed : float
+            Greatest mean absolute change of the network's output.
+        """
+
+        def give(state):
+            net = replace(self, state=state).net
+            with torch.inference_mode():
+                return np.concatenate([kind_of(self.recipe).predict(net, each.to(device()))[:, 0].cpu().numpy().ravel()
+                                       for each in planes])  # fmt: skip
+
+        steps, shift = coarsest_steps(self.state, give, allowed)
+        encoding = replace(self.encoding, offset=self.encoding.offset - self.encoding.scale * shift)
+        return replace(self, encoding=encoding, steps=steps)
 
     @cached_property
     def _packed(self):

@@ -194,7 +194,7 @@ def mapped(
     source = scene.temperature_state.source
     assert isinstance(source, Conditional) and scene.spec.weather is not None
     surface, model, solved = scene.surfaces[0], source.model, {}
-    planes_of: dict[np.datetime64, Planes] = dict.fromkeys(times, {})
+    planes_of: dict[np.datetime64, Planes] = {time: {} for time in times}
     if "terrain" in model.needs:
         planes_of = reliefs(scene, times, geometry, progress)
     if material:

@@ -75,7 +75,7 @@ def load(name: str) -> radiosity.Transport | None:
     if found is None:
         return None
     transport = radiosity.Transport(**found | {"rays": int(found["rays"])})
-    try:
+    with suppress(OSError):
         # The modification time records when a file was last used.
         os.utime(path)
     return transport
