@@ -301,7 +301,7 @@ def test_refusals(tmp_path, call, tools):
          "temperature.trained=.* is not allowed; give it with source='learned' or 'raster' only, not 'constant'"),
         (plain.replace('source = "raster"', 'source = "raster"\nmap_error_k = -1', 1), "map_error_k=-1 is not allowed"),
         (plain.replace("[sky]\ntemperature = 260.0", '[atmosphere]\nstandard = "midlatitude-summer"') + of_map
-         + "[sun]\nelevation_deg = 40\nazimuth_deg = 180\n", "stands where weather.time puts it with temp"),
+         + "[sun]\nelevation_deg = 40\nazimuth_deg = 180\n", "follows from weather.time with temp"),
     )  # fmt: skip
     for text, match in cases:
         (folder / "scene.toml").write_text(text)
