@@ -284,12 +284,12 @@ def test_refusals(tmp_path, call, tools):
     raster = 'source = "raster"\nraster = "temperature.tif"'
     learned = plain.replace(raster, 'source = "learned"\nmodel = "fok-9to1"', 1)
     (folder / "scene.toml").write_text(learned)
-    words = (r"time=2018-07-15T18:00:00Z cannot be had of learned map 'fok-9to1', which does not say when and in what "
-             r"weather it was trained; add \[temperature.trained\]")  # fmt: skip
+    words = (r"time=2018-07-15T18:00:00Z is not available from learned map 'fok-9to1', which does not state the "
+             r"instant and weather of its training; add \[temperature.trained\]")  # fmt: skip
     with pytest.raises(ThermorenderError, match=words):
         tr.load_scene(folder).at("2018-07-15T18:00Z")
     status, _, errors = call("plan", folder, "--time", "2018-07-15T18:00Z")
-    assert status == 2 and "cannot be had of learned map 'fok-9to1'" in errors
+    assert status == 2 and "is not available from learned map 'fok-9to1'" in errors
     with pytest.raises(ThermorenderError, match="has no map that could be moved; add"):
         moved.moved(tr.load_scene(folder), [TRAINED])
     of_map = TABLES.partition("[weather]")[0]

@@ -174,7 +174,7 @@ class Edits:
         Raises
         ------
         ThermorenderError
-            An invalid instant, a scene without [weather], or temperatures of a learned map that holds for no stated hour.
+            An invalid instant, a scene without [weather], or a learned map without a stated hour.
         """
         asked, now = instant("time", time), self._declared
         if now.spec.weather is None:
@@ -188,8 +188,8 @@ class Edits:
         if now.spec.temperature.source == "learned" and not self._derived.temperature_state.weather_driven:
             raise ThermorenderError(
                 f"{now.where}: time={utc_text(asked)} is not available from learned map "
-                f"{now.spec.temperature.model!r}, which does not state the instant and weather of its training; add [temperature.trained] with the keys "
-                "of [weather], or leave the time out"
+                f"{now.spec.temperature.model!r}, which does not state the instant and weather of "
+                "its training; add [temperature.trained] with the keys of [weather], or leave the time out"
             )
         spec = replace(now.spec, weather=replace(now.spec.weather, time=asked), truth_temperature=None)
         return self._edited(replace(now, spec=spec, time=asked))
