@@ -252,13 +252,13 @@ def test_unknown_keys(scene, refused, old, new, words):
         ("[sky]", OBJECT.replace("330.0", "57.0") + "[sky]", ["object 'marker'.temperature=57 is below 100 K"]),
         ("[sky]", OBJECT.replace("[0.0", "[500.0") + "[sky]", ["object 'marker' stands at 500 m east", "no terrain"]),
         ("[sky]", OBJECT.replace('"marker"', '"a:b"') + "[sky]", ["object 'a:b'.name='a:b'", "without ':'"]),
-        ("[sky]", OBJECT + OBJECT + "[sky]", ["object.name='marker'", "a name of its own"]),
+        ("[sky]", OBJECT + OBJECT + "[sky]", ["object.name='marker'", "each object a unique name"]),
         (
             "[camera]",
             "[frame]\nlatitude_deg=500\nlongitude_deg=9\nheight_m=0\n[camera]",
             ["frame.latitude_deg=500 is not allowed", "-90…90 deg"],
         ),
-        ("[camera]", "[frame]\nlatitude_deg=-50\nlongitude_deg=9\nheight_m=0\n[camera]", ["frame lies", "km from"]),
+        ("[camera]", "[frame]\nlatitude_deg=-50\nlongitude_deg=9\nheight_m=0\n[camera]", ["frame is", "km from"]),
         ("[sky]", "[sky", ["is not valid TOML"]),
     ],
 )  # fmt: skip
@@ -335,17 +335,17 @@ ELSEWHERE = (700000.0, 100000.0)
 @pytest.mark.parametrize(
     "name, bands, how, words",
     [
-        ("elevation", HEIGHTS, {"crs": "EPSG:4978"}, ["EPSG:4978, which counts from the Earth's centre and is no map"]),
+        ("elevation", HEIGHTS, {"crs": "EPSG:4978"}, ["EPSG:4978, a geocentric CRS and not a map"]),
         ("elevation", HEIGHTS, {"crs": None}, ["no coordinate reference system (CRS)", "assign one"]),
         ("orthophoto", COLOURS, {"crs": None}, ["no coordinate reference system (CRS)", "assign one"]),
-        ("elevation", HEIGHTS, {"crs": LOCAL}, ["cannot be brought to EPSG:4326", "assign the CRS"]),
-        ("elevation", HEIGHTS, {"crs": "EPSG:4326"}, ["x=500000, y=5599984 is nowhere on Earth in EPSG:4326"]),
-        ("elevation", HEIGHTS, {"corner": (1e9, 1e9)}, ["cannot be brought to EPSG:4326", "assign the CRS"]),
+        ("elevation", HEIGHTS, {"crs": LOCAL}, ["cannot be converted to EPSG:4326", "assign the CRS"]),
+        ("elevation", HEIGHTS, {"crs": "EPSG:4326"}, ["x=500000, y=5599984 is not on Earth in EPSG:4326"]),
+        ("elevation", HEIGHTS, {"corner": (1e9, 1e9)}, ["cannot be converted to EPSG:4326", "assign the CRS"]),
         ("orthophoto", COLOURS, {"crs": "EPSG:32633"}, ["has CRS EPSG:32633 but", "thermorender import-terrain"]),
         ("orthophoto", COLOURS, {"corner": ELSEWHERE}, ["x 700000…700016, y 99984…100000", "do not overlap"]),
         ("classes", COLOURS[0], {"corner": ELSEWHERE}, ["x 700000…700016", "do not overlap"]),
         ("temperature", 3 * COLOURS[0].astype(np.int16), {"corner": ELSEWHERE}, ["does not overlap the texels"]),
-        ("temperature", 3 * COLOURS[0].astype(np.int16), {"crs": LOCAL}, ["cannot be brought to EPSG:32632"]),
+        ("temperature", 3 * COLOURS[0].astype(np.int16), {"crs": LOCAL}, ["cannot be converted to EPSG:32632"]),
         ("elevation", np.nan * HEIGHTS, {}, ["has no valid height in it"]),
         ("elevation", -9999 * HEIGHTS, {"nodata": -9999}, ["has no valid height in it"]),
         ("elevation", HEIGHTS[:1, :1], {}, ["has 1×1 posts", "at least 2×2"]),
@@ -356,8 +356,8 @@ ELSEWHERE = (700000.0, 100000.0)
         ("temperature", np.full((16, 16), np.nan, np.float32), {}, ["has no valid temperature in it"]),
         ("temperature", np.full((16, 16), 3e38, np.float32), {}, ["=3e+38 is above 3000 K", "nodata"]),
         ("temperature", np.full((16, 16), 300, np.complex64), {}, ["holds complex numbers"]),
-        ("classes", np.full((16, 16), 65535, np.uint16), {}, ["holds 65535, which is no class number", "0…255"]),
-        ("classes", np.full((16, 16), 1.5, np.float32), {}, ["holds 1.5, which is no class number"]),
+        ("classes", np.full((16, 16), 65535, np.uint16), {}, ["holds 65535, which is not a class number", "0…255"]),
+        ("classes", np.full((16, 16), 1.5, np.float32), {}, ["holds 1.5, which is not a class number"]),
         ("classes", 0 * COLOURS[0], {}, ["has no class in it"]),
     ],
 )  # fmt: skip
@@ -389,7 +389,7 @@ def test_terrain_larger_than_memory_is_refused_by_file(scene, refused, monkeypat
         raise MemoryError("Unable to allocate 27.9 GiB")
 
     monkeypatch.setattr("thermorender.scene.terrain.mesh", full)
-    refused(["elevation.tif has", "posts, for whose mesh this machine's memory is not enough", "--max-vertices"],
+    refused(["elevation.tif has", "posts, too many for this machine's memory", "--max-vertices"],
             "render", scene)  # fmt: skip
 
 
@@ -409,10 +409,10 @@ def test_raster_cannot_refer_to_files_outside_the_scene(scene, refused, key, old
     (scene / f"{old}.tif").rename(scene.parent / "out.tif")
     for text in (VRT, WMS):
         (scene / f"{old}.tif").write_text(text)
-        refused([f"{old}.tif cannot be read as a raster", "give a whole file such as a GeoTIFF"], "render", scene)
+        refused([f"{old}.tif cannot be read as a raster", "give a complete file such as a GeoTIFF"], "render", scene)
     (scene / "own.vrt").write_text(VRT)
     change(scene / "scene.toml", f"{old}.tif", "own.vrt")
-    refused([f"{key}='own.vrt'", "a raster that holds all its pixels itself", ".tif"], "render", scene)
+    refused([f"{key}='own.vrt'", "a raster that contains all its pixels", ".tif"], "render", scene)
     # A sidecar file that only GDAL asks for.
     change(scene / "scene.toml", "own.vrt", f"{old}.tif")
     (scene.parent / "out.tif").rename(scene / f"{old}.tif")
@@ -466,8 +466,8 @@ def test_raster_on_the_command_line_must_be_a_regular_file(scene, refused, tmp_p
     os.mkfifo(tmp_path / "pipe.tif")
     odd = tmp_path / os.fsdecode(b"\xff.tif")
     for path, words in (
-        (tmp_path / "pipe.tif", "pipe.tif is a folder or no ordinary file; give a raster file"),
-        (scene, "tiny is a folder or no ordinary file; give a raster file"),
+        (tmp_path / "pipe.tif", "pipe.tif is a folder or a special file; give a raster file"),
+        (scene, "tiny is a folder or a special file; give a raster file"),
         (odd, r"\udcff.tif' is not valid Unicode; rename the file or folder, or set LANG to a locale"),
     ):
         refused(words, "import-terrain", path, scene / "orthophoto.tif")
@@ -602,9 +602,9 @@ def test_garbage_and_empty_meshes(scene, refused, suffix):
         ("mtllib good.mtl\nmtllib deep.mtl\n" + QUAD + FACES_UV, "names the material libraries good.mtl, deep.mtl"),
         ("mtllib " + 300 * "x" + "\n" + QUAD + FACES, "which cannot be read (File name too long)"),
         ("\ufeffmtllib good.mtl\n" + QUAD + FACES_UV, "begins with a byte order mark, which hides its first line"),
-        (QUAD + "v 0 -6 0\nf 1 2 3 5 4\n", "has a polygon that is hollow"),
-        (QUAD + "v 0 -6 0\nf -5 -4 -3 \\\n-1 -2\n", "has a polygon that is hollow"),
-        (QUAD + "v 4 -4 0\nf 3 5 1 2\n", "has a polygon that is hollow"),
+        (QUAD + "v 0 -6 0\nf 1 2 3 5 4\n", "has a concave polygon"),
+        (QUAD + "v 0 -6 0\nf -5 -4 -3 \\\n-1 -2\n", "has a concave polygon"),
+        (QUAD + "v 4 -4 0\nf 3 5 1 2\n", "has a concave polygon"),
         (QUAD.replace(" 0\n", " 0 0 0 1\n").replace("0 0 1", "1 0 0", 1) + FACES, "is coloured by vertex or face"),
     ],
 )
@@ -630,7 +630,7 @@ def test_archive_is_refused_as_a_mesh(scene, refused):
     with zipfile.ZipFile(scene / "model.zip", "w") as archive:
         archive.writestr("model.obj", QUAD + FACES)
     mesh_scene(scene, "model.zip", (scene / "model.zip").read_bytes())
-    refused("model.zip is of no form that is read; give one of .obj, .glb", "render", scene)
+    refused("model.zip is not in a supported format; give one of .obj, .glb", "render", scene)
 
 
 def test_valid_obj_is_accepted(scene, call, tmp_path):
@@ -745,7 +745,7 @@ def test_unsupported_texture_mappings_are_refused(scene, refused):
         mesh_scene(scene, "model.glb", within)
         assert (load_scene(scene).surfaces[0].colour == [200, 0, 0]).all()
     mesh_scene(scene, "model.glb", glb(beyond, tree | once))
-    refused("model.glb: the texture of material 'paint' is drawn out or mirrored beyond its edge", "render", scene)
+    refused("model.glb: the texture of material 'paint' is clamped or mirrored at its edge", "render", scene)
     base = {"index": 0}
     for mapping, coat in (
         ("the second map coordinates", {"baseColorTexture": base | {"texCoord": 1}}),
@@ -753,7 +753,7 @@ def test_unsupported_texture_mappings_are_refused(scene, refused):
     ):
         paint = {"name": "paint", "pbrMetallicRoughness": coat}
         mesh_scene(scene, "model.glb", glb(data, tree | {"materials": [paint]}))
-        refused(f"model.glb: the texture of material 'paint' is laid through {mapping}", "render", scene)
+        refused(f"model.glb: the texture of material 'paint' uses {mapping}", "render", scene)
 
 
 def test_texture_is_multiplied_by_its_material_factor_in_linear_light(scene):
@@ -835,25 +835,25 @@ def test_texture_must_be_inside_the_scene(scene, refused, kind):
     (scene / "link.png").symlink_to(scene.parent / "x.png")
     for image in ("../x.png", "../../x.png", str(scene.parent / "x.png"), "link.png", "http://localhost/x.png"):
         textured_mesh(scene, kind, image)
-        outside = "does not exist" if image.startswith("http") else "leads out of the scene's folder"
+        outside = "does not exist" if image.startswith("http") else "is outside the scene's folder"
         refused([f"model.{kind} names {image!r}, which {outside}"], "render", scene)
     textured_mesh(scene, kind, "none.png")
     refused([f"model.{kind} names 'none.png', which does not exist"], "render", scene)
     (scene / "none.png").write_text("garbage")
-    refused([f"model.{kind}: the texture", "cannot be read", "give a whole PNG or JPEG"], "render", scene)
+    refused([f"model.{kind}: the texture", "cannot be read", "give a complete PNG or JPEG"], "render", scene)
 
 
 def test_other_files_of_a_mesh_must_be_inside_the_scene(scene, refused):
     data, tree = painted("x.png", uri="../out.bin")
     (scene.parent / "out.bin").write_bytes(data)
     mesh_scene(scene, "model.gltf", json.dumps(tree))
-    refused("model.gltf names '../out.bin', which leads out of the scene's folder", "render", scene)
+    refused("model.gltf names '../out.bin', which is outside the scene's folder", "render", scene)
     (scene.parent / "out.mtl").write_text("newmtl a\nKd 1 0 0\n")
     mesh_scene(scene, "model.obj", "mtllib ../out.mtl\n" + QUAD + FACES_UV)
-    refused("model.obj names '../out.mtl', which leads out of the scene's folder", "render", scene)
+    refused("model.obj names '../out.mtl', which is outside the scene's folder", "render", scene)
     car = OBJECT.replace('shape = "disc"', 'file = "model.obj"')
     (scene / "scene.toml").write_text(SCENE.replace("[sky]", car + "[sky]"))
-    refused("model.obj names '../out.mtl', which leads out of the scene's folder", "render", scene)
+    refused("model.obj names '../out.mtl', which is outside the scene's folder", "render", scene)
 
 
 def huge_png(path, side=100_000):

@@ -165,11 +165,11 @@ def test_scene_without_heat_balance_imports_none_of_it():
 
 def test_missing_snow_material_under_snow_is_reported(tmp_path):
     scene = scene_of(tmp_path / "snow")
-    assert not any("snow lies" in note for note in scene.weather_notes)
+    assert not any("m of snow" in note for note in scene.weather_notes)
     path = scene.spec.folder / "scene.toml"
     path.write_text(path.read_text().replace("cloud = 0.1\n", "cloud = 0.1\nsnow_depth_m = 0.3\n"))
     notes = load_scene(path.parent).weather_notes
-    assert any("snow lies 0.3 m deep by the weather, but no material of the scene is snow" in note for note in notes)
+    assert any("the weather has 0.3 m of snow, but no material of the scene is snow" in note for note in notes)
 
 
 def test_terrain_that_faces_down_is_refused(walled):

@@ -569,7 +569,7 @@ def test_class_numbers_above_255_are_refused(tmp_path):
     classes[:, 16:] = 2
     folder = write_terrain(tmp_path / "wide")
     write_raster(folder / "classes.tif", classes[None], 0.5)
-    with pytest.raises(ThermorenderError, match=r"classes.tif holds 300, which is no class number; give whole numbers"):
+    with pytest.raises(ThermorenderError, match=r"classes.tif holds 300, which is not a class number; give"):
         labelled_scene(folder)
 
 

@@ -288,12 +288,12 @@ def test_wrong_settings_are_refused(tmp_path, call, tools):
     raster = 'source = "raster"\nraster = "temperature.tif"'
     learned = plain.replace(raster, 'source = "learned"\nmodel = "fok-9to1"', 1)
     (folder / "scene.toml").write_text(learned)
-    words = (r"time=2018-07-15T18:00:00Z cannot be had of learned map 'fok-9to1', which does not say when and in what "
-             r"weather it was trained; add \[temperature.trained\]")  # fmt: skip
+    words = (r"time=2018-07-15T18:00:00Z is not available from learned map 'fok-9to1', which does not state the "
+             r"instant and weather of its training; add \[temperature.trained\]")  # fmt: skip
     with pytest.raises(ThermorenderError, match=words):
         tr.load_scene(folder).at("2018-07-15T18:00Z")
     status, _, errors = call("plan", folder, "--time", "2018-07-15T18:00Z")
-    assert status == 2 and "cannot be had of learned map 'fok-9to1'" in errors
+    assert status == 2 and "is not available from learned map 'fok-9to1'" in errors
     with pytest.raises(ThermorenderError, match="has no map that could be moved; add"):
         moved.moved(tr.load_scene(folder), [TRAINED])
     of_map = TABLES.partition("[weather]")[0]
@@ -305,7 +305,7 @@ def test_wrong_settings_are_refused(tmp_path, call, tools):
          "temperature.trained=.* is not allowed; give it with source='learned' or 'raster' only, not 'constant'"),
         (plain.replace('source = "raster"', 'source = "raster"\nmap_error_k = -1', 1), "map_error_k=-1 is not allowed"),
         (plain.replace("[sky]\ntemperature = 260.0", '[atmosphere]\nstandard = "midlatitude-summer"') + of_map
-         + "[sun]\nelevation_deg = 40\nazimuth_deg = 180\n", "stands where weather.time puts it with temp"),
+         + "[sun]\nelevation_deg = 40\nazimuth_deg = 180\n", "follows from weather.time with temp"),
     )  # fmt: skip
     for text, match in cases:
         (folder / "scene.toml").write_text(text)

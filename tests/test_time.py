@@ -189,7 +189,7 @@ def test_values_that_are_not_instants_are_refused(value, words):
         (("wind_m_s = 3", ""), "weather.wind_m_s is missing; a named day needs it in m/s"),
         (("wind_m_s = 3", "wind_m_s = -1"), "weather.wind_m_s=-1 is not allowed; give a number 0…60 m/s"),
         (("humidity = 0.6", "humidity = 60"), "weather.humidity=60 is not allowed; give a number above 0 and up to 1"),
-        (("air_low_c = 10", "air_low_c = 25"), "weather.air_low_c=25 is not allowed; give what is not above"),
+        (("air_low_c = 10", "air_low_c = 25"), "weather.air_low_c=25 is not allowed; give a value not above"),
         (("cloud = 0.2", "clouds = 0.2"), "unknown key 'clouds' in weather; did you mean 'cloud'?"),
         (("[weather]", "[weathers]"), "unknown key 'weathers'"),
     ],
@@ -225,7 +225,7 @@ def test_a_sun_at_odds_with_the_hour_is_refused(tmp_path):
     text = (folder / "scene.toml").read_text()
     text = text.replace("[sky]\ntemperature = 260.0", '[atmosphere]\nstandard = "midlatitude-summer"')
     (folder / "scene.toml").write_text(text)
-    with pytest.raises(ThermorenderError, match=r"\[sun\] stands where weather.time puts it"):
+    with pytest.raises(ThermorenderError, match=r"\[sun\] follows from weather.time"):
         tr.load_scene(folder)
 
 
@@ -251,7 +251,7 @@ def test_temperatures_of_a_scene_are_solved_on_demand(scene, simulations):
     unsolved = (lambda: make_plan(scene), lambda: scene.surroundings_temperature,
                 lambda: reference.render(scene, tr.pose(0, 0, 12, pitch_deg=-90), samples=1))  # fmt: skip
     for ask in unsolved:
-        with pytest.raises(ThermorenderError, match=r"are not solved yet; take Renderer\(scene\).scene"):
+        with pytest.raises(ThermorenderError, match=r"are not solved yet; use Renderer\(scene\).scene"):
             ask()
     messages = []
     renderer = tr.Renderer(scene, rays=4, samples=1, progress=lambda what, share: messages.append(what))

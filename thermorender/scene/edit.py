@@ -72,7 +72,7 @@ class Edits:
         return self._edited(replace(self._declared, camera=own, spec=spec))
 
     def with_air(self: _S, air: str | AtmosphereSpec | Atmosphere | None, aerosol: str = "none") -> _S:
-        """Return this scene under another air, in place of its own sky or air.
+        """Return this scene under another air, which replaces its sky or air.
 
         Parameters
         ----------
@@ -174,7 +174,7 @@ class Edits:
         Raises
         ------
         ThermorenderError
-            No instant, a scene without [weather], or temperatures of a learned map that holds for no stated hour.
+            An invalid instant, a scene without [weather], or a learned map without a stated hour.
         """
         asked, now = instant("time", time), self._declared
         if now.spec.weather is None:
@@ -187,9 +187,9 @@ class Edits:
             return self
         if now.spec.temperature.source == "learned" and not self._derived.temperature_state.weather_driven:
             raise ThermorenderError(
-                f"{now.where}: time={utc_text(asked)} cannot be had of learned map {now.spec.temperature.model!r}, "
-                "which does not say when and in what weather it was trained; add [temperature.trained] with the keys "
-                "of [weather], or leave the time out"
+                f"{now.where}: time={utc_text(asked)} is not available from learned map "
+                f"{now.spec.temperature.model!r}, which does not state the instant and weather of "
+                "its training; add [temperature.trained] with the keys of [weather], or leave the time out"
             )
         spec = replace(now.spec, weather=replace(now.spec.weather, time=asked), truth_temperature=None)
         return self._edited(replace(now, spec=spec, time=asked))
@@ -226,7 +226,7 @@ class Edits:
                 )
             series = weather
             if spec is None and "time" not in keys:
-                raise ThermorenderError(f"{now.where}: with_weather needs time=…, for the scene has none; add it")
+                raise ThermorenderError(f"{now.where}: with_weather needs time=…, because the scene has none; add it")
         if keys:
             spec = changed_weather(spec, keys, now, series is None)
         assert spec is not None
@@ -292,9 +292,9 @@ class Edits:
         Parameters
         ----------
         replaced, **more : str, float or Material, by what it replaces
-            What is replaced: a class number, the name of an object, or the name of a material, as the files of the
-            scene give them. What replaces it: the name of a material, a grey emissivity 0…1, or a Material. All
-            replacements hold at once: with `grass="sand"` and `sand="snow"` grass becomes sand, and sand becomes snow.
+            A key is a class number, the name of an object or the name of a material, as in the scene's files. A value
+            is the name of a material, a grey emissivity 0…1, or a Material. All replacements apply at once: with
+            `grass="sand"` and `sand="snow"` grass becomes sand, and sand becomes snow.
 
         Raises
         ------
@@ -351,15 +351,15 @@ class Edits:
     ) -> _S:  # fmt: skip
         """Return this scene with surfaces or materials made in memory, in place of those its files describe.
 
-        Temperatures that follow the weather become pending; others are those in the surfaces' texels. Edits of
-        materials and objects are refused from then on, for no file describes them.
+        Temperatures that follow the weather become pending; others are those in the surfaces' texels. Later edits of
+        materials and objects are refused, because no file describes them.
 
         Parameters
         ----------
         surfaces : sequence of Surface, optional
             The terrain's first.
         materials : sequence of Material, optional
-            What `Surface.material` indexes.
+            Indexed by `Surface.material`.
         terrain_count : int, optional
             How many of the surfaces are terrain.
 
@@ -379,7 +379,7 @@ class Edits:
                 "for each number"
             )
         if isinstance(had.temperature_state.source, Moved) and surfaces is None:
-            # What is moved is the map, not what a heat balance made of it.
+            # Move the map again, not the temperatures that a heat balance computed from it.
             own = had.temperature_state.source.temperatures
             shown = (*map(_at, shown, own), *shown[len(own) :])
         ground, static = shown[:count], shown[count:]
@@ -398,7 +398,7 @@ class Edits:
     ) -> _S:  # fmt: skip
         """Return this scene at an instant of its weather, with the temperatures that were solved for it.
 
-        Where there is air the sun stands in it as it does at that instant, if it shines.
+        In a scene with air, the sun is at its position at that instant, if it shines.
 
         Parameters
         ----------

@@ -1,13 +1,17 @@
-"""From a map's coordinates to a scene's local frame, where photogrammetric software states them in the map's."""
+"""Camera poses from map coordinates, as photogrammetric software states them, to a scene's local frame."""
+
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from thermorender.physics.geodesy import LocalFrame
 
 
-def pose_from_map(frame, crs, pose):
-    """Return a pose given in a map's easting, northing and height as world_from_camera in a local frame, (4, 4).
+def pose_from_map(frame: LocalFrame, crs: Any, pose: ArrayLike) -> NDArray[np.float64]:
+    """Return a pose in map coordinates as world_from_camera in a local frame, (4, 4).
 
-    Photogrammetric software states exterior orientation in map coordinates, whose north is the grid's: the
-    rotation is turned by the grid's convergence and the Earth's tilt there.
+    The rotation is corrected for the grid's convergence and for the Earth's curvature between frame and camera.
 
     Parameters
     ----------
@@ -22,7 +26,7 @@ def pose_from_map(frame, crs, pose):
     from rasterio.warp import transform
 
     pose = np.asarray(pose, dtype=np.float64)
-    # The map's own axes at the camera, by steps of a metre.
+    # The map's axes at the camera, by steps of one metre.
     points = pose[:3, 3] + np.vstack([np.zeros(3), np.eye(3)])
     longitude, latitude = transform(crs, CRS.from_epsg(4326), points[:, 0], points[:, 1])
     local = frame.enu_from_geodetic(np.array(latitude), np.array(longitude), points[:, 2])

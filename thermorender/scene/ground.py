@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from thermorender.scene.surface import Surface
 
-# Some 300 bytes per face at once.
+# About 300 bytes of memory per face.
 _FACES_AT_ONCE = 1 << 20
 
 
@@ -31,7 +31,7 @@ class Ground:
         used[self._faces] = True
         self._origin = plan[used].min(axis=0)
         extent = plan[used].max(axis=0) - self._origin
-        # Bins about as large as a triangle: each triangle then lies in a few bins.
+        # Bins about as large as a triangle, so that each triangle is in a few bins.
         sides = [np.median(np.ptp(plan[part], axis=1), axis=0) for part in self._parts()]
         self._bin = max(float(np.median(sides)) * 1.5, float(extent.max()) / 4096, 1e-9)
         self._count = np.floor(extent / self._bin).astype(np.int64) + 1
@@ -67,7 +67,7 @@ class Ground:
         point = np.stack([east.ravel(), north.ravel()], axis=-1)
         index = np.floor((point - self._origin) / self._bin)
         inside = ((index >= 0.0) & (index < self._count)).all(axis=-1)
-        # Far outside it fits no integer.
+        # Far outside, the index exceeds the range of integers.
         column, row = np.where(inside[:, None], index, 0.0).astype(np.int64).T
         bins = row * self._count[0] + column
         count = np.where(inside, self._start[bins + 1] - self._start[bins], 0)
@@ -79,7 +79,7 @@ class Ground:
         with np.errstate(divide="ignore", invalid="ignore"):
             v = (ap[:, 0] * ac[:, 1] - ap[:, 1] * ac[:, 0]) / area
             w = (ab[:, 0] * ap[:, 1] - ab[:, 1] * ap[:, 0]) / area
-            # Seen from above, a vertical wall has no area: its shares are infinite or none, and it is no ground.
+            # A vertical wall has no area from above: its weights are infinite or NaN, and it does not count.
             hit = (v >= -1e-9) & (w >= -1e-9) & (v + w <= 1.0 + 1e-9)
         a, b, c, v, w = (values[hit] for values in (a, b, c, v, w))
         height = np.full(len(point), -np.inf)

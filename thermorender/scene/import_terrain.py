@@ -1,13 +1,15 @@
 """A scene folder from two GeoTIFFs: an elevation model and an orthophoto of any CRS, resolution and extent.
 
-Both are brought onto the elevation's map (or the UTM zone, where that is in degrees), cut to the area they
-share, and thinned where they exceed the size limits. What is empty stays marked: NaN heights leave holes in the
-mesh, unless the scene fills their islands, and the orthophoto's empty borders become its mask.
+Both are resampled onto the elevation's map (or its UTM zone, if that is in degrees), cut to the area they share, and
+thinned where they exceed the size limits. NaN heights leave holes in the mesh, unless the scene fills enclosed gaps.
+The orthophoto's empty borders become its mask.
 """
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender import defaults, formats
 from thermorender.errors import ThermorenderError
@@ -22,23 +24,29 @@ DEFAULT_VERTICES = 4_000_000
 DEFAULT_TEXELS = 8192
 
 
-def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES, max_texels=DEFAULT_TEXELS,
-                   height_reference=None, geoid_undulation_m=None, model=defaults.TEMPERATURE_MAP, material="soil_loam",
-                   sky_temperature=255.0, fill=False):  # fmt: skip
-    """Write a scene folder and return a summary of what was done to the rasters.
+_Bounds = tuple[float, float, float, float]
+
+
+def import_terrain(
+    elevation: Path, orthophoto: Path, folder: Path, max_vertices: int = DEFAULT_VERTICES,
+    max_texels: int = DEFAULT_TEXELS, height_reference: str | None = None, geoid_undulation_m: float | None = None,
+    model: str = defaults.TEMPERATURE_MAP, material: str = "soil_loam", sky_temperature: float = 255.0,
+    fill: bool = False,
+) -> dict[str, Any]:  # fmt: skip
+    """Write a scene folder and return a summary of the rasters in it.
 
     Parameters
     ----------
     elevation, orthophoto : path
         GeoTIFFs: heights [m] in one band; RGB in 8 bits.
     folder : path
-        New scene folder; must not exist or be empty.
+        New scene folder; it must not exist, or be empty.
     max_vertices : int
-        Most posts of the mesh; a finer elevation model is averaged down.
+        Largest number of posts of the mesh; a finer elevation model is averaged.
     max_texels : int
-        Most texels along a side of the texture; a finer orthophoto is averaged down.
+        Largest number of texels along a side of the texture; a finer orthophoto is averaged.
     height_reference : {"ellipsoid", "geoid"}, optional
-        What the heights count from; taken from the CRS where that names a vertical datum, else "ellipsoid".
+        Zero of the heights; by default "geoid" if the CRS names a vertical datum, else "ellipsoid".
     geoid_undulation_m : float, optional
         Height of the geoid above the ellipsoid there [m].
     model : str
@@ -48,7 +56,7 @@ def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES,
     sky_temperature : float
         [K].
     fill : bool
-        Whether the scene fills islands of missing heights from around and flags them in the truth mask.
+        Whether the scene fills enclosed gaps in the heights and flags them in the truth mask.
 
     Returns
     -------
@@ -74,7 +82,7 @@ def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES,
     check_new_folder(folder)
     if max_vertices < 4 or max_texels < 2:
         raise ThermorenderError(
-            f"max_vertices={max_vertices}, max_texels={max_texels} leave nothing; give at least 4 and 2"
+            f"max_vertices={max_vertices}, max_texels={max_texels} are too small; give at least 4 and 2"
         )
     height, height_grid = read_elevation(elevation)
     colour_grid = grid_of(orthophoto)
@@ -93,7 +101,7 @@ def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES,
     else:
         height = onto(height, height_grid, target, "average" if _step(crs, target) > 1.5 * post else "bilinear")
     if not np.isfinite(height).any():
-        raise ThermorenderError(f"{elevation} has no valid height where {orthophoto} lies; give a DEM of the same area")
+        raise ThermorenderError(f"{elevation} has no valid height where {orthophoto} is; give a DEM of the same area")
 
     texel = _step(crs, colour_grid)
     span = max(bounds[2] - bounds[0], bounds[3] - bounds[1])
@@ -103,7 +111,7 @@ def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES,
         valid, _ = _cut(valid, colour_grid, bounds)
     else:
         resampling = "average" if _step(crs, texels) > 1.5 * texel else "bilinear"
-        # Empty texels must not bleed into their neighbours: filter what is valid, and how much of it there is.
+        # Empty texels must not bleed into their neighbours: filter valid colour and its weight separately.
         weight = onto(valid.astype(np.float32), colour_grid, texels, resampling)
         weight = np.nan_to_num(weight)
         filtered = onto(rgb * valid[..., None].astype(np.float32), colour_grid, texels, resampling)
@@ -111,7 +119,7 @@ def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES,
         rgb = np.where(valid[..., None], filtered / np.maximum(weight, 1e-6)[..., None], 0.0)
         rgb = np.clip(np.rint(np.nan_to_num(rgb)), 0, 255).astype(np.uint8)
     if not valid.any():
-        raise ThermorenderError(f"{orthophoto} is empty where {elevation} lies; give an orthophoto of the same area")
+        raise ThermorenderError(f"{orthophoto} is empty where {elevation} is; give an orthophoto of the same area")
 
     known = np.isfinite(height)
     after = np.isfinite(filled(height)[0]) if fill else known
@@ -145,17 +153,17 @@ def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES,
     }
 
 
-def _finite(name, value):
+def _finite(name: str, value: float | None) -> None:
     if value is not None and not np.isfinite(value):
         raise ThermorenderError(f"{name}={value} is not a finite number; give one")
 
 
-def _has_vertical_datum(crs):
+def _has_vertical_datum(crs: Any) -> bool:
     return any(word in crs.to_wkt() for word in ("COMPD_CS", "COMPOUNDCRS", "VERT_CS"))
 
 
-def _map_crs(grid):
-    """The elevation's CRS where that is a map in metres, else the UTM zone of its middle."""
+def _map_crs(grid: Grid) -> Any:
+    """The elevation's CRS if it is projected in metres, else the UTM zone of its middle."""
     from rasterio.crs import CRS
 
     if grid.crs.is_projected and abs(grid.crs.linear_units_factor[1] - 1.0) < 1e-9:
@@ -166,7 +174,7 @@ def _map_crs(grid):
     return CRS.from_epsg((32600 if latitude >= 0.0 else 32700) + zone)
 
 
-def _shared(a, b, elevation, orthophoto):
+def _shared(a: _Bounds, b: _Bounds, elevation: Path, orthophoto: Path) -> _Bounds:
     bounds = max(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), min(a[3], b[3])
     if not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
         raise ThermorenderError(
@@ -176,16 +184,16 @@ def _shared(a, b, elevation, orthophoto):
     return bounds
 
 
-def _step(crs, grid):
+def _step(crs: Any, grid: Grid) -> float:
     """Side of a grid's pixel in a map's metres."""
-    # Of the rectangle around a turned grid its pixels fill a share only.
+    # The pixels of a rotated grid fill only a share of its bounding rectangle.
     left, bottom, right, top = grid.bounds
     pixels = (right - left) * (top - bottom) / abs(grid.transform.determinant)
     left, bottom, right, top = bounds_in(crs, grid)
     return float(np.sqrt((right - left) * (top - bottom) / pixels))
 
 
-def _grid(crs, bounds, step):
+def _grid(crs: Any, bounds: _Bounds, step: float) -> Grid:
     from rasterio import Affine
 
     width = max(2, int(np.floor((bounds[2] - bounds[0]) / step + 1e-6)))
@@ -193,15 +201,15 @@ def _grid(crs, bounds, step):
     return Grid(crs, Affine(step, 0.0, bounds[0], 0.0, -step, bounds[3]), height, width)
 
 
-def _aligned(grid, crs, target, step):
-    """Whether cutting pixels out of a grid is enough: same map, north up and east to the right, no thinning."""
+def _aligned(grid: Grid, crs: Any, target: Grid, step: float) -> bool:
+    """Whether cropping a grid is enough: same map, north up and east to the right, no thinning."""
     t = grid.transform
-    upright = t.a > 0.0 and t.e < 0.0 and t.b == t.d == 0.0
+    upright = bool(t.a > 0.0 and t.e < 0.0 and t.b == t.d == 0.0)
     return grid.crs == crs and upright and abs(_step(crs, target) - step) < 1e-6 * step
 
 
-def _cut(values, grid, bounds):
-    """Pixels of a north-up grid that lie within bounds, and their Grid."""
+def _cut(values: NDArray[Any], grid: Grid, bounds: _Bounds) -> tuple[NDArray[Any], Grid]:
+    """Pixels of a north-up grid within bounds, and their Grid."""
     from rasterio import Affine
 
     column0, row0 = grid.to_pixel(bounds[0], bounds[3])
@@ -215,7 +223,7 @@ def _cut(values, grid, bounds):
     return part, Grid(grid.crs, corner, *part.shape[:2])
 
 
-def _write(path, bands, grid, mask=None, **options):
+def _write(path: Path, bands: NDArray[Any], grid: Grid, mask: NDArray[np.bool_] | None = None, **options: Any) -> None:
     import rasterio
 
     with formats.atomic_raster(path) as part, rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(

@@ -1,8 +1,11 @@
-"""Materials of a scene from its orthophoto: the learned emissivity map applied, or written out to be corrected."""
+"""Materials of a scene from its orthophoto: a learned emissivity map applied, or written as files for correction."""
 
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender import files, formats
 from thermorender.defaults import EMISSIVITY_MAP, FALLBACK_MATERIAL
@@ -10,23 +13,28 @@ from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity import load_map, map_materials
 from thermorender.learned.features import lab
 from thermorender.materials import library as material_tables
+from thermorender.materials.material import Material
 from thermorender.materials.mixture import palette
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene import terrain
-from thermorender.scene.raster import grid_of, read_colour
-from thermorender.scene.spec import read_scene
+from thermorender.scene.raster import Grid, grid_of, read_colour
+from thermorender.scene.spec import DEFAULT_CONFIDENCE, EmissivitySpec, SceneSpec, read_scene
 from thermorender.scene.surface import fill, nearest_valid
 
-# Of the 255 numbers a texel's material may have; the rest is for objects.
+# Of the 255 material numbers of a texel; the rest is for objects.
 _MOST_MIXES = 200
 # Class number that `map-materials` writes for unknown texels.
 UNKNOWN_CLASS = 255
 _UNKNOWN_COLOUR = (255, 0, 255)
-# Colours of a legend are told apart at a glance from this distance in CIELAB on.
-_TELLING_APART = 20.0
+_Colour = tuple[int, ...]
+# Distance in CIELAB from which colours of a legend are easy to distinguish.
+_DISTINCT = 20.0
 
 
-def learned_materials(source, library, colour, valid, texel_m, band_um, where):
+def learned_materials(
+    source: EmissivitySpec, library: Mapping[str, Material], colour: NDArray[np.uint8], valid: NDArray[np.bool_],
+    texel_m: float, band_um: tuple[float, float], where: str,
+) -> tuple[NDArray[np.uint8], list[Material], NDArray[np.bool_], dict[str, Any]]:  # fmt: skip
     """Return (number (h, w) uint8, materials and mixes, unknown (h, w) bool, report) of a terrain's texels.
 
     Parameters
@@ -37,7 +45,7 @@ def learned_materials(source, library, colour, valid, texel_m, band_um, where):
     colour : (h, w, 3) uint8
         sRGB, holes filled.
     valid : (h, w) bool
-        Where there were none.
+        False where holes were filled.
     texel_m : float
     band_um : (2,) floats
         The camera's band [µm].
@@ -46,10 +54,12 @@ def learned_materials(source, library, colour, valid, texel_m, band_um, where):
 
     Returns
     -------
-    unknown : where the fallback stands in: its material is the last of the materials returned.
+    unknown : (h, w) bool
+        Where the fallback is used, the last of the materials returned.
     report : dict
-        Shares of unknown texels and what the palette changes.
+        Share of unknown texels, mean confidence and errors of the palette.
     """
+    assert source.model is not None and source.fallback is not None
     model = load_map(source.model).without(source.without)
     own = [material_tables.find(library, name, f"emissivity map {model.name!r}") for name in model.materials]
     fallback = material_tables.find(library, source.fallback, f"{where}: emissivity.fallback")
@@ -70,7 +80,7 @@ def learned_materials(source, library, colour, valid, texel_m, band_um, where):
     return number, [*used, fallback], unknown, report
 
 
-def orthophoto_of(spec):
+def orthophoto_of(spec: SceneSpec) -> tuple[NDArray[np.uint8], NDArray[np.bool_], Grid, float]:
     """Return (rgb (h, w, 3) uint8 without holes, valid (h, w) bool, Grid, texel_m) of a scene's orthophoto.
 
     Raises
@@ -93,36 +103,36 @@ def orthophoto_of(spec):
     return filled, valid, grid, terrain.texel_size_m(grid, frame)
 
 
-def write_map(folder, output, model=EMISSIVITY_MAP, fallback=FALLBACK_MATERIAL, confidence=None, without=(),
-              progress=None):  # fmt: skip
-    """Return {what: Path} written for a scene: class, probability and confidence rasters and a picture.
+def write_map(
+    folder: Path | str, output: Path | str, model: str = EMISSIVITY_MAP, fallback: str = FALLBACK_MATERIAL,
+    confidence: float | None = None, without: Sequence[str] = (), progress: Callable[[float], None] | None = None,
+) -> tuple[dict[str, Path], dict[str, float]]:  # fmt: skip
+    """Write class, probability and confidence rasters and a picture; return ({kind: path}, {class: share}).
 
     Parameters
     ----------
     folder : path
         Scene folder.
     output : path
-        Folder for the files, there already.
+        Existing folder for the files.
     model : str
         Name or file of the emissivity map.
     fallback : str
-        Material that stands in for unknown texels.
+        Material of unknown texels.
     confidence : float, optional
-        Below it a texel is unknown; by default as in scene files.
+        A texel below it is unknown; by default as in scene files.
     without : sequence of str
-        Materials of the map that are known not to occur.
+        Materials of the map that do not occur in the scene.
     progress : callable (share), optional
 
     Notes
     -----
-    `classes.tif` holds material numbers (0 no picture, 255 unknown) with a colour table, for correction by hand;
-    `emissivity.toml` is the table a scene file needs to use it. `probabilities.tif` has a band per material, in
+    `classes.tif` holds material numbers (0 no image, 255 unknown) with a colour table, for manual correction.
+    `emissivity.toml` is the table for a scene file that uses it. `probabilities.tif` has a band per material, in
     1/255. `materials.png` shows orthophoto and classes side by side.
     """
     import rasterio
     from rasterio.windows import Window
-
-    from thermorender.scene.spec import DEFAULT_CONFIDENCE
 
     confidence = DEFAULT_CONFIDENCE if confidence is None else confidence
     if not 0.0 <= confidence <= 1.0:
@@ -131,7 +141,7 @@ def write_map(folder, output, model=EMISSIVITY_MAP, fallback=FALLBACK_MATERIAL, 
     rgb, valid, grid, texel_m = orthophoto_of(spec)
     library = material_tables.load_library(spec.folder / "materials" if (spec.folder / "materials").is_dir() else None)
     material_tables.find(library, fallback, "--fallback")
-    model = load_map(model).without(without)
+    emissivity_map = load_map(model).without(without)
     output = Path(output)
     profile = {
         "driver": "GTiff", "height": grid.height, "width": grid.width, "crs": grid.crs, "transform": grid.transform,
@@ -144,20 +154,21 @@ def write_map(folder, output, model=EMISSIVITY_MAP, fallback=FALLBACK_MATERIAL, 
     }  # fmt: skip
     with (
         formats.atomic_raster(paths["probabilities"]) as part,
-        rasterio.open(part, "w", count=len(model.materials), **profile) as file,
+        rasterio.open(part, "w", count=len(emissivity_map.materials), **profile) as file,
     ):
-        file.descriptions = model.materials
-        file.scales = (1.0 / 255.0,) * len(model.materials)
+        file.descriptions = emissivity_map.materials
+        file.scales = (1.0 / 255.0,) * len(emissivity_map.materials)
 
-        def keep(rows, columns, probabilities):
+        def keep(rows: slice, columns: slice, probabilities: NDArray[Any]) -> None:
             bands = np.where(valid[rows, columns], np.rint(255.0 * probabilities), 0.0).astype(np.uint8)
             file.write(bands, window=Window.from_slices(rows, columns))
 
-        mapped = map_materials(model, rgb, texel_m, progress, keep)
+        mapped = map_materials(emissivity_map, rgb, texel_m, progress, keep)
     unknown = mapped.confidence < confidence
     classes = np.where(unknown, UNKNOWN_CLASS, mapped.index[..., 0] + 1)
     classes = np.where(valid, classes, 0).astype(np.uint8)
-    colours = _legend_colours({n: library[name] for n, name in enumerate(model.materials, 1) if name in library})
+    numbered = enumerate(emissivity_map.materials, 1)
+    colours = _legend_colours({number: library[name] for number, name in numbered if name in library})
     with formats.atomic_raster(paths["classes"]) as part, rasterio.open(part, "w", count=1, **profile) as file:
         file.write(classes, 1)
         file.write_colormap(1, {0: (0, 0, 0, 0), UNKNOWN_CLASS: _UNKNOWN_COLOUR, **colours})
@@ -165,9 +176,9 @@ def write_map(folder, output, model=EMISSIVITY_MAP, fallback=FALLBACK_MATERIAL, 
         file.write(np.where(valid, np.rint(255.0 * mapped.confidence), 0).astype(np.uint8), 1)
         file.scales = (1.0 / 255.0,)
     present = [int(value) for value in np.unique(classes[classes > 0])]
-    names = {**dict(enumerate(model.materials, 1)), UNKNOWN_CLASS: fallback}
+    names = {**dict(enumerate(emissivity_map.materials, 1)), UNKNOWN_CLASS: fallback}
     lines = ["[emissivity]", 'source = "classes"', 'raster = "classes.tif"', "", "[emissivity.classes]"]
-    for value in sorted({*present, *range(1, len(model.materials) + 1), UNKNOWN_CLASS}):
+    for value in sorted({*present, *range(1, len(emissivity_map.materials) + 1), UNKNOWN_CLASS}):
         lines.append(f'{value} = "{names[value]}"' + ("  # unknown" if value == UNKNOWN_CLASS else ""))
     formats.write_text(paths["emissivity"], "\n".join(lines) + "\n")
     share = np.bincount(classes.ravel(), minlength=256) / max(valid.sum(), 1)
@@ -176,27 +187,31 @@ def write_map(folder, output, model=EMISSIVITY_MAP, fallback=FALLBACK_MATERIAL, 
     return paths, {name: float(part) for name, part in shown.values()}
 
 
-def _legend_colours(materials):
-    """{number: sRGB bytes}: each material's own colour, made lighter, darker or fuller where another has it already."""
+def _legend_colours(materials: Mapping[int, Material]) -> dict[int, _Colour]:
+    """{number: sRGB bytes}: each material's colour, made lighter, darker or more saturated if another has it."""
     import colour
 
-    def srgb(value):
+    def srgb(value: Any) -> NDArray[np.float64]:
         return np.clip(colour.XYZ_to_sRGB(colour.Lab_to_XYZ(value)), 0.0, 1.0)
 
-    taken, found = [], {}
+    taken: list[NDArray[Any]] = []
+    found: dict[int, _Colour] = {}
     variants = [(light, full) for full in (1.6, 2.6, 0.8) for light in (0, 14, -14, 28, -28, 42)]
     for number, material in materials.items():
         own = lab(np.array(material.colour, dtype=np.uint8)).astype(np.float64)
         choice = [srgb(own * (1.0, full, full) + (light, 0.0, 0.0)) for light, full in variants]
         seen = [lab(np.uint8(np.rint(255.0 * c))) for c in choice]
-        away = [min((np.linalg.norm(one - other) for other in taken), default=np.inf) for one in seen]
-        best = next((k for k, distance in enumerate(away) if distance >= _TELLING_APART), int(np.argmax(away)))
+        away = [min((float(np.linalg.norm(one - other)) for other in taken), default=np.inf) for one in seen]
+        best = next((k for k, distance in enumerate(away) if distance >= _DISTINCT), int(np.argmax(away)))
         taken.append(seen[best])
         found[number] = tuple(int(v) for v in np.rint(255.0 * choice[best]))
     return found
 
 
-def _picture(path, rgb, classes, shown, colours):
+def _picture(
+    path: Path, rgb: NDArray[np.uint8], classes: NDArray[np.uint8], shown: Mapping[int, tuple[str, Any]],
+    colours: Mapping[int, _Colour],
+) -> None:  # fmt: skip
     """Write orthophoto and classes side by side with a legend of the shares."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

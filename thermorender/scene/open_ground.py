@@ -1,7 +1,7 @@
-"""Columns of ground beneath surfaces: what a material's thermal table makes of the heat balance, in the open.
+"""Columns of ground from the thermal tables of materials, and their heat balance on level, open ground.
 
-A column is one material on what lies beneath it. Here they are put together from tables and marched as level, open
-ground, which is what a weather station stands on and what a terrain's march begins with.
+A column is one material on its substrate. Level, open ground is the site of a weather station, and the initial state of
+a terrain's simulation.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,12 +26,12 @@ _FILMS = {"inside": 1.0 / 0.13, "outside": 1.0 / 0.04}
 # Water that stays on leaves and on hard ground, and what bare soil holds before it resists evaporation: FAO Irrigation
 # and Drainage Paper 56 (1998), table 19, loams: 8 mm [kg m⁻²].
 _HELD, _HELD_BY_SOIL = 0.5, 8.0
-# Air inside buildings [K], where nothing else is said.
+# Air inside buildings by default [K].
 INSIDE_K = 20.0 + ZERO_CELSIUS_K
-# Resistance of what does not evaporate [s/m].
+# Resistance of a surface that does not evaporate [s/m].
 _NEVER_S_M = 1e9
-# Sunlight that water, snow and ice let in; the rest, near infrared, stays at the surface: Paulson & Simpson, J. Phys.
-# Oceanogr. 7 (1977) 952, table 2, about.
+# Share of sunlight that enters water, snow and ice; the surface absorbs the near infrared: about table 2 of Paulson &
+# Simpson, J. Phys. Oceanogr. 7 (1977) 952.
 _LET_IN = 0.45
 # Water is stirred by wind and waves down to some metres, but for a skin: Henderson-Sellers, Appl. Math. Model. 9 (1985)
 # 441, has 1e-5 to 1e-3 m² s⁻¹ near the surface, fading within some metres; Saunders, J. Atmos. Sci. 24 (1967) 269, a
@@ -40,12 +40,12 @@ _MIXED_M2_S, _MIXED_M, _CALM_M2_S, _COOL_SKIN_M = 1e-4, 4.0, 1e-6, 1e-3
 # Heights of wind and air above a rough cover, in roughness lengths at least.
 _ABOVE = 5.0
 _TEMPERATURE_K = 290.0
-# Of a march in the open: steps, days that are repeated at most before it, and the change between them that ends it.
+# Simulation in the open: time step, largest number of repeated days before it, and the change that ends them.
 STEP_S = 900.0
 _MOST_DAYS, SETTLED_K = 15, 0.1
-# Above this depth a few days settle the ground by themselves [m].
+# Above this depth, the ground settles within a few days [m].
 _SOON_M = 0.5
-# What lies longer before an instant, its ground has forgotten but for the depth, where a settled day stands for it.
+# Older weather affects only the depth, which a settled day approximates.
 _LOOK_BACK = np.timedelta64(14 * 86400, "s")
 _DAY = np.timedelta64(86400, "s")
 
@@ -61,9 +61,9 @@ class Columns:
     absorptance : (M,) float64
         Of sunlight.
     wind_factor : (M,)
-        Wind over the material, of the station's.
+        Wind over the material as a share of the station's.
     indoors : (M,) bool
-        Whether indoor air lies below; elsewhere it is outdoor air, or nothing that matters.
+        Whether indoor air is below; otherwise outdoor air, or air without effect.
     node_m : (M, L)
         Depth of the layers' temperatures [m].
     """
@@ -90,7 +90,7 @@ def columns(
     snow_m : float
         Depth of a material that is snow [m], in place of its table's; 0: the table's.
     station_roughness_m : float, optional
-        Of the land around the station; None: it stands on the material itself.
+        Of the land around the station; None: the station is on the material itself.
     layers : int
 
     Raises
@@ -103,7 +103,7 @@ def columns(
     for name in Ground._fields:
         values = np.array([getattr(each[0], name) for each in made], dtype=np.float64)
         stacked[name] = list(values.T) if values.ndim == 2 else values
-    # Leave out what no material needs.
+    # Omit processes that no material has.
     if not sum(map(np.sum, stacked["water"])):
         stacked["water"] = stacked["room"] = None
     if not sum(map(np.sum, stacked["sun_share"])):
@@ -113,8 +113,10 @@ def columns(
     return Columns(Ground(**stacked), absorptance, wind, indoors, node)
 
 
-def _column(material, weather, snow_m, station_roughness_m, layers):
-    """(Ground of one column, absorptance, factor on the wind, whether indoor air lies below, depth of nodes)."""
+def _column(
+    material: Material, weather: Weather, snow_m: float, station_roughness_m: float | None, layers: int
+) -> tuple[Ground, float, float, bool, NDArray[np.float64]]:
+    """(Ground of one column, absorptance, factor on the wind, whether indoor air is below, depth of nodes)."""
     thermal = material.known_thermal()
     chain = thermal.layers
     slabs, snowy = [], []
@@ -137,7 +139,7 @@ def _column(material, weather, snow_m, station_roughness_m, layers):
     if thermal.cover == "water":
         skin = thermal.conductivity_w_m_k / _COOL_SKIN_M
     cut = layered(slabs, skin, _FILMS.get(end), layers)
-    # What the layers hold when it is liquid.
+    # Liquid water that the layers can hold.
     kept = [balance.RETENTION if snow else 1.0 for snow in snowy]
     held = [replace(slab, water=share * slab.water) for slab, share in zip(slabs, kept, strict=True)]
     room = layered(held, skin, _FILMS.get(end), layers).water
@@ -153,17 +155,17 @@ def _column(material, weather, snow_m, station_roughness_m, layers):
         wind_m, air_m = (max(z, _ABOVE * rough) for z in (weather.wind_height_m, weather.air_height_m))
         factor = exchange.wind_factor(wind_m, rough, weather.wind_height_m, station_roughness_m)
     log_wind = np.log(wind_m / rough)
-    # The wind at the height of the air's temperature tells the stability.
+    # Stability follows from the wind at the height of the air temperature.
     stability_m = air_m * (log_wind / np.log(air_m / rough)) ** 2
     resistance = thermal.surface_resistance_s_m
-    # Without resistance it is free water, as far as there is some.
+    # A wet surface without resistance is free water.
     free = thermal.wetness if resistance == 0.0 else 0.0
     soil = thermal.cover == "bare" and bool(resistance) and thermal.thickness_m is None
     share = np.zeros(layers)
     if thermal.attenuation_1_m:
         reached = np.exp(-thermal.attenuation_1_m * cut.edge_m)
         share = _LET_IN * (reached[:-1] - reached[1:])
-        # What reaches the bottom stays there.
+        # The bottom layer absorbs the rest.
         share[-1] += _LET_IN * reached[-1]
     ground = Ground(
         emissivity=broadband(material),
@@ -176,19 +178,19 @@ def _column(material, weather, snow_m, station_roughness_m, layers):
         leaves=float(thermal.cover == "leaves"),
         held=_HELD_BY_SOIL if soil else _HELD,
         melting=float(thermal.melting_k is not None and thermal.cover == "snow"),
-        capacity=cut.capacity,
-        conductance=cut.conductance,
-        water=cut.water,
-        room=room,
-        sun_share=share,
+        capacity=list(cut.capacity),
+        conductance=list(cut.conductance),
+        water=list(cut.water),
+        room=list(room),
+        sun_share=list(share),
     )
     return ground, material.solar_absorptance, factor, end == "inside", cut.node_m
 
 
 def broadband(material: Material) -> float:
-    """Return the hemispherical emissivity over what is measured of 8–14 µm, weighted with Planck's law at 290 K.
+    """Return the hemispherical emissivity over the measured part of 8–14 µm, weighted with Planck's law at 290 K.
 
-    Half of a surface's emission lies beyond its spectra; the same is taken there.
+    Half of a surface's emission is outside its spectra; the same emissivity is assumed there.
     """
     low, high = material.valid_range_um
     band = max(low, 8.0), min(high, 14.0)
@@ -211,7 +213,7 @@ def forcing(
     inside_k : float
         Air inside buildings [K].
     shortwave : float, optional
-        Absorbed sunlight where it is measured [W m⁻²]; else what the absorptance makes of the sun.
+        Measured absorbed sunlight [W m⁻²]; by default it is computed from the absorptance.
     """
     level = found.direct_w_m2 * np.maximum(sun_sine, 0.0) + found.diffuse_w_m2
     return Forcing(
@@ -232,10 +234,10 @@ def march(
     inside_k: float = INSIDE_K, step_s: float = STEP_S,
     shortwave: "Callable[[NDArray[np.datetime64]], NDArray[np.float64]] | None" = None,
 ) -> "tuple[State, list[NDArray[Any]]]":  # fmt: skip
-    """Return (State, [surface temperatures (M,) after each step]) of columns in the open, marched from start to stop.
+    """Return (State, [surface temperatures (M,) after each step]) of columns in the open, from start to stop.
 
-    Steps are `step_s` long, or a little less so that they fill the time evenly. `shortwave` gives the absorbed sunlight
-    [W m⁻²] at instants, where it is measured.
+    Steps are `step_s` long, or slightly shorter to fill the time evenly. `shortwave` gives measured absorbed sunlight
+    [W m⁻²] at instants.
     """
     span = float((stop - start) / np.timedelta64(1, "s"))
     count = max(1, int(np.ceil(span / step_s - 1e-9)))
@@ -247,14 +249,14 @@ def march(
     absorbed = None if shortwave is None else shortwave(instant)
     seen = []
     for number in range(count):
-        stages = [
+        first, second = (
             forcing(
                 Conditions(*(values[number, k] for values in found)), columns, sine[number, k], inside_k,
                 None if absorbed is None else absorbed[number, k],
             )
             for k in (0, 1)
-        ]  # fmt: skip
-        state, _ = balance.step(np, state, columns.ground, *stages, length)
+        )  # fmt: skip
+        state, _ = balance.step(np, state, columns.ground, first, second, length)
         seen.append(state.surface_k)
     return state, seen
 
@@ -264,12 +266,12 @@ def settled(
 ) -> "tuple[State, float]":
     """Return (State of columns in the open at an instant, change of its surfaces over the last repeated day [K]).
 
-    The first day of the last two weeks of weather before `at` is repeated until two days in a row differ by less than
-    0.1 K, each beginning with the mean of the last in the depth; from there the weather goes on to `at`.
+    The first day of the last two weeks of weather before `at` is repeated until two successive days differ by less than
+    0.1 K. Each day starts with the mean of the previous one at depth. From there the weather is simulated to `at`.
     """
     if at < weather.time[0]:
         raise ThermorenderError(
-            f"{utc_text(at)} lies before the weather, which begins at {utc_text(weather.time[0])}"
+            f"{utc_text(at)} is before the weather, which begins at {utc_text(weather.time[0])}"
         )
     first = max(weather.time[0], at - _LOOK_BACK)
     day = min(first + _DAY, weather.time[-1])
@@ -278,7 +280,7 @@ def settled(
         columns, mean, lambda state: march(columns, weather, state, first, day, inside_k, 2.0 * STEP_S)
     )
     if at > first:
-        # The day that was repeated is the first one: it begins anew from where it ended.
+        # The repeated day is the first one, so start it again from its final state.
         state, _ = march(columns, weather, state, first, at, inside_k, 2.0 * STEP_S)
     return state, change
 
@@ -286,25 +288,27 @@ def settled(
 def settle(
     columns: Columns, mean_k: float, day: "Callable[[State], tuple[State, Any]]"
 ) -> "tuple[State, float]":
-    """Return (State, change of its surfaces over the last day [K]) of columns that have had a day over and over.
+    """Return (State, change of its surfaces over the last day [K]) of columns after a repeated day.
 
     Parameters
     ----------
     columns : Columns
     mean_k : float
-        Temperature to begin with, in all depths; snow begins frozen [K].
+        Initial temperature at all depths; snow starts frozen [K].
     day : callable
-        Marches a State through the day; returns it and the surface temperatures on the way.
+        Simulates the day from a State; returns the final State and the surface temperatures after each step.
     """
     count, ground = len(columns.absorptance), columns.ground
     begin = np.where(ground.melting > 0.5, min(mean_k, ZERO_CELSIUS_K), mean_k)
     state = balance.at_rest(np, [begin] * len(ground.capacity), ground)
-    # In a periodic state no heat passes in the mean: the depth has the surface's mean, where no sun reaches it.
+    # In a periodic state the mean heat flow is zero: without sunlight, the depth has the surface's mean.
     free = ~columns.indoors & (ground.conductance[-1] == 0.0) & (ground.melting < 0.5)
     if ground.sun_share is not None:
         free &= sum(ground.sun_share) == 0.0
     deep = np.minimum(columns.node_m.T / _SOON_M, 1.0)
-    before, change, mean, moved = np.full(count, np.inf), np.inf, None, None
+    before, change = np.full(count, np.inf), np.inf
+    mean: Any = None
+    moved: Any = None
     for _ in range(_MOST_DAYS):
         state, seen = day(state)
         change = float(np.abs(state.surface_k - before).max())
@@ -312,7 +316,7 @@ def settle(
             break
         before, mean_before, mean = state.surface_k, mean, np.mean(seen, axis=0)
         layers = [np.where(free, t + d * (mean - t), t) for t, d in zip(state.layers_k, deep, strict=True)]
-        # What nears its end by a steady ratio a day, as deep water does, is put there.
+        # Extrapolate a steady daily ratio, as of deep water, to its limit.
         last, moved = moved, None if mean_before is None else mean - mean_before
         if last is not None:
             ratio = np.clip(moved / np.where(np.abs(last) > 1e-6, last, np.inf), 0.0, 0.9)

@@ -1,17 +1,19 @@
-"""Georeferenced rasters: read with NaN for what is missing, brought onto one pixel grid."""
+"""Georeferenced rasters: read with NaN for missing data, and resampled onto one pixel grid."""
 
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.scene.surface import MOST_TEXELS
 
-# What a file of this name is read as, and as nothing else. None of these leads to pixels elsewhere, on disk or in a
-# network, as VRT, WMS and others do, of which GDAL would ask the content and not the name.
+# GDAL's driver by file name, and the only one tried. None of these refers to pixels in other files or on a network, as
+# VRT and WMS do; GDAL alone would choose by content, not by name.
 FORMATS = {
     ".tif": "GTiff", ".tiff": "GTiff", ".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".jp2": "JP2OpenJPEG",
     ".asc": "AAIGrid",
@@ -29,25 +31,25 @@ class Grid:
     name: str = field(default="the raster", compare=False)  # for messages
 
     @property
-    def bounds(self):
+    def bounds(self) -> tuple[float, float, float, float]:
         """(left, bottom, right, top) in map units."""
-        # All four corners: any of them may be the outermost of a turned grid.
+        # Any of the four corners may be the outermost of a rotated grid.
         x, y = self.to_map(np.array([0, self.width, 0, self.width]), np.array([0, 0, self.height, self.height]))
         return float(x.min()), float(y.min()), float(x.max()), float(y.max())
 
-    def to_map(self, column, row):
-        """Return map coordinates (x, y) of pixel coordinates counted from the grid's upper left corner."""
+    def to_map(self, column: Any, row: Any) -> tuple[Any, Any]:
+        """Return map coordinates (x, y) of pixel coordinates, which are 0 at the grid's upper left corner."""
         t = self.transform
         return t.a * column + t.b * row + t.c, t.d * column + t.e * row + t.f
 
-    def to_pixel(self, x, y):
+    def to_pixel(self, x: Any, y: Any) -> tuple[Any, Any]:
         """Return pixel coordinates (column, row) of map coordinates; the inverse of `to_map`."""
         t = ~self.transform
         return t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f
 
-    def same_as(self, other):
-        """Whether both grids have the same pixels."""
-        return (
+    def same_as(self, other: "Grid") -> bool:
+        """Return whether both grids have the same pixels."""
+        return bool(
             (self.height, self.width) == (other.height, other.width)
             and self.crs == other.crs
             and self.transform.almost_equals(other.transform, precision=1e-6)
@@ -55,23 +57,23 @@ class Grid:
 
 
 @contextmanager
-def opened(path):
-    """Open a raster for reading; what rasterio cannot read, or is too large, becomes a sentence naming the file."""
+def opened(path: Path | str) -> Iterator[Any]:
+    """Open a raster for reading; a file that is unreadable or too large raises an error that names it."""
     import warnings
 
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
     if not Path(path).is_file():
-        what = "is a folder or no ordinary file" if Path(path).exists() else "does not exist"
+        what = "is a folder or a special file" if Path(path).exists() else "does not exist"
         raise ThermorenderError(f"{path} {what}; give a raster file such as a GeoTIFF")
     driver = FORMATS.get(Path(path).suffix.lower())
-    # What lies beside a raster may name overviews in a network; GDAL then fetches nothing.
+    # Files beside a raster may name overviews on a network; this option stops GDAL from fetching them.
     options = {} if driver is None else {"CPL_VSIL_CURL_ALLOWED_FILENAME": "-"}
     try:
         with rasterio.Env(**options):
             with warnings.catch_warnings():
-                # `grid_of` refuses such a file in words of our own.
+                # `grid_of` refuses such a file.
                 warnings.simplefilter("ignore", NotGeoreferencedWarning)
                 dataset = rasterio.open(path, driver=driver)
             with dataset:
@@ -84,20 +86,20 @@ def opened(path):
     except UnicodeEncodeError:
         raise ThermorenderError(f"{path}: this name is not valid Unicode, which GDAL needs; rename it") from None
     except (RasterioError, UnicodeDecodeError) as error:
-        # A failed read says only that it failed; its cause, GDAL's own error, says where.
+        # The cause of a failed read, GDAL's own error, says where it failed.
         reason = error.__cause__ or error
         raise ThermorenderError(
-            f"{path} cannot be read as a raster: {reason}; give a whole file such as a GeoTIFF"
+            f"{path} cannot be read as a raster: {reason}; give a complete file such as a GeoTIFF"
         ) from None
 
 
-def files_of(path):
-    """Return the files a raster is read from: itself and what GDAL finds beside it."""
+def files_of(path: Path) -> list[str]:
+    """Return the files a raster is read from: itself and those that GDAL finds beside it."""
     with opened(path) as dataset:
-        return dataset.files
+        return list(dataset.files)
 
 
-def grid_of(path):
+def grid_of(path: Path) -> Grid:
     """Return the Grid of a raster file.
 
     Raises
@@ -113,8 +115,8 @@ def grid_of(path):
             )
         if dataset.crs.to_wkt().startswith("GEOCCS"):
             raise ThermorenderError(
-                f"{path} is in {_crs_name(dataset.crs)}, which counts from the Earth's centre and is no map; bring it "
-                "to one of longitude and latitude or to a projected one, for example with `rio warp`"
+                f"{path} is in {_crs_name(dataset.crs)}, a geocentric CRS and not a map; convert it "
+                "to a geographic or projected one, for example with `rio warp`"
             )
         if dataset.transform.is_identity or dataset.transform.is_degenerate:
             raise ThermorenderError(
@@ -124,7 +126,7 @@ def grid_of(path):
         return Grid(dataset.crs, dataset.transform, dataset.height, dataset.width, str(path))
 
 
-def bounds_in(crs, grid):
+def bounds_in(crs: Any, grid: Grid) -> tuple[float, float, float, float]:
     """Return a Grid's (left, bottom, right, top) in the units of another map.
 
     Raises
@@ -137,19 +139,21 @@ def bounds_in(crs, grid):
     if grid.crs == crs:
         return grid.bounds
     with _reprojecting(grid, crs):
-        bounds = transform_bounds(grid.crs, crs, *grid.bounds, densify_pts=21)
+        left, bottom, right, top = bounds = transform_bounds(grid.crs, crs, *grid.bounds, densify_pts=21)
         if not np.isfinite(bounds).all():
-            raise ValueError("some coordinates lie outside that map")
-        return bounds
+            raise ValueError("some coordinates are outside that map")
+    return left, bottom, right, top
 
 
-def lon_lat(grid, x, y):
+def lon_lat(
+    grid: Grid, x: NDArray[np.float64], y: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return WGS 84 longitude and latitude [deg] of map coordinates, (N,), in a grid's CRS.
 
     Raises
     ------
     ThermorenderError
-        The coordinates are nowhere on Earth in that CRS.
+        The coordinates are not on Earth in that CRS.
     """
     from rasterio.crs import CRS
     from rasterio.warp import transform
@@ -159,78 +163,78 @@ def lon_lat(grid, x, y):
         longitude, latitude = (np.asarray(values) for values in transform(grid.crs, target, x, y))
     if not ((np.abs(latitude) <= 90.0) & (np.abs(longitude) <= 360.0)).all():
         raise ThermorenderError(
-            f"{grid.name}: x={x[0]:.9g}, y={y[0]:.9g} is nowhere on Earth in {_crs_name(grid.crs)}; assign the CRS the "
-            "coordinates are in"
+            f"{grid.name}: x={x[0]:.9g}, y={y[0]:.9g} is not on Earth in {_crs_name(grid.crs)}; assign the CRS of the "
+            "coordinates"
         )
     return longitude, latitude
 
 
 @contextmanager
-def _reprojecting(grid, target):
+def _reprojecting(grid: Grid, target: Any) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # GDAL's errors share no public base class
         raise ThermorenderError(
-            f"{grid.name}: coordinates in {_crs_name(grid.crs)} cannot be brought to {_crs_name(target)} "
-            f"({_crs_free(error)}); assign the CRS the coordinates are in"
+            f"{grid.name}: coordinates in {_crs_name(grid.crs)} cannot be converted to "
+            f"{_crs_name(target)} ({_crs_free(error)}); assign the CRS of the coordinates"
         ) from None
 
 
-def _crs_name(crs):
-    """EPSG code where there is one; the definition of other systems is too long for a sentence."""
+def _crs_name(crs: Any) -> str:
+    """EPSG code where there is one; other definitions are too long for a sentence."""
     code = crs.to_epsg()
     return f"EPSG:{code}" if code else "a CRS without EPSG code"
 
 
-def _crs_free(error):
-    """GDAL quotes whole definitions of coordinate systems in braces; the words before them are the message."""
+def _crs_free(error: Exception) -> str:
+    """GDAL's message without the definition of a CRS that it may quote in braces at the end."""
     return str(error).partition(" from '{")[0]
 
 
-def read_band(path):
+def read_band(path: Path) -> NDArray[np.float64]:
     """Return one band as float64 with NaN where the file has no data, (h, w); scale and offset tags applied."""
     with opened(path) as dataset:
         if dataset.count != 1:
-            raise ThermorenderError(f"{path} has {dataset.count} bands where one is expected; extract the right one")
+            raise ThermorenderError(f"{path} has {dataset.count} bands where one is expected; extract the one to use")
         if np.dtype(dataset.dtypes[0]).kind == "c":
             raise ThermorenderError(f"{path} holds complex numbers; give a raster of integers or real numbers")
         values = dataset.read(1, masked=True)
         scale, offset = dataset.scales[0], dataset.offsets[0]
-    values = np.ma.filled(values.astype(np.float64), np.nan)
-    return values * scale + offset
+    filled: NDArray[np.float64] = np.ma.filled(values.astype(np.float64), np.nan) * scale + offset
+    return filled
 
 
-def read_classes(path):
+def read_classes(path: Path) -> NDArray[np.int16]:
     """Return the class numbers of a raster, (h, w) int16, 0 where it has no data.
 
     Raises
     ------
     ThermorenderError
-        A number in it is no class: not whole, or outside 0…255.
+        A value that is not a whole number 0…255.
     """
     numbers = np.nan_to_num(read_band(path), nan=0.0)
     odd = (numbers < 0.0) | (numbers > 255.0) | (numbers % 1.0 != 0.0)
     if odd.any():
         raise ThermorenderError(
-            f"{path} holds {numbers[odd][0]:g}, which is no class number; give whole numbers 0…255 (0 marks no data)"
+            f"{path} holds {numbers[odd][0]:g}, which is not a class number; give whole numbers 0…255 (0 marks no data)"
         )
     return numbers.astype(np.int16)
 
 
-def read_colour(path):
+def read_colour(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
     """Return (rgb (h, w, 3) uint8, valid (h, w) bool) of an 8-bit orthophoto with three or four bands."""
     with opened(path) as dataset:
         if dataset.count < 3 or dataset.dtypes[0] != "uint8":
             raise ThermorenderError(
                 f"{path} has {dataset.count} bands of {dataset.dtypes[0]}; an orthophoto needs three of uint8 (RGB)"
             )
-        rgb = np.ascontiguousarray(np.moveaxis(dataset.read([1, 2, 3]), 0, -1))
+        rgb: NDArray[np.uint8] = np.ascontiguousarray(np.moveaxis(dataset.read([1, 2, 3]), 0, -1))
         valid = dataset.dataset_mask() > 0
     return rgb, valid & ~empty_border(rgb)
 
 
-def empty_border(rgb):
-    """Return where an orthophoto is empty: pure black or white areas connected to its edge, (h, w) bool."""
+def empty_border(rgb: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Return where an orthophoto is empty: pure black or white areas connected to its edge, (h, w)."""
     from scipy.ndimage import label
 
     empty = np.zeros(rgb.shape[:2], dtype=bool)
@@ -240,7 +244,7 @@ def empty_border(rgb):
             areas, count = label(flat)
             edge = np.concatenate([areas[0], areas[-1], areas[:, 0], areas[:, -1]])
             touching = np.bincount(edge, minlength=count + 1)
-            # A few pure pixels on the edge are picture, not border.
+            # A few such pixels on the edge are image content, not border.
             large = np.bincount(areas.ravel(), minlength=count + 1) >= 64
             keep = (touching > 0) & large
             keep[0] = False
@@ -248,14 +252,14 @@ def empty_border(rgb):
     return empty
 
 
-def onto(values, source, target, resampling):
-    """Return a raster on another grid, (h, w) or (h, w, c), NaN (or 0 for integers) where it has no data.
+def onto(values: NDArray[Any], source: Grid, target: Grid, resampling: str) -> NDArray[Any]:
+    """Return a raster on another grid, (h, w) or (h, w, c), with NaN (0 for integers) where it has no data.
 
     Parameters
     ----------
     values : (h, w) or (h, w, c) array
     source, target : Grid
-    resampling : {"nearest", "bilinear", "average"}
+    resampling : {"nearest", "bilinear", "average", "max"}
     """
     if source.same_as(target):
         return values

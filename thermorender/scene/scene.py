@@ -1,7 +1,7 @@
-"""The Scene: a value that holds what is declared, and beside it everything that follows from that.
+"""The Scene: an immutable value with its declarations and the state derived from them.
 
-A Scene never changes. Its edits (`thermorender.scene.edit`) return other scenes, in which whatever depends on the edit
-is made again; a field cannot be replaced by itself.
+Its edits (`thermorender.scene.edit`) return other scenes, in which everything that depends on the edit is made again.
+Single fields cannot be replaced.
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,17 +42,17 @@ _SUNSHINE_W_M2 = 120.0
 
 
 class Scene(Edits):
-    """Everything a render needs; made by `load_scene`, equal to itself alone.
+    """Everything a render needs, as `load_scene` returns it; compared by identity.
 
     Attributes
     ----------
     spec : SceneSpec
-        What the scene file says, with the edits that it has keys for.
+        The scene file with those edits that it has keys for.
     camera : Camera
     time : datetime64[s] or None
-        The instant that is asked for, or that the temperatures were solved for, UTC; None without [weather].
+        The instant requested, or that the temperatures were solved for, UTC; None without [weather].
     frame : LocalFrame or None
-        Where the local East-North-Up frame lies on Earth; None for a mesh without [frame].
+        Position of the local East-North-Up frame on Earth; None for a mesh without [frame].
     grid : Grid or None
         Map grid of the terrain's texels.
     surfaces : tuple of Surface
@@ -60,15 +60,15 @@ class Scene(Edits):
     terrain_count : int
         How many of them are terrain.
     materials : tuple of Material
-        What `Surface.material` indexes.
+        Indexed by `Surface.material`.
     air : Atmosphere or None
-        What the scene declares, in the camera's band.
+        The declared air in the camera's band.
     tracked_objects : tuple of TrackedObject
         Objects with a track.
     temperature_state : Known or Pending
-        Whether the terrain's temperatures are there, and where those that follow the weather come from.
+        Whether the terrain's temperatures are known, and the source of those that follow the weather.
     emissivity_report : dict
-        What the learned emissivity map reports; empty without one.
+        Report of the learned emissivity map; empty without one.
     """
 
     _parts: Parts | None
@@ -83,16 +83,16 @@ class Scene(Edits):
         cls, spec: SceneSpec, surfaces: Sequence[Surface], materials: Sequence[Material], camera: Camera,
         terrain_count: int | None = None,
     ) -> "Scene":  # fmt: skip
-        """Return the Scene of surfaces made in memory, without files, place or objects of its own.
+        """Return the Scene of surfaces made in memory, without files, place or objects.
 
         Parameters
         ----------
         spec : SceneSpec
-            Its sky, surroundings and title count.
+            Its sky, surroundings and title are used.
         surfaces : sequence of Surface
             The terrain's first, with their temperatures.
         materials : sequence of Material
-            What `Surface.material` indexes.
+            Indexed by `Surface.material`.
         camera : Camera
         terrain_count : int, optional
             How many of the surfaces are terrain; all by default.
@@ -108,7 +108,7 @@ class Scene(Edits):
     def _made(self, parts: Parts | None, declared: Declared, made: Derived) -> "Scene":
         scene = Scene(parts, declared, made)
         if "_weather" in vars(self) and self._weather_key() == scene._weather_key():
-            # Whatever was read for the instant asked for holds for the others of its day.
+            # The weather read for one instant is valid for the others of its day.
             vars(scene)["_weather"] = self._weather
         if made.shape.ground is self._derived.shape.ground and "ground" in vars(self):
             vars(scene)["ground"] = self.ground
@@ -186,7 +186,7 @@ class Scene(Edits):
 
     @property
     def altitude_m(self) -> float:
-        """Altitude of the local frame's origin above sea level [m]: as declared, else as the frame lies, else 0."""
+        """Altitude of the local frame's origin above sea level [m]: as declared, else from the frame, else 0."""
         return self._declared.height_m(self.frame)
 
     @property
@@ -196,7 +196,7 @@ class Scene(Edits):
 
     @property
     def sky_temperature(self) -> float:
-        """Temperature of the isotropic black sky that shines in the camera's band as the scene's does [K]."""
+        """Temperature of the isotropic black sky with the radiance of the scene's sky in the camera's band [K]."""
         if self.air is not None:
             return float(self.air.sky_temperature(self.altitude_m))
         assert self.spec.sky_temperature is not None
@@ -213,7 +213,7 @@ class Scene(Edits):
 
     @property
     def truth_temperature_spec(self) -> TemperatureSpec:
-        """TemperatureSpec of the truth raster, or without one of the heat balance.
+        """TemperatureSpec of the truth raster, or of the heat balance without one.
 
         Raises
         ------
@@ -228,15 +228,15 @@ class Scene(Edits):
 
     @property
     def balanced(self) -> bool:
-        """Whether the terrain's temperatures are those of a heat balance, at an instant and under a weather."""
+        """Whether the terrain's temperatures come from a heat balance."""
         return bool(self.spec.temperature.source == "balance")
 
     @cached_property
     def sun(self) -> SunSpec | None:
         """The sun that shines on the scene; None without one.
 
-        Where temperatures follow the weather it stands where it does at `time`, and shines through air if its direct
-        irradiance is above 120 W m⁻²; until they are solved there is none. Elsewhere it is the one declared.
+        If temperatures follow the weather, its position is that at `time`, and it shines through air if its direct
+        irradiance is above 120 W m⁻²; until they are solved there is none. Otherwise it is the declared one.
         """
         if not self.temperature_state.weather_driven:
             return self.spec.sun
@@ -262,7 +262,7 @@ class Scene(Edits):
 
     @cached_property
     def _weather(self) -> "Weather":
-        """The Weather without what solving the temperatures adds to its notes."""
+        """The Weather without the notes of solving the temperatures."""
         if self.spec.weather is None or self.time is None:
             raise ThermorenderError(f"{self.where} has no [weather]; add it")
         if self._declared.weather is not None:
@@ -286,21 +286,21 @@ class Scene(Edits):
 
     @property
     def weather_notes(self) -> tuple[str, ...]:
-        """What the weather lacked and how it was filled, and how little of it lies before `time`, in sentences."""
+        """Notes on gaps of the weather and how they were filled, on a short record before `time`, and on snow."""
         weather, time = self.weather, self.time
         assert time is not None
         before_h = (time - weather.time[0]) / np.timedelta64(3600, "s")
         notes = list(weather.notes)
         if before_h < 24.0:
             notes.append(
-                f"the weather begins {before_h:.1f} h before {utc_text(time)}: less than a day leaves the ground "
-                "near the state it was started in"
+                f"the weather begins {before_h:.1f} h before {utc_text(time)}: with less than a day the ground "
+                "stays near its initial state"
             )
         snow = float(weather.at(time).snow_m)
         if snow > 0.0 and not any(each.thermal and each.thermal.cover == "snow" for each in self.materials):
             notes.append(
-                f"snow lies {snow:g} m deep by the weather, but no material of the scene is snow: its ground is taken "
-                "as bare; map the material snow where it lies"
+                f"the weather has {snow:g} m of snow, but no material of the scene is snow, so its ground is taken as "
+                "bare; use the material snow where there is snow"
             )
         return tuple(notes)
 
@@ -321,12 +321,12 @@ class Scene(Edits):
         return found
 
     def refuse_unsolved(self) -> None:
-        """Raise unless the terrain's temperatures are there."""
+        """Raise unless the terrain's temperatures are known."""
         state = self.temperature_state
         if not state.solved and state.source is not None:
             raise ThermorenderError(
-                f"{self.where}: the temperatures of {state.source.words} are not solved yet; take "
-                "Renderer(scene).scene, whose are"
+                f"{self.where}: the temperatures of {state.source.words} are not solved yet; use "
+                "Renderer(scene).scene"
             )
 
     def refuse_disagreement(self) -> None:
@@ -334,7 +334,7 @@ class Scene(Edits):
         refuse_disagreement(self._declared, self._derived)
 
     def like_but_for_camera(self, other: "Scene") -> bool:
-        """Return whether another scene has the same surfaces and declares the same, but for the camera."""
+        """Return whether another scene differs in the camera only."""
         same = self._derived.shape is other._derived.shape and self._derived.cover is other._derived.cover
         return same and camera_alone_differs(self._declared, other._declared)
 

@@ -1,13 +1,15 @@
-"""What a scene file says: `scene.toml` read into frozen dataclasses, every key checked.
+"""The scene file: `scene.toml` read into frozen dataclasses, every key checked.
 
-A key is a row of its table's dataclass; see `thermorender.schema`. Files are named relative to the scene's folder and
-must lie inside it, and so must what they name in turn.
+A key is a field of its table's dataclass; see `thermorender.schema`. File names are relative to the scene's folder.
+The files must be inside it, and so must the files that they name.
 """
 
 import os
+from collections.abc import Mapping
 from dataclasses import astuple, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -35,49 +37,50 @@ from thermorender.schema import (
     unit_of,
 )
 
-# A learned emissivity map's texel is unknown where its most probable material is less probable than this.
+# Where a learned emissivity map's most probable material is less probable than this, the texel is unknown.
 DEFAULT_CONFIDENCE = 0.35
 _CLASS_NUMBERS = {str(count): count for count in range(1, 256)}
 
 
-# Readers of what only scenes have
+# Readers for scenes
 
 
-def kelvin(value, where, allow_zero=False):
+def kelvin(value: Any, where: Where, allow_zero: bool = False) -> float:
     """Read a temperature of a surface [K], or of a sky, which may be 0 K."""
-    return scene_kelvin(str(where), number()(value, where), allow_zero)
+    return float(scene_kelvin(str(where), number()(value, where), allow_zero))
 
 
 cold = partial(kelvin, allow_zero=True)
 share = number(0.0, 1.0, above=True)
 
 
-def instant(value, where):
-    """Read an instant with its zone; return datetime64[s], UTC."""
+def instant(value: Any, where: Where) -> "np.datetime64":
+    """Read an instant with its time zone; return datetime64[s], UTC."""
     return units.instant(str(where), value)
 
 
-def raster_inside(value, where):
-    """Read the name of a raster that lies in the scene's folder with all it is read from; return its Path."""
+def raster_inside(value: Any, where: Where) -> Path:
+    """Read the name of a raster whose files are all in the scene's folder; return its Path."""
     path = file_inside(value, where)
     if path.suffix.lower() not in FORMATS:
-        where.refuse(value, f"a raster that holds all its pixels itself: {', '.join(FORMATS)}")
+        where.refuse(value, f"a raster that contains all its pixels: {', '.join(FORMATS)}")
+    assert where.folder is not None
     for part in files_of(path):
         if not inside(part, where.folder):
-            where.refuse(value, f"a raster whose files all lie inside the scene's folder, as {part} does not")
+            where.refuse(value, f"a raster whose files are all inside the scene's folder; {part} is not")
     return path
 
 
-def camera_model(value, where):
+def camera_model(value: Any, where: Where) -> str:
     """Read the name of a shipped camera model, or a file of one."""
-    return str(file_inside(value, where)) if text(value, where).endswith(".toml") else value
+    return str(file_inside(value, where) if text(value, where).endswith(".toml") else value)
 
 
-def temperature_map(value, where):
+def temperature_map(value: Any, where: Where) -> str:
     """Read the name of a shipped learned map of temperatures, or a file of one."""
     from thermorender.learned.temperature_map import load_model
 
-    name = str(file_inside(value, where)) if text(value, where).endswith(".npz") else value
+    name = str(file_inside(value, where) if text(value, where).endswith(".npz") else value)
     try:
         load_model(name)
         return name
@@ -85,20 +88,20 @@ def temperature_map(value, where):
         raise ThermorenderError(f"{where}: {error}") from None
 
 
-def emissivity_map(value, where):
+def emissivity_map(value: Any, where: Where) -> str:
     """Read the name of a shipped map of materials, or a file of one."""
     from thermorender.learned.emissivity import SHIPPED
 
-    return value if text(value, where) in SHIPPED else str(file_inside(value, where))
+    return str(value if text(value, where) in SHIPPED else file_inside(value, where))
 
 
-def class_number(name, where):
-    """Read the key of a class, which TOML gives as a text."""
+def class_number(name: str, where: Where) -> int:
+    """Read the key of a class, which is a string in TOML."""
     return _CLASS_NUMBERS[name] if name in _CLASS_NUMBERS else where.refuse(name, "class numbers 1…255 (0: no data)")
 
 
-def _needed(where, values, needs):
-    """Refuse that what the table's source needs is missing."""
+def _needed(where: Where, values: Any, needs: Mapping[str, list[str]]) -> None:
+    """Refuse a table without the keys that its source needs."""
     for name in needs[values.source]:
         if getattr(values, name) in (None, {}):
             raise where.error(f"{where.key}.{name} is missing; source={values.source!r} needs it")
@@ -111,7 +114,7 @@ def _needed(where, values, needs):
 class TerrainSpec:
     """Ground of the scene: an elevation raster with an orthophoto, or one textured mesh.
 
-    `fill` has islands of missing heights filled from around, and flagged in the truth mask; else they are holes.
+    `fill` fills enclosed gaps in the heights from around and flags them in the truth mask; otherwise they are holes.
     """
 
     elevation: Path | None = key(raster_inside, None)
@@ -121,8 +124,8 @@ class TerrainSpec:
     geoid_undulation_m: float | None = key(number(), None)
     fill: bool = key(flag, False)
 
-    def check(self, where, given):
-        """Refuse none or two kinds of ground, and islands of heights to fill where there is no raster of them."""
+    def check(self, where: Where, given: Mapping[str, Any]) -> None:
+        """Refuse none or two kinds of ground, and keys of a raster with a mesh."""
         where.exactly_one(given, ("elevation", "mesh"))
         if self.mesh and self.fill:
             raise where.error("terrain.fill fills islands of an elevation raster, and this is a mesh; leave it out")
@@ -134,10 +137,10 @@ class TerrainSpec:
 class TemperatureSpec:
     """Where the kinetic temperature of each texel comes from.
 
-    `range_c` is of intensities 0 and 1 of a learned map; `brightness` lets the orthophoto's set the short-wave
-    absorptance inside a material for the heat balance. `trained` is the instant and the weather that a learned map's or
-    a raster's temperatures are of, in place of what the map's own file says, and `map_error_k` one standard deviation
-    of their error: what a heat balance needs to move them to the time of [weather].
+    `range_c` gives the temperatures of a learned map's intensities 0 and 1. With `brightness`, the orthophoto's
+    brightness sets the short-wave absorptance within a material for the heat balance. `trained` is the instant and
+    weather of a learned map's or raster's temperatures, in place of those in the map's file. `map_error_k` is one
+    standard deviation of their error. The heat balance uses both to move the temperatures to the time of [weather].
     """
 
     source: str = key(choice("constant", "raster", "material", "learned", "balance"))
@@ -145,13 +148,13 @@ class TemperatureSpec:
     raster: Path | None = key(raster_inside, None)
     model: str | None = key(temperature_map, None)
     range_c: tuple[float, float] | None = key(number(count=2, ordered=True), None)
-    materials: dict = key(mapping(kelvin), {})
+    materials: dict[str, float] = key(mapping(kelvin), {})
     brightness: bool = key(flag, False)
     trained: "WeatherSpec | None" = key(lambda value, where: read(WeatherSpec, value, where), None)
     map_error_k: float | None = key(number(0.0, 50.0), None)
 
-    def check(self, where, given):
-        """Refuse a source without what it needs, and what it would pass over."""
+    def check(self, where: Where, given: Mapping[str, Any]) -> None:
+        """Refuse a source without its keys, and keys that it would ignore."""
         needs = {"constant": ["value"], "raster": ["raster"], "learned": ["model"], "material": ["materials"],
                  "balance": []}  # fmt: skip
         _needed(where, self, needs)
@@ -171,14 +174,14 @@ class EmissivitySpec:
     value: float | None = key(share, None)
     material: str | None = key(text, None)
     raster: Path | None = key(raster_inside, None)
-    classes: dict = key(mapping(text, class_number), {})
+    classes: dict[int, str] = key(mapping(text, class_number), {})
     model: str | None = key(emissivity_map, None)
     fallback: str | None = key(text, None)
     confidence: float = key(share, DEFAULT_CONFIDENCE)
     without: tuple[str, ...] = key(texts, ())
 
-    def check(self, where, given):
-        """Refuse a source without what it needs."""
+    def check(self, where: Where, given: Mapping[str, Any]) -> None:
+        """Refuse a source without its keys."""
         needs = {"constant": ["value"], "material": ["material"], "classes": ["raster", "classes"],
                  "learned": ["model", "fallback"]}  # fmt: skip
         _needed(where, self, needs)
@@ -186,7 +189,7 @@ class EmissivitySpec:
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectSpec:
-    """A solid standing in the scene: a primitive or a mesh file, with one material and temperature."""
+    """A solid object in the scene: a primitive or a mesh file, with one material and temperature."""
 
     name: str = key(text)
     shape: str | None = key(choice("disc", "box", "sphere"), None)
@@ -199,7 +202,7 @@ class ObjectSpec:
     colour: tuple[float, float, float] = key(number(0.0, 255.0, count=3, unit="(sRGB)"), (128.0, 128.0, 128.0))
     track: Path | None = key(file_inside, None)
 
-    def check(self, where, given):
+    def check(self, where: Where, given: Mapping[str, Any]) -> None:
         """Refuse none or two kinds of solid, and a name that could be a part's."""
         where.exactly_one(given, ("shape", "file"))
         if ":" in self.name:
@@ -208,7 +211,7 @@ class ObjectSpec:
 
 @dataclass(frozen=True)
 class AtmosphereSpec:
-    """The air: a standard atmosphere, a table or a measured profile, its clouds, and where the scene lies in it."""
+    """The air: a standard atmosphere, a table or a measured profile, its clouds, and the altitude of the scene."""
 
     standard: str | None = key(text, None)
     file: Path | None = key(file_inside, None)
@@ -222,8 +225,8 @@ class AtmosphereSpec:
     cloud_base_m: float = key(number(), 2000.0)
     altitude_m: float | None = key(number(), None)
 
-    def check(self, where, given):
-        """Refuse none or two kinds of air, and what another kind would pass over."""
+    def check(self, where: Where, given: Mapping[str, Any]) -> None:
+        """Refuse none or two kinds of air, and keys that the kind would ignore."""
         kind = where.exactly_one(given, ("standard", "file", "profile"))
         only = {"aerosol": ("standard", "profile"), "visibility_km": ("profile",),
                 "temperature_offset_k": ("standard",), "humidity_factor": ("standard",),
@@ -233,12 +236,12 @@ class AtmosphereSpec:
                 where.of(name).refuse(given[name], f"it with {' or '.join(kinds)} only, not with {kind}")
         for name in ("aerosol", "visibility_km"):
             if name in given and "absorption" in given:
-                where.of(name).refuse(given[name], "it without absorption only, whose gases are all there is")
+                where.of(name).refuse(given[name], "it without absorption only, which already includes all gases")
 
 
 @dataclass(frozen=True)
 class SunSpec:
-    """Where the sun stands: above the horizon, and from north, eastward positive."""
+    """The sun's position: above the horizon, and from north, eastward positive."""
 
     elevation_deg: float = key(number(-90.0, 90.0))
     azimuth_deg: float = key(number(-360.0, 360.0))
@@ -246,7 +249,7 @@ class SunSpec:
 
 @dataclass(frozen=True)
 class WeatherSpec:
-    """The weather, from a station's record, a weather year or a named day, and the instant the scene is asked for."""
+    """The weather, from a station's record, a weather year or a described day, and the scene's instant."""
 
     time: np.datetime64 = key(instant)
     file: Path | None = key(file_inside, None)
@@ -259,10 +262,10 @@ class WeatherSpec:
     snow_depth_m: float = key(number(0.0, 20.0), 0.0)
     inside_c: float = key(number(-60.0, 60.0), 20.0)
 
-    def check(self, where, given):
-        """Refuse none or two kinds of weather, and a named day that is not whole."""
+    def check(self, where: Where, given: Mapping[str, Any]) -> None:
+        """Refuse none or two kinds of weather, and an incomplete described day."""
         kind = where.exactly_one(given, ("file", "epw", "air_high_c"), "station, weather year or named day")
-        # A station may have no wind of its own.
+        # A station may lack wind.
         also = {"wind_m_s": ("air_high_c", "file")}
         for name in ("air_low_c", "humidity", "wind_m_s", "cloud"):
             kinds = also.get(name, ("air_high_c",))
@@ -270,8 +273,9 @@ class WeatherSpec:
                 where.of(name).refuse(given[name], f"it with {' or '.join(kinds)} only, not with {kind}")
             if kind == "air_high_c" and name not in given:
                 raise where.error(f"{where.of(name).key} is missing; a named day needs it{unit_of(name, ' in ')}")
-        if kind == "air_high_c" and self.air_low_c > self.air_high_c:
-            where.of("air_low_c").refuse(given["air_low_c"], f"what is not above air_high_c={self.air_high_c:g}")
+        low, high = self.air_low_c, self.air_high_c
+        if kind == "air_high_c" and low is not None and high is not None and low > high:
+            where.of("air_low_c").refuse(given["air_low_c"], f"a value not above air_high_c={self.air_high_c:g}")
 
 
 @dataclass(frozen=True)
@@ -283,10 +287,9 @@ class _Frame:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneSpec:
-    """A whole scene file; `sky_temperature` is None where there is an atmosphere, whose sky it is then."""
+    """A whole scene file; `sky_temperature` is None with an atmosphere, which has its own sky."""
 
     folder: Path
-    # A blank title is none.
     title: str = key(lambda value, where: value if value == "" else text(value, where), "")
     terrain: TerrainSpec = key(table(TerrainSpec))
     temperature: TemperatureSpec = key(table(TemperatureSpec))
@@ -301,22 +304,22 @@ class SceneSpec:
     frame: tuple[float, float, float] | None = key(lambda value, where: astuple(read(_Frame, value, where)), None)
     objects: tuple[ObjectSpec, ...] = key(tables(ObjectSpec), (), name="object")
 
-    def check(self, where, given):
-        """Refuse none or two skies, a sun without air, and two objects of one name."""
+    def check(self, where: Where, given: Mapping[str, Any]) -> None:
+        """Refuse none or two skies, a sun without air or beside the weather's, and two objects of one name."""
         where.exactly_one(given, ("sky", "atmosphere"), "a sky of one temperature and no air, or air with its sky")
         if self.sun and not self.atmosphere:
             raise where.error("[sun] shines through the air; add [atmosphere] or leave [sun] out")
         moved = self.temperature.trained and self.weather
         if self.sun and (moved or self.temperature.source == "balance"):
             why = "temperature.trained" if moved else "temperature.source='balance'"
-            raise where.error(f"[sun] stands where weather.time puts it with {why}; leave it out")
+            raise where.error(f"[sun] follows from weather.time with {why}; leave it out")
         names = [item.name for item in self.objects]
         for name in names:
             if names.count(name) > 1:
-                where.of("object.name").refuse(name, "a name of its own to each object")
+                where.of("object.name").refuse(name, "each object a unique name")
 
 
-def read_scene(folder):
+def read_scene(folder: Path | str) -> SceneSpec:
     """Return the SceneSpec of a scene folder.
 
     Parameters
@@ -339,8 +342,8 @@ def read_scene(folder):
     for name in (path.name, "flight.csv", "materials"):
         if not inside(folder / name, folder):
             raise ThermorenderError(
-                f"{folder / name} is a link to {os.path.realpath(folder / name)}; what a scene uses lies inside the "
-                "scene's folder, so put it there"
+                f"{folder / name} is a link to {os.path.realpath(folder / name)}, which is not allowed; put "
+                "the file itself inside the scene's folder"
             )
     spec = read(SceneSpec, read_toml(path), Where(path, folder, top="the scene"), folder=folder)
     return replace(spec, title=spec.title or folder.name)

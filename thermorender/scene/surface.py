@@ -1,29 +1,30 @@
 """A surface of the scene: a triangle mesh and, per texel of its map, colour, material and kinetic temperature."""
 
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.units import kelvin
 
 # Flags of texels, and of the pixels that show them (the truth mask of a frame).
-SURFACE = 1  # something of the scene is there
-FILLED = 2  # no colour, material or height is known here; the nearest valid texel, or the posts around, stand in
-FALLBACK = 4  # no temperature could be had here: the nearest one, or the material's own where a learned map fails
+SURFACE = 1  # a surface of the scene is hit
+FILLED = 2  # colour, material or height is unknown: filled from the nearest valid texel or the surrounding posts
+FALLBACK = 4  # the source has no temperature: the nearest one, or the material's own where a learned map fails
 SATURATED = 8  # the sensor's range is exceeded
-BACKGROUND = 16  # no surface is hit but the ray points below the horizon: the black background beyond the terrain
-UNKNOWN = 32  # a learned emissivity map does not know this material: the scene's fallback stands in
-UNMOVED = 64  # a map could not be moved to this instant: the heat balance stands in, or the map tells little
-BEHIND = 128  # a surface's back: the camera is below ground or in a body, or normals are flipped; light is the front's
+BACKGROUND = 16  # no surface is hit below the horizon: the black background beyond the terrain
+UNKNOWN = 32  # the learned emissivity map does not know this material: the scene's fallback material
+UNMOVED = 64  # a map could not be moved to this instant, or is uninformative: the heat balance is used
+BEHIND = 128  # a surface's back, with the front's light: a camera below ground or in a body, or flipped normals
 
-# Pixels of a raster or a texture, 23 170²: what reading needs of them at once, up to 30 bytes each, fits into 16 GB.
+# Pixels of a raster or texture, 23 170²: reading needs up to 30 bytes for each at once, which fits into 16 GB.
 MOST_TEXELS = 2**29
-# Materials of a scene: a texel holds its material's number in a byte, of which 255 says "none" where nothing is seen.
+# Materials of a scene: a texel stores its material's number in one byte, and 255 means "no surface".
 MOST_MATERIALS = 255
 
 
-# Compared by identity: arrays have no truth value to compare them by.
 @dataclass(frozen=True, eq=False)
 class Surface:
     """A triangle mesh with a texel map.
@@ -50,16 +51,16 @@ class Surface:
     """
 
     name: str
-    vertices: np.ndarray
-    faces: np.ndarray
-    uv: np.ndarray
-    colour: np.ndarray
-    material: np.ndarray
-    temperature: np.ndarray
-    flags: np.ndarray
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    uv: NDArray[np.float32]
+    colour: NDArray[np.uint8]
+    material: NDArray[np.uint8]
+    temperature: NDArray[np.float32]
+    flags: NDArray[np.uint8]
     texel_m: float
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         rows, columns = self.material.shape
         known = self.temperature[np.isfinite(self.temperature)]
         kelvin = f"{known.min():.1f}–{known.max():.1f} K" if known.size else "no temperature yet"
@@ -68,11 +69,13 @@ class Surface:
             f"{kelvin})"
         )
 
-# Hotter than any flame: what is above it is a placeholder for "no data", or not a temperature.
+
+# Hotter than any flame: a higher value is a placeholder for "no data", or not a temperature.
 HOTTEST_KELVIN = 3000.0
+_Kelvin = TypeVar("_Kelvin", bound=ArrayLike)
 
 
-def scene_kelvin(name, temperature, allow_zero=False):
+def scene_kelvin(name: str, temperature: _Kelvin, allow_zero: bool = False) -> _Kelvin:
     """Return `temperature` unchanged [K] after refusing values that no surface or sky of a scene has.
 
     Parameters
@@ -86,16 +89,16 @@ def scene_kelvin(name, temperature, allow_zero=False):
         A value is below 100 K (most likely °C), above 3000 K or infinite.
     """
     kelvin(name, temperature, allow_zero)
-    highest = np.nanmax(temperature)
+    highest = np.nanmax(np.asarray(temperature))
     if highest > HOTTEST_KELVIN:
         raise ThermorenderError(
             f"{name}={highest:g} is above {HOTTEST_KELVIN:g} K; "
-            "give kelvin, and declare what stands for no data as nodata"
+            "give kelvin, and declare placeholders for missing data as nodata"
         )
     return temperature
 
 
-def nearest_valid(valid):
+def nearest_valid(valid: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Return the flat index of the nearest valid texel for every texel, (h, w) int.
 
     Parameters
@@ -106,9 +109,10 @@ def nearest_valid(valid):
     from scipy.ndimage import distance_transform_edt
 
     rows, columns = distance_transform_edt(~valid, return_distances=False, return_indices=True)
-    return rows * valid.shape[1] + columns
+    index: NDArray[np.intp] = rows * valid.shape[1] + columns
+    return index
 
 
-def fill(values, index):
+def fill(values: NDArray[Any], index: NDArray[np.intp]) -> NDArray[Any]:
     """Return `values`, (h, w) or (h, w, c), with every texel replaced by the one `nearest_valid` names."""
     return values.reshape(index.size, -1)[index.ravel()].reshape(values.shape)

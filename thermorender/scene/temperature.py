@@ -1,30 +1,39 @@
-"""Kinetic temperature of every texel of a surface, from the source a scene file names."""
+"""Kinetic temperature of every texel of a surface, from the source that a scene file names."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
+from thermorender.materials.material import Material
 from thermorender.materials.mixture import Mixture
-from thermorender.scene.raster import grid_of, onto, read_band
-from thermorender.scene.spec import WeatherSpec
+from thermorender.scene.raster import Grid, grid_of, onto, read_band
+from thermorender.scene.spec import TemperatureSpec, WeatherSpec
 from thermorender.scene.surface import FALLBACK, fill, nearest_valid, scene_kelvin
 from thermorender.schema import Where, read
 from thermorender.units import ZERO_CELSIUS_K
 
-# Of a map's own error where nobody states it [K]: chosen, about what calibrated cameras are specified to.
+if TYPE_CHECKING:
+    from thermorender.learned.temperature_map import Inputs, TemperatureMap
+
+_Kelvin = NDArray[np.float32] | NDArray[np.float64]
+# Assumed error of a map that states none [K]: about the specification of calibrated cameras.
 ASSUMED_ERROR_K = 2.0
 
 
 @dataclass(frozen=True)
 class Texels:
-    """What a temperature source is given: one surface's texels.
+    """Texels of one surface, the input of a temperature source.
 
     Attributes
     ----------
     colour : (h, w, 3) uint8
     material : (h, w) uint8
-    materials : tuple of Material
+    materials : sequence of Material
     grid : Grid or None
         The texels' pixel grid on the map, for rasters; None for meshes.
     texel_m : float
@@ -32,61 +41,67 @@ class Texels:
         Name of the scene file, for messages.
     report : dict
     model : TemperatureMap or None
-        Of a source "learned", as by `learned_map`.
+        The map of a source "learned", as by `learned_map`.
     """
 
-    colour: np.ndarray
-    material: np.ndarray
-    materials: tuple
-    grid: object
+    colour: NDArray[np.uint8]
+    material: NDArray[np.uint8]
+    materials: Sequence[Material]
+    grid: Grid | None
     texel_m: float
     where: str
-    report: dict = field(default_factory=dict)
-    model: object = None
+    report: dict[str, Any] = field(default_factory=dict)
+    model: "TemperatureMap | None" = None
 
 
-def resolve(spec, texels):
+def resolve(spec: TemperatureSpec, texels: Texels) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """Return (temperature (h, w) float32 [K], flags (h, w) uint8) of a surface's texels.
 
     Parameters
     ----------
     spec : TemperatureSpec
     texels : Texels
-        Its `report` gains what a user should know, such as the share of intensities outside 0…1.
+        Receives notes for the user in `report`, such as the share of intensities outside 0…1.
     """
     temperature, flags = SOURCES[spec.source](spec, texels)
     return temperature.astype(np.float32), flags
 
 
-def trained(spec, model=None):
-    """Return the WeatherSpec that a source's temperatures are of; None where neither it nor its map says one.
+def trained(spec: TemperatureSpec, model: "TemperatureMap | None" = None) -> WeatherSpec | None:
+    """Return the instant and weather that a source's temperatures are for; None if neither it nor its map states them.
 
-    `model` is the learned map of the source, where it has been read already.
+    `model` is the learned map of the source, if it has already been read.
 
     Raises
     ------
     ThermorenderError
-        What the map says of its training is not allowed.
+        The map states an instant or weather that is not allowed.
     """
     if spec.trained or spec.source != "learned":
         return spec.trained
-    said = (learned_map(spec) if model is None else model).trained
-    return said and read(WeatherSpec, said, Where(f"learned map {spec.model!r}", top="trained"))
+    stated = _map_of(spec, model).trained
+    return read(WeatherSpec, stated, Where(f"learned map {spec.model!r}", top="trained")) if stated else None
 
 
-def map_error_k(spec, model=None):
-    """Return one standard deviation of a map's own error [K]: the source's, the map's, or `ASSUMED_ERROR_K`.
+def map_error_k(spec: TemperatureSpec, model: "TemperatureMap | None" = None) -> float:
+    """Return one standard deviation of a map's error [K], as the source or the map states it, or `ASSUMED_ERROR_K`.
 
-    `model` is the learned map of the source, where it has been read already.
+    `model` is the learned map of the source, if it has already been read.
     """
     error = spec.map_error_k
     if error is None and spec.source == "learned":
-        error = (learned_map(spec) if model is None else model).error_k
+        error = _map_of(spec, model).error_k
     return ASSUMED_ERROR_K if error is None else error
 
 
-def raster_temperature(path, texels):
-    """Return a raster's kelvin on the texel grid, (h, w) float64 with NaN where it has none."""
+def _map_of(spec: TemperatureSpec, model: "TemperatureMap | None") -> "TemperatureMap":
+    model = learned_map(spec) if model is None else model
+    assert model is not None
+    return model
+
+
+def raster_temperature(path: Path, texels: Texels) -> NDArray[np.float64]:
+    """Return a raster's temperatures on the texel grid, (h, w) [K], NaN where it has none."""
     if texels.grid is None:
         raise ThermorenderError(
             f"{texels.where}: a temperature raster needs terrain with an elevation raster; a mesh has no map grid"
@@ -103,12 +118,14 @@ def raster_temperature(path, texels):
     return values
 
 
-def _constant(spec, texels):
+def _constant(spec: TemperatureSpec, texels: Texels) -> tuple[_Kelvin, NDArray[np.uint8]]:
+    assert spec.value is not None
     scene_kelvin("temperature.value", spec.value)
-    return np.full(texels.material.shape, spec.value), np.zeros(texels.material.shape, np.uint8)
+    return np.full(texels.material.shape, spec.value, np.float64), np.zeros(texels.material.shape, np.uint8)
 
 
-def _raster(spec, texels):
+def _raster(spec: TemperatureSpec, texels: Texels) -> tuple[_Kelvin, NDArray[np.uint8]]:
+    assert spec.raster is not None
     values = raster_temperature(spec.raster, texels)
     valid = np.isfinite(values)
     if not valid.all():
@@ -116,7 +133,7 @@ def _raster(spec, texels):
     return values, np.where(valid, 0, FALLBACK).astype(np.uint8)
 
 
-def _material(spec, texels):
+def _material(spec: TemperatureSpec, texels: Texels) -> tuple[_Kelvin, NDArray[np.uint8]]:
     pure = [part for material in texels.materials for part, _ in getattr(material, "parts", ((material, 1.0),))]
     known = list(dict.fromkeys(material.name for material in pure))
     for name in spec.materials:
@@ -126,24 +143,25 @@ def _material(spec, texels):
                 f"it has {', '.join(known)}"
             )
 
-    def own(material):
+    def own(material: Material) -> float:
         if isinstance(material, Mixture):
             return sum(share * own(part) for part, share in material.parts)
-        return spec.materials.get(material.name, material.temperature)
+        return float(spec.materials.get(material.name, material.temperature))
 
     values = np.array([own(material) for material in texels.materials])
     return values[texels.material], np.zeros(texels.material.shape, np.uint8)
 
 
-def _learned(spec, texels):
+def _learned(spec: TemperatureSpec, texels: Texels) -> tuple[_Kelvin, NDArray[np.uint8]]:
     from thermorender.learned.temperature_map import Inputs
 
+    assert texels.model is not None
     return from_map(texels.model, Inputs(texels.colour, texels.texel_m), texels)
 
 
-def learned_map(spec):
+def learned_map(spec: TemperatureSpec) -> "TemperatureMap | None":
     """Return the TemperatureMap of a source "learned", None for all others."""
-    if spec.source != "learned":
+    if spec.source != "learned" or spec.model is None:
         return None
     from thermorender.learned.temperature_map import load_model
 
@@ -152,8 +170,11 @@ def learned_map(spec):
     return load_model(spec.model, spec.range_c)
 
 
-def from_map(model, inputs, texels, sky_temperature=None, stand_in=None):
-    """Return (temperature (h, w) [K], flags (h, w) uint8) of texels by a learned map, and add to their report.
+def from_map(
+    model: "TemperatureMap", inputs: "Inputs", texels: Texels, sky_temperature: float | None = None,
+    stand_in: float | None = None,
+) -> tuple[_Kelvin, NDArray[np.uint8]]:  # fmt: skip
+    """Return (temperature (h, w) [K], flags (h, w) uint8) of texels from a learned map, and add to their report.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """The state of a scene's terrain temperatures: known, or pending until a renderer solves them for an instant.
 
 `Scene.temperature_state` is one of the two. Both name the source of temperatures that follow the weather, so that a
-solved scene still knows where its temperatures come from and can be solved again.
+solved scene can be solved again.
 """
 
 from collections.abc import Mapping
@@ -33,7 +33,7 @@ class Moved:
     temperatures : tuple of (h, w) float32
         Of each terrain surface at the trained instant [K].
     trained : WeatherSpec
-        The instant and the weather that these are of.
+        The instant and the weather of these temperatures.
     error_k : float
         One standard deviation of the map's own error [K].
     """
@@ -55,7 +55,7 @@ class Conditional:
     Attributes
     ----------
     model : TemperatureMap
-        As it was when the source was set, whatever its file holds later.
+        As read when the source was set, even if its file changes later.
     """
 
     model: Any
@@ -76,15 +76,15 @@ class Known:
     Attributes
     ----------
     source : Balance, Moved, Conditional or None
-        What solved them; None where they do not follow the weather.
+        The source they were solved from; None where they do not follow the weather.
     time : datetime64[s] or None
         The instant they were solved for, UTC; None where they do not follow the weather.
     report : dict
-        What each learned map reports, by its name.
+        Reports of the learned maps, by their names.
     moved_report : dict
-        What moving a map to `time` reports; empty for other sources.
+        Report of moving a map to `time`; empty for other sources.
     notes : tuple of str
-        What solving them adds to the notes of the weather.
+        Notes of solving, added to those of the weather.
     """
 
     source: WeatherSource | None = None
@@ -112,7 +112,7 @@ class Pending:
     ----------
     source : Balance, Moved or Conditional
     report : dict
-        What the learned map of a Moved source reports, by its name.
+        Report of the learned map of a Moved source, by its name.
     """
 
     source: WeatherSource

@@ -1,23 +1,25 @@
 """Terrain from an elevation raster: a mesh in the scene's local frame, mapped by the orthophoto's pixel grid."""
 
+from pathlib import Path
+
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
-from thermorender.scene.raster import grid_of, lon_lat, opened, read_band
+from thermorender.scene.raster import Grid, grid_of, lon_lat, opened, read_band
 
-# What a raster's own unit may be called; none is metres too.
+# Names of a raster's unit that mean metres; a raster without a unit is taken to be in metres.
 _METRES = ("", "m", "metre", "metres", "meter", "meters")
 
 
-def read_elevation(path):
+def read_elevation(path: Path) -> tuple[NDArray[np.float64], Grid]:
     """Return (heights (h, w) float64 [m] with NaN where missing, Grid) of an elevation raster.
 
     Raises
     ------
     ThermorenderError
-        No CRS or one its coordinates do not fit, fewer than 2 × 2 posts, nothing valid, heights no land on Earth has,
-        or heights in another unit.
+        No CRS or one that its coordinates do not fit, fewer than 2 × 2 posts, no valid height, or another unit.
     """
     grid = grid_of(path)
     left, bottom, right, top = grid.bounds
@@ -26,7 +28,7 @@ def read_elevation(path):
         unit = dataset.units[0] if dataset.count else None
     if (unit or "").strip().lower() not in _METRES:
         raise ThermorenderError(
-            f"{path} holds heights in {unit!r}; give metres, or where they are, mend the unit with "
+            f"{path} holds heights in {unit!r}; give metres, or correct a wrong unit with "
             "`gdal_edit.py -units m`"
         )
     height = read_band(path)
@@ -41,11 +43,11 @@ def read_elevation(path):
     return height, grid
 
 
-def filled(height):
-    """Return (heights (h, w) with their islands filled, posts of the cells that this makes (h, w) bool).
+def filled(height: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return (heights (h, w) with islands filled, posts of the cells that this creates (h, w) bool).
 
-    An island is missing posts that known ones enclose; what reaches the raster's edge stays missing. Heights are linear
-    on the triangles (Delaunay's) of the posts round the islands, so that a slope goes on as it is.
+    An island is a group of missing posts enclosed by known ones; gaps at the raster's edge stay. Heights are linear
+    on the Delaunay triangles of the posts around the islands, so that slopes continue.
     """
     from scipy.interpolate import LinearNDInterpolator
     from scipy.ndimage import binary_dilation, label
@@ -62,18 +64,20 @@ def filled(height):
     return height, made
 
 
-def frame_of(height, grid):
+def frame_of(height: NDArray[np.float64], grid: Grid) -> LocalFrame:
     """Return the LocalFrame at the centre of an elevation raster, at its median height rounded to metres."""
     x, y = grid.to_map(grid.width / 2, grid.height / 2)
     longitude, latitude = lon_lat(grid, np.array([x]), np.array([y]))
     return LocalFrame(float(latitude[0]), float(longitude[0]), float(np.round(np.nanmedian(height))))
 
 
-def mesh(height, grid, frame, texels):
+def mesh(
+    height: NDArray[np.float64], grid: Grid, frame: LocalFrame, texels: Grid
+) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float32]]:
     """Return (vertices (V, 3) [m], faces (F, 3), uv (F, 3, 2)) of an elevation raster.
 
-    Posts lie at pixel centres. Cells touching a missing post are left out; each other cell is split along the
-    diagonal from its upper left to its lower right post.
+    Posts are at pixel centres. Cells with a missing post are left out; the others are split along the diagonal from
+    the upper left to the lower right post.
 
     Parameters
     ----------
@@ -91,7 +95,7 @@ def mesh(height, grid, frame, texels):
     column, row = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
     x, y = grid.to_map(column, row)
     longitude, latitude = lon_lat(grid, x.ravel(), y.ravel())
-    # Posts without height are in no face, but count among the scene's corners.
+    # No face uses posts without height, but their positions must be finite.
     level = np.where(known, height, height[known].min())
     vertices = frame.enu_from_geodetic(latitude, longitude, level.ravel())
 
@@ -107,7 +111,7 @@ def mesh(height, grid, frame, texels):
     return vertices, np.ascontiguousarray(faces), uv[faces].astype(np.float32)
 
 
-def texel_size_m(texels, frame):
+def texel_size_m(texels: Grid, frame: LocalFrame) -> float:
     """Return the side of a texel at the middle of its grid [m] (root of its area)."""
     column, row = texels.width / 2 + np.array([0.0, 1.0, 0.0]), texels.height / 2 + np.array([0.0, 0.0, 1.0])
     longitude, latitude = lon_lat(texels, *texels.to_map(column, row))

@@ -19,7 +19,7 @@ from thermorender.scene.parts.read import Parts
 from thermorender.scene.spec import EmissivitySpec, ObjectSpec
 from thermorender.scene.surface import FILLED, MOST_MATERIALS, SURFACE, UNKNOWN, Surface, fill, nearest_valid
 
-# What is replaced: a class number, the name of a material, or "object:" and the name of an object.
+# New materials by what they replace: a class number, a material's name, or "object:" and an object's name.
 Replaced = Mapping[int | str, Material]
 OBJECT = "object:"
 # The name of the grey material of an emissivity of source "constant".
@@ -28,7 +28,7 @@ CONSTANT = "constant"
 
 @dataclass(frozen=True, eq=False)
 class Painted:
-    """What covers the texels of one terrain surface: material number, colour and flags, each of (h, w) texels."""
+    """Material number, colour and flags of the texels of one terrain surface, (h, w)."""
 
     material: NDArray[np.uint8]
     colour: NDArray[np.uint8]
@@ -48,7 +48,7 @@ class Cover:
     objects : tuple of int
         The material number of each object.
     report : dict
-        What the learned emissivity map reports; empty without one.
+        Report of the learned emissivity map; empty without one.
     """
 
     materials: tuple[Material, ...]
@@ -68,7 +68,7 @@ class MaterialList:
         self.unused = set(replaced)
 
     def index(self, name: str, key: str, *by: int | str) -> int:
-        """Return the number of a material by its name; `by` are what else may be replaced in its place, first first."""
+        """Return the number of a material by its name; `by` are other keys to replace it by, in order of priority."""
         own = [one for one in (*by, name) if one in self.replaced]
         self.unused -= set(own)
         if own:
@@ -190,7 +190,7 @@ def _learned(
     if not valid.all():
         colour = fill(colour, nearest_valid(valid))
     names = {*load_map(emissivity.model).without(emissivity.without).materials, emissivity.fallback}
-    own = {name: material for name, material in materials.replaced.items() if name in names}
+    own = {str(name): material for name, material in materials.replaced.items() if name in names}
     materials.unused -= set(own)
     number, used, unknown, found = learned_materials(
         emissivity, {**materials.library, **own}, colour, valid, texel_m, materials.band_um, materials.where

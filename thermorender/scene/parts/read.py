@@ -1,4 +1,4 @@
-"""What the files of a scene folder hold: terrain, orthophoto, classes, objects and materials, before any edit."""
+"""The content of a scene folder before any edit: terrain, orthophoto, classes, objects and materials."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ from thermorender.scene.surface import SURFACE, Surface
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """What a scene folder holds.
+    """The content of a scene folder.
 
     Attributes
     ----------
@@ -70,6 +70,7 @@ def read_parts(spec: SceneSpec, where: str) -> Parts:
 
 def _raster_terrain(spec: SceneSpec, where: str, library: Mapping[str, Material]) -> Parts:
     source = spec.terrain
+    assert source.elevation is not None
     height, grid = terrain.read_elevation(source.elevation)
     if source.height_reference == "geoid":
         height = height + (source.geoid_undulation_m or 0.0)
@@ -78,21 +79,21 @@ def _raster_terrain(spec: SceneSpec, where: str, library: Mapping[str, Material]
     texels = _texel_grid(spec, grid)
     if texels.crs != grid.crs:
         raise ThermorenderError(
-            f"{texels.name} has CRS {texels.crs.to_string()} but {grid.name} has {grid.crs.to_string()}; bring both "
-            "together with `thermorender import-terrain`"
+            f"{texels.name} has CRS {texels.crs.to_string()} but {grid.name} has {grid.crs.to_string()}; convert both "
+            "with `thermorender import-terrain`"
         )
     _require_overlap(texels, grid)
     try:
         vertices, faces, uv = terrain.mesh(height, grid, frame, texels)
     except MemoryError:
         raise ThermorenderError(
-            f"{source.elevation} has {grid.width}×{grid.height} posts, for whose mesh this machine's memory is not "
-            "enough; thin it with `thermorender import-terrain --max-vertices`"
+            f"{source.elevation} has {grid.width}×{grid.height} posts, too many for this machine's memory; "
+            "thin it with `thermorender import-terrain --max-vertices`"
         ) from None
     away = np.linalg.norm(vertices, axis=-1).min()
     if away > FARTHEST_M:
         raise ThermorenderError(
-            f"{where}: frame lies {away / 1e3:.0f} km from {grid.name}; give a position on it, or leave [frame] out"
+            f"{where}: frame is {away / 1e3:.0f} km from {grid.name}; give a position on it, or leave [frame] out"
         )
     shape = (texels.height, texels.width)
     colour = valid = None
@@ -134,6 +135,7 @@ def _extent(bounds: tuple[float, ...]) -> str:
 def _classes(spec: SceneSpec, texels: Grid, where: str) -> NDArray[np.uint8]:
     """Class numbers on the texel grid, (h, w) uint8; 0 for no data."""
     source = spec.emissivity
+    assert source.raster is not None
     grid = grid_of(source.raster)
     _require_overlap(grid, texels)
     classes: NDArray[np.uint8] = onto(read_classes(source.raster), grid, texels, "nearest")
@@ -154,6 +156,7 @@ def _mesh_terrain(spec: SceneSpec, where: str, library: Mapping[str, Material]) 
             f"{where}: emissivity.source={spec.emissivity.source!r} needs an elevation raster; give "
             "'constant' or 'material'"
         )
+    assert spec.terrain.mesh is not None
     ground = tuple(_part_surface(part) for part in mesh.load(spec.terrain.mesh, spec.folder))
     frame = LocalFrame(*spec.frame) if spec.frame else None
     return Parts(frame, None, ground, None, None, None, None, (), library)
@@ -166,8 +169,9 @@ def _object(item: ObjectSpec, folder: Path) -> TrackedObject:
         colour = np.array(item.colour, dtype=np.uint8).reshape(1, 1, 3)
         parts = [mesh.Part(item.shape, vertices, faces, np.full((len(faces), 3, 2), 0.5, np.float32), colour)]
     else:
+        assert item.file is not None
         parts = mesh.load(item.file, folder)
-    # A flat object lies a finger above the ground it covers, so that neither hides the other.
+    # A disc is slightly above the ground, so that neither hides the other.
     lift = 0.02 if item.shape == "disc" else 0.0
     surfaces = tuple(_part_surface(replace(part, name=f"{item.name}:{part.name}")) for part in parts)
     time_s, columns = read_track(item.track) if item.track else (np.zeros(1), {})

@@ -1,24 +1,32 @@
-"""Finer triangles where light changes within them: beside objects, and where they are large.
+"""Finer triangles where light changes within them: beside objects, and where triangles are large.
 
 Light between surfaces is constant over a triangle. Beside an object it changes within a fraction of the object's size;
-on a wall of a surface model, as high as many posts, from its foot to its eaves.
+on a wall of a surface model it changes from foot to eaves.
 """
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.scene.surface import Surface
+
+_Floats = NDArray[np.float64]
+# Lowest and highest corner of a box (3,) each [m].
+_Box = tuple[_Floats, _Floats]
 
 # Longest edge of a triangle on and around an object, and margin around it, as shares of the object's extent.
 _EDGE_SHARE = 1.0 / 16.0
 _MARGIN_SHARE = 0.25
-# A triangle is cut into at most the square of this many equal ones; a longer one is first cut in four, again and again,
-# and of these only those that are beside the object: else a spot on a plain would cut all the plain.
+# A triangle is cut into at most the square of this many equal ones. A longer one is first quartered repeatedly, and
+# only the quarters beside the object are cut further: a small spot does not cut a whole plain finely.
 _EQUAL_PARTS = 32
-# Triangles that are spent on cutting the largest ones: a share of all, or so many of a scene that has few.
+# Triangles added by cutting the largest ones: this share of all, at least the number.
 _MORE_SHARE, _MORE = 0.2, 1000
-# Triangles up to this many times as large as most of the surface's are none of the largest.
+# Only triangles larger than this many times the surface's typical area count as large.
 _LEAST_RATIO = 3.0
-# What a triangle with so many halved edges is cut into: corners 0, 1, 2, and middles 3, 4, 5 of the edges after them.
+# Triangles that replace one, by its number of halved edges: corners 0, 1, 2; middles 3, 4, 5 of the edges after them.
 _CUTS = {
     1: ((0, 3, 2), (3, 1, 2)),
     2: ((3, 1, 4), (0, 3, 4), (0, 4, 2)),
@@ -26,59 +34,58 @@ _CUTS = {
 }
 
 
-def refined(terrain, objects):
-    """Return (terrain, objects): the surfaces with their triangles split where objects are.
+def refined(terrain: Sequence[Surface], objects: Sequence[Surface]) -> tuple[list[Surface], list[Surface]]:
+    """Return (terrain, objects): the surfaces with their triangles split on and beside objects.
 
-    Parameters
-    ----------
-    terrain, objects : sequences of Surface
-        A triangle is split so that no edge is longer than a 16th of the extent of the object it belongs to or stands
-        beside. The shapes stay what they are.
+    No edge is longer than a 16th of the extent of the object that a triangle belongs to or is beside. The shapes do
+    not change.
     """
-    terrain = [_quartered(surface, objects) for surface in terrain]
-    wanted = [np.full(len(surface.faces), np.inf) for surface in terrain]
-    done = []
-    for item in objects:
-        box, edge = _around(item)
-        for surface, limit in zip(terrain, wanted, strict=True):
-            near = _near(surface, box)
+    around = [_around(item) for item in objects]
+    quartered = [_quartered(surface, around) for surface in terrain]
+    limits = [np.full(len(surface.faces), np.inf) for surface, _ in quartered]
+    for box, edge in around:
+        for (_, extents), limit in zip(quartered, limits, strict=True):
+            near = extents.near(box)
             limit[near] = np.minimum(limit[near], edge)
-        done.append(_split(item, np.full(len(item.faces), edge)))
-    return [_split(surface, limit) for surface, limit in zip(terrain, wanted, strict=True)], done
+    finer = [_split(surface, limit, of.longest) for (surface, of), limit in zip(quartered, limits, strict=True)]
+    return finer, [
+        _split(item, np.full(len(item.faces), edge), _longest(item.vertices[item.faces]))
+        for item, (_, edge) in zip(objects, around, strict=True)
+    ]
 
 
-def evened(surface):
-    """Return a surface whose largest triangles are cut along shared edges until a fifth more triangles are there.
+def evened(surface: Surface) -> Surface:
+    """Return a surface whose largest triangles are halved along shared edges, which adds about a fifth more triangles.
 
-    Its shape stays what it is, and no edge is left with a corner of one neighbour in the middle of another's side. A
-    surface of few triangles, as a box, gets about a thousand; one of equal triangles stays as it is.
+    The shape does not change, and no corner of a triangle lies within a neighbour's edge. A surface of few triangles,
+    such as a box, gets about a thousand; one of equal triangles stays as it is.
     """
-    area = _area(surface)
+    area = _area(surface, surface.faces)
     limit = _limit(area, max(_MORE, int(_MORE_SHARE * len(area))))
     if limit < area.max():
         surface = replace(surface, faces=_shared(surface))
     while (large := area > limit).any():
-        surface = _bisected(surface, large)
-        area = _area(surface)
+        surface, whole = _bisected(surface, large)
+        area = np.concatenate([area[whole], _area(surface, surface.faces[np.count_nonzero(whole) :])])
     return surface
 
 
-def _shared(surface):
-    """Faces that name corners at one place by one number, as neighbours of a textured mesh need not."""
+def _shared(surface: Surface) -> NDArray[np.int32]:
+    """Faces that use one vertex for all corners at one place; a textured mesh may repeat its vertices."""
     _, index, place = np.unique(surface.vertices, axis=0, return_index=True, return_inverse=True)
     return index[place.reshape(-1)][surface.faces].astype(surface.faces.dtype)
 
 
-def _area(surface):
-    corner = surface.vertices[surface.faces]
+def _area(surface: Surface, faces: NDArray[np.int32]) -> _Floats:
+    corner = surface.vertices[faces]
     return 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
 
 
-def _limit(area, more):
-    """Area down to which triangles may be halved again and again so that at most `more` come to them."""
+def _limit(area: _Floats, more: int) -> float:
+    """Area above which triangles are halved repeatedly, so that at most `more` triangles are added."""
     least = 0.0
     if len(area) > more:
-        # Half of the surface is of triangles smaller than this: the ground's own, which to halve is not worth the rays.
+        # Triangles smaller than this make up half of the surface: ordinary ground, not worth the rays of halving it.
         order = np.sort(area)
         least = _LEAST_RATIO * order[np.searchsorted(order.cumsum(), 0.5 * order.sum())]
     low, high = np.log2(max(least, 1e-12)), np.log2(max(area.max(), least, 1e-12))
@@ -86,15 +93,18 @@ def _limit(area, more):
         middle = 0.5 * (low + high)
         halvings = np.ceil(np.log2(np.maximum(area, 1e-12)) - middle).clip(0)
         low, high = (low, middle) if (np.exp2(halvings) - 1.0).sum() <= more else (middle, high)
-    return np.exp2(high)
+    return float(np.exp2(high))
 
 
-def _bisected(surface, large):
-    """A surface with the longest edge of each `large` triangle halved, and every triangle that has such an edge cut."""
+def _bisected(surface: Surface, large: NDArray[np.bool_]) -> tuple[Surface, NDArray[np.bool_]]:
+    """(surface with the longest edge of each `large` triangle halved, triangles that stay whole).
+
+    Every triangle with a halved edge is cut; the whole ones come first, in their order.
+    """
     faces, vertices, count = surface.faces, surface.vertices, len(surface.vertices)
     touched = np.zeros(count, bool)
     touched[faces[large]] = True
-    near = np.flatnonzero(touched[faces].any(axis=1))
+    near = np.flatnonzero(touched[faces[:, 0]] | touched[faces[:, 1]] | touched[faces[:, 2]])
     # Edge k leads from corner k to the next.
     ends = np.sort(faces[near][:, [[0, 1], [1, 2], [2, 0]]].astype(np.int64), axis=-1)
     edge = ends[..., 0] * count + ends[..., 1]
@@ -104,7 +114,7 @@ def _bisected(surface, large):
     halved = np.isin(edge, halved_edges)
     cut = halved.any(axis=1)
     near, edge, halved = near[cut], edge[cut], halved[cut]
-    # Turned so that those with as many halved edges are alike: its only one first, or its only whole one last.
+    # Rotate the corners: the only halved edge comes first, or the only whole one last.
     number = halved.sum(axis=1)
     first = np.where(number == 1, halved.argmax(axis=1), (halved.argmin(axis=1) + 1) % 3)
     turn = (first[:, None] + np.arange(3)) % 3
@@ -121,55 +131,100 @@ def _bisected(surface, large):
         for triangle in triangles
     ]
     middles = 0.5 * (vertices[halved_edges // count] + vertices[halved_edges % count])
-    return replace(
+    surface = replace(
         surface,
         vertices=np.concatenate([vertices, middles.astype(vertices.dtype)]),
         faces=np.concatenate([part for part, _ in parts]).astype(faces.dtype),
         uv=np.concatenate([part for _, part in parts]).astype(surface.uv.dtype),
     )
+    return surface, whole
 
 
-def _around(item):
-    """((lowest, highest) corner of what is beside an object, longest edge wanted there [m])."""
+@dataclass(frozen=True, eq=False)
+class _Extents:
+    """Bounds of each triangle along x, y and z, (3, F), and its longest edge, (F,) [m].
+
+    The rows are contiguous: NumPy reduces an axis of length 3 slowly, and every object scans the whole terrain.
+    """
+
+    low: _Floats
+    high: _Floats
+    longest: _Floats
+
+    @classmethod
+    def of(cls, corner: _Floats) -> "_Extents":
+        """Return the extents of triangles by their corners (F, 3 corners, 3)."""
+        a, b, c = corner.transpose(1, 2, 0)
+        low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+        return cls(np.ascontiguousarray(low), np.ascontiguousarray(high), _longest(corner))
+
+    def near(self, box: _Box) -> NDArray[np.bool_]:
+        """Return which triangles may reach into a box, (F,)."""
+        inside = np.ones(len(self.longest), bool)
+        for low, high, first, last in zip(self.low, self.high, *box, strict=True):
+            inside &= (low <= last) & (high >= first)
+        return inside
+
+    def large_near(self, box: _Box, edge: float) -> NDArray[np.intp]:
+        """Return the numbers of triangles that may reach into a box and have an edge longer than `edge`."""
+        large = np.flatnonzero(self.longest > edge)
+        return large[_Extents(self.low[:, large], self.high[:, large], self.longest[large]).near(box)]
+
+    def replaced(self, whole: NDArray[np.bool_], corner: _Floats) -> "_Extents":
+        """Return the extents of the `whole` triangles followed by those of new ones."""
+        new = _Extents.of(corner)
+        return _Extents(
+            np.concatenate([self.low[:, whole], new.low], axis=1),
+            np.concatenate([self.high[:, whole], new.high], axis=1),
+            np.concatenate([self.longest[whole], new.longest]),
+        )
+
+
+def _around(item: Surface) -> tuple[_Box, float]:
+    """(box of what is beside an object, longest edge allowed in it [m])."""
     low, high = item.vertices.min(axis=0), item.vertices.max(axis=0)
     extent = float((high - low).max())
     margin = _MARGIN_SHARE * extent
     return (low - margin, high + margin), _EDGE_SHARE * extent
 
 
-def _near(surface, box):
-    """Which triangles of a surface may lie in a box, (F,)."""
-    corner = surface.vertices[surface.faces]
-    return ((corner.min(axis=1) <= box[1]) & (corner.max(axis=1) >= box[0])).all(axis=1)
+def _longest(corner: _Floats) -> _Floats:
+    """Longest edge of triangles by their corners (F, 3 corners, 3), (F,) [m]."""
+    edge: _Floats = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=-1)
+    return edge.max(axis=1)
 
 
-def _longest(surface):
-    corner = surface.vertices[surface.faces]
-    return np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=-1).max(axis=1)
+def _quartered(surface: Surface, around: Sequence[tuple[_Box, float]]) -> tuple[Surface, _Extents]:
+    """(surface, its extents) with triangles beside objects quartered until `_EQUAL_PARTS` suffice."""
+    extents = _Extents.of(surface.vertices[surface.faces])
+    for box, edge in around:
+        while len(far := extents.large_near(box, _EQUAL_PARTS * edge)):
+            limit = np.full(len(surface.faces), np.inf)
+            limit[far] = 0.5 * extents.longest[far]
+            surface = _split(surface, limit, extents.longest)
+            whole = np.isinf(limit)
+            new = surface.faces[np.count_nonzero(whole) :]
+            extents = extents.replaced(whole, surface.vertices[new])
+    return surface, extents
 
 
-def _quartered(surface, objects):
-    """A surface whose triangles beside objects are cut in four until `_EQUAL_PARTS` suffice."""
-    for box, edge in map(_around, objects):
-        while (far := _near(surface, box) & (_longest(surface) > _EQUAL_PARTS * edge)).any():
-            surface = _split(surface, np.where(far, 0.5 * _longest(surface), np.inf))
-    return surface
+def _split(surface: Surface, limit: _Floats, longest: _Floats) -> Surface:
+    """A surface whose triangles, with edges of up to `longest` (F,), have none longer than `limit` (F,) [m].
 
-
-def _split(surface, limit):
-    """A surface whose triangles have no edge longer than `limit` (F,) [m]."""
-    corner = surface.vertices[surface.faces]
-    parts = np.ceil(np.where(np.isfinite(limit), _longest(surface) / limit, 1.0) - 1e-9).astype(int).clip(1)
-    if (parts == 1).all():
-        return surface
+    Triangles that need no cut come first, in their order.
+    """
+    parts = np.ceil(np.where(np.isfinite(limit), longest / limit, 1.0) - 1e-9).astype(int).clip(1)
     whole = parts == 1
+    if whole.all():
+        return surface
     vertices, faces, uv = [surface.vertices], [surface.faces[whole]], [surface.uv[whole]]
     count = len(surface.vertices)
     for n in np.unique(parts[~whole]):
         here = parts == n
         weights = _lattice(n)
-        # (faces, n² triangles, 3 corners): corners of their own, since neighbours may be split otherwise.
-        points = np.einsum("tcw,fwk->ftck", weights, corner[here]).reshape(-1, 3)
+        # (faces, n² triangles, 3 corners): each with its own vertices, since neighbours may be split differently.
+        corner = surface.vertices[surface.faces[here]]
+        points = np.einsum("tcw,fwk->ftck", weights, corner).reshape(-1, 3)
         vertices.append(points)
         faces.append(np.arange(count, count + len(points), dtype=np.int32).reshape(-1, 3))
         uv.append(np.einsum("tcw,fwk->ftck", weights, surface.uv[here]).reshape(-1, 3, 2).astype(np.float32))
@@ -177,7 +232,7 @@ def _split(surface, limit):
     return replace(surface, vertices=np.concatenate(vertices), faces=np.concatenate(faces), uv=np.concatenate(uv))
 
 
-def _lattice(n):
+def _lattice(n: int) -> _Floats:
     """Barycentric weights of the corners of n² equal triangles in one, (n², 3, 3)."""
     triangles = []
     for i in range(n):

@@ -1,10 +1,13 @@
-"""Dynamic objects: those whose position, heading and temperature are given over time."""
+"""Dynamic objects: position, heading and temperature over time."""
 
 import csv
 import io
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.formats import read_text
@@ -22,11 +25,11 @@ class TrackedObject:
     Attributes
     ----------
     item : ObjectSpec
-        What the scene file says; its values hold for the columns the track leaves out.
+        The object in the scene file; its values are used for columns that the track leaves out.
     surfaces : tuple of Surface
         In the object's own frame: x right, y ahead, z up, the middle of its base at the origin.
     lift_m : float
-        Added to its base's stated height, so that a disc does not lie in the ground [m].
+        Added to the stated height of its base, so that a disc is not in the ground [m].
     time_s : (n,) float64
         Rising [s].
     columns : dict
@@ -36,27 +39,27 @@ class TrackedObject:
     item: ObjectSpec
     surfaces: tuple[Surface, ...]
     lift_m: float
-    time_s: np.ndarray
-    columns: dict
+    time_s: NDArray[np.float64]
+    columns: Mapping[str, NDArray[np.float64]]
 
     @property
-    def name(self):
+    def name(self) -> str:
         """The object's name."""
         return self.item.name
 
-    def at(self, time_s, **given):
+    def at(self, time_s: float, **given: float) -> dict[str, float]:
         """Return {column: value} at a time [s], linear between the track's rows and constant beyond its ends.
 
         Parameters
         ----------
         time_s : float
         given : float
-            Values of COLUMNS to take instead.
+            Values of COLUMNS to use instead.
 
         Raises
         ------
         ThermorenderError
-            A name that is no column, or a value that is not finite.
+            An unknown column, or a value that is not finite.
         """
         for name, value in given.items():
             if name not in COLUMNS:
@@ -76,13 +79,13 @@ class TrackedObject:
         values |= {name: float(np.interp(time_s, self.time_s, column)) for name, column in self.columns.items()}
         return values | {name: float(value) for name, value in given.items()}
 
-    def temperatures(self):
+    def temperatures(self) -> tuple[float, float]:
         """Return the coldest and warmest temperature of the track [K]."""
         found = self.columns.get("temperature_k", np.array([self.item.temperature]))
         return float(found.min()), float(found.max())
 
-    def stations(self, most=100):
-        """Return values as by `at` along the track, an object's length apart; none where they are more than `most`."""
+    def stations(self, most: int = 100) -> list[dict[str, float]]:
+        """Return values as by `at` along the track, an object's length apart; empty if there are more than `most`."""
         corner = np.concatenate([surface.vertices for surface in self.surfaces])
         extent = float((corner.max(axis=0) - corner.min(axis=0)).max())
         position = np.column_stack([self.columns.get(name, np.zeros(len(self.time_s))) for name in COLUMNS[:3]])
@@ -90,11 +93,13 @@ class TrackedObject:
         count = int(np.ceil(distance[-1] / extent)) + 1
         if count > most:
             return []
-        # Where the object stands still, only the first time counts.
+        # Where the object does not move, use the first time.
         keep = np.concatenate([[True], np.diff(distance) > 0.0])
         return [self.at(t) for t in np.interp(np.linspace(0.0, distance[-1], count), distance[keep], self.time_s[keep])]
 
-    def world_from_own(self, values, ground):
+    def world_from_own(
+        self, values: Mapping[str, float], ground: Callable[[float, float], float]
+    ) -> NDArray[np.float64]:
         """Return (4, 4) from the object's own frame to the scene's, for values as by `at`.
 
         Parameters
@@ -106,30 +111,30 @@ class TrackedObject:
         Raises
         ------
         ThermorenderError
-            There is no terrain below.
+            There is no terrain at that position.
         """
         east, north = values["east_m"], values["north_m"]
         height = float(ground(east, north))
         if not np.isfinite(height):
             raise ThermorenderError(
-                f"object {self.name!r} stands at {east:g} m east, {north:g} m north, where there is no terrain; "
-                "keep its position on it"
+                f"object {self.name!r} is at {east:g} m east, {north:g} m north, where there is no terrain; "
+                "give a position on the terrain"
             )
         heading = np.radians(values["yaw_deg"])
         matrix = np.eye(4)
-        # Clockwise from north, so the object's own y axis points along the heading.
+        # The heading is clockwise from north, and the object's y axis points along it.
         matrix[:2, :2] = [[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]]
         matrix[:3, 3] = east, north, height + values["above_ground_m"] + self.lift_m
         return matrix
 
 
-def read_track(path):
+def read_track(path: Path) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
     """Return (time_s (n,), {column: (n,)}) of a track: a CSV with `time_s` and any of COLUMNS.
 
     Raises
     ------
     ThermorenderError
-        A file that cannot be read, unknown or missing columns, cells that are no numbers, time that does not rise.
+        An unreadable file, unknown or missing columns, cells that are not numbers, or time that does not rise.
     """
     try:
         lines = list(csv.reader(io.StringIO(read_text(path, "CSV UTF-8"))))
@@ -141,27 +146,27 @@ def read_track(path):
     allowed = ("time_s", *COLUMNS)
     odd = next((name for name in header if name not in allowed or header.count(name) > 1), None)
     if odd is not None or "time_s" not in header or len(header) < 2 or len(rows) < 2:
-        what = f"the column {odd!r}" if odd is not None else "too little"
+        what = f"has the column {odd!r}" if odd is not None else "lacks time_s, another column or rows of numbers"
         raise ThermorenderError(
-            f"{path} has {what}; give a row of names, of which time_s and any of {', '.join(COLUMNS)}, each once, "
+            f"{path} {what}; give a header with time_s and any of {', '.join(COLUMNS)}, each once, "
             "and rows of numbers below it"
         )
     values = np.empty((len(rows) - 1, len(header)))
-    for number, row in enumerate(rows[1:]):
+    for number, cells in enumerate(rows[1:]):
         try:
-            values[number] = [float(cell) for cell in row]
+            values[number] = [float(cell) for cell in cells]
         except ValueError:
             values[number] = np.nan
         if not np.isfinite(values[number]).all():
             raise ThermorenderError(
-                f"{path}, row {numbers[number + 1]}: {shortened(','.join(row))!r} is not {len(header)} finite numbers; "
-                "mend it"
+                f"{path}, row {numbers[number + 1]}: {shortened(','.join(cells))!r} is not {len(header)} finite "
+                "numbers; give a number for each column"
             )
     columns = dict(zip(header, values.T.copy(), strict=True))
     time_s = columns.pop("time_s")
     if (np.diff(time_s) <= 0.0).any():
         row = numbers[int(np.argmax(np.diff(time_s) <= 0.0)) + 2]
-        raise ThermorenderError(f"{path}, row {row}: time_s does not rise; sort the rows and leave each time once")
+        raise ThermorenderError(f"{path}, row {row}: time_s does not rise; sort the rows and give each time once")
     for name in COLUMNS[:3]:
         far = np.abs(columns.get(name, np.zeros(1))) > FARTHEST_M
         if far.any():
@@ -169,7 +174,7 @@ def read_track(path):
                 f"{path}: {name}={columns[name][far][0]:g} is out of range; give metres, up to {FARTHEST_M:g}"
             )
     if "yaw_deg" in columns:
-        # The smaller of the two turns between two rows.
+        # Turn the shorter way between two rows.
         columns["yaw_deg"] = np.unwrap(columns["yaw_deg"], period=360.0)
     for value in columns.get("temperature_k", ()):
         scene_kelvin(f"{path}: temperature_k", value)

@@ -1,6 +1,6 @@
 """Whether the parts of a scene agree: the bands of camera, air and materials, the sun, the instant of temperatures.
 
-Edits keep them so; the renderer asks before it bakes, so that a scene put together otherwise is refused, not rendered.
+Edits preserve this. The renderer checks it before baking, so that a scene built in another way is refused.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from thermorender.scene.state.derived import Derived
 from thermorender.scene.temperature_state import Known
 from thermorender.units import utc_text
 
-# Limits of bands are read from files of single precision [µm].
+# Files store the limits of bands in single precision [µm].
 _SAME_UM = 1e-6
 
 
@@ -22,7 +22,7 @@ def refuse_disagreement(declared: Declared, derived: Derived) -> None:
     Raises
     ------
     ThermorenderError
-        One sentence on what disagrees and which edit mends it.
+        States which parts disagree and which edit corrects it.
     """
     where, band, air = declared.where, declared.camera.band_um, derived.air
     if air is None and declared.spec.sky_temperature is None:

@@ -1,4 +1,4 @@
-"""What the arguments of edits stand for: a number, a word, a path or some keys read into what a scene declares."""
+"""Arguments of edits (a number, a word, a path or some keys) converted to declarations of a scene."""
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
@@ -40,7 +40,7 @@ def material_of(key: int | str, value: Any, library: Mapping[str, Material]) -> 
 
 
 def temperature_spec(source: Any) -> TemperatureSpec:
-    """Return the TemperatureSpec that a number, a word or a path stands for."""
+    """Return the TemperatureSpec for a number, a word or a path."""
     if isinstance(source, TemperatureSpec):
         return source
     if isinstance(source, Real) and not isinstance(source, bool):
@@ -63,7 +63,7 @@ def temperature_spec(source: Any) -> TemperatureSpec:
 
 
 def changed_weather(spec: WeatherSpec | None, keys: Mapping[str, Any], now: Declared, whole: bool) -> WeatherSpec:
-    """Return a WeatherSpec with other values of some keys; `whole`: it must say where the weather comes from."""
+    """Return a WeatherSpec with other values of some keys; `whole`: it must name the source of the weather."""
     rows = {item.name: item for item in fields(WeatherSpec)}
     where = Where("with_weather", now.spec.folder, top="")
     for name in keys:

@@ -1,6 +1,6 @@
-"""What a scene declares: the scene file, the edits made to it, and values given in place of files.
+"""Declarations of a scene: the scene file, the edits made to it, and values given in place of files.
 
-Everything else a scene holds is derived from this and from the files of its folder, so no edit can leave a part stale.
+All other state is derived from these and from the files of the folder, so no edit can leave a part stale.
 """
 
 from collections.abc import Mapping
@@ -18,20 +18,20 @@ from thermorender.sensor.camera import Camera
 
 @dataclass(frozen=True, eq=False)
 class Declared:
-    """What a scene declares.
+    """Declarations of a scene.
 
     Attributes
     ----------
     spec : SceneSpec
-        The scene file with the edits that it has keys for.
+        The scene file with those edits that it has keys for.
     camera : Camera
     time : datetime64[s] or None
-        The instant that is asked for, UTC; None without [weather].
+        The instant requested, UTC; None without [weather].
     altitude_m : float or None
-        Altitude of the frame's origin that the scene file's [atmosphere] states [m]. It is of the place, so that
-        another air leaves it.
+        Altitude of the frame's origin that the scene file's [atmosphere] states [m]. It belongs to the place, so
+        another air does not change it.
     sky_temperature : float or None
-        The last sky declared [K]: what `with_air(None)` returns to.
+        The last declared sky [K], which `with_air(None)` restores.
     air : Atmosphere or None
         In place of the air that `spec` names; not cut to the camera's band.
     weather : Weather or None
@@ -43,7 +43,7 @@ class Declared:
     replaced : dict
         Materials in place of others, as `thermorender.scene.parts.cover.Replaced` says.
     held : dict
-        Columns of tracks that an edit holds at one value, by the name of the object.
+        Columns of tracks that an edit fixes at one value, by the name of the object.
     given : bool
         Whether the terrain's temperatures came with surfaces made in memory.
     """
@@ -72,7 +72,7 @@ class Declared:
         return self.air is not None or self.spec.atmosphere is not None
 
     def height_m(self, frame: Any) -> float:
-        """Return the altitude of a frame's origin above sea level [m]: as declared, else as it lies, else 0."""
+        """Return the altitude of a frame's origin above sea level [m]: as declared, else from the frame, else 0."""
         if self.altitude_m is not None:
             return self.altitude_m
         return float(frame.height_m - (self.geoid_undulation_m or 0.0)) if frame else 0.0

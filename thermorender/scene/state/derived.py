@@ -1,7 +1,7 @@
-"""What follows from a scene's files and declarations: shape, cover, air and temperatures, each made again when stale.
+"""State derived from a scene's files and declarations: shape, cover, air and temperatures.
 
-Each stage names what it depends on. After an edit a stage is kept where none of that changed, and made again elsewhere;
-the result depends on what is declared now, not on the order of the edits.
+Each stage has a key of its inputs. After an edit, only stages with a changed key are made again. The result depends on
+the current declarations, not on the order of the edits.
 """
 
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ from thermorender.scene.temperature_state import Balance, Conditional, Known, Mo
 
 @dataclass(frozen=True, eq=False)
 class Derived:
-    """What follows from a scene's files and declarations.
+    """State derived from a scene's files and declarations.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Derived:
 
 
 def derived(parts: Parts | None, now: Declared, old: tuple[Declared, Derived] | None = None) -> Derived:
-    """Return what follows from a scene's parts and declarations.
+    """Return the state derived from a scene's parts and declarations.
 
     Parameters
     ----------
@@ -56,12 +56,12 @@ def derived(parts: Parts | None, now: Declared, old: tuple[Declared, Derived] | 
         None for a scene of surfaces made in memory, whose shape and cover are those of `old`.
     now : Declared
     old : (Declared, Derived), optional
-        Before an edit; what it does not touch is kept.
+        Before an edit; unaffected stages are kept.
 
     Raises
     ------
     ThermorenderError
-        What is declared does not hold together, in one sentence.
+        The declarations contradict each other.
     """
     before, had = old or (None, None)
     shape = had.shape if had and before and _shape_key(before) == _shape_key(now) else _shape(parts, now)
@@ -104,7 +104,7 @@ def _combined(
     parts: Parts | None, now: Declared, made: Derived, kelvin: list[NDArray[np.float32]],
     flags: list[NDArray[np.uint8]], state: TemperatureState,
 ) -> Derived:  # fmt: skip
-    """Shape, cover and temperatures put together."""
+    """Combine shape, cover and temperatures."""
     shape, cover = made.shape, made.cover
     surfaces = tuple(
         replace(bare, colour=own.colour, material=own.material, temperature=warm, flags=own.flags | more)
@@ -134,7 +134,7 @@ def camera_alone_differs(one: Declared, other: Declared) -> bool:
     )
 
 
-# What each stage depends on
+# Keys of the stages
 
 
 def _shape_key(of: Declared) -> tuple[Any, ...]:
@@ -155,20 +155,20 @@ def _objects_key(of: Declared) -> tuple[Any, ...]:
 
 
 def _temperature_key(of: Declared, made: Derived) -> tuple[Any, ...]:
-    """What the terrain's temperatures depend on, by their source."""
+    """Inputs of the terrain's temperatures, by their source."""
     spec = of.spec
     if of.given:
-        # Those of surfaces made in memory are what they are, unless a source is set or the weather changes them.
+        # Temperatures of surfaces made in memory change only by a new source or the weather.
         source: tuple[Any, ...] = (made.shape,)
     else:
         source = spec.temperature, id(of.model), id(of.kelvin), made.shape, made.cover
     if not _weather_driven(of):
         return source
     own = tuple(item.temperature for item in spec.objects if item.track is None)
-    # A sun of its own contradicts the weather's, and is refused where the temperatures are made.
+    # A declared sun contradicts the weather's and is refused when the temperatures are made.
     key = (*source, spec.weather, id(of.weather), of.time, of.altitude_m, own, spec.sun)
     if _conditional(of):
-        # What it reads as apparent temperature is seen under the sky.
+        # Its apparent temperatures depend on the sky.
         key += (made.air if of.has_air else spec.sky_temperature,)
     return key
 
@@ -183,7 +183,9 @@ def _moved(of: Declared) -> bool:
 
 def _source_moved(now: Declared, kelvin: list[NDArray[np.float32]]) -> Moved:
     spec = now.spec.temperature
-    return Moved(tuple(kelvin), trained(spec, now.model), map_error_k(spec, now.model))
+    weather = trained(spec, now.model)
+    assert weather is not None
+    return Moved(tuple(kelvin), weather, map_error_k(spec, now.model))
 
 
 def _weather_driven(of: Declared) -> bool:
@@ -274,7 +276,7 @@ def _temperatures(
 
 
 def _filled(values: NDArray[Any], surface: Surface) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """(kelvin, flags) of temperatures given in memory; the nearest one stands in where they are NaN."""
+    """(kelvin, flags) of temperatures given in memory; NaN is replaced by the nearest one."""
     kelvin = np.asarray(values, np.float32)
     if kelvin.shape != surface.flags.shape or not np.isfinite(kelvin).any():
         raise ThermorenderError(
@@ -289,7 +291,7 @@ def _filled(values: NDArray[Any], surface: Surface) -> tuple[NDArray[np.float32]
 
 
 def _refuse_source(now: Declared, shape: Shape) -> None:
-    """Refuse temperatures that follow the weather where something that they need is missing or contradicts them."""
+    """Refuse temperatures that follow the weather if an input is missing or contradictory."""
     spec, moved = now.spec.temperature, _moved(now)
     if _conditional(now) and spec.trained:
         raise ThermorenderError(
@@ -311,6 +313,6 @@ def _refuse_source(now: Declared, shape: Shape) -> None:
         )
     if now.spec.sun is not None:
         raise ThermorenderError(
-            f"{why}puts the sun where it stands at weather.time, but this scene declares another sun; leave [sun] out, "
+            f"{why}computes the sun from weather.time, but this scene declares another sun; leave [sun] out, "
             "or call with_sun(None) first"
         )

@@ -1,6 +1,6 @@
-"""Fingerprints of a scene and of its weather: what a frame depends on, in one short text.
+"""Fingerprints of a scene and its weather: hashes of everything a frame depends on.
 
-Flights are continued and light is kept by these, so their input changes only where a frame may change.
+Flights resume and cached light is reused by these, so their input changes only where a frame may change.
 """
 
 import hashlib
@@ -72,9 +72,9 @@ def _digest(declared: Declared, derived: Derived, sun: Any, weather: Any) -> str
         state.update(asked.encode() + weather_digest_of(weather).encode())
     source = derived.temperature_state.source
     if isinstance(source, Moved):
-        for values in source.temperatures:
-            state.update(values.tobytes())
+        for kelvin in source.temperatures:
+            state.update(kelvin.tobytes())
     if isinstance(source, Conditional):
-        # At this instant another map may give the same, and differ at others of a flight.
+        # Another map may agree at this instant and differ at others of a flight.
         state.update(source.model.digest().encode())
     return state.hexdigest()

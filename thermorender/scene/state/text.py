@@ -7,7 +7,7 @@ from thermorender.scene.state.declared import Declared
 from thermorender.scene.state.derived import Derived
 from thermorender.units import utc_text
 
-# Names in a line, the rest counted.
+# Largest number of names in a line; the rest is counted.
 _MOST_NAMES = 12
 
 
