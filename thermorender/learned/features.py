@@ -35,7 +35,7 @@ NAMES = (
 )  # fmt: skip
 
 
-def lab(rgb: np.ndarray) -> np.ndarray:
+def lab(rgb: np.ndarray | np.uint8) -> np.ndarray:
     """Return CIELAB (D65), (..., 3) float32, of sRGB bytes."""
     import colour
 

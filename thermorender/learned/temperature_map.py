@@ -190,7 +190,7 @@ class TemperatureMap:
             state.update(name.encode() + np.ascontiguousarray(values).tobytes())
         return state.hexdigest()
 
-    def intensity(self, radiance: np.ndarray) -> np.ndarray:
+    def intensity(self, radiance: np.ndarray | float) -> np.ndarray:
         """Return intensities of band radiances [W m⁻² sr⁻¹]: 0 and 1 at the ends of the map's range."""
         cold, warm = band_radiance(np.array(self.range_k), *self.band_um)
         return (radiance - cold) / (warm - cold)

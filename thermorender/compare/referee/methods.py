@@ -140,7 +140,8 @@ def _variants(model: TemperatureMap, campaign: Training | None, sky_k: float | N
         return [(None, model, None)]
     found: list[_Variant] = [(OWN, model, None)]
     if campaign is not None:
-        at = replace(model.ranged(campaign.bounds_c), sky_temperature=sky_k)
+        # A campaign comes with the sky of its scene.
+        at = replace(model.ranged(campaign.bounds_c), sky_temperature=sky_k)  # type: ignore[arg-type]
         found.append((REFITTED, at, campaign.bounds_c))
         if model.name in campaign.calibrations:
             zero, slope = campaign.calibrations[model.name]
