@@ -21,8 +21,8 @@ def planck(air, temperature):
     result = np.empty_like(share)
     for lower, upper in {*zip(air.lower_um, air.upper_um, strict=True)}:
         own = air.lower_um == lower
-        result[:, own] = share[:, own] / share[:, own].sum(axis=1, keepdims=True) * band_radiance(
-            temperature, lower, upper
+        result[:, own] = (
+            share[:, own] / share[:, own].sum(axis=1, keepdims=True) * band_radiance(temperature, lower, upper)
         )
     return result
 
@@ -69,6 +69,4 @@ def sky_mean(air, at_m, directions=14):
     root, weight = np.polynomial.legendre.leggauss(directions)
     cosine = np.square(0.5 * (root + 1.0))
     # 2 cosθ d(cosθ) with cosθ = u².
-    return sum(
-        0.5 * w * 4.0 * c**1.5 * outward(air, at_m, c)[1] for w, c in zip(weight, cosine, strict=True)
-    )
+    return sum(0.5 * w * 4.0 * c**1.5 * outward(air, at_m, c)[1] for w, c in zip(weight, cosine, strict=True))

@@ -1,6 +1,5 @@
 """Tiny scenes written to disk for tests."""
 
-
 import numpy as np
 
 # A day in July: the weather keys that a heat balance needs.

@@ -222,7 +222,7 @@ def test_plan_states_the_effects_of_air(tmp_path):
     rows = {row[0]: row for row in make_plan(scene).rows()}
     assert "channels" in rows["air"][1] and "kilometre" in rows["air"][2] and rows["sun"][1] == "out"
     assert rows["air between surfaces"][1] == "out"
-    sunny = '[sun]\nelevation_deg = 40\nazimuth_deg = 180\n'
+    sunny = "[sun]\nelevation_deg = 40\nazimuth_deg = 180\n"
     lit = tr.load_scene(write(tmp_path / "lit", plane(10.0), emissivity=0.95, extra=sunny))
     assert make_plan(lit).sun and 5.0 < make_plan(lit).sun_mk < 100.0
     # Nearly black ground: at most half a millikelvin.

@@ -310,8 +310,12 @@ def test_viewpoints_above_the_cloud_base_are_refused():
     clear = Atmosphere.standard("us-1976").in_band(8.0, 14.0)
     cloudy = clear.clouded(0.01, 1500.0)
     words = "above the cloud base at 1500 m; clouds are modelled from below only: stay below them, raise cloud_base_m"
-    for ask in (lambda air: air.sky_radiance(1500.1, 1.0), lambda air: air.path(1500.1, 0.0, 3000.0),
-                lambda air: air.transmittance([0.0, 10.0], 2000.0, 3000.0), lambda air: air.sky_temperature(2000.0)):
+    for ask in (
+        lambda air: air.sky_radiance(1500.1, 1.0),
+        lambda air: air.path(1500.1, 0.0, 3000.0),
+        lambda air: air.transmittance([0.0, 10.0], 2000.0, 3000.0),
+        lambda air: air.sky_temperature(2000.0),
+    ):
         with pytest.raises(ThermorenderError, match=words):
             ask(cloudy)
         ask(clear.clouded(0.0, 1500.0))
@@ -682,9 +686,11 @@ def test_reference_equals_lowtran(tmp_path, monkeypatch):
             air = reference.fine_air(levels, int(model) + 1, *map(float, stored["offset"][number]), kind)
             row = [float(f"{value:.7g}") for value in stored["path"][number]]
             found = reference.line_of_sight(
-                air, *row, lambda z, own=levels, add=stored["offset"][number, 0]: np.interp(
+                air,
+                *row,
+                lambda z, own=levels, add=stored["offset"][number, 0]: np.interp(
                     z, own.altitude_m, own.temperature + add
-                )
+                ),
             )
             for column, numbers in enumerate(found.values()):
                 assert numbers == pytest.approx(stored["value"][number, column, : len(numbers)], rel=1e-5)

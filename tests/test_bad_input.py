@@ -523,8 +523,16 @@ def test_nodata_islands_become_holes(scene, call, tmp_path):
     area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1).sum() / 2
     assert area == pytest.approx(4.0 * (49 - 9 - 1), rel=1e-2)
     status, _, errors = call(
-        "render", scene, "-o", tmp_path / "o", "--pose", "0,0,20,0,-90,0", "--local-up",
-        "--products", "exr,truth", *QUICK,
+        "render",
+        scene,
+        "-o",
+        tmp_path / "o",
+        "--pose",
+        "0,0,20,0,-90,0",
+        "--local-up",
+        "--products",
+        "exr,truth",
+        *QUICK,
     )
     assert (status, errors) == (0, "")
     channels, _ = read_exr(tmp_path / "o" / "frame_000000.exr")
@@ -765,8 +773,10 @@ def test_texture_is_multiplied_by_its_material_factor_in_linear_light(scene):
         mesh_scene(scene, "model.glb", glb(data, tree | {"materials": [{"name": name, "pbrMetallicRoughness": coat}]}))
         light = colour.models.eotf_sRGB(shade / 255.0) * np.array(factor)
         # trimesh keeps the factor as a byte, and the colour is a byte too.
-        least, most = (255.0 * colour.models.eotf_inverse_sRGB(light * (1.0 + half / np.array(factor)))
-                       for half in (-0.5 / 255.0, 0.5 / 255.0))
+        least, most = (
+            255.0 * colour.models.eotf_inverse_sRGB(light * (1.0 + half / np.array(factor)))
+            for half in (-0.5 / 255.0, 0.5 / 255.0)
+        )
         found = load_scene(scene).surfaces[0].colour[0, 0]
         assert (found >= least - 0.5).all() and (found <= most + 0.5).all()
 
@@ -858,6 +868,7 @@ def test_other_files_of_a_mesh_must_be_inside_the_scene(scene, refused):
 
 def huge_png(path, side=100_000):
     """A PNG of a few bytes whose header claims `side` pixels along each side."""
+
     def chunk(kind, data):
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
@@ -981,9 +992,7 @@ def test_frames_without_terrain_are_reported(scene, call, tmp_path):
 def test_path_below_the_terrain(scene, refused, call, tmp_path):
     (scene / "flight.csv").write_text(f"{COLUMNS.replace('above_ground_m', 'up_m')}\n0,0,0,-20,90\n")
     refused(["at 0.000 s the camera is 2", "m below the ground"], "fly", scene, *QUICK)
-    status, _, errors = call(
-        "fly", scene, "-o", tmp_path / "o", "--allow-below-ground", "--products", "counts", *QUICK
-    )
+    status, _, errors = call("fly", scene, "-o", tmp_path / "o", "--allow-below-ground", "--products", "counts", *QUICK)
     assert (status, errors) == (0, "")
 
 

@@ -72,9 +72,7 @@ def test_neighbourhood_scales_with_the_texel_size():
     assert np.abs(intensity(model, rgb)[8:-8, 8:-8] - fine[8:-8, 8:-8]).max() > 0.5
     for texel_m in (0.02, 0.1, 0.5, 6.0):
         flat = np.full((30, 30, 3), 128, np.uint8)
-        np.testing.assert_allclose(
-            intensity(model, flat, texel_m), 128 / 255 * model.predictor.kernel.sum(), atol=1e-9
-        )
+        np.testing.assert_allclose(intensity(model, flat, texel_m), 128 / 255 * model.predictor.kernel.sum(), atol=1e-9)
 
 
 def test_a_tap_averages_its_whole_area():

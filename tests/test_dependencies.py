@@ -85,7 +85,7 @@ def test_frames_do_not_depend_on_how_minimum_and_clip_treat_nan(tmp_path, monkey
         )
     )
     if air:
-        extra += '[sun]\nelevation_deg = 40\nazimuth_deg = 180\n'
+        extra += "[sun]\nelevation_deg = 40\nazimuth_deg = 180\n"
     write_terrain(folder, height=np.random.default_rng(2).uniform(0, 2, (16, 16)), extra=extra)
     mesh.export(folder / "ball.ply")
     (folder / "t.csv").write_text("time_s,east_m\n0,3\n")

@@ -361,8 +361,6 @@ def _count(folder, start, times):
             (folder / "count").write_text(str(before + 1))
 
 
-
-
 def test_stored_arrays_are_read_whole_or_not_at_all(tmp_path):
     """Every bit of the file flipped, the file truncated at any length, or a file of another version."""
     path, arrays = tmp_path / "a.npz", {"signal": np.arange(6.0).reshape(2, 3), "time_s": np.float64(2.5)}

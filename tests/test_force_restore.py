@@ -27,17 +27,13 @@ def test_balance_closes_at_equilibrium():
     air, sky = 290.0, 260.0
     absorbed, longwave, exchange = 400.0 * one, STEFAN_BOLTZMANN * sky**4 * one, 14.0 * one
     # Almost no inertia: the step ends at the balance of fluxes.
-    surface = step(
-        290.0 * one, 3600.0, absorbed, longwave, exchange, 0.2 * one, air, 1000.0, 1e-3 * one, 285.0 * one
-    )
+    surface = step(290.0 * one, 3600.0, absorbed, longwave, exchange, 0.2 * one, air, 1000.0, 1e-3 * one, 285.0 * one)
     t = float(surface[0, 0])
     latent = 0.2 * 14.0 / 66.0 * (float(saturation_vapour(np.float64(t))[0]) - 1000.0)
     flux = 400.0 + 0.96 * STEFAN_BOLTZMANN * (sky**4 - t**4) - 14.0 * (t - air) - latent
     assert abs(flux) < 0.05
     # Great inertia: the temperature stays.
-    slow = step(
-        288.0 * one, 3600.0, absorbed, longwave, exchange, 0 * one, air, 1000.0, 1e7 * one, 288.0 * one
-    )
+    slow = step(288.0 * one, 3600.0, absorbed, longwave, exchange, 0 * one, air, 1000.0, 1e7 * one, 288.0 * one)
     assert slow[0, 0] == pytest.approx(288.0, abs=0.01)
 
 

@@ -68,9 +68,7 @@ def wave(column, period, seconds, amplitude=100.0):
 # --- conduction --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("hours", "minutes"), [(1.0, 1.0), (2.0, 5.0), (6.0, 15.0), (24.0, 15.0), (240.0, 15.0)]
-)
+@pytest.mark.parametrize(("hours", "minutes"), [(1.0, 1.0), (2.0, 5.0), (6.0, 15.0), (24.0, 15.0), (240.0, 15.0)])
 def test_semi_infinite_solid_under_a_sinusoidal_flux(airless, hours, minutes):
     """T = Q / (I √(iω)): amplitude and phase lag of 45° (Carslaw & Jaeger 1959, 2.9), to a thousandth."""
     found = wave(ground(layered([SOIL])), 3600.0 * hours, 60.0 * minutes)
@@ -454,9 +452,7 @@ def test_balance_has_one_solution():
     h, bend = exchange.convection(np, kelvin, air, wind, density, np.log(10.0 / rough), np.log(20.0 / rough), 2.0)
     for frozen in (False, True):
         resistance, film = 10.0 ** rng.uniform(0.0, 4.0, air.shape), rng.choice([0.0, 0.5, 1.0], air.shape)
-        latent, slope, _ = exchange.evaporation(
-            np, kelvin, vapour, 1e5, h, bend, density, resistance, film, frozen
-        )
+        latent, slope, _ = exchange.evaporation(np, kelvin, vapour, 1e5, h, bend, density, resistance, film, frozen)
         given = h * (kelvin - air) + latent
         assert (np.diff(given, axis=1) / 0.1).min() > 1.9  # calm air alone takes 2 W m⁻² K⁻¹
         # Newton's slope is that of the flux, except for the mean temperature and where two laws meet.

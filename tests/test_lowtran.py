@@ -99,6 +99,7 @@ def test_line_of_sight_radiance_equals_the_integral_along_it(grey, from_m, to_m,
         return np.exp(-slant * absorbed(from_m / 1e3, z / 1e3))
 
     for band, numbers in found.items():
+
         def light(z, band=band):
             density = 1e-3 * ABSORPTION_PER_KM * np.exp(-z / 1e3 / SCALE_KM) * slant
             return band_radiance(kelvin_at(z), *band) * passed(z) * density

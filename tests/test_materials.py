@@ -428,9 +428,7 @@ def test_user_defined_rough_fresnel_material(tmp_path):
 # --- the importer ------------------------------------------------------------------------------------------
 
 
-def ecostress_file(
-    path, wavelength, percent, measurement="Hemispherical reflectance", y_units="Reflectance (percent)"
-):
+def ecostress_file(path, wavelength, percent, measurement="Hemispherical reflectance", y_units="Reflectance (percent)"):
     header = [
         "Name: Made-up rock", "Type: rock", "Description: at 10\xb0: rough", f"Measurement: {measurement}",
         "X Units: Wavelength (micrometers)", f"Y Units:{y_units}", "",

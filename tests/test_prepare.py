@@ -299,9 +299,7 @@ def spoil(path, kind):
     raise AssertionError(kind)
 
 
-@pytest.mark.parametrize(
-    "kind", ["alone", "corrupt", "empty", "depth", "equal", "one pixel", "colours", "size", "nan"]
-)
+@pytest.mark.parametrize("kind", ["alone", "corrupt", "empty", "depth", "equal", "one pixel", "colours", "size", "nan"])
 def test_one_bad_pair_is_refused_by_name_or_left_out(kind, tmp_path, call):
     folders(tmp_path)
     words = spoil(tmp_path, kind)

@@ -176,9 +176,7 @@ def test_plan_gives_quartz_the_nodes_it_needs(tmp_path):
     (single,) = make_plan(scene, tolerance_mk=5000.0).spectrum.emissivity.T
     exact = [emitted_radiance(material.emissivity_at, 300.0, *BAND) for material in scene.materials]
     np.testing.assert_allclose(single, np.array(exact) / band_radiance(300.0, *BAND), rtol=1e-9)
-    np.testing.assert_allclose(
-        plan.spectrum.black(np.array([300.0])).sum(), band_radiance(300.0, *BAND), rtol=1e-10
-    )
+    np.testing.assert_allclose(plan.spectrum.black(np.array([300.0])).sum(), band_radiance(300.0, *BAND), rtol=1e-10)
 
 
 def test_truth_is_where_the_geometry_puts_it(tmp_path):

@@ -51,9 +51,7 @@ def straight(count=3, step=(0.0, 10.0, 0.0)):
     """A flight that looks north."""
     times = np.arange(count, dtype=float)
     looking_north = wxyz(Rotation.from_matrix(np.stack([EAST, -UP, NORTH], axis=-1)))
-    return Trajectory(
-        times, times[:, None] * np.array(step) + [0.0, 0.0, 50.0], np.tile(looking_north, (count, 1))
-    )
+    return Trajectory(times, times[:, None] * np.array(step) + [0.0, 0.0, 50.0], np.tile(looking_north, (count, 1)))
 
 
 # Interpolation
@@ -128,9 +126,7 @@ def test_frame_times_reach_the_end_despite_rounding():
 
 def test_invalid_trajectories_are_refused():
     path = straight()
-    with pytest.raises(
-        ThermorenderError, match="sample 2 at 1 s follows 1 s: time is running backwards or standing"
-    ):
+    with pytest.raises(ThermorenderError, match="sample 2 at 1 s follows 1 s: time is running backwards or standing"):
         Trajectory([0.0, 1.0, 1.0], path.position, path.quaternion)
     with pytest.raises(ThermorenderError, match=r"position has shape \(3, 2\); 3 times need \(3, 3\)"):
         Trajectory(path.time_s, path.position[:, :2], path.quaternion)
@@ -220,28 +216,20 @@ def test_latitude_and_longitude_agree_with_local_coordinates_to_a_millimetre(tmp
     generator = np.random.Generator(np.random.Philox(5))
     local = generator.uniform(-5000.0, 5000.0, (30, 3)) * [1.0, 1.0, 0.1] + [0.0, 0.0, 700.0]
     lat, lon, height = FRAME.geodetic_from_enu(local)
-    rows = "".join(
-        f"{k},{a:.11f},{o:.11f},{h:.6f}\n" for k, (a, o, h) in enumerate(zip(lat, lon, height, strict=True))
-    )
+    rows = "".join(f"{k},{a:.11f},{o:.11f},{h:.6f}\n" for k, (a, o, h) in enumerate(zip(lat, lon, height, strict=True)))
     path = read(tmp_path, "time_s,lat_deg,lon_deg,alt_ellipsoid_m\n" + rows, frame=FRAME)
     assert np.abs(path.position - local).max() < 1e-3
     geoid = "".join(
-        f"{k},{a:.11f},{o:.11f},{h - 47.5:.6f}\n"
-        for k, (a, o, h) in enumerate(zip(lat, lon, height, strict=True))
+        f"{k},{a:.11f},{o:.11f},{h - 47.5:.6f}\n" for k, (a, o, h) in enumerate(zip(lat, lon, height, strict=True))
     )
-    path = read(
-        tmp_path, "time_s,lat_deg,lon_deg,alt_geoid_m\n" + geoid, frame=FRAME, geoid_undulation_m=47.5
-    )
+    path = read(tmp_path, "time_s,lat_deg,lon_deg,alt_geoid_m\n" + geoid, frame=FRAME, geoid_undulation_m=47.5)
     assert np.abs(path.position - local).max() < 1e-3
     up = "".join(
-        f"{k},{a:.11f},{o:.11f},{u:.6f}\n"
-        for k, (a, o, u) in enumerate(zip(lat, lon, local[:, 2], strict=True))
+        f"{k},{a:.11f},{o:.11f},{u:.6f}\n" for k, (a, o, u) in enumerate(zip(lat, lon, local[:, 2], strict=True))
     )
     path = read(tmp_path, "time_s,lat_deg,lon_deg,up_m\n" + up, frame=FRAME)
     assert np.abs(path.position - local).max() < 1e-3
-    mixed = "".join(
-        f"{k},{p[0]:.6f},{p[1]:.6f},{h:.6f}\n" for k, (p, h) in enumerate(zip(local, height, strict=True))
-    )
+    mixed = "".join(f"{k},{p[0]:.6f},{p[1]:.6f},{h:.6f}\n" for k, (p, h) in enumerate(zip(local, height, strict=True)))
     path = read(tmp_path, "time_s,east_m,north_m,alt_ellipsoid_m\n" + mixed, frame=FRAME)
     assert np.abs(path.position - local).max() < 1e-3
 
@@ -249,9 +237,7 @@ def test_latitude_and_longitude_agree_with_local_coordinates_to_a_millimetre(tmp
 def test_north_and_down_are_local_to_the_place(tmp_path):
     # 50 km east the vertical tilts by 50/6388 rad and north by longitude × sin(latitude).
     lat, lon, height = FRAME.geodetic_from_enu(np.array([50e3, 0.0, 1000.0]))
-    text = (
-        f"time_s,lat_deg,lon_deg,alt_ellipsoid_m,gimbal_pitch_deg\n0,{lat:.10f},{lon:.10f},{height:.3f},-90\n"
-    )
+    text = f"time_s,lat_deg,lon_deg,alt_ellipsoid_m,gimbal_pitch_deg\n0,{lat:.10f},{lon:.10f},{height:.3f},-90\n"
     right, _, forward = axes(read(tmp_path, text, frame=FRAME))
     dlon = np.radians(lon - FRAME.longitude_deg)
     assert forward[0] == pytest.approx(-np.cos(np.radians(lat)) * np.sin(dlon), abs=1e-12)
@@ -332,9 +318,7 @@ def test_an_anchored_log_above_ground_follows_the_new_ground(tmp_path):
     path = read(tmp_path, text, anchor=Anchor(0.0, 0.0, 60.0, 90.0), ground=slope)
     assert np.allclose(path.above_ground(slope), [60.0, 65.0])
     assert np.allclose(path.position[1], [100.0, 0.0, 175.0])
-    with pytest.raises(
-        ThermorenderError, match="a log of above_ground_m follows the ground, and none is given"
-    ):
+    with pytest.raises(ThermorenderError, match="a log of above_ground_m follows the ground, and none is given"):
         read(tmp_path, text, anchor=Anchor(0.0, 0.0, 60.0, 90.0))
 
 
@@ -345,9 +329,7 @@ def test_anchoring_brings_a_far_log_into_a_scene_without_georeference(tmp_path, 
     local = np.array([[0.0, 0.0, 80.0], [0.0, 30.0, 90.0], [0.0, 20e3, 85.0]])
     lat, lon, altitude = far.geodetic_from_enu(local)
     value = local[:, 2] if height == "up_m" else altitude
-    rows = "".join(
-        f"{k},{a:.12f},{o:.12f},{v:.6f}\n" for k, (a, o, v) in enumerate(zip(lat, lon, value, strict=True))
-    )
+    rows = "".join(f"{k},{a:.12f},{o:.12f},{v:.6f}\n" for k, (a, o, v) in enumerate(zip(lat, lon, value, strict=True)))
     text = f"time_s,lat_deg,lon_deg,{height}\n" + rows
     path = read(tmp_path, text, anchor=Anchor(5.0, 6.0, 80.0, 0.0), ground=flat)
     assert np.allclose(path.position, local + [5.0, 6.0, 0.0], atol=1e-3)
@@ -454,8 +436,7 @@ LOCAL = "time_s,east_m,north_m,up_m"
         (
             "time_s,east_m,north_m\n0,0,0\n",
             {},
-            "no height column; exactly one of up_m, alt_ellipsoid_m, alt_geoid_m, above_ground_m, "
-            "above_takeoff_m",
+            "no height column; exactly one of up_m, alt_ellipsoid_m, alt_geoid_m, above_ground_m, above_takeoff_m",
         ),
         (
             f"{LOCAL},above_ground_m\n0,0,0,0,0\n",
@@ -623,13 +604,9 @@ def test_several_files_are_joined_on_all_their_times(tmp_path):
     heading = np.degrees(np.arctan2(*path.poses()[:, :2, 2].T))
     assert np.allclose(heading, [0.0, 30.0, 60.0, 75.0])
     late = write(tmp_path, "time_s,yaw_deg\n10,0\n11,60\n", "late.csv")
-    with pytest.raises(
-        ThermorenderError, match=r"the files share no time: .*position\.csv 0…4 s, .*late\.csv 10…11 s"
-    ):
+    with pytest.raises(ThermorenderError, match=r"the files share no time: .*position\.csv 0…4 s, .*late\.csv 10…11 s"):
         read_trajectory([position, late])
-    with pytest.raises(
-        ThermorenderError, match=r"column 'yaw_deg' is in both .*attitude\.csv and .*late\.csv"
-    ):
+    with pytest.raises(ThermorenderError, match=r"column 'yaw_deg' is in both .*attitude\.csv and .*late\.csv"):
         read_trajectory([position, attitude, late])
 
 
@@ -649,9 +626,7 @@ def test_date_times_of_a_dji_log(tmp_path):
         ThermorenderError, match=r"row 2, column 'local_datetime': 'noon' with .* is not a time written as"
     ):
         read(tmp_path, header + row + "noon,0,\n", **options)
-    with pytest.raises(
-        ThermorenderError, match="no time: none of the columns utc_at_exposure, local_datetime"
-    ):
+    with pytest.raises(ThermorenderError, match="no time: none of the columns utc_at_exposure, local_datetime"):
         read(tmp_path, header + row + ",0,\n", **options)
 
 

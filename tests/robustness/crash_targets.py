@@ -435,7 +435,18 @@ def _print(value):
 JOBS = {
     each.__name__: each
     for each in (
-        flight, bake, heat, day, training, starved, writers, shut_out, backwards, frames, scenes, references,
+        flight,
+        bake,
+        heat,
+        day,
+        training,
+        starved,
+        writers,
+        shut_out,
+        backwards,
+        frames,
+        scenes,
+        references,
     )
 }
 

@@ -376,7 +376,13 @@ def cut():
 
 # Readers of files with arrays, of a model or of its weights.
 _OF_ARRAYS = (
-    "atmosphere", "absorption data", "map palette", "map trees", "map compact", "emissivity map", "checkpoint",
+    "atmosphere",
+    "absorption data",
+    "map palette",
+    "map trees",
+    "map compact",
+    "emissivity map",
+    "checkpoint",
     "kept arrays",
 )
 

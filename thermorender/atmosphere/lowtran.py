@@ -205,9 +205,7 @@ def extinction(air, altitude_m):
 
 def aerosol_depth(air, altitude):
     """Return the spectrum of an Air's aerosol extinction at an altitude [m⁻¹], from level paths with and without it."""
-    with_it, without = (
-        spectrum(which, float(altitude), range_m=100.0) for which in (air, replace(air, haze=0))
-    )
+    with_it, without = (spectrum(which, float(altitude), range_m=100.0) for which in (air, replace(air, haze=0)))
     return np.log(without.transmittance / with_it.transmittance) / 100.0
 
 
@@ -300,8 +298,12 @@ def _cards(air, kind, geometry):
     flags = [model, kind, 1, 0, gases, gases, gases, gases, gases, gases, int(own), int(own), 1]
     season = 2 if air.model in (MODELS["midlatitude-winter"], MODELS["subarctic-winter"]) else 1
     lines = ["".join(f"{flag:5d}" for flag in flags) + f"{_COLD_BOUNDARY_K:8.3f}{0.0:7.2f}"]
-    lines.append("".join(f"{flag:5d}" for flag in (air.haze, season, 0, 0, 0, 0)) + f"{air.visibility_km:10.3f}"
-                 + f"{0.0:10.3f}" * 3 + f"{air.ground_m / 1e3:10.3f}")
+    lines.append(
+        "".join(f"{flag:5d}" for flag in (air.haze, season, 0, 0, 0, 0))
+        + f"{air.visibility_km:10.3f}"
+        + f"{0.0:10.3f}" * 3
+        + f"{air.ground_m / 1e3:10.3f}"
+    )
     if own:
         lines.append(f"{len(air.levels):5d}{0:5d}{0:5d}")
         for altitude_m, pressure, temperature, water in air.levels:

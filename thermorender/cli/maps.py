@@ -131,9 +131,7 @@ def _registered(file: Path | None, calibrate: bool, fields_of_view: str | None, 
         return load_rig(file) if file is not None else None
     fields = None
     if fields_of_view:
-        angles = parse_numbers(
-            "--fields-of-view", fields_of_view, ("VISIBLE_H", "VISIBLE_V", "THERMAL_H", "THERMAL_V")
-        )
+        angles = parse_numbers("--fields-of-view", fields_of_view, ("VISIBLE_H", "VISIBLE_V", "THERMAL_H", "THERMAL_V"))
         if not all(0.0 < angle < 180.0 for angle in angles):
             raise ThermorenderError(f"--fields-of-view={fields_of_view!r} is not allowed; give degrees in 0…180")
         fields = (tuple(angles[:2]), tuple(angles[2:]))

@@ -20,9 +20,7 @@ Library = Annotated[
 ]
 BAND = "{:g},{:g}".format(*BAND_UM)
 Band = Annotated[str, typer.Option("--band", help="LOWER,UPPER limits of the camera's band [µm].")]
-Kelvin = Annotated[
-    float, typer.Option("--temperature", help="Temperature of the surface for the band emissivity [K].")
-]
+Kelvin = Annotated[float, typer.Option("--temperature", help="Temperature of the surface for the band emissivity [K].")]
 
 
 @app.command("list")
@@ -76,9 +74,7 @@ def plot(
     names: Annotated[list[str], typer.Argument(help="Materials, up to 8.")],
     output: Annotated[
         Path,
-        output_option(
-            "-o", "--output", help="PNG to write.", check=lambda path: check_output_file(path, (".png",))
-        ),
+        output_option("-o", "--output", help="PNG to write.", check=lambda path: check_output_file(path, (".png",))),
     ] = Path("materials.png"),
     library: Library = None,
     band: Band = BAND,
@@ -178,9 +174,7 @@ def diff(
 def merge(
     first: Annotated[Path, typer.Argument(help="Materials folder.")],
     second: Annotated[Path, typer.Argument(help="Materials folder.")],
-    output: Annotated[
-        Path, output_option("-o", "--output", help="New folder for both.", check=check_new_folder)
-    ],
+    output: Annotated[Path, output_option("-o", "--output", help="New folder for both.", check=check_new_folder)],
     prefer: Annotated[str | None, typer.Option(help="first or second: which library wins a conflict.")] = None,
 ) -> None:
     """Join two libraries; materials that differ between them are refused unless --prefer is given."""

@@ -101,9 +101,7 @@ class TemperatureOptions:
     temperature: Annotated[
         str | None, typer.Option(help="Learned map that gives the temperatures in place of the scene's own source.")
     ] = None
-    range_c: Annotated[
-        str | None, typer.Option(help="COLD,WARM: °C of intensity 0 and 1 of a learned map.")
-    ] = None
+    range_c: Annotated[str | None, typer.Option(help="COLD,WARM: °C of intensity 0 and 1 of a learned map.")] = None
 
     def source(self) -> "TemperatureSpec | None":
         """Return the source of temperatures; None for the scene's own."""
@@ -215,9 +213,9 @@ class TrajectoryOptions:
     ] = "refuse"  # fmt: skip
     clock_offset_s: Annotated[float, typer.Option(help="Added to the log's times [s].")] = 0.0
     mount: Annotated[str | None, typer.Option(help="YAW,PITCH,ROLL of the camera on the vehicle [deg].")] = None
-    lever_arm_m: Annotated[
-        str, typer.Option(help="FORWARD,RIGHT,DOWN: the camera's position on the vehicle [m].")
-    ] = "0,0,0"
+    lever_arm_m: Annotated[str, typer.Option(help="FORWARD,RIGHT,DOWN: the camera's position on the vehicle [m].")] = (
+        "0,0,0"
+    )
     start_s: Annotated[float | None, typer.Option(help="First time to fly [s].")] = None
     stop_s: Annotated[float | None, typer.Option(help="Last time to fly [s].")] = None
     allow_below_ground: Annotated[

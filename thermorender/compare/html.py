@@ -18,9 +18,7 @@ def document(title: str, parts: Iterable[str], style: str = "", script: str = ""
     ])  # fmt: skip
 
 
-def table(
-    head: Iterable[object], rows: Iterable[tuple[Iterable[object], bool]], words: Collection[int] = ()
-) -> str:
+def table(head: Iterable[object], rows: Iterable[tuple[Iterable[object], bool]], words: Collection[int] = ()) -> str:
     """Return a sortable table of rows (cells, marked in red); the columns numbered in `words` may break lines."""
     body = []
     for cells, marked in rows:

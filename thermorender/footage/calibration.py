@@ -354,9 +354,7 @@ def _blur_key(images, noise_k, camera):
     return {"blur_sigma_px": Estimate(value, 0.5 * (high - low), how)}
 
 
-def read_frame(
-    path: Path, scale: tuple[float, float] | None
-) -> tuple[NDArray[np.float64], list[tuple[float, float]]]:
+def read_frame(path: Path, scale: tuple[float, float] | None) -> tuple[NDArray[np.float64], list[tuple[float, float]]]:
     """Return the apparent temperatures of a file, (H, W) [K], and the shares of pixels that its display saturates.
 
     The shares below and above the colour scale [%] are the only item of a list, which is empty if none is stored.

@@ -42,9 +42,7 @@ def write_tlinear(path: str | PathLike[str], temperature: ArrayLike, step_k: flo
     write_tlinear_counts(path, np.clip(counts, 0, 65535).astype(np.uint16), step_k)
 
 
-def write_tlinear_counts(
-    path: str | PathLike[str], counts: NDArray[np.uint16], step_k: float = TLINEAR_STEP_K
-) -> None:
+def write_tlinear_counts(path: str | PathLike[str], counts: NDArray[np.uint16], step_k: float = TLINEAR_STEP_K) -> None:
     """Write counts, (H, W) uint16 of `step_k` kelvin each, as `write_tlinear` does."""
     import rasterio
 

@@ -185,9 +185,7 @@ class _Flight:
             **made_by(),
         }
 
-    def write(
-        self, folder: Path, resume: bool, verify: bool, progress: Callable[[int, int], object] | None
-    ) -> int:
+    def write(self, folder: Path, resume: bool, verify: bool, progress: Callable[[int, int], object] | None) -> int:
         """Write the frames that are not finished, and the video; return the number of frames finished before."""
         self.terrain = finished(folder, self.settings, self.products, resume, verify)
         done, total, place = len(self.terrain), len(self.times), os.stat(folder)

@@ -94,9 +94,7 @@ def check(
 
 def paths(folder: str | PathLike[str], index: int, products: Iterable[str]) -> dict[str, Path]:
     """Return {product: path} of a frame's files."""
-    return {
-        name: Path(folder) / f"frame_{index:06d}{WRITERS[name][0]}" for name in products if name in WRITERS
-    }
+    return {name: Path(folder) / f"frame_{index:06d}{WRITERS[name][0]}" for name in products if name in WRITERS}
 
 
 def write(

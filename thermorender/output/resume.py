@@ -19,9 +19,7 @@ _DIGESTED = {
 }
 
 
-def finished(
-    folder: Path, settings: dict[str, Any], products: Sequence[str], resume: bool, verify: bool
-) -> list[bool]:
+def finished(folder: Path, settings: dict[str, Any], products: Sequence[str], resume: bool, verify: bool) -> list[bool]:
     """Return for each finished frame whether it shows terrain; drop the lines of other frames from `frames.jsonl`.
 
     Parameters

@@ -55,9 +55,7 @@ class TimedRenderer:
         Weather that ends before the flight.
     """
 
-    def __init__(
-        self, renderer: "Renderer", first_s: float, last_s: float, progress: "Progress | None" = None
-    ) -> None:
+    def __init__(self, renderer: "Renderer", first_s: float, last_s: float, progress: "Progress | None" = None) -> None:
         self._first, self._first_s, self._progress = renderer, first_s, progress
         self._last_step = round((last_s - first_s) / STEP_S) if renderer.scene.temperature_state.weather_driven else 0
         # At most two steps, since the memory of pixels reaches back over a change of the step.

@@ -194,8 +194,10 @@ def broadband(material: Material) -> float:
     """
     low, high = material.valid_range_um
     band = max(low, 8.0), min(high, 14.0)
-    return float(material.band_emissivity(*band, _TEMPERATURE_K)) if band[0] < band[1] else float(
-        material.emissivity.mean()
+    return (
+        float(material.band_emissivity(*band, _TEMPERATURE_K))
+        if band[0] < band[1]
+        else float(material.emissivity.mean())
     )
 
 
@@ -261,18 +263,14 @@ def march(
     return state, seen
 
 
-def settled(
-    columns: Columns, weather: Weather, at: np.datetime64, inside_k: float = INSIDE_K
-) -> "tuple[State, float]":
+def settled(columns: Columns, weather: Weather, at: np.datetime64, inside_k: float = INSIDE_K) -> "tuple[State, float]":
     """Return (State of columns in the open at an instant, change of its surfaces over the last repeated day [K]).
 
     The first day of the last two weeks of weather before `at` is repeated until two successive days differ by less than
     0.1 K. Each day starts with the mean of the previous one at depth. From there the weather is simulated to `at`.
     """
     if at < weather.time[0]:
-        raise ThermorenderError(
-            f"{utc_text(at)} is before the weather, which begins at {utc_text(weather.time[0])}"
-        )
+        raise ThermorenderError(f"{utc_text(at)} is before the weather, which begins at {utc_text(weather.time[0])}")
     first = max(weather.time[0], at - _LOOK_BACK)
     day = min(first + _DAY, weather.time[-1])
     mean = float(weather.at(first + np.arange(24) * ((day - first) // 24)).air_k.mean())
@@ -285,9 +283,7 @@ def settled(
     return state, change
 
 
-def settle(
-    columns: Columns, mean_k: float, day: "Callable[[State], tuple[State, Any]]"
-) -> "tuple[State, float]":
+def settle(columns: Columns, mean_k: float, day: "Callable[[State], tuple[State, Any]]") -> "tuple[State, float]":
     """Return (State, change of its surfaces over the last day [K]) of columns after a repeated day.
 
     Parameters

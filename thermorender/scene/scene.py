@@ -325,8 +325,7 @@ class Scene(Edits):
         state = self.temperature_state
         if not state.solved and state.source is not None:
             raise ThermorenderError(
-                f"{self.where}: the temperatures of {state.source.words} are not solved yet; use "
-                "Renderer(scene).scene"
+                f"{self.where}: the temperatures of {state.source.words} are not solved yet; use Renderer(scene).scene"
             )
 
     def refuse_disagreement(self) -> None:

@@ -28,8 +28,7 @@ def read_elevation(path: Path) -> tuple[NDArray[np.float64], Grid]:
         unit = dataset.units[0] if dataset.count else None
     if (unit or "").strip().lower() not in _METRES:
         raise ThermorenderError(
-            f"{path} holds heights in {unit!r}; give metres, or correct a wrong unit with "
-            "`gdal_edit.py -units m`"
+            f"{path} holds heights in {unit!r}; give metres, or correct a wrong unit with `gdal_edit.py -units m`"
         )
     height = read_band(path)
     # Files often carry an undeclared placeholder such as −9999 or ±3.4e38.

@@ -182,8 +182,9 @@ def measured(site, folder):
         observed = column(site.surface or site.water) + ZERO_CELSIUS_K
     begin = None
     if site.soil:
-        begin = np.array([depth for depth, _ in site.soil]), np.array(
-            [column(name)[0] + ZERO_CELSIUS_K for _, name in site.soil]
+        begin = (
+            np.array([depth for depth, _ in site.soil]),
+            np.array([column(name)[0] + ZERO_CELSIUS_K for _, name in site.soil]),
         )
     after = (weather.time - weather.time[0]) / np.timedelta64(3600, "s") >= site.scored_after_h
     return Measured(site, weather, absorbed, observed, begin, after & np.isfinite(observed))

@@ -345,4 +345,3 @@ def _effects(renderer, of, seen):
     later = of.counts(of.power(even, drifted), drifted).astype(np.float32)
     found.append(("3 K of case drift", (later - frames[1]) * scale, "mK"))
     return found
-

@@ -85,9 +85,7 @@ def _sample(path, **more):
     from thermorender.materials.from_samples import import_files
 
     origin = {} if path.suffix == ".txt" else {"source": "made", "citation": "none", "licence": "none"}
-    import_files(
-        [path], path.parent / "materials", "tried", solar_absorptance=0.7, replace=True, **origin, **more
-    )
+    import_files([path], path.parent / "materials", "tried", solar_absorptance=0.7, replace=True, **origin, **more)
     return _frame(_load(path.parent, emissivity=_of("tried")))
 
 
@@ -216,8 +214,10 @@ USES = {
     "orthophoto": partial(_shown, temperature=f'source = "learned"\nmodel = "{TEMPERATURE_MAPS[-1]}"\n'),
     "scene": _whole_scene,
     "classes": partial(_shown, emissivity=_CLASSES),
-    **{f"mesh {kind}": partial(_shown, terrain=f'mesh = "model.{kind.split()[0]}"\n')
-       for kind in ("ply", "obj", "glb", "glb painted", "gltf")},
+    **{
+        f"mesh {kind}": partial(_shown, terrain=f'mesh = "model.{kind.split()[0]}"\n')
+        for kind in ("ply", "obj", "glb", "glb painted", "gltf")
+    },
     **{f"mesh's coat.{kind}": partial(_shown, terrain='mesh = "model.obj"\n') for kind in ("mtl", "png")},
     "DJI log": partial(_along, read=READERS["DJI log"].read),
     "PX4 log": partial(_along, read=READERS["PX4 log"].read),
@@ -234,8 +234,10 @@ USES = {
     "selection of samples": _selected,
     "temperatures": partial(_shown, temperature='source = "raster"\nraster = "temperature.tif"\n'),
     "file beside a raster": _shown,
-    **{name: partial(_translated, read=READERS[name].read)
-       for name in ("picture", *(f"photograph{kind}" for kind in ("", " webp", " tif", " bmp", " jpg")))},
+    **{
+        name: partial(_translated, read=READERS[name].read)
+        for name in ("picture", *(f"photograph{kind}" for kind in ("", " webp", " tif", " bmp", " jpg")))
+    },
     "map compact": _by_network,
     "map unet-gan": _by_network,
 }

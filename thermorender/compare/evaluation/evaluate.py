@@ -249,9 +249,7 @@ def _maps(models: Sequence[str | Path], oracle: str | Path | None) -> list[Learn
     return found
 
 
-def _differences(
-    maps: list[LearnedMap], tallies: list[_Tally], cluster: NDArray[np.intp], seed: int
-) -> dict[str, Any]:
+def _differences(maps: list[LearnedMap], tallies: list[_Tally], cluster: NDArray[np.intp], seed: int) -> dict[str, Any]:
     """Return the error of each map minus the first map's; maps that differ only in their seed count as one."""
     groups, names = paired.kin(maps), [each.label for each in maps]
     found = paired.differences([tally.rows for tally in tallies[: len(maps)]], groups, cluster, seed)

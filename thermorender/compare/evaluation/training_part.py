@@ -99,4 +99,3 @@ def read_training_part(
     means = apparent_temperature(np.array([total[number] / amount[number] for number in seen]), band)
     material_k = {materials[number]: float(kelvin) for number, kelvin in zip(seen, means, strict=True)}
     return TrainingPart(len(dataset), float(apparent_temperature(mean, band)), material_k, bounds)
-

@@ -119,9 +119,7 @@ def _materials(label: str, method: dict[str, Any]) -> list[Finding]:
             continue
         text = f"the error of {name} ({own['share']:.1%} of the ground's pixels) is {own['error_k']:+.2f} K"
         if method["letter"] == "foreign" and own["change"] is not None:
-            text += (
-                f"; an emissivity wrong by {own['change']:+.3f} explains {own['explained']:.0%} of the square error"
-            )
+            text += f"; an emissivity wrong by {own['change']:+.3f} explains {own['explained']:.0%} of the square error"
             found.append(_finding(label, "emissivity", text))
         else:
             text += f"; the median of the others in its scenes is {own['others_k']:.2f} K"

@@ -324,9 +324,7 @@ class Trial:
                 row = self._between_methods.setdefault((one, other), np.zeros(sums.WIDTH))
                 row += sums.row(off)
 
-    def _follow(
-        self, track: Track, seen_before: Images, seen: Images, before: views.View, view: views.View
-    ) -> None:
+    def _follow(self, track: Track, seen_before: Images, seen: Images, before: views.View, view: views.View) -> None:
         """Add the changes of the same ground points from one View to the next."""
         if before.truth is not None and view.truth is not None:
             self._changes += _moments(track.change(before.truth, view.truth))

@@ -102,9 +102,7 @@ def _finished(folder, go_on, whole):
 
 def _contents(folder):
     """{name: bytes} of pictures and of the records of frames."""
-    return {
-        path.name: path.read_bytes() for path in folder.iterdir() if path.suffix == ".png" or path.stem == "frames"
-    }
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.suffix == ".png" or path.stem == "frames"}
 
 
 @cache
