@@ -231,11 +231,12 @@ def oracle(
     scene: Scene, text: str, model: TemperatureMap, reference: Renderer, settings: Settings | None = None
 ) -> Method:
     """Return the method O of a scene: a map that also takes the material of each texel as input."""
-    kelvin = _table_temperatures(scene)
+    kelvin, time = _table_temperatures(scene), scene.time
+    assert time is not None  # the caller has a scene with [weather]
 
     def build() -> Renderer:
         asked = scene.with_sun(None).with_temperature(TemperatureSpec(source="learned", model=str(text)), model)
-        (solved,) = mapped(asked.with_objects(kelvin), [scene.time], reference.baked.geometry, material=True)
+        (solved,) = mapped(asked.with_objects(kelvin), [time], reference.baked.geometry, material=True)
         return Renderer(solved, like=reference, **(settings or {}))
 
     knows = _knows(None, "the materials", *(_WORDS[name] for name in model.needs))
@@ -355,9 +356,11 @@ def object_temperatures(scene: Scene, model: TemperatureMap, reference: Renderer
     weather: dict[str, float] = {}
     sky, found = None, {}
     if model.needs:
-        weather, sky = conditions(scene.weather, scene.time), scene.sky_temperature
+        time = scene.time
+        assert time is not None  # a map with these needs is refused without [weather]
+        weather, sky = conditions(scene.weather, time), scene.sky_temperature
         if "terrain" in model.needs:
-            planes = reliefs(scene, [scene.time], reference.baked.geometry)[scene.time]
+            planes = reliefs(scene, [time], reference.baked.geometry)[time]
     for item in scene.spec.objects:
         surface = surfaces[item.name]
         patch = np.empty((_PATCH_PX, _PATCH_PX, 3), np.uint8)

@@ -74,7 +74,8 @@ def load(name: str) -> radiosity.Transport | None:
     found = formats.read_arrays(path, name)
     if found is None:
         return None
-    transport = radiosity.Transport(**found | {"rays": int(found["rays"])})
+    rays = int(found.pop("rays"))
+    transport = radiosity.Transport(rays=rays, **found)
     with suppress(OSError):
         # The modification time records when a file was last used.
         os.utime(path)
@@ -91,7 +92,7 @@ def store(name: str, transport: radiosity.Transport, limit: int | None = None) -
     size = sum(values.nbytes for values in arrays.values())
     if size > limit:
         return f"traced light is not kept: its {size / 1e9:.2g} GB exceed the cache's limit of {limit / 1e9:.2g} GB"
-    folder = "the cache folder"
+    folder: Path | None = None
     try:
         folder = cache_folder("light")
         formats.write_arrays(folder / f"{name}.npz", name, arrays)
@@ -100,7 +101,8 @@ def store(name: str, transport: radiosity.Transport, limit: int | None = None) -
         # RuntimeError: no home folder exists.
         why = error.__cause__ or error
         return (
-            f"traced light is not kept: {folder} cannot be written ({getattr(why, 'strerror', None) or why}); "
+            f"traced light is not kept: {folder or 'the cache folder'} cannot be written "
+            f"({getattr(why, 'strerror', None) or why}); "
             "set THERMORENDER_CACHE to a writable folder"
         )
     return None

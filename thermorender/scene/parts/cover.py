@@ -189,6 +189,7 @@ def _learned(
         )
     if not valid.all():
         colour = fill(colour, nearest_valid(valid))
+    assert emissivity.model is not None  # the scene file's reader asks for it
     names = {*load_map(emissivity.model).without(emissivity.without).materials, emissivity.fallback}
     own = {str(name): material for name, material in materials.replaced.items() if name in names}
     materials.unused -= set(own)
