@@ -142,7 +142,13 @@ def _largest_image(pixels: int) -> Iterator[None]:
 
 def _check_obj(path: Path) -> None:
     """Refuse an OBJ that trimesh would read wrongly."""
-    lines = path.read_text(encoding="utf-8", errors="replace").replace("\\\n", " ").splitlines()
+    try:
+        lines = path.read_text(encoding="utf-8").replace("\\\n", " ").splitlines()
+    except UnicodeDecodeError:
+        # trimesh guesses the encoding if an optional package is there, and then reads any bytes as a mesh without faces.
+        raise ThermorenderError(
+            f"{path} cannot be read as a mesh (it is not UTF-8 text); give an OBJ, GLB or PLY file, an OBJ in UTF-8"
+        ) from None
     if lines[0].startswith("\ufeff"):
         raise ThermorenderError(
             f"{path} begins with a byte order mark, which hides its first line; save it as UTF-8 without one"
