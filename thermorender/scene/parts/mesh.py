@@ -145,7 +145,7 @@ def _check_obj(path: Path) -> None:
     try:
         lines = path.read_text(encoding="utf-8").replace("\\\n", " ").splitlines()
     except UnicodeDecodeError:
-        # trimesh guesses the encoding if an optional package is there, and then reads any bytes as a mesh without faces.
+        # With an optional package trimesh guesses the encoding, and reads any bytes as a mesh without faces.
         raise ThermorenderError(
             f"{path} cannot be read as a mesh (it is not UTF-8 text); give an OBJ, GLB or PLY file, an OBJ in UTF-8"
         ) from None
