@@ -13,9 +13,9 @@ from thermorender.atmosphere.rays import MEAN_RADIUS_M
 from thermorender.materials.csv_tables import INDEX_COLUMNS
 from thermorender.physics.band import quadrature
 from thermorender.physics.planck import band_radiance_derivative, brightness_temperature, spectral_radiance
-from thermorender.render import mirrors
 from thermorender.render.geometry import Geometry
 from thermorender.render.plan import make_plan
+from thermorender.render.reflection import mirrors
 
 BAND = (7.5, 13.5)
 AIR = '[atmosphere]\nstandard = "midlatitude-summer"\naerosol = "rural-23km"\n'

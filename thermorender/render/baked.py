@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.render import mirrors
 from thermorender.render.arrays import Floats
 from thermorender.render.device import DeviceScene, flat
 from thermorender.render.dynamic import StaticLight
@@ -20,6 +19,7 @@ from thermorender.render.geometry import Geometry, refuse_other_surfaces
 from thermorender.render.light import cache, environment, radiosity, texels
 from thermorender.render.light.absorbed import left_out
 from thermorender.render.plan import Plan, make_plan
+from thermorender.render.reflection import mirrors
 from thermorender.render.spectrum import REFERENCE_K
 from thermorender.render.variant import activate
 from thermorender.scene.scene import Scene

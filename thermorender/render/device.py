@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.physics.planck import band_radiance
-from thermorender.render import mirrors
 from thermorender.render.air import Air, AirView, Vacuum
 from thermorender.render.arrays import Channels, Floats, Jit, aligned, opaque_view
 from thermorender.render.dynamic import DynamicObject, Placement
 from thermorender.render.geometry import Geometry, box_of
 from thermorender.render.layers import Layer, OutgoingRadiance
+from thermorender.render.reflection import mirrors
 from thermorender.scene.scene import Scene
 
 if TYPE_CHECKING:

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.materials.material import Material
-from thermorender.render import mirrors
 from thermorender.render.arrays import Floats, Jit, Mitsuba
 from thermorender.render.geometry import Geometry
 from thermorender.render.layers import OutgoingRadiance
@@ -24,6 +23,7 @@ from thermorender.render.light import radiosity
 from thermorender.render.light.environment import Environment
 from thermorender.render.light.gmres import gmres
 from thermorender.render.plan import Plan
+from thermorender.render.reflection import mirrors
 from thermorender.scene.parts.tracks import TrackedObject
 from thermorender.scene.scene import Scene
 

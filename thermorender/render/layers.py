@@ -11,7 +11,7 @@ from thermorender.render.arrays import Channels, Jit
 from thermorender.render.geometry import Geometry, Hit
 
 if TYPE_CHECKING:
-    from thermorender.render.mirrors import Mirror
+    from thermorender.render.reflection.mirrors import Mirror
 
 
 @dataclass(frozen=True)

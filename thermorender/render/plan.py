@@ -12,7 +12,7 @@ from thermorender.physics.band import quadrature
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, spectral_radiance
 from thermorender.physics.sun import irradiance
 from thermorender.render.pixels.sampling import PATTERNS, STAGES
-from thermorender.render.reflectance import ReflectanceTables, make_tables
+from thermorender.render.reflection.reflectance import ReflectanceTables, make_tables
 from thermorender.render.spectrum import REFERENCE_K, Envelope, Spectrum, make_spectrum
 from thermorender.scene.scene import Scene
 

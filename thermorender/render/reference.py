@@ -22,7 +22,7 @@ from thermorender.physics.fresnel import COSINES
 from thermorender.physics.planck import C1L, C2
 from thermorender.render.arrays import Floats, Jit, Mitsuba, aligned
 from thermorender.render.geometry import box_of, positions
-from thermorender.render.reflectance import directional
+from thermorender.render.reflection.reflectance import directional
 from thermorender.render.renderer import Renderer
 from thermorender.render.variant import activate, switch
 from thermorender.render.view import checked_pose

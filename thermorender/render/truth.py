@@ -18,7 +18,7 @@ from thermorender.render.arrays import Floats, aligned, view_ray
 from thermorender.render.dynamic import Placement
 from thermorender.render.layers import Shape
 from thermorender.render.pixels.sampling import CameraRays
-from thermorender.render.reflectance import directional
+from thermorender.render.reflection.reflectance import directional
 from thermorender.render.spectrum import REFERENCE_K
 from thermorender.scene.surface import BACKGROUND, BEHIND
 from thermorender.sensor.camera import Camera

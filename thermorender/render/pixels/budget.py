@@ -12,12 +12,12 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.render import mirrors
 from thermorender.render.arrays import Floats, view_ray
 from thermorender.render.dynamic import Placement
 from thermorender.render.pixels.sampling import STAGES, CameraRays, contrast, edge_estimate, texture_estimate
 from thermorender.render.pixels.tracer import Sampling, Tracer
 from thermorender.render.plan import Plan
+from thermorender.render.reflection import mirrors
 
 if TYPE_CHECKING:
     from thermorender.render.baked import BakedScene

@@ -14,7 +14,6 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.render import mirrors
 from thermorender.render.air import AirView, Vacuum
 from thermorender.render.arrays import Jit, view_ray
 from thermorender.render.geometry import Hit
@@ -31,6 +30,7 @@ from thermorender.render.pixels.sampling import (
 )
 from thermorender.render.pixels.slender import Rectangles
 from thermorender.render.plan import Plan
+from thermorender.render.reflection import mirrors
 
 # Error of a detail with edges all round, relative to one edge: 1.3 to 1.4 for 3000 rotated squares and rods.
 _ISLAND = 1.5

@@ -30,7 +30,7 @@ from thermorender.render.air import PathGrid
 from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned
 from thermorender.render.geometry import Hit, box_of, farthest
 from thermorender.render.layers import Layer
-from thermorender.render.reflectance import ReflectanceTables, bent
+from thermorender.render.reflection.reflectance import ReflectanceTables, bent
 from thermorender.render.spectrum import Spectrum
 from thermorender.scene.scene import Scene
 
