@@ -236,6 +236,7 @@ def test_plan_states_the_effects_of_air(tmp_path):
     assert make_plan(without).spectrum.channels == 1 and make_plan(without).air_mk is None
 
 
+@pytest.mark.slow
 def test_neglected_air_between_surfaces_is_in_the_stated_error(tmp_path):
     """A floor under a roof at 60 m: view factor of the roof × change of light by 60 m of air × reflectance."""
     roof = '[[object]]\nname = "roof"\nshape = "box"\nsize = [60.0, 60.0, 0.2]\nposition = [0, 0, 60.0]\n'

@@ -964,6 +964,7 @@ def test_missing_and_binary_logs(scene, refused, tmp_path):
     refused("flight.csv does not exist, and no other log is given; add --trajectory", "fly", scene, *QUICK)
 
 
+@pytest.mark.slow
 def test_two_samples_at_the_same_time(scene, refused, call, tmp_path):
     change(scene / "scene.toml", "[camera]", '[truth]\ntemperature = "temperature.tif"\n[camera]')
     (scene / "flight.csv").write_text(f"{COLUMNS}\n0,0,0,20,-90\n0,1,0,20,-90\n1,2,0,20,-90\n")

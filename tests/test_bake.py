@@ -93,6 +93,7 @@ def terrain(tmp_path_factory):
     return traced(tmp_path_factory.mktemp("terrain") / "s", rough(), 64)[0]
 
 
+@pytest.mark.slow
 def test_spherical_cavity_with_an_opening(cavity):
     transport, weight, opening = cavity
     assert opening == pytest.approx(0.1, abs=1e-3)

@@ -95,6 +95,7 @@ def path_of(minutes):
 # --- temperatures -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_black_ground_is_as_much_warmer_than_the_air_as_the_map_says(tmp_path):
     scene = tr.load_scene(written(tmp_path / "s", above_air(5.0)))
     assert isinstance(scene.temperature_state, Pending)
@@ -169,6 +170,7 @@ def test_a_flight_follows_its_time_and_records_the_weather(tmp_path):
     assert record["map"]["name"] == "above" and record["map"] == weather_of(renderer.scene)["map"]
 
 
+@pytest.mark.slow
 def test_a_flight_is_not_continued_with_another_map_of_the_same_name(tmp_path):
     """At night both give the air's temperature, so the scenes start equal."""
     folder = written(tmp_path / "s", by_sunlight(0.02), weather=STATION.replace("12:00", "00:00"))
@@ -283,6 +285,7 @@ def test_another_ground_sampling_distance_gives_a_warning(tmp_path, call):
     assert errors.count("warning: learned map 'above' was trained at 0.05–0.2 m a pixel; at 0.5 m texture") == 1
 
 
+@pytest.mark.slow
 def test_compare_accepts_files_and_conditional_maps(tmp_path):
     """The truth comes from the map, so its errors vanish; a file's name is not its location."""
     folder = written(tmp_path / "s", above_air(5.0))

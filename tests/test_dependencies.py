@@ -63,6 +63,7 @@ def ignoring(dr, name):
     return function
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("air", [False, True])
 def test_frames_do_not_depend_on_how_minimum_and_clip_treat_nan(tmp_path, monkeypatch, air):
     """Dr.Jit 1.5 propagates NaN, earlier versions ignore it; both must give the same bytes.

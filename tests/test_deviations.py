@@ -27,6 +27,7 @@ def fields(shape, **factors):
     return Deviations(**{name: one * np.float32(factors.get(name, 1.0)) for name in NAMES})
 
 
+@pytest.mark.slow
 def test_deviations_match_columns_in_the_open(level):
     """Each factor changes both materials as it changes a column simulated with NumPy, to 0.02 K.
 

@@ -171,6 +171,7 @@ def test_reader_reproduces_the_published_value_of_every_selected_sample(spectra)
         assert found == pytest.approx(expected, abs=5e-4), file
 
 
+@pytest.mark.slow
 def test_shipped_tables_equal_the_importers_output(tmp_path, spectra, slum):
     shipped = data_folder("materials")
     write_materials(read_selection(shipped / "selection.csv", [spectra, slum]), tmp_path)

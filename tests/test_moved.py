@@ -176,6 +176,7 @@ def test_map_is_unchanged_at_the_trained_instant(scene, tools):
     assert report["share_unmoved"] == round(16 / 1024, 5) and found.scene.temperature_state.solved
 
 
+@pytest.mark.slow
 def test_balance_is_used_where_the_map_failed(scene, tools):
     heat, moved = tools
     at = TRAINED + 3 * HOUR

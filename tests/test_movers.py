@@ -144,6 +144,7 @@ def test_memory_of_a_plate_that_has_left_fades():
     assert how["renders"] == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flight_mps", [60.0, 300.0])
 def test_object_that_moves_with_the_camera_stays_in_place(flight_mps):
     """Shifting images between renders as the ground moves would misplace it; the ground behind it has its own lag."""
@@ -170,6 +171,7 @@ def test_object_that_crosses_between_two_frames_is_in_the_stated_error():
     assert error < 0.2 * mk(expected - GROUND) and error < how["lag_mk"]
 
 
+@pytest.mark.slow
 def test_fast_warming_follows_the_radiance_curve():
     bends = np.array([0.02, 0.12])
     kelvin = lambda t: float(np.interp(t, bends, [300.0, 500.0]))  # noqa: E731
@@ -182,6 +184,7 @@ def test_fast_warming_follows_the_radiance_curve():
     assert np.abs(found[-1] - expected).max() / SLOPE < 9 / 8 * 0.0113 + 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flight_mps", [0.0, 4.0, 30.0])
 def test_pixels_faster_than_the_row_readout(flight_mps):
     fast = replace(CAMERA, time_constant_ms=0.1)

@@ -48,6 +48,7 @@ def toufeng(tmp_path_factory):
     return tr.Renderer(tr.load_scene(folder), rays=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["100_0005_0018", "100_0005_0136", "100_0005_0140", "100_0005_0142"])
 def test_drone_photographs(toufeng, name):
     folder = shared_data("terrain/odm_toufeng/source_images")

@@ -204,6 +204,7 @@ def test_a_shift_of_two_pixels_is_found(planted):
     )
 
 
+@pytest.mark.slow
 def test_shifted_photographs_are_found(ground, tmp_path, monkeypatch):
     """Compared with the same map rendered, however large its error: here it is kelvins."""
 
@@ -338,6 +339,7 @@ def test_a_land_is_the_same_under_snow_but_differs_from_other_lands(tmp_path):
     assert bare == snowy and len({bare, *rest}) == 3
 
 
+@pytest.mark.slow
 def test_calibration_removes_the_scale_of_a_map(tmp_path):
     """A map and one of half its contrast, inverted, have equal calibrated errors: those of the least-squares line by
     `np.polyfit` through the camera's radiances of the other land."""
@@ -386,6 +388,7 @@ def test_calibration_removes_the_scale_of_a_map(tmp_path):
         assert np.abs(kept["B_plain__calibrated"] - expected)[kept["known"]].max() < 0.02
 
 
+@pytest.mark.slow
 def test_terms_add_up_and_are_zero_where_nothing_changes(tmp_path):
     """A uniform, flat ground in one colour: only reflection and air differ between B and C."""
     colour = np.full((64, 64, 3), (120, 100, 80), np.uint8)
@@ -817,6 +820,7 @@ def test_foreign_frames_are_checked_before_anything_is_rendered(ground, tmp_path
     assert not (tmp_path / "c").exists()
 
 
+@pytest.mark.slow
 def test_a_picture_is_translated_once_for_all_bounds_and_its_time_counts_for_each(tmp_path, monkeypatch):
     asked = []
     plain = Correlation.predict
@@ -868,6 +872,7 @@ def test_remembered_predictions_differ_by_every_input_of_a_map():
     assert [last.predict(each, 0.2)[0, 0] for each in (first, first, others[0], first)] == [1, 1, 2, 3]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damaged", [None, "facts.json", "0000.npy"])
 def test_an_interrupted_comparison_continues_with_the_missing_frames(ground, tmp_path, monkeypatch, damaged):
     level = uniform_map(tmp_path / "level.npz", 0.5)

@@ -103,6 +103,7 @@ def test_rectangles_contain_all_pixels_that_a_band_covers():
         assert (inside > -1e-6).all() and (inside < found.size[row] + 1e-6).all()
 
 
+@pytest.mark.slow
 def test_posts_are_seen_from_afar(tmp_path):
     random = np.random.default_rng(0)
     extra = "".join(
