@@ -49,10 +49,20 @@ def modules():
     return found
 
 
-def imports(path):
-    """Return the set of dotted names that a file imports, `from a import b` as both a and a.b."""
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+def imports(path, typing=True):
+    """Return the set of dotted names that a file imports, `from a import b` as both a and a.b.
+
+    Without `typing`, imports under `if TYPE_CHECKING:`, which never run, are left out.
+    """
+    found, tree = set(), ast.parse(path.read_text(encoding="utf-8"))
+    skipped = set()
+    if not typing:
+        for node in ast.walk(tree):
+            if isinstance(node, ast.If) and getattr(node.test, "id", None) == "TYPE_CHECKING":
+                skipped |= {id(each) for part in node.body for each in ast.walk(part)}
+    for node in ast.walk(tree):
+        if id(node) in skipped:
+            continue
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -62,12 +72,14 @@ def imports(path):
     return found
 
 
-def own_imports():
-    """Return {module: set of the package's modules it imports}, dotted names inside the package."""
+def own_imports(typing=True):
+    """Return {module: set of the package's modules it imports}, dotted names inside the package; see `imports`."""
     known = modules()
     found = {}
     for module, path in known.items():
-        names = {name.removeprefix("thermorender.") for name in imports(path) if name.startswith("thermorender.")}
+        names = {
+            name.removeprefix("thermorender.") for name in imports(path, typing) if name.startswith("thermorender.")
+        }
         found[module] = (names & set(known)) - {module}
     return found
 
@@ -84,8 +96,8 @@ def room_imports():
 
 
 def circles():
-    """Return the groups of modules that import each other in a circle, each a sorted list."""
-    graph, index, low, stack, found = own_imports(), {}, {}, [], []
+    """Return the groups of modules that import each other in a circle when they run, each a sorted list."""
+    graph, index, low, stack, found = own_imports(typing=False), {}, {}, [], []
 
     def visit(module):
         index[module] = low[module] = len(index)

@@ -250,7 +250,7 @@ def test_unknown_keys(scene, refused, old, new, words):
             ["object 'marker' uses material 'pant_black'"],
         ),
         ("[sky]", OBJECT.replace("330.0", "57.0") + "[sky]", ["object 'marker'.temperature=57 is below 100 K"]),
-        ("[sky]", OBJECT.replace("[0.0", "[500.0") + "[sky]", ["object 'marker' stands at 500 m east", "no terrain"]),
+        ("[sky]", OBJECT.replace("[0.0", "[500.0") + "[sky]", ["object 'marker' is at 500 m east", "no terrain"]),
         ("[sky]", OBJECT.replace('"marker"', '"a:b"') + "[sky]", ["object 'a:b'.name='a:b'", "without ':'"]),
         ("[sky]", OBJECT + OBJECT + "[sky]", ["object.name='marker'", "each object a unique name"]),
         (
@@ -604,7 +604,7 @@ def test_garbage_and_empty_meshes(scene, refused, suffix):
         ("mtllib program.mtl\n" + QUAD + FACES_UV, "the texture cannot be read (it is EPS)"),
         ("mtllib good.mtl\n" + QUAD + FACES_UV.replace("0 0", "nan 0"), "a map coordinate that is not finite"),
         ("mtllib good.mtl\n" + QUAD + FACES_UV.replace("0 0", "0 0\nvt 9e8 1").replace("2/1", "2/2"), "repeats of"),
-        (QUAD + "v 1e300 0 0\nf 1 2 5\n", "a vertex that is not finite or lies more than 100 km from its origin"),
+        (QUAD + "v 1e300 0 0\nf 1 2 5\n", "a vertex that is not finite or is more than 100 km from its origin"),
         ("mtllib good.mtl\nmtllib deep.mtl\n" + QUAD + FACES_UV, "names the material libraries good.mtl, deep.mtl"),
         ("mtllib " + 300 * "x" + "\n" + QUAD + FACES, "which cannot be read (File name too long)"),
         ("\ufeffmtllib good.mtl\n" + QUAD + FACES_UV, "begins with a byte order mark, which hides its first line"),

@@ -321,7 +321,9 @@ def test_refusals(tmp_path):
     trained = "[temperature.trained]\ntime = 2018-07-28T12:00:00Z\nair_low_c = 3.0\nair_high_c = 9.0\nhumidity = 0.5\n"
     trained += "wind_m_s = 2.0\ncloud = 0.0\n"
     (folder / "scene.toml").write_text(text.replace("[emissivity]", trained + "[emissivity]"))
-    with pytest.raises(ThermorenderError, match=r"is told hour and weather and is not moved by temperature.trained; "):
+    with pytest.raises(
+        ThermorenderError, match=r"takes hour and weather as input and is not moved by temperature.trained; "
+    ):
         tr.load_scene(folder)
     mesh = write_mesh(tmp_path / "m", trimesh.creation.box((4.0, 4.0, 1.0)))
     with pytest.raises(ThermorenderError, match="needs a terrain with an elevation raster, and this one is a mesh; "):

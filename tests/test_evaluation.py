@@ -336,7 +336,7 @@ def test_pictures_without_truth_use_an_assumed_range(undrawn, tmp_path):
     found = result["methods"]["linear"]
     assert found["mae_k"] == pytest.approx(np.abs(given - true).mean(), abs=1e-3)
     assert result["bounds_k"] == [287.15, 297.15]
-    assert any("assumed 14…24 °C" in line for line in report.lines_before(result))
+    assert any("assume 14…24 °C" in line for line in report.lines_before(result))
     assert result["methods"][BALANCE]["mae_k"] is None
     assert "not available" in (tmp_path / "o/evaluation.md").read_text()
 

@@ -138,7 +138,7 @@ def test_slope_of_water_in_a_breeze_matches_cox_and_munk():
 
 
 def test_wrong_slopes_are_refused():
-    with pytest.raises(ThermorenderError, match=r"rms_slope=5 is not within 0…0.5; give the tangent"):
+    with pytest.raises(ThermorenderError, match=r"rms_slope=5 is not within 0…0.5; give the rms tangent"):
         fresnel.directional_emissivity([1.2], [0.1], 5.0)
 
 

@@ -178,7 +178,7 @@ def test_terrain_that_faces_down_is_refused(walled):
     (surface,) = walled.surfaces
     turned = replace(surface, faces=surface.faces[:, ::-1].copy(), uv=surface.uv[:, ::-1])
     turned = walled.with_surfaces((turned,))
-    with pytest.raises(ThermorenderError, match=r"most of the terrain's faces look down.*counter-clockwise"):
+    with pytest.raises(ThermorenderError, match=r"most of the terrain's faces point down.*counter-clockwise"):
         heat.solved(turned, [AT])
 
 

@@ -98,7 +98,7 @@ def test_stated_uncertainty_matches_the_spread_of_draws(tmp_path, tools):
     here, there = moved.balances(scene)
     rng, count = np.random.default_rng(3), side * side
     at = TRAINED + 2 * HOUR
-    rho = moved._correlation(there, here, at)
+    rho = moved._correlation((there.weather, there.time), (here.weather, at))
     assert 0.3 < rho < 0.95
     # All of one length, so that the median of the squares is that of one normal variable.
     first, second = rng.normal(size=(2, len(PROPERTIES), count))

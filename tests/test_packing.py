@@ -107,5 +107,7 @@ def test_a_damaged_packed_network_is_refused_in_a_sentence(tmp_path):
         arrays = dict(stored)
     arrays["packed"] = arrays["packed"][:-1000]
     np.savez(tmp_path / "m.npz", **arrays)
-    with pytest.raises(ThermorenderError, match=r"m\.npz is no learned map of format 1 \(its weights are not those of"):
+    with pytest.raises(
+        ThermorenderError, match=r"m\.npz is not a learned map of format 1 \(its weights are not those of"
+    ):
         load_map(tmp_path / "m.npz")

@@ -220,7 +220,7 @@ def test_convergence_measures_missing_cases_only(tmp_path, monkeypatch):
     far = [record for record in first.values() if record.get("view") == "20000 m"]
     assert {record["group"] for record in far} == {"sampling"} and min(r["sampling_mk"] for r in far) > 200.0
     assert "1 · 1 · inf mK" in (tmp_path / "convergence.md").read_text(encoding="utf-8")
-    assert (tmp_path / "figures" / f"convergence_{scene.name}.png").stat().st_size > 5000
+    assert (tmp_path / f"convergence_{scene.name}.png").stat().st_size > 5000
     monkeypatch.setattr(convergence._Site, "measure", lambda *_, **__: pytest.fail("measured a case that was there"))
     assert convergence.convergence((scene,), tmp_path, mode=mode) == first
     with pytest.raises(ThermorenderError, match=r"convergence.json has cases of other settings; give another folder"):

@@ -564,7 +564,7 @@ def test_weather_of_a_scene(tmp_path):
 def test_altitudes_without_land_are_refused(altitude_m):
     """The standard atmosphere's pressure is valid up to 11 km, and is not a number from 44 km on."""
     spec = SimpleNamespace(**{**dict.fromkeys(KEYS), "time": "2018-07-21T12:00Z", "air_low_c": 9.0, "air_high_c": 22.0})
-    with pytest.raises(ThermorenderError, match=rf"^\[weather\] the scene lies {altitude_m:g} m above"):
+    with pytest.raises(ThermorenderError, match=rf"^\[weather\] the scene is {altitude_m:g} m above"):
         declared_weather(spec, *PLACE[:2], altitude_m)
 
 

@@ -17,7 +17,7 @@ from validation.heat.sites import measured, modelled, read_sites
 
 METHODS = ("balance", "one fitted", "force–restore", "sinusoid", "air")
 HEADER = ("site", "method", "day bias", "MAE", "RMS [K]", "night bias", "MAE", "RMS [K]", "aim, MAE")
-SITES = Path("heat") / "sites.toml"
+SITES = Path(__file__).with_name("sites.toml")
 # Elevation of the sun above which it is day; night is below minus this [deg].
 _EDGE_DEG = 3.0
 _FACTORS = (0.25, 0.5, 2.0, 4.0)
