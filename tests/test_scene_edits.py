@@ -108,12 +108,14 @@ def test_two_edits_in_either_order_make_the_same_scene(weathered, pair):
             np.testing.assert_array_equal(getattr(first, field.name), getattr(second, field.name))
 
 
+# A sky takes the air away, without which a sun is refused.
+FRAMES = [sorted(pair) for pair in PAIRS if pair not in [*SAME, *CONTRADICT, {"sky", "sun"}]]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("pair", [sorted(pair) for pair in PAIRS if pair not in SAME + CONTRADICT], ids=" and ".join)
+@pytest.mark.parametrize("pair", FRAMES, ids=" and ".join)
 def test_two_edits_in_either_order_make_the_same_frame(weathered, pair):
     base = weathered.with_air("midlatitude-summer")
-    if pair == ["sky", "sun"]:
-        pytest.skip("a sun without air is refused")
     one, two = (EDITS[name] for name in pair)
     assert frame_of(two(one(base))).tobytes() == frame_of(one(two(base))).tobytes()
 
