@@ -151,6 +151,7 @@ def test_metal_is_flagged_and_as_warm_as_the_air(tmp_path):
 # --- flights and records ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_flight_follows_its_time_and_records_the_weather(tmp_path):
     scene = tr.load_scene(written(tmp_path / "s", above_air(5.0)))
     renderer = tr.Renderer(scene, rays=4)

@@ -115,6 +115,7 @@ def test_few_blocks_are_not_run():
     assert len(reasons) <= 12, reasons
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("script", marked(SCRIPTS))
 def test_examples_run(script, tmp_path):
     done = subprocess.run(

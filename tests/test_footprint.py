@@ -57,6 +57,7 @@ def averaged(texels, on_map, pose, camera, pixels, finer=16):
     return values.reshape(-1, finer**2).mean(axis=1), inside.reshape(-1, finer**2).all(axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("up", "pitch_deg"), [(800, -45), *slow((150, -90), (800, -90), (5000, -90), (1500, -30))])
 def test_pixel_is_the_mean_of_its_texels(tmp_path, up, pitch_deg):
     # 1024² independent texels of 0.5 m; a pixel's side is 0.4 to 13 of them.

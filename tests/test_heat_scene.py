@@ -131,6 +131,7 @@ def test_air_above_the_station_is_drier_and_thinner(walled, monkeypatch):
     assert max(np.abs(one - other).max() for one, other in zip(*both, strict=True)) < 0.1
 
 
+@pytest.mark.slow
 def test_mixture_emits_the_sum_of_its_parts(walled):
     """Polished metal emits almost nothing: the mix is the sum of ε T⁴ over the parts, not of T⁴."""
     library = load_library()

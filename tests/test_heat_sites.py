@@ -52,6 +52,7 @@ def test_upwelling_longwave_becomes_a_temperature(tmp_path):
     assert measured(site, tmp_path).observed_k == pytest.approx(np.full(49, kelvin), abs=1e-4)
 
 
+@pytest.mark.slow
 def test_model_that_equals_the_measurement_has_no_error(tmp_path):
     text = 'cover = [["asphalt", 0.5], ["soil_loam", 0.5]]\nsurface = "surface_c"\n'
     site = site_of(tmp_path, text, surface_c=np.zeros(49))

@@ -155,6 +155,7 @@ def test_variant_that_cannot_start_reports_its_last_line():
 # --- make-scene and demo ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_make_scene_writes_a_scene_that_loads(tmp_path):
     def make(name, *more):
         arguments = ["make-scene", "village", "-o", str(tmp_path / name), "--size-m", "60", "--texel-m", "0.5"]

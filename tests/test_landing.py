@@ -87,6 +87,7 @@ def test_conditions_are_reproducible_and_differ_between_runs():
     assert all(2.0 <= each.contrast_k <= 40.0 and 1.0 <= each.noise <= 4.0 for each in found)
 
 
+@pytest.mark.slow
 def test_landings_are_paired_resumed_and_summarised(tmp_path):
     small = {"heath": (48.0, 0.5, 1.0)}
     found = run.fly(tmp_path, ["fok-1to1"], 1, sizes=small, quality="fast", rays=8)

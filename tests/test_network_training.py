@@ -68,6 +68,7 @@ def stopping(at):
 # --- what it learns ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_linear_world_is_learned(tmp_path):
     """A temperature linear in colour: two thirds of its variation are learned in seconds, also on unseen pictures."""
     task = task_of("compact", examples(), tmp_path / "r", width=8, batch=8, crops=400, every=100, rate=4e-3)

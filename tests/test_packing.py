@@ -73,6 +73,7 @@ def test_steps_are_as_coarse_as_the_sensitivity_of_the_output_allows():
     assert set(steps) == {"strong", "weak"} and steps["weak"] > 20.0 * steps["strong"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["compact", "pix2pix"])
 def test_a_network_is_kept_as_coarse_as_the_tolerance_allows(name, tmp_path, monkeypatch):
     # So narrow a network has no large tensors.

@@ -441,6 +441,7 @@ def test_pixels_without_temperature_have_no_terms(tmp_path):
     assert len({each["pixels"] for each in own.values()}) == 1 and np.isfinite(own["emission"]["mae_k"])
 
 
+@pytest.mark.slow
 def test_only_the_method_with_true_objects_knows_their_temperatures(tmp_path):
     hot = ('[[object]]\nname = "plate"\nshape = "disc"\nsize = [4.0, 4.0, 0.1]\nposition = [0.0, 0.0, 0.05]\n'
            'temperature = 360.0\nmaterial = "paint_black"\ncolour = [40, 40, 40]\n')  # fmt: skip
@@ -761,6 +762,7 @@ def test_a_shift_of_forty_pixels_and_one_of_a_single_pose_are_found(tmp_path):
     assert registration.summary()["right_px"] == pytest.approx(found["right_px"]) and registration.summary()["error_px"]
 
 
+@pytest.mark.slow
 def test_pictures_with_almost_no_or_inverted_contrast_are_found(ground, tmp_path):
     folders = {
         name: frames_of(ground, 3, tmp_path / name, lambda kelvin, _, g=g: kelvin.mean() + g * (kelvin - kelvin.mean()))

@@ -213,6 +213,7 @@ def by_hand(weather, begin, stop, inside_k, shade, step_s=450.0):
     return state.surface_k
 
 
+@pytest.mark.slow
 def test_typical_materials_against_a_simulation_by_hand(level):
     """Half the step changes 4 mK; leaves in shade, where stomata close, are 0.8 to 1.2 K warmer than in full light."""
     weather, at = level.weather, AT

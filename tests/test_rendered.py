@@ -87,6 +87,7 @@ def test_numbers_out_of_range_leave_no_files(tmp_path):
     assert not (tmp_path / "set").exists()
 
 
+@pytest.mark.slow
 def test_the_verb_renders_the_requested_worlds(tmp_path, monkeypatch, call, campaign):
     asked = []
     monkeypatch.setattr(rendered, "render_campaign", lambda *given, **more: asked.append((given, more)) or campaign[0])

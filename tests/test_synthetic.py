@@ -141,6 +141,7 @@ def test_the_heath_has_a_warm_marker_near_its_middle():
     assert np.hypot(*marker["position"][:2]) < 20.0
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_another_place(truth, tmp_path):
     one, other = truth("heath"), truth("heath", 1)
     two = procedural_truth.write(make("heath", 0, *SMALL["heath"]), tmp_path / "two", temperature_every=1)
@@ -366,6 +367,7 @@ def test_deviations_depend_only_on_the_seed():
 # --- hours and weathers -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_weather_changes_the_temperature_but_not_the_land(truth):
     day, night = truth("village"), truth("village", 0, NIGHT)
     for name in ("classes.tif", "elevation.tif", "flight.csv"):
@@ -376,6 +378,7 @@ def test_weather_changes_the_temperature_but_not_the_land(truth):
         assert file.read().mean() > 60.0
 
 
+@pytest.mark.slow
 def test_afternoon_temperatures_are_in_the_observed_order(truth):
     for kind, seed in (("heath", 0), ("village", 0)):
         found = by_class(truth(kind, seed))
@@ -397,6 +400,7 @@ def test_the_order_of_thin_roofs_and_stone_reverses_at_night(truth):
     assert min(night.values()) > air - 10.0
 
 
+@pytest.mark.slow
 def test_a_winter_morning_with_snow(truth):
     folder = truth("ridge", 0, None, WINTER)
     found = by_class(folder)
@@ -416,6 +420,7 @@ def test_a_winter_morning_with_snow(truth):
     assert np.percentile(picture[snow], 75) > 1.3 * np.percentile(picture[~snow], 75)
 
 
+@pytest.mark.slow
 def test_old_snow_melts_at_the_melting_point(truth):
     found = by_class(truth("ridge"))
     assert 270.0 < found["snow"] <= 273.15 + 0.01 < found["grass_dry"]

@@ -64,6 +64,7 @@ def test_each_texel_knows_the_face_that_covers_it(tmp_path):
     assert covered.sum() == 22 * 16
 
 
+@pytest.mark.slow
 def test_the_mean_of_each_face_is_kept(tmp_path):
     # Steep faces: a texel is on one of them and is seen on several.
     random = np.random.default_rng(3)

@@ -75,6 +75,7 @@ def test_steps_of_squares_of_known_temperatures():
     assert steps == pytest.approx(np.array([[512 * 3.0, 1024], [0.0, 2 * 512 * 510]]), abs=0.1)
 
 
+@pytest.mark.slow
 def test_costs_and_border_steps_of_maps_are_measured(tmp_path):
     save_map(map_of(network("pix2pix")), tmp_path / "p.npz")
     save_map(linear_map(), tmp_path / "l.npz")

@@ -232,6 +232,7 @@ def test_convergence_measures_missing_cases_only(tmp_path, monkeypatch):
         convergence.convergence((), tmp_path, mode="slow")
 
 
+@pytest.mark.slow
 def test_growth_measures_each_case_in_a_separate_process(tmp_path):
     base, axes = (200, 16, 2), {"triangles": (200,), "texels": (16,), "nodes": (1, 4)}
     cases = growth.run(tmp_path, axes, base)
@@ -252,6 +253,7 @@ def test_damaged_cases_are_refused(tmp_path, text):
             run(tmp_path)
 
 
+@pytest.mark.slow
 def test_stated_errors_are_compared_with_finer_frames(tmp_path, monkeypatch):
     folder = write_terrain(tmp_path / "tiny", height=np.random.default_rng(1).uniform(0, 1, (32, 32)))
     monkeypatch.setattr(study.scenes, "CHOSEN", ((12, -90),))
