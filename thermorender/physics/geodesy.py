@@ -98,7 +98,7 @@ class LocalFrame:
 
     @property
     def enu_from_ecef_rotation(self) -> Floats:
-        """Rotation matrix with rows east, north and up in ECEF, (3, 3)."""
+        """Rotation matrix with rows east, north and up in ECEF, (3, 3) [1]."""
         lat, lon = np.radians(self.latitude_deg), np.radians(self.longitude_deg)
         sl, cl, so, co = np.sin(lat), np.cos(lat), np.sin(lon), np.cos(lon)
         return np.array([[-so, co, 0.0], [-sl * co, -sl * so, cl], [cl * co, cl * so, sl]])

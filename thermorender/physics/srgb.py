@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def decoded(value: ArrayLike) -> NDArray[Any]:
-    """Return the linear light, 0…1, of sRGB values 0…1, in their shape and precision.
+    """Return the linear light, 0…1 [1], of sRGB values 0…1, in their shape and precision.
 
     IEC 61966-2-1:1999, section 5.2.
     """
@@ -19,7 +19,7 @@ def decoded(value: ArrayLike) -> NDArray[Any]:
 
 
 def encoded(light: NDArray[Any]) -> NDArray[Any]:
-    """Return the sRGB values, 0…1, of linear light 0…1, in its shape and precision; the inverse of `decoded`.
+    """Return the sRGB values, 0…1 [1], of linear light 0…1, in its shape and precision; the inverse of `decoded`.
 
     The curve is continued below 0 and above 1. IEC 61966-2-1:1999, section 5.3.
     """
@@ -27,10 +27,10 @@ def encoded(light: NDArray[Any]) -> NDArray[Any]:
 
 
 def linear_from_bytes(colour: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return the linear light, float32 in the shape of `colour`, of sRGB bytes."""
+    """Return the linear light [1], float32 in the shape of `colour`, of sRGB bytes."""
     return decoded(np.arange(256) / 255.0).astype(np.float32)[colour]
 
 
 def bytes_from_linear(light: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return the nearest sRGB bytes, in the shape of `light`, of linear light clipped to 0…1."""
+    """Return the nearest sRGB bytes, in the shape of `light`, of linear light clipped to 0…1 [1]."""
     return np.clip(np.rint(encoded(light) * 255.0), 0, 255).astype(np.uint8)

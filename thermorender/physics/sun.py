@@ -29,7 +29,7 @@ def irradiance(wavelength_um: ArrayLike) -> NDArray[np.float64]:
 
 
 def direction(elevation_deg: float, azimuth_deg: float) -> NDArray[np.float64]:
-    """Return the unit vector (3,) towards the sun in East-North-Up axes; azimuth clockwise from north."""
+    """Return the unit vector (3,) [1] towards the sun in East-North-Up axes; azimuth clockwise from north [deg]."""
     elevation, azimuth = np.radians([elevation_deg, azimuth_deg])
     return np.array([np.cos(elevation) * np.sin(azimuth), np.cos(elevation) * np.cos(azimuth), np.sin(elevation)])
 
@@ -82,7 +82,7 @@ def declination(time: Times) -> NDArray[np.float64]:
 
 
 def eccentricity(time: Times) -> NDArray[np.float64]:
-    """Return the ratio of the sun's irradiance to that at the mean distance, 0.966 … 1.035, at UTC instants.
+    """Return the ratio of the sun's irradiance to that at the mean distance, 0.966 … 1.035 [1], at UTC instants.
 
     It is the inverse square of the distance in astronomical units; source as `position_at`.
     """
