@@ -72,7 +72,7 @@ docs: $(READY)
 	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html
 	@echo "open docs/_build/html/index.html"
 
-# The learned maps that ship, anew: the standard campaign is rendered, which takes two hours of one core, and each
+# Makes the shipped learned maps again: the standard campaign is rendered, which takes two hours of one core, and each
 # method trained on it, compact+ and pix2pix for another 76 and 45 minutes of one core. What is there of the campaign
 # and of the trainings is kept.
 MAPS := thermorender/learned/maps

@@ -113,6 +113,7 @@ def test_spherical_cavity_with_an_opening(cavity):
     assert np.abs(error).max() < 0.010 and np.abs(error / sigma).max() < 3.0, report
 
 
+@pytest.mark.slow
 def test_number_of_products_hardly_depends_on_emissivity(cavity):
     transport = cavity[0]
     # 1 mK of a wall at 300 K, for every emissivity.
@@ -137,6 +138,7 @@ def test_closed_isothermal_enclosure_of_low_emissivity(tmp_path):
     assert np.abs(incident - WALL).max() <= bounds[0]
 
 
+@pytest.mark.slow
 def test_long_v_groove(tmp_path):
     # Sparrow's integral equation of the walls' radiosity, solved by Gauss quadrature with 200…800 graded nodes: the
     # mean over the mouth, which is as wide as a wall.

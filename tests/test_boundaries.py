@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from conftest import slow
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "docs"))
 import architecture
@@ -81,7 +82,7 @@ def test_every_form_of_import_is_found(source, found, tmp_path):
             ("mitsuba", "drjit", "torch", "rasterio", "scipy", "cv2", "matplotlib", "trimesh"),
         ),
         ("import thermorender as tr; tr.load_scene('heath')", ("mitsuba", "drjit", "torch", "matplotlib")),
-        ("import thermorender as tr; tr.Renderer(tr.load_scene('heath'), rays=1)", ("torch", "matplotlib")),
+        *slow(("import thermorender as tr; tr.Renderer(tr.load_scene('heath'), rays=1)", ("torch", "matplotlib"))),
     ],
 )
 def test_light_use_loads_few_libraries(code, absent):

@@ -105,11 +105,14 @@ def takes(base, tmp_path_factory):
     return [(take, calibration.fit_camera([take], base)) for take in whole]
 
 
-@pytest.fixture
-def fitted(takes):
-    return takes[0]
+@pytest.fixture(scope="module")
+def fitted(base, tmp_path_factory):
+    """(folder of frames, the fit to them): one take of the known camera."""
+    take = write_frames(tmp_path_factory.mktemp("footage") / "take", footage(CAMERA, 8, seed=0))
+    return take, calibration.fit_camera([take], base)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key", SINGLE_FIT)
 def test_fit_recovers_a_known_camera(takes, key):
     found = np.array([(estimates[key].value, estimates[key].uncertainty) for _, estimates in takes])

@@ -114,7 +114,7 @@ def test_outputs_of_the_wrong_kind_are_refused_before_any_work(words, output, fr
 def test_terminated_process_cleans_up(tmp_path):
     """Terminated by SIGTERM, as `timeout`, `docker stop` and systemd do."""
     folder = tmp_path / "new"
-    command = [sys.executable, "-m", "thermorender", "make-scene", "heath", "--size-m", "240", "-o", folder / "scene"]
+    command = [sys.executable, "-m", "thermorender", "make-scene", "heath", "--size-m", "100", "-o", folder / "scene"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     begun = False
     while process.poll() is None and not begun:

@@ -122,6 +122,7 @@ def test_grass_and_sand_have_the_maps_temperature_under_the_scenes_sky(tmp_path)
     assert renderer.scene.surfaces[0].temperature.min() > air_k(AT) + 5.1
 
 
+@pytest.mark.slow
 def test_level_ground_follows_its_sunlight(tmp_path):
     scene = tr.load_scene(written(tmp_path / "s", by_sunlight(0.02)))
     for hours in (0, -4, -11):

@@ -22,9 +22,10 @@ README = ROOT / "README.md"
 SCRIPTS = sorted((ROOT / "examples").glob("[0-9]*.py"))
 NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
 NOT_RUN = "# not run: "
-# Pages whose blocks take more than 20 s of one core.
+# Pages whose blocks take more than 8 s of one core.
 SLOW = {
-    "README.md", "start/first-comparison.md", "start/first-flight.md", "guides/campaign.md", "guides/cameras.md",
+    "README.md", "concepts/error-budget.md", "concepts/frame.md", "concepts/plan.md", "guides/terrain.md",
+    "start/first-comparison.md", "start/first-flight.md", "guides/campaign.md", "guides/cameras.md",
     "guides/compare.md", "guides/flight-logs.md", "guides/learned-maps.md", "guides/materials.md", "guides/weather.md",
     "examples/01_first_frame.py", "examples/02_day_over_your_terrain.py", "examples/03_map_against_render.py",
 }  # fmt: skip

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import slow
 
 import thermorender as tr
 from scenes import write_terrain
@@ -28,7 +29,7 @@ def scene_with(folder, track=None, shape="box", size=(3, 3, 1.5), rest="", **key
     return tr.load_scene(write_terrain(folder, height=np.zeros((33, 33)), classes=sand, extra=extra, **keywords))
 
 
-@pytest.mark.parametrize(("shape", "size"), [("box", (3, 3, 1.5)), ("disc", (3, 3, 1))])
+@pytest.mark.parametrize(("shape", "size"), [*slow(("box", (3, 3, 1.5))), ("disc", (3, 3, 1))])
 def test_tracked_object_is_lit_as_a_static_one(tmp_path, shape, size):
     pose, rays = tr.pose(1, -6, 8, pitch_deg=-45), 1024
     scene = scene_with(tmp_path / "static", None, shape, size)
@@ -63,7 +64,7 @@ def test_tracked_object_is_lit_as_a_static_one(tmp_path, shape, size):
     assert 1e3 * change[near].mean() > 3.0 * 3.0 * error / np.sqrt(faces)
 
 
-@pytest.mark.parametrize("kelvin", [300.0, 340.0, 900.0])
+@pytest.mark.parametrize("kelvin", [*slow(300.0, 340.0), 900.0])
 def test_frame_states_the_error_of_a_moving_objects_light(tmp_path, kelvin):
     """Compared with a static object under many rays, on the ground around it."""
     pose, track = tr.pose(1, 2, 14, pitch_deg=-90), f"time_s,temperature_k\n0,{kelvin}\n"
@@ -198,6 +199,7 @@ def test_object_below_the_ground_does_not_light_it(tmp_path):
     assert (hotter > above).mean() > 0.9
 
 
+@pytest.mark.slow
 def test_half_buried_tracked_object_is_lit_as_a_static_one(tmp_path):
     moving = scene_with(tmp_path / "moving", "time_s,above_ground_m\n0,-0.5\n")
     scene_with(tmp_path / "still")

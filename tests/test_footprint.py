@@ -103,6 +103,7 @@ def test_budget_covers_the_sampling_error_from_any_height(tmp_path, up, pitch_de
     assert true < frame.budget_mk["sampling"] < 3 * true
 
 
+@pytest.mark.slow
 def test_budget_covers_correlated_footprint_errors(tmp_path):
     """Slopes that face the camera are warm and hide cold ones, which distant footprints reach into."""
     row = np.arange(256)

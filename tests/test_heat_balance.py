@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import slow
 from scipy.special import erf, erfc
 
 from thermorender.physics import balance, exchange
@@ -68,7 +69,9 @@ def wave(column, period, seconds, amplitude=100.0):
 # --- conduction --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("hours", "minutes"), [(1.0, 1.0), (2.0, 5.0), (6.0, 15.0), (24.0, 15.0), (240.0, 15.0)])
+@pytest.mark.parametrize(
+    ("hours", "minutes"), [(1.0, 1.0), (2.0, 5.0), (24.0, 15.0), *slow((6.0, 15.0), (240.0, 15.0))]
+)
 def test_semi_infinite_solid_under_a_sinusoidal_flux(airless, hours, minutes):
     """T = Q / (I √(iω)): amplitude and phase lag of 45° (Carslaw & Jaeger 1959, 2.9), to a thousandth."""
     found = wave(ground(layered([SOIL])), 3600.0 * hours, 60.0 * minutes)

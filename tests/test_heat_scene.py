@@ -75,6 +75,7 @@ def test_thermal_crossover_matches_columns_in_the_open(walled, day):
     assert crossing(contrast) == pytest.approx(crossing(alone), abs=20.0 / 60.0)
 
 
+@pytest.mark.slow
 def test_shared_columns_differ_little(walled, monkeypatch):
     """Texels of one face and material share a column until four hours before: at most 0.1 K RMS."""
     shared = heat.solved(walled, [AT])[0].surfaces[0].temperature
@@ -85,6 +86,7 @@ def test_shared_columns_differ_little(walled, monkeypatch):
     assert 0.0 < np.sqrt(np.mean(difference**2)) < 0.1
 
 
+@pytest.mark.slow
 def test_block_size_does_not_change_temperatures(walled, monkeypatch):
     whole = heat.solved(walled, [AT])[0].surfaces[0].temperature
     monkeypatch.setattr(heat, "_AT_ONCE", whole.size // 3)
@@ -151,6 +153,7 @@ def test_mixture_emits_the_sum_of_its_parts(walled):
     assert kelvin(mix(parts)) == pytest.approx(expected, abs=0.2)
 
 
+@pytest.mark.slow
 def test_scene_without_heat_balance_imports_none_of_it():
     import subprocess
     import sys

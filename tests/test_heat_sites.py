@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from conftest import shared_data
+from conftest import shared_data, slow
 
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
@@ -64,6 +64,7 @@ def test_model_that_equals_the_measurement_has_no_error(tmp_path):
     assert study["missing"] == []
 
 
+@pytest.mark.slow
 def test_temperature_of_a_mixed_cover_is_between_those_of_its_parts(tmp_path):
     parts = [
         modelled(measured(site_of(tmp_path, f'cover = {cover}\nsurface = "air_c"\n'), tmp_path))
@@ -131,7 +132,7 @@ def test_repeated_day_converges():
     assert np.abs(later.surface_k - state.surface_k).max() < 0.15
 
 
-@pytest.mark.parametrize("name", ["grass", "desert", "square", "lake"])
+@pytest.mark.parametrize("name", ["grass", "square", *slow("desert", "lake")])
 def test_published_figures_match_the_code(name):
     """Compared with `validation/heat/heat.json`, to its rounding and to other processors' arithmetic."""
     stated = json.loads((SITES.parent / "heat.json").read_text())["sites"][name]["scores"]["balance"]

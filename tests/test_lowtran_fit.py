@@ -144,6 +144,7 @@ class MadeUp:
         return program.Run(GRID, np.exp(-self.true @ ours - HAZE * haze), amount, levels)
 
 
+@pytest.mark.slow
 def test_fitted_table_reproduces_the_transmittances(tmp_path, monkeypatch):
     lowtran = MadeUp()
     monkeypatch.setattr(program, "spectrum", lowtran)

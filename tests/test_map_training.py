@@ -317,6 +317,7 @@ def test_shifted_pairs_have_larger_errors(tmp_path):
     assert errors[0] < 0.05 < errors[1] < errors[2]
 
 
+@pytest.mark.slow
 def test_error_against_share_and_shift(tmp_path, call_module):
     write(tmp_path / "d", parts=("train",) * 4 + ("validation", "test", "test"))
     status, out, errors = call_module("validation.maps", "--dataset", tmp_path / "d", "--methods", "correlation-1to1",

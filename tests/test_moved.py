@@ -320,6 +320,7 @@ def test_wrong_settings_are_refused(tmp_path, call, tools):
         moved.moved(tr.load_scene(folder), [TRAINED])
 
 
+@pytest.mark.slow
 def test_scene_without_a_moved_map_imports_none_of_it():
     code = "import thermorender as tr; tr.Renderer(tr.load_scene('heath'), rays=1)"
     absent = ("thermorender.render.heat.moved", "thermorender.materials.shifted", "thermorender.render.heat.simulation")

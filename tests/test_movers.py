@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import slow
 
 from scenes import plane_depth
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
@@ -98,7 +99,9 @@ def mk(difference):
     return 1e3 * np.sqrt(np.mean(np.square(difference))) / SLOPE
 
 
-@pytest.mark.parametrize(("flight_mps", "rate_hz"), [(0.0, 9.0), (0.0, 30.0), (0.0, 60.0), (3.0, 9.0), (12.0, 30.0)])
+@pytest.mark.parametrize(
+    ("flight_mps", "rate_hz"), [*slow((0.0, 9.0), (0.0, 60.0), (12.0, 30.0)), (0.0, 30.0), (3.0, 9.0)]
+)
 def test_moving_plate_lags_under_a_hovering_or_flying_camera(flight_mps, rate_hz):
     plate = Plate(lambda t: 20.0 * t - 3.0, lambda t: flight_mps * t + 1.0)
     frames = 1 + round(0.2 * rate_hz)
@@ -159,6 +162,7 @@ def test_object_that_moves_with_the_camera_stays_in_place(flight_mps):
     assert np.abs(found[-1] - alone).max() / SLOPE < 0.02, how
 
 
+@pytest.mark.slow
 def test_object_that_crosses_between_two_frames_is_in_the_stated_error():
     # It has left the picture of uniform ground when the frame is taken.
     leave_s = 1.0 / 9.0 - 0.017

@@ -186,7 +186,7 @@ def test_depth_as_an_input_reduces_the_error(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "at"),
-    [("compact", 5), ("pix2pix", 5), *slow(("compact", 1), ("compact", 9), ("unet-gan", 3), ("compact+", 5))],
+    [("compact", 5), *slow(("pix2pix", 5), ("compact", 1), ("compact", 9), ("unet-gan", 3), ("compact+", 5))],
 )
 def test_a_stopped_and_resumed_training_is_the_same(tmp_path, name, at):
     """The losses and the network are the same as those of an uninterrupted training."""

@@ -176,6 +176,7 @@ def test_a_step_of_regression(name):
     assert_same(learner.net, wanted)
 
 
+@pytest.mark.slow
 def test_a_step_of_classes():
     learner, twin, batch = learner_and_twin("unet-classes")
     net = twin["net"]
@@ -585,7 +586,7 @@ def test_weights_beyond_half_precision_keep_full_precision(tmp_path):
         (lambda header, arrays: header.update(above_air=True), "does not take the air's temperature"),
         (lambda header, arrays: header["encoding"].update(scale=-1.0), "its scale is not above 0"),
         (lambda header, arrays: header["encoding"].update(offset=1e300), "too large"),
-        (lambda header, arrays: header["encoding"].update(told={"terrain": [], "conditions": [1]}), "has no name"),
+        (lambda header, arrays: header["encoding"].update(extra={"terrain": [], "conditions": [1]}), "has no name"),
         (lambda header, arrays: arrays.popitem(), "Missing key"),
         (lambda header, arrays: arrays.update(more=np.zeros(3)), "Unexpected key"),
         (lambda header, arrays: arrays.update({"entry.bias": np.full(4, 1e300)}), "not finite"),

@@ -56,16 +56,6 @@ def test_the_package_declares_its_types():
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-def test_the_example_of_the_readme_prints_the_documented_output(capsys):
-    (example,) = re.findall(r"```python\n(.*?)```", README, flags=re.S)
-    exec(compile(example, "README.md", "exec"), found := {})
-    mean, target = capsys.readouterr().out.splitlines()
-    assert f"print(frame.apparent_temperature.mean())  # {float(mean):.1f} (kelvin)" in example
-    assert ast.literal_eval(target)["visible"] is True
-    frame = found["frame"]
-    assert frame.counts.max() < 2**14 and frame.display.dtype == "uint8" and "emissivity" in frame.truth
-
-
 def test_the_verbs_of_the_readme_exist_with_their_options():
     commands = get_command(cli.app).commands
     listed = set()

@@ -175,6 +175,7 @@ def planted(ground, tmp_path_factory):
     return compare([flown], place / "c", [], Options(foreign=folders, arrays=True, settings={"rays": 8}))
 
 
+@pytest.mark.slow
 def test_frames_without_a_fault_have_no_findings(planted):
     assert kinds(planted, "foreign true") == set() and errors(planted, "foreign true")["mae_k"] < 0.02
 
@@ -425,6 +426,7 @@ def test_terms_add_up_and_are_zero_where_nothing_changes(tmp_path):
     assert abs(parts["misty"]["air"]["me_k"]) > 0.02
 
 
+@pytest.mark.slow
 def test_pixels_without_temperature_have_no_terms(tmp_path):
     """The map predicts negative radiance for bright ground."""
     colour = np.full((64, 64, 3), 10, np.uint8)
@@ -464,6 +466,7 @@ def test_only_the_method_with_true_objects_knows_their_temperatures(tmp_path):
     assert "<td>reference</td>" in page.split("<h2>Targets</h2>")[1]
 
 
+@pytest.mark.slow
 def test_a_scene_without_truth_has_differences_only(ground, tmp_path):
     folder = tmp_path / "real"
     shutil.copytree(ground, folder)
@@ -698,6 +701,7 @@ def test_the_registered_photograph_matches_that_of_the_visible_camera(ground, tm
     assert np.abs(laid[middle] - registered[middle]).mean() < 2.0
 
 
+@pytest.mark.slow
 def test_learned_materials_do_not_change_objects():
     scene = tr.load_scene("heath")
     reported = scene.with_learned_materials(methods.learned_materials())
@@ -786,10 +790,10 @@ def test_a_material_is_compared_with_others_of_its_own_scenes():
         found.rows[name] = np.array([count, 1e-3, 1.0, 1.0, error, 0.95 * count])
     reported = found.summary()
     assert reported["snow"]["error_k"] == 20.0 and reported["snow"]["others_k"] == pytest.approx(20.0)
-    method = {"letter": "B", "emissivities": {"told": reported}}
+    method = {"letter": "B", "emissivities": {"explained": reported}}
     assert "snow" not in " ".join(each["says"] for each in findings._materials("B m", method))
     found.scenes["w"]["snow"][1] = found.rows["snow"][4] = 8000.0
-    (snow,) = findings._materials("B m", {"letter": "B", "emissivities": {"told": found.summary()}})
+    (snow,) = findings._materials("B m", {"letter": "B", "emissivities": {"explained": found.summary()}})
     assert snow["says"].startswith("the error of snow (")
     assert "is +80.00 K; the median of the others in its scenes is 20.00 K" in snow["says"]
 

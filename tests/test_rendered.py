@@ -101,6 +101,7 @@ def test_the_verb_renders_the_requested_worlds(tmp_path, monkeypatch, call, camp
     assert status == 2 and "--turn='2,2' is not allowed; give K,N with K from 0 to N − 1" in errors
 
 
+@pytest.mark.slow
 def test_noise_free_radiance_equals_that_of_a_fresh_renderer(campaign):
     dataset, seen = campaign
     for number, name in enumerate(("radiance", "balance", "redrawn")):

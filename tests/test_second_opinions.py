@@ -19,7 +19,6 @@ from unittest import mock
 import numpy as np
 import pytest
 import trimesh
-from conftest import slow
 from path_tracer import PathTracer
 from scipy.stats import t as student
 from test_specular import own_materials
@@ -335,11 +334,8 @@ def _(folder):
     return Case(scene, tr.pose(0, 0, 25, pitch_deg=-75), 32, {"time_s": 6.5})
 
 
-# The cheapest one; every feature takes minutes.
-QUICK = ("emission of a raster of temperatures",)
-
-
-@pytest.mark.parametrize("feature", [*QUICK, *slow(*(each for each in CASES if each not in QUICK))])
+@pytest.mark.slow
+@pytest.mark.parametrize("feature", CASES)
 def test_renderer_and_others_agree(tmp_path, feature):
     made = CASES[feature](tmp_path / "s")
     for engine in (traced, stock) if made.stock else (traced,):

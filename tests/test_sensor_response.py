@@ -296,6 +296,7 @@ def test_a_camera_of_few_pixels_has_a_finite_lag_error(size, speed):
     assert np.isfinite(signal).all() and np.isfinite(how["lag_mk"])
 
 
+@pytest.mark.slow
 def test_steep_ground_moves_by_its_depth():
     """Treated as level ground, it would be seen in the wrong place."""
     depth = plane_depth(0.0, (0.7, -0.5))
@@ -418,6 +419,7 @@ def test_small_targets_keep_their_area_and_their_error_depends_on_position():
     assert all(record["worst_mk"] < 0.6 * few[record["side_px"]]["worst_mk"] for record in soft)
 
 
+@pytest.mark.slow
 def test_validation_measures_lag_blur_and_chain(tmp_path, monkeypatch):
     from scenes import write_terrain
     from validation.sensor import study as validation

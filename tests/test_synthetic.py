@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+from conftest import slow
 from typer.testing import CliRunner
 
 from thermorender.campaign import procedural_truth
@@ -203,7 +204,7 @@ def test_flight_altitude_is_smooth_over_the_surface_model():
     assert np.ptp(altitude) < 3.0
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["heath", "ridge", *slow("village")])
 def test_shipped_scene_is_small_and_hard_to_guess(kind):
     folder = SCENES / kind
     assert sum(p.stat().st_size for p in folder.iterdir()) <= 3_000_000
@@ -287,6 +288,7 @@ def test_temperature_grid_must_divide(tmp_path):
 # --- truth and prediction -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_balance_predicts_the_truth_except_for_hidden_properties(truth, monkeypatch, tmp_path):
     """With source="balance" the written scene differs from the truth by its hidden random properties only."""
     from thermorender.render.heat.simulation import solved
@@ -309,6 +311,7 @@ def test_the_balance_predicts_the_truth_except_for_hidden_properties(truth, monk
     assert 0.4 < np.abs(hidden - hidden.mean()).mean() < 1.6
 
 
+@pytest.mark.slow
 def test_drawn_properties_have_the_mean_and_spread_of_the_tables(tmp_path):
     write_declared(small("village"), tmp_path)
     loaded = load_scene(tmp_path)
@@ -390,6 +393,7 @@ def test_afternoon_temperatures_are_in_the_observed_order(truth):
         assert found["conifer"] == pytest.approx(air, abs=3.0)
 
 
+@pytest.mark.slow
 def test_the_order_of_thin_roofs_and_stone_reverses_at_night(truth):
     day, night = by_class(truth("village")), by_class(truth("village", 0, NIGHT))
     assert day["roof_shingle"] > day["concrete"] + 1.0
@@ -471,6 +475,7 @@ def test_the_sky_of_the_band():
     assert sky[0.0] < (found[0.0].longwave_w_m2 / 5.670374e-8) ** 0.25 - 10.0
 
 
+@pytest.mark.slow
 def test_weathers_of_seeds_match_the_given_climate():
     made = [drawn_weather(seed) for seed in range(3000)]
     month = np.array([w.time.astype("M8[M]").astype(int) % 12 for w in made])

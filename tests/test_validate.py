@@ -203,6 +203,7 @@ def test_open_cavity_agrees_with_the_closed_form_of_its_polyhedron(emissivity):
     assert seen > 150 and abs(found["mean_mk"] - own) < 3.0 * error < 9.0
 
 
+@pytest.mark.slow
 def test_convergence_measures_missing_cases_only(tmp_path, monkeypatch):
     monkeypatch.setattr(convergence, "QUALITIES", {"standard": (1, 4, np.inf)})
     engine = "stock direct, BSDF samples"

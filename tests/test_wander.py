@@ -157,6 +157,7 @@ def test_covariance_of_instants_between_ticks():
     assert wander.covariance(np.array([0.0, 5000.0])) == pytest.approx([least, 0.0])
 
 
+@pytest.mark.slow
 def test_the_scale_drifts_by_its_octaves_and_linearly_between_ticks():
     camera = replace(PLAIN, width=2, height=2, scale_drift_mk=7.0)
     seeds = 1500

@@ -1,4 +1,4 @@
-"""A simple detector of hot spots, which tells whether a target's contrast is high enough in a camera picture.
+"""A simple detector of hot spots, to judge whether a target's contrast is high enough in a camera picture.
 
 The response is the mean of a square of the target's size minus the mean of a ring around it, divided by the standard
 deviation of this difference over the picture: a matched filter for a small bright disc on a textured background.

@@ -68,7 +68,7 @@ def read_epw(path: str | PathLike[str], year: int | np.datetime64, snow_depth_m:
     Parameters
     ----------
     path : path
-        The first lines tell the format.
+        The first lines name the format.
     year : int or datetime64
         Calendar year; for an instant, its year in the file's zone.
     snow_depth_m : float

@@ -24,7 +24,7 @@ from validation.footage.figure import figure
 HEADER = ("frames", "pixel [mK]", "row", "column", "fixed pixel", "fixed row", "fixed column")
 _PARTS = ("pixel", "row", "column", "fixed_pixel", "fixed_row", "fixed_column")
 # Number of simulated frames, their height above the ground, and their largest distance from the middle of the scene
-# [m]. At this height a texel of the shipped scenes is no larger than a pixel.
+# [m]. At this height a texel of the shipped scenes is at most as large as a pixel.
 _FRAMES, _HEIGHT_M, _AWAY_M = 12, 200.0, 60.0
 _RINGS = 6
 

@@ -124,8 +124,10 @@ class LearnedMap:
         pixels, one, two, variances, squares = map(float, self.covered)
         covered = None
         if pixels:
-            covered = {"within_1": one / pixels, "within_2": two / pixels, "told_rms_k": np.sqrt(variances / pixels),
-                       "rmse_k": np.sqrt(squares / pixels)}  # fmt: skip
+            covered = {
+                "within_1": one / pixels, "within_2": two / pixels,
+                "predicted_rms_k": np.sqrt(variances / pixels), "rmse_k": np.sqrt(squares / pixels),
+            }  # fmt: skip
         unseen = None
         if self.unseen.any():
             rest, own = (summary(row) for row in self.unseen)

@@ -132,7 +132,7 @@ def _doubts(result: dict[str, Any]) -> list[str]:
     flagged = {label: found["unseen"] for label, found in result["methods"].items() if found.get("unseen")}
     lines = []
     if covered:
-        body = [(label, f"{each['within_1']:.1%}", f"{each['within_2']:.1%}", _number(each["told_rms_k"]),
+        body = [(label, f"{each['within_1']:.1%}", f"{each['within_2']:.1%}", _number(each["predicted_rms_k"]),
                  _number(each["rmse_k"])) for label, each in covered.items()]  # fmt: skip
         header = ("map", "within 1 σ", "within 2 σ", "predicted σ, RMS [K]", "RMSE [K]")
         lines += ["", "## Predicted standard deviation", "", *_table(header, body), "", LAPLACE]

@@ -113,7 +113,7 @@ def _contrast(label: str, own: dict[str, Any]) -> list[Finding]:
 def _materials(label: str, method: dict[str, Any]) -> list[Finding]:
     """Return materials with unusually large errors, and the emissivity error that explains it in foreign frames."""
     found = []
-    for name, own in method["emissivities"]["told"].items():
+    for name, own in method["emissivities"]["explained"].items():
         # A single material cannot be compared with others.
         if own["others_k"] is None or abs(own["error_k"]) < _APART * own["others_k"]:
             continue

@@ -104,7 +104,7 @@ class Found:
             "groups": self.tally.grouped() if scored else {},
             "targets": self.targets.summary(), "structure": self.structure.summary(), "gain": self.gain.summary(),
             "registered": self.registered.summary(),
-            "emissivities": {"told": self.explained.summary(), "scene": wrong},
+            "emissivities": {"explained": self.explained.summary(), "scene": wrong},
             "steadiness_k": _deviation(self.changes),
             "seconds_per_frame": float(np.median(self.seconds)) if self.seconds else None,
             "training_s": None if origin is None else origin.header["training_s"],

@@ -147,9 +147,8 @@ class Encoding:
 
     def header(self) -> dict[str, Any]:
         """Return its entries in a file's header."""
-        plain = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "extra"}
-        # The file format names extra inputs "told".
-        return {"told": asdict(self.extra), **plain, "base": self.base and self.base.header()}
+        plain = {each.name: getattr(self, each.name) for each in fields(self)}
+        return {**plain, "extra": asdict(self.extra), "base": self.base and self.base.header()}
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return its arrays in a file."""
@@ -158,7 +157,7 @@ class Encoding:
     @classmethod
     def of(cls, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> "Encoding":
         """Return the Encoding of a header and arrays."""
-        extra = ExtraInputs(**{name: tuple(names) for name, names in header["told"].items()})
+        extra = ExtraInputs(**{name: tuple(names) for name, names in header["extra"].items()})
         scale, offset = float(header["scale"]), float(header["offset"])
         if not (abs(offset) < _MOST_SCALE and 0.0 < scale < _MOST_SCALE):
             raise ValueError("its offset or scale is not finite or too large, or its scale is not above 0")
