@@ -11,7 +11,7 @@ from conftest import shared_data
 from thermorender.errors import ThermorenderError
 from thermorender.materials.csv_tables import INDEX_COLUMNS
 from thermorender.materials.from_samples import from_samples, read_selection
-from thermorender.materials.library import find, load_library, read_library
+from thermorender.materials.library import find, load_library
 from thermorender.materials.material import grey
 from thermorender.materials.samples import read_ecostress, read_sample
 from thermorender.materials.store import store, write_material, write_materials
@@ -23,9 +23,10 @@ FIRST_NAMES = (
     "granite limestone basalt asphalt concrete roof_shingle roof_slate roof_rubber glass paint_black "
     "paint_metallic wood water snow ice brass"
 ).split()
-NAMES = tuple(read_library(data_folder("materials")))
-MEASURED = tuple(name for name, material in load_library().items() if material.directional == "lambertian")
-SINGLE = tuple(name for name in MEASURED if load_library()[name].samples == 1)
+LIBRARY = load_library()
+NAMES = tuple(LIBRARY)
+MEASURED = tuple(name for name, material in LIBRARY.items() if material.directional == "lambertian")
+SINGLE = tuple(name for name in MEASURED if LIBRARY[name].samples == 1)
 
 
 @pytest.fixture(scope="module")

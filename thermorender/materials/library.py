@@ -5,10 +5,13 @@ refractive index, or its emissivity by angle) and, for materials of a heat balan
 ships one; a scene's own `materials/` folder overrides it.
 """
 
+import functools
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.materials.csv_tables import (
@@ -77,7 +80,7 @@ def load_library(directory: str | Path | None = None) -> dict[str, Material]:
         is unknown; the message names file and row.
     """
     shipped = data_folder("materials")
-    library, where = read_library(shipped), shipped
+    library, where = dict(_read_once(shipped, _state(shipped))), shipped
     thermals = {name: material.thermal for name, material in library.items() if material.thermal}
     if directory is not None:
         where = Path(directory)
@@ -91,6 +94,23 @@ def load_library(directory: str | Path | None = None) -> dict[str, Material]:
     for name, thermal in stacked(thermals, where).items():
         library[name] = replace(library[name], thermal=thermal)
     return library
+
+
+@functools.lru_cache(maxsize=2)
+def _read_once(directory: Path, state: frozenset[tuple[str, int, int]]) -> dict[str, Material]:
+    """The materials of a folder, read again when `state` differs. Their arrays are read-only: scenes share them."""
+    library = read_library(directory)
+    for material in library.values():
+        for value in vars(material).values():
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
+    return library
+
+
+def _state(directory: Path) -> frozenset[tuple[str, int, int]]:
+    """Name, time of the last change [ns] and size of each file of a folder."""
+    found = ((path, path.stat()) for path in directory.rglob("*.csv"))
+    return frozenset((str(path), stat.st_mtime_ns, stat.st_size) for path, stat in found)
 
 
 def stray(name: str, library: Iterable[str]) -> str:

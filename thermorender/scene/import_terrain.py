@@ -85,39 +85,17 @@ def import_terrain(
             f"max_vertices={max_vertices}, max_texels={max_texels} are too small; give at least 4 and 2"
         )
     height, height_grid = read_elevation(elevation)
-    colour_grid = grid_of(orthophoto)
-    rgb, valid = read_colour(orthophoto)
+    rgb, valid, colour_grid = *read_colour(orthophoto), grid_of(orthophoto)
     if not valid.any():
         raise ThermorenderError(f"{orthophoto} is empty: every pixel is masked or border; give another orthophoto")
     if height_reference is None:
         height_reference = "geoid" if _has_vertical_datum(height_grid.crs) else "ellipsoid"
     crs = _map_crs(height_grid)
     bounds = _shared(bounds_in(crs, height_grid), bounds_in(crs, colour_grid), elevation, orthophoto)
-
-    post = _step(crs, height_grid)
-    target = _grid(crs, bounds, max(post, np.sqrt((bounds[2] - bounds[0]) * (bounds[3] - bounds[1]) / max_vertices)))
-    if _aligned(height_grid, crs, target, post):
-        height, target = _cut(height, height_grid, bounds)
-    else:
-        height = onto(height, height_grid, target, "average" if _step(crs, target) > 1.5 * post else "bilinear")
+    height, target = _heights(height, height_grid, crs, bounds, max_vertices)
     if not np.isfinite(height).any():
         raise ThermorenderError(f"{elevation} has no valid height where {orthophoto} is; give a DEM of the same area")
-
-    texel = _step(crs, colour_grid)
-    span = max(bounds[2] - bounds[0], bounds[3] - bounds[1])
-    texels = _grid(crs, bounds, max(texel, span / max_texels))
-    if _aligned(colour_grid, crs, texels, texel):
-        rgb, texels = _cut(rgb, colour_grid, bounds)
-        valid, _ = _cut(valid, colour_grid, bounds)
-    else:
-        resampling = "average" if _step(crs, texels) > 1.5 * texel else "bilinear"
-        # Empty texels must not bleed into their neighbours: filter valid colour and its weight separately.
-        weight = onto(valid.astype(np.float32), colour_grid, texels, resampling)
-        weight = np.nan_to_num(weight)
-        filtered = onto(rgb * valid[..., None].astype(np.float32), colour_grid, texels, resampling)
-        valid = weight > 0.5
-        rgb = np.where(valid[..., None], filtered / np.maximum(weight, 1e-6)[..., None], 0.0)
-        rgb = np.clip(np.rint(np.nan_to_num(rgb)), 0, 255).astype(np.uint8)
+    rgb, valid, texels = _colours(rgb, valid, colour_grid, crs, bounds, max_texels)
     if not valid.any():
         raise ThermorenderError(f"{orthophoto} is empty where {elevation} is; give an orthophoto of the same area")
 
@@ -151,6 +129,36 @@ def import_terrain(
         "share_filled": float((after & ~known).mean()),
         "share_without_colour": float(1.0 - valid.mean()),
     }
+
+
+def _heights(
+    height: NDArray[Any], grid: Grid, crs: Any, bounds: _Bounds, max_vertices: int
+) -> tuple[NDArray[Any], Grid]:
+    """Heights on a map's grid within bounds, and that Grid."""
+    post = _step(crs, grid)
+    target = _grid(crs, bounds, max(post, np.sqrt((bounds[2] - bounds[0]) * (bounds[3] - bounds[1]) / max_vertices)))
+    if _aligned(grid, crs, target, post):
+        return _cut(height, grid, bounds)
+    return onto(height, grid, target, "average" if _step(crs, target) > 1.5 * post else "bilinear"), target
+
+
+def _colours(
+    rgb: NDArray[np.uint8], valid: NDArray[np.bool_], grid: Grid, crs: Any, bounds: _Bounds, max_texels: int
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_], Grid]:
+    """Colours on a map's grid within bounds, where they are valid, and that Grid."""
+    texel = _step(crs, grid)
+    span = max(bounds[2] - bounds[0], bounds[3] - bounds[1])
+    target = _grid(crs, bounds, max(texel, span / max_texels))
+    if _aligned(grid, crs, target, texel):
+        rgb, target = _cut(rgb, grid, bounds)
+        return rgb, _cut(valid, grid, bounds)[0], target
+    resampling = "average" if _step(crs, target) > 1.5 * texel else "bilinear"
+    # Empty texels must not bleed into their neighbours: filter valid colour and its weight separately.
+    weight = np.nan_to_num(onto(valid.astype(np.float32), grid, target, resampling))
+    filtered = onto(rgb * valid[..., None].astype(np.float32), grid, target, resampling)
+    valid = weight > 0.5
+    mean = np.where(valid[..., None], filtered / np.maximum(weight, 1e-6)[..., None], 0.0)
+    return np.clip(np.rint(np.nan_to_num(mean)), 0, 255).astype(np.uint8), valid, target
 
 
 def _finite(name: str, value: float | None) -> None:
