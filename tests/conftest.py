@@ -11,6 +11,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
+import typer
 from hypothesis import HealthCheck, settings
 
 
@@ -61,6 +62,14 @@ def _cache(tmp_path_factory):
     os.environ.pop("THERMORENDER_CACHE")
     if before is not None:
         os.environ["THERMORENDER_CACHE"] = before
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _commands_built_once():
+    """Build each command line once per process instead of at each call."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(typer.main, "get_command", functools.cache(typer.main.get_command))
+        yield
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ ships one; a scene's own `materials/` folder overrides it.
 """
 
 import functools
+import os
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -108,9 +109,9 @@ def _read_once(directory: Path, state: frozenset[tuple[str, int, int]]) -> dict[
 
 
 def _state(directory: Path) -> frozenset[tuple[str, int, int]]:
-    """Name, time of the last change [ns] and size of each file of a folder."""
-    found = ((path, path.stat()) for path in directory.rglob("*.csv"))
-    return frozenset((str(path), stat.st_mtime_ns, stat.st_size) for path, stat in found)
+    """Name, time of the last change [ns] and size of each table of a folder."""
+    tables = [entry for part in (".", "spectra", "thermal") for entry in os.scandir(directory / part)]
+    return frozenset((entry.path, entry.stat().st_mtime_ns, entry.stat().st_size) for entry in tables)
 
 
 def stray(name: str, library: Iterable[str]) -> str:
