@@ -1,5 +1,6 @@
-"""The air declared in a scene file: a standard atmosphere, a table or a profile, limited to the camera's band."""
+"""The air declared in a scene file: a standard atmosphere, a table, a profile or that of the weather, in a band."""
 
+from collections.abc import Callable
 from typing import Any
 
 from thermorender.atmosphere.absorption import from_absorption
@@ -8,7 +9,9 @@ from thermorender.atmosphere.profile import from_profile
 from thermorender.errors import ThermorenderError
 
 
-def declared_air(spec: Any, band_um: tuple[float, float], where: object) -> Atmosphere | None:
+def declared_air(
+    spec: Any, band_um: tuple[float, float], where: object, of_weather: Callable[..., Atmosphere] | None = None
+) -> Atmosphere | None:
     """Return the Atmosphere of an AtmosphereSpec over a band, or None for None.
 
     Parameters
@@ -18,6 +21,8 @@ def declared_air(spec: Any, band_um: tuple[float, float], where: object) -> Atmo
         The camera's band [µm].
     where : str
         Path of the scene file, for messages.
+    of_weather : callable, optional
+        Returns the air of the weather from aerosol, cloud_fraction and cloud_base_m.
 
     Raises
     ------
@@ -26,9 +31,12 @@ def declared_air(spec: Any, band_um: tuple[float, float], where: object) -> Atmo
     """
     if spec is None:
         return None
-    clouds = {"cloud_fraction": spec.cloud_fraction, "cloud_base_m": spec.cloud_base_m}
+    given = {"cloud_fraction": spec.cloud_fraction, "cloud_base_m": spec.cloud_base_m}
+    clouds = {"cloud_fraction": 0.0} | {name: value for name, value in given.items() if value is not None}
     try:
-        if spec.file:
+        if spec.standard == "weather" and of_weather:
+            air = of_weather(aerosol=spec.aerosol, **given)
+        elif spec.file:
             air = Atmosphere.load(spec.file).clouded(**clouds)
         elif spec.absorption:
             air = from_absorption(spec.absorption, spec.profile, **clouds)

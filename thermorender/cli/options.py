@@ -84,6 +84,8 @@ class SceneOptions:
             scene = scene.with_air(*parse_air(self.air))
         for note in scene.weather_notes if scene.temperature_state.weather_driven else ():
             typer.echo(f"weather: {note}")
+        for note in scene.sky_notes:
+            warn(note)
         print_map_reports(scene)
         report = scene.emissivity_report
         if report:

@@ -23,6 +23,13 @@ def saturation_pressure(temperature: NDArray[np.float64], over: str = "water") -
     return pressure * np.exp(factor * celsius / (celsius + offset))
 
 
+def dew_point(vapour_pa: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the dew point over water [K] of vapour pressures [Pa], the inverse of `saturation_pressure`."""
+    pressure, factor, offset = MAGNUS["water"]
+    ratio = np.log(np.maximum(vapour_pa, 1e-3) / pressure)
+    return ZERO_CELSIUS_K + offset * ratio / (factor - ratio)
+
+
 def standard_pressure(altitude_m: ArrayLike) -> NDArray[np.float64]:
     """Return the pressure [Pa] at altitudes [m], −5 … 11 km, in the ICAO standard atmosphere (Doc 7488)."""
     return _SEA_PA * (1.0 - LAPSE_K_M / _SEA_K * np.asarray(altitude_m, np.float64)) ** PRESSURE_EXPONENT

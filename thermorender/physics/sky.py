@@ -22,6 +22,8 @@ _OZONE_CM = 0.3
 # Beyond this air mass (4° of elevation) Bird's Rayleigh extinction would fall. Instead it grows by the second number
 # per air mass, as Kasten's does there, Solar Energy 56 (1996) 239, doi:10.1016/0038-092X(95)00114-7.
 _RAYLEIGH_MASS, _RAYLEIGH_BEYOND = 14.0, 0.013
+# Of an overcast sky's clouds, as seen from the ground through the air below them: Unsworth and Monteith (1975).
+CLOUD_EMISSIVITY = 0.84
 
 
 def standard_aerosol(altitude_m: ArrayLike) -> Floats:
@@ -167,4 +169,5 @@ def longwave(air_k: Floats, vapour_pa: Floats, cloud: Floats | float) -> Floats:
     """
     water = precipitable_water(vapour_pa, air_k)
     clear = 1.0 - (1.0 + water) * np.exp(-np.sqrt(1.2 + 3.0 * water))
-    return ((1.0 - 0.84 * cloud) * clear + 0.84 * cloud) * STEFAN_BOLTZMANN * air_k**4
+    black = CLOUD_EMISSIVITY * cloud
+    return ((1.0 - black) * clear + black) * STEFAN_BOLTZMANN * air_k**4

@@ -389,7 +389,7 @@ class Edits:
             highest_m=max(float(surface.vertices[:, 2].max()) for surface in shown),
         )  # fmt: skip
         now, cover = replace(now, given=True), Cover(made, painted, (), had.cover.report)
-        return self._made(None, now, of_surfaces(now, shape, cover, had.air))
+        return self._made(None, now, of_surfaces(now, shape, cover, had))
 
     def with_solved_temperatures(
         self: _S, time: np.datetime64, temperatures: Sequence[ArrayLike], *, flags: "Sequence[ArrayLike] | None" = None,

@@ -25,9 +25,9 @@ from thermorender.scene.parts.tracks import TrackedObject
 from thermorender.scene.raster import Grid
 from thermorender.scene.spec import SceneSpec, SunSpec, TemperatureSpec
 from thermorender.scene.state import digest, text
-from thermorender.scene.state.agreement import refuse_disagreement
+from thermorender.scene.state.agreement import contradictions, refuse_disagreement
 from thermorender.scene.state.declared import Declared
-from thermorender.scene.state.derived import Derived, camera_alone_differs, derived, of_surfaces
+from thermorender.scene.state.derived import Derived, camera_alone_differs, derived, of_surfaces, weather_of
 from thermorender.scene.surface import Surface
 from thermorender.scene.temperature_state import TemperatureState
 from thermorender.sensor.camera import Camera
@@ -263,26 +263,19 @@ class Scene(Edits):
     @cached_property
     def _weather(self) -> "Weather":
         """The Weather without the notes of solving the temperatures."""
-        if self.spec.weather is None or self.time is None:
-            raise ThermorenderError(f"{self.where} has no [weather]; add it")
-        if self._declared.weather is not None:
-            given: Weather = self._declared.weather
-            return given
-        if self.frame is None:
-            raise ThermorenderError(
-                f"{self.where}: [weather] needs a place, which a mesh does not have; add [frame] with latitude_deg, "
-                "longitude_deg and height_m"
-            )
-        from thermorender.weather.declared import declared_weather
-
-        place = self.frame.latitude_deg, self.frame.longitude_deg, self.altitude_m
-        try:
-            return declared_weather(self.spec.weather, *place)
-        except ThermorenderError as error:
-            raise ThermorenderError(f"{self.where}: {error}") from None
+        if self._derived.weather is not None:
+            return self._derived.weather
+        return weather_of(self._declared, self._derived.shape)
 
     def _weather_key(self) -> tuple[Any, ...]:
         return self.spec.weather, id(self._declared.weather), self.altitude_m, self.frame
+
+    @cached_property
+    def sky_notes(self) -> tuple[str, ...]:
+        """Sentences on a declared air or sky that contradicts the scene's weather; none without [weather]."""
+        if self.spec.weather is None or (self._declared.weather is None and self.frame is None):
+            return ()
+        return contradictions(self._declared, self._derived, self._weather)
 
     @property
     def weather_notes(self) -> tuple[str, ...]:

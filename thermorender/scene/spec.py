@@ -39,6 +39,8 @@ from thermorender.schema import (
 
 # Where a learned emissivity map's most probable material is less probable than this, the texel is unknown.
 DEFAULT_CONFIDENCE = 0.35
+# The [atmosphere] that follows [weather].
+WEATHER = "weather"
 _CLASS_NUMBERS = {str(count): count for count in range(1, 256)}
 
 
@@ -211,7 +213,10 @@ class ObjectSpec:
 
 @dataclass(frozen=True)
 class AtmosphereSpec:
-    """The air: a standard atmosphere, a table or a measured profile, its clouds, and the altitude of the scene."""
+    """The air: a standard atmosphere, a table or a measured profile, its clouds, and the altitude of the scene.
+
+    The standard "weather" is the air of [weather] at each instant; its clouds follow the long-wave irradiance.
+    """
 
     standard: str | None = key(text, None)
     file: Path | None = key(file_inside, None)
@@ -221,8 +226,8 @@ class AtmosphereSpec:
     visibility_km: float = key(number(), 23.0)
     temperature_offset_k: float = key(number(), 0.0)
     humidity_factor: float = key(number(), 1.0)
-    cloud_fraction: float = key(number(), 0.0)
-    cloud_base_m: float = key(number(), 2000.0)
+    cloud_fraction: float | None = key(number(), None)
+    cloud_base_m: float | None = key(number(), None)
     altitude_m: float | None = key(number(), None)
 
     def check(self, where: Where, given: Mapping[str, Any]) -> None:
@@ -234,6 +239,9 @@ class AtmosphereSpec:
         for name, kinds in only.items():
             if name in given and kind not in kinds:
                 where.of(name).refuse(given[name], f"it with {' or '.join(kinds)} only, not with {kind}")
+        for name in ("temperature_offset_k", "humidity_factor"):
+            if name in given and self.standard == WEATHER:
+                where.of(name).refuse(given[name], "it without standard='weather' only, which measures the air")
         for name in ("aerosol", "visibility_km"):
             if name in given and "absorption" in given:
                 where.of(name).refuse(given[name], "it without absorption only, which already includes all gases")
@@ -287,7 +295,10 @@ class _Frame:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneSpec:
-    """A whole scene file; `sky_temperature` is None with an atmosphere, which has its own sky."""
+    """A whole scene file; `sky_temperature` is None with an atmosphere, which has its own sky.
+
+    Without sky and atmosphere, the air is that of the weather.
+    """
 
     folder: Path
     title: str = key(lambda value, where: value if value == "" else text(value, where), "")
@@ -306,8 +317,14 @@ class SceneSpec:
 
     def check(self, where: Where, given: Mapping[str, Any]) -> None:
         """Refuse none or two skies, a sun without air or beside the weather's, and two objects of one name."""
-        where.exactly_one(given, ("sky", "atmosphere"), "a sky of one temperature and no air, or air with its sky")
-        if self.sun and not self.atmosphere:
+        if not ("weather" in given and "sky" not in given and "atmosphere" not in given):
+            where.exactly_one(
+                given, ("sky", "atmosphere"),
+                "a sky of one temperature and no air, or air with its sky; with [weather] none means its air and sky",
+            )  # fmt: skip
+        if self.weather is None and self.atmosphere and self.atmosphere.standard == WEATHER:
+            raise where.error("atmosphere.standard='weather' needs the weather; add [weather], or name another air")
+        if self.sun and not (self.atmosphere or (self.weather and self.sky_temperature is None)):
             raise where.error("[sun] shines through the air; add [atmosphere] or leave [sun] out")
         moved = self.temperature.trained and self.weather
         if self.sun and (moved or self.temperature.source == "balance"):
@@ -346,4 +363,6 @@ def read_scene(folder: Path | str) -> SceneSpec:
                 "the file itself inside the scene's folder"
             )
     spec = read(SceneSpec, read_toml(path), Where(path, folder, top="the scene"), folder=folder)
+    if spec.sky_temperature is None and spec.atmosphere is None:
+        spec = replace(spec, atmosphere=AtmosphereSpec(standard=WEATHER))
     return replace(spec, title=spec.title or folder.name)

@@ -5,22 +5,27 @@ the current declarations, not on the order of the edits.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.atmosphere.declared import declared_air
+from thermorender.atmosphere.from_weather import NearGround, from_weather
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
 from thermorender.scene.parts.cover import Cover, cover_of, refuse_band
 from thermorender.scene.parts.read import Parts
 from thermorender.scene.parts.shape import Shape, shape_of
 from thermorender.scene.parts.tracks import TrackedObject
+from thermorender.scene.spec import WEATHER
 from thermorender.scene.state.declared import Declared
 from thermorender.scene.surface import FALLBACK, UNMOVED, Surface, fill, nearest_valid, scene_kelvin
 from thermorender.scene.temperature import Texels, map_error_k, resolve, trained
 from thermorender.scene.temperature_state import Balance, Conditional, Known, Moved, Pending, TemperatureState
+
+if TYPE_CHECKING:
+    from thermorender.weather.series import Weather
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +38,8 @@ class Derived:
     cover : Cover
     air : Atmosphere or None
         In the camera's band.
+    weather : Weather or None
+        That of the air, if the air is that of the weather.
     surfaces : tuple of Surface
         The terrain's first, then those of objects without a track.
     tracked_objects : tuple of TrackedObject
@@ -45,6 +52,7 @@ class Derived:
     surfaces: tuple[Surface, ...]
     tracked_objects: tuple[TrackedObject, ...]
     temperature_state: TemperatureState
+    weather: "Weather | None" = None
 
 
 def derived(parts: Parts | None, now: Declared, old: tuple[Declared, Derived] | None = None) -> Derived:
@@ -72,19 +80,23 @@ def derived(parts: Parts | None, now: Declared, old: tuple[Declared, Derived] | 
     if before and before.camera.band_um != now.camera.band_um:
         for material in cover.materials:
             refuse_band(material, now.camera.band_um, now.where)
-    if had and before and _air_key(before) == _air_key(now):
-        air = had.air
+    if had and before and _air_key(before, had.shape) == _air_key(now, shape):
+        air, weather = had.air, had.weather
     else:
-        air = _air(now)
+        weather = None
+        if _air_of_weather(now):
+            same = had and before and _weather_key(before, had.shape) == _weather_key(now, shape)
+            weather = (had.weather if had and same else None) or weather_of(now, shape)
+        air = _air(now, weather)
     if air is not None and not (had and had.air is air and had.shape is shape):
         altitude_m = now.height_m(shape.frame) + shape.highest_m
         air.refuse_above_clouds(f"{now.where}: the highest surface", altitude_m)
     if parts is None and before and _objects_key(before) != _objects_key(now):
         raise _in_memory(now, "an object")
-    made = Derived(shape, cover, air, (), (), Known())
+    made = Derived(shape, cover, air, (), (), Known(), weather)
     if had and before and _temperature_key(before, had) == _temperature_key(now, made):
         if cover is had.cover and shape is had.shape and _objects_key(before) == _objects_key(now):
-            return replace(had, air=air)
+            return replace(had, air=air, weather=weather)
         ground = had.surfaces[: len(shape.ground)]
         kelvin = [surface.temperature for surface in ground]
         flags = [surface.flags & np.uint8(FALLBACK | UNMOVED) for surface in ground]
@@ -94,9 +106,10 @@ def derived(parts: Parts | None, now: Declared, old: tuple[Declared, Derived] | 
     return _combined(parts, now, made, kelvin, flags, state)
 
 
-def of_surfaces(now: Declared, shape: Shape, cover: Cover, air: Atmosphere | None) -> Derived:
-    """Return what follows for surfaces made in memory, whose texels `shape` and `cover` hold."""
-    made = Derived(shape, cover, air, (), (), Known())
+def of_surfaces(now: Declared, shape: Shape, cover: Cover, had: Derived | None) -> Derived:
+    """Return what follows for surfaces made in memory, whose texels `shape` and `cover` hold; the air stays."""
+    air, weather = (had.air, had.weather) if had else (None, None)
+    made = Derived(shape, cover, air, (), (), Known(), weather)
     return _combined(None, now, made, *_temperatures(now, shape, cover))
 
 
@@ -146,8 +159,17 @@ def _cover_key(of: Declared) -> tuple[Any, ...]:
     return of.spec.emissivity, tuple(item.material for item in of.spec.objects), of.replaced, band
 
 
-def _air_key(of: Declared) -> tuple[Any, ...]:
-    return id(of.air), of.spec.atmosphere, of.camera.band_um
+def _air_key(of: Declared, shape: Shape) -> tuple[Any, ...]:
+    weather = (*_weather_key(of, shape), of.time) if _air_of_weather(of) else ()
+    return id(of.air), of.spec.atmosphere, of.camera.band_um, *weather
+
+
+def _weather_key(of: Declared, shape: Shape) -> tuple[Any, ...]:
+    return of.spec.weather, id(of.weather), of.altitude_m, shape.frame
+
+
+def _air_of_weather(of: Declared) -> bool:
+    return of.air is None and of.spec.atmosphere is not None and of.spec.atmosphere.standard == WEATHER
 
 
 def _objects_key(of: Declared) -> tuple[Any, ...]:
@@ -215,9 +237,42 @@ def _in_memory(now: Declared, what: str) -> ThermorenderError:
     )
 
 
-def _air(now: Declared) -> Atmosphere | None:
+def weather_of(now: Declared, shape: Shape) -> "Weather":
+    """Return the Weather that a scene declares, at its own place."""
+    if now.spec.weather is None or now.time is None:
+        raise ThermorenderError(f"{now.where} has no [weather]; add it")
+    if now.weather is not None:
+        given: Weather = now.weather
+        return given
+    if shape.frame is None:
+        raise ThermorenderError(
+            f"{now.where}: [weather] needs a place, which a mesh does not have; add [frame] with latitude_deg, "
+            "longitude_deg and height_m"
+        )
+    from thermorender.weather.declared import declared_weather
+
+    try:
+        return declared_weather(
+            now.spec.weather, shape.frame.latitude_deg, shape.frame.longitude_deg, now.height_m(shape.frame)
+        )
+    except ThermorenderError as error:
+        raise ThermorenderError(f"{now.where}: {error}") from None
+
+
+def air_of(weather: "Weather", time: Any, **keys: Any) -> Atmosphere:
+    """Return the Atmosphere of a Weather at an instant; keys as of `from_weather`."""
+    at = weather.at(time)
+    near = NearGround(*(float(getattr(at, name)) for name in NearGround._fields))
+    return from_weather(near, weather.latitude_deg, weather.altitude_m, time, **keys)
+
+
+def _air(now: Declared, weather: Any) -> Atmosphere | None:
     if now.air is None:
-        found: Atmosphere | None = declared_air(now.spec.atmosphere, now.camera.band_um, now.where)
+
+        def of_weather(**keys: Any) -> Atmosphere:
+            return air_of(weather, now.time, **keys)
+
+        found: Atmosphere | None = declared_air(now.spec.atmosphere, now.camera.band_um, now.where, of_weather)
         return found
     band = now.camera.band_um
     if (now.air.lower_um.min(), now.air.upper_um.max()) == tuple(band):

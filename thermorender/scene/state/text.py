@@ -57,7 +57,8 @@ def _sky(declared: Declared, derived: Derived, long: bool = False) -> str:
         return "no sky" if kelvin is None else f"{kelvin:g} K" if long else f"sky of {kelvin:g} K"
     altitude_m = declared.height_m(derived.shape.frame)
     if long:
-        return f"that of {derived.air}, {altitude_m:.0f} m above sea level"
+        of = "of the weather: " if derived.weather is not None else "that of "
+        return f"{of}{derived.air}, {altitude_m:.0f} m above sea level"
     return f"air, {altitude_m:.0f} m above sea level"
 
 
