@@ -70,6 +70,7 @@ def solved(balanced):
 EDITS = {
     "camera": lambda scene: scene.with_camera(NARROW),
     "air": lambda scene: scene.with_air("tropical"),
+    "weather's air": lambda scene: scene.with_air("weather"),
     "sky": lambda scene: scene.with_sky(240.0),
     "sun": lambda scene: scene.with_sun(40.0, 150.0),
     "no sun": lambda scene: scene.with_sun(None),
@@ -87,7 +88,10 @@ EDITS = {
     "instant": lambda scene: scene.at(AT),
 }
 # The last edit counts here, as the second declares the same as the first.
-SAME = [{"air", "sky"}, {"sun", "no sun"}, {"kelvin", "balance"}, {"kelvin", "map"}, {"balance", "map"}]
+SAME = [
+    {"air", "sky"}, {"air", "weather's air"}, {"sky", "weather's air"}, {"sun", "no sun"}, {"kelvin", "balance"},
+    {"kelvin", "map"}, {"balance", "map"},
+]  # fmt: skip
 # Each edit refuses what the other declares.
 CONTRADICT = [{"sun", "balance"}, {"class", "learned materials"}, {"instant", "map"}]
 PAIRS = [set(pair) for pair in itertools.combinations(EDITS, 2)]

@@ -29,7 +29,7 @@ _WINTER, _SUMMER = (
 )
 _COLDEST_DAY, _YEAR = 15.0, 365.2425
 # Height in which the difference from the climate falls to 1/e [m].
-_DECAY_M = 2500.0
+_DECAY_M = 4000.0
 # Levels added above the ground, where that difference changes fastest [m].
 _ABOVE_M = (0.0, 100.0, 250.0, 500.0, 1000.0, 1500.0)
 # The least cloud cover that the long-wave is taken to show; below it the vapour aloft changes instead.
@@ -79,7 +79,7 @@ def from_weather(
 
     Notes
     -----
-    Temperature: that of the climate plus the difference at the ground, which decays by 1/e in 2.5 km. Vapour: the
+    Temperature: that of the climate plus the difference at the ground, which decays by 1/e in 4 km. Vapour: the
     climate's mixing ratio times one factor, up to saturation. Clouds: from the excess of the long-wave over a clear
     sky (`thermorender.physics.sky.longwave`); their base is the lifting condensation level, 125 m per kelvin between
     air and dew point (Espy; Lawrence, Bull. Amer. Meteor. Soc. 86 (2005) 225, doi:10.1175/BAMS-86-2-225).
