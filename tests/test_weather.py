@@ -245,6 +245,26 @@ def test_long_gaps_are_refused(tmp_path):
         read_station(path, *PLACE)
 
 
+def test_long_gaps_on_other_days_do_not_matter(tmp_path):
+    wind = [2.0] * 72
+    wind[10:15] = [""] * 5
+    air = np.array(["15.0"] * 72)
+    air[60:66] = ""
+    lines = lambda rows: rows[:5] + rows[10:]  # noqa: E731
+    path = station(tmp_path / "s.csv", {"wind_m_s": wind, "air_c": air}, lines=lines)
+    weather = read_station(path, *PLACE, around=np.datetime64("2018-07-21T12:00"))
+    assert (str(weather.time[0]), str(weather.time[-1])) == ("2018-07-20T15:30:00", "2018-07-22T11:30:00")
+    notes = " ".join(weather.notes)
+    assert "Rows before 2018-07-20T15:30:00Z are left out, because wind_m_s is missing from" in notes
+    assert "Rows after 2018-07-22T11:30:00Z are left out, because air_c is missing" in notes
+    # An instant in a gap is refused with the gap; a longer one may be allowed.
+    for instant in ("2018-07-20T12:00", "2018-07-22T14:00"):
+        with pytest.raises(ThermorenderError, match="or give a larger longest_gap_h"):
+            read_station(path, *PLACE, around=np.datetime64(instant))
+    kept = read_station(path, *PLACE, around=np.datetime64("2018-07-20T12:00"), longest_gap_h=6.0)
+    assert kept.time.size == 67
+
+
 def test_offsets_at_night_are_clipped_and_reported(tmp_path):
     path = station(tmp_path / "s.csv", {"sw_down_w_m2": lambda t: sunlight(t)[0] - 2.5})
     weather = read_station(path, *PLACE)

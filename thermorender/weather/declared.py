@@ -30,8 +30,8 @@ def declared_weather(
     Parameters
     ----------
     spec : object
-        With the keys of the table as attributes: time, file, epw, air_low_c, air_high_c, humidity, wind_m_s, cloud,
-        snow_depth_m; None for a key that is not given. One of file, epw and air_high_c is given.
+        With the keys of the table as attributes (`thermorender.scene.spec.WeatherSpec`); None for a key that is not
+        given. One of file, epw and air_high_c is given.
     latitude_deg, longitude_deg, altitude_m : float
         Of the scene, also used for a station's file. A typical year keeps the place in its header.
     time : datetime64, datetime or str, optional
@@ -54,7 +54,9 @@ def declared_weather(
             )
         when = instant("time", spec.time if time is None else time)
         if spec.file is not None:
-            found = read_station(spec.file, *place, wind_m_s=spec.wind_m_s, snow_depth_m=snow)
+            own = {name: getattr(spec, name, None) for name in ("longest_gap_h", "air_height_m", "wind_height_m")}
+            own = {name: value for name, value in own.items() if value is not None}
+            found = read_station(spec.file, *place, around=when, wind_m_s=spec.wind_m_s, snow_depth_m=snow, **own)
         elif spec.epw is not None:
             found = read_epw(spec.epw, when, snow_depth_m=snow)
             away_km = _away_km(found.latitude_deg, found.longitude_deg, latitude_deg, longitude_deg)

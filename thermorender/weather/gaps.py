@@ -19,6 +19,22 @@ def without_offset(column: str, values: NDArray[np.float64], notes: list[str]) -
     return np.where(below, 0.0, values)
 
 
+def long_gaps(
+    values: NDArray[np.float64], time: NDArray[np.datetime64], step_s: float, longest_gap_h: float
+) -> list[tuple[np.datetime64, np.datetime64]]:
+    """Return (first, last missing instant) of the gaps longer than `longest_gap_h`; the series' ends count too.
+
+    Parameters are those of `filled`.
+    """
+    good = np.flatnonzero(~np.isnan(values))
+    second = (time - time[0]).astype(np.float64)
+    edges = np.concatenate([[second[0] - step_s], second[good], [second[-1] + step_s]])
+    wide = np.flatnonzero(np.diff(edges) - step_s > 3600.0 * longest_gap_h)
+    at = [time[0] + np.timedelta64(int(edge), "s") for edge in edges]
+    step = np.timedelta64(int(step_s), "s")
+    return [(at[k] + step, at[k + 1] - step) for k in wide]
+
+
 def filled(
     path: object, column: str, quantity: str, values: NDArray[np.float64], time: NDArray[np.datetime64], step_s: float,
     longest_gap_h: float, notes: list[str],
@@ -50,17 +66,17 @@ def filled(
     if quantity in ZERO_IN_GAPS:
         notes.append(f"{hole.sum()} values of {column} are missing and taken as 0.")
         return np.where(hole, 0.0, values)
-    good = np.flatnonzero(~hole)
-    second = (time - time[0]).astype(np.float64)
-    # The series' ends without values count as gaps.
-    edges = np.concatenate([[second[0] - step_s], second[good], [second[-1] + step_s]])
-    gap = np.diff(edges) - step_s
-    k = int(np.argmax(gap))
-    if gap[k] > 3600.0 * longest_gap_h:
-        first, last = (time[0] + np.timedelta64(int(edge), "s") for edge in (edges[k] + step_s, edges[k + 1] - step_s))
+    long = long_gaps(values, time, step_s, longest_gap_h)
+    if long:
+        first, last = max(long, key=lambda gap: gap[1] - gap[0])
         raise ThermorenderError(
             f"{path}: {column} is missing from {first}Z to {last}Z, longer than the {longest_gap_h:g} h that are "
-            "interpolated; fill the gap, leave the column out to have it modelled, or keep the rows before or after it"
+            "interpolated; fill the gap, leave the column out to have it modelled, keep the rows before or after it, "
+            "or give a larger longest_gap_h"
         )
-    notes.append(f"{hole.sum()} values of {column} are missing, for {gap[k] / 3600.0:.2g} h at most, and interpolated.")
+    good = np.flatnonzero(~hole)
+    second = (time - time[0]).astype(np.float64)
+    edges = np.concatenate([[second[0] - step_s], second[good], [second[-1] + step_s]])
+    longest_h = (np.diff(edges).max() - step_s) / 3600.0
+    notes.append(f"{hole.sum()} values of {column} are missing, for {longest_h:.2g} h at most, and interpolated.")
     return np.interp(second, second[good], values[good])

@@ -29,7 +29,7 @@ from thermorender.weather.columns import (
     vapour_of,
 )
 from thermorender.weather.complete import complete
-from thermorender.weather.gaps import filled, without_offset
+from thermorender.weather.gaps import ZERO_IN_GAPS, filled, long_gaps, without_offset
 from thermorender.weather.series import Weather
 
 _TIMES = ("time_utc", "time", "time_local")
@@ -40,8 +40,9 @@ _LIGHT = ("global_w_m2", "direct_w_m2", "diffuse_w_m2")
 def read_station(
     path: str | PathLike[str], latitude_deg: float, longitude_deg: float, altitude_m: float, *,
     utc_offset_h: float | None = None, names: Mapping[str, str] | None = None,
-    during: Sequence[str | datetime | np.datetime64] | None = None, longest_gap_h: float = 3.0,
-    wind_m_s: float | None = None, snow_depth_m: float = 0.0, air_height_m: float = 2.0, wind_height_m: float = 10.0,
+    during: Sequence[str | datetime | np.datetime64] | None = None, around: np.datetime64 | None = None,
+    longest_gap_h: float = 3.0, wind_m_s: float | None = None, snow_depth_m: float = 0.0, air_height_m: float = 2.0,
+    wind_height_m: float = 10.0,
 ) -> Weather:  # fmt: skip
     """Return the Weather of a station's table.
 
@@ -58,6 +59,8 @@ def read_station(
         {column of the file: our name} for columns with other names.
     during : (start, end), optional
         First and last instant to read, as in `units.instant`.
+    around : datetime64, optional
+        Rows before the last longer gap before this instant, and after the first one behind it, are left out.
     longest_gap_h : float
         Gaps up to this length are interpolated.
     wind_m_s, snow_depth_m : float
@@ -88,6 +91,9 @@ def read_station(
         )
     notes: list[str] = []
     values, column_of = _quantities(path, header, cells, rows, notes)
+    if around is not None:
+        kept = _unbroken(time, values, column_of, step_s, longest_gap_h, around, notes)
+        time, rows, values = time[kept], rows[kept], {name: series[kept] for name, series in values.items()}
     if "pressure_pa" in values:
         check_pressure(path, column_of["pressure_pa"], values["pressure_pa"], altitude_m)
     _note_missing_rows(path, time, rows, step_s, longest_gap_h, notes)
@@ -316,6 +322,26 @@ def _check_rising(path, time, rows):
     return float(np.median(step))
 
 
+def _unbroken(time, values, column_of, step_s, longest_gap_h, around, notes):
+    """Rows (a slice) around an instant that no gap interrupts which is longer than those interpolated."""
+    first, last = time[0], time[-1]
+    step = np.timedelta64(int(step_s), "s")
+    gaps = [("all columns", time[k] + step, time[k + 1] - step)
+            for k in np.flatnonzero(np.diff(time).astype(np.float64) - step_s > 3600.0 * longest_gap_h)]  # fmt: skip
+    for name, series in values.items():
+        if name not in ZERO_IN_GAPS:
+            gaps += [(column_of[name], *gap) for gap in long_gaps(series, time, step_s, longest_gap_h)]
+    for column, start, end in gaps:
+        why = f"because {column} is missing from {start}Z to {end}Z, longer than the {longest_gap_h:g} h interpolated."
+        if end < around and end >= first:
+            first = end + step
+            notes.append(f"Rows before {first}Z are left out, {why}")
+        elif start > around and start <= last:
+            last = start - step
+            notes.append(f"Rows after {last}Z are left out, {why}")
+    return slice(*np.searchsorted(time, [first, last + np.timedelta64(1, "s")]))
+
+
 def _note_missing_rows(path, time, rows, step_s, longest_gap_h, notes):
     """Refuse long gaps of missing rows, and note short ones."""
     step = np.diff(time).astype(np.float64)
@@ -324,7 +350,7 @@ def _note_missing_rows(path, time, rows, step_s, longest_gap_h, notes):
         k = int(np.argmax(long))
         raise ThermorenderError(
             f"{path}: no rows from {time[k]}Z (row {rows[k]}) to {time[k + 1]}Z, longer than the {longest_gap_h:g} h "
-            "that are interpolated; fill the gap, or keep the rows before or after it"
+            "that are interpolated; fill the gap, keep the rows before or after it, or give a larger longest_gap_h"
         )
     short = step > 1.5 * step_s
     if short.any():

@@ -20,7 +20,11 @@ from thermorender.scene.surface import scene_kelvin
 from thermorender.schema import Where, did_you_mean
 
 # Keys of [weather] that say where the weather comes from, each with the keys that belong to it.
-_KINDS = {"file": (), "epw": (), "air_high_c": ("air_low_c", "humidity", "wind_m_s", "cloud")}
+_KINDS = {
+    "file": ("longest_gap_h", "air_height_m", "wind_height_m"),
+    "epw": (),
+    "air_high_c": ("air_low_c", "humidity", "wind_m_s", "cloud"),
+}
 
 
 def material_of(key: int | str, value: Any, library: Mapping[str, Material]) -> Material:
