@@ -328,7 +328,9 @@ def read_toml(path: Any, name: str | None = None) -> dict[str, Any]:
     except RecursionError:
         raise ThermorenderError(f"{name} is not valid TOML: brackets are nested too deeply; close them") from None
     except ValueError as error:  # TOMLDecodeError, or a number too long for Python
-        raise ThermorenderError(f"{name} is not valid TOML: {error}") from None
+        twice = "twice" in str(error) or "overwrite" in str(error)
+        advice = "; leave one of the two out" if twice else ""
+        raise ThermorenderError(f"{name} is not valid TOML: {error}{advice}") from None
 
 
 def toml_text(values: Mapping[str, Any], comment: str = "") -> str:

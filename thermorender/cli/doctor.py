@@ -64,7 +64,7 @@ def examine() -> tuple[list[tuple[str, str, str]], bool]:
     rows.append(("machine", f"{platform.system()} {platform.machine()}, {len(_cores())} cores usable", ""))
     found = [f"{version or 'unknown'}: {path}" for path, version in sorted(llvm_libraries().items(), key=str)]
     chosen = usable_llvm()
-    rows.append(("LLVM libraries", "; ".join(found) or "none found", ""))
+    rows += [("LLVM library", library, "") for library in found or ["none found"]]
     remedies = "`thermorender doctor --install` or `apt-get install libllvm19`"
     fix = "" if chosen else f"needs version {OLDEST_LLVM} or newer: {remedies}"
     rows.append(("LLVM in use", str(chosen[0]) if chosen else "none", fix))

@@ -82,8 +82,10 @@ class SceneOptions:
         scene = at_time(name, self.time, read_time, temperature)
         if self.air is not None:
             scene = scene.with_air(*parse_air(self.air))
-        for note in scene.weather_notes if scene.temperature_state.weather_driven else ():
-            typer.echo(f"weather: {note}")
+        if scene.temperature_state.weather_driven:
+            for note in (_sun_of(scene), *scene.weather_notes):
+                typer.echo(f"weather: {note}")
+        warn(_one_material(scene))
         for note in scene.sky_notes:
             warn(note)
         print_map_reports(scene)
@@ -94,6 +96,35 @@ class SceneOptions:
                 f"{report['fallback']}"
             )
         return scene
+
+
+def _sun_of(scene: "Scene") -> str:
+    """The instant at the scene's place, and where the sun is."""
+    from thermorender.physics.sun import solar_hour
+    from thermorender.units import utc_text
+
+    weather, time = scene.weather, scene.time
+    assert time is not None
+    hour = float(solar_hour(time, weather.longitude_deg))
+    elevation = float(weather.sun(time)[1])
+    minute = round(60.0 * hour) % 1440
+    return (
+        f"{utc_text(time)} is {minute // 60:02d}:{minute % 60:02d} in solar time, the sun {abs(elevation):.0f}° "
+        f"{'above' if elevation > 0.0 else 'below'} the horizon"
+    )
+
+
+def _one_material(scene: "Scene") -> str | None:
+    """A warning if one material covers the terrain of a heat balance, else None."""
+    import numpy as np
+
+    kinds = {int(number) for surface in scene.surfaces[: scene.terrain_count] for number in np.unique(surface.material)}
+    if not scene.balanced or len(kinds) > 1:
+        return None
+    return (
+        f"{scene.materials[kinds.pop()].name} covers all of the terrain, so the heat balance shows only slope and "
+        "shadow; give the ground its materials in [emissivity]"
+    )
 
 
 @dataclass(frozen=True)

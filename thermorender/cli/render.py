@@ -1,7 +1,7 @@
 """Verbs that render frames: one frame, a flight, a day."""
 
 from dataclasses import replace
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -25,6 +25,13 @@ from thermorender.cli.options import (
 )
 from thermorender.cli.terminal import NewResults, Results, progress, split, warn
 from thermorender.errors import ThermorenderError
+
+if TYPE_CHECKING:
+    from thermorender.frame import Frame
+    from thermorender.scene.scene import Scene
+
+# A texel this many pixels wide makes a frame look blurred.
+_COARSE_PX = 12.0
 
 
 @flat
@@ -84,8 +91,26 @@ def render(
     print_cache_note(renderer)
     seen = frame.apparent_temperature
     typer.echo(f"apparent temperature {seen.min():.2f}–{seen.max():.2f} K, mean {seen.mean():.2f} K")
-    for path in written.values():
+    for path in (*written.values(), output / "frame_000000.json"):
         typer.echo(str(path))
+    warn(_coarse(renderer.scene, frame))
+
+
+def _coarse(scene: "Scene", frame: "Frame") -> str | None:
+    """A warning if a texel of the terrain covers many pixels of the frame, else None."""
+    import numpy as np
+
+    depth = frame.truth["depth"]
+    if not np.isfinite(depth).any():
+        return None
+    texel, focal = scene.surfaces[0].texel_m, frame.camera.focal_length_px
+    pixels = texel * focal / float(np.nanmedian(depth))
+    if pixels < _COARSE_PX:
+        return None
+    return (
+        f"a texel of {texel:.3g} m is {pixels:.0f} pixels wide in this frame, which looks blurred; fly at about "
+        f"{texel * focal:.0f} m or higher, or give a finer orthophoto"
+    )
 
 
 @flat

@@ -32,6 +32,7 @@ def import_terrain(
 ) -> None:  # fmt: skip
     """Make a scene from an elevation model and an orthophoto."""
     from thermorender.scene.import_terrain import import_terrain as run
+    from thermorender.sensor.camera import load_camera
 
     if height_reference not in (None, "ellipsoid", "geoid"):
         raise ThermorenderError(f"--height-reference={height_reference!r} is not allowed; give ellipsoid or geoid")
@@ -42,7 +43,16 @@ def import_terrain(
                f"{summary['share_without_height']:.1%} without height, "
                + (f"{summary['share_filled']:.1%} filled, " if fill else "") +
                f"{summary['share_without_colour']:.1%} without colour; "
-               f"heights above the {summary['height_reference']}")  # fmt: skip
+               f"heights above the {summary['height_reference']}"
+               + ("" if summary["height_reference_stated"] else
+                  " (assumed, as the CRS does not say; --height-reference geoid changes it)"))  # fmt: skip
+    typer.echo(
+        f"temperatures are those of the learned map {model!r}, a placeholder until you give measured ones or a weather"
+    )
+    typer.echo(
+        f"flight.csv flies along the middle, {summary['flight_m']:.0f} m above the ground; a texel covers one pixel of "
+        f"the {defaults.CAMERA} from {summary['texel_m'] * load_camera(defaults.CAMERA).focal_length_px:.0f} m"
+    )
 
 
 def make_scene(

@@ -90,8 +90,11 @@ def at_time(
 
 
 def table(header: Sequence[object], rows: Iterable[Sequence[object]]) -> None:
-    """Print columns with one row per line, also for pipes and spreadsheets."""
+    """Print columns with one row per line, also for pipes and spreadsheets; a column of empty cells is left out."""
     lines = [tuple(map(str, line)) for line in (header, *rows)]
+    used = [any(line[k] for line in lines[1:]) for k in range(len(header))]
+    lines = [tuple(cell for cell, use in zip(line, used, strict=True) if use) for line in lines]
+    lines = lines if any(lines[0]) else lines[1:]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     for line in lines:
         typer.echo("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())

@@ -19,9 +19,12 @@ from thermorender.scene.raster import Grid, bounds_in, grid_of, lon_lat, onto, r
 from thermorender.scene.surface import scene_kelvin
 from thermorender.scene.terrain import filled, read_elevation
 from thermorender.schema import toml_text
+from thermorender.sensor.camera import load_camera
 
 DEFAULT_VERTICES = 4_000_000
 DEFAULT_TEXELS = 8192
+# Duration of the flight that comes with the scene [s]: 180 frames of the default camera.
+_FLIGHT_S = 20.0
 
 
 _Bounds = tuple[float, float, float, float]
@@ -61,7 +64,8 @@ def import_terrain(
     Returns
     -------
     dict
-        crs, posts, post_m, texels, texel_m, height_reference, share_without_height, share_filled (of the posts),
+        crs, posts, post_m, texels, texel_m, height_reference, height_reference_stated (by the caller or the CRS),
+        flight_m (height of flight.csv above the ground), share_without_height, share_filled (of the posts),
         share_without_colour.
 
     Raises
@@ -88,8 +92,9 @@ def import_terrain(
     rgb, valid, colour_grid = *read_colour(orthophoto), grid_of(orthophoto)
     if not valid.any():
         raise ThermorenderError(f"{orthophoto} is empty: every pixel is masked or border; give another orthophoto")
+    stated = height_reference is not None or _has_vertical_datum(height_grid.crs)
     if height_reference is None:
-        height_reference = "geoid" if _has_vertical_datum(height_grid.crs) else "ellipsoid"
+        height_reference = "geoid" if stated else "ellipsoid"
     crs = _map_crs(height_grid)
     bounds = _shared(bounds_in(crs, height_grid), bounds_in(crs, colour_grid), elevation, orthophoto)
     height, target = _heights(height, height_grid, crs, bounds, max_vertices)
@@ -114,10 +119,12 @@ def import_terrain(
         },
         f"Made from {Path(elevation).name} and {Path(orthophoto).name}.",
     )  # fmt: skip
+    flight_m, flight = _flight(bounds, _step(crs, texels))
     with atomic_folder(folder) as part:
         _write(part / "elevation.tif", height[None].astype(np.float32), target, nodata=np.nan, predictor=3)
         _write(part / "orthophoto.tif", np.moveaxis(rgb, -1, 0), texels, predictor=2, photometric="RGB", mask=valid)
         write_text(part / "scene.toml", text)
+        write_text(part / "flight.csv", flight)
     return {
         "crs": crs.to_string(),
         "posts": [target.height, target.width],
@@ -125,6 +132,8 @@ def import_terrain(
         "texels": [texels.height, texels.width],
         "texel_m": _step(crs, texels),
         "height_reference": height_reference,
+        "height_reference_stated": stated,
+        "flight_m": flight_m,
         "share_without_height": float(1.0 - after.mean()),
         "share_filled": float((after & ~known).mean()),
         "share_without_colour": float(1.0 - valid.mean()),
@@ -159,6 +168,25 @@ def _colours(
     valid = weight > 0.5
     mean = np.where(valid[..., None], filtered / np.maximum(weight, 1e-6)[..., None], 0.0)
     return np.clip(np.rint(np.nan_to_num(mean)), 0, 255).astype(np.uint8), valid, target
+
+
+def _flight(bounds: _Bounds, texel_m: float) -> tuple[float, str]:
+    """(Height above the ground [m], text of flight.csv): along the middle, looking down, a pixel as wide as a texel.
+
+    The flight is lower where the terrain would not fill half of the picture.
+    """
+    camera = load_camera(defaults.CAMERA)
+    across, up = bounds[2] - bounds[0], bounds[3] - bounds[1]
+    fits = 0.5 * min(across / camera.width, up / camera.height) * camera.focal_length_px
+    height = min(texel_m * camera.focal_length_px, max(fits, 1.0))
+    half, east = 0.3 * max(across, up), across >= up
+    ends = [(side * half * east, side * half * (not east)) for side in (-1.0, 1.0)]
+    yaw = 90.0 if east else 0.0
+    rows = [
+        f"{time:.1f},{e:.1f},{n:.1f},{height:.1f},{yaw:.0f},-90,0"
+        for time, (e, n) in zip((0.0, _FLIGHT_S), ends, strict=True)
+    ]
+    return height, "\n".join(["time_s,east_m,north_m,above_ground_m,yaw_deg,pitch_deg,roll_deg", *rows]) + "\n"
 
 
 def _finite(name: str, value: float | None) -> None:
