@@ -36,6 +36,7 @@ venv-package:
 demo: $(READY)
 	rm -rf out/demo
 	$(BIN)/thermorender demo -o out/demo
+	@echo '. $(BIN)/activate   # in each new shell'
 
 # All but the tests marked `slow`: six minutes on two cores.
 test: $(READY)

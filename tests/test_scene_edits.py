@@ -244,9 +244,14 @@ def test_air_uses_its_own_altitude(weathered):
     """The specification's air was ignored and its altitude obeyed."""
     high = weathered.with_air(AtmosphereSpec(standard="tropical", altitude_m=2000.0))
     assert high.altitude_m == 2000.0 and high.sky_temperature < weathered.with_air("tropical").sky_temperature - 5.0
-    # The altitude belongs to the place: another air, or none, does not change it.
-    again = high.with_sky(250.0).with_air("midlatitude-winter")
-    assert again.altitude_m == 2000.0 and again.sky_temperature != high.sky_temperature
+    # Another air does not keep it; that of the scene file belongs to the place and stays.
+    assert high.with_sky(250.0).with_air("tropical").digest() == weathered.with_air("tropical").digest()
+    text = (weathered.spec.folder / "scene.toml").read_text()
+    folder = weathered.spec.folder.parent / "high"
+    write_terrain(folder)
+    air = '[atmosphere]\nstandard = "tropical"\naltitude_m = 2000\n'
+    (folder / "scene.toml").write_text(text.replace("[sky]\ntemperature = 260.0\n", air))
+    assert tr.load_scene(folder).with_sky(250.0).with_air("midlatitude-winter").altitude_m == 2000.0
 
 
 def test_removing_the_air_restores_the_declared_sky(weathered):
@@ -339,7 +344,7 @@ def test_a_truth_raster_is_of_its_own_weather(weathered):
         (lambda s: s.with_temperature(21.5), "with_temperature=21.5 is below 100 K"),
         (lambda s: s.with_temperature("gone.tif"), "gone.tif does not exist; give a raster of kelvin"),
         (lambda s: s.with_temperature("fok-1to2"), "learned map 'fok-1to2' is unknown; did you mean 'fok-1to1'"),
-        (lambda s: s.with_temperature(TemperatureSpec("raster"), kelvin=[np.zeros((2, 2))]), "does not cover the terr"),
+        (lambda s: s.with_temperature(TemperatureSpec("raster"), kelvin=[np.zeros((2, 2))]), "holds arrays of shape"),
         (lambda s: s.with_material(moon="sand_quartz"), "given 'moon', which this scene does not have; give one of"),
         (lambda s: s.with_material({7: "sand_quartz"}), "given class 7, which this scene does not have"),
         (lambda s: s.with_material(grass_green="gras_green"), "with_material: grass_green"),

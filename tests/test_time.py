@@ -40,7 +40,7 @@ cloud = 0.2
 """
 NOON = np.datetime64("2018-07-28T14:30:00")
 MINUTE = np.timedelta64(60, "s")
-Conditions = namedtuple("Conditions", ["air_k", "direct_w_m2", "snow_m"])
+Conditions = namedtuple("Conditions", ["air_k", "direct_w_m2", "snow_m", "vapour_pa", "pressure_pa", "longwave_w_m2"])
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,14 @@ class StandIn:
     time: np.ndarray
     longitude_deg: float
     notes: tuple = ("the sky's long-wave was modelled",)
+    latitude_deg: float = 52.0
+    altitude_m: float = 0.0
 
     def at(self, time):
         hour = (np.asarray(time, "datetime64[s]").astype(np.int64) % 86400) / 3600.0
         air_k = 289.15 + 6.0 * np.sin(2.0 * np.pi * (hour - 9.0) / 24.0)
-        return Conditions(air_k, 500.0 * np.ones_like(hour), np.zeros_like(hour))
+        one = np.ones_like(hour)
+        return Conditions(air_k, 500.0 * one, 0.0 * one, 1200.0 * one, 101325.0 * one, 320.0 * one)
 
     def sun(self, time):
         hour = (np.asarray(time, "datetime64[s]").astype(np.int64) % 86400) / 3600.0

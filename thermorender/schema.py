@@ -268,13 +268,25 @@ def file_inside(value: Any, where: Where) -> Path:
     return path
 
 
+class FrozenDict(dict[Any, Any]):
+    """A dict of settings that cannot be changed."""
+
+    def _refuse(self, *values: Any, **more: Any) -> NoReturn:
+        raise ThermorenderError("these settings cannot be changed; make other ones and give those")
+
+    __setitem__ = __delitem__ = __ior__ = update = pop = popitem = setdefault = clear = _refuse  # type: ignore[assignment]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return FrozenDict, (dict(self),)
+
+
 def mapping(read_value: Reader, read_key: Reader = lambda key, where: key) -> Reader:
     """Return the reader of a table with any keys, at least one; `read_key` takes (key, Where of the table)."""
 
     def read_mapping(value, where):
         if not isinstance(value, dict) or not value:
             where.refuse(value, "a table with at least one entry")
-        return {read_key(name, where): read_value(item, where.of(name)) for name, item in value.items()}
+        return FrozenDict({read_key(name, where): read_value(item, where.of(name)) for name, item in value.items()})
 
     return read_mapping
 

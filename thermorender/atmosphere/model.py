@@ -82,9 +82,13 @@ class Atmosphere:
     cloud_base_m: float = 2000.0
 
     def __post_init__(self) -> None:
+        for name in NAMES:
+            values = np.array(getattr(self, name), np.float64)
+            values.flags.writeable = False
+            # The dataclass is frozen, so values are set this way.
+            object.__setattr__(self, name, values)
         limits = np.stack([self.lower_um, self.upper_um], axis=1)
         bands, which = np.unique(limits, axis=0, return_inverse=True)
-        # The dataclass is frozen, so derived values are set this way.
         object.__setattr__(self, "_bands", bands)
         object.__setattr__(self, "_band_of", which.reshape(-1))
         density = exponential(ALTITUDE_M, self.altitude_m, self.density).T.copy()

@@ -19,6 +19,9 @@ ROUNDING_UM = 1e-9
 # Standard deviation assumed for the solar absorptance if the table has none: the spread of samples of one kind.
 ASSUMED_SOLAR_STD = 0.05
 
+# Source of a grey material.
+_ASSUMED_GREY = "assumed constant"
+
 # With four nodes per panel up to this long, Planck's law is integrated exactly down to 100 K.
 LONGEST_PANEL_UM = 0.25
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
@@ -116,6 +119,10 @@ class Material:
         ThermorenderError
             The library has none for this material.
         """
+        if self.thermal is None and self.source == _ASSUMED_GREY:
+            raise ThermorenderError(
+                f"grey material {self.name!r} has no thermal properties; use a material of the library that has them"
+            )
         if self.thermal is None:
             raise ThermorenderError(
                 f"material {self.name!r} has no thermal properties; add thermal/{self.name}.csv (columns property, "
@@ -292,7 +299,7 @@ def grey(name: str, emissivity: float) -> Material:
     return Material(
         name=name, title=f"grey, emissivity {emissivity:g}", wavelength_um=[0.0, LONGEST_WAVELENGTH_UM],
         emissivity=[emissivity, emissivity], emissivity_std=[np.nan, np.nan], colour=(128, 128, 128),
-        solar_absorptance=float(emissivity), temperature=300.0, source="assumed constant", citation="none",
+        solar_absorptance=float(emissivity), temperature=300.0, source=_ASSUMED_GREY, citation="none",
         licence="none needed",
     )  # fmt: skip
 

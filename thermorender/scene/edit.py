@@ -11,7 +11,7 @@ from os import PathLike
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
@@ -19,10 +19,21 @@ from thermorender.learned.temperature_map import TemperatureMap
 from thermorender.materials.material import Material
 from thermorender.scene.parts.cover import OBJECT, Cover, Painted
 from thermorender.scene.parts.read import Parts
-from thermorender.scene.spec import AtmosphereSpec, EmissivitySpec, SunSpec, TemperatureSpec, WeatherSpec
-from thermorender.scene.state.arguments import changed_object, changed_weather, material_of, temperature_spec
+from thermorender.scene.spec import WEATHER, AtmosphereSpec, EmissivitySpec, SunSpec, TemperatureSpec
+from thermorender.scene.state.arguments import (
+    changed_object,
+    checked_spec,
+    flags_argument,
+    kelvin_argument,
+    material_of,
+    number_of,
+    refuse_other,
+    surfaces_argument,
+    temperature_spec,
+    weather_argument,
+)
 from thermorender.scene.state.declared import Declared
-from thermorender.scene.state.derived import Derived, of_surfaces
+from thermorender.scene.state.derived import Derived, air_in, of_surfaces
 from thermorender.scene.surface import FALLBACK, UNMOVED, Surface, scene_kelvin
 from thermorender.scene.temperature import learned_map
 from thermorender.scene.temperature_state import Known, Moved
@@ -39,6 +50,7 @@ class Edits:
     _parts: Parts | None
     _declared: Declared
     _derived: Derived
+    weather: Any
 
     def _edited(self: _S, declared: Declared) -> _S:
         """Return the scene that declares something else."""
@@ -110,9 +122,14 @@ class Edits:
                 f"with_air was given a {type(air).__name__}; give the name of a standard atmosphere, an "
                 "AtmosphereSpec, an Atmosphere or None"
             )
-        altitude_m = now.altitude_m if air.altitude_m is None else air.altitude_m
+        air = checked_spec(air, "with_air", now.spec.folder)
+        if air.standard == WEATHER and now.spec.weather is None:
+            raise ThermorenderError(
+                f"{now.where}: with_air('weather') needs the weather, and this scene has none; call with_weather "
+                "first, or name another air"
+            )
         spec = replace(now.spec, atmosphere=air, sky_temperature=None)
-        return self._edited(replace(now, spec=spec, air=None, altitude_m=altitude_m))
+        return self._edited(replace(now, spec=spec, air=None))
 
     def with_sky(self: _S, kelvin: float, surroundings: float | None = None) -> _S:
         """Return this scene under an isotropic black sky and without air.
@@ -125,12 +142,14 @@ class Edits:
             Temperature of the black surroundings beyond the terrain [K]; by default it stays as it is.
         """
         now = self._declared
+        kelvin = number_of("with_sky: kelvin", kelvin)
         scene_kelvin("with_sky: kelvin", kelvin, allow_zero=True)
         around = now.spec.surroundings_temperature
         if surroundings is not None:
-            around = float(scene_kelvin("with_sky: surroundings", surroundings, allow_zero=True))
-        spec = replace(now.spec, atmosphere=None, sky_temperature=float(kelvin), surroundings_temperature=around)
-        return self._edited(replace(now, spec=spec, air=None, sky_temperature=float(kelvin)))
+            around = number_of("with_sky: surroundings", surroundings)
+            scene_kelvin("with_sky: surroundings", around, allow_zero=True)
+        spec = replace(now.spec, atmosphere=None, sky_temperature=kelvin, surroundings_temperature=around)
+        return self._edited(replace(now, spec=spec, air=None, sky_temperature=kelvin))
 
     def with_sun(self: _S, elevation_deg: float | None, azimuth_deg: float | None = None) -> _S:
         """Return this scene with the sun elsewhere.
@@ -150,6 +169,7 @@ class Edits:
         """
         now, sun = self._declared, None
         if elevation_deg is not None:
+            elevation_deg = number_of("with_sun: elevation_deg", elevation_deg)
             if azimuth_deg is None and now.spec.sun is not None:
                 azimuth_deg = now.spec.sun.azimuth_deg
             if azimuth_deg is None:
@@ -191,8 +211,7 @@ class Edits:
                 f"{now.spec.temperature.model!r}, which does not state the instant and weather of "
                 "its training; add [temperature.trained] with the keys of [weather], or leave the time out"
             )
-        spec = replace(now.spec, weather=replace(now.spec.weather, time=asked), truth_temperature=None)
-        return self._edited(replace(now, spec=spec, time=asked))
+        return self._edited(now.under(replace(now.spec.weather, time=asked), now.weather))
 
     def with_weather(self: _S, weather: Any = None, **keys: Any) -> _S:
         """Return this scene under another weather; temperatures that follow it become pending.
@@ -214,25 +233,8 @@ class Edits:
         now = self._declared
         if weather is None and not keys:
             raise ThermorenderError("with_weather was given nothing; give a WeatherSpec, a Weather or keys to change")
-        series = now.weather if weather is None and set(keys) <= {"time", "inside_c"} else None
-        spec = now.spec.weather
-        if isinstance(weather, WeatherSpec):
-            spec = weather
-        elif weather is not None:
-            if not all(hasattr(weather, name) for name in ("time", "at", "sun")):
-                raise ThermorenderError(
-                    f"with_weather was given a {type(weather).__name__}; give a WeatherSpec, a Weather or keys of "
-                    "[weather]"
-                )
-            series = weather
-            if spec is None and "time" not in keys:
-                raise ThermorenderError(f"{now.where}: with_weather needs time=…, because the scene has none; add it")
-        if keys:
-            spec = changed_weather(spec, keys, now, series is None)
-        assert spec is not None
-        truth = now.spec.truth_temperature if spec == now.spec.weather and series is now.weather else None
-        spec_now = replace(now.spec, weather=spec, truth_temperature=truth)
-        return self._edited(replace(now, spec=spec_now, weather=series, time=spec.time))
+        spec, series = weather_argument(weather, keys, now)
+        return self._edited(now.under(spec, series))
 
     def with_temperature(
         self: _S, source: "TemperatureSpec | float | str | PathLike[str] | TemperatureMap",
@@ -256,13 +258,16 @@ class Edits:
         ThermorenderError
             A source that cannot be used in this scene.
         """
+        if model is not None and not isinstance(model, TemperatureMap):
+            raise ThermorenderError(f"with_temperature: model is a {type(model).__name__}; give a TemperatureMap")
         if isinstance(source, TemperatureMap):
             model, spec = source, TemperatureSpec(source="learned", model=source.name)
         else:
-            spec = temperature_spec(source)
+            spec = temperature_spec(source, self._declared.spec.folder, kelvin is not None or model is not None)
+        ground = self._derived.shape.ground
         now = replace(
             self._declared, spec=replace(self._declared.spec, temperature=spec), model=model, given=False,
-            kelvin=None if kelvin is None else tuple(np.asarray(values, np.float32) for values in kelvin),
+            kelvin=kelvin if kelvin is None else kelvin_argument("with_temperature: kelvin", kelvin, ground, True),
         )  # fmt: skip
         if model is None:
             now = replace(now, model=learned_map(spec))
@@ -276,6 +281,12 @@ class Edits:
         ThermorenderError
             A terrain without an orthophoto, or a map that cannot be used.
         """
+        if not isinstance(spec, EmissivitySpec) or spec.source != "learned":
+            shown = f"source={spec.source!r}" if isinstance(spec, EmissivitySpec) else f"a {type(spec).__name__}"
+            raise ThermorenderError(
+                f"with_learned_materials was given {shown}; give EmissivitySpec('learned', model=…, fallback=…)"
+            )
+        spec = checked_spec(spec, "with_learned_materials", self._declared.spec.folder)
         if not self._declared.spec.terrain.orthophoto:
             raise ThermorenderError(
                 f"{self._declared.where}: a learned emissivity map reads materials from an orthophoto; add "
@@ -302,6 +313,7 @@ class Edits:
             Something the scene does not have, an unknown material, or one not measured over the camera's band.
         """
         now, parts = self._declared, self._parts
+        refuse_other("with_material", replaced or {}, "{what it replaces: material}, or name=material")
         given: dict[int | str, str | float | Material] = dict(replaced or {})
         given.update(more)
         if parts is None:
@@ -332,6 +344,7 @@ class Edits:
         """
         now, known = self._declared, {item.name: item for item in self._declared.spec.objects}
         held = dict(now.held)
+        refuse_other("with_objects", objects, "{name: kelvin} or {name: {key: value}}")
         for name, given in objects.items():
             if name not in known:
                 raise ThermorenderError(
@@ -369,19 +382,12 @@ class Edits:
             A texel whose material number is beyond the materials.
         """
         now, had = self._declared, self._derived
-        shown = tuple(had.surfaces if surfaces is None else surfaces)
-        count = len(had.shape.ground) if terrain_count is None else terrain_count
-        made = tuple(had.cover.materials if materials is None else materials)
-        highest = max(int(surface.material.max(initial=0)) for surface in shown)
-        if highest >= len(made):
-            raise ThermorenderError(
-                f"{now.where}: a texel has material number {highest}, but there are {len(made)} materials; give one "
-                "for each number"
-            )
+        shown, made, count = surfaces_argument(surfaces, materials, terrain_count, had, now.where)
         if isinstance(had.temperature_state.source, Moved) and surfaces is None:
             # Move the map again, not the temperatures that a heat balance computed from it.
             own = had.temperature_state.source.temperatures
-            shown = (*map(_at, shown, own), *shown[len(own) :])
+            moved = (replace(surface, temperature=kelvin) for surface, kelvin in zip(shown, own, strict=False))
+            shown = (*moved, *shown[len(own) :])
         ground, static = shown[:count], shown[count:]
         painted = tuple(Painted(s.material, s.colour, s.flags & ~np.uint8(FALLBACK | UNMOVED)) for s in ground)
         shape = replace(
@@ -423,18 +429,22 @@ class Edits:
                 "solved for an instant; call with_temperature('balance') first"
             )
         terrain = had.surfaces[: len(had.shape.ground)]
-        made = [
-            replace(surface, temperature=np.asarray(values, dtype=np.float32).reshape(surface.flags.shape))
-            for surface, values in zip(terrain, temperatures, strict=True)
-        ]
+        what = "with_solved_temperatures: temperatures"
+        kelvin = kelvin_argument(what, temperatures, terrain, no_data=False)
+        made = [replace(surface, temperature=values) for surface, values in zip(terrain, kelvin, strict=True)]
         if flags is not None:
-            made = [replace(s, flags=np.asarray(own, np.uint8)) for s, own in zip(made, flags, strict=True)]
-        moment = time.astype("datetime64[s]")
+            own = flags_argument(flags, terrain)
+            made = [replace(surface, flags=values) for surface, values in zip(made, own, strict=True)]
+        moment = instant("with_solved_temperatures: time", time)
+        self.weather.at(moment)
         known = Known(state.source, moment, report or state.report, moved_report or {}, notes)
         surfaces = (*made, *had.surfaces[len(terrain) :])
-        declared = replace(self._declared, time=moment)
-        return self._made(self._parts, declared, replace(had, surfaces=surfaces, temperature_state=known))
-
-
-def _at(surface: Surface, kelvin: NDArray[np.float32]) -> Surface:
-    return replace(surface, temperature=kelvin)
+        now = self._declared
+        assert now.spec.weather is not None
+        declared = now if moment == now.time else now.under(replace(now.spec.weather, time=moment), now.weather)
+        air = had.air if had.weather is None else air_in(declared, had.weather)
+        scene = self._made(self._parts, declared, replace(had, surfaces=surfaces, temperature_state=known, air=air))
+        if "_weather" in vars(self):
+            # The weather that was read for one instant holds for the others that were solved with it.
+            vars(scene)["_weather"] = vars(self)["_weather"]
+        return scene

@@ -55,5 +55,7 @@ def load_scene(name: str | PathLike[str]) -> Scene:
         altitude_m=spec.atmosphere.altitude_m if spec.atmosphere else None,
         sky_temperature=spec.sky_temperature,
         model=learned_map(spec.temperature),
+        truth=spec.truth_temperature,
+        truth_weather=spec.weather,
     )
     return Scene(read_parts(spec, where), declared)

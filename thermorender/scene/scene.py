@@ -108,7 +108,6 @@ class Scene(Edits):
     def _made(self, parts: Parts | None, declared: Declared, made: Derived) -> "Scene":
         scene = Scene(parts, declared, made)
         if "_weather" in vars(self) and self._weather_key() == scene._weather_key():
-            # The weather read for one instant is valid for the others of its day.
             vars(scene)["_weather"] = self._weather
         if made.shape.ground is self._derived.shape.ground and "ground" in vars(self):
             vars(scene)["ground"] = self.ground
@@ -347,6 +346,6 @@ class Scene(Edits):
 
 
 _EDITS = (
-    "use with_camera, with_air, with_sky, with_sun, with_weather, with_temperature, with_material, with_objects or at, "
-    "which return another scene"
+    "use with_camera, with_air, with_sky, with_sun, with_weather, with_temperature, with_material, with_objects, "
+    "with_surfaces, with_learned_materials, with_solved_temperatures or at, which return another scene"
 )

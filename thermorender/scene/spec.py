@@ -39,6 +39,8 @@ from thermorender.schema import (
 
 # Where a learned emissivity map's most probable material is less probable than this, the texel is unknown.
 DEFAULT_CONFIDENCE = 0.35
+# No scene's coldest temperature is above this [°C], so a range that begins there is one of kelvin.
+_WARMEST_COLD_C = 150.0
 # The [atmosphere] that follows [weather].
 WEATHER = "weather"
 _CLASS_NUMBERS = {str(count): count for count in range(1, 256)}
@@ -106,7 +108,7 @@ def _needed(where: Where, values: Any, needs: Mapping[str, list[str]]) -> None:
     """Refuse a table without the keys that its source needs."""
     for name in needs[values.source]:
         if getattr(values, name) in (None, {}):
-            raise where.error(f"{where.key}.{name} is missing; source={values.source!r} needs it")
+            raise where.error(f"{where.of(name).key} is missing; source={values.source!r} needs it")
 
 
 # Tables
@@ -149,7 +151,7 @@ class TemperatureSpec:
     value: float | None = key(kelvin, None)
     raster: Path | None = key(raster_inside, None)
     model: str | None = key(temperature_map, None)
-    range_c: tuple[float, float] | None = key(number(count=2, ordered=True), None)
+    range_c: tuple[float, float] | None = key(number(-200.0, 3000.0, count=2, ordered=True, unit="°C"), None)
     materials: dict[str, float] = key(mapping(kelvin), {})
     brightness: bool = key(flag, False)
     trained: "WeatherSpec | None" = key(lambda value, where: read(WeatherSpec, value, where), None)
@@ -160,6 +162,10 @@ class TemperatureSpec:
         needs = {"constant": ["value"], "raster": ["raster"], "learned": ["model"], "material": ["materials"],
                  "balance": []}  # fmt: skip
         _needed(where, self, needs)
+        if self.range_c is not None and self.range_c[0] > _WARMEST_COLD_C:
+            where.of("range_c").refuse(
+                list(self.range_c), f"°C; those look like kelvin, subtract {units.ZERO_CELSIUS_K}"
+            )
         if "brightness" in given and self.source != "balance":
             where.of("brightness").refuse(given["brightness"], f"it with source='balance' only, not {self.source!r}")
         for name in ("trained", "map_error_k"):
@@ -228,7 +234,7 @@ class AtmosphereSpec:
     humidity_factor: float = key(number(), 1.0)
     cloud_fraction: float | None = key(number(), None)
     cloud_base_m: float | None = key(number(), None)
-    altitude_m: float | None = key(number(), None)
+    altitude_m: float | None = key(number(-500.0, 9000.0), None)
 
     def check(self, where: Where, given: Mapping[str, Any]) -> None:
         """Refuse none or two kinds of air, and keys that the kind would ignore."""

@@ -1,6 +1,6 @@
 """A surface of the scene: a triangle mesh and, per texel of its map, colour, material and kinetic temperature."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -59,6 +59,18 @@ class Surface:
     temperature: NDArray[np.float32]
     flags: NDArray[np.uint8]
     texel_m: float
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only: a scene does not change, and what follows from them must not become stale."""
+        for name in ("vertices", "faces", "uv", "colour", "material", "temperature", "flags"):
+            values = np.asarray(getattr(self, name)).view()
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+
+    def copied(self) -> "Surface":
+        """Return this surface with its own copies of the arrays, which nobody else can change."""
+        own: dict[str, Any] = {k: np.array(v) for k, v in vars(self).items() if isinstance(v, np.ndarray)}
+        return replace(self, **own)
 
     def __repr__(self) -> str:
         rows, columns = self.material.shape

@@ -67,7 +67,9 @@ class Weather:
 
     def __post_init__(self) -> None:
         """Refuse times that do not rise, and series of other lengths or with values that are not finite."""
-        object.__setattr__(self, "time", np.asarray(self.time, "datetime64[s]"))
+        time = np.array(self.time, "datetime64[s]")
+        time.flags.writeable = False
+        object.__setattr__(self, "time", time)
         if self.time.ndim != 1 or self.time.size < 2 or not (np.diff(self.time) > np.timedelta64(0, "s")).all():
             raise ThermorenderError("time of a Weather does not rise; give at least two instants in rising order")
         for name in Conditions._fields:
@@ -77,6 +79,8 @@ class Weather:
                     f"{name} of a Weather has the shape {values.shape} or values that are not finite; give "
                     f"{self.time.size} finite numbers, one for each instant"
                 )
+            values = values.copy()
+            values.flags.writeable = False
             object.__setattr__(self, name, values)
 
     def at(self, time: sun.Times) -> Conditions:

@@ -187,8 +187,10 @@ class _Simulation:
         geometry = self.geometry
         found = next(iter(geometry.points_in_faces([(1.0 / 3.0, 1.0 / 3.0)])))
         number = np.array(geometry.nearest(*found))
-        material = np.concatenate([surface.material.ravel() for surface in geometry.surfaces])[number]
-        temperature = np.concatenate([surface.temperature.ravel() for surface in geometry.surfaces])[number]
+        # Not those of the geometry, which may be that of a scene before an edit.
+        surfaces = self.scene.surfaces
+        material = np.concatenate([surface.material.ravel() for surface in surfaces])[number]
+        temperature = np.concatenate([surface.temperature.ravel() for surface in surfaces])[number]
         self.face_material, self.face_kelvin = material, temperature.astype(np.float32)
         self.face_texel = number
         of = self.scene.materials

@@ -1,13 +1,14 @@
 """Arguments of edits (a number, a word, a path or some keys) converted to declarations of a scene."""
 
-from collections.abc import Mapping
-from dataclasses import fields, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
 from numbers import Real
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.materials import library as material_tables
@@ -16,8 +17,13 @@ from thermorender.scene.parts.tracks import COLUMNS
 from thermorender.scene.raster import FORMATS
 from thermorender.scene.spec import ObjectSpec, TemperatureSpec, WeatherSpec
 from thermorender.scene.state.declared import Declared
-from thermorender.scene.surface import scene_kelvin
+from thermorender.scene.state.derived import Derived
+from thermorender.scene.surface import Surface, scene_kelvin
 from thermorender.schema import Where, did_you_mean
+
+_Spec = TypeVar("_Spec", bound=Any)
+# Of a scene: texels number them in a byte.
+_MOST_MATERIALS = 255
 
 # Keys of [weather] that say where the weather comes from, each with the keys that belong to it.
 _KINDS = {
@@ -43,12 +49,135 @@ def material_of(key: int | str, value: Any, library: Mapping[str, Material]) -> 
     return grey(str(key), float(value))
 
 
-def temperature_spec(source: Any) -> TemperatureSpec:
-    """Return the TemperatureSpec for a number, a word or a path."""
+def checked_spec(spec: _Spec, name: str, folder: Path, given: Iterable[str] = ()) -> _Spec:
+    """Return keys of a scene file that were made in code, each checked by its reader; messages begin with `name`.
+
+    Files may be in any folder. Keys in `given` come in another way and may be missing.
+
+    Raises
+    ------
+    ThermorenderError
+        A value is not allowed, a needed one is missing, or one would be ignored.
+    """
+    where, found, read = Where(name, top=""), {}, {}
+    for item in fields(spec):
+        value = getattr(spec, item.name)
+        if "read" not in item.metadata or value is None or value is item.default or not (value or value == 0):
+            continue
+        found[item.name] = value
+        if isinstance(value, PathLike):
+            if not Path(value).is_file():
+                raise where.error(f"{item.name}={str(value)!r} does not exist; give a file")
+        elif is_dataclass(value):
+            read[item.name] = checked_spec(value, f"{name}: {item.name}", folder)
+        elif not (item.name == "model" and str(value).endswith(".npz")):
+            value = list(value) if isinstance(value, tuple) else value
+            read[item.name] = item.metadata["read"](value, where.of(item.name))
+    made: _Spec = replace(spec, **read)
+    replace(made, **dict.fromkeys(given, "given")).check(where, found)
+    return made
+
+
+def refuse_other(edit: str, value: Any, allowed: str) -> None:
+    """Refuse a value that is not a dict."""
+    if not isinstance(value, Mapping):
+        raise ThermorenderError(f"{edit} was given a {type(value).__name__}; give {allowed}")
+
+
+def number_of(what: str, value: Any, none: str = "") -> float:
+    """Return a finite float; `none` says what None would mean, if it is not allowed."""
+    if isinstance(value, Real) and not isinstance(value, bool) and np.isfinite(float(value)):
+        return float(value)
+    raise ThermorenderError(f"{what}={shortened(repr(value))} is not allowed; give a finite number{none}")
+
+
+def kelvin_argument(
+    what: str, values: Any, surfaces: Sequence[Surface], no_data: bool
+) -> tuple[NDArray[np.float32], ...]:
+    """Return read-only copies of temperatures of surfaces' texels [K], checked; NaN is allowed with `no_data` only."""
+    shapes = [surface.flags.shape for surface in surfaces]
+    advice = f"give {len(shapes)} array{'s' if len(shapes) > 1 else ''} of kelvin, of shape {shapes[0]}" + (
+        f" … {shapes[-1]}" if len(shapes) > 1 else ""
+    )
+    if isinstance(values, (str, bytes)) or not isinstance(values, Iterable):
+        raise ThermorenderError(f"{what}={shortened(repr(values))} is not allowed; {advice}")
+    found = []
+    for one in values:
+        try:
+            found.append(np.array(one, np.float32))
+        except (TypeError, ValueError):
+            raise ThermorenderError(f"{what} holds {shortened(repr(one))}; {advice}") from None
+    if [one.shape for one in found] != shapes and [one.size for one in found] != [int(np.prod(s)) for s in shapes]:
+        shown = ", ".join(str(one.shape) for one in found) or "nothing"
+        raise ThermorenderError(f"{what} holds arrays of shape {shown}; {advice}")
+    found = [one.reshape(shape) for one, shape in zip(found, shapes, strict=True)]
+    for one in found:
+        known = ~np.isnan(one)
+        if not known.all() and not (no_data and known.any()):
+            why = "no number" if not known.any() else f"{(~known).sum()} values that are not a number"
+            raise ThermorenderError(f"{what} holds {why}; {advice}")
+        scene_kelvin(what, one[known])
+        one.flags.writeable = False
+    return tuple(found)
+
+
+def flags_argument(flags: Any, surfaces: Sequence[Surface]) -> list[NDArray[np.uint8]]:
+    """Return copies of the flags of surfaces' texels that `with_solved_temperatures` was given, checked."""
+    found = [np.array(own, np.uint8) for own in flags]
+    shapes = [surface.flags.shape for surface in surfaces]
+    if [own.shape for own in found] != shapes:
+        raise ThermorenderError(
+            f"with_solved_temperatures: flags have the shapes {[own.shape for own in found]}; give {shapes}"
+        )
+    return found
+
+
+def surfaces_argument(
+    surfaces: Any, materials: Any, terrain_count: Any, had: Derived, scene: str
+) -> tuple[tuple[Surface, ...], tuple[Material, ...], int]:
+    """Return (surfaces with own copies of the arrays, materials, count of terrain) of `with_surfaces`, checked."""
+    what = "with_surfaces was given"
+    for name, values, kind in (("surfaces", surfaces, Surface), ("materials", materials, Material)):
+        if values is None:
+            continue
+        if isinstance(values, (str, bytes)) or not isinstance(values, Iterable):
+            raise ThermorenderError(f"{what} {name}={shortened(repr(values))}; give a list of {kind.__name__}")
+        odd = [value for value in values if not isinstance(value, kind)]
+        if odd or not list(values):
+            sort = f"a {type(odd[0]).__name__} among its {name}" if odd else f"no {name}"
+            raise ThermorenderError(f"{what} {sort}; give at least one {kind.__name__}")
+    made = tuple(had.cover.materials if materials is None else materials)
+    if len(made) > _MOST_MATERIALS:
+        raise ThermorenderError(f"{what} {len(made)} materials; give {_MOST_MATERIALS} at most")
+    shown = had.surfaces
+    if surfaces is not None:
+        for surface in surfaces:
+            known = surface.temperature[np.isfinite(surface.temperature)]
+            if known.size:
+                scene_kelvin(f"with_surfaces: temperature of {surface.name!r}", known)
+        shown = tuple(surface.copied() for surface in surfaces)
+    count = len(had.shape.ground) if terrain_count is None else terrain_count
+    if not isinstance(count, int) or not 1 <= count <= len(shown):
+        raise ThermorenderError(
+            f"with_surfaces: terrain_count={count!r} is not allowed; give a whole number 1…{len(shown)}, as there are "
+            f"{len(shown)} surfaces"
+        )
+    highest = max(int(surface.material.max(initial=0)) for surface in shown)
+    if highest >= len(made):
+        raise ThermorenderError(
+            f"{scene}: a texel has material number {highest}, but there are {len(made)} materials; give one for each "
+            "number"
+        )
+    return shown, made, count
+
+
+def temperature_spec(source: Any, folder: Path, kelvin: bool = False) -> TemperatureSpec:
+    """Return the TemperatureSpec for a number, a word or a path; with `kelvin`, it may lack the source's file."""
     if isinstance(source, TemperatureSpec):
-        return source
+        file = {"raster": ("raster",), "learned": ("model",)}.get(source.source, ())
+        return checked_spec(source, "with_temperature", folder, file if kelvin else ())
     if isinstance(source, Real) and not isinstance(source, bool):
-        value = float(source)
+        value = number_of("with_temperature", source)
         scene_kelvin("with_temperature", value)
         return TemperatureSpec(source="constant", value=value)
     if isinstance(source, (str, PathLike)):
@@ -66,7 +195,33 @@ def temperature_spec(source: Any) -> TemperatureSpec:
     )
 
 
-def changed_weather(spec: WeatherSpec | None, keys: Mapping[str, Any], now: Declared, whole: bool) -> WeatherSpec:
+def weather_argument(weather: Any, keys: Mapping[str, Any], now: Declared) -> tuple[WeatherSpec, Any]:
+    """Return (keys of [weather], Weather in place of its file or None) of the arguments of `with_weather`."""
+    series = now.weather if weather is None and set(keys) <= {"time", "inside_c"} else None
+    spec = now.spec.weather
+    if isinstance(weather, WeatherSpec):
+        spec = checked_spec(weather, "with_weather", now.spec.folder)
+    elif weather is not None:
+        if not all(hasattr(weather, name) for name in ("time", "at", "sun")):
+            raise ThermorenderError(
+                f"with_weather was given a {type(weather).__name__}; give a WeatherSpec, a Weather or keys of [weather]"
+            )
+        series = weather
+        measured = sorted(set(keys) - {"time", "inside_c"})
+        if measured:
+            raise ThermorenderError(
+                f"with_weather was given a Weather and {measured[0]}={keys[measured[0]]!r}, which the Weather "
+                "measures; change the Weather, or give the keys without it"
+            )
+        if spec is None and "time" not in keys:
+            raise ThermorenderError(f"{now.where}: with_weather needs time=…, because the scene has none; add it")
+    if keys:
+        spec = _changed_weather(spec, keys, now, series is None)
+    assert spec is not None
+    return spec, series
+
+
+def _changed_weather(spec: WeatherSpec | None, keys: Mapping[str, Any], now: Declared, whole: bool) -> WeatherSpec:
     """Return a WeatherSpec with other values of some keys; `whole`: it must name the source of the weather."""
     rows = {item.name: item for item in fields(WeatherSpec)}
     where = Where("with_weather", now.spec.folder, top="")
@@ -107,5 +262,6 @@ def changed_object(item: ObjectSpec, values: Mapping[str, float]) -> ObjectSpec:
             found["yaw_deg"] = float(value)
         else:
             position[column] = float(value)
-    east, north, above = position.values()
-    return replace(item, position=(east, north, above), **found)
+    where = Where(f"with_objects: {item.name}")
+    rows = {each.name: each.metadata["read"] for each in fields(ObjectSpec)}
+    return replace(item, position=rows["position"](list(position.values()), where.of("position")), **found)

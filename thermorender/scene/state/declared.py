@@ -4,7 +4,8 @@ All other state is derived from these and from the files of the folder, so no ed
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.materials.material import Material
-from thermorender.scene.spec import SceneSpec
+from thermorender.scene.spec import SceneSpec, WeatherSpec
 from thermorender.sensor.camera import Camera
 
 
@@ -44,6 +45,8 @@ class Declared:
         Materials in place of others, as `thermorender.scene.parts.cover.Replaced` says.
     held : dict
         Columns of tracks that an edit fixes at one value, by the name of the object.
+    truth, truth_weather : Path and WeatherSpec, or None
+        The truth raster of the scene file, and the weather it belongs to.
     given : bool
         Whether the terrain's temperatures came with surfaces made in memory.
     """
@@ -59,6 +62,8 @@ class Declared:
     kelvin: tuple[NDArray[Any], ...] | None = None
     replaced: Mapping[int | str, Material] = field(default_factory=dict)
     held: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    truth: Path | None = None
+    truth_weather: WeatherSpec | None = None
     given: bool = False
 
     @property
@@ -73,9 +78,22 @@ class Declared:
 
     def height_m(self, frame: Any) -> float:
         """Return the altitude of a frame's origin above sea level [m]: as declared, else from the frame, else 0."""
-        if self.altitude_m is not None:
-            return self.altitude_m
+        if self.stated_altitude_m is not None:
+            return self.stated_altitude_m
         return float(frame.height_m - (self.geoid_undulation_m or 0.0)) if frame else 0.0
+
+    @property
+    def stated_altitude_m(self) -> float | None:
+        """Altitude of the frame's origin above sea level that the air states, else the scene file [m]."""
+        air = self.spec.atmosphere
+        own: float | None = air.altitude_m if air is not None else None
+        return self.altitude_m if own is None else own
+
+    def under(self, weather: WeatherSpec, series: Any) -> "Declared":
+        """Return these declarations under another weather; the truth raster belongs to that of the scene file only."""
+        truth = self.truth if series is None and weather == self.truth_weather else None
+        spec = replace(self.spec, weather=weather, truth_temperature=truth)
+        return replace(self, spec=spec, weather=series, time=weather.time)
 
     @property
     def geoid_undulation_m(self) -> float | None:

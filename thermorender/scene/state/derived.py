@@ -80,14 +80,7 @@ def derived(parts: Parts | None, now: Declared, old: tuple[Declared, Derived] | 
     if before and before.camera.band_um != now.camera.band_um:
         for material in cover.materials:
             refuse_band(material, now.camera.band_um, now.where)
-    if had and before and _air_key(before, had.shape) == _air_key(now, shape):
-        air, weather = had.air, had.weather
-    else:
-        weather = None
-        if _air_of_weather(now):
-            same = had and before and _weather_key(before, had.shape) == _weather_key(now, shape)
-            weather = (had.weather if had and same else None) or weather_of(now, shape)
-        air = _air(now, weather)
+    air, weather = _air_and_weather(now, shape, old)
     if air is not None and not (had and had.air is air and had.shape is shape):
         altitude_m = now.height_m(shape.frame) + shape.highest_m
         air.refuse_above_clouds(f"{now.where}: the highest surface", altitude_m)
@@ -139,7 +132,7 @@ def _combined(
 def camera_alone_differs(one: Declared, other: Declared) -> bool:
     """Return whether two scenes of the same parts declare the same but for the camera."""
     same = ("air", "weather", "model", "kelvin")
-    equal = ("time", "altitude_m", "sky_temperature", "replaced", "held", "given")
+    equal = ("time", "stated_altitude_m", "sky_temperature", "replaced", "held", "given")
     return (
         all(getattr(one, name) is getattr(other, name) for name in same)
         and all(getattr(one, name) == getattr(other, name) for name in equal)
@@ -165,7 +158,7 @@ def _air_key(of: Declared, shape: Shape) -> tuple[Any, ...]:
 
 
 def _weather_key(of: Declared, shape: Shape) -> tuple[Any, ...]:
-    return of.spec.weather, id(of.weather), of.altitude_m, shape.frame
+    return of.spec.weather, id(of.weather), of.stated_altitude_m, shape.frame
 
 
 def _air_of_weather(of: Declared) -> bool:
@@ -188,7 +181,7 @@ def _temperature_key(of: Declared, made: Derived) -> tuple[Any, ...]:
         return source
     own = tuple(item.temperature for item in spec.objects if item.track is None)
     # A declared sun contradicts the weather's and is refused when the temperatures are made.
-    key = (*source, spec.weather, id(of.weather), of.time, of.altitude_m, own, spec.sun)
+    key = (*source, spec.weather, id(of.weather), of.time, of.stated_altitude_m, own, spec.sun)
     if _conditional(of):
         # Its apparent temperatures depend on the sky.
         key += (made.air if of.has_air else spec.sky_temperature,)
@@ -266,10 +259,12 @@ def air_of(weather: "Weather", time: Any, **keys: Any) -> Atmosphere:
     return from_weather(near, weather.latitude_deg, weather.altitude_m, time, **keys)
 
 
-def _air(now: Declared, weather: Any) -> Atmosphere | None:
+def air_in(now: Declared, weather: "Weather | None") -> Atmosphere | None:
+    """Return the declared air in the camera's band; `weather` is needed if the air follows it."""
     if now.air is None:
 
         def of_weather(**keys: Any) -> Atmosphere:
+            assert weather is not None
             return air_of(weather, now.time, **keys)
 
         found: Atmosphere | None = declared_air(now.spec.atmosphere, now.camera.band_um, now.where, of_weather)
@@ -282,6 +277,20 @@ def _air(now: Declared, weather: Any) -> Atmosphere | None:
         return cut
     except ThermorenderError as error:
         raise ThermorenderError(f"{now.where}: {error}") from None
+
+
+def _air_and_weather(
+    now: Declared, shape: Shape, old: tuple[Declared, Derived] | None
+) -> tuple[Atmosphere | None, "Weather | None"]:
+    """The air in the camera's band, and the weather if the air follows it; those of `old` where they hold."""
+    before, had = old or (None, None)
+    if had and before and _air_key(before, had.shape) == _air_key(now, shape):
+        return had.air, had.weather
+    if not _air_of_weather(now):
+        return air_in(now, None), None
+    same = had and before and _weather_key(before, had.shape) == _weather_key(now, shape)
+    weather = (had.weather if had and same else None) or weather_of(now, shape)
+    return air_in(now, weather), weather
 
 
 def _covered(surface: Surface, material: int, kelvin: float) -> Surface:
