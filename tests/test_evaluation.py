@@ -433,3 +433,18 @@ def test_mistakes_are_refused(tmp_path, call):
 def test_error_against_the_share_of_training_data_is_drawn(tmp_path):
     figures.against_share(tmp_path / "s.png", {"trees": [(1.0, 0.8), (0.1, 1.4), (0.01, 2.0)], "linear": [(1.0, 1.5)]})
     assert (tmp_path / "s.png").stat().st_size > 5000
+
+
+def test_the_legend_of_many_maps_can_be_read_and_fits(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(figures, "save", lambda figure, path: drawn.append(figure))
+    methods = {f"map {k}": {"mae_k": 1.0 + k, "seconds_per_mpixel": 0.1 * (k + 1), "interval_95": {"mae_k": None}}
+               for k in range(25)}  # fmt: skip
+    figures.against_time(tmp_path / "t.png", {"methods": methods})
+    (figure,) = drawn
+    figure.canvas.draw()
+    (legend,) = figure.legends
+    # At 80 pixels per inch; a page has 96.
+    assert min(each.get_fontsize() for each in legend.get_texts()) * 80 / 96 >= 9.0
+    box = legend.get_window_extent()
+    assert len(legend.get_texts()) == 25 and box.y0 >= 0.0 and box.height <= figure.bbox.height

@@ -2,10 +2,12 @@
 
 import csv
 import json
+import re
 import shutil
 import time
 from collections import defaultdict
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,6 +31,7 @@ from thermorender.compare.referee import (
     views,
 )
 from thermorender.compare.referee.flight import Flight
+from thermorender.compare.referee.report import figures, introduction, tables
 from thermorender.compare.referee.run import Options, compare
 from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import write_tlinear
@@ -114,6 +117,19 @@ def test_a_map_that_made_the_ground_has_no_error_and_is_called_circular(tmp_path
     assert "circular" in kinds(found, "C1 fok-1to1") and "circular" not in kinds(found, "B fok-1to1")
     page = (tmp_path / "c/report.html").read_text()
     assert "circular: the reference of s equals this method" in page and "class=grave" in page
+    assert "<p>1 scene, 1 pose, " in page and page.count("Grey: no terrain") == 1
+    assert "D constant and E mean per material are left out." in page
+    assert "D the frame&#x27;s own mean needs the truth of the frame itself." in page
+    assert "F: the heat balance" not in page and "by a heat balance, with properties" in page
+    main = page.split("<h2>Errors on ground</h2>")[1].split("</table>")[0]
+    heads = re.findall("<th(?: class=words)?>([^<]*)</th>", main)
+    assert len(heads) == 16 and "[K]" in main and "error [°C]" not in main
+    # Short words, so that heads that wrap leave room for all columns on a page of 1280 pixels.
+    assert (
+        max(len(word) for head in heads for word in head.split()) <= 9
+        and main.startswith("<p")
+        and "<div class=wide><table>" in main
+    )
     assert json.loads((tmp_path / "c/comparison.json").read_text())["methods"].keys() == found["methods"].keys()
     assert (tmp_path / "c/pictures/s_0000.png").stat().st_size > 10_000
 
@@ -483,12 +499,108 @@ def test_a_scene_without_truth_has_differences_only(ground, tmp_path):
     assert pair["me_k"] == pytest.approx(said[1] - said[0], abs=1e-3)
     page = (tmp_path / "c/report.html").read_text()
     assert "The true temperature of real is unknown" in page and "Errors on ground" not in page
+    assert "rendered with the scene&#x27;s materials" in page and "true materials" not in page
     every = len(found["scenes"][0]["differences"])
     listed = page.split(f"<summary>All pairs ({every})</summary>")[1].split("</details>")[0]
     assert every == 15 and listed.count("<tr>") == every + 1
     assert "Mean absolute difference of each pair of methods." in page
     # The terms of B and C need no truth.
     assert found["scenes"][0]["terms"]["cool"]["terms"]["whole"]["pixels"] > 0 and "Why B and C differ" in page
+
+
+def test_a_scene_without_truth_prints_differences_and_that_nothing_was_checked(ground, tmp_path, call):
+    folder = shutil.copytree(ground, tmp_path / "real")
+    text = (folder / "scene.toml").read_text().replace('[truth]\ntemperature = "temperature.tif"\n', "")
+    (folder / "scene.toml").write_text(text)
+    maps = [uniform_map(tmp_path / f"{name}.npz", level) for name, level in (("cool", 0.2), ("warm", 0.4))]
+    (tmp_path / "log.csv").write_text(
+        "time_s,east_m,north_m,above_ground_m,yaw_deg,pitch_deg,roll_deg\n0,0,0,8,0,-90,0\n9,0,0,8,0,-90,0\n"
+    )
+    status, said, errors = call("compare", folder, "-o", tmp_path / "c", "--models", ",".join(maps), "--methods", "B",
+                                "--trajectory", tmp_path / "log.csv", "--stop-s", "0", "--rays", "2")  # fmt: skip
+    assert status == 0, errors
+    head, row, rest, last = said.splitlines()
+    assert head.split("  ")[0] == "method" and "mean difference [K]" in head and "RMS difference [K]" in head
+    pair = json.loads((tmp_path / "c/comparison.json").read_text())["scenes"][0]["differences"][0]
+    assert row.split()[:5] == ["B", "warm", "B", "cool", f"{pair['me_k']:+.3f}"] and pair["me_k"] > 1.0
+    assert head.index("mean difference") == row.index("+")
+    page = (tmp_path / "c/report.html").read_text()
+    assert rest == "Without a truth, no error could be checked." and f"<p>{rest}</p>" in page
+    assert "Nothing unusual" not in page and "1 scene, 1 pose, 2 methods." in page and last.startswith("report.html")
+    # No errors to show, and no word on absent methods.
+    assert "<option value=error>" not in page and "<li>C1" not in page and "<li>D the frame" not in page
+
+
+def summary_of(methods=(), references=(True,), assumed=False):
+    """A comparison's summary with its methods, (label, letter, bounds) each, and scenes with or without reference."""
+    return {
+        "methods": {label: {"letter": letter, "bounds": bounds, "true_objects": label.endswith("true objects")}
+                    for label, letter, bounds in methods},
+        "scenes": [{"reference": known, "poses": 1, "assumed_materials": assumed} for known in references],
+        "findings": [], "notes": [],
+    }  # fmt: skip
+
+
+def test_the_introduction_explains_the_methods_of_the_run_only():
+    few = summary_of([("B m", "B", "own"), ("C1 m", "C1", "own")])
+    assert [name for name, _ in introduction.explained(few)] == ["B", "C1"]
+    assert "rendered with true materials" in dict(introduction.explained(few))["C1"]
+    more = summary_of([("D the frame's own mean", "D", None), ("C1 m, calibrated", "C1", "calibrated"),
+                       ("C1 m, true objects", "C1", "own")], assumed=True)  # fmt: skip
+    found = dict(introduction.explained(more))
+    assert list(found) == ["C1", "D the frame's own mean", "calibrated", "true objects"]
+    assert "rendered with the scene's materials" in found["C1"]
+    page = introduction.introduction(more)
+    assert "1 scene, 1 pose, 3 methods." in page and "true temperatures and the scene&#x27;s materials" in page
+    assert "Errors are" not in introduction.introduction(summary_of(references=(False, False)))
+
+
+def test_only_scenes_with_a_truth_count_as_checked():
+    assert findings.nothing(summary_of()) == "Nothing unusual was found."
+    assert (
+        findings.nothing(summary_of(references=(True, False))) == "Nothing unusual was found where the truth is known."
+    )
+    assert findings.nothing(summary_of(references=(False,))) == "Without a truth, no error could be checked."
+    assert findings.nothing({**summary_of(), "findings": [{}]}) is None
+
+
+def test_tables_of_the_terminal_are_in_kelvin():
+    ground = {"me_k": -1.0, "mae_k": 2.0, "sd_k": 3.0, "rmse_k": 4.0, "pixels": 5,
+              "interval_95": {"me_k": None, "mae_k": (1.5, 2.5)}}  # fmt: skip
+    pairs = [("a", "b", 1.0), ("a", "c", None), ("b", "c", 3.0)]
+    apart = [{"one": one, "other": other, "me_k": k, "mae_k": k, "rmse_k": k, "pixels": 7} for one, other, k in pairs]
+    summary = {"methods": {"B m": {"errors": {"radiometric": {"ground": ground}}}, "a": {"errors": None}},
+               "scenes": [{"name": "known", "differences": []}, {"name": "real", "differences": apart}]}  # fmt: skip
+    (errors_head, error_rows), (head, rows) = tables.of(summary)
+    assert error_rows == [("B m", "-1.000", "2.000", "1.50…2.50", "3.000", "4.000", "5")]
+    assert rows == [("", "b", "a", "+1.000", "1.000", "1.000", "7"), ("", "c", "a", "none", "none", "none", "7")]
+    assert len(errors_head) == len(error_rows[0]) and len(head) == len(rows[0]) and "°C" not in str(errors_head)
+    summary["scenes"].append({"name": "other", "differences": apart[:1]})
+    assert [row[0] for row in tables.differences(summary)] == ["real", "real", "other"]
+
+
+def test_axes_have_plain_numbers_and_legends_can_be_read(monkeypatch):
+    monkeypatch.setattr(figures, "_png", lambda drawing, pyplot: drawing)
+    own = [{"letter": letter, "map": "m", "bounds": "own", "seconds_per_frame": 0.01 * (k + 1),
+            "errors": {"radiometric": {"ground": {"mae_k": 4.0 + 2.0 * k}}}}
+           for k, letter in enumerate(("B", "C1"))]  # fmt: skip
+    drawing = figures.against_time({"methods": dict(enumerate(own))})
+    drawing.canvas.draw()
+    (axis,) = drawing.axes
+    labels = [each.get_text() for which in ("major", "minor") for each in axis.get_yticklabels(which=which)]
+    assert {"4", "5", "6"} <= set(labels) and not any("$" in label for label in labels)
+    assert axis.get_title() == "○ 2D translation  □ rendered"
+    # Points of a figure at its resolution are larger than those of a page, of which 72 are 96 pixels.
+    sizes = [each.get_fontsize() * figures._DPI / 96.0 for each in axis.get_legend().get_texts()]
+    assert sizes and min(sizes) >= 9.0
+
+
+def test_the_photograph_is_grey_where_there_is_no_terrain():
+    known = np.array([[True, False, False]])
+    view = SimpleNamespace(known=known, visible=np.array([[[0, 0, 0], [0, 0, 0], [90, 120, 200]]], np.uint8))
+    shown = figures.shown_photograph(view)
+    # Black ground stays black, and the sky blue.
+    assert shown.tolist() == [[[0, 0, 0], [136, 136, 136], [90, 120, 200]]] and not view.visible[0, 1].any()
 
 
 def test_refusals_leave_nothing_behind(ground, tmp_path):

@@ -65,6 +65,7 @@ def compare(
     from thermorender.compare.referee import findings, run
     from thermorender.compare.referee.flight import Flight
     from thermorender.compare.referee.methods import LETTERS, learned_materials
+    from thermorender.compare.referee.report import tables
 
     letters = split(methods)
     if not letters or not set(letters) <= set(LETTERS):
@@ -80,15 +81,17 @@ def compare(
             learned_materials(emissivity, fallback), arrays, seed, {"device": device, **sampling.settings()},
         )  # fmt: skip
         summary = run.compare(flights, output, split(models), options, report)
-    rows = run.rows(summary)
-    if rows:
-        table(run.HEADER, rows)
+    for head, lines in tables.of(summary):
+        table(head, lines)
     for title, grave, lines in findings.grouped(summary["findings"]):
         typer.echo(f"{title}:")
         for line in lines if grave else lines[:3]:
             typer.echo(f"  {line}")
         if not grave and len(lines) > 3:
             typer.echo(f"  and {len(lines) - 3} more in report.html")
+    rest = findings.nothing(summary)
+    if rest:
+        typer.echo(rest)
     typer.echo(f"report.html, pixels.csv, comparison.json and pictures in {output}")
 
 

@@ -20,11 +20,13 @@ def document(title: str, parts: Iterable[str], style: str = "", script: str = ""
 
 def table(head: Iterable[object], rows: Iterable[tuple[Iterable[object], bool]], words: Collection[int] = ()) -> str:
     """Return a sortable table of rows (cells, marked in red); the columns numbered in `words` may break lines."""
-    body = []
-    for cells, marked in rows:
-        inner = "".join(f"<td{' class=words' if k in words else ''}>{text(cell)}</td>" for k, cell in enumerate(cells))
-        body.append(f"<tr{' class=grave' if marked else ''}>{inner}</tr>")
-    titles = "".join(f"<th>{text(name)}</th>" for name in head)
+
+    def line(tag: str, cells: Iterable[str]) -> str:
+        return "".join(f"<{tag}{' class=words' if k in words else ''}>{cell}</{tag}>" for k, cell in enumerate(cells))
+
+    body = [f"<tr{' class=grave' if marked else ''}>{line('td', map(text, cells))}</tr>" for cells, marked in rows]
+    # A head such as paint_black may break after the underscore.
+    titles = line("th", (text(name).replace("_", "_<wbr>") for name in head))
     return f"<table><thead><tr>{titles}</tr></thead><tbody>{''.join(body)}</tbody></table>"
 
 

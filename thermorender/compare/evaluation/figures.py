@@ -18,6 +18,8 @@ _MARKERS = "osv^"
 _DASHES = ((1, 1), (4, 1), (1, 4), (8, 2), (4, 1, 1, 1), (8, 1, 1, 1, 1, 1), (12, 4))
 # From this many methods on, three columns are used.
 _FOLDED = 6
+# Size of legends [pt], 9 points on a page that shows the figure at 80 pixels per inch; most entries in one column.
+_LEGEND_PT, _ENTRIES = 11, 20
 
 
 def picture(path: Path, view: View, guesses: Mapping[str, NDArray[np.floating]], share: float) -> None:
@@ -89,7 +91,8 @@ def against_time(path: Path, result: dict[str, Any]) -> None:
     axis.set_xlim(fastest / 2.0, slowest * 2.0)
     axis.set_ylim(bottom=0.0)
     axis.grid(True, which="both", lw=0.3, color="0.85")
-    figure.legend(fontsize=7, loc="outside right upper")
+    columns = -(-len(axis.get_legend_handles_labels()[0]) // _ENTRIES)
+    figure.legend(fontsize=_LEGEND_PT, loc="outside right upper", ncols=max(columns, 1))
     save(figure, path)
 
 
@@ -112,7 +115,7 @@ def _curves(path: Path, curves: Curves, label: str, scale: str) -> None:
     axis.set(xscale=scale, xlabel=label, ylabel="mean absolute error [K]")
     axis.set_ylim(bottom=0.0)
     axis.grid(True, which="both", lw=0.3, color="0.85")
-    axis.legend(fontsize=8)
+    axis.legend(fontsize=_LEGEND_PT)
     save(figure, path)
 
 

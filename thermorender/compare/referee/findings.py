@@ -52,6 +52,16 @@ def grouped(found: list[Finding]) -> list[tuple[str, bool, list[str]]]:
             for (kind, grave), lines in groups.items()]  # fmt: skip
 
 
+def nothing(summary: dict[str, Any]) -> str | None:
+    """Return a sentence on what was not found or not checked; None where a list of findings says all."""
+    known = [scene["reference"] for scene in summary["scenes"]]
+    if not any(known):
+        return "Without a truth, no error could be checked."
+    if summary["findings"]:
+        return None
+    return "Nothing unusual was found" + ("." if all(known) else " where the truth is known.")
+
+
 def _finding(label: str, kind: str, says: str, grave: bool = False) -> Finding:
     return {"grave": grave, "method": label, "kind": kind, "says": says}
 

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from thermorender.compare.referee.predictors import Calibrated, Remembered
 from thermorender.compare.referee.training import Training
 from thermorender.compare.referee.views import View
+from thermorender.compare.words import counted
 from thermorender.defaults import EMISSIVITY_MAP, FALLBACK_MATERIAL
 from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import read_temperature
@@ -43,7 +44,9 @@ Settings = Mapping[str, Any]
 
 LETTERS = ("B", "C1", "C2", "D", "E", "F")
 OWN, REFITTED, CALIBRATED = "own", "refitted", "calibrated"
-_THERMAL = "thermal frames of other lands"
+# Label of the D that takes each frame's mean from the reference.
+OWN_MEAN = "D the frame's own mean"
+THERMAL = "thermal frames of other lands"
 _WORDS = {"terrain": "relief", "conditions": "hour and weather", "depth": "depth"}
 # Side of the uniform picture that a map translates for an object's temperature; networks take multiples of it [px].
 _PATCH_PX = 256
@@ -154,7 +157,7 @@ def _variants(model: TemperatureMap, campaign: Training | None, sky_k: float | N
 
 def _knows(bounds: str | None, *more: str) -> str:
     """Return what a method knows, in words."""
-    return ", ".join([*more, *([_THERMAL] if bounds in (REFITTED, CALIBRATED) else [])])
+    return ", ".join([*more, *([THERMAL] if bounds in (REFITTED, CALIBRATED) else [])])
 
 
 def rendered(
@@ -251,7 +254,7 @@ def painted(training: Training | None, band_um: tuple[float, float]) -> list[Met
         ground = view.truth_radiance[view.known & (view.object < 0)]
         return np.full(view.known.shape, ground.mean(dtype=np.float64) if ground.size else np.nan)
 
-    found = [Method("D", "the frame's own mean", None, "the reference's mean", paint=own_mean)]
+    found = [Method("D", OWN_MEAN.removeprefix("D "), None, "the reference's mean", paint=own_mean)]
     if training is None:
         return found
     radiance = band_radiance(training.mean_k, *band_um)
@@ -265,8 +268,8 @@ def painted(training: Training | None, band_um: tuple[float, float]) -> list[Met
         table = band_radiance(np.array([*kelvin, training.mean_k]), *band_um)
         return table[np.minimum(view.material, len(names))]
 
-    return [Method("D", "constant", None, _THERMAL, paint=constant),
-            Method("E", "mean per material", None, f"the materials, {_THERMAL}", paint=per_material),
+    return [Method("D", "constant", None, THERMAL, paint=constant),
+            Method("E", "mean per material", None, f"the materials, {THERMAL}", paint=per_material),
             *found]  # fmt: skip
 
 
@@ -309,8 +312,8 @@ class Foreign:
             if not path.is_file() or (several and path.parent == self.folder):
                 raise ThermorenderError(
                     f"--foreign {self.name}={self.folder} lacks {path.name} for scene {scene_name!r}; give a "
-                    f"temperature TIFF of each of the {count} poses, in a folder with the scene's name where there are "
-                    "several scenes"
+                    f"temperature TIFF of each of the scene's {counted(count, 'pose')}, in a folder with the scene's "
+                    "name where there are several scenes"
                 )
             kelvin = self._read(path, shape)
             if np.isfinite(kelvin).any():

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from thermorender.campaign import duplicates
 from thermorender.campaign.dataset import Dataset
+from thermorender.compare.words import counted
 from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import TemperatureMap
 from thermorender.scene.scene import Scene
@@ -82,7 +83,7 @@ class TrainingPictures:
             )
             return
         provenance.audited = (
-            f"{sum(len(pictures) for pictures in scenes.values())} photographs of the test compared by content with "
+            f"{counted(sum(map(len, scenes.values())), 'photograph')} of the test compared by content with "
             f"{len(self.entries)} of {self.of_all} pictures of {self.name!r}"
         )
         for scene, pictures in scenes.items():

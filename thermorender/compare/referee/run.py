@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from thermorender import files, formats
 from thermorender.campaign.dataset import Dataset
 from thermorender.compare.machine import machine
-from thermorender.compare.referee import findings, methods, provenance, scores, training, views
+from thermorender.compare.referee import findings, methods, provenance, training, views
 from thermorender.compare.referee.flight import Flight
 from thermorender.compare.referee.frames import Frames, waiting
 from thermorender.compare.referee.report.page import write_page
@@ -38,7 +38,6 @@ COLUMNS = (
     "scene", "land", "pose", "time_s", "method", "stage", "surface", "material", "pixels", "pixels_without_temperature",
     "mean_error_k", "mean_absolute_error_k", "root_mean_square_error_k",
 )  # fmt: skip
-HEADER = ("method", "mean error [°C]", "mean absolute error [°C]", "95 %", "standard deviation [°C]", "pixels")
 
 
 @dataclass(frozen=True)
@@ -157,22 +156,6 @@ def compare(
         write_page(draft / "report.html", summary, pictures.views)
     shutil.rmtree(work, ignore_errors=True)
     return summary
-
-
-def rows(summary: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Return the rows of a table of errors on ground, noise-free, under HEADER."""
-    found: list[tuple[str, ...]] = []
-    for label, own in summary["methods"].items():
-        if own["errors"]:
-            ground = own["errors"][scores.RADIOMETRIC]["ground"]
-            ends = (ground.get("interval_95") or {}).get("mae_k")
-            mean, absolute, deviation = [
-                "none" if ground[key] is None else format(ground[key], form)
-                for key, form in (("me_k", "+.3f"), ("mae_k", ".3f"), ("sd_k", ".3f"))
-            ]
-            interval = "" if ends is None else f"{ends[0]:.2f}…{ends[1]:.2f}"
-            found.append((label, mean, absolute, interval, deviation, str(ground["pixels"])))
-    return found
 
 
 def _contestants(flights: Sequence[Flight], models: Sequence[str], options: Options) -> _Contestants:
@@ -306,7 +289,8 @@ def _summary(
     """Return the summary of a comparison, as plain numbers."""
     constant, seed = totals.methods.get("D constant"), options.seed
     summary: dict[str, Any] = {
-        "scenes": scenes, "notes": [*_notes(scenes), *left_out], "targets": totals.targets.summary(), "methods": {},
+        "scenes": scenes, "notes": [*_notes(scenes, totals, options.letters), *left_out],
+        "targets": totals.targets.summary(), "methods": {},
         "seed": seed, "machine": machine(),
         "settings": {key: str(value) for key, value in options.settings.items()}, "versions": versions(),
         "bounds": "from thermal frames of other lands in the same hour and weather; refitted: by eq. 2; calibrated: "
@@ -336,7 +320,7 @@ def _origins(
     return found
 
 
-def _notes(scenes: Sequence[dict[str, Any]]) -> list[str]:
+def _notes(scenes: Sequence[dict[str, Any]], totals: Totals, letters: Collection[str]) -> list[str]:
     """Return sentences that a reader should know before the numbers."""
     notes = []
     without = [each["name"] for each in scenes if not each["reference"]]
@@ -345,17 +329,32 @@ def _notes(scenes: Sequence[dict[str, Any]]) -> list[str]:
                      "reported there, not errors.")  # fmt: skip
     alone = [each["name"] for each in scenes if each["reference"] and each["campaign"] is None]
     if alone:
-        notes.append(f"No other land shares the hour and weather of {', '.join(alone)}: bounds are not refitted there, "
-                     "and the constant and the means per material are left out.")  # fmt: skip
+        absent = [name for name in ("D constant", "E mean per material") if name[0] in letters]
+        rest = f", and {' and '.join(absent)} {'is' if len(absent) == 1 else 'are'} left out" if absent else ""
+        notes.append(f"No other land shares the hour and weather of {', '.join(alone)}: bounds are not refitted there"
+                     f"{rest}.")  # fmt: skip
+    if methods.OWN_MEAN in totals.methods:
+        notes.append(f"{methods.OWN_MEAN} needs the truth of the frame itself. Its error is that of a method that "
+                     "knows only the mean level.")  # fmt: skip
     dark = [each["name"] for each in scenes if (each["sun_elevation_deg"] or 0.0) < 0.0]
     if dark:
         notes.append("Photographs show the orthophoto as it was lit when it was taken, which differs from the scene "
                      f"where the sun is below the horizon, here in {', '.join(dark)}.")  # fmt: skip
+    return notes + _notes_on_errors(scenes, totals)
+
+
+def _notes_on_errors(scenes: Sequence[dict[str, Any]], totals: Totals) -> list[str]:
+    """Return sentences on the errors of scenes with a truth."""
     lands = len({each["land"] for each in scenes if each["reference"]})
-    if lands:
-        notes.append("Intervals are 95 %, by a bootstrap of poses, of ground blocks or of whole scenes, whichever are "
-                     f"widest; {'one land was' if lands == 1 else f'{lands} lands were'} seen.")  # fmt: skip
-        notes.append("A scene of `make-scene` has temperatures by a heat balance like F, with properties drawn from "
-                     "their uncertainty and with hidden fields; maps called procedural were trained on such scenes. "
-                     "Errors that all of them share do not show here.")  # fmt: skip
-    return notes
+    if not lands:
+        return []
+    found = [each.method for each in totals.methods.values()]
+    like_f = " like F" if any(method.letter == "F" for method in found) else ""
+    trained = "; maps called procedural were trained on such scenes"
+    trained = trained if any(method.name.startswith("procedural") for method in found) else ""
+    return [
+        "Intervals are 95 %, by a bootstrap of poses, of ground blocks or of whole scenes, whichever are widest; "
+        f"{'one land was' if lands == 1 else f'{lands} lands were'} seen.",
+        f"A scene of make-scene has temperatures by a heat balance{like_f}, with properties drawn from their "
+        f"uncertainty and with hidden fields{trained}. Errors that all of them share do not show here.",
+    ]

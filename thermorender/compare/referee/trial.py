@@ -37,6 +37,8 @@ Images = dict[str, Image]
 # A material is reported if a rendered method's band emissivity is wrong by more than this on average, and it covers at
 # least this share of the ground.
 _EMISSIVITY, _SHARE = 0.02, 0.01
+# Sources of materials that are assumed: one for the whole scene, or those of a learned map.
+_ASSUMED = ("constant", "material", "learned")
 
 
 @dataclass
@@ -372,6 +374,7 @@ class Trial:
             "time": None if scene.time is None else utc_text(scene.time), **weather_of(scene),
             "sun_elevation_deg": _sun_elevation(scene),
             "digest": scene.digest(), "poses": len(setup.flight.times), "reference": setup.has_truth,
+            "assumed_materials": not setup.has_truth or scene.spec.emissivity.source in _ASSUMED,
             "campaign": None if setup.campaign is None else vars(setup.campaign),
             "plan": setup.reference.plan.as_dict(),
             "terms": pairs, "terms_apart_mk": 1e3 * self._apart, "spectrum": spectrum,

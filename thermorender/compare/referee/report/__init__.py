@@ -1,1 +1,1 @@
-"""The HTML report of a comparison: tables, figures and pictures."""
+"""The report of a comparison: an HTML page with tables, figures and pictures, and tables for the terminal."""

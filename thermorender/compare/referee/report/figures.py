@@ -1,6 +1,7 @@
 """Figures of a comparison: error images, errors against run time, spectra, the terms of a difference, and ROC."""
 
 import io
+import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,14 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender import files
+from thermorender.compare.referee.methods import CALIBRATED, REFITTED
 from thermorender.compare.referee.views import View
 from thermorender.units import ZERO_CELSIUS_K
 
 Summary = dict[str, Any]
 _Look = dict[str, Any]
 
+_FITTED = (REFITTED, CALIBRATED)
+
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#F0E442", "#000000")
+# The colour of pixels that are not scored, as in the pictures of the page.
+GREY = 136
+# Legends are read at 100 pixels per inch, where 10 points of a figure are 10.4 points on the page.
+_DPI, _WORDS_PT = 100, 10
+# Most entries in one column of a legend, and most characters in one line of a picture's title.
+_ENTRIES, _TITLE = 18, 26
 _STYLE = {"B": "-", "C1": "--", "C2": ":"}
+_MARKS = {"B": "○ 2D translation", "C1": "□ rendered", "C2": "◇ learned materials"}
 _LETTER = {"B": "o", "C1": "s", "C2": "D", "D": "x", "E": "+", "F": "^", "O": "*", "foreign": "P"}
 
 
@@ -29,9 +40,18 @@ def colour_tables() -> dict[str, list[list[int]]]:
             for name, table in tables.items()}  # fmt: skip
 
 
+def shown_photograph(view: View) -> NDArray[np.uint8]:
+    """Return a View's photograph with the grey of the other pictures where it is black for lack of terrain."""
+    image = view.visible.copy()
+    image[~view.known & ~view.visible.any(axis=-1)] = GREY
+    return image
+
+
 def error_images(path: Path, view: View, seen: Mapping[str, NDArray[np.floating]]) -> None:
     """Write the reference and the frames of a pose, each with its error image below, as PNG; without a reference the
     frames only."""
+    from matplotlib import colormaps
+
     figure, pyplot = _figure()
     labels = list(seen)
     columns = min(6, len(labels) + 1)
@@ -50,31 +70,32 @@ def error_images(path: Path, view: View, seen: Mapping[str, NDArray[np.floating]
     off = np.concatenate([np.zeros(0), *(np.abs(error[np.isfinite(error)][::17]) for error in errors.values())])
     limit = float(np.percentile(off, 95)) if off.size else 1.0
     step = 2 if errors else 1
+    photograph = shown_photograph(view)
+    warmth, fault = (colormaps[name].with_extremes(bad=(GREY / 255.0,) * 3) for name in ("inferno", "RdBu_r"))
     shown = drawn = None
     for number, label in enumerate(["reference" if view.truth is not None else "photograph", *labels]):
         axis = axes[number // columns * step, number % columns]
         image = base if label == "reference" else seen.get(label)
         if image is None:
-            axis.imshow(view.visible)
+            axis.imshow(photograph)
         else:
-            shown = axis.imshow(
-                np.where(view.known, image - ZERO_CELSIUS_K, np.nan), cmap="inferno", vmin=low, vmax=high
-            )
-        axis.set_title(label, fontsize=7)
+            shown = axis.imshow(np.where(view.known, image - ZERO_CELSIUS_K, np.nan), cmap=warmth, vmin=low, vmax=high)
+        axis.set_title(textwrap.fill(label, _TITLE), fontsize=9)
         if errors:
             below = axes[number // columns * step + 1, number % columns]
             if label == "reference":
-                below.imshow(view.visible)
+                below.imshow(photograph)
             else:
-                drawn = below.imshow(errors[label], cmap="RdBu_r", vmin=-limit, vmax=limit)
+                drawn = below.imshow(errors[label], cmap=fault, vmin=-limit, vmax=limit)
     for axis in axes.ravel():
         axis.set_axis_off()
     below = axes[-1, : columns // 2].tolist(), axes[-1, columns // 2 :].tolist()
-    for image, place, words in ((shown, below[0], "apparent temperature [°C]"), (drawn, below[1], "error [K]")):
+    scales = (shown, below[0], "apparent temperature [°C]; grey: no terrain"), (drawn, below[1], "error [K]")
+    for image, place, words in scales:
         if image is not None and place:
             drawing.colorbar(image, ax=place, label=words, location="bottom", aspect=30, shrink=0.8)
     with files.atomic(path) as part:
-        drawing.savefig(part, dpi=90, format="png")
+        drawing.savefig(part, dpi=_DPI, format="png")
     pyplot.close(drawing)
 
 
@@ -97,11 +118,14 @@ def against_time(summary: Summary) -> bytes | None:
         used.add(own["map"])
         axis.errorbar(1e3 * own["seconds_per_frame"], error["mae_k"], yerr=bars, marker=_LETTER[own["letter"]], ls="",
                       color=colours[own["map"]], label=label, capsize=2,
-                      mfc="none" if own["bounds"] in ("refitted", "calibrated") else None)  # fmt: skip
+                      mfc="none" if own["bounds"] in _FITTED else None)  # fmt: skip
     axis.set(xscale="log", yscale="log", xlabel="run time [ms per frame]", ylabel="mean absolute error on ground [K]")
-    axis.set_title("○ 2D translation  □ rendered  ◇ learned materials; hollow: refitted, calibrated", fontsize=9)
+    marks = [words for letter, words in _MARKS.items() if any(own["letter"] == letter for own, _ in scored)]
+    hollow = "; hollow: refitted, calibrated" if any(own["bounds"] in _FITTED for own, _ in scored) else ""
+    axis.set_title("  ".join(marks) + hollow, fontsize=_WORDS_PT)
+    _plain(axis.xaxis, axis.yaxis)
     axis.grid(alpha=0.3, which="both")
-    axis.legend(fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    _beside(axis, axis.get_legend_handles_labels()[0])
     return _png(drawing, pyplot)
 
 
@@ -127,6 +151,7 @@ def spectra(summary: Summary) -> bytes | None:
     axis.set(
         xscale="log", yscale="log", xlabel="spatial frequency [cycles/px]", ylabel="power spectral density [K² px²]"
     )
+    _plain(axis.xaxis)
     axis.grid(alpha=0.3, which="both")
     _legend(axis, pyplot, [own for own, _ in curves], colours, [("reference", {"color": "black", "lw": 2.5})])
     return _png(drawing, pyplot)
@@ -149,7 +174,7 @@ def differences(summary: Summary) -> bytes | None:
         k, j = labels.index(one), labels.index(other)
         matrix[k, j] = matrix[j, k] = kelvin / pixels
     figure, pyplot = _figure()
-    side = 2.6 + 0.24 * max(len(labels), 12)
+    side = 2.8 + 0.36 * max(len(labels), 8)
     drawing = figure(figsize=(side + 0.6, side), layout="constrained")
     axis = drawing.subplots()
     image = axis.imshow(matrix, cmap="viridis")
@@ -157,9 +182,9 @@ def differences(summary: Summary) -> bytes | None:
     for (k, j), kelvin in np.ndenumerate(matrix):
         if np.isfinite(kelvin):
             words = f"{kelvin:.1f}" if kelvin < 9.95 else f"{kelvin:.0f}"
-            axis.text(j, k, words, ha="center", va="center", fontsize=6, color="white" if kelvin < dark else "black")
-    axis.set_xticks(range(len(labels)), labels, rotation=90, fontsize=7)
-    axis.set_yticks(range(len(labels)), labels, fontsize=7)
+            axis.text(j, k, words, ha="center", va="center", fontsize=9, color="white" if kelvin < dark else "black")
+    axis.set_xticks(range(len(labels)), labels, rotation=90, fontsize=9)
+    axis.set_yticks(range(len(labels)), labels, fontsize=9)
     drawing.colorbar(image, ax=axis, label="mean absolute difference [K]", shrink=0.6)
     return _png(drawing, pyplot)
 
@@ -183,10 +208,10 @@ def terms(summary: Summary, names: Sequence[str]) -> bytes | None:
         place = np.arange(len(total)) + (number - len(names) / 2.0) * 0.13
         values = [own[term][0] / own[term][1] if term in own else 0.0 for own in total.values()]
         axis.barh(place, values, height=0.12, color=_COLOURS[number % 8] if term != "whole" else "black", label=term)
-    axis.set_yticks(range(len(total)), list(total), fontsize=8)
+    axis.set_yticks(range(len(total)), list(total), fontsize=_WORDS_PT)
     axis.invert_yaxis()
     axis.set(xlabel="mean absolute size [K]")
-    axis.legend(fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    _beside(axis, axis.get_legend_handles_labels()[0])
     return _png(drawing, pyplot)
 
 
@@ -208,6 +233,7 @@ def roc(summary: Summary) -> bytes | None:
         x, y = np.array(curve)[:, :2].T
         axis.step(np.maximum(x, 1e-2), y, where="post", lw=1.0, **_line(own, colours))
     axis.set(xscale="log", xlabel="false alarms per frame", ylabel="share of targets found", ylim=(-0.02, 1.02))
+    _plain(axis.xaxis)
     axis.grid(alpha=0.3)
     _legend(axis, pyplot, [own for own, _ in curves], colours, [("reference", black)] if known else [])
     return _png(drawing, pyplot)
@@ -244,7 +270,28 @@ def _legend(
     entries: list[tuple[str, _Look]] = [*first, *((name, {"color": colour}) for name, colour in colours.items())]
     entries += [(letter, {"color": "grey", "ls": _STYLE[letter]}) for letter in letters]
     handles = [pyplot.Line2D([], [], label=name, **look) for name, look in entries]
-    axis.legend(handles=handles, fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    _beside(axis, handles)
+
+
+def _beside(axis: Any, handles: Sequence[Any]) -> None:
+    """Draw a legend of handles to the right of the axes."""
+    axis.legend(handles=handles, fontsize=_WORDS_PT, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5),
+                ncols=-(-len(handles) // _ENTRIES))  # fmt: skip
+
+
+def _plain(*axes: Any) -> None:
+    """Label logarithmic axes with plain numbers: 6, not 6 × 10⁰."""
+    from matplotlib.ticker import LogFormatter
+
+    class Plain(LogFormatter):
+        """Labels the ticks that its base labels."""
+
+        def __call__(self, x: float, pos: int | None = None) -> str:
+            return f"{x:g}" if super().__call__(x, pos) else ""
+
+    for axis in axes:
+        axis.set_major_formatter(Plain())
+        axis.set_minor_formatter(Plain(minor_thresholds=(1.0, 0.4)))
 
 
 def _figure() -> tuple[Callable[..., Any], Any]:
@@ -258,6 +305,6 @@ def _figure() -> tuple[Callable[..., Any], Any]:
 
 def _png(drawing: Any, pyplot: Any) -> bytes:
     content = io.BytesIO()
-    drawing.savefig(content, dpi=100, format="png")
+    drawing.savefig(content, dpi=_DPI, format="png")
     pyplot.close(drawing)
     return content.getvalue()

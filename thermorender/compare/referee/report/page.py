@@ -8,7 +8,9 @@ from typing import Any
 from thermorender import formats
 from thermorender.compare.html import document, figure, table, text
 from thermorender.compare.referee import findings
+from thermorender.compare.referee.methods import THERMAL
 from thermorender.compare.referee.report import figures
+from thermorender.compare.referee.report.introduction import introduction
 from thermorender.compare.referee.terms import NAMES
 
 Summary = dict[str, Any]
@@ -31,28 +33,14 @@ def write_page(path: Path, summary: Summary, views: Sequence[dict[str, Any]]) ->
     here = Path(__file__)
     style, script = (here.with_name(name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
     parts = [
-        "<h1>2D translation against the radiometric render</h1>", _head(summary), _findings(summary), _errors(summary),
-        _pictures(views), _figures(summary), _differences(summary), _terms(summary), _targets(summary),
-        _structure(summary), _groups(summary), _training(summary), _scenes(summary), _legend(),
+        "<h1>2D translation against the radiometric render</h1>", introduction(summary), _findings(summary),
+        _errors(summary), _pictures(views), _figures(summary), _differences(summary), _terms(summary),
+        _targets(summary), _structure(summary), _groups(summary), _training(summary), _scenes(summary),
+        _legend(summary),
         f"<script type='application/json' id=views>{_json(views)}</script>",
         f"<script type='application/json' id=colours>{_json(figures.colour_tables())}</script>",
     ]  # fmt: skip
     formats.write_text(path, document("Comparison of infrared frames", parts, style, script))
-
-
-def _head(summary: Summary) -> str:
-    scenes, poses = summary["scenes"], sum(each["poses"] for each in summary["scenes"])
-    first = (
-        f"{len(scenes)} scene{'s' * (len(scenes) > 1)}, {poses} poses, {len(summary['methods'])} methods. All methods "
-        "get the same poses, camera and photographs. Errors are apparent temperature minus that of the reference, a "
-        "render from the true temperatures and materials. By letter: B is a map applied to the photograph, C is the "
-        "map applied to the orthophoto and rendered (C1 true materials, C2 learned ones), D a constant, E a mean per "
-        "material, F the heat balance, O an oracle. A map of intensities is shown with its own bounds, with refitted "
-        "bounds (1.5 interquartile ranges beyond the quartiles of thermal frames of other lands in the same hour and "
-        "weather), and calibrated (a least-squares line from its intensities of their photographs to those frames). "
-        "Refitted bounds suit a map that was trained in one campaign; they reduce the contrast of one trained in many."
-    )
-    return f"<p>{text(first)}</p><ul class=note>{''.join(f'<li>{text(note)}</li>' for note in summary['notes'])}</ul>"
 
 
 def _findings(summary: Summary) -> str:
@@ -60,7 +48,8 @@ def _findings(summary: Summary) -> str:
     for title, grave, lines in findings.grouped(summary["findings"]):
         rows = "".join(f"<li class={'grave' if grave else 'plain'}>{text(line)}</li>" for line in lines)
         parts.append(_folded(title, len(lines), f"<ul>{rows}</ul>", grave))
-    return f"<h2>Findings</h2>{''.join(parts) or '<p>Nothing unusual was found.</p>'}"
+    rest = findings.nothing(summary)
+    return f"<h2>Findings</h2>{''.join(parts)}{f'<p>{text(rest)}</p>' if rest else ''}"
 
 
 def _errors(summary: Summary) -> str:
@@ -75,19 +64,19 @@ def _errors(summary: Summary) -> str:
         seconds, limits = own["seconds_per_frame"], own["range_c"]
         cells = {
             "method": label,
-            "mean error [°C]": _number(ground["me_k"], "+.3f"),
+            "mean error [K]": _number(ground["me_k"], "+.3f"),
             "95 %": _range(ends["me_k"], "+.2f"),
-            "mean absolute error [°C]": _number(ground["mae_k"]),
+            "mean absolute [K]": _number(ground["mae_k"]),
             "95 % ": _range(ends["mae_k"]),
-            "standard deviation [°C]": _number(ground["sd_k"]),
-            "objects": _number(radiometric.get("objects", {}).get("mae_k")),
-            "with objects": _number(radiometric.get("with objects", {}).get("mae_k")),
-            "after the sensor": _number(sensor.get("ground", {}).get("mae_k")),
+            "standard deviation [K]": _number(ground["sd_k"]),
+            "objects [K]": _number(radiometric.get("objects", {}).get("mae_k")),
+            "with objects [K]": _number(radiometric.get("with objects", {}).get("mae_k")),
+            "after sensor [K]": _number(sensor.get("ground", {}).get("mae_k")),
             "ms per frame": _number(None if seconds is None else 1e3 * seconds, ".1f"),
             "s per scene": _number(own["once_s"] or None, ".1f"),
             "scenes": str(own["scenes"]),
             "pixels": _number(ground["pixels"], "d"),
-            "effective": _number(ground.get("effective_pixels"), ".0f"),
+            "effective pixels": _number(ground.get("effective_pixels"), ".0f"),
             "own bounds [°C]": "" if limits is None else f"{limits[0]:.1f}…{limits[1]:.1f}",
             "knows": own["knows"],
         }
@@ -96,21 +85,26 @@ def _errors(summary: Summary) -> str:
     words = (
         "Mean error, mean absolute error and standard deviation as in published studies, noise-free and on ground "
         "only; then the mean absolute error on objects, with objects, and after the same sensor with the same noise. "
-        "Methods that use thermal frames of other lands exist only for scenes with others in their hour and weather. "
-        "Seconds per scene are the time for its temperatures and its light."
     )
-    return f"<h2>Errors on ground</h2><p class=note>{words}</p>" + table(head, rows)
+    if any(THERMAL in own["knows"] for own in scored.values()):
+        words += f"Methods that know {THERMAL} exist only for scenes with others in their hour and weather. "
+    words += "Seconds per scene are the time for its temperatures and its light."
+    inner = table(head, rows, words=(head.index("method"), head.index("knows")))
+    return f"<h2>Errors on ground</h2><p class=note>{words}</p><div class=wide>{inner}</div>"
 
 
 def _pictures(views: Sequence[dict[str, Any]]) -> str:
     if not views:
         return ""
     options = "".join(f"<option value={number}>{text(view['title'])}</option>" for number, view in enumerate(views))
+    # Without a reference there are no errors to show.
+    scored = any(each["reference"] for view in views for each in view["pictures"])
+    errors = "<option value=error>errors</option>" if scored else ""
     return ("<h2>Frames</h2><p class=note>Point at a picture to read kelvin. These pictures have half the camera's "
-            "resolution; full ones are in the folder pictures.</p><div id=controls><label>pose <select id=pose>"
-            + options +
-            "</select></label><label>show <select id=mode><option value=frame>frames</option><option value=error>errors"
-            "</option></select></label><span><span id=low></span> <span id=scale></span> <span id=high></span></span>"
+            "resolution; full ones are in the folder pictures. Grey: no terrain, or terrain of unknown colour or "
+            "temperature.</p><div id=controls><label>pose <select id=pose>"
+            f"{options}</select></label><label>show <select id=mode><option value=frame>frames</option>{errors}"
+            "</select></label><span><span id=low></span> <span id=scale></span> <span id=high></span></span>"
             "<output id=kelvin></output></div><div class=viewer></div>")  # fmt: skip
 
 
@@ -221,7 +215,7 @@ def _groups(summary: Summary) -> str:
             rows.append(((label, *(f"{_number(found[name]['me_k'], '+.2f')} ({_number(found[name]['mae_k'], '.2f')})"
                                    if name in found else "" for name in classes)), False))  # fmt: skip
         of = "scene, ground only" if grouping == "scene" else f"{grouping}, with objects"
-        parts.append(f"<h3>By {of}</h3>" + table(("method", *classes), rows))
+        parts.append(f"<h3>By {of}</h3><div class=pairs>{table(('method', *classes), rows, words=(0,))}</div>")
     words = "<p class=note>Mean (and mean absolute) error [K], noise-free.</p>"
     return f"<h2>Errors by group</h2>{words}{''.join(parts)}" if parts else ""
 
@@ -260,13 +254,15 @@ def _scenes(summary: Summary) -> str:
     return "<h2>Scenes</h2>" + table(head, rows, words=(1,)) + f"<p class=note>{text(words)}</p>"
 
 
-def _legend() -> str:
+def _legend(summary: Summary) -> str:
     words = (
         "Errors by pose, surface, material and scene can be computed from pixels.csv in the folder of this page; all "
         "other values are in comparison.json. 1 K is a difference of 1 °C. The effective number of pixels is the "
         "number of independent pixels with the same standard error of the mean. A method in red was trained on the "
         "test scene, or made the reference."
     )
+    if not any(scene["reference"] for scene in summary["scenes"]):
+        words = "All values are in comparison.json in the folder of this page. 1 K is a difference of 1 °C."
     return f"<h2>How to read this</h2><p>{words}</p>"
 
 

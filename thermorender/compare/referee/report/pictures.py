@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.compare.referee.report.figures import error_images
+from thermorender.compare.referee.report.figures import error_images, shown_photograph
 from thermorender.compare.referee.views import View, evenly
 
 # Steps per kelvin of the pictures inside the page, and their largest total size [bytes].
@@ -55,7 +55,7 @@ class Pictures:
         if self._bytes + size > MOST_BYTES:
             return
         self._bytes += size
-        photograph = cv2.resize(view.visible, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        photograph = cv2.resize(shown_photograph(view), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
         self.views.append({
             "title": f"{scene}, {view.time_s:.1f} s",
             "visible": _data("jpeg", cv2.imencode(".jpg", photograph[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])[1]),
