@@ -121,6 +121,8 @@ def test_a_map_that_made_the_ground_has_no_error_and_is_called_circular(tmp_path
     assert "D constant and E mean per material are left out." in page
     assert "D the frame&#x27;s own mean needs the truth of the frame itself." in page
     assert "F: the heat balance" not in page and "by a heat balance, with properties" in page
+    # One material for all texels is assumed.
+    assert "<li>C1: the map applied to the orthophoto and rendered with the scene&#x27;s materials.</li>" in page
     main = page.split("<h2>Errors on ground</h2>")[1].split("</table>")[0]
     heads = re.findall("<th(?: class=words)?>([^<]*)</th>", main)
     assert len(heads) == 16 and "[K]" in main and "error [°C]" not in main
@@ -521,9 +523,10 @@ def test_a_scene_without_truth_prints_differences_and_that_nothing_was_checked(g
     assert status == 0, errors
     head, row, rest, last = said.splitlines()
     assert head.split("  ")[0] == "method" and "mean difference [K]" in head and "RMS difference [K]" in head
-    pair = json.loads((tmp_path / "c/comparison.json").read_text())["scenes"][0]["differences"][0]
+    (scene,) = json.loads((tmp_path / "c/comparison.json").read_text())["scenes"]
+    pair = scene["differences"][0]
     assert row.split()[:5] == ["B", "warm", "B", "cool", f"{pair['me_k']:+.3f}"] and pair["me_k"] > 1.0
-    assert head.index("mean difference") == row.index("+")
+    assert head.index("mean difference") == row.index("+") and scene["assumed_materials"]
     page = (tmp_path / "c/report.html").read_text()
     assert rest == "Without a truth, no error could be checked." and f"<p>{rest}</p>" in page
     assert "Nothing unusual" not in page and "1 scene, 1 pose, 2 methods." in page and last.startswith("report.html")
@@ -623,6 +626,7 @@ def test_names_cannot_break_the_page(ground, tmp_path):
     compare([flight(ground, poses=1)], tmp_path / "c", [nasty], Options(settings={"rays": 2}))
     page = (tmp_path / "c/report.html").read_text()
     assert "<script>alert" not in page.replace("\\u003c", "") and "&lt;script&gt;alert" in page
+    assert "rendered with true materials" in page
 
 
 def test_spectrum_of_white_noise_is_its_variance():
