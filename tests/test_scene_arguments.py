@@ -11,6 +11,7 @@ import thermorender as tr
 from scenes import WEATHER, write_balance, write_terrain
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
+from thermorender.physics.planck import band_radiance
 from thermorender.scene.spec import AtmosphereSpec, EmissivitySpec, TemperatureSpec, WeatherSpec
 
 LATER = "2018-07-28T15:00Z"
@@ -175,3 +176,21 @@ def test_frames_of_a_scene_do_not_change_with_what_it_was_given(scene):
     before = frame_of(given)
     mine += 40.0
     np.testing.assert_array_equal(frame_of(given), before)
+
+
+def test_a_temperature_below_100_k_needs_its_unit(tmp_path):
+    """A target at 77 K under a sky of 3 K: ε B(77 K) + (1 − ε) B(3 K), which is nothing."""
+    cold = MARKER.replace("temperature = 330", 'temperature = "77 K"').replace("asphalt", "paint_black")
+    scene = tr.load_scene(write_terrain(tmp_path / "tiny", extra=cold.replace("[3, 3, 1]", "[40, 40, 1]")))
+    scene = scene.with_camera(CAMERA).with_sky("3 K")
+    assert scene.sky_temperature == 3.0 and scene.with_air("tropical").with_air(None).sky_temperature == 3.0
+    seen = tr.Renderer(scene, rays=4).frame(tr.pose(0, 0, 12, pitch_deg=-90)).radiance
+    black = next(each for each in scene.materials if each.name == "paint_black")
+    expected = black.band_emissivity(*CAMERA.band_um, 77.0) * band_radiance(77.0, *CAMERA.band_um)
+    np.testing.assert_allclose(seen, expected, rtol=2e-4)
+    assert scene.with_objects({"marker": "90 K"}).spec.objects[0].temperature == 90.0
+    for edit in (lambda: scene.with_sky(3.0), lambda: scene.with_objects({"marker": 77.0})):
+        with pytest.raises(ThermorenderError, match=r"add 273.15 to °C, or write '\d+ K' if it is that cold"):
+            edit()
+    with pytest.raises(ThermorenderError, match="'cold' is not allowed; give a finite number"):
+        scene.with_sky("cold")

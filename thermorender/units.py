@@ -15,6 +15,18 @@ ZERO_CELSIUS_K = 273.15
 # The check therefore catches the commonest mistake: °C given as kelvin.
 LOWEST_KELVIN = 100.0
 _FARTHEST_ZONE_S = 14 * 3600
+_STATED = re.compile(r"\s*(\d+(?:\.\d+)?)\s*K\s*")
+
+
+class Stated(float):
+    """A temperature whose unit was stated as "77 K", so that it may be below 100 K."""
+
+
+def with_unit(value: object) -> object:
+    """Return a Stated temperature for a text such as "77 K"; any other value unchanged."""
+    found = _STATED.fullmatch(value) if isinstance(value, str) else None
+    return Stated(found[1]) if found else value
+
 
 _Temperature = TypeVar("_Temperature", bound=ArrayLike)
 
@@ -34,17 +46,20 @@ def kelvin(name: str, temperature: _Temperature, allow_zero: bool = False) -> _T
     Raises
     ------
     ThermorenderError
-        A value is below 100 K (most likely °C) or infinite.
+        A value is below 100 K (most likely °C) and not Stated, or infinite.
     """
     values = np.asarray(temperature, dtype=np.float64)
     bad = (values < LOWEST_KELVIN) | np.isinf(values) | (np.isnan(values) & (values.ndim == 0))
     if allow_zero:
         bad &= values != 0.0
+    if isinstance(temperature, Stated):
+        bad &= False
     if bad.any():
         worst = values[bad].min() if values.ndim else float(values)
         raise ThermorenderError(
             f"{name}={worst:g} is below {LOWEST_KELVIN:g} K or not finite; "
             f"values are kelvin, add {ZERO_CELSIUS_K} to °C"
+            + (f", or write '{worst:g} K' if it is that cold" if 0.0 <= worst < LOWEST_KELVIN else "")
         )
     return temperature
 

@@ -1,11 +1,11 @@
-"""The verbs `materials …`: list, show, plot, check, import, compare and join material tables."""
+"""The verbs `materials …`: list, show, plot, check, import, copy, compare and join material tables."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thermorender.cli.terminal import output_option, table
+from thermorender.cli.terminal import named, output_option, table
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.files import check_new_folder, check_output_file
@@ -136,6 +136,26 @@ def import_spectra(
         citation=citation, licence=licence, note=note, replace=replace,
     )  # fmt: skip
     typer.echo(str(stored))
+
+
+@app.command("copy")
+def copy_material(
+    source: Annotated[str, typer.Argument(help="Name of the material to copy.")],
+    name: Annotated[str, typer.Argument(help="Name of the copy.")],
+    into: Annotated[Path, output_option("--into", help="Materials folder, e.g. a scene's; made if absent.")],
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="KEY=VALUE: solar_absorptance, emissivity, a thermal property; repeat for more."),
+    ] = None,
+    library: Library = None,
+    replace: Annotated[bool, typer.Option("--replace", help="Replace a material of that name.")] = False,
+) -> None:  # fmt: skip
+    """Copy a material into a materials folder, with other values of some properties."""
+    from thermorender.materials.copy import copy_material as run
+
+    wanted = dict(named(text, "--set", "KEY=VALUE, such as solar_absorptance=0.25") for text in settings or [])
+    run(source, name, into, wanted, library, replace)
+    typer.echo(f"{into}: {name}, a copy of {source}")
 
 
 @app.command()

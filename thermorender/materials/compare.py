@@ -188,13 +188,14 @@ def _unlike(pair, changed):
 
 
 def _changed(first, second):
-    """Return the names of what differs between two materials, without thermal properties."""
-    changed = [key for key in _COMPARED if getattr(first, key) != getattr(second, key)]
+    """Return what differs between two materials, without thermal properties; numbers with both values."""
+    pairs = ((key, getattr(first, key), getattr(second, key)) for key in _COMPARED)
+    changed = [_with_values(*pair) for pair in pairs if pair[1] != pair[2]]
     return changed if _same_spectrum(first, second) else ["spectrum", *changed]
 
 
 def _thermal_changed(first, second):
-    """Return the names of what differs between two Thermals or None."""
+    """Return what differs between two Thermals or None; numbers with both values."""
     if first is None or second is None:
         only = "first" if second is None else "second"
         return [] if first is second else [f"thermal properties only in the {only}"]
@@ -202,7 +203,15 @@ def _thermal_changed(first, second):
     def content(thermal, key):
         return thermal.values[key], thermal.uncertainty.get(key), thermal.source.get(key)
 
-    return [key for key in PROPERTIES if content(first, key) != content(second, key)]
+    pairs = ((key, first.values[key], second.values[key]) for key in PROPERTIES)
+    return [_with_values(*pair) for pair in pairs if content(first, pair[0]) != content(second, pair[0])]
+
+
+def _with_values(key, one, other):
+    """The name of a property, with its values if they are different numbers."""
+    values = ["none" if value is None else f"{value:g}" for value in (one, other) if not isinstance(value, str)]
+    numbers = [value for value in (one, other) if isinstance(value, float)]
+    return f"{key} {values[0]} → {values[1]}" if numbers and len(values) == 2 and one != other else key
 
 
 def _same_spectrum(first, second):

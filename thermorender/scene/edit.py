@@ -39,7 +39,7 @@ from thermorender.scene.temperature import learned_map
 from thermorender.scene.temperature_state import Known, Moved
 from thermorender.schema import Where, did_you_mean, read
 from thermorender.sensor.camera import Camera, load_camera
-from thermorender.units import instant, utc_text
+from thermorender.units import instant, utc_text, with_unit
 
 _S = TypeVar("_S", bound="Edits")
 
@@ -131,22 +131,22 @@ class Edits:
         spec = replace(now.spec, atmosphere=air, sky_temperature=None)
         return self._edited(replace(now, spec=spec, air=None))
 
-    def with_sky(self: _S, kelvin: float, surroundings: float | None = None) -> _S:
+    def with_sky(self: _S, kelvin: float | str, surroundings: float | str | None = None) -> _S:
         """Return this scene under an isotropic black sky and without air.
 
         Parameters
         ----------
-        kelvin : float
-            Temperature of the sky [K]; 0 for none.
+        kelvin : float or str
+            Temperature of the sky [K]; 0 for none, and below 100 K with its unit, "3 K".
         surroundings : float, optional
             Temperature of the black surroundings beyond the terrain [K]; by default it stays as it is.
         """
         now = self._declared
-        kelvin = number_of("with_sky: kelvin", kelvin)
+        kelvin = number_of("with_sky: kelvin", with_unit(kelvin))
         scene_kelvin("with_sky: kelvin", kelvin, allow_zero=True)
         around = now.spec.surroundings_temperature
         if surroundings is not None:
-            around = number_of("with_sky: surroundings", surroundings)
+            around = number_of("with_sky: surroundings", with_unit(surroundings))
             scene_kelvin("with_sky: surroundings", around, allow_zero=True)
         spec = replace(now.spec, atmosphere=None, sky_temperature=kelvin, surroundings_temperature=around)
         return self._edited(replace(now, spec=spec, air=None, sky_temperature=kelvin))

@@ -50,7 +50,10 @@ _CLASS_NUMBERS = {str(count): count for count in range(1, 256)}
 
 
 def kelvin(value: Any, where: Where, allow_zero: bool = False) -> float:
-    """Read a temperature of a surface [K], or of a sky, which may be 0 K."""
+    """Read a temperature of a surface [K], or of a sky, which may be 0 K; below 100 K as a text, "77 K"."""
+    stated = units.with_unit(value)
+    if isinstance(stated, units.Stated):
+        return scene_kelvin(str(where), stated)
     return float(scene_kelvin(str(where), number()(value, where), allow_zero))
 
 

@@ -20,6 +20,7 @@ from thermorender.scene.state.declared import Declared
 from thermorender.scene.state.derived import Derived
 from thermorender.scene.surface import Surface, scene_kelvin
 from thermorender.schema import Where, did_you_mean
+from thermorender.units import Stated, with_unit
 
 _Spec = TypeVar("_Spec", bound=Any)
 # Of a scene: texels number them in a byte.
@@ -87,7 +88,7 @@ def refuse_other(edit: str, value: Any, allowed: str) -> None:
 def number_of(what: str, value: Any, none: str = "") -> float:
     """Return a finite float; `none` says what None would mean, if it is not allowed."""
     if isinstance(value, Real) and not isinstance(value, bool) and np.isfinite(float(value)):
-        return float(value)
+        return value if isinstance(value, Stated) else float(value)
     raise ThermorenderError(f"{what}={shortened(repr(value))} is not allowed; give a finite number{none}")
 
 
@@ -176,6 +177,7 @@ def temperature_spec(source: Any, folder: Path, kelvin: bool = False) -> Tempera
     if isinstance(source, TemperatureSpec):
         file = {"raster": ("raster",), "learned": ("model",)}.get(source.source, ())
         return checked_spec(source, "with_temperature", folder, file if kelvin else ())
+    source = with_unit(source)
     if isinstance(source, Real) and not isinstance(source, bool):
         value = number_of("with_temperature", source)
         scene_kelvin("with_temperature", value)
@@ -245,7 +247,7 @@ def _changed_weather(spec: WeatherSpec | None, keys: Mapping[str, Any], now: Dec
     return made
 
 
-def changed_object(item: ObjectSpec, values: Mapping[str, float]) -> ObjectSpec:
+def changed_object(item: ObjectSpec, values: Mapping[str, Any]) -> ObjectSpec:
     """Return an ObjectSpec with other values of some columns of a track."""
     position = dict(zip(COLUMNS[:3], item.position, strict=True))
     found: dict[str, Any] = {}
@@ -253,15 +255,12 @@ def changed_object(item: ObjectSpec, values: Mapping[str, float]) -> ObjectSpec:
         what = f"object {item.name!r}: {column}"
         if column not in COLUMNS:
             raise ThermorenderError(f"object {item.name!r} has no {column!r} to set; give {', '.join(COLUMNS)}")
-        finite = isinstance(value, Real) and not isinstance(value, bool)
-        if not finite or (column != "temperature_k" and not np.isfinite(float(value))):
-            raise ThermorenderError(f"{what}={shortened(repr(value))} is not allowed; give a finite number")
         if column == "temperature_k":
-            found["temperature"] = float(scene_kelvin(what, float(value)))
+            found["temperature"] = scene_kelvin(what, number_of(what, with_unit(value)))
         elif column == "yaw_deg":
-            found["yaw_deg"] = float(value)
+            found["yaw_deg"] = number_of(what, value)
         else:
-            position[column] = float(value)
+            position[column] = number_of(what, value)
     where = Where(f"with_objects: {item.name}")
     rows = {each.name: each.metadata["read"] for each in fields(ObjectSpec)}
     return replace(item, position=rows["position"](list(position.values()), where.of("position")), **found)
