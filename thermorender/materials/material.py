@@ -65,6 +65,9 @@ class Material:
         Cosines of the angle from the normal, ascending from 0 to 1, and the emissivity there [1]; None if Lambertian.
     gaps_um : tuple of (start, end)
         Gaps of the measurement [µm]; wavelengths inside are refused.
+    assumed_um : tuple of (start, end)
+        Ends of the table that are not measured but assumed from similar materials
+        (`thermorender.materials.extended`) [µm].
     """
 
     name: str
@@ -85,6 +88,7 @@ class Material:
     cosines: NDArray[np.float64] | None = None
     emissivity_by_angle: NDArray[np.float64] | None = None
     gaps_um: tuple[tuple[float, float], ...] = ()
+    assumed_um: tuple[tuple[float, float], ...] = ()
     solar_absorptance_std: float | None = None
     thermal: Thermal | None = None
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from thermorender.atmosphere.model import HIGHEST_CAMERA_M, LOWEST_M
 from thermorender.errors import ThermorenderError
+from thermorender.materials.extended import Assumption, assumptions
 from thermorender.physics.band import quadrature
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, spectral_radiance
 from thermorender.physics.sun import irradiance
@@ -60,6 +61,9 @@ class Plan:
         without such materials.
     specular : ReflectanceTables or None
         How such materials reflect; None where mirror rays are left out.
+    assumed : tuple of (Assumption, float)
+        Parts of the band where a material was not measured, and one standard deviation of the effect on a surface of
+        300 K under the scene's sky [mK].
     """
 
     band_um: tuple[float, float]
@@ -79,6 +83,7 @@ class Plan:
     sun: bool
     specular_mk: float | None
     specular: ReflectanceTables | None
+    assumed: tuple[tuple[Assumption, float], ...] = ()
 
     def __repr__(self) -> str:
         air = "no air" if self.air_mk is None else f"air in {self.spectrum.channels} channels"
@@ -121,6 +126,18 @@ class Plan:
             dynamic,
             *self._air_rows(),
             self._specular_row(),
+            *self._assumed_rows(),
+        ]
+
+    def _assumed_rows(self) -> list[tuple[str, str, str]]:
+        return [
+            (
+                one.material,
+                "assumed",
+                f"{one.limits_um[0]:g}–{one.limits_um[1]:g} µm, {one.share:.0%} of the band, from similar materials: "
+                f"± {_kelvin(effect_mk)} at 300 K",
+            )
+            for one, effect_mk in self.assumed
         ]
 
     def _specular_row(self) -> tuple[str, str, str]:
@@ -164,7 +181,7 @@ class Plan:
             "channels_mk": round(self.spectrum.channels_mk, 4),
             "sun": self.sun,
             "specular": self.specular is not None,
-        }
+        } | ({"assumed_mk": {one.material: round(effect, 4) for one, effect in self.assumed}} if self.assumed else {})
 
 
 def checked(
@@ -264,7 +281,16 @@ def make_plan(
         sun=sun_mk is not None and sun_mk > 0.1 * tolerance_mk,
         specular_mk=specular.effect_mk if specular else None,
         specular=specular if specular and specular.effect_mk > 0.1 * tolerance_mk else None,
+        assumed=_assumed(scene, per_mk),
     )
+
+
+def _assumed(scene: Scene, per_mk: float) -> tuple[tuple[Assumption, float], ...]:
+    """Assumptions on the scene's materials, each with its effect [mK at 300 K]."""
+    band = scene.camera.band_um
+    contrast = abs(float(band_radiance(REFERENCE_K, *band) - band_radiance(scene.sky_temperature, *band)))
+    found = [one for material in scene.materials for one in assumptions(material, band)]
+    return tuple((one, one.emissivity_std * contrast / float(per_mk)) for one in found)
 
 
 def _refuse_surfaces(where: str, low: float, high: float) -> None:

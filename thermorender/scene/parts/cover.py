@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity import load_map
 from thermorender.materials import library as material_tables
+from thermorender.materials.extended import within_band
 from thermorender.materials.material import Material, grey
 from thermorender.scene.material_map import learned_materials
 from thermorender.scene.parts.read import Parts
@@ -65,6 +66,7 @@ class MaterialList:
     ) -> None:
         self.library, self.replaced, self.band_um, self.where = library, replaced, band_um, where
         self.used: list[Material] = []
+        self.numbers: dict[int, int] = {}
         self.unused = set(replaced)
 
     def index(self, name: str, key: str, *by: int | str) -> int:
@@ -77,19 +79,19 @@ class MaterialList:
 
     def add(self, material: Material) -> int:
         """Return the number of a material, which is added where it is new."""
-        if material not in self.used:
-            refuse_band(material, self.band_um, self.where)
+        if id(material) not in self.numbers:
             if len(self.used) == MOST_MATERIALS:
                 raise ThermorenderError(
                     f"{self.where}: {material.name!r} would be the scene's material number {len(self.used) + 1}; a "
                     f"scene may use up to {MOST_MATERIALS}, mixes of a learned emissivity map included, so give fewer"
                 )
-            self.used.append(material)
-        return self.used.index(material)
+            self.numbers[id(material)] = len(self.used)
+            self.used.append(within_band(material, self.band_um, self.library, self.where))
+        return self.numbers[id(material)]
 
 
 def refuse_band(material: Material, band_um: tuple[float, float], where: str) -> None:
-    """Refuse a material that was not measured over the camera's band."""
+    """Refuse a material that does not cover the camera's band."""
     try:
         material.emissivity_at(np.array(band_um))
     except ThermorenderError as error:

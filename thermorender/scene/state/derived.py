@@ -14,6 +14,7 @@ from thermorender.atmosphere.declared import declared_air
 from thermorender.atmosphere.from_weather import NearGround, from_weather
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
+from thermorender.materials.extended import missing
 from thermorender.scene.parts.cover import Cover, cover_of, refuse_band
 from thermorender.scene.parts.read import Parts
 from thermorender.scene.parts.shape import Shape, shape_of
@@ -73,7 +74,7 @@ def derived(parts: Parts | None, now: Declared, old: tuple[Declared, Derived] | 
     """
     before, had = old or (None, None)
     shape = had.shape if had and before and _shape_key(before) == _shape_key(now) else _shape(parts, now)
-    if had and before and _cover_key(before) == _cover_key(now):
+    if had and before and _cover_key(before) == _cover_key(now) and not _to_extend(had.cover, parts, before, now):
         cover = had.cover
     else:
         cover = _cover(parts, now)
@@ -138,6 +139,13 @@ def camera_alone_differs(one: Declared, other: Declared) -> bool:
         and all(getattr(one, name) == getattr(other, name) for name in equal)
         and replace(one.spec, camera="") == replace(other.spec, camera="")
     )
+
+
+def _to_extend(cover: Cover, parts: Parts | None, before: Declared, now: Declared) -> bool:
+    """Whether another band needs other assumptions on materials whose tables do not cover it."""
+    if parts is None or before.camera.band_um == now.camera.band_um:
+        return False
+    return any(material.assumed_um or missing(material, now.camera.band_um) for material in cover.materials)
 
 
 # Keys of the stages
