@@ -1,4 +1,4 @@
-"""Materials that were not measured over the whole band: predictions against tables that were, and their use in scenes."""
+"""Materials not measured over the whole band: predictions against tables that were, and their use in scenes."""
 
 from dataclasses import replace
 
@@ -64,7 +64,9 @@ def test_what_cannot_be_assumed_is_refused():
     with pytest.raises(ThermorenderError, match=r"here: material 'asphalt' was asked .* measured over 9–13.5 µm only"):
         within_band(half, BAND, LIBRARY, "here")
     alone = {"tarmac": LIBRARY["tarmac"], "grey": grey("grey", 0.9)}
-    with pytest.raises(ThermorenderError, match="lacks 8% of the band 7.5–13.5 µm, and the library has no materials"):
+    with pytest.raises(
+        ThermorenderError, match=r"lacks 8% of the band 7\.5–13\.5 µm, and the library has no materials"
+    ):
         within_band(LIBRARY["tarmac"], BAND, alone, "here")
 
 
