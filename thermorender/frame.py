@@ -80,6 +80,8 @@ class Frame:
     camera : Camera
     plan : dict
         Settings of the rendering steps.
+    materials : tuple of str
+        Names of the materials that `truth["material"]` numbers.
     time : datetime64 or None
         The instant of the frame, UTC; None if the scene has no weather.
     """
@@ -92,6 +94,7 @@ class Frame:
     camera: Camera
     plan: dict[str, Any]
     time: "np.datetime64 | None" = None
+    materials: tuple[str, ...] = ()
     _view: Any = field(repr=False, default=None)
     _sampling: Any = field(repr=False, default=None)
     _reading: NDArray[np.uint16] | None = field(repr=False, default=None)

@@ -87,7 +87,8 @@ def render(
                 folder, frame, wanted, display.image(frame.counts)[1], settings,
                 lambda camera: photograph(renderer, frame.pose, camera=camera)[0],
             )  # fmt: skip
-            formats.write_json(folder / "frame_000000.json", record(frame) | weather_of(renderer.scene) | made_by())
+            about = {**record(frame), "materials": list(frame.materials), **weather_of(renderer.scene), **made_by()}
+            formats.write_json(folder / "frame_000000.json", about)
     print_cache_note(renderer)
     seen = frame.apparent_temperature
     typer.echo(f"apparent temperature {seen.min():.2f}–{seen.max():.2f} K, mean {seen.mean():.2f} K")

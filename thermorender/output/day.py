@@ -117,6 +117,7 @@ def day(
         about = {
             "scene": scene.name,
             "camera": scene.camera.name,
+            "materials": [material.name for material in scene.materials],
             "time": utc_text(times[0]),
             "step_min": step_min,
             **weather_of(scene),

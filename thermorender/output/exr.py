@@ -26,7 +26,7 @@ def write_exr(
 
     `truth` adds the frame's truth, `error` the estimated error of each pixel, and `thermography` the reading of
     thermography software with these settings. The header's `thermorender` attribute holds time, pose, seed, plan,
-    versions, device and units as JSON.
+    versions, device, units and, with the truth, the materials by number as JSON.
     """
     import OpenEXR
 
@@ -57,7 +57,13 @@ def write_exr(
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
         "thermorender": json.dumps(
-            {**record(frame), **made_by(), "thermography": thermography and asdict(thermography), "units": units}
+            {
+                **record(frame),
+                **made_by(),
+                "thermography": thermography and asdict(thermography),
+                "units": units,
+                **({"materials": list(frame.materials)} if truth else {}),
+            }
         ),
     }
     # A file opened here, since OpenEXR's own file does not report a full disk at its last bytes.

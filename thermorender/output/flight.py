@@ -168,6 +168,7 @@ class _Flight:
             "scene": scene.name,
             "scene_digest": scene.digest(),
             "camera": scene.camera.name,
+            "materials": [material.name for material in scene.materials],
             "seed": self.renderer.seed,
             "plan": self.renderer.plan.as_dict(),
             "rate_hz": self.rate_hz,

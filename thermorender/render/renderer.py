@@ -306,7 +306,8 @@ class Renderer:
     ) -> Frame:  # fmt: skip
         return Frame(
             radiance=radiance, pose=view.pose, time_s=float(time_s), index=_whole("index", index), seed=self.seed,
-            camera=self.scene.camera, plan=plan, time=self.scene.time, _view=view, _sampling=sampling,
+            camera=self.scene.camera, plan=plan, time=self.scene.time,
+            materials=tuple(material.name for material in self.scene.materials), _view=view, _sampling=sampling,
         )  # fmt: skip
 
     def _tracer(
