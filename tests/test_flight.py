@@ -73,6 +73,8 @@ def test_products_and_records(setting, tmp_path):
     np.testing.assert_array_equal(channels["truth.position.z"], frame.truth["position"][..., 2])
     np.testing.assert_array_equal(channels["truth.material"], frame.truth["material"])
     assert record["index"] == 2 and record["units"]["radiance"] == "W m-2 sr-1"
+    names = [material.name for material in renderer.scene.materials]
+    assert record["materials"] == flown["materials"] == names == list(frame.materials)
     counts = cv2.imread(str(tmp_path / "f/frame_000002_counts.png"), cv2.IMREAD_UNCHANGED)
     assert counts.dtype == np.uint16
     assert np.abs(counts.astype(int) - frame.counts).max() > 0  # a flight's pixels have memory, a single frame's do not
