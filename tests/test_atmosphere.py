@@ -23,6 +23,7 @@ from thermorender.atmosphere.tables import read_table
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
 from tools.lowtran import terms
+from validation.soundings import study as soundings
 
 REFERENCE = Path(__file__).with_name("atmosphere_reference.npz")
 BANDS = ((7.5, 13.5), (8.0, 12.0), (8.0, 14.0))
@@ -602,6 +603,19 @@ def test_sounding_list_is_read(tmp_path):
     assert altitude.tolist() == [167.0, 749.0, 1437.0]
     assert temperature == pytest.approx([287.35, 282.95, 277.75])
     assert pressure[0] == 992.0 and humidity[2] == 80.0
+    # A whole page, with a level where the balloon swings.
+    page = path.read_text() + "  850.5   1431    4.5    1.5     80   5.06    250     21  290.9  305.8  291.8\n"
+    page = f"<H2>94975 YMHB Hobart Airport Observations at 00Z 02 Jul 2013</H2>\n<PRE>\n{page}</PRE>\n"
+    page += "<H3>Station information and sounding indices</H3>\n  Station latitude: -42.83\n  Station elevation: 27.0\n"
+    path.write_text(page)
+    assert weather.read_profile(path)[0].tolist() == altitude.tolist()
+    result = soundings.run([path])
+    assert result["soundings"][0]["title"] == "94975 YMHB Hobart Airport, 00Z 02 Jul 2013"
+    (row, rest) = soundings.rows(result)
+    assert len(row) == len(rest) == len(soundings.HEADER) and abs(float(row[3])) < abs(float(row[4]))
+    path.write_text(page.replace("Station latitude", "Latitude"))
+    with pytest.raises(ThermorenderError, match="no heading or station latitude; give a sounding in the University"):
+        soundings.run([path])
 
 
 def test_wrong_weather_is_refused(tmp_path):

@@ -169,6 +169,8 @@ STUDIES = (
     Study("budget", "validation.budget", "Stated against true sampling error", "budget/budget.json",
           ("budget/budget.png",), _budget, continues=True),
     Study("air", "validation.air", "Spectral channels of the air", "air/air.json", ("air/*.png",), _air),
+    Study("soundings", "validation.soundings", "The air of the weather against whole soundings",
+          "soundings/soundings.json", runs=False),
     Study("sensor", "validation.sensor", "Lag and blur of the camera", "sensor/sensor.json",
           ("sensor/sensor.png", "sensor/effects.png"), _sensor),
     Study("heat", "validation.heat", "The heat balance against measurements", "heat/heat.json", ("heat/heat.png",),

@@ -45,8 +45,8 @@ def from_profile(
     ----------
     path : str or Path
         CSV file with the columns altitude_m (above sea level), pressure_hpa, temperature_k and
-        relative_humidity_percent, lowest level first; or a sounding in the University of Wyoming's format
-        (PRES HGHT TEMP … RELH …, in hPa, m, °C and %).
+        relative_humidity_percent, lowest level first; or a sounding in the University of Wyoming's format, a list
+        (PRES HGHT TEMP … RELH …, in hPa, m, °C and %) or a whole page.
     aerosol : {"none", "rural", "maritime", "urban"}
     visibility_km : float
         Meteorological range at the ground, 1 … 100 km; not used without aerosol.
@@ -100,6 +100,7 @@ def read_profile(path: str | PathLike[str]) -> tuple[Floats, Floats, Floats, Flo
     """
     values, sounding = _read_columns(path, COLUMNS, _SOUNDING)
     if sounding:
+        values = [each[_rising(values[0])] for each in values]
         values[2] += ZERO_CELSIUS_K
     altitude, pressure, temperature, humidity = values
     _check(path, altitude, pressure, temperature, humidity)
@@ -144,6 +145,8 @@ def _read_columns(path, names, of_sounding=()):
         raise ThermorenderError(f"profile {path} cannot be read ({error}); give a CSV file") from None
     # Without blank lines, comments and the rulers of a sounding list.
     lines = [(number, line) for number, line in numbered if line.strip("-") and not line.startswith("#")]
+    if of_sounding:
+        lines = _list_of(lines, of_sounding)
     header = lines[0][1].replace(",", " ").split() if lines else []
     sounding = bool(of_sounding) and "PRES" in header
     wanted = of_sounding if sounding else names
@@ -177,6 +180,22 @@ def _read_columns(path, names, of_sounding=()):
                 "point as decimal mark"
             ) from None
     return list(np.array(rows, dtype=np.float64).reshape(-1, len(wanted)).T), sounding
+
+
+def _list_of(lines, names):
+    """The list of a sounding from its line of names on, without the page's heading and the indices below it."""
+    start = next((k for k, (_, line) in enumerate(lines) if set(names) <= set(line.split())), None)
+    if start is None:
+        return lines
+    below = range(start + 2, len(lines))
+    end = next((k for k in below if lines[k][1].startswith(("<", "Station "))), len(lines))
+    return lines[start:end]
+
+
+def _rising(altitude):
+    """Levels of a sounding without those that are up to 100 m below one before, as a swinging balloon measures."""
+    highest = np.maximum.accumulate(np.concatenate([[-np.inf], altitude[:-1]]))
+    return (altitude > highest) | (altitude < highest - 100.0)
 
 
 def _check(path, altitude, pressure, temperature, *others):

@@ -1,0 +1,1 @@
+"""The air of the weather against whole soundings: `python -m validation.soundings`."""
