@@ -59,6 +59,9 @@ class StandIn:
         one = np.ones_like(hour)
         return Conditions(air_k, 500.0 * one, 0.0 * one, 1200.0 * one, 101325.0 * one, 320.0 * one)
 
+    def likely_snow_mm(self, time):
+        return 0.0
+
     def sun(self, time):
         hour = (np.asarray(time, "datetime64[s]").astype(np.int64) % 86400) / 3600.0
         return 15.0 * hour, 50.0 * np.sin(2.0 * np.pi * (hour - 6.0) / 24.0)

@@ -187,6 +187,18 @@ def _column(
     return ground, material.solar_absorptance, factor, end == "inside", cut.node_m
 
 
+def over_room(material: Material) -> bool:
+    """Return whether a room is below a material or one of a mixture's parts."""
+    parts = getattr(material, "parts", None) or ((material, 1.0),)
+    for part, _ in parts:
+        thermal = part.thermal
+        while thermal is not None:
+            if thermal.beneath == "inside":
+                return True
+            thermal = thermal.below
+    return False
+
+
 def broadband(material: Material) -> float:
     """Return the hemispherical emissivity over the measured part of 8–14 µm, weighted with Planck's law at 290 K.
 

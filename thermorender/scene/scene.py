@@ -31,7 +31,7 @@ from thermorender.scene.state.derived import Derived, camera_alone_differs, deri
 from thermorender.scene.surface import Surface
 from thermorender.scene.temperature_state import TemperatureState
 from thermorender.sensor.camera import Camera
-from thermorender.units import utc_text
+from thermorender.units import ZERO_CELSIUS_K, utc_text
 
 if TYPE_CHECKING:
     from thermorender.weather.series import Weather
@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 # The sun shines where its direct irradiance is above this [W m⁻²]: World Meteorological Organization, Guide to
 # Instruments and Methods of Observation, WMO-No. 8 (2018), volume I, 8.1.1.
 _SUNSHINE_W_M2 = 120.0
+# Water in snow that nobody recorded [mm], and difference of rooms from the air outside [K], that are reported.
+_LIKELY_SNOW_MM, _INDOORS_K = 3.0, 12.0
 
 
 class Scene(Edits):
@@ -278,7 +280,9 @@ class Scene(Edits):
 
     @property
     def weather_notes(self) -> tuple[str, ...]:
-        """Notes on gaps of the weather and how they were filled, on a short record before `time`, and on snow."""
+        """Notes on filled gaps of the weather, a short record before `time`, snow, likely snow and rooms."""
+        from thermorender.scene.open_ground import over_room
+
         weather, time = self.weather, self.time
         assert time is not None
         before_h = (time - weather.time[0]) / np.timedelta64(3600, "s")
@@ -293,6 +297,19 @@ class Scene(Edits):
             notes.append(
                 f"the weather has {snow:g} m of snow, but no material of the scene is snow, so its ground is taken as "
                 "bare; use the material snow where there is snow"
+            )
+        likely = weather.likely_snow_mm(time)
+        if likely > _LIKELY_SNOW_MM:
+            notes.append(
+                f"about {likely:.0f} mm of water fell as snow and have not melted by {utc_text(time)}, and the weather "
+                "has no snow on the ground, so the ground gets too warm; state snow_depth_m or a column of snow, "
+                "and use the material snow"
+            )
+        outside_c, inside_c = float(weather.at(time).air_k) - ZERO_CELSIUS_K, self.spec.weather.inside_c  # type: ignore[union-attr]
+        if abs(outside_c - inside_c) > _INDOORS_K and any(over_room(material) for material in self.materials):
+            notes.append(
+                f"rooms below roofs are at inside_c={inside_c:g} °C, and the air outside is at {outside_c:.0f} °C; "
+                "state inside_c in [weather] if that is wrong"
             )
         return tuple(notes)
 
