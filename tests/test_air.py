@@ -261,7 +261,10 @@ def test_neglected_air_between_surfaces_is_in_the_stated_error(tmp_path):
 @pytest.mark.parametrize(
     ("air", "words"),
     [
-        ("", "needs exactly one of sky, atmosphere (a sky of one temperature and no air, or air with its sky)"),
+        (
+            "",
+            "needs exactly one of sky, atmosphere (a sky of one temperature and no air, or air with its sky; with ",
+        ),
         (AIR + "[sky]\ntemperature = 250.0\n", "but sky and atmosphere are given"),
         ('[atmosphere]\nstandard = "polar"\n', "standard='polar' is unknown"),
         ('[atmosphere]\nstandard = "tropical"\naerosol = "smoke"\n', "aerosol='smoke' is unknown"),

@@ -1025,7 +1025,7 @@ def test_path_below_the_terrain(scene, refused, call, tmp_path):
         ("--temperature bogus", ["learned map 'bogus' is unknown", "fok-1to1"]),
         ("--range-c 1,2", ["--range-c='1,2' needs a learned map"]),
         ("--temperature fok-1to1 --range-c 1", ["--range-c='1' has 1 values"]),
-        ("--temperature fok-1to1 --range-c 1e300,2e300", ["range_c", "above 3000 K"]),
+        ("--temperature fok-1to1 --range-c 1e300,2e300", ["range_c=[1e+300, 2e+300] is not allowed", "°C"]),
         ("--bogus", ["No such option: --bogus", "fly --help"]),
         ("--seed x", ["Invalid value for '--seed'"]),
     ],

@@ -126,7 +126,7 @@ def test_doctor_on_a_machine_without_llvm(monkeypatch, tmp_path):
     monkeypatch.setattr(variant, "llvm_libraries", dict)
     assert variant.works("llvm_ad_mono") == (False, "no LLVM library of version 16 or newer")
     rows = {name: (state, fix) for name, state, fix in doctor.examine()[0]}
-    assert rows["LLVM libraries"][0] == "none found" and "thermorender doctor --install" in rows["LLVM in use"][1]
+    assert rows["LLVM library"][0] == "none found" and "thermorender doctor --install" in rows["LLVM in use"][1]
     # First apt runs and fails, as without a network; then there is no apt.
     (tmp_path / "apt-get").write_text(f"#!/bin/sh\necho $@ >> {tmp_path}/asked\nexit 100\n")
     (tmp_path / "apt-get").chmod(0o755)

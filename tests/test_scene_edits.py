@@ -113,7 +113,8 @@ def test_two_edits_in_either_order_make_the_same_scene(weathered, pair):
 
 
 # A sky takes the air away, without which a sun is refused.
-FRAMES = [sorted(pair) for pair in PAIRS if pair not in [*SAME, *CONTRADICT, {"sky", "sun"}]]
+# A grey material has no heat balance.
+FRAMES = [sorted(pair) for pair in PAIRS if pair not in [*SAME, *CONTRADICT, {"sky", "sun"}, {"balance", "class"}]]
 
 
 @pytest.mark.slow
@@ -121,7 +122,9 @@ FRAMES = [sorted(pair) for pair in PAIRS if pair not in [*SAME, *CONTRADICT, {"s
 def test_two_edits_in_either_order_make_the_same_frame(weathered, pair):
     base = weathered.with_air("midlatitude-summer")
     one, two = (EDITS[name] for name in pair)
-    assert frame_of(two(one(base))).tobytes() == frame_of(one(two(base))).tobytes()
+    # Learned materials under air need more spectral nodes than there are for less.
+    settings = {"tolerance_mk": 2000.0} if "learned materials" in pair else {}
+    assert frame_of(two(one(base)), **settings).tobytes() == frame_of(one(two(base)), **settings).tobytes()
 
 
 @pytest.mark.parametrize("pair", [sorted(pair) for pair in CONTRADICT[:2]], ids=" and ".join)

@@ -154,7 +154,7 @@ class TemperatureSpec:
     value: float | None = key(kelvin, None)
     raster: Path | None = key(raster_inside, None)
     model: str | None = key(temperature_map, None)
-    range_c: tuple[float, float] | None = key(number(-200.0, 3000.0, count=2, ordered=True, unit="°C"), None)
+    range_c: tuple[float, float] | None = key(number(-200.0, 3000.0, count=2, ordered=True), None)
     materials: dict[str, float] = key(mapping(kelvin), {})
     brightness: bool = key(flag, False)
     trained: "WeatherSpec | None" = key(lambda value, where: read(WeatherSpec, value, where), None)
@@ -237,7 +237,7 @@ class AtmosphereSpec:
     humidity_factor: float = key(number(), 1.0)
     cloud_fraction: float | None = key(number(), None)
     cloud_base_m: float | None = key(number(), None)
-    altitude_m: float | None = key(number(-500.0, 9000.0), None)
+    altitude_m: float | None = key(number(), None)
 
     def check(self, where: Where, given: Mapping[str, Any]) -> None:
         """Refuse none or two kinds of air, and keys that the kind would ignore."""

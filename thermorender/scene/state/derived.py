@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.atmosphere.declared import declared_air
-from thermorender.atmosphere.from_weather import NearGround, from_weather
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
 from thermorender.materials.extended import missing
@@ -262,6 +261,8 @@ def weather_of(now: Declared, shape: Shape) -> "Weather":
 
 def air_of(weather: "Weather", time: Any, **keys: Any) -> Atmosphere:
     """Return the Atmosphere of a Weather at an instant; keys as of `from_weather`."""
+    from thermorender.atmosphere.from_weather import NearGround, from_weather
+
     at = weather.at(time)
     near = NearGround(*(float(getattr(at, name)) for name in NearGround._fields))
     return from_weather(near, weather.latitude_deg, weather.altitude_m, time, **keys)
