@@ -33,10 +33,10 @@ def test_copy_under_its_own_name_overrides_the_shipped_material(tmp_path):
 
 
 def test_copy_of_a_directional_material_keeps_its_table(tmp_path):
-    copy_material("water", "pond", tmp_path, {"temperature_k": "290"})
+    copy_material("water_fresnel", "pond", tmp_path, {"temperature_k": "290"})
     library = load_library(tmp_path)
-    assert library["pond"].directional == library["water"].directional == "fresnel"
-    assert (library["pond"].emissivity_by_angle == library["water"].emissivity_by_angle).all()
+    assert library["pond"].directional == library["water_fresnel"].directional == "fresnel"
+    assert (library["pond"].emissivity_by_angle == library["water_fresnel"].emissivity_by_angle).all()
 
 
 @pytest.mark.parametrize(
@@ -54,7 +54,7 @@ def test_copy_of_a_directional_material_keeps_its_table(tmp_path):
         ("soil_loam", "mine", {"emissivity": "95"}, "emissivity=95 is not within 0…1"),
         ("soil_loam", "mine", {"wetness": "wet"}, "wetness='wet' is not a number"),
         ("soil_loam", "mine", {"beneath": "soil_lome"}, "given without thickness_m"),
-        ("water", "mine", {"emissivity": "0.9"}, r"water emits by angle \(fresnel\)"),
+        ("water_fresnel", "mine", {"emissivity": "0.9"}, r"water_fresnel emits by angle \(fresnel\)"),
     ],
 )
 def test_wrong_copies_are_refused_and_write_nothing(tmp_path, source, name, settings, match):

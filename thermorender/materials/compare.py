@@ -209,9 +209,9 @@ def _thermal_changed(first, second):
 
 def _with_values(key, one, other):
     """The name of a property, with its values if they are different numbers."""
-    values = ["none" if value is None else f"{value:g}" for value in (one, other) if not isinstance(value, str)]
-    numbers = [value for value in (one, other) if isinstance(value, float)]
-    return f"{key} {values[0]} → {values[1]}" if numbers and len(values) == 2 and one != other else key
+    if one == other or not all(value is None or isinstance(value, (int, float)) for value in (one, other)):
+        return key
+    return f"{key} {' → '.join('none' if value is None else f'{value:g}' for value in (one, other))}"
 
 
 def _same_spectrum(first, second):
