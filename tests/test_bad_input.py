@@ -240,7 +240,6 @@ def test_unknown_keys(scene, refused, old, new, words):
         ),
         ('source = "raster"', 'source = "learned"', ["temperature.model is missing", "source='learned' needs it"]),
         ('source = "raster"', 'source = "learned"\nmodel = "fok"', ["temperature.model: learned map 'fok' is unknown"]),
-        ('1 = "grass_green"', '1 = "concrete_urban"', ["'concrete_urban'", "8–14 µm only"]),
         ('1 = "grass_green"', '1 = "gras_green"', ["emissivity.classes.1 uses material 'gras_green'", "grass_green"]),
         ('1 = "grass_green"', '"²" = "asphalt"', ["emissivity.classes='²'", "class numbers 1…255"]),
         ('1 = "grass_green"\n', "", ["classes.tif holds class 1", "does not name"]),

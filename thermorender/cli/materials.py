@@ -186,8 +186,11 @@ def diff(
     ]  # fmt: skip
     if rows:
         table(("material", "emissivity, first", "second", "shift [mK]", "differs in"), rows)
-    typer.echo(f"{len(rows)} differences; emissivity over {limits[0]:g}–{limits[1]:g} µm at 300 K; shift of a "
-               "camera's reading when the second replaces the first")  # fmt: skip
+    count = "1 difference" if len(rows) == 1 else f"{len(rows)} differences"
+    typer.echo(
+        f"{count}; emissivity over {limits[0]:g}–{limits[1]:g} µm at 300 K; shift of a camera's reading when the "
+        "second replaces the first"
+    )
 
 
 @app.command()
