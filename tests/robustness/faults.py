@@ -258,7 +258,7 @@ def worker(which):
             with patch.object(subprocess, "Popen", _Killed):
                 wrong = _ends_in_a_sentence(lambda: write_video(path, made, 8.0), "the encoder ended with status -9")
             return Found(wrong + path.exists(), 0.0, 0.0)
-        return Found(_ends_in_a_sentence(lambda: apart(os._exit, 3), "was killed before it was done"), 0.0, 0.0)
+        return Found(_ends_in_a_sentence(lambda: apart(os._exit, 3), "was killed before it ended"), 0.0, 0.0)
 
 
 # --- damaged files ----------------------------------------------------------------------------------------------
