@@ -140,7 +140,8 @@ def opinion(case, engine=traced):
     own = sampling_error(renderer.plan, frame._view.tracer(), frame.radiance, frame._sampling)
     sampling = np.sqrt(_blocks(np.square(np.nan_to_num(own), dtype=float))) / BLOCK / per_mk
     # The bake's rays have a common error in a whole face; a pixel's sampling is independent. Mirrors do not show the
-    # bake and differences have no such noise. Constant light over faces is no excuse, as blocks contain several.
+    # bake and differences have no such noise. Constant light over faces would not explain a difference, as blocks
+    # contain several.
     noise = 0.0 if renderer.plan.specular or case.less else renderer.baked.errors_mk["noise"]
     error = np.sqrt(paths**2 + noise**2 + sampling**2)
     deviation = _blocks(seen - images.mean(axis=0)) / per_mk
