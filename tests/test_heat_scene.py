@@ -190,3 +190,24 @@ def test_unsettled_ground_is_reported(walled, monkeypatch):
     monkeypatch.setattr(open_ground, "_MOST_DAYS", 1)
     (scene,) = heat.solved(walled, [AT])
     assert any("did not settle before" in note for note in scene.weather_notes)
+
+
+def test_dark_spots_in_vegetation_are_not_warmer(tmp_path):
+    """`brightness` warms dark granite by kelvins, and leaves the shade between crowns as warm as the crowns."""
+    classes = np.repeat([[1] * 16 + [2] * 16], 32, axis=0)
+    colour = np.full((32, 32, 3), 150)
+    colour[:16] = 60
+    source = 'source = "balance"\nbrightness = true'
+    folder = write_balance(
+        tmp_path / "scene", WEATHER, source, height=np.zeros((16, 16)), classes=classes, colour=colour
+    )
+    path = folder / "scene.toml"
+    path.write_text(path.read_text().replace("grass_green", "granite").replace("sand_quartz", "broadleaf"))
+    scene = load_scene(folder)
+    assert {material.name for material in scene.materials} == {"granite", "broadleaf"}
+    (noon,) = heat.solved(scene, [AT])
+    kelvin = noon.surfaces[0].temperature
+    granite, leaves = ([half[2:14, part].mean() for half in (kelvin[:16], kelvin[16:])]
+                       for part in (slice(2, 14), slice(18, 30)))  # fmt: skip
+    assert granite[0] > granite[1] + 2.0
+    assert leaves[0] == pytest.approx(leaves[1], abs=0.05)

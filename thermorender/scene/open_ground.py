@@ -199,6 +199,12 @@ def over_room(material: Material) -> bool:
     return False
 
 
+def bare(material: Material) -> bool:
+    """Return whether a material, or each part of a mixture, is bare: no leaves, water or snow."""
+    parts = getattr(material, "parts", None) or ((material, 1.0),)
+    return all(part.thermal is not None and part.thermal.cover == "bare" for part, _ in parts)
+
+
 def broadband(material: Material) -> float:
     """Return the hemispherical emissivity over the measured part of 8–14 µm, weighted with Planck's law at 290 K.
 

@@ -145,7 +145,7 @@ class TemperatureSpec:
     """Where the kinetic temperature of each texel comes from.
 
     `range_c` gives the temperatures of a learned map's intensities 0 and 1. With `brightness`, the orthophoto's
-    brightness sets the short-wave absorptance within a material for the heat balance. `trained` is the instant and
+    brightness sets the short-wave absorptance within a bare material for the heat balance. `trained` is the instant and
     weather of a learned map's or raster's temperatures, in place of those in the map's file. `map_error_k` is one
     standard deviation of their error. The heat balance uses both to move the temperatures to the time of [weather].
     """
