@@ -217,6 +217,19 @@ def _cost(sites, report):
     return found
 
 
+def _beaten(result):
+    """Sentences on the sites where a simpler method has a smaller mean absolute error than the balance."""
+    for name, site in result["sites"].items():
+        for part in ("day", "night"):
+            own = site["scores"]["balance"][part]["mae"]
+            # At night the sinusoid is the air temperature.
+            for method in ("air", "force–restore", "sinusoid")[: 3 if part == "day" else 2]:
+                other = site["scores"][method][part]["mae"]
+                if other < own:
+                    simple = {"air": "air temperature alone", "sinusoid": "a sinusoid"}.get(method, method)
+                    yield f"{name} by {part}: {simple} has a smaller error, {other:.2f} K against {own:.2f} K."
+
+
 def page(path, result):
     """Write the study as a Markdown page."""
     from thermorender.formats import write_text
@@ -225,6 +238,7 @@ def page(path, result):
     lines += ["Errors [K] of the model minus the measurement, by day (sun above 3°) and by night (below −3°).", ""]
     lines += ["| " + " | ".join(HEADER) + " |", "|" + "---|" * len(HEADER)]
     lines += ["| " + " | ".join(row) + " |" for row in rows(result)]
+    lines += ["", *(f"- {sentence}" for sentence in _beaten(result))]
     lines += ["", "| site | what | starts from | scored from | rows | notes |", "|---|---|---|---|---|---|"]
     for name, site in result["sites"].items():
         offset = " Its mean error is subtracted." if site["without_offset"] else ""
