@@ -18,7 +18,7 @@ from thermorender.render.air import AirView, Vacuum
 from thermorender.render.arrays import Jit, view_ray
 from thermorender.render.geometry import Hit
 from thermorender.render.layers import Layer
-from thermorender.render.pixels.footprint import PLACES, OnMap, Reading
+from thermorender.render.pixels.footprint import PLACES, Climb, OnMap, Reading
 from thermorender.render.pixels.sampling import (
     RING,
     STAGES,
@@ -56,6 +56,19 @@ class Sampling:
     hit: NDArray[np.bool_]  # (H, W), whether a pixel's ray hits a surface
     step: NDArray[np.float32] | None  # (H, W) from `edge_step`; None without a search for edges
     refined: list[Refined] = field(default_factory=list)  # pixels with more rays; later entries replace earlier ones
+
+    @property
+    def finer(self) -> NDArray[np.bool_]:
+        """Pixels with more rays, (H, W)."""
+        found = np.zeros(self.hit.shape, dtype=bool)
+        for part in self.refined:
+            found.flat[part.pixels] = True
+        return found
+
+    @property
+    def shown(self) -> NDArray[np.bool_]:
+        """Pixels that show a surface, or may at an edge, (H, W); the others show sky or surroundings."""
+        return self.hit | self.finer
 
 
 class Tracer:
@@ -221,7 +234,8 @@ class Tracer:
             met = ray.o, ray.d, distance, number, face, texel, row
             added, mirrored = mirrors.correction(layers, mirrors.DEPTH, *met)
             hit, total = replace(hit, mirrored=mirrored), [a + b for a, b in zip(total, added, strict=True)]
-        return hit, self._medium.at_camera(hit, total, ray.o, ray.d)
+        climb = Climb.of(layers[0].view[0], ray.d.z, cell)
+        return hit, self._medium.at_camera(hit, total, ray.o, ray.d, climb)
 
     def _trace(self, layer: Layer, cell: Footprint, reading: Reading) -> tuple[Hit, list[Jit], tuple[Jit, Jit]]:
         """(hit, channels, (texel, row) from `mirrors.met`) of one layer, without mirrors and before the medium."""
