@@ -162,7 +162,6 @@ def air(up):
     from thermorender.render.air import Air
     from thermorender.render.geometry import Hit
     from thermorender.render.plan import make_plan
-    from thermorender.render.pixels.footprint import Climb
     from thermorender.render.variant import activate
     from validation.made_scenes import terrain
 
@@ -180,9 +179,7 @@ def air(up):
         origin = types.Point3f(0.0, 0.0, up)
         view = Air(types, scene, plan.spectrum).view(np.array([0.0, 0.0, up]), box)
         channels = [types.Float(float(value)) for value in values]
-        # Nothing is missed, so the cells' sides do not matter.
-        climb = Climb(towards.z, towards.z, (types.Float(0.0), types.Float(0.0)))
-        found.append(np.array(view.at_camera(hit, channels, origin, towards, climb)[0], np.float64))
+        found.append(np.array(view.at_camera(hit, channels, origin, towards)[0], np.float64))
     # Grid lengths have an ulp of their logarithm times the columns, along which light changes little.
     return Found(_rms_k(*found), 0.0, 16.0 * _ULP_K)
 

@@ -51,19 +51,28 @@ def refuse_camera(scene: Scene, positions: ArrayLike) -> None:
 
 
 class Vacuum:
-    """No air: channels arrive unchanged. Cells of rays that hit nothing show `sky` and `background` (C,)."""
+    """No air: channels arrive unchanged. `sky` and `background` (C,) are seen by rays that hit nothing."""
+
+    horizon = 0.0
 
     def __init__(self, mi: Mitsuba, sky: Floats, background: Floats) -> None:
         rows = (sky, background)
         self._sky, self._background = ([dr.opaque(mi.Float, float(value)) for value in row] for row in rows)
 
-    def at_camera(self, hit: Hit, values: list[Jit], origin: Jit, direction: Jit, climb: "Climb") -> list[Jit]:
-        """Return the radiance at the camera, a list of Float; `values` are the channels at the points hit."""
-        share, *_ = climb.parts(0.0)
-        return [
-            dr.select(hit.valid, value, dr.lerp(background, sky, share))
-            for value, sky, background in zip(values, self._sky, self._background, strict=True)
-        ]
+    def at_camera(
+        self, hit: Hit, values: list[Jit], origin: Jit, direction: Jit, climb: "Climb | None" = None
+    ) -> list[Jit]:
+        """Return the radiance at the camera, a list of Float; `values` are the channels at the points hit.
+
+        With `climb` rays that hit nothing show the mean over their cells.
+        """
+        outside = zip(self._sky, self._background, strict=True)
+        if climb is None:
+            behind = [dr.select(direction.z >= 0.0, sky, background) for sky, background in outside]
+        else:
+            share, *_ = climb.parts(self.horizon)
+            behind = [dr.lerp(background, sky, share) for sky, background in outside]
+        return [dr.select(hit.valid, value, other) for value, other in zip(values, behind, strict=True)]
 
 
 class Air:
@@ -176,10 +185,12 @@ class AirView:
     def __init__(self, mi: Mitsuba, grid: PathGrid, base: float, background: Floats, horizon: float) -> None:
         self._mi, self._grid, self._base = mi, grid, dr.opaque(mi.Float, float(base))
         self._sky = mi.Float(aligned(background))
-        self._horizon = dr.opaque(mi.Float, horizon)
+        self.horizon, self._horizon = horizon, dr.opaque(mi.Float, horizon)
 
-    def at_camera(self, hit: Hit, values: list[Jit], origin: Jit, direction: Jit, climb: "Climb") -> list[Jit]:
-        """Return the radiance at the camera, [Float]; `values` are the channels at the points hit."""
+    def at_camera(
+        self, hit: Hit, values: list[Jit], origin: Jit, direction: Jit, climb: "Climb | None" = None
+    ) -> list[Jit]:
+        """Return the radiance at the camera, [Float]; `values` and `climb` as of `Vacuum.at_camera`."""
         mi = self._mi
         point = origin + hit.distance * direction
         end = self._base + point.z + 0.5 / MEAN_RADIUS_M * (point.x * point.x + point.y * point.y)
@@ -187,7 +198,11 @@ class AirView:
         total = mi.Float(0.0)
         for weight, found in self._grid.corners(hit.distance, end, hit.valid):
             total += weight * sum(number * factor for number, factor in zip(found, factors, strict=True))
-        return [dr.select(hit.valid, total, self._seen_background(climb, ~hit.valid))]
+        if climb is None:
+            behind = self._background_at(direction.z - self._horizon, ~hit.valid)
+        else:
+            behind = self._seen_background(climb, ~hit.valid)
+        return [dr.select(hit.valid, total, behind)]
 
     def _seen_background(self, climb: "Climb", active: Jit) -> Jit:
         """Mean band radiance over the cells of rays that hit nothing."""

@@ -104,7 +104,7 @@ class Tracer:
         several = sum(len(layer.geometry.surfaces) for layer in self._layers) > 1
         total: list[Jit] = []
         for cell in rays.footprints(self._samples):
-            hit, values = self._shade(cell, self._reading)
+            hit, values = self._shade(cell, self._reading, split=False)
             total = [a + b for a, b in zip(total, values, strict=True)] if total else values
         channels = len(total)
         total = [value / self._samples for value in total]
@@ -124,10 +124,14 @@ class Tracer:
         inside = ..., slice(RING, -RING), slice(RING, -RING)
         image, guide = ringed[inside][:channels].copy(), ringed[channels:]
         met = guide[inside][0] > 0.0
+        flat = image.reshape(channels, -1)
+        crossed = self._crossed(met)
+        if crossed.size:
+            flat[:, crossed] = self._rays_in(crossed, 0, self._samples, None)[0] / self._samples
         if not edge_limit < np.inf:
             return image, Sampling(met, None)
         step = edge_step(ringed[:channels].sum(axis=0), *guide)
-        flat, thin = image.reshape(channels, -1), self._slender()
+        thin = self._slender()
         on = typical_edge_estimate(step, self._samples).ravel() > edge_limit
         on[thin.pixels] = False
         pixels = np.flatnonzero(on)
@@ -149,6 +153,9 @@ class Tracer:
         """Return the slopes of all rays that an image with this Sampling casts, [(x/z, y/z), …]."""
         rays = self.rays
         found: list[Sequence[Jit]] = [cell.slope for cell in rays.footprints(self._samples)]
+        crossed = self._crossed(sampling.hit)
+        if crossed.size:
+            found.append(rays.finer(rays.position[crossed], 0, self._samples).slope)
         for part in sampling.refined:
             position = rays.position[part.pixels]
             found.append(rays.finer(position, part.first, part.last, part.within).slope)
@@ -156,6 +163,12 @@ class Tracer:
                 found.append(rays.finer(position, 0, STAGES[0]).slope)
         dr.eval(found)
         return found
+
+    def _crossed(self, met: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Flat numbers of the pixels without a surface that the horizon crosses; `met` (H, W) are those with one."""
+        up = np.array([float(value[0]) for value in self._layers[0].view[0][2]])
+        crossed = self.rays.crossed(up, self._medium.horizon)
+        return crossed[~met.flat[crossed]]
 
     def _refine(
         self, image: NDArray[np.float32], pixels: NDArray[Any], unseen: NDArray[Any], edge_limit: float,
@@ -218,8 +231,11 @@ class Tracer:
         span = np.where(out, guide, -np.inf).max(axis=1) - np.where(out, guide, np.inf).min(axis=1)
         return (values * out).sum(axis=2) / number, np.where(out.any(axis=1), span, 0.0)
 
-    def _shade(self, cell: Footprint, reading: Reading) -> tuple[Hit, list[Jit]]:
-        """Return (hits of the rays of cells, mean radiance over the cells as channels)."""
+    def _shade(self, cell: Footprint, reading: Reading, split: bool = True) -> tuple[Hit, list[Jit]]:
+        """Return (hits of the rays of cells, mean radiance over the cells as channels).
+
+        Unless `split`, cells that the horizon crosses show the side of their ray only.
+        """
         layers = self._layers
         best, surfaces = list[Any](), 0
         for place, layer in enumerate(layers):
@@ -234,7 +250,7 @@ class Tracer:
             met = ray.o, ray.d, distance, number, face, texel, row
             added, mirrored = mirrors.correction(layers, mirrors.DEPTH, *met)
             hit, total = replace(hit, mirrored=mirrored), [a + b for a, b in zip(total, added, strict=True)]
-        climb = Climb.of(layers[0].view[0], ray.d.z, cell)
+        climb = Climb.of(layers[0].view[0], ray.d.z, cell) if split else None
         return hit, self._medium.at_camera(hit, total, ray.o, ray.d, climb)
 
     def _trace(self, layer: Layer, cell: Footprint, reading: Reading) -> tuple[Hit, list[Jit], tuple[Jit, Jit]]:
