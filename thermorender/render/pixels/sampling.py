@@ -271,6 +271,11 @@ def typical_edge_estimate(step: NDArray[Any], count: int) -> NDArray[Any]:
     return _TYPICAL_EDGE * step / count
 
 
+def usual_step(error: float, count: int) -> float:
+    """Return the difference in a pixel for which `typical_edge_estimate` of `count` rays gives `error`."""
+    return error * count / _TYPICAL_EDGE
+
+
 def edge_estimate(step: NDArray[Any], count: int) -> NDArray[Any]:
     """Return the error of the mean of `count` rays in a pixel whose step is one sharp edge.
 

@@ -27,6 +27,7 @@ from thermorender.render.pixels.sampling import (
     Footprint,
     edge_step,
     typical_edge_estimate,
+    usual_step,
 )
 from thermorender.render.pixels.slender import Rectangles
 from thermorender.render.plan import Plan
@@ -34,6 +35,8 @@ from thermorender.render.reflection import mirrors
 
 # Error of a detail with edges all round, relative to one edge: 1.3 to 1.4 for 3000 rotated squares and rods.
 _ISLAND = 1.5
+# Factor of a hash of the numbers of faces (Knuth's).
+_HASH = 2654435761
 # Inverse depth of the sky in a mirror [1/m]: above 0, which means that nothing is hit.
 _ENDLESS = 1e-37
 
@@ -91,6 +94,8 @@ class Tracer:
         self._slender = slender
         self._layers, self.rays, self._medium = layers, rays, medium
         self._samples, self._mi = plan.samples, layers[0].geometry.mi
+        self._strong = usual_step(plan.edge_mk * plan.radiance_per_mk, plan.samples)
+        self._strong_opaque = dr.opaque(self._mi.Float, self._strong)
         self._reading = Reading(self._mi, plan.taps, max(plan.taps, PLACES), 1.0 / plan.samples)
         self._once, self._judge = Reading(self._mi, 1, 1, 1.0), Reading(self._mi, PLACES, 1, 1.0, judges=True)
 
@@ -101,7 +106,8 @@ class Tracer:
         more rays; infinite: never.
         """
         mi, rays = self._mi, self.rays
-        several = sum(len(layer.geometry.surfaces) for layer in self._layers) > 1
+        uneven = any(layer.outgoing.span > self._strong for layer in self._layers)
+        several = uneven or sum(len(layer.geometry.surfaces) for layer in self._layers) > 1
         total: list[Jit] = []
         for cell in rays.footprints(self._samples):
             hit, values = self._shade(cell, self._reading, split=False)
@@ -113,7 +119,9 @@ class Tracer:
         near = dr.sqrt(1.0 + x * x + y * y) / (hit.distance + hit.mirrored)
         total.append(dr.select(hit.valid, dr.maximum(near, _ENDLESS), 0.0))
         if several and edge_limit < np.inf:
-            total.append(mi.Float(hit.surface))
+            # Faces in strong light count as surfaces of their own: smaller than a pixel, they differ without an edge.
+            number = dr.select(hit.strong, (hit.face * _HASH >> 27) + 1, 0)
+            total.append(mi.Float(hit.surface) + mi.Float(number) / 64.0)
         # One target per channel: several scatters into one array would each cast the rays again.
         sides = rays.height + 2 * RING, rays.width + 2 * RING
         targets = [dr.zeros(mi.Float, sides[0] * sides[1]) for _ in total]
@@ -236,16 +244,17 @@ class Tracer:
 
         Unless `split`, cells that the horizon crosses show the side of their ray only.
         """
-        layers = self._layers
+        layers, mi = self._layers, self._mi
         best, surfaces = list[Any](), 0
         for place, layer in enumerate(layers):
             hit, values, mirror = self._trace(layer, cell, reading)
-            own = [hit.distance, hit.valid, hit.face, hit.surface + surfaces, self._mi.UInt32(place), *mirror, *values]
+            own = [hit.distance, hit.valid, hit.face, hit.surface + surfaces, mi.Bool(hit.strong), mi.UInt32(place)]
+            own += [*mirror, *values]
             nearer = best and hit.distance < best[0]
             best = [dr.select(nearer, a, b) for a, b in zip(own, best, strict=True)] if best else own
             surfaces += len(layer.geometry.surfaces)
-        (distance, valid, face, surface, number, texel, row), total = best[:7], best[7:]
-        hit, ray = Hit(valid, distance, face, surface), view_ray(self._mi, *layers[0].view, *cell.slope)
+        (distance, valid, face, surface, strong, number, texel, row), total = best[:8], best[8:]
+        hit, ray = Hit(valid, distance, face, surface, strong=strong), view_ray(mi, *layers[0].view, *cell.slope)
         if any(layer.outgoing.mirror for layer in layers):
             met = ray.o, ray.d, distance, number, face, texel, row
             added, mirrored = mirrors.correction(layers, mirrors.DEPTH, *met)
@@ -269,4 +278,5 @@ class Tracer:
             # Squares of texels contain many faces with their light.
             own = outgoing.faces.at(hit.face, hit.valid & (level == 0))
             total = [a + b for a, b in zip(total, own, strict=True)]
+            hit = replace(hit, strong=dr.abs(sum(own)) > self._strong_opaque)
         return hit, total, mirrors.met(layer, hit, position)
