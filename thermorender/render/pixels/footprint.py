@@ -69,7 +69,6 @@ class OnMap:
 class Climb:
     """The cosine of the zenith angle over the cell of a ray, linear within it."""
 
-    ray: Jit  # at the ray
     middle: Jit  # at the middle of the cell
     half: tuple[Jit, Jit]  # half its change across and along the cell, both from 0 on
 
@@ -81,13 +80,13 @@ class Climb:
         by_slope = [inverse * (part - cosine * inverse * at) for part, at in ((up.x, x), (up.y, y))]
         across, along = (by_slope[0] * part[0] + by_slope[1] * part[1] for part in (cell.across, cell.along))
         middle = cosine + cell.middle[0] * across + cell.middle[1] * along
-        return cls(cosine, middle, (0.5 * dr.abs(across), 0.5 * dr.abs(along)))
+        return cls(middle, (0.5 * dr.abs(across), 0.5 * dr.abs(along)))
 
     def parts(self, horizon: Jit) -> tuple[Jit, Jit, Jit]:
         """Return (share of the cell above a horizon, mean height of that part over it, of the part below).
 
-        Heights are cosines of zenith angles minus the horizon's; in a cell on one side, that of the ray is returned for
-        both. The share is exact, the heights are those of a cell with sides along and across the horizon.
+        Heights are cosines of zenith angles minus the horizon's; in a cell on one side both are that of its middle. The
+        share is exact, the heights are those of a cell with sides along and across the horizon.
         """
         rise, (a, b) = self.middle - horizon, self.half
         reach, shorter = a + b, dr.minimum(a, b)
@@ -95,11 +94,11 @@ class Climb:
         # Where the horizon cuts off a corner of the cell, and where it crosses two opposite sides.
         corner = dr.square(dr.maximum(reach - off, 0.0)) / dr.maximum(8.0 * shorter * longer, 1e-30)
         crossed = 0.5 - 0.5 * off / dr.maximum(longer, 1e-30)
-        less = dr.select(off >= reach, 0.0, dr.select(off > longer - shorter, corner, crossed))
-        whole, at = off >= reach, self.ray - horizon
+        whole = off >= reach
+        less = dr.select(whole, 0.0, dr.select(off > longer - shorter, corner, crossed))
         higher, lower = 0.5 * (rise + reach), 0.5 * (rise - reach)
         share = dr.select(rise >= 0.0, 1.0 - less, less)
-        return share, dr.select(whole, at, higher), dr.select(whole, at, lower)
+        return share, dr.select(whole, rise, higher), dr.select(whole, rise, lower)
 
 
 class Reading:
