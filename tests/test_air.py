@@ -231,7 +231,7 @@ def test_plan_states_the_effects_of_air(tmp_path):
     night = tr.load_scene(write(tmp_path / "night", plane(10.0), extra=sunny.replace("40", "-5")))
     assert not make_plan(night).sun
     frame = tr.Renderer(scene).frame(tr.pose(0, 0, 5, **DOWN))
-    assert {"nodes", "bake", "sampling", "air", "total"} == set(frame.budget_mk)
+    assert {"nodes", "bake", "sampling", "air", "total", "image"} == set(frame.budget_mk)
     without = tr.load_scene(write_mesh(tmp_path / "without", plane(10.0)))
     assert make_plan(without).spectrum.channels == 1 and make_plan(without).air_mk is None
 

@@ -124,13 +124,14 @@ class Frame:
     def budget_mk(self) -> dict[str, float] | None:
         """Error of the radiance, without the sensor's noise, by cause: {cause: root mean square [mK at 300 K]}.
 
-        Over the pixels that show a surface. "nodes": largest error of the spectral nodes over the spectra of the scene,
-        and the residual bound of the solution. "bake": light between the visible surfaces, from two independent halves
-        of its rays, and light of moving objects, from the number of their rays. "sampling": rays and texture reads of
-        this frame, from a part of its pixels rendered again. "air": largest error of the spectral channels over the
-        same spectra. "mirrors": largest error of reflections up to 80°, and of the third mirror in a chain, which is
-        left out. "total". These are upper estimates; only that of the solution is a bound. An object that no ray hits
-        is not in them. None for a frame of the reference engine, whose error is its noise.
+        Over the pixels that show a surface, except for "image". "nodes": largest error of the spectral nodes over the
+        spectra of the scene, and the residual bound of the solution. "bake": light between the visible surfaces, from
+        two independent halves of its rays, and light of moving objects, from the number of their rays. "sampling": rays
+        and texture reads of this frame, from a part of its pixels rendered again. "air": largest error of the spectral
+        channels over the same spectra. "mirrors": largest error of reflections up to 80°, and of the third mirror in a
+        chain, which is left out. "total". "image": the total over all pixels; sky and surroundings only have an error
+        of sampling. These are upper estimates; only that of the solution is a bound. An object that no ray hits is not
+        in them. None for a frame of the reference engine, whose error is its noise.
         """
         return self._view.budget_mk(self.radiance, self._sampling)
 

@@ -2,10 +2,12 @@
 
 A path from a given camera is determined by its length and the altitude of its end. For each camera position the air is
 computed on a small grid of both, as wide as the scene requires: the weights of the texels' channels and the path
-radiance. Rays interpolate in this grid; rays that hit nothing look up sky and surroundings by zenith angle.
+radiance. Rays interpolate in this grid. Rays that hit nothing look up sky and surroundings by zenith angle; where the
+horizon crosses a ray's cell, both count by their shares of it.
 """
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -18,6 +20,9 @@ from thermorender.render.arrays import Floats, Jit, Mitsuba, aligned
 from thermorender.render.geometry import Hit
 from thermorender.render.spectrum import Spectrum
 from thermorender.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from thermorender.render.pixels.footprint import Climb
 
 # Largest ratio of successive path lengths in a grid, fewest lengths, and largest step in altitude [m].
 _GROWTH = 1.08
@@ -48,17 +53,26 @@ def refuse_camera(scene: Scene, positions: ArrayLike) -> None:
 class Vacuum:
     """No air: channels arrive unchanged. `sky` and `background` (C,) are seen by rays that hit nothing."""
 
+    horizon = 0.0
+
     def __init__(self, mi: Mitsuba, sky: Floats, background: Floats) -> None:
         rows = (sky, background)
         self._sky, self._background = ([dr.opaque(mi.Float, float(value)) for value in row] for row in rows)
 
-    def at_camera(self, hit: Hit, values: list[Jit], origin: Jit, direction: Jit) -> list[Jit]:
-        """Return the radiance at the camera, a list of Float; `values` are the channels at the points hit."""
-        up = direction.z >= 0.0
-        return [
-            dr.select(hit.valid, value, dr.select(up, sky, background))
-            for value, sky, background in zip(values, self._sky, self._background, strict=True)
-        ]
+    def at_camera(
+        self, hit: Hit, values: list[Jit], origin: Jit, direction: Jit, climb: "Climb | None" = None
+    ) -> list[Jit]:
+        """Return the radiance at the camera, a list of Float; `values` are the channels at the points hit.
+
+        With `climb` rays that hit nothing show the mean over their cells.
+        """
+        outside = zip(self._sky, self._background, strict=True)
+        if climb is None:
+            behind = [dr.select(direction.z >= 0.0, sky, background) for sky, background in outside]
+        else:
+            share, *_ = climb.parts(self.horizon)
+            behind = [dr.lerp(background, sky, share) for sky, background in outside]
+        return [dr.select(hit.valid, value, other) for value, other in zip(values, behind, strict=True)]
 
 
 class Air:
@@ -171,10 +185,12 @@ class AirView:
     def __init__(self, mi: Mitsuba, grid: PathGrid, base: float, background: Floats, horizon: float) -> None:
         self._mi, self._grid, self._base = mi, grid, dr.opaque(mi.Float, float(base))
         self._sky = mi.Float(aligned(background))
-        self._horizon = dr.opaque(mi.Float, horizon)
+        self.horizon, self._horizon = horizon, dr.opaque(mi.Float, horizon)
 
-    def at_camera(self, hit: Hit, values: list[Jit], origin: Jit, direction: Jit) -> list[Jit]:
-        """Return the radiance at the camera, [Float]; `values` are the channels at the points hit."""
+    def at_camera(
+        self, hit: Hit, values: list[Jit], origin: Jit, direction: Jit, climb: "Climb | None" = None
+    ) -> list[Jit]:
+        """Return the radiance at the camera, [Float]; `values` and `climb` as of `Vacuum.at_camera`."""
         mi = self._mi
         point = origin + hit.distance * direction
         end = self._base + point.z + 0.5 / MEAN_RADIUS_M * (point.x * point.x + point.y * point.y)
@@ -182,13 +198,23 @@ class AirView:
         total = mi.Float(0.0)
         for weight, found in self._grid.corners(hit.distance, end, hit.valid):
             total += weight * sum(number * factor for number, factor in zip(found, factors, strict=True))
-        return [dr.select(hit.valid, total, self._seen_background(direction.z, ~hit.valid))]
+        if climb is None:
+            behind = self._background_at(direction.z - self._horizon, ~hit.valid)
+        else:
+            behind = self._seen_background(climb, ~hit.valid)
+        return [dr.select(hit.valid, total, behind)]
 
-    def _seen_background(self, cosine: Jit, active: Jit) -> Jit:
-        """Band radiance of rays that hit nothing."""
+    def _seen_background(self, climb: "Climb", active: Jit) -> Jit:
+        """Mean band radiance over the cells of rays that hit nothing."""
+        share, higher, lower = climb.parts(self._horizon)
+        found = self._background_at(higher, active)
+        split = (share > 0.0) & (share < 1.0)
+        return dr.select(split, dr.lerp(self._background_at(lower, active & split), found, share), found)
+
+    def _background_at(self, rise: Jit, active: Jit) -> Jit:
+        """Band radiance at cosines of the zenith angle above the horizon's."""
         mi, half = self._mi, _BACKGROUND - 1
         # Two tables, below and then above the horizon, as from `background`.
-        rise = cosine - self._horizon
         above = rise >= 0.0
         span = dr.select(above, 1.0 - self._horizon, 1.0 + self._horizon)
         position = dr.sqrt(dr.clip(dr.abs(rise) / span, 0.0, 1.0)) * (half * 0.9999)

@@ -34,6 +34,7 @@ class Hit:
     face: Jit  # number over the whole scene; 0 for a miss
     surface: Jit  # number over the whole scene; 0 for a miss
     mirrored: Jit = 0.0  # from a mirror to the point seen in it [m]; 0 without a mirror
+    strong: Jit = False  # whether the light on its face differs strongly from that of other faces
 
 
 class Geometry:

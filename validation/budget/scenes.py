@@ -9,9 +9,9 @@ from thermorender.scene.surface import SURFACE, Surface
 from thermorender.trajectory import path
 from validation.made_scenes import in_memory
 
-# (height above ground [m], pitch [deg]) of the chosen views of shipped scenes.
+# (height above ground [m], pitch [deg]) of the chosen views of shipped scenes; the last shows the horizon.
 CHOSEN = ((120, -90), (420, -90), (1200, -90), (3000, -90), (10_000, -90), (120, -45), (420, -45), (1200, -45),
-          (300, -15))  # fmt: skip
+          (300, -15), (60, -4))  # fmt: skip
 # Views are drawn evenly in the logarithm of height and in pitch.
 HEIGHTS_M, PITCHES_DEG = (20.0, 20_000.0), (-90.0, -10.0)
 _TEXELS = 1536

@@ -45,7 +45,8 @@ def run(folder, scene_names=defaults.SCENES, drawn=105, seed=0, qualities=QUALIT
     Returns
     -------
     dict
-        Records hold scene, view, height_m, pitch_deg, quality, drawn (bool), pixels, true_mk, stated_mk and frame_ms.
+        Records hold scene, view, height_m, pitch_deg, quality, drawn (bool), pixels, true_mk, stated_mk and frame_ms;
+        image_true_mk and image_stated_mk are the same errors over all pixels, sky and surroundings included.
     """
     folder = files.make_folder(folder)
     path = folder / "budget.json"
@@ -112,15 +113,20 @@ def _key(scene, view, quality):
 
 
 def _measure(renderer, pose, truth):
-    """Return {pixels, true_mk, stated_mk, frame_ms} of one view."""
+    """Return {pixels, true_mk, stated_mk, image_true_mk, image_stated_mk, frame_ms} of one view."""
     frame = renderer.frame(pose)
     shown = np.isfinite(frame.error_mk)
-    difference = (frame.radiance - truth)[shown] / renderer.plan.radiance_per_mk
+    whole = (frame.radiance - truth) / renderer.plan.radiance_per_mk
+    difference, budget = whole[shown], frame.budget_mk
+    # What the image states beyond sampling is over the pixels that show a surface.
+    others = (budget["total"] ** 2 - budget["sampling"] ** 2) * shown.mean()
     seconds = []
     for _ in range(_TURNS):
         start = time.perf_counter()
         renderer.radiance(pose)
         seconds.append(time.perf_counter() - start)
     true = float(np.sqrt(np.mean(difference**2))) if difference.size else 0.0
-    return {"pixels": int(shown.sum()), "true_mk": true, "stated_mk": frame.budget_mk["sampling"],
+    return {"pixels": int(shown.sum()), "true_mk": true, "stated_mk": budget["sampling"],
+            "image_true_mk": float(np.sqrt(np.mean(whole**2))),
+            "image_stated_mk": float(np.sqrt(max(budget["image"] ** 2 - others, 0.0))),
             "frame_ms": 1e3 * float(np.median(seconds))}  # fmt: skip

@@ -24,9 +24,12 @@ if TYPE_CHECKING:
 
 # The light's error is read at every n-th pixel.
 _PIXELS = 16
-# (number of pixels rendered again, rays per pixel) among pixels of the first image, refined pixels, and pixels that may
-# show something thin. Half are drawn evenly, half in proportion to the predicted squared error.
-_AUDITED = ((1024, STAGES[0]), (256, STAGES[-1]), (256, STAGES[-1]))
+# (number of pixels rendered again, rays per pixel) among pixels of the first image, those of them close to refined
+# pixels, refined pixels, pixels that may show something thin, and pixels without a surface. Half are drawn evenly, half
+# in proportion to the predicted squared error.
+_AUDITED = ((768, STAGES[0]), (256, STAGES[0]), (256, STAGES[-1]), (256, STAGES[-1]), (256, STAGES[0]))
+# Close to refined pixels: within this many [px]. Edges end there, and errors are seldom as small as elsewhere.
+_CLOSE = 2
 # Standard errors added to the measured error: the few pixels with the largest errors are seldom drawn.
 _SURE = 3.0
 # Largest share of light assumed to be passed on between mirrors.
@@ -39,15 +42,19 @@ def budget_mk(
     baked: "BakedScene", tracer: Tracer, pose: Floats, placements: Sequence[Placement], radiance: NDArray[np.float32],
     sampling: Sampling,
 ) -> dict[str, float]:  # fmt: skip
-    """Return {cause: estimated root mean square error [mK]} of a frame over the pixels that show a surface."""
-    errors = sampling_error(baked.plan, tracer, radiance, sampling)
+    """Return {cause: estimated root mean square error [mK]} of a frame over the pixels that show a surface.
+
+    "image" is the total over all pixels; of those that show sky or surroundings only the sampling is in it.
+    """
+    errors, shown = sampling_error(baked.plan, tracer, radiance, sampling) / baked.plan.radiance_per_mk, sampling.shown
     parts = _everywhere(baked)
     light, mirrored = _light(baked, tracer.rays, pose, placements, _PIXELS)
     parts["bake"] = _rms(light)
     if baked.plan.specular:
         parts["mirrors"] = float(np.hypot(parts["mirrors"], _rms(mirrored)))
-    parts["sampling"] = _rms(errors / baked.plan.radiance_per_mk)
-    return {**parts, "total": float(np.sqrt(sum(value**2 for value in parts.values())))}
+    parts["sampling"] = _rms(errors[shown])
+    total = float(np.sqrt(sum(value**2 for value in parts.values())))
+    return {**parts, "total": total, "image": _rms(np.where(shown, total, errors))}
 
 
 def error_mk(
@@ -55,7 +62,7 @@ def error_mk(
     sampling: Sampling,
 ) -> NDArray[np.float32]:  # fmt: skip
     """Return the estimated error of each pixel by all causes, (H, W) float32 [mK at 300 K]; NaN without a surface."""
-    errors = sampling_error(baked.plan, tracer, radiance, sampling)
+    errors = np.where(sampling.shown, sampling_error(baked.plan, tracer, radiance, sampling), np.nan)
     rays = tracer.rays
     light = np.zeros(radiance.size)
     light[rays.order] = np.nan_to_num(np.hypot(*_light(baked, rays, pose, placements, 1)))
@@ -121,24 +128,26 @@ def _rms(values: NDArray[Any]) -> float:
 def sampling_error(
     plan: Plan, tracer: Tracer, radiance: NDArray[np.float32], sampling: Sampling
 ) -> NDArray[np.float32]:
-    """Return the estimated error of each pixel due to its rays and texture, (H, W) float32 [W m⁻² sr⁻¹].
+    """Return the estimated error of each pixel due to its rays and texture, (H, W) float32 [W m⁻² sr⁻¹]."""
+    import cv2
 
-    It is NaN where a pixel shows no surface.
-    """
     span = contrast(radiance)
     # Without a search for edges any contrast may be one.
     step = span if sampling.step is None else sampling.step
     guess = edge_estimate(step, plan.samples) ** 2 + texture_estimate(span - step, plan.samples * plan.taps) ** 2
     guess = guess.ravel()
-    finer = np.zeros(radiance.size, dtype=bool)
-    thin = np.zeros_like(finer)
+    thin = np.zeros(radiance.size, dtype=bool)
     for part in sampling.refined:
-        guess[part.pixels], finer[part.pixels] = edge_estimate(part.step, part.last) ** 2, True
+        guess[part.pixels] = edge_estimate(part.step, part.last) ** 2
         thin[part.pixels] = part.within is not None
     guess += (_LEAST_MK * plan.radiance_per_mk) ** 2
     random = np.random.Generator(np.random.Philox(0))
-    found = np.full(guess.shape, np.nan, dtype=np.float32)
-    for mask, (count, again) in zip((sampling.hit.ravel() & ~finer, finer & ~thin, thin), _AUDITED, strict=True):
+    found = np.empty(guess.shape, dtype=np.float32)
+    finer = sampling.finer
+    close = cv2.dilate(finer.view(np.uint8), np.ones((2 * _CLOSE + 1,) * 2, np.uint8)).view(bool).ravel()
+    first, finer = sampling.hit.ravel() & ~finer.ravel(), finer.ravel()
+    strata = first & ~close, first & close, finer & ~thin, thin, ~(first | finer)
+    for mask, (count, again) in zip(strata, _AUDITED, strict=True):
         pixels = np.flatnonzero(mask)
         if not pixels.size:
             continue

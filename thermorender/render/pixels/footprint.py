@@ -65,6 +65,42 @@ class OnMap:
         return tuple(stretch * dr.fma(right, self.across[axis], down * self.along[axis]) for axis in (0, 1))
 
 
+@dataclass(frozen=True)
+class Climb:
+    """The cosine of the zenith angle over the cell of a ray, linear within it."""
+
+    middle: Jit  # at the middle of the cell
+    half: tuple[Jit, Jit]  # half its change across and along the cell, both from 0 on
+
+    @classmethod
+    def of(cls, rotation: list[Jit], cosine: Jit, cell: Footprint) -> "Climb":
+        """Return the Climb of rays whose directions have these cosines."""
+        (x, y), up = cell.slope, rotation[2]
+        inverse = dr.rsqrt(1.0 + x * x + y * y)
+        by_slope = [inverse * (part - cosine * inverse * at) for part, at in ((up.x, x), (up.y, y))]
+        across, along = (by_slope[0] * part[0] + by_slope[1] * part[1] for part in (cell.across, cell.along))
+        middle = cosine + cell.middle[0] * across + cell.middle[1] * along
+        return cls(middle, (0.5 * dr.abs(across), 0.5 * dr.abs(along)))
+
+    def parts(self, horizon: Jit) -> tuple[Jit, Jit, Jit]:
+        """Return (share of the cell above a horizon, mean height of that part over it, of the part below).
+
+        Heights are cosines of zenith angles minus the horizon's; in a cell on one side both are that of its middle. The
+        share is exact, the heights are those of a cell with sides along and across the horizon.
+        """
+        rise, (a, b) = self.middle - horizon, self.half
+        reach, shorter = a + b, dr.minimum(a, b)
+        longer, off = dr.maximum(a, b), dr.abs(rise)
+        # Where the horizon cuts off a corner of the cell, and where it crosses two opposite sides.
+        corner = dr.square(dr.maximum(reach - off, 0.0)) / dr.maximum(8.0 * shorter * longer, 1e-30)
+        crossed = 0.5 - 0.5 * off / dr.maximum(longer, 1e-30)
+        whole = off >= reach
+        less = dr.select(whole, 0.0, dr.select(off > longer - shorter, corner, crossed))
+        higher, lower = 0.5 * (rise + reach), 0.5 * (rise - reach)
+        share = dr.select(rise >= 0.0, 1.0 - less, less)
+        return share, dr.select(whole, rise, higher), dr.select(whole, rise, lower)
+
+
 class Reading:
     """Points at which the cells of rays are read: `few` where a cell holds about a texel or less, else `many`.
 

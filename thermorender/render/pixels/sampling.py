@@ -7,6 +7,7 @@ shows where its second difference is not zero. The contrast of radiance there me
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -45,6 +46,8 @@ _TYPICAL_EDGE, _SHARP_EDGE = 0.25, 0.37
 # exceeds the errors on heath and ridge away from edges: 0.015–0.035, 0.011–0.019, 0.005–0.010 and 0.002–0.004 at 1, 2,
 # 4 and 16 taps.
 _TEXTURE = 0.04
+# Side of the squares of pixels in which a horizon is looked for [px].
+_SQUARE = 16
 # Shift of the net from one pixel to the next (Roberts 2018).
 _GOLDEN = np.array([0.7548776662466927, 0.5698402909980532])
 # Share of a step suspected from the neighbours that may exist although no ray of the pixel shows it.
@@ -101,6 +104,34 @@ class CameraRays:
     def slopes(self, right: Jit, down: Jit, index: Jit = None) -> list[Jit]:
         """Return the slopes (x/z, y/z) of offsets 0…1 in pixels at `index` in the order, or in all with the ring."""
         return self._sloped(right, down, index)[0]
+
+    def crossed(self, up: Floats, horizon: float) -> NDArray[np.int64]:
+        """Return the flat numbers of the pixels that a horizon crosses, and of a few next to them.
+
+        `up` (3,) is the vertical in camera axes; directions on the horizon have the cosine `horizon` with it.
+        """
+        x, y, side = self._middles
+
+        def rise(*at: Any) -> NDArray[Any]:
+            x_at, y_at = x[at], y[at]
+            return (up[0] * x_at + up[1] * y_at + up[2]) / np.sqrt(1.0 + x_at * x_at + y_at * y_at) - horizon
+
+        # Squares of pixels first.
+        every = slice(None, None, _SQUARE)
+        square = np.argwhere(np.abs(rise(every, every)) <= _SQUARE * side)
+        inner = np.indices((_SQUARE, _SQUARE)).reshape(2, -1)
+        row, column = (_SQUARE * square.T[:, :, None] + inner[:, None]).reshape(2, -1)
+        inside = (row < self.height) & (column < self.width)
+        row, column = row[inside], column[inside]
+        on = np.abs(rise(row, column)) <= 0.5 * side
+        return row[on] * self.width + column[on]
+
+    @cached_property
+    def _middles(self) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
+        """(x/z (H, W), y/z (H, W) of the pixels' middles, largest change across plus down a pixel)."""
+        middle, *sides = ([np.array(values)[self.position] for values in part] for part in self._parts)
+        x, y = (values.reshape(self.height, self.width) for values in middle)
+        return x, y, float(sum(np.hypot(*part) for part in sides).max())
 
     def footprints(self, samples: int) -> list["Footprint"]:
         """Return the Footprints of `samples` rays of every pixel, including the ring."""
@@ -238,6 +269,11 @@ def contrast(radiance: NDArray[np.float32]) -> NDArray[np.float32]:
 def typical_edge_estimate(step: NDArray[Any], count: int) -> NDArray[Any]:
     """Return the usual error of the mean of `count` rays in a pixel with a difference of `step`, fitted on heath."""
     return _TYPICAL_EDGE * step / count
+
+
+def usual_step(error: float, count: int) -> float:
+    """Return the difference in a pixel for which `typical_edge_estimate` of `count` rays gives `error`."""
+    return error * count / _TYPICAL_EDGE
 
 
 def edge_estimate(step: NDArray[Any], count: int) -> NDArray[Any]:

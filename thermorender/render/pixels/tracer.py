@@ -18,7 +18,7 @@ from thermorender.render.air import AirView, Vacuum
 from thermorender.render.arrays import Jit, view_ray
 from thermorender.render.geometry import Hit
 from thermorender.render.layers import Layer
-from thermorender.render.pixels.footprint import PLACES, OnMap, Reading
+from thermorender.render.pixels.footprint import PLACES, Climb, OnMap, Reading
 from thermorender.render.pixels.sampling import (
     RING,
     STAGES,
@@ -27,6 +27,7 @@ from thermorender.render.pixels.sampling import (
     Footprint,
     edge_step,
     typical_edge_estimate,
+    usual_step,
 )
 from thermorender.render.pixels.slender import Rectangles
 from thermorender.render.plan import Plan
@@ -34,6 +35,8 @@ from thermorender.render.reflection import mirrors
 
 # Error of a detail with edges all round, relative to one edge: 1.3 to 1.4 for 3000 rotated squares and rods.
 _ISLAND = 1.5
+# Factor of a hash of the numbers of faces (Knuth's).
+_HASH = 2654435761
 # Inverse depth of the sky in a mirror [1/m]: above 0, which means that nothing is hit.
 _ENDLESS = 1e-37
 
@@ -57,6 +60,19 @@ class Sampling:
     step: NDArray[np.float32] | None  # (H, W) from `edge_step`; None without a search for edges
     refined: list[Refined] = field(default_factory=list)  # pixels with more rays; later entries replace earlier ones
 
+    @property
+    def finer(self) -> NDArray[np.bool_]:
+        """Pixels with more rays, (H, W)."""
+        found = np.zeros(self.hit.shape, dtype=bool)
+        for part in self.refined:
+            found.flat[part.pixels] = True
+        return found
+
+    @property
+    def shown(self) -> NDArray[np.bool_]:
+        """Pixels that show a surface, or may at an edge, (H, W); the others show sky or surroundings."""
+        return self.hit | self.finer
+
 
 class Tracer:
     """Rays from one pose into the layers of a scene.
@@ -78,6 +94,8 @@ class Tracer:
         self._slender = slender
         self._layers, self.rays, self._medium = layers, rays, medium
         self._samples, self._mi = plan.samples, layers[0].geometry.mi
+        self._strong = usual_step(plan.edge_mk * plan.radiance_per_mk, plan.samples)
+        self._strong_opaque = dr.opaque(self._mi.Float, self._strong)
         self._reading = Reading(self._mi, plan.taps, max(plan.taps, PLACES), 1.0 / plan.samples)
         self._once, self._judge = Reading(self._mi, 1, 1, 1.0), Reading(self._mi, PLACES, 1, 1.0, judges=True)
 
@@ -88,10 +106,11 @@ class Tracer:
         more rays; infinite: never.
         """
         mi, rays = self._mi, self.rays
-        several = sum(len(layer.geometry.surfaces) for layer in self._layers) > 1
+        uneven = any(layer.outgoing.span > self._strong for layer in self._layers)
+        several = uneven or sum(len(layer.geometry.surfaces) for layer in self._layers) > 1
         total: list[Jit] = []
         for cell in rays.footprints(self._samples):
-            hit, values = self._shade(cell, self._reading)
+            hit, values = self._shade(cell, self._reading, split=False)
             total = [a + b for a, b in zip(total, values, strict=True)] if total else values
         channels = len(total)
         total = [value / self._samples for value in total]
@@ -100,7 +119,9 @@ class Tracer:
         near = dr.sqrt(1.0 + x * x + y * y) / (hit.distance + hit.mirrored)
         total.append(dr.select(hit.valid, dr.maximum(near, _ENDLESS), 0.0))
         if several and edge_limit < np.inf:
-            total.append(mi.Float(hit.surface))
+            # Faces in strong light count as surfaces of their own: smaller than a pixel, they differ without an edge.
+            number = dr.select(hit.strong, (hit.face * _HASH >> 27) + 1, 0)
+            total.append(mi.Float(hit.surface) + mi.Float(number) / 64.0)
         # One target per channel: several scatters into one array would each cast the rays again.
         sides = rays.height + 2 * RING, rays.width + 2 * RING
         targets = [dr.zeros(mi.Float, sides[0] * sides[1]) for _ in total]
@@ -111,10 +132,14 @@ class Tracer:
         inside = ..., slice(RING, -RING), slice(RING, -RING)
         image, guide = ringed[inside][:channels].copy(), ringed[channels:]
         met = guide[inside][0] > 0.0
+        flat = image.reshape(channels, -1)
+        crossed = self._crossed(met)
+        if crossed.size:
+            flat[:, crossed] = self._rays_in(crossed, 0, self._samples, None)[0] / self._samples
         if not edge_limit < np.inf:
             return image, Sampling(met, None)
         step = edge_step(ringed[:channels].sum(axis=0), *guide)
-        flat, thin = image.reshape(channels, -1), self._slender()
+        thin = self._slender()
         on = typical_edge_estimate(step, self._samples).ravel() > edge_limit
         on[thin.pixels] = False
         pixels = np.flatnonzero(on)
@@ -136,6 +161,9 @@ class Tracer:
         """Return the slopes of all rays that an image with this Sampling casts, [(x/z, y/z), …]."""
         rays = self.rays
         found: list[Sequence[Jit]] = [cell.slope for cell in rays.footprints(self._samples)]
+        crossed = self._crossed(sampling.hit)
+        if crossed.size:
+            found.append(rays.finer(rays.position[crossed], 0, self._samples).slope)
         for part in sampling.refined:
             position = rays.position[part.pixels]
             found.append(rays.finer(position, part.first, part.last, part.within).slope)
@@ -143,6 +171,12 @@ class Tracer:
                 found.append(rays.finer(position, 0, STAGES[0]).slope)
         dr.eval(found)
         return found
+
+    def _crossed(self, met: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Flat numbers of the pixels without a surface that the horizon crosses; `met` (H, W) are those with one."""
+        up = np.array([float(value[0]) for value in self._layers[0].view[0][2]])
+        crossed = self.rays.crossed(up, self._medium.horizon)
+        return crossed[~met.flat[crossed]]
 
     def _refine(
         self, image: NDArray[np.float32], pixels: NDArray[Any], unseen: NDArray[Any], edge_limit: float,
@@ -205,23 +239,28 @@ class Tracer:
         span = np.where(out, guide, -np.inf).max(axis=1) - np.where(out, guide, np.inf).min(axis=1)
         return (values * out).sum(axis=2) / number, np.where(out.any(axis=1), span, 0.0)
 
-    def _shade(self, cell: Footprint, reading: Reading) -> tuple[Hit, list[Jit]]:
-        """Return (hits of the rays of cells, mean radiance over the cells as channels)."""
-        layers = self._layers
+    def _shade(self, cell: Footprint, reading: Reading, split: bool = True) -> tuple[Hit, list[Jit]]:
+        """Return (hits of the rays of cells, mean radiance over the cells as channels).
+
+        Unless `split`, cells that the horizon crosses show the side of their ray only.
+        """
+        layers, mi = self._layers, self._mi
         best, surfaces = list[Any](), 0
         for place, layer in enumerate(layers):
             hit, values, mirror = self._trace(layer, cell, reading)
-            own = [hit.distance, hit.valid, hit.face, hit.surface + surfaces, self._mi.UInt32(place), *mirror, *values]
+            own = [hit.distance, hit.valid, hit.face, hit.surface + surfaces, mi.Bool(hit.strong), mi.UInt32(place)]
+            own += [*mirror, *values]
             nearer = best and hit.distance < best[0]
             best = [dr.select(nearer, a, b) for a, b in zip(own, best, strict=True)] if best else own
             surfaces += len(layer.geometry.surfaces)
-        (distance, valid, face, surface, number, texel, row), total = best[:7], best[7:]
-        hit, ray = Hit(valid, distance, face, surface), view_ray(self._mi, *layers[0].view, *cell.slope)
+        (distance, valid, face, surface, strong, number, texel, row), total = best[:8], best[8:]
+        hit, ray = Hit(valid, distance, face, surface, strong=strong), view_ray(mi, *layers[0].view, *cell.slope)
         if any(layer.outgoing.mirror for layer in layers):
             met = ray.o, ray.d, distance, number, face, texel, row
             added, mirrored = mirrors.correction(layers, mirrors.DEPTH, *met)
             hit, total = replace(hit, mirrored=mirrored), [a + b for a, b in zip(total, added, strict=True)]
-        return hit, self._medium.at_camera(hit, total, ray.o, ray.d)
+        climb = Climb.of(layers[0].view[0], ray.d.z, cell) if split else None
+        return hit, self._medium.at_camera(hit, total, ray.o, ray.d, climb)
 
     def _trace(self, layer: Layer, cell: Footprint, reading: Reading) -> tuple[Hit, list[Jit], tuple[Jit, Jit]]:
         """(hit, channels, (texel, row) from `mirrors.met`) of one layer, without mirrors and before the medium."""
@@ -239,4 +278,5 @@ class Tracer:
             # Squares of texels contain many faces with their light.
             own = outgoing.faces.at(hit.face, hit.valid & (level == 0))
             total = [a + b for a, b in zip(total, own, strict=True)]
+            hit = replace(hit, strong=dr.abs(sum(own)) > self._strong_opaque)
         return hit, total, mirrors.met(layer, hit, position)
