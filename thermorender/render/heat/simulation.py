@@ -240,16 +240,14 @@ class _Simulation:
         return found
 
     def _brightness(self) -> NDArray[np.float32]:
-        """Factor on the reflectance of each texel, (T,) float32: its luminance over the mean of its class, or 1.
-
-        Leaves, water and snow keep 1: dark spots in them are shade between crowns or depth, not absorption.
-        """
+        """Factor on the reflectance of each texel, (T,) float32: its luminance over the mean of its class, or 1."""
         if not self.scene.spec.temperature.brightness:
             return np.ones(self.texels, dtype=np.float32)
         colour = np.concatenate([s.colour.reshape(-1, 3) for s in self.scene.surfaces[: self.scene.terrain_count]])
         light = linear_from_bytes(colour) @ np.array(_LUMINANCE, dtype=np.float32)
         mean = np.bincount(self.material, light) / np.maximum(np.bincount(self.material), 1)
         ratio = light / np.maximum(mean[self.material], 1e-4)
+        # Dark spots in vegetation, water and snow are shade or depth, not absorption.
         mineral = np.array([open_ground.bare(each) for each in self.scene.materials])
         ratio[~mineral[self.material]] = 1.0
         return np.clip(ratio, 1.0 / _BRIGHTEST, _BRIGHTEST).astype(np.float32)
