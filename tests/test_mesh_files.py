@@ -309,7 +309,7 @@ REFUSED = {
     "uses KHR_draco_mesh_compression, which is not supported; decompress it with `gltf-transform copy": compressed,
     "uses EXT_meshopt_compression, which is not supported; decompress it with `gltf-transform": lambda f: f.tree.update(
         extensionsRequired=["EXT_meshopt_compression"]),
-    "uses KHR_texture_basisu, which is not supported; decompress its textures with": lambda f: f.tree.update(
+    "uses KHR_texture_basisu, which is not supported; decompress it with `gltf-transform ktx": lambda f: f.tree.update(
         textures=[{"extensions": {"KHR_texture_basisu": {"source": 0}}}]),
     "uses CESIUM_RTC, which is not supported": lambda f: f.tree.update(extensionsRequired=["CESIUM_RTC"]),
     "uses EXT_new, which is not supported; export it again without": lambda f: f.tree.update(

@@ -23,8 +23,8 @@ _HARMLESS = ("KHR_materials_", "KHR_lights_punctual", "KHR_xmp", "KHR_animation_
 # What to do about an extension that is not read; the commands are those of https://gltf-transform.dev.
 _MENDS = {
     "KHR_draco_mesh_compression": "decompress it with `gltf-transform copy IN.glb OUT.glb`",
-    "EXT_meshopt_compression": "decompress it with `gltf-transform dequantize IN.glb OUT.glb`",
-    "KHR_texture_basisu": "decompress its textures with `gltf-transform ktxdecompress IN.glb OUT.glb`",
+    "EXT_meshopt_compression": "decompress it with `gltf-transform copy IN.glb OUT.glb`",
+    "KHR_texture_basisu": "decompress it with `gltf-transform ktxdecompress IN.glb OUT.glb` (with KTX-Software)",
     "EXT_mesh_gpu_instancing": "open it in Blender, apply Object > Apply > Make Instances Real, and export it again",
     "CESIUM_RTC": "move its centre to the origin: convert the tile to a mesh in local metres",
 }
