@@ -607,9 +607,7 @@ def test_garbage_and_empty_meshes(scene, refused, suffix):
         (QUAD + "v 1e300 0 0\nf 1 2 5\n", "a vertex that is not finite or is more than 100 km from its origin"),
         ("mtllib good.mtl\nmtllib deep.mtl\n" + QUAD + FACES_UV, "libraries have two materials 'a'"),
         ("mtllib " + 300 * "x" + "\n" + QUAD + FACES, "which cannot be read (File name too long)"),
-        (QUAD + "v 0 -6 0\nf 1 2 3 5 4\n", "has a concave polygon"),
-        (QUAD + "v 0 -6 0\nf -5 -4 -3 \\\n-1 -2\n", "has a concave polygon"),
-        (QUAD + "v 4 -4 0\nf 3 5 1 2\n", "has a concave polygon"),
+        (QUAD + "v 4 8 0\nv 4 0 0\nv -4 0 0\nv -4 8 0\nf 1 2 3 5 6 7 8 4\n", "has a concave polygon"),
         (QUAD.replace(" 0\n", " 0 0 0 1\n").replace("0 0 1", "1 0 0", 1) + FACES, "is coloured by vertex or face"),
     ],
 )
@@ -654,11 +652,15 @@ def test_non_planar_and_concave_polygons_are_accepted(scene):
     first = load_scene(scene).surfaces[0]
     a, b, c = np.moveaxis(first.vertices[first.faces].astype(np.float64), 1, 0)
     assert np.isclose(0.5 * np.cross(b - a, c - a)[:, 2].sum(), 16.0**2 + 32.0, rtol=1e-6)
-    # A concave polygon whose fan of triangles from the first corner covers it.
-    mesh_scene(scene, "model.obj", QUAD + "v 4 -4 0\nf 5 1 2 3\n")
-    first = load_scene(scene).surfaces[0]
-    a, b, c = np.moveaxis(first.vertices[first.faces].astype(np.float64), 1, 0)
-    assert np.isclose(0.5 * np.abs(np.cross(b - a, c - a)[:, 2]).sum(), 64.0, rtol=1e-6)
+    # Concave polygons that triangles from one of their corners cover.
+    for text, area in (
+        ("v 4 -4 0\nf 5 1 2 3\n", 64.0), ("v 4 -4 0\nf 3 5 1 2\n", 64.0), ("v 0 -6 0\nf 1 2 3 5 4\n", 144.0),
+        ("v 0 -6 0\nf -5 -4 -3 \\\n-1 -2\n", 144.0),
+    ):  # fmt: skip
+        mesh_scene(scene, "model.obj", QUAD + text)
+        first = load_scene(scene).surfaces[0]
+        a, b, c = np.moveaxis(first.vertices[first.faces].astype(np.float64), 1, 0)
+        assert np.isclose(0.5 * np.abs(np.cross(b - a, c - a)[:, 2]).sum(), area, rtol=1e-6)
 
 
 def test_part_without_image_has_its_material_colour(scene):

@@ -403,6 +403,7 @@ def obj(tmp_path):
         ("\xef\xbb\xbfmtllib one.mtl\nusemtl m\n# Zo\xeb\ng Stra\xdfe\n" + SQUARE + FACES, [RED, GREEN]),
         (re.sub(r"(v .*)", r"\1 1.0 0.0 0.0", SQUARE) + "f 1 2 3 4\n", [(255, 0, 0), (255, 0, 0)]),
         (re.sub(r"(v .*)", r"\1 10 20 30", SQUARE) + "f 1 2 3 4\n", [(10, 20, 30), (10, 20, 30)]),
+        ("mtllib one.mtl\nusemtl m\n" + SQUARE + "f 1/1/ 2/2/ 3/3/ 4/4/\n", [RED, GREEN]),
         (SQUARE + "f 1//1 2//1 3//1 4//1\n", [(102, 102, 102), (102, 102, 102)]),
     ],
 )
@@ -563,11 +564,20 @@ def test_colours_of_a_ply(images, form):
         (BY_FACE[:1], [([0, 1, 4],)], (), "", "a face names a vertex that it does not have"),
         (BY_FACE[:1], [([0, 1, 2],)], (), "element edge 9\nproperty int a", "it ends early"),
         ([("corners", "Bi")], [([0, 1, 2],)], (), "", "has faces without the list vertex_indices"),
+        (BY_FACE[:1], [], (), "", "holds no triangles"),
     ],
 )
 @pytest.mark.parametrize("form", FORMS)
 def test_what_a_ply_does_not_say_is_refused(images, form, faces, rows, comments, more, words):
     refused(ply(images / "m.ply", form, VERTICES, CORNERS, faces, rows, comments, more), "m.ply", words)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_ply_of_more_than_its_header_states_is_refused(images, form):
+    path = ply(images / "m.ply", form, VERTICES, CORNERS, BY_FACE[:1], [([0, 1, 2],), ([0, 2, 3],)])
+    assert len(load(path)[0].faces) == 2
+    path.write_bytes(path.read_bytes().replace(b"element face 2", b"element face 1"))
+    refused(path, "4 numbers more than its header" if form == "ascii" else "13 bytes more than its header")
 
 
 # --- scenes -----------------------------------------------------------------------------------------------------

@@ -13,6 +13,8 @@ from thermorender.paths import inside
 
 # sRGB of a surface whose file states no colour.
 GREY = np.full(3, 102, np.uint8)
+# Corners of a concave polygon that are tried as the start of its triangles.
+_MOST_STARTS = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +120,7 @@ def one_colour(colours: NDArray[Any], where: str) -> NDArray[Any]:
 def triangles(
     lengths: NDArray[np.int64], index: NDArray[np.int64], vertices: NDArray[np.float64], path: Path
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return (corner (T, 3), polygon (T,)) of the triangles that polygons are split into from their first corners.
+    """Return (corner (T, 3), polygon (T,)) of the triangles that polygons are split into, each from one of its corners.
 
     Parameters
     ----------
@@ -133,7 +135,7 @@ def triangles(
     Raises
     ------
     ThermorenderError
-        A vertex that does not exist, or a concave polygon that such a split does not cover.
+        A vertex that does not exist, or a concave polygon that no such split covers.
     """
     if index.size and not (index.min() >= 0 and index.max() < len(vertices)):
         raise ThermorenderError(
@@ -144,8 +146,16 @@ def triangles(
     for count in np.unique(lengths[lengths > 2]):
         rows = np.flatnonzero(lengths == count)
         corner = start[rows, None] + np.arange(count)
-        if count > 3:
-            _refuse_concave(vertices[index[corner]], path)
+        for _ in range(min(count, _MOST_STARTS)):
+            folded = _folds(vertices[index[corner]])
+            if not folded.any():
+                break
+            corner[folded] = np.roll(corner[folded], -1, axis=1)
+        else:
+            raise ThermorenderError(
+                f"{path} has a concave polygon, which cannot be split into triangles from one corner; export the mesh "
+                "with triangulated faces"
+            )
         later = np.arange(1, count - 1)
         corners.append(corner[:, np.stack([0 * later, later, later + 1], axis=-1)].reshape(-1, 3))
         polygons.append(np.repeat(rows, count - 2))
@@ -153,12 +163,10 @@ def triangles(
     return np.concatenate(corners)[order], polygon[order]
 
 
-def _refuse_concave(corner: NDArray[np.float64], path: Path) -> None:
+def _folds(corner: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether triangles from the first corner of polygons, (P, corners, 3), lie over each other, (P,)."""
     side = corner[:, 1:] - corner[:, :1]
     normal = np.cross(side[:, :-1], side[:, 1:])
     whole = normal.sum(axis=1, keepdims=True)
-    if ((normal * whole).sum(axis=2) < -1e-6 * (whole**2).sum(axis=2)).any():
-        raise ThermorenderError(
-            f"{path} has a concave polygon, which cannot be split from its first corner; export the mesh with "
-            "triangulated faces"
-        )
+    folds: NDArray[np.bool_] = ((normal * whole).sum(axis=2) < -1e-6 * (whole**2).sum(axis=2)).any(axis=1)
+    return folds

@@ -181,7 +181,7 @@ def _faces(content: _Content, path: Path, vertices: int, map_corners: int) -> tu
 def _numbers(corners: list[str]) -> _Ints:
     """(vertex, map coordinates) of corners such as 1, 1/2, 1/2/3 and 1//3, (C, 2)."""
     slashes = corners[0].count("/") if corners else 0
-    if not any("//" in corner or corner.count("/") != slashes for corner in corners):
+    if not any("//" in corner or corner[-1] == "/" or corner.count("/") != slashes for corner in corners):
         values = np.array(list(map(int, " ".join(corners).replace("/", " ").split())), np.int64)
         table = values.reshape(-1, slashes + 1)[:, :2]
         return table if slashes else np.pad(table, ((0, 0), (0, 1)), constant_values=_NO_INDEX)

@@ -127,7 +127,10 @@ class _Binary:
 
     def tables(self, elements: list[_Element]) -> dict[str, _Table]:
         """Return the values of each element."""
-        return {element.name: self._table(element) for element in elements}
+        found = {element.name: self._table(element) for element in elements}
+        if self.data[self.at :].strip():
+            raise _damaged(self.path, f"it has {len(self.data) - self.at} bytes more than its header states")
+        return found
 
     def _table(self, element: _Element) -> _Table:
         # Most files have lists of one length: all rows are then like the first.
@@ -140,7 +143,7 @@ class _Binary:
                 self.at += size
                 return {
                     name: table[f"{k}"].astype(np.float64) if kind is None
-                    else _List(np.full(element.count, lengths[k]), table[f"{k}"].astype(np.float64).ravel())
+                    else _List(np.full(element.count, lengths.get(k, 0)), table[f"{k}"].astype(np.float64).ravel())
                     for k, (name, _, kind) in enumerate(element.properties)
                 }  # fmt: skip
         elif not lengths:
@@ -212,7 +215,10 @@ class _Ascii:
 
     def tables(self, elements: list[_Element]) -> dict[str, _Table]:
         """Return the values of each element."""
-        return {element.name: self._table(element) for element in elements}
+        found = {element.name: self._table(element) for element in elements}
+        if self.at < len(self.numbers):
+            raise _damaged(self.path, f"it has {len(self.numbers) - self.at} numbers more than its header states")
+        return found
 
     def _table(self, element: _Element) -> _Table:
         lists = [length is not None for _, _, length in element.properties]
@@ -226,7 +232,7 @@ class _Ascii:
                 if is_list:
                     count = self._take(1)[0]
                     if not (0 <= count <= len(self.numbers) and count == int(count)):
-                        raise _damaged(self.path, f"it has a list of {count:g} values")
+                        raise _damaged(self.path, f"its numbers do not fit its header, with a list of {count:g} values")
                     counts.append(int(count))
                 values.append(self._take(counts[-1] if is_list else 1))
         found: _Table = {}
