@@ -221,37 +221,6 @@ def read_classes(path: Path) -> NDArray[np.int16]:
     return numbers.astype(np.int16)
 
 
-def read_colour(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """Return (rgb (h, w, 3) uint8, valid (h, w) bool) of an 8-bit orthophoto with three or four bands."""
-    with opened(path) as dataset:
-        if dataset.count < 3 or dataset.dtypes[0] != "uint8":
-            raise ThermorenderError(
-                f"{path} has {dataset.count} bands of {dataset.dtypes[0]}; an orthophoto needs three of uint8 (RGB)"
-            )
-        rgb: NDArray[np.uint8] = np.ascontiguousarray(np.moveaxis(dataset.read([1, 2, 3]), 0, -1))
-        valid = dataset.dataset_mask() > 0
-    return rgb, valid & ~empty_border(rgb)
-
-
-def empty_border(rgb: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Return where an orthophoto is empty: pure black or white areas connected to its edge, (h, w)."""
-    from scipy.ndimage import label
-
-    empty = np.zeros(rgb.shape[:2], dtype=bool)
-    for level in (0, 255):
-        flat = (rgb == level).all(axis=-1)
-        if flat[0].any() or flat[-1].any() or flat[:, 0].any() or flat[:, -1].any():
-            areas, count = label(flat)
-            edge = np.concatenate([areas[0], areas[-1], areas[:, 0], areas[:, -1]])
-            touching = np.bincount(edge, minlength=count + 1)
-            # A few such pixels on the edge are image content, not border.
-            large = np.bincount(areas.ravel(), minlength=count + 1) >= 64
-            keep = (touching > 0) & large
-            keep[0] = False
-            empty |= keep[areas]
-    return empty
-
-
 def onto(values: NDArray[Any], source: Grid, target: Grid, resampling: str) -> NDArray[Any]:
     """Return a raster on another grid, (h, w) or (h, w, c), with NaN (0 for integers) where it has no data.
 

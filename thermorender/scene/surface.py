@@ -84,6 +84,8 @@ class Surface:
 
 # Hotter than any flame: a higher value is a placeholder for "no data", or not a temperature.
 HOTTEST_KELVIN = 3000.0
+# Largest share of the terrain that a raster draped on it may leave open without a stated value for the rest.
+MOST_OPEN = 0.01
 _Kelvin = TypeVar("_Kelvin", bound=ArrayLike)
 
 

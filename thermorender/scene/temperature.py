@@ -13,7 +13,7 @@ from thermorender.materials.material import Material
 from thermorender.materials.mixture import Mixture
 from thermorender.scene.raster import Grid, grid_of, onto, read_band
 from thermorender.scene.spec import TemperatureSpec, WeatherSpec
-from thermorender.scene.surface import FALLBACK, fill, nearest_valid, scene_kelvin
+from thermorender.scene.surface import FALLBACK, MOST_OPEN, fill, nearest_valid, scene_kelvin
 from thermorender.schema import Where, read
 from thermorender.units import ZERO_CELSIUS_K
 
@@ -42,6 +42,8 @@ class Texels:
     report : dict
     model : TemperatureMap or None
         The map of a source "learned", as by `learned_map`.
+    on_ground : (h, w) bool or None
+        Texels on the terrain; None if all of them are.
     """
 
     colour: NDArray[np.uint8]
@@ -52,6 +54,7 @@ class Texels:
     where: str
     report: dict[str, Any] = field(default_factory=dict)
     model: "TemperatureMap | None" = None
+    on_ground: NDArray[np.bool_] | None = None
 
 
 def resolve(spec: TemperatureSpec, texels: Texels) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
@@ -129,7 +132,17 @@ def _raster(spec: TemperatureSpec, texels: Texels) -> tuple[_Kelvin, NDArray[np.
     values = raster_temperature(spec.raster, texels)
     valid = np.isfinite(values)
     if not valid.all():
-        values = fill(values, nearest_valid(valid))
+        ground = np.ones_like(valid) if texels.on_ground is None else texels.on_ground
+        share = float((~valid & ground).sum() / max(ground.sum(), 1))
+        if spec.value is None and share > MOST_OPEN:
+            raise ThermorenderError(
+                f"{spec.raster} leaves {share:.1%} of the terrain of {texels.where} without a temperature; give one "
+                "that covers it, or state the kelvin of the rest as temperature.value"
+            )
+        if share > 0.0:
+            rest = "the nearest one" if spec.value is None else f"temperature.value={spec.value:g} K"
+            texels.report[str(spec.raster)] = {"share_fallback": share, "fallback": rest}
+        values = fill(values, nearest_valid(valid)) if spec.value is None else np.where(valid, values, spec.value)
     return values, np.where(valid, 0, FALLBACK).astype(np.uint8)
 
 
