@@ -71,8 +71,10 @@ def import_terrain(
     warn(_of_import(summary, collar, colour_range is not None))
     if weather is None:
         source = f"the learned map {model!r}, which knows colour only" if orthophoto else "one for all of the ground"
-        warn(f"temperatures are a placeholder, {source}: they are not those of this place at any hour; give --weather "
-             "FILE --time T for a heat balance, or a raster of kelvin")  # fmt: skip
+        typer.echo(
+            f"temperatures are a placeholder, {source}: they are not those of this place at any hour; give --weather "
+            "FILE --time T for a heat balance, or a raster of kelvin"
+        )
     else:
         typer.echo(
             f"temperatures: a heat balance at {time}; materials are "
@@ -86,7 +88,7 @@ def import_terrain(
 
 def _of_import(summary: dict[str, Any], collar: int, scaled: bool) -> str | None:
     """A sentence on the colours of an imported orthophoto that may be wrong, else None."""
-    from thermorender.scene.orthophoto import COLLAR
+    from thermorender.scene.parts.orthophoto import COLLAR
 
     found = []
     if summary["share_collar"] and not collar:

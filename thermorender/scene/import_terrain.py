@@ -17,7 +17,7 @@ from thermorender import defaults, formats
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic_folder, check_new_folder
 from thermorender.formats import write_text
-from thermorender.scene.orthophoto import COLLAR, empty_border, read_colour
+from thermorender.scene.parts.orthophoto import COLLAR, empty_border, read_colour
 from thermorender.scene.raster import Grid, bounds_in, grid_of, lon_lat, onto
 from thermorender.scene.spec import WeatherSpec
 from thermorender.scene.surface import scene_kelvin
@@ -72,7 +72,7 @@ def import_terrain(
     fill : bool
         Whether the scene fills enclosed gaps in the heights and flags them in the truth mask.
     bands, colour_range, collar
-        Of the orthophoto, as in `thermorender.scene.orthophoto.read_colour`.
+        Of the orthophoto, as in `thermorender.scene.parts.orthophoto.read_colour`.
     weather : path, optional
         A station's CSV, an EPW or a TMY3 file. The scene then has the temperatures of a heat balance, and with an
         orthophoto the materials that a learned map finds in it.

@@ -1,6 +1,6 @@
 """Georeferenced rasters: read with NaN for missing data, and resampled onto one pixel grid."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -82,6 +82,11 @@ def opened(path: Path | str) -> Iterator[Any]:
                         f"{path} has {dataset.width}×{dataset.height} pixels; a raster may have up to {MOST_TEXELS}, "
                         "so cut or thin it, for example with `rio warp`"
                     )
+                if len(dataset.subdatasets) > 1 or (dataset.subdatasets and dataset.count):
+                    raise ThermorenderError(
+                        f"{path} holds {len(dataset.subdatasets)} rasters ({_listed(dataset.subdatasets)}); copy "
+                        f"one to its own file, for example with `rio convert '{dataset.subdatasets[0]}' OUT.tif`"
+                    )
                 yield dataset
     except UnicodeEncodeError:
         raise ThermorenderError(f"{path}: this name is not valid Unicode, which GDAL needs; rename it") from None
@@ -91,6 +96,10 @@ def opened(path: Path | str) -> Iterator[Any]:
         raise ThermorenderError(
             f"{path} cannot be read as a raster: {reason}; give a complete file such as a GeoTIFF"
         ) from None
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
 
 
 def files_of(path: Path) -> list[str]:
@@ -191,8 +200,11 @@ def _crs_free(error: Exception) -> str:
     return str(error).partition(" from '{")[0]
 
 
-def read_band(path: Path) -> NDArray[np.float64]:
-    """Return one band as float64 with NaN where the file has no data, (h, w); scale and offset tags applied."""
+def read_band(path: Path, missing: Sequence[float] = ()) -> NDArray[np.float64]:
+    """Return one band as float64 with NaN where the file has no data, (h, w); scale and offset tags applied.
+
+    Values of `missing`, before scale and offset, are no data too.
+    """
     with opened(path) as dataset:
         if dataset.count != 1:
             raise ThermorenderError(f"{path} has {dataset.count} bands where one is expected; extract the one to use")
@@ -200,7 +212,10 @@ def read_band(path: Path) -> NDArray[np.float64]:
             raise ThermorenderError(f"{path} holds complex numbers; give a raster of integers or real numbers")
         values = dataset.read(1, masked=True)
         scale, offset = dataset.scales[0], dataset.offsets[0]
-    filled: NDArray[np.float64] = np.ma.filled(values.astype(np.float64), np.nan) * scale + offset
+    filled: NDArray[np.float64] = np.ma.filled(values.astype(np.float64), np.nan)
+    if missing:
+        filled[np.isin(filled, missing)] = np.nan
+    filled = filled * scale + offset
     return filled
 
 

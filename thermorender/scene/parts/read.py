@@ -12,8 +12,8 @@ from thermorender.materials import library as material_tables
 from thermorender.materials.material import Material
 from thermorender.physics.geodesy import FARTHEST_M, LocalFrame
 from thermorender.scene import terrain
-from thermorender.scene.orthophoto import read_colour
 from thermorender.scene.parts import mesh
+from thermorender.scene.parts.orthophoto import read_colour
 from thermorender.scene.parts.tracks import TrackedObject, read_track
 from thermorender.scene.raster import Grid, bounds_in, grid_of, onto, read_classes
 from thermorender.scene.spec import ObjectSpec, SceneSpec
