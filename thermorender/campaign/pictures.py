@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.footage.flir_jpeg import read_flir_jpeg
-from thermorender.footage.radiometric_files import likely_scales, read_tiff, scale_request
+from thermorender.footage.flir_jpeg import DJI, dji_thermal, read_flir_jpeg
+from thermorender.footage.radiometric_files import likely_scales, read_tiff, scale_request, sequence_hint
 from thermorender.formats import decoded
 from thermorender.sensor.radiometry import ThermographySettings
 from thermorender.units import ZERO_CELSIUS_K, kelvin
@@ -276,6 +276,7 @@ def _named(folder, pattern, what):
     if not found:
         raise ThermorenderError(
             f"{folder} has no picture ({', '.join(SUFFIXES)}) that matches {pattern!r}; give another --{what}"
+            f"{sequence_hint(folder.iterdir())}"
         )
     return found
 
@@ -306,11 +307,13 @@ def _decoded(path):
 
 
 def _radiometric(path):
-    """Whether a JPEG carries FLIR's data."""
+    """Whether a JPEG carries FLIR's data; DJI's own are refused."""
     try:
         data = path.read_bytes()
     except OSError as error:
         raise ThermorenderError(f"{path} cannot be read ({error.strerror}); give a picture") from None
+    if dji_thermal(data):
+        raise ThermorenderError(f"{path} {DJI}")
     return re.search(rb"\xff\xe1..FLIR\0", data, re.DOTALL) is not None
 
 

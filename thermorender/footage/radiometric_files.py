@@ -6,7 +6,7 @@ it.
 """
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from os import PathLike
 from pathlib import Path
 
@@ -32,6 +32,7 @@ _AS_INTENSITY = ("0.04 K", "0.01 °C")
 _COMMON_K, _RARE_K = (238.0, 338.0), (150.0, 1000.0)
 FLIR_JPEG = (".jpg", ".jpeg")
 SUFFIXES = (".tif", ".tiff", *FLIR_JPEG)
+_SEQUENCES = (".seq", ".csq", ".ats", ".fcf", ".sfmov")
 
 
 def write_tlinear(path: str | PathLike[str], temperature: ArrayLike, step_k: float = TLINEAR_STEP_K) -> None:
@@ -94,7 +95,7 @@ def read_temperature(
             raise ThermorenderError(f"{path} contains its calibration; leave out the scale")
         return read_flir_jpeg(path).temperature(thermography)
     if path.suffix.lower() not in SUFFIXES:
-        raise ThermorenderError(f"{path} is of unknown kind; give one of {', '.join(SUFFIXES)}")
+        raise ThermorenderError(f"{path} is of unknown kind; give one of {', '.join(SUFFIXES)}{sequence_hint([path])}")
     counts, declared, _ = read_tiff(path)
     if scale is None and declared is None:
         raise ThermorenderError(
@@ -102,6 +103,17 @@ def read_temperature(
         )
     step, zero = scale or declared
     return counts * float(step) + float(zero)
+
+
+def sequence_hint(paths: Iterable[Path]) -> str:
+    """Return what to do with FLIR's recorded sequences among files, after another sentence; empty without any."""
+    found = next((path.name for path in paths if path.suffix.lower() in _SEQUENCES), None)
+    if found is None:
+        return ""
+    return (
+        f"; {found} is a sequence of FLIR, so export its frames as radiometric JPEG or as TIFF in kelvin, for example "
+        "with FLIR Thermal Studio"
+    )
 
 
 def likely_scales(counts: ArrayLike, signed: bool = True) -> list[str]:
