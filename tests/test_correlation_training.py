@@ -11,7 +11,7 @@ from thermorender.learned.temperature_map import Inputs
 from thermorender.learned.training import Example, Task
 from thermorender.learned.training_methods import method
 from thermorender.paths import data_folder
-from thermorender.scene.raster import read_colour
+from thermorender.scene.parts.orthophoto import read_colour
 
 
 def task(examples, intensity, **options):

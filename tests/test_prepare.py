@@ -445,3 +445,100 @@ def test_real_pairs_become_a_data_set(tmp_path, call):
     name = found.entries[0].parent
     celsius = cv2.imread(str(folder / f"{name}_thermal_degC_eps1.tif"), cv2.IMREAD_UNCHANGED)
     assert found.pair(found.entries[0]).thermal.mean() * 0.01 - 273.15 == pytest.approx(celsius.mean(), abs=6.0)
+
+
+# --- integer temperatures, and files of other makers --------------------------------------------------------------
+
+
+def integers(path, kelvin, step, zero, kind):
+    """A TIFF of counts without a scale; returns the temperatures that it holds."""
+    import rasterio
+
+    counts = np.rint((kelvin - zero) / step).astype(kind)
+    profile = {"driver": "GTiff", "height": counts.shape[0], "width": counts.shape[1], "count": 1, "dtype": kind}
+    with rasterio.open(path, "w", transform=rasterio.Affine.scale(2), **profile) as file:
+        file.write(counts, 1)
+    return counts * step + zero
+
+
+@pytest.mark.parametrize(
+    "kind, step, zero",
+    [("int16", 0.1, 273.15), ("int16", 0.01, 273.15), ("uint16", 0.1, 273.15), ("uint16", 0.01, 0.0),
+     ("uint16", 0.1, 0.0), ("int32", 0.01, 0.0)],
+)  # fmt: skip
+def test_integer_temperatures_follow_the_stated_scale_and_are_asked_about(tmp_path, kind, step, zero):
+    from thermorender.footage.radiometric_files import read_temperature
+
+    kelvin = np.random.default_rng(0).uniform(278.0, 315.0, (40, 48))
+    expected = integers(tmp_path / "a.tif", kelvin, step, zero, kind)
+    option = f"--scale={step:g},{zero:g} for counts of "
+    for reader in (pictures.read_thermal, read_temperature):
+        with pytest.raises(ThermorenderError, match=option):
+            reader(tmp_path / "a.tif")
+    found = pictures.read_thermal(tmp_path / "a.tif", (step, zero))
+    assert found.unit == "kelvin" and found.valid.all()
+    np.testing.assert_allclose(found.values * 0.01, expected, atol=0.0051)
+    np.testing.assert_allclose(read_temperature(tmp_path / "a.tif", (step, zero)), expected, rtol=1e-9)
+    if kind == "uint16":
+        assert pictures.read_thermal(tmp_path / "a.tif", intensity=True).unit == "intensity"
+
+
+def test_below_zero_is_read_from_signed_counts(tmp_path):
+    kelvin = np.linspace(250.0, 290.0, 40 * 48).reshape(40, 48)
+    expected = integers(tmp_path / "a.tif", kelvin, 0.1, 273.15, "int16")
+    found = pictures.read_thermal(tmp_path / "a.tif", (0.1, 273.15))
+    np.testing.assert_allclose(found.values * 0.01, expected, atol=0.0051)
+
+
+def test_counts_that_are_no_temperatures_stay_intensities(tmp_path):
+    """Stretched pictures, bytes in 16 bits, and raw counts of a FLIR core."""
+    rng = np.random.default_rng(0)
+    for values in (rng.integers(0, 65536, (40, 48)), rng.integers(0, 256, (40, 48)), rng.normal(12000, 900, (40, 48))):
+        integers(tmp_path / "a.tif", values, 1.0, 0.0, "uint16")
+        assert pictures.read_thermal(tmp_path / "a.tif").unit == "intensity"
+
+
+def test_intensities_that_look_like_temperatures_need_a_range(tmp_path, call):
+    folders(tmp_path, thermal=lambda rng, shape: rng.uniform(28000, 31000, shape).astype(np.uint16))
+    assert "give --range-c=COLD,WARM if they are intensities" in prepared(call, tmp_path, status=2)
+    assert "intensity" in prepared(call, tmp_path, "--range-c=5,30", "--split=train")
+    assert "kelvin" in prepared(call, tmp_path, "--scale=0.01,0", "--split=train", out="kelvin")
+
+
+@pytest.mark.parametrize("units, expected", [("degF", 288.15), ("K", 59.0 + 273.15), (None, 59.0 + 273.15)])
+def test_scale_tags_and_units_of_a_tiff_are_followed(tmp_path, units, expected):
+    import rasterio
+
+    base = np.array(59.0 if units != "K" else expected)
+    values = np.rint((base + np.linspace(-1.0, 1.0, 40 * 48).reshape(40, 48)) * 10.0).astype(np.int16)
+    profile = {"driver": "GTiff", "height": 40, "width": 48, "count": 1, "dtype": "int16"}
+    with rasterio.open(tmp_path / "a.tif", "w", transform=rasterio.Affine.scale(2), **profile) as file:
+        file.write(values, 1)
+        file.scales, file.units = (0.1,), (units or "",)
+    found = pictures.read_thermal(tmp_path / "a.tif")
+    assert found.values.mean() * 0.01 == pytest.approx(expected, abs=0.01)
+
+
+def test_files_of_other_makers_name_the_tool_that_converts_them(tmp_path):
+    from thermorender.footage.calibration import frame_files
+    from thermorender.footage.flir_jpeg import read_flir_jpeg
+
+    made, data = cv2.imencode(".jpg", np.random.default_rng(0).integers(0, 256, (40, 48), np.uint8))
+    exif = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x0f\x01\x02\0\x04\0\0\0DJI\0\0\0\0\0"
+    signal = bytes(40000)
+    blocks = b"".join(
+        b"\xff" + bytes([kind]) + (len(block) + 2).to_bytes(2, "big") + block
+        for kind, block in ((0xE1, exif), (0xE3, signal), (0xE3, signal))
+    )
+    plain = data.tobytes()
+    (tmp_path / "plain.jpg").write_bytes(plain[:2] + blocks[: len(exif) + 4] + plain[2:])
+    (tmp_path / "radiometric.jpg").write_bytes(plain[:2] + blocks + plain[2:])
+    assert made and pictures.read_thermal(tmp_path / "plain.jpg").unit == "intensity"
+    for reader in (pictures.read_thermal, read_flir_jpeg):
+        with pytest.raises(ThermorenderError, match=r"radiometric JPEG of DJI.*dji_irp -s IN.JPG -a measure"):
+            reader(tmp_path / "radiometric.jpg")
+    (tmp_path / "seq").mkdir()
+    (tmp_path / "seq" / "a.csq").write_bytes(b"FFF\0")
+    for reader in (lambda path: frame_files([path]), lambda path: pictures.matched(path, path)):
+        with pytest.raises(ThermorenderError, match=r"a\.csq is a sequence of FLIR, so export its frames"):
+            reader(tmp_path / "seq")

@@ -150,7 +150,7 @@ def test_a_missing_scale_is_refused(tmp_path):
     from PIL import Image
 
     Image.fromarray(np.full((4, 4), 7500, np.uint16)).save(tmp_path / "a.tif")
-    with pytest.raises(ThermorenderError, match="does not declare the unit of its counts; give kelvin per count"):
+    with pytest.raises(ThermorenderError, match="does not declare the unit of its counts; state kelvin per count"):
         read_temperature(tmp_path / "a.tif")
     assert read_temperature(tmp_path / "a.tif", (0.04, 0.0))[0, 0] == pytest.approx(300.0)
     assert read_temperature(tmp_path / "a.tif", (0.001, 273.15))[0, 0] == pytest.approx(280.65)

@@ -72,21 +72,31 @@ def test_a_missing_post_is_not_lower_than_the_others():
     assert np.ptp(vertices[:, 2]) < 0.1
 
 
-def test_heights_in_feet_are_refused(tmp_path):
+def test_heights_follow_the_unit_of_band_and_vertical_crs(tmp_path):
     path = tmp_path / "dem.tif"
-    for crs, unit in (("EPSG:32634", "ft"), ("EPSG:32618+6360", None), ("EPSG:32634", "m"), ("EPSG:32634", None)):
+    us_foot = 1200.0 / 3937.0
+    for crs, unit, expected in (
+        ("EPSG:32634", "ft", 0.3048), ("EPSG:32634", "US survey foot", us_foot), ("EPSG:32634", "m", 1.0),
+        ("EPSG:32634", None, 1.0), ("EPSG:32618+6360", None, us_foot), ("EPSG:2263+5703", None, 1.0),
+        ("EPSG:2263", "ft", 0.3048), ("EPSG:4979", None, 1.0),
+        ("EPSG:2263", None, "its map is in US survey foot"), ("EPSG:32618+5703", "ft", "contradicts itself"),
+        ("EPSG:32634", "fathom", "heights in 'fathom'"), ("EPSG:32618+5715", None, "holds depths"),
+    ):  # fmt: skip
+        corner = (20.0, 50.0) if crs == "EPSG:4979" else (LEFT, TOP)
+        transform = rasterio.Affine(1e-5 if corner[0] < 99.0 else 2.0, 0.0, corner[0], 0.0, -1e-5, corner[1])
         with rasterio.open(
-            path, "w", driver="GTiff", count=1, dtype="float32", height=4, width=4, crs=crs,
-            transform=NORTH_UP.transform,
+            path, "w", driver="GTiff", count=1, dtype="float32", height=4, width=4, crs=crs, transform=transform,
         ) as file:  # fmt: skip
-            file.write(np.full((1, 4, 4), 50.0, np.float32))
+            file.write(np.array([[1000.0, 1000.0, 1000.0, -9999.0]] * 4, np.float32)[None])
             if unit:
                 file.units = (unit,)
-        if unit == "m" or ("+" not in crs and not unit):
-            terrain.read_elevation(path)
+        if isinstance(expected, str):
+            with pytest.raises(ThermorenderError, match=expected):
+                terrain.read_elevation(path)
             continue
-        with pytest.raises(ThermorenderError, match=r"holds heights in '(ft|US survey foot)'; give metres"):
-            terrain.read_elevation(path)
+        height = terrain.read_elevation(path)[0]
+        np.testing.assert_allclose(height[:, :3], 1000.0 * expected, rtol=1e-9)
+        assert np.isnan(height[:, 3]).all()
 
 
 def test_a_raster_that_runs_west_is_imported_like_one_that_runs_east(tmp_path):

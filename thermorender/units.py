@@ -15,6 +15,12 @@ ZERO_CELSIUS_K = 273.15
 # The check therefore catches the commonest mistake: °C given as kelvin.
 LOWEST_KELVIN = 100.0
 _FARTHEST_ZONE_S = 14 * 3600
+# (kelvin per unit, kelvin of 0) by the names that rasters and TIFFs give to units, in lower case without "degrees".
+_SCALES = (
+    dict.fromkeys(("k", "kelvin", "kelvins"), (1.0, 0.0))
+    | dict.fromkeys(("c", "celsius", "centigrade"), (1.0, ZERO_CELSIUS_K))
+    | dict.fromkeys(("f", "fahrenheit"), (1.0 / 1.8, ZERO_CELSIUS_K - 32.0 / 1.8))
+)
 _STATED = re.compile(r"\s*(\d+(?:\.\d+)?)\s*K\s*")
 
 
@@ -62,6 +68,12 @@ def kelvin(name: str, temperature: _Temperature, allow_zero: bool = False) -> _T
             + (f", or write '{worst:g} K' if it is that cold" if 0.0 <= worst < LOWEST_KELVIN else "")
         )
     return temperature
+
+
+def kelvin_scale(unit: str | None) -> tuple[float, float] | None:
+    """Return (kelvin per unit, kelvin of 0) of a unit's name, such as K, °C or degF; None for other units."""
+    word = re.sub(r"^(°|º|deg(rees?)?)?[ _.]*", "", (unit or "").strip().lower())
+    return _SCALES.get(word)
 
 
 def instant(name: str, value: str | datetime.datetime | np.datetime64) -> np.datetime64:

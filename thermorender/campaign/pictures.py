@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.footage.flir_jpeg import read_flir_jpeg
-from thermorender.footage.radiometric_files import read_tiff
+from thermorender.footage.flir_jpeg import DJI, dji_thermal, read_flir_jpeg
+from thermorender.footage.radiometric_files import likely_scales, read_tiff, scale_request, sequence_hint
 from thermorender.formats import decoded
 from thermorender.sensor.radiometry import ThermographySettings
 from thermorender.units import ZERO_CELSIUS_K, kelvin
@@ -121,14 +121,16 @@ def read_visible(path: str | Path) -> tuple[NDArray[np.uint8], bool]:
     return image, bool((image[..., 0] == image[..., 1]).all() and (image[..., 1] == image[..., 2]).all())
 
 
-def read_thermal(path: str | Path, scale: Sequence[float] | None = None) -> Thermal:
+def read_thermal(path: str | Path, scale: Sequence[float] | None = None, intensity: bool = False) -> Thermal:
     """Return the Thermal picture of a file.
 
     Parameters
     ----------
     path : path
     scale : (2,) floats, optional
-        (kelvin per count, kelvin of count 0) of 16-bit files that declare no scale.
+        (kelvin per count, kelvin of count 0) of files that declare no scale.
+    intensity : bool
+        16 bits without a scale are intensities, even where they look like temperatures.
 
     Raises
     ------
@@ -140,7 +142,7 @@ def read_thermal(path: str | Path, scale: Sequence[float] | None = None) -> Ther
         # Apparent temperature, before any correction for surface and air.
         found = _of_kelvin(read_flir_jpeg(path).temperature(ThermographySettings()))
     elif path.suffix.lower() in (".tif", ".tiff"):
-        found = _of_tiff(path, scale)
+        found = _of_tiff(path, scale, intensity)
     else:
         image = _decoded(path)
         if image.ndim == 3:
@@ -152,10 +154,7 @@ def read_thermal(path: str | Path, scale: Sequence[float] | None = None) -> Ther
             image = image[..., 0]
         if image.dtype not in (np.uint8, np.uint16):
             raise ThermorenderError(f"{path} has {image.dtype} values; give 8 or 16 bits")
-        if image.dtype == np.uint16 and scale is not None:
-            found = _of_kelvin(image * float(scale[0]) + float(scale[1]))
-        else:
-            found = Thermal(image, "intensity", np.ones(image.shape, bool))
+        found = _of_counts(path, image.astype(np.float64), scale, intensity, image.dtype.name)
     if not found.valid.any():
         raise ThermorenderError(f"{path} has no temperature between 0 and {65535 * STEP_K:.2f} K; leave it out")
     if found.unit == "kelvin":
@@ -277,6 +276,7 @@ def _named(folder, pattern, what):
     if not found:
         raise ThermorenderError(
             f"{folder} has no picture ({', '.join(SUFFIXES)}) that matches {pattern!r}; give another --{what}"
+            f"{sequence_hint(folder.iterdir())}"
         )
     return found
 
@@ -307,29 +307,42 @@ def _decoded(path):
 
 
 def _radiometric(path):
-    """Whether a JPEG carries FLIR's data."""
+    """Whether a JPEG carries FLIR's data; DJI's own are refused."""
     try:
         data = path.read_bytes()
     except OSError as error:
         raise ThermorenderError(f"{path} cannot be read ({error.strerror}); give a picture") from None
+    if dji_thermal(data):
+        raise ThermorenderError(f"{path} {DJI}")
     return re.search(rb"\xff\xe1..FLIR\0", data, re.DOTALL) is not None
 
 
-def _of_tiff(path, scale):
+def _of_tiff(path, scale, intensity):
     values, declared, kind = read_tiff(path)
-    step_zero = declared or scale
+    scale = declared or scale
     if kind in ("float32", "float64"):
-        if declared is None and np.isfinite(values).any() and np.nanmedian(values) > _HOT_C:
+        if scale is None and np.isfinite(values).any() and np.nanmedian(values) > _HOT_C:
             raise ThermorenderError(
-                f"{path} has floats around {np.nanmedian(values):.0f} without a unit, which would be °C; declare the "
-                "unit K in the file, or store °C"
+                f"{path} has floats around {np.nanmedian(values):.0f} without a unit, which would be °C; give "
+                "--scale=1,0 if they are kelvin"
             )
-        return _of_kelvin(values * declared[0] + declared[1] if declared else values + ZERO_CELSIUS_K)
-    if kind not in ("uint8", "uint16"):
-        raise ThermorenderError(f"{path} has {kind} values; give 8 or 16 bits, or °C in floats")
-    if kind == "uint16" and step_zero is not None:
-        return _of_kelvin(values * step_zero[0] + step_zero[1])
+        return _of_kelvin(values * scale[0] + scale[1] if scale else values + ZERO_CELSIUS_K)
+    if kind not in ("uint8", "int16", "uint16", "int32", "uint32"):
+        raise ThermorenderError(f"{path} has {kind} values; give integers of 8, 16 or 32 bits, or °C in floats")
+    return _of_counts(path, values, scale, intensity, kind)
+
+
+def _of_counts(path, values, scale, intensity, kind):
+    """Counts in kelvin by a scale; without one, refuse those that look like temperatures."""
+    if scale is not None:
+        return _of_kelvin(values * float(scale[0]) + float(scale[1]))
     valid = np.isfinite(values)
+    likely = [] if kind == "uint8" else likely_scales(values, signed=kind != "uint16")
+    if kind not in ("uint8", "uint16") or (likely and not intensity):
+        raise ThermorenderError(
+            f"{path} has {kind} counts of undeclared scale; {scale_request(likely)}"
+            + ("; or give --range-c=COLD,WARM if they are intensities" if kind == "uint16" else "")
+        )
     return Thermal(np.where(valid, values, 0.0).astype(kind), "intensity", valid)
 
 

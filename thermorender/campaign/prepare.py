@@ -40,11 +40,13 @@ class Source:
     valid : str or None
         Pattern of masks in the visible folder, non-zero where both pictures show the same.
     scale : (2,) tuple of float, or None
-        (kelvin per count, kelvin of count 0) of 16-bit files that declare no scale.
+        (kelvin per count, kelvin of count 0) of files that declare no scale.
     sequence : str or None
         Regular expression whose group is the sequence in a name; None: the name without its last digits.
     gap : int or None
         A larger step of the last number in the names starts a new sequence.
+    intensity : bool
+        16 bits without a scale are intensities, even where they look like temperatures.
     """
 
     visible_folder: Path
@@ -55,6 +57,7 @@ class Source:
     scale: tuple[float, float] | None = None
     sequence: str | None = None
     gap: int | None = None
+    intensity: bool = False
 
 
 @dataclass(frozen=True)
@@ -281,7 +284,7 @@ def _checked(pairs, source, registered, cut, report_progress):
         report_progress("reading pictures", number / len(pairs))
         try:
             visible, grey = pictures.read_visible(pair.visible)
-            thermal = pictures.read_thermal(pair.thermal, source.scale)
+            thermal = pictures.read_thermal(pair.thermal, source.scale, source.intensity)
             if pair.valid is not None:
                 pictures.read_valid(pair.valid, visible.shape[:2])
             _check_sizes(visible.shape[:2], thermal.values.shape, registered, cut)
@@ -363,7 +366,7 @@ def _rig(registered, pairs, source, output, resume, report_progress):
 
 def _temperatures(pair, source):
     """Values of a pair's thermal picture, (H, W) float32; NaN where not valid."""
-    thermal = pictures.read_thermal(pair.thermal, source.scale)
+    thermal = pictures.read_thermal(pair.thermal, source.scale, source.intensity)
     return np.where(thermal.valid, thermal.values, np.nan).astype(np.float32)
 
 
@@ -376,7 +379,7 @@ def _shown(pairs, cameras):
 def _registered(pair, source, cameras, cut):
     """(visible (H, W, 3) uint8, thermal (H, W), valid (H, W) bool) of a pair, on the thermal pixels."""
     visible, _ = pictures.read_visible(pair.visible)
-    thermal = pictures.read_thermal(pair.thermal, source.scale)
+    thermal = pictures.read_thermal(pair.thermal, source.scale, source.intensity)
     values, valid = thermal.values.copy(), thermal.valid
     seen = None if pair.valid is None else pictures.read_valid(pair.valid, visible.shape[:2])
     if cameras is not None:

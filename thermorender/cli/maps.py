@@ -24,7 +24,7 @@ ValidPattern = Annotated[
     str | None, typer.Option(help="Names of masks in the visible folder, not 0 where both show the same scene.")
 ]
 ThermalScaleText = Annotated[
-    str | None, typer.Option("--scale", help="STEP,ZERO of 16-bit files without a scale: kelvin per count, of count 0.")
+    str | None, typer.Option("--scale", help="STEP,ZERO of files without a scale: kelvin per count, of count 0.")
 ]
 RigFile = Annotated[Path | None, typer.Option("--rig", help="Register visible pictures by this rig.json.")]
 Calibrate = Annotated[bool, typer.Option("--calibrate", help="Estimate the rig from the pictures, and save it.")]
@@ -93,7 +93,8 @@ def prepare(
     from thermorender.trajectory import parse_numbers
 
     warm = parse_numbers("--range-c", range_c, ("COLD", "WARM")) if range_c else None
-    source = Source(visible_folder, thermal_folder, visible, thermal, valid, parse_scale(scale), sequence, gap)
+    source = Source(visible_folder, thermal_folder, visible, thermal, valid, parse_scale(scale), sequence, gap,
+                    warm is not None)  # fmt: skip
     with progress() as report:
         made = run(
             source, output, _registered(rig, calibrate, fields_of_view, resized), Cut(crops, crop_size, shift, seed),

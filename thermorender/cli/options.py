@@ -304,6 +304,10 @@ def parse_thermography(text: str | None) -> "ThermographySettings | None":
 def print_map_reports(scene: "Scene") -> None:
     """Print the shares of a scene's texels outside the range of its learned maps, and the maps' warnings."""
     for model, report in scene.temperature_state.report.items():
+        if "share_outside_0_1" not in report:  # a raster
+            warn(f"{model}: {report['share_fallback']:.1%} of the terrain has no temperature there and is given "
+                 f"{report['fallback']}")  # fmt: skip
+            continue
         typer.echo(
             f"{model}: {report['share_outside_0_1']:.1%} of the intensities lie outside 0…1, "
             f"{report['share_fallback']:.1%} of the texels fall back to their material's temperature"

@@ -1,13 +1,13 @@
 """Verbs that make scenes and inspect them: from terrain, from a seed, their materials, their plan."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from thermorender import defaults, files
 from thermorender.cli.options import SCENE_NAMES, SamplingOptions, SceneName, SceneOptions, flat
-from thermorender.cli.terminal import Results, output_option, progress, split, table
+from thermorender.cli.terminal import Results, output_option, progress, split, table, warn
 from thermorender.errors import ThermorenderError
 
 NewFolder = Annotated[
@@ -16,43 +16,88 @@ NewFolder = Annotated[
 
 
 def import_terrain(
-    elevation: Annotated[Path, typer.Argument(help="GeoTIFF of heights [m].")],
-    orthophoto: Annotated[Path, typer.Argument(help="GeoTIFF, RGB in 8 bits.")],
+    elevation: Annotated[Path, typer.Argument(help="GeoTIFF of heights, in metres or the unit it declares.")],
     output: NewFolder,
+    orthophoto: Annotated[
+        Path | None, typer.Argument(help="GeoTIFF in colour; without one the ground has its material's colour.")
+    ] = None,
     max_vertices: Annotated[int, typer.Option(help="Most posts of the mesh.")] = 4_000_000,
     max_texels: Annotated[int, typer.Option(help="Most texels along a side of the texture.")] = 8192,
     height_reference: Annotated[
         str | None, typer.Option(help="ellipsoid or geoid; default: as the CRS says.")
     ] = None,
     geoid_undulation_m: Annotated[float | None, typer.Option(help="Geoid above ellipsoid there [m].")] = None,
-    model: Annotated[str, typer.Option(help="Learned map for the temperatures.")] = defaults.TEMPERATURE_MAP,
-    material: Annotated[str, typer.Option(help="Material of the ground.")] = "soil_loam",
-    sky_temperature: Annotated[float, typer.Option(help="[K]")] = 255.0,
+    model: Annotated[str, typer.Option(help="Learned map, without a weather.")] = defaults.TEMPERATURE_MAP,
+    material: Annotated[
+        str, typer.Option(help="Material of the ground; with a weather and an orthophoto, of unknown texels.")
+    ] = "soil_loam",
+    sky_temperature: Annotated[
+        float | None, typer.Option(help="[K]; default: the weather's sky, or 255 without one.")
+    ] = None,
     fill: Annotated[bool, typer.Option("--fill", help="Fill small gaps in the heights from around.")] = False,
+    bands: Annotated[
+        str | None, typer.Option(help="RED,GREEN,BLUE: numbers of the orthophoto's bands; default: as it declares.")
+    ] = None,
+    colour_range: Annotated[
+        str | None, typer.Option(help="BLACK,WHITE: values of an orthophoto of other than 8 bits.")
+    ] = None,
+    collar: Annotated[
+        int, typer.Option(help="Leave out borders of the orthophoto within these levels of black or white.")
+    ] = 0,
+    weather: Annotated[
+        Path | None, typer.Option(help="Station CSV, EPW or TMY3 file for a heat balance at --time.")
+    ] = None,
+    time: Annotated[str | None, typer.Option(help="Date and hour with their zone, 2018-07-28T14:30Z.")] = None,
 ) -> None:  # fmt: skip
-    """Make a scene from an elevation model and an orthophoto."""
+    """Make a scene from an elevation model and an orthophoto, or from an elevation model alone."""
     from thermorender.scene.import_terrain import import_terrain as run
     from thermorender.sensor.camera import load_camera
+    from thermorender.trajectory import parse_numbers
 
     if height_reference not in (None, "ellipsoid", "geoid"):
         raise ThermorenderError(f"--height-reference={height_reference!r} is not allowed; give ellipsoid or geoid")
+    chosen = [int(value) for value in parse_numbers("--bands", bands, ("RED", "GREEN", "BLUE"))] if bands else None
+    ends = parse_numbers("--colour-range", colour_range, ("BLACK", "WHITE")) if colour_range else None
     summary = run(elevation, orthophoto, output, max_vertices, max_texels, height_reference, geoid_undulation_m, model,
-                  material, sky_temperature, fill)  # fmt: skip
+                  material, sky_temperature, fill, chosen, ends, collar, weather, time)  # fmt: skip
     typer.echo(f"{output}: {summary['posts'][1]}×{summary['posts'][0]} posts of {summary['post_m']:.3g} m, "
                f"{summary['texels'][1]}×{summary['texels'][0]} texels of {summary['texel_m']:.3g} m; "
                f"{summary['share_without_height']:.1%} without height, "
                + (f"{summary['share_filled']:.1%} filled, " if fill else "") +
-               f"{summary['share_without_colour']:.1%} without colour; "
+               (f"{summary['share_without_colour']:.1%} without colour; " if orthophoto else "no orthophoto; ") +
                f"heights above the {summary['height_reference']}"
                + ("" if summary["height_reference_stated"] else
                   " (assumed, as the CRS does not say; --height-reference geoid changes it)"))  # fmt: skip
-    typer.echo(
-        f"temperatures are those of the learned map {model!r}, a placeholder until you give measured ones or a weather"
-    )
+    warn(_of_import(summary, collar, colour_range is not None))
+    if weather is None:
+        source = f"the learned map {model!r}, which knows colour only" if orthophoto else "one for all of the ground"
+        typer.echo(
+            f"temperatures are a placeholder, {source}: they are not those of this place at any hour; give --weather "
+            "FILE --time T for a heat balance, or a raster of kelvin"
+        )
+    else:
+        typer.echo(
+            f"temperatures: a heat balance at {time}; materials are "
+            + ("read from the orthophoto; map-materials shows them" if orthophoto else f"{material} everywhere")
+        )
     typer.echo(
         f"flight.csv flies along the middle, {summary['flight_m']:.0f} m above the ground; a texel covers one pixel of "
         f"the {defaults.CAMERA} from {summary['texel_m'] * load_camera(defaults.CAMERA).focal_length_px:.0f} m"
     )
+
+
+def _of_import(summary: dict[str, Any], collar: int, scaled: bool) -> str | None:
+    """A sentence on the colours of an imported orthophoto that may be wrong, else None."""
+    from thermorender.scene.parts.orthophoto import COLLAR
+
+    found = []
+    if summary["share_collar"] and not collar:
+        found.append(f"{summary['share_collar']:.1%} of the orthophoto is near black or white up to its edge and taken "
+                     f"for ground; --collar={COLLAR} leaves it out")  # fmt: skip
+    if scaled and summary["share_clipped"]:
+        found.append(f"{summary['share_clipped']:.1%} of the orthophoto is black or white in a band; --colour-range "
+                     "sets these ends")  # fmt: skip
+    return "; ".join(found) or None
 
 
 def make_scene(

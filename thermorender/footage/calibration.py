@@ -23,7 +23,7 @@ from thermorender.footage.edge_width import edge_widths, sharpest, width_through
 from thermorender.footage.field_statistics import Field, vignetting
 from thermorender.footage.flir_jpeg import read_flir_jpeg
 from thermorender.footage.noise_statistics import FLAT, Noise, Spectra, noise_of
-from thermorender.footage.radiometric_files import FLIR_JPEG, SUFFIXES, read_temperature
+from thermorender.footage.radiometric_files import FLIR_JPEG, SUFFIXES, read_temperature, sequence_hint
 from thermorender.physics.planck import band_radiance_derivative
 from thermorender.schema import read_toml, toml_line, toml_value
 from thermorender.sensor.camera import Camera, load_camera, model_path
@@ -84,7 +84,8 @@ def frame_files(paths: Iterable[str | PathLike[str]]) -> list[Path]:
         else:
             files.append(path)
     if not files:
-        raise ThermorenderError(f"no frames ({', '.join(SUFFIXES)}) in {', '.join(map(str, paths))}")
+        hint = sequence_hint(item for path in map(Path, paths) if path.is_dir() for item in path.iterdir())
+        raise ThermorenderError(f"no frames ({', '.join(SUFFIXES)}) in {', '.join(map(str, paths))}{hint}")
     return files
 
 

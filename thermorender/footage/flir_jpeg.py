@@ -22,6 +22,11 @@ from thermorender.units import ZERO_CELSIUS_K
 _RAW, _CAMERA = 0x01, 0x20
 _MOST_PIXELS = 1 << 26
 _MOST_RECORDS = 512
+# What to do with a radiometric JPEG of DJI, after its name.
+DJI = (
+    "is a radiometric JPEG of DJI, whose calibration is not public; convert it with the DJI Thermal SDK, "
+    "`dji_irp -s IN.JPG -a measure -o OUT.raw`, save these int16 values as TIFF and give --scale=0.1,273.15"
+)
 
 
 @dataclass(frozen=True)
@@ -66,6 +71,8 @@ def read_flir_jpeg(path: str | PathLike[str]) -> RadiometricJpeg:
         data = path.read_bytes()
     except OSError as error:
         raise ThermorenderError(f"{path} cannot be read: {error.strerror}; give a radiometric JPEG") from None
+    if dji_thermal(data):
+        raise ThermorenderError(f"{path} {DJI}")
     try:
         records = _records(_container(data))
         missing = [name for kind, name in ((_RAW, "raw image"), (_CAMERA, "camera block")) if kind not in records]
@@ -79,6 +86,28 @@ def read_flir_jpeg(path: str | PathLike[str]) -> RadiometricJpeg:
     raise ThermorenderError(f"{path} is not a whole FLIR radiometric JPEG: {reason}; give the camera's original file")
 
 
+def dji_thermal(data: bytes) -> bool:
+    """Return whether a JPEG's bytes are a radiometric JPEG of DJI, whose signal is in segments APP3.
+
+    Source: GDAL's driver of JPEG reads that signal of H20T, M30T and M3T (pull request 12972); its calibration is not
+    public. Cameras of DJI with a FLIR core, such as the XT2, store FLIR's data instead.
+    """
+    segments = list(_segments(data))
+    signal = sum(len(segment) for marker, segment in segments if marker == 0xE3)
+    return signal > 8192 and any(marker == 0xE1 and b"DJI" in segment for marker, segment in segments)
+
+
+def _segments(data):
+    """(marker, content) of a JPEG's segments before its picture."""
+    offset = 2
+    while offset + 4 <= len(data) and data[offset] == 0xFF:
+        marker, length = data[offset + 1], int.from_bytes(data[offset + 2 : offset + 4], "big")
+        yield marker, data[offset + 4 : offset + 2 + length]
+        if marker in (0xD9, 0xDA) or length < 2:
+            break
+        offset += 2 + length
+
+
 class _Damaged(Exception):
     """A defect of the file's contents, as half a sentence."""
 
@@ -87,18 +116,13 @@ def _container(data):
     """The FFF container, joined from the JPEG's APP1 segments by their number."""
     if data[:2] != b"\xff\xd8":
         raise _Damaged("it is not a JPEG")
-    parts, offset = {}, 2
-    while offset + 4 <= len(data) and data[offset] == 0xFF:
-        marker, length = data[offset + 1], int.from_bytes(data[offset + 2 : offset + 4], "big")
-        segment = data[offset + 4 : offset + 2 + length]
+    parts = {}
+    for marker, segment in _segments(data):
         if marker == 0xE1 and segment[:5] == b"FLIR\0" and len(segment) > 8:
             parts[segment[6]] = segment[8:]
             last = segment[7]
-        if marker in (0xD9, 0xDA) or length < 2:
-            break
-        offset += 2 + length
     if not parts:
-        raise _Damaged("it carries no FLIR data (DJI's own format needs DJI's software)")
+        raise _Damaged("it carries no FLIR data")
     if sorted(parts) != list(range(last + 1)):
         raise _Damaged(f"it announces {last + 1} pieces of FLIR data and holds {len(parts)}")
     return b"".join(parts[number] for number in sorted(parts))

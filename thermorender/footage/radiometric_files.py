@@ -6,6 +6,7 @@ it.
 """
 
 import warnings
+from collections.abc import Iterable, Sequence
 from os import PathLike
 from pathlib import Path
 
@@ -14,14 +15,24 @@ from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.sensor.radiometry import ThermographySettings
-from thermorender.units import ZERO_CELSIUS_K
+from thermorender.units import ZERO_CELSIUS_K, kelvin_scale
 
 # FLIR Tau 2 product specification, TLinear: kelvin per count in high resolution, as in the TIFFs of a Zenmuse XT2.
 TLINEAR_STEP_K = 0.04
 
-_UNITS = {"K": 0.0, "kelvin": 0.0, "°C": ZERO_CELSIUS_K, "degC": ZERO_CELSIUS_K, "C": ZERO_CELSIUS_K}
+# Common scales of integer files, (kelvin per count, kelvin of 0): hundredths of a kelvin (FLIR Boson and others),
+# TLinear, tenths of a kelvin, and tenths and hundredths of a degree Celsius (DJI Thermal SDK, `dji_irp -a measure`:
+# int16 of 0.1 °C).
+_LIKELY = {
+    "0.01 K": (0.01, 0.0), "0.04 K": (TLINEAR_STEP_K, 0.0), "0.1 K": (0.1, 0.0), "0.1 °C": (0.1, ZERO_CELSIUS_K),
+    "0.01 °C": (0.01, ZERO_CELSIUS_K),
+}  # fmt: skip
+_AS_INTENSITY = ("0.04 K", "0.01 °C")
+# A landscape in a picture: most pixels, and every pixel [K].
+_COMMON_K, _RARE_K = (238.0, 338.0), (150.0, 1000.0)
 FLIR_JPEG = (".jpg", ".jpeg")
 SUFFIXES = (".tif", ".tiff", *FLIR_JPEG)
+_SEQUENCES = (".seq", ".csq", ".ats", ".fcf", ".sfmov")
 
 
 def write_tlinear(path: str | PathLike[str], temperature: ArrayLike, step_k: float = TLINEAR_STEP_K) -> None:
@@ -84,26 +95,67 @@ def read_temperature(
             raise ThermorenderError(f"{path} contains its calibration; leave out the scale")
         return read_flir_jpeg(path).temperature(thermography)
     if path.suffix.lower() not in SUFFIXES:
-        raise ThermorenderError(f"{path} is of unknown kind; give one of {', '.join(SUFFIXES)}")
+        raise ThermorenderError(f"{path} is of unknown kind; give one of {', '.join(SUFFIXES)}{sequence_hint([path])}")
     counts, declared, _ = read_tiff(path)
     if scale is None and declared is None:
         raise ThermorenderError(
-            f"{path} does not declare the unit of its counts; give kelvin per count and kelvin of count 0 (--scale), "
-            "e.g. 0.04,0 for a FLIR core in TLinear mode"
+            f"{path} does not declare the unit of its counts; {scale_request(likely_scales(counts))}"
         )
     step, zero = scale or declared
     return counts * float(step) + float(zero)
 
 
+def sequence_hint(paths: Iterable[Path]) -> str:
+    """Return what to do with FLIR's recorded sequences among files, after another sentence; empty without any."""
+    found = next((path.name for path in paths if path.suffix.lower() in _SEQUENCES), None)
+    if found is None:
+        return ""
+    return (
+        f"; {found} is a sequence of FLIR, so export its frames as radiometric JPEG or as TIFF in kelvin, for example "
+        "with FLIR Thermal Studio"
+    )
+
+
+def likely_scales(counts: ArrayLike, signed: bool = True) -> list[str]:
+    """Return the names of common scales by which counts are temperatures of a landscape.
+
+    Without a sign, counts are often intensities, so scales that common intensities fit too are left out.
+    """
+    known = np.asarray(counts, np.float64)
+    known = known[np.isfinite(known)]
+    if not known.size or (not signed and known.max() <= 255.0):
+        return []
+    low, high = np.percentile(known, (1.0, 99.0))
+    found = []
+    for name, (step, zero) in _LIKELY.items():
+        if not signed and name in _AS_INTENSITY:
+            continue
+        common = _COMMON_K[0] <= low * step + zero and high * step + zero <= _COMMON_K[1]
+        rare = _RARE_K[0] <= known.min() * step + zero and known.max() * step + zero <= _RARE_K[1]
+        # Tenths and hundredths of a degree overlap: a landscape differs by more than 1 K.
+        if common and rare and (high - low) * step > 1.0:
+            found.append(name)
+    return found
+
+
+def scale_request(names: Sequence[str]) -> str:
+    """Return the half sentence that asks for a scale, with the options of the likely ones."""
+    likely = [f"--scale={_LIKELY[name][0]:g},{_LIKELY[name][1]:g} for counts of {name}" for name in names]
+    return "state kelvin per count and kelvin of count 0, " + (
+        "which look like " + " or ".join(likely) if likely else "e.g. --scale=0.04,0 for a FLIR core in TLinear mode"
+    )
+
+
 def read_tiff(path: Path) -> tuple[NDArray[np.float64], tuple[float, float] | None, str]:
     """Return ((H, W) float64 values, declared (step, zero) in kelvin or None, dtype in the file) of a TIFF.
 
-    Values are NaN where it has no data.
+    Values are NaN where it has no data. Scale and offset tags without a unit of temperature are applied, and the dtype
+    is then float64.
 
     Raises
     ------
     ThermorenderError
-        A file that cannot be read, or has several bands.
+        A file that cannot be read, has several bands or pictures, or floats in another unit.
     """
     import rasterio
 
@@ -117,6 +169,18 @@ def read_tiff(path: Path) -> tuple[NDArray[np.float64], tuple[float, float] | No
                     raise ThermorenderError(f"{path} has {file.count} bands; give a TIFF of one band, the counts")
                 values = file.read(1, masked=True).astype(np.float64).filled(np.nan)
                 unit, step, zero, kind = file.units[0], file.scales[0], file.offsets[0], file.dtypes[0]
+                if file.subdatasets:
+                    raise ThermorenderError(
+                        f"{path} has {len(file.subdatasets)} pictures; write each to its own file, for example with "
+                        f"`rio convert {file.subdatasets[0]} FIRST.tif`"
+                    )
     except rasterio.errors.RasterioError as error:
         raise ThermorenderError(f"{path} cannot be read as TIFF: {error}; give a complete file") from None
-    return values, (step, zero + _UNITS[unit]) if unit in _UNITS else None, kind
+    scale = kelvin_scale(unit)
+    if scale is not None:
+        return values, (scale[0] * step, scale[0] * zero + scale[1]), kind
+    if (step, zero) != (1.0, 0.0):
+        values, kind = values * step + zero, "float64"
+    if unit and kind.startswith("float"):
+        raise ThermorenderError(f"{path} holds values in {unit!r}; give a TIFF in K, °C or °F")
+    return values, None, kind

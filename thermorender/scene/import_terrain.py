@@ -1,10 +1,12 @@
-"""A scene folder from two GeoTIFFs: an elevation model and an orthophoto of any CRS, resolution and extent.
+"""A scene folder from GeoTIFFs of any CRS, resolution and extent: an elevation model and, optionally, an orthophoto.
 
 Both are resampled onto the elevation's map (or its UTM zone, if that is in degrees), cut to the area they share, and
 thinned where they exceed the size limits. NaN heights leave holes in the mesh, unless the scene fills enclosed gaps.
 The orthophoto's empty borders become its mask.
 """
 
+import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +17,20 @@ from thermorender import defaults, formats
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic_folder, check_new_folder
 from thermorender.formats import write_text
-from thermorender.scene.raster import Grid, bounds_in, grid_of, lon_lat, onto, read_colour
+from thermorender.scene.parts.orthophoto import COLLAR, empty_border, read_colour
+from thermorender.scene.raster import Grid, bounds_in, grid_of, lon_lat, onto
+from thermorender.scene.spec import WeatherSpec
 from thermorender.scene.surface import scene_kelvin
 from thermorender.scene.terrain import filled, read_elevation
 from thermorender.schema import toml_text
 from thermorender.sensor.camera import load_camera
+from thermorender.units import instant, utc_text
+from thermorender.weather.declared import declared_weather
 
 DEFAULT_VERTICES = 4_000_000
 DEFAULT_TEXELS = 8192
+# Placeholders until the user gives better ones [K]: the sky without weather, and the ground without orthophoto.
+SKY_K, GROUND_K = 255.0, 288.15
 # Duration of the flight that comes with the scene [s]: 180 frames of the default camera.
 _FLIGHT_S = 20.0
 
@@ -31,17 +39,20 @@ _Bounds = tuple[float, float, float, float]
 
 
 def import_terrain(
-    elevation: Path, orthophoto: Path, folder: Path, max_vertices: int = DEFAULT_VERTICES,
+    elevation: Path, orthophoto: Path | None, folder: Path, max_vertices: int = DEFAULT_VERTICES,
     max_texels: int = DEFAULT_TEXELS, height_reference: str | None = None, geoid_undulation_m: float | None = None,
-    model: str = defaults.TEMPERATURE_MAP, material: str = "soil_loam", sky_temperature: float = 255.0,
-    fill: bool = False,
+    model: str = defaults.TEMPERATURE_MAP, material: str = "soil_loam", sky_temperature: float | None = None,
+    fill: bool = False, bands: Sequence[int] | None = None, colour_range: tuple[float, float] | None = None,
+    collar: int = 0, weather: Path | None = None, time: str | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Write a scene folder and return a summary of the rasters in it.
 
     Parameters
     ----------
-    elevation, orthophoto : path
-        GeoTIFFs: heights [m] in one band; RGB in 8 bits.
+    elevation : path
+        GeoTIFF of heights in one band, in metres or the unit it declares.
+    orthophoto : path or None
+        GeoTIFF in colour; without one the ground has the colour of its material.
     folder : path
         New scene folder; it must not exist, or be empty.
     max_vertices : int
@@ -53,78 +64,78 @@ def import_terrain(
     geoid_undulation_m : float, optional
         Height of the geoid above the ellipsoid there [m].
     model : str
-        Learned map that gives the scene its temperatures.
+        Learned map that gives the scene its temperatures if there is an orthophoto and no weather.
     material : str
-        Material of the ground.
-    sky_temperature : float
-        [K].
+        Material of the ground; with orthophoto and weather, of texels whose material is not recognised.
+    sky_temperature : float, optional
+        [K]; by default the sky of the weather, or 255 K without one.
     fill : bool
         Whether the scene fills enclosed gaps in the heights and flags them in the truth mask.
+    bands, colour_range, collar
+        Of the orthophoto, as in `thermorender.scene.parts.orthophoto.read_colour`.
+    weather : path, optional
+        A station's CSV, an EPW or a TMY3 file. The scene then has the temperatures of a heat balance, and with an
+        orthophoto the materials that a learned map finds in it.
+    time : str, optional
+        Instant of the scene with its zone; needed with `weather`.
 
     Returns
     -------
     dict
         crs, posts, post_m, texels, texel_m, height_reference, height_reference_stated (by the caller or the CRS),
         flight_m (height of flight.csv above the ground), share_without_height, share_filled (of the posts),
-        share_without_colour.
+        share_without_colour, share_collar (not empty, but near black or white up to the edge), share_clipped (black or
+        white in some band); the last three are None without orthophoto.
 
     Raises
     ------
     ThermorenderError
         A missing or unreadable file, no CRS, no overlap, nothing valid, or a folder in use; nothing is written.
     """
-    from thermorender.learned.temperature_map import load_model
-    from thermorender.materials.library import find, load_library
-
-    load_model(model)
-    find(load_library(), material, "material").emissivity_at(np.array(defaults.BAND_UM))
-    if height_reference not in (None, "ellipsoid", "geoid"):
-        raise ThermorenderError(f"height_reference={height_reference!r} is not allowed; give ellipsoid or geoid")
-    _finite("geoid_undulation_m", geoid_undulation_m)
-    _finite("sky_temperature", sky_temperature)
-    scene_kelvin("sky_temperature", sky_temperature)
+    _check(model, material, height_reference, geoid_undulation_m, sky_temperature)
     check_new_folder(folder)
     if max_vertices < 4 or max_texels < 2:
         raise ThermorenderError(
             f"max_vertices={max_vertices}, max_texels={max_texels} are too small; give at least 4 and 2"
         )
     height, height_grid = read_elevation(elevation)
-    rgb, valid, colour_grid = *read_colour(orthophoto), grid_of(orthophoto)
-    if not valid.any():
-        raise ThermorenderError(f"{orthophoto} is empty: every pixel is masked or border; give another orthophoto")
     stated = height_reference is not None or _has_vertical_datum(height_grid.crs)
     if height_reference is None:
         height_reference = "geoid" if stated else "ellipsoid"
+    day = _weather(weather, time, height, height_grid)
     crs = _map_crs(height_grid)
-    bounds = _shared(bounds_in(crs, height_grid), bounds_in(crs, colour_grid), elevation, orthophoto)
+    bounds = bounds_in(crs, height_grid)
+    picture = None
+    if orthophoto is not None:
+        rgb, valid, grid = *read_colour(orthophoto, bands, colour_range, collar), grid_of(orthophoto)
+        if not valid.any():
+            raise ThermorenderError(f"{orthophoto} is empty: every pixel is masked or border; give another orthophoto")
+        bounds = _shared(bounds, bounds_in(crs, grid), elevation, orthophoto)
+        picture = _colours(rgb, valid, grid, crs, bounds, max_texels)
+        if not picture[1].any():
+            raise ThermorenderError(f"{orthophoto} is empty where {elevation} is; give an orthophoto of the same area")
     height, target = _heights(height, height_grid, crs, bounds, max_vertices)
     if not np.isfinite(height).any():
         raise ThermorenderError(f"{elevation} has no valid height where {orthophoto} is; give a DEM of the same area")
-    rgb, valid, texels = _colours(rgb, valid, colour_grid, crs, bounds, max_texels)
-    if not valid.any():
-        raise ThermorenderError(f"{orthophoto} is empty where {elevation} is; give an orthophoto of the same area")
-
-    known = np.isfinite(height)
-    after = np.isfinite(filled(height)[0]) if fill else known
-    text = toml_text(
-        {
-            "title": Path(folder).resolve().name,
-            "terrain": {"elevation": "elevation.tif", "orthophoto": "orthophoto.tif",
-                        "height_reference": height_reference, "geoid_undulation_m": geoid_undulation_m,
-                        "fill": fill or None},
-            "temperature": {"source": "learned", "model": model},
-            "emissivity": {"source": "material", "material": material},
-            "sky": {"temperature": sky_temperature},
-            "camera": {"model": defaults.CAMERA},
-        },
-        f"Made from {Path(elevation).name} and {Path(orthophoto).name}.",
-    )  # fmt: skip
+    terrain = {"elevation": "elevation.tif", "orthophoto": "orthophoto.tif" if picture else None,
+               "height_reference": height_reference, "geoid_undulation_m": geoid_undulation_m,
+               "fill": fill or None}  # fmt: skip
+    tables = {"title": Path(folder).resolve().name, "terrain": terrain}
+    tables |= _sources(picture is not None, day, model, material, sky_temperature)
+    made_from = " and ".join(Path(path).name for path in (elevation, orthophoto) if path is not None)
+    texels = picture[2] if picture else target
     flight_m, flight = _flight(bounds, _step(crs, texels))
     with atomic_folder(folder) as part:
         _write(part / "elevation.tif", height[None].astype(np.float32), target, nodata=np.nan, predictor=3)
-        _write(part / "orthophoto.tif", np.moveaxis(rgb, -1, 0), texels, predictor=2, photometric="RGB", mask=valid)
-        write_text(part / "scene.toml", text)
+        if picture:
+            _write(part / "orthophoto.tif", np.moveaxis(picture[0], -1, 0), texels, predictor=2, photometric="RGB",
+                   mask=picture[1])  # fmt: skip
+        if weather is not None:
+            shutil.copyfile(weather, part / _copied(weather))
+        write_text(part / "scene.toml", toml_text(tables, f"Made from {made_from}."))
         write_text(part / "flight.csv", flight)
+    known = np.isfinite(height)
+    after = np.isfinite(filled(height)[0]) if fill else known
     return {
         "crs": crs.to_string(),
         "posts": [target.height, target.width],
@@ -136,7 +147,76 @@ def import_terrain(
         "flight_m": flight_m,
         "share_without_height": float(1.0 - after.mean()),
         "share_filled": float((after & ~known).mean()),
+        **_colour_shares(*picture[:2] if picture else (None, None)),
+    }
+
+
+def _check(
+    model: str, material: str, height_reference: str | None, geoid_undulation_m: float | None,
+    sky_temperature: float | None,
+) -> None:  # fmt: skip
+    from thermorender.learned.temperature_map import load_model
+    from thermorender.materials.library import find, load_library
+
+    load_model(model)
+    find(load_library(), material, "material").emissivity_at(np.array(defaults.BAND_UM))
+    if height_reference not in (None, "ellipsoid", "geoid"):
+        raise ThermorenderError(f"height_reference={height_reference!r} is not allowed; give ellipsoid or geoid")
+    _finite("geoid_undulation_m", geoid_undulation_m)
+    if sky_temperature is not None:
+        _finite("sky_temperature", sky_temperature)
+        scene_kelvin("sky_temperature", sky_temperature)
+
+
+def _weather(path: Path | None, time: str | None, height: NDArray[np.float64], grid: Grid) -> dict[str, Any] | None:
+    """The table [weather] of a file and an instant, both tried at the terrain's place; None without a file."""
+    if path is None:
+        if time is not None:
+            raise ThermorenderError(f"time={time} is the instant of a weather; give --weather too, or leave it out")
+        return None
+    if time is None:
+        raise ThermorenderError(f"weather={path} needs the scene's instant; give --time, such as 2018-07-28T14:30Z")
+    when = instant("time", time)
+    first, second, *_ = [*formats.read_text(path, "UTF-8").splitlines(), "", ""]
+    kind = "epw" if first.startswith("LOCATION") or second.startswith("Date (MM/DD/YYYY)") else "file"
+    x, y = grid.to_map(grid.width / 2, grid.height / 2)
+    (longitude,), (latitude,) = lon_lat(grid, np.array([x]), np.array([y]))
+    spec = WeatherSpec(when, epw=Path(path)) if kind == "epw" else WeatherSpec(when, file=Path(path))
+    declared_weather(spec, float(latitude), float(longitude), float(np.nanmedian(height)))
+    return {"time": utc_text(when), kind: _copied(path)}
+
+
+def _copied(weather: Path) -> str:
+    """Name of a weather file in the scene's folder."""
+    return "weather" + Path(weather).suffix
+
+
+def _sources(
+    picture: bool, weather: dict[str, Any] | None, model: str, material: str, sky_temperature: float | None
+) -> dict[str, Any]:
+    """The scene file's tables of temperatures, materials, weather, sky and camera."""
+    one = {"source": "material", "material": material}
+    if weather is not None:
+        tables: dict[str, Any] = {"temperature": {"source": "balance"}, "weather": weather}
+        found = {"source": "learned", "model": defaults.EMISSIVITY_MAP, "fallback": material}
+        tables["emissivity"] = found if picture else one
+    else:
+        placeholder = {"source": "learned", "model": model} if picture else {"source": "constant", "value": GROUND_K}
+        tables = {"temperature": placeholder, "emissivity": one}
+        sky_temperature = SKY_K if sky_temperature is None else sky_temperature
+    if sky_temperature is not None:
+        tables["sky"] = {"temperature": sky_temperature}
+    return tables | {"camera": {"model": defaults.CAMERA}}
+
+
+def _colour_shares(rgb: NDArray[np.uint8] | None, valid: NDArray[np.bool_] | None) -> dict[str, float | None]:
+    if rgb is None or valid is None:
+        return dict.fromkeys(("share_without_colour", "share_collar", "share_clipped"))
+    shown = np.where(valid[..., None], rgb, 0)
+    return {
         "share_without_colour": float(1.0 - valid.mean()),
+        "share_collar": float((empty_border(shown, COLLAR) & valid).mean()),
+        "share_clipped": float((((rgb == 0) | (rgb == 255)).any(axis=-1) & valid).sum() / max(valid.sum(), 1)),
     }
 
 

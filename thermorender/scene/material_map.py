@@ -17,7 +17,8 @@ from thermorender.materials.material import Material
 from thermorender.materials.mixture import palette
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene import terrain
-from thermorender.scene.raster import Grid, grid_of, read_colour
+from thermorender.scene.parts.orthophoto import read_colour
+from thermorender.scene.raster import Grid, grid_of
 from thermorender.scene.spec import DEFAULT_CONFIDENCE, EmissivitySpec, SceneSpec, read_scene
 from thermorender.scene.surface import fill, nearest_valid
 

@@ -1,6 +1,6 @@
 """Georeferenced rasters: read with NaN for missing data, and resampled onto one pixel grid."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -82,6 +82,11 @@ def opened(path: Path | str) -> Iterator[Any]:
                         f"{path} has {dataset.width}×{dataset.height} pixels; a raster may have up to {MOST_TEXELS}, "
                         "so cut or thin it, for example with `rio warp`"
                     )
+                if len(dataset.subdatasets) > 1 or (dataset.subdatasets and dataset.count):
+                    raise ThermorenderError(
+                        f"{path} holds {len(dataset.subdatasets)} rasters ({_listed(dataset.subdatasets)}); copy "
+                        f"one to its own file, for example with `rio convert '{dataset.subdatasets[0]}' OUT.tif`"
+                    )
                 yield dataset
     except UnicodeEncodeError:
         raise ThermorenderError(f"{path}: this name is not valid Unicode, which GDAL needs; rename it") from None
@@ -91,6 +96,10 @@ def opened(path: Path | str) -> Iterator[Any]:
         raise ThermorenderError(
             f"{path} cannot be read as a raster: {reason}; give a complete file such as a GeoTIFF"
         ) from None
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
 
 
 def files_of(path: Path) -> list[str]:
@@ -191,8 +200,11 @@ def _crs_free(error: Exception) -> str:
     return str(error).partition(" from '{")[0]
 
 
-def read_band(path: Path) -> NDArray[np.float64]:
-    """Return one band as float64 with NaN where the file has no data, (h, w); scale and offset tags applied."""
+def read_band(path: Path, missing: Sequence[float] = ()) -> NDArray[np.float64]:
+    """Return one band as float64 with NaN where the file has no data, (h, w); scale and offset tags applied.
+
+    Values of `missing`, before scale and offset, are no data too.
+    """
     with opened(path) as dataset:
         if dataset.count != 1:
             raise ThermorenderError(f"{path} has {dataset.count} bands where one is expected; extract the one to use")
@@ -200,7 +212,10 @@ def read_band(path: Path) -> NDArray[np.float64]:
             raise ThermorenderError(f"{path} holds complex numbers; give a raster of integers or real numbers")
         values = dataset.read(1, masked=True)
         scale, offset = dataset.scales[0], dataset.offsets[0]
-    filled: NDArray[np.float64] = np.ma.filled(values.astype(np.float64), np.nan) * scale + offset
+    filled: NDArray[np.float64] = np.ma.filled(values.astype(np.float64), np.nan)
+    if missing:
+        filled[np.isin(filled, missing)] = np.nan
+    filled = filled * scale + offset
     return filled
 
 
@@ -219,37 +234,6 @@ def read_classes(path: Path) -> NDArray[np.int16]:
             f"{path} holds {numbers[odd][0]:g}, which is not a class number; give whole numbers 0…255 (0 marks no data)"
         )
     return numbers.astype(np.int16)
-
-
-def read_colour(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """Return (rgb (h, w, 3) uint8, valid (h, w) bool) of an 8-bit orthophoto with three or four bands."""
-    with opened(path) as dataset:
-        if dataset.count < 3 or dataset.dtypes[0] != "uint8":
-            raise ThermorenderError(
-                f"{path} has {dataset.count} bands of {dataset.dtypes[0]}; an orthophoto needs three of uint8 (RGB)"
-            )
-        rgb: NDArray[np.uint8] = np.ascontiguousarray(np.moveaxis(dataset.read([1, 2, 3]), 0, -1))
-        valid = dataset.dataset_mask() > 0
-    return rgb, valid & ~empty_border(rgb)
-
-
-def empty_border(rgb: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Return where an orthophoto is empty: pure black or white areas connected to its edge, (h, w)."""
-    from scipy.ndimage import label
-
-    empty = np.zeros(rgb.shape[:2], dtype=bool)
-    for level in (0, 255):
-        flat = (rgb == level).all(axis=-1)
-        if flat[0].any() or flat[-1].any() or flat[:, 0].any() or flat[:, -1].any():
-            areas, count = label(flat)
-            edge = np.concatenate([areas[0], areas[-1], areas[:, 0], areas[:, -1]])
-            touching = np.bincount(edge, minlength=count + 1)
-            # A few such pixels on the edge are image content, not border.
-            large = np.bincount(areas.ravel(), minlength=count + 1) >= 64
-            keep = (touching > 0) & large
-            keep[0] = False
-            empty |= keep[areas]
-    return empty
 
 
 def onto(values: NDArray[Any], source: Grid, target: Grid, resampling: str) -> NDArray[Any]:

@@ -103,7 +103,7 @@ class Scene(Edits):
         count = len(surfaces) if terrain_count is None else terrain_count
         ground, static = tuple(surfaces[:count]), tuple(surfaces[count:])
         highest_m = max(float(surface.vertices[:, 2].max()) for surface in surfaces)
-        shape = Shape(None, None, ground, static, (), (), (), highest_m)
+        shape = Shape(None, None, ground, None, static, (), (), (), highest_m)
         painted = tuple(Painted(each.material, each.colour, each.flags) for each in ground)
         return cls(None, declared, of_surfaces(declared, shape, Cover(tuple(materials), painted, (), {}), None))
 

@@ -15,7 +15,7 @@ FILLED = 2  # colour, material or height is unknown: filled from the nearest val
 FALLBACK = 4  # the source has no temperature: the nearest one, or the material's own where a learned map fails
 SATURATED = 8  # the sensor's range is exceeded
 BACKGROUND = 16  # no surface is hit below the horizon: the black background beyond the terrain
-UNKNOWN = 32  # the learned emissivity map does not know this material: the scene's fallback material
+UNKNOWN = 32  # a learned emissivity map or a class raster does not know it: the scene's fallback material
 UNMOVED = 64  # a map could not be moved to this instant, or is uninformative: the heat balance is used
 BEHIND = 128  # a surface's back, with the front's light: a camera below ground or in a body, or flipped normals
 
@@ -84,6 +84,8 @@ class Surface:
 
 # Hotter than any flame: a higher value is a placeholder for "no data", or not a temperature.
 HOTTEST_KELVIN = 3000.0
+# Largest share of the terrain that a raster draped on it may leave open without a stated value for the rest.
+MOST_OPEN = 0.01
 _Kelvin = TypeVar("_Kelvin", bound=ArrayLike)
 
 

@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
+from thermorender.footage.radiometric_files import likely_scales
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import Mixture
-from thermorender.scene.raster import Grid, grid_of, onto, read_band
+from thermorender.scene.raster import Grid, grid_of, onto, opened, read_band
 from thermorender.scene.spec import TemperatureSpec, WeatherSpec
-from thermorender.scene.surface import FALLBACK, fill, nearest_valid, scene_kelvin
+from thermorender.scene.surface import FALLBACK, MOST_OPEN, fill, nearest_valid, scene_kelvin
 from thermorender.schema import Where, read
-from thermorender.units import ZERO_CELSIUS_K
+from thermorender.units import ZERO_CELSIUS_K, kelvin_scale
 
 if TYPE_CHECKING:
     from thermorender.learned.temperature_map import Inputs, TemperatureMap
@@ -23,6 +24,10 @@ if TYPE_CHECKING:
 _Kelvin = NDArray[np.float32] | NDArray[np.float64]
 # Assumed error of a map that states none [K]: about the specification of calibrated cameras.
 ASSUMED_ERROR_K = 2.0
+# No terrain has a higher median; fires and lava cover less [K].
+_HOTTEST_MEDIAN_K = 700.0
+# Larger values mark missing data.
+_PLACEHOLDER = 1e6
 
 
 @dataclass(frozen=True)
@@ -42,6 +47,8 @@ class Texels:
     report : dict
     model : TemperatureMap or None
         The map of a source "learned", as by `learned_map`.
+    on_ground : (h, w) bool or None
+        Texels on the terrain; None if all of them are.
     """
 
     colour: NDArray[np.uint8]
@@ -52,6 +59,7 @@ class Texels:
     where: str
     report: dict[str, Any] = field(default_factory=dict)
     model: "TemperatureMap | None" = None
+    on_ground: NDArray[np.bool_] | None = None
 
 
 def resolve(spec: TemperatureSpec, texels: Texels) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
@@ -107,7 +115,7 @@ def raster_temperature(path: Path, texels: Texels) -> NDArray[np.float64]:
             f"{texels.where}: a temperature raster needs terrain with an elevation raster; a mesh has no map grid"
         )
     grid = grid_of(path)
-    values = read_band(path)
+    values = _in_kelvin(path)
     finite = values[np.isfinite(values)]
     if not finite.size:
         raise ThermorenderError(f"{path} has no valid temperature in it; give a raster of kelvin")
@@ -115,6 +123,36 @@ def raster_temperature(path: Path, texels: Texels) -> NDArray[np.float64]:
     values = onto(values, grid, texels.grid, "bilinear")
     if not np.isfinite(values).any():
         raise ThermorenderError(f"{path} does not overlap the texels of {texels.where}; give one of the same area")
+    return values
+
+
+def _in_kelvin(path: Path) -> NDArray[np.float64]:
+    """A raster's temperatures, (h, w) [K], by the unit it declares; kelvin without one."""
+    with opened(path) as dataset:
+        unit, kind = (dataset.units[0] or "", dataset.dtypes[0]) if dataset.count else ("", "")
+        plain = dataset.count == 0 or (dataset.scales[0], dataset.offsets[0]) == (1.0, 0.0)
+    values = read_band(path)
+    scale = kelvin_scale(unit)
+    if unit and scale is None:
+        raise ThermorenderError(
+            f"{path} holds values in {unit!r}; give K, °C or °F, or declare the right unit with "
+            "`rio edit-info --bidx 1 --units K FILE`"
+        )
+    if scale is not None:
+        return values * scale[0] + scale[1]
+    if plain and kind == "uint8":
+        raise ThermorenderError(
+            f"{path} holds 8-bit values without a unit, which are grey levels and not kelvin; give a raster of "
+            "kelvin, or declare its unit and scale"
+        )
+    if plain and np.isfinite(values).any() and _HOTTEST_MEDIAN_K < np.nanmedian(values) < _PLACEHOLDER:
+        names = likely_scales(values)
+        raise ThermorenderError(
+            f"{path} holds values around {np.nanmedian(values):.6g} without a unit, which are not kelvin"
+            + (f" but perhaps counts of {' or '.join(names)}" if names else "")
+            + "; give a raster of kelvin, or declare its scale, offset and unit, for example with "
+            "`gdal_edit.py -scale 0.1 -offset 0 -units K`"
+        )
     return values
 
 
@@ -129,7 +167,17 @@ def _raster(spec: TemperatureSpec, texels: Texels) -> tuple[_Kelvin, NDArray[np.
     values = raster_temperature(spec.raster, texels)
     valid = np.isfinite(values)
     if not valid.all():
-        values = fill(values, nearest_valid(valid))
+        ground = np.ones_like(valid) if texels.on_ground is None else texels.on_ground
+        share = float((~valid & ground).sum() / max(ground.sum(), 1))
+        if spec.value is None and share > MOST_OPEN:
+            raise ThermorenderError(
+                f"{spec.raster} leaves {share:.1%} of the terrain of {texels.where} without a temperature; give one "
+                "that covers it, or state the kelvin of the rest as temperature.value"
+            )
+        if share > 0.0:
+            rest = "the nearest one" if spec.value is None else f"temperature.value={spec.value:g} K"
+            texels.report[str(spec.raster)] = {"share_fallback": share, "fallback": rest}
+        values = fill(values, nearest_valid(valid)) if spec.value is None else np.where(valid, values, spec.value)
     return values, np.where(valid, 0, FALLBACK).astype(np.uint8)
 
 

@@ -9,8 +9,14 @@ from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene.raster import Grid, grid_of, lon_lat, opened, read_band
 
-# Names of a raster's unit that mean metres; a raster without a unit is taken to be in metres.
-_METRES = ("", "m", "metre", "metres", "meter", "meters")
+# Metres in a unit of height, by the names in use; a raster of a map in metres is in metres if it names no unit.
+_METRES = (
+    dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0)
+    | dict.fromkeys(("ft", "foot", "feet", "international foot", "international feet"), 0.3048)
+    | dict.fromkeys(("us-ft", "ftus", "us survey foot", "us survey feet", "foot_us", "us_survey_foot"), 1200.0 / 3937.0)
+)
+# Placeholders for missing heights in files that declare none.
+_PLACEHOLDERS = (-9999.0, -32767.0, -32768.0, 32767.0, 65535.0)
 
 
 def read_elevation(path: Path) -> tuple[NDArray[np.float64], Grid]:
@@ -19,19 +25,15 @@ def read_elevation(path: Path) -> tuple[NDArray[np.float64], Grid]:
     Raises
     ------
     ThermorenderError
-        No CRS or one that its coordinates do not fit, fewer than 2 × 2 posts, no valid height, or another unit.
+        No CRS or one that its coordinates do not fit, fewer than 2 × 2 posts, no valid height, or a unit of height that
+        is not known or contradictory.
     """
     grid = grid_of(path)
     left, bottom, right, top = grid.bounds
     lon_lat(grid, np.array([left, right]), np.array([bottom, top]))
-    with opened(path) as dataset:
-        unit = dataset.units[0] if dataset.count else None
-    if (unit or "").strip().lower() not in _METRES:
-        raise ThermorenderError(
-            f"{path} holds heights in {unit!r}; give metres, or correct a wrong unit with `gdal_edit.py -units m`"
-        )
-    height = read_band(path)
-    # Files often carry an undeclared placeholder such as −9999 or ±3.4e38.
+    factor = _metres(path)
+    height = factor * read_band(path, _PLACEHOLDERS)
+    # ±3.4e38 and others.
     height[~(np.abs(height) < 9000.0)] = np.nan
     if min(height.shape) < 2:
         raise ThermorenderError(f"{path} has {height.shape[0]}×{height.shape[1]} posts; terrain needs at least 2×2")
@@ -40,6 +42,36 @@ def read_elevation(path: Path) -> tuple[NDArray[np.float64], Grid]:
             f"{path} has no valid height in it (all nodata, NaN or beyond ±9000 m); give another DEM"
         )
     return height, grid
+
+
+def _metres(path: Path) -> float:
+    """Metres in the unit of a raster's heights, by its band and its vertical CRS."""
+    with opened(path) as dataset:
+        unit = (dataset.units[0] if dataset.count else None) or ""
+        crs = dataset.crs.to_dict(projjson=True)
+        map_unit = dataset.crs.linear_units if dataset.crs.is_projected else "metre"
+    declare = "declare the right unit with `rio edit-info --bidx 1 --units m FILE` (or ft, or us-ft)"
+    factor = _METRES.get(unit.strip().lower()) if unit else None
+    if unit and factor is None:
+        raise ThermorenderError(f"{path} holds heights in {unit!r}; give metres or feet, or {declare}")
+    crs = crs.get("source_crs", crs)
+    axes = [axis for part in crs.get("components", [crs]) for axis in part.get("coordinate_system", {}).get("axis", [])]
+    if any(axis["direction"] == "down" for axis in axes):
+        raise ThermorenderError(f"{path} holds depths by its vertical CRS; give heights, which count upward")
+    for axis in (axis for axis in axes if axis["direction"] == "up"):
+        stated = axis["unit"]
+        of_crs = float(stated["conversion_factor"]) if isinstance(stated, dict) else 1.0
+        if factor is not None and abs(factor / of_crs - 1.0) > 1e-9:
+            raise ThermorenderError(
+                f"{path} contradicts itself: its heights are in {unit!r} by the band, and in units of {of_crs:.7g} m "
+                f"by the vertical CRS; {declare}, or another CRS"
+            )
+        return of_crs
+    if factor is None and _METRES.get(map_unit.lower(), 1.0) != 1.0:
+        raise ThermorenderError(
+            f"{path} does not declare the unit of its heights, and its map is in {map_unit}; {declare}"
+        )
+    return 1.0 if factor is None else factor
 
 
 def filled(height: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

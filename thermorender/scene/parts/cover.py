@@ -18,7 +18,7 @@ from thermorender.materials.material import Material, grey
 from thermorender.scene.material_map import learned_materials
 from thermorender.scene.parts.read import Parts
 from thermorender.scene.spec import EmissivitySpec, ObjectSpec
-from thermorender.scene.surface import FILLED, MOST_MATERIALS, SURFACE, UNKNOWN, Surface, fill, nearest_valid
+from thermorender.scene.surface import FILLED, MOST_MATERIALS, MOST_OPEN, SURFACE, UNKNOWN, Surface, fill, nearest_valid
 
 # New materials by what they replace: a class number, a material's name, or "object:" and an object's name.
 Replaced = Mapping[int | str, Material]
@@ -165,6 +165,18 @@ def _raster_cover(
         for value, name in emissivity.classes.items():
             lookup[value] = materials.index(name, f"emissivity.classes.{value}", value)
         known = parts.classes != 0
+        share = _open(parts, ~known & valid)
+        if share > 0.0:
+            rest = emissivity.fallback or "the class beside them"
+            report.update(model=f"{emissivity.raster}", fallback=rest, share_unknown=share)
+        if emissivity.fallback and share > 0.0:
+            lookup[0], unknown = materials.index(emissivity.fallback, "emissivity.fallback"), ~known & valid
+            known = known | unknown
+        elif share > MOST_OPEN:
+            raise ThermorenderError(
+                f"{emissivity.raster} leaves {share:.1%} of the terrain of {materials.where} without a class; give one "
+                "that covers it, or name the material of the rest as emissivity.fallback"
+            )
         material = np.where(known, lookup[parts.classes], 0).astype(np.uint8)
         valid &= known
     else:
@@ -178,6 +190,13 @@ def _raster_cover(
         valid &= ~parts.filled
     flags = SURFACE | np.where(valid, 0, FILLED) | np.where(unknown, UNKNOWN, 0)
     return Painted(material, colour, flags.astype(np.uint8))
+
+
+def _open(parts: Parts, missing: NDArray[np.bool_]) -> float:
+    """Share of the terrain's texels that a raster leaves open."""
+    if parts.on_ground is None:
+        return float(missing.mean())
+    return float((missing & parts.on_ground).sum() / max(parts.on_ground.sum(), 1))
 
 
 def _learned(

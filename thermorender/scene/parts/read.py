@@ -13,8 +13,9 @@ from thermorender.materials.material import Material
 from thermorender.physics.geodesy import FARTHEST_M, LocalFrame
 from thermorender.scene import terrain
 from thermorender.scene.parts import mesh
+from thermorender.scene.parts.orthophoto import read_colour
 from thermorender.scene.parts.tracks import TrackedObject, read_track
-from thermorender.scene.raster import Grid, bounds_in, grid_of, onto, read_classes, read_colour
+from thermorender.scene.raster import Grid, bounds_in, grid_of, onto, read_classes
 from thermorender.scene.spec import ObjectSpec, SceneSpec
 from thermorender.scene.surface import SURFACE, Surface
 
@@ -38,6 +39,8 @@ class Parts:
         Class numbers on the texel grid, 0 for no data; None without a class raster.
     filled : (h, w) bool or None
         Where heights were filled; None where none were.
+    on_ground : (h, w) bool or None
+        Texels on the terrain; None if all of them are.
     objects : tuple of TrackedObject
         Every object, in its own frame; one without a track has one row.
     library : dict of str to Material
@@ -50,6 +53,7 @@ class Parts:
     valid: NDArray[np.bool_] | None
     classes: NDArray[np.uint8] | None
     filled: NDArray[np.bool_] | None
+    on_ground: NDArray[np.bool_] | None
     objects: tuple[TrackedObject, ...]
     library: Mapping[str, Material]
 
@@ -108,7 +112,17 @@ def _raster_terrain(spec: SceneSpec, where: str, library: Mapping[str, Material]
     classes = _classes(spec, texels, where) if spec.emissivity.source == "classes" else None
     surface = _surface("terrain", vertices, faces, uv, shape, terrain.texel_size_m(texels, frame))
     filled = None if made is None else onto(made.astype(np.float32), grid, texels, "max") == 1.0
-    return Parts(frame, texels, (surface,), colour, valid, classes, filled, (), library)
+    on_ground = _on_ground(height, grid, texels)
+    return Parts(frame, texels, (surface,), colour, valid, classes, filled, on_ground, (), library)
+
+
+def _on_ground(height: NDArray[np.float64], grid: Grid, texels: Grid) -> NDArray[np.bool_] | None:
+    """Texels on posts with a height, (h, w); None if all of them are."""
+    known = np.isfinite(height)
+    if known.all() and grid.same_as(texels):
+        return None
+    found: NDArray[np.bool_] = onto(known.astype(np.float32), grid, texels, "nearest") == 1.0
+    return None if found.all() else found
 
 
 def _texel_grid(spec: SceneSpec, elevation_grid: Grid) -> Grid:
@@ -159,7 +173,7 @@ def _mesh_terrain(spec: SceneSpec, where: str, library: Mapping[str, Material]) 
     assert spec.terrain.mesh is not None
     ground = tuple(_part_surface(part) for part in mesh.load(spec.terrain.mesh, spec.folder))
     frame = LocalFrame(*spec.frame) if spec.frame else None
-    return Parts(frame, None, ground, None, None, None, None, (), library)
+    return Parts(frame, None, ground, None, None, None, None, None, (), library)
 
 
 def _object(item: ObjectSpec, folder: Path) -> TrackedObject:

@@ -3,6 +3,9 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene.ground import Ground
@@ -27,6 +30,8 @@ class Shape:
     grid : Grid or None
     ground : tuple of Surface
         The terrain.
+    on_ground : (h, w) bool or None
+        Texels on the terrain; None if all of them are.
     static : tuple of Surface
         Of objects without a track, in the scene's frame.
     static_of : tuple of int
@@ -41,6 +46,7 @@ class Shape:
     frame: LocalFrame | None
     grid: Grid | None
     ground: tuple[Surface, ...]
+    on_ground: NDArray[np.bool_] | None
     static: tuple[Surface, ...]
     static_of: tuple[int, ...]
     tracked: tuple[TrackedObject, ...]
@@ -83,6 +89,7 @@ def shape_of(parts: Parts, objects: Sequence[ObjectSpec], held: Held, where: str
         frame=parts.frame,
         grid=parts.grid,
         ground=tuple(evened(surface) for surface in finer),
+        on_ground=parts.on_ground,
         static=tuple(done[: len(static)]),
         static_of=tuple(static_of),
         tracked=tuple(replace(one, surfaces=tuple(refined((), one.surfaces)[1])) for one in tracked),

@@ -339,7 +339,7 @@ def _temperatures(
     else:
         found = [
             resolve(spec, Texels(own.colour, own.material, cover.materials, shape.grid, surface.texel_m, now.where,
-                                 report, now.model))
+                                 report, now.model, shape.on_ground))
             for surface, own in zip(shape.ground, cover.ground, strict=True)
         ]  # fmt: skip
     kelvin, flags = [each[0] for each in found], [each[1] for each in found]
