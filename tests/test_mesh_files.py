@@ -450,6 +450,7 @@ def test_obj_shows_the_materials_that_it_names(obj, text, shown):
         ("mtllib own.mtl\nusemtl m\n", "newmtl m\nKd spectral file.rfl\n", "has Kd spectral file.rfl; give red"),
         ("mtllib own.mtl\nusemtl m\n", "newmtl m\nKd 1 0 0\nnewmtl m\nKd 0 1 0\n", "two materials 'm'"),
         ("surf 0 1 0 1 1 2\n", None, "cannot be read as a mesh (line 1 begins with 'surf')"),
+        ("usemap t.png\n", None, "cannot be read as a mesh (line 1 begins with 'usemap')"),
     ],
 )
 def test_obj_with_another_material_than_it_has_is_refused(obj, text, mtl, words):

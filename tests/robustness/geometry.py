@@ -256,7 +256,7 @@ def mesh_on_a_map():
         path = Path(folder) / "ground.obj"
         lines = [f"v {x + 5e5} {y + 5e6} {z}" for x, y, z in _CORNERS] + ["f 1 4 2", "f 2 4 3"]
         write_text(path, "\n".join(lines) + "\n")
-        return refused(lambda: load(path), "with an origin beside it")
+        return refused(lambda: load(path), "shifted to an origin near it")
 
 
 @case("geometry", "land of 100 km, posts of 50 m, a kelvin per km: {:g}° below level, from 1 km", (1.5, 2.0))
