@@ -284,6 +284,16 @@ def test_primitives_have_their_own_textures_and_colours(tmp_path):
     assert shown == [RED, GREEN, (0, 0, 255), (255, 0, 0), (124, 124, 124)]
 
 
+def test_nodes_of_one_texture_share_its_texels(tmp_path):
+    file = Gltf().square()
+    file.tree["nodes"] = [{"mesh": 0, "translation": [10 * k, 0, 0]} for k in range(3)]
+    file.tree["scenes"] = [{"nodes": [0, 1, 2]}]
+    (part,) = load(file.write(tmp_path / "m.glb"))
+    assert part.colour.shape == (16, 16, 3) and len(part.faces) == 6
+    shown = [at([part], (10 * k + x, y)) for k in range(3) for x, y in ((-0.5, 0.4), (0.5, 0.4), (0.5, -0.6))]
+    assert shown == 3 * [RED, GREEN, WHITE]
+
+
 def changed(change):
     """A square's file after a change of it."""
     file = Gltf().square()
@@ -440,6 +450,7 @@ def test_obj_shows_the_materials_that_it_names(obj, text, shown):
         ("mtllib own.mtl\nusemtl m\n", "newmtl m\nKd spectral file.rfl\n", "has Kd spectral file.rfl; give red"),
         ("mtllib own.mtl\nusemtl m\n", "newmtl m\nKd 1 0 0\nnewmtl m\nKd 0 1 0\n", "two materials 'm'"),
         ("surf 0 1 0 1 1 2\n", None, "cannot be read as a mesh (line 1 begins with 'surf')"),
+        ("usemap t.png\n", None, "cannot be read as a mesh (line 1 begins with 'usemap')"),
     ],
 )
 def test_obj_with_another_material_than_it_has_is_refused(obj, text, mtl, words):

@@ -1,7 +1,7 @@
 """Meshes from files (OBJ, GLB, PLY, …) and primitives, as parts with map coordinates and a colour image.
 
-A mesh of several textures or materials becomes several parts, and each a surface of the scene with its own texels. An
-atlas would save no memory and would need its texels moved.
+A mesh of several textures or materials becomes one part for each, and each part a surface of the scene with its own
+texels. An atlas would save no memory and would need its texels moved.
 """
 
 import io
@@ -117,10 +117,27 @@ def _plain(path: Path) -> list[Piece]:
     return [Piece(f"{path.stem}:mesh", vertices, faces, None, Coat(colour=colour))]
 
 
+def _joined(pieces: Sequence[Piece]) -> list[Piece]:
+    """The pieces, those with one image joined: the texels of a surface take far more memory than its triangles."""
+    groups: dict[Any, list[Piece]] = {}
+    for number, piece in enumerate(pieces):
+        coat = piece.coat
+        shared = coat.image is not None and piece.uv is not None
+        key = (coat.image, coat.factor.tobytes(), coat.repeats, coat.cut_below) if shared else number
+        groups.setdefault(key, []).append(piece)
+    joined = []
+    for group in groups.values():
+        first = np.cumsum([0, *(len(piece.vertices) for piece in group)])
+        faces = np.concatenate([piece.faces + start for piece, start in zip(group, first, strict=False)])
+        uv = None if group[0].uv is None else np.concatenate([piece.uv for piece in group if piece.uv is not None])
+        vertices = np.concatenate([piece.vertices for piece in group])
+        joined.append(Piece(group[0].name, vertices, faces, uv, group[0].coat))
+    return joined
+
+
 def _parts(path: Path, pieces: Sequence[Piece]) -> list[Part]:
-    images: dict[tuple[int, bytes], NDArray[np.uint8]] = {}
     parts = []
-    for piece in pieces:
+    for piece in _joined(pieces):
         if not (np.abs(piece.vertices) <= FARTHEST_M).all():
             raise ThermorenderError(
                 f"{path} has a vertex that is not finite or is more than {FARTHEST_M / 1e3:g} km from its origin; "
@@ -134,10 +151,7 @@ def _parts(path: Path, pieces: Sequence[Piece]) -> list[Part]:
                 raise ThermorenderError(f"{path} has a texture but no map coordinates for it; export the mesh with UVs")
             if not np.isfinite(piece.uv).all():
                 raise ThermorenderError(f"{path} has a map coordinate that is not finite; export the mesh again")
-            key = id(coat.image), coat.factor.tobytes()
-            if key not in images:
-                images[key] = _pixels(coat, path)
-            uv, colour = _repeated(piece.uv, images[key], coat, path)
+            uv, colour = _repeated(piece.uv, _pixels(coat, path), coat, path)
         parts.append(Part(piece.name, piece.vertices, faces, uv, colour))
     if not any(_has_area(part) for part in parts):
         raise ThermorenderError(f"{path} holds no triangles of any area; give a mesh with faces")

@@ -17,9 +17,7 @@ from thermorender.errors import ThermorenderError, shortened
 from thermorender.scene.parts.mesh_pieces import GREY, Beside, Coat, Piece, one_colour, triangles
 
 # Statements without influence on triangles and their colour; points and lines have no area.
-_IGNORED = frozenset(
-    "vn vp o g s mg l p lod bevel c_interp d_interp shadow_obj trace_obj maplib usemap end vt. param sp trim".split()
-)
+_IGNORED = frozenset("vn vp o g s mg l p lod bevel c_interp d_interp shadow_obj trace_obj".split())
 _NO_INDEX = np.iinfo(np.int64).min  # of a corner without map coordinates
 _CHUNK = 100_000  # lines, which bounds the memory of their words
 _Floats = NDArray[np.float64]
