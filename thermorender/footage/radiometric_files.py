@@ -99,7 +99,8 @@ def read_temperature(
     counts, declared, _ = read_tiff(path)
     if scale is None and declared is None:
         raise ThermorenderError(
-            f"{path} does not declare the unit of its counts; {scale_request(likely_scales(counts))}"
+            f"{path} does not declare the unit of its counts; {scale_request(likely_scales(counts))}, or declare them "
+            "in the file, for example with `gdal_edit.py -scale STEP -offset ZERO -units K`"
         )
     step, zero = scale or declared
     return counts * float(step) + float(zero)
