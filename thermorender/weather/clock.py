@@ -9,7 +9,7 @@ from thermorender.physics import sun
 # Shifts that are refused and noted [min]. Afternoon clouds move the best fit of a week or more by about 20 min, so an
 # hour may look like 40 min.
 _REFUSED_MIN, _REFUSED_LONG_MIN, _NOTED_MIN = 45, 35, 20
-# Over several blocks the median fit is within 5 min for correct clocks, and half an hour is certain.
+# The median of several blocks is within 5 min for correct clocks, so half an hour is certain.
 _REFUSED_MEDIAN_MIN, _BLOCKS = 25, 4
 _STEP_MIN = 5
 # The series is checked in blocks, to detect summer time [days].
@@ -48,25 +48,28 @@ def check_clock(
     ThermorenderError
         The light agrees with the sun after a shift, and some of it is impossible without the shift.
     """
-    note, shifts, beyonds = None, [], 0
+    note, found = None, []
     block = ((time - time[0]) / np.timedelta64(_BLOCK_D, "D")).astype(int)
     for number in range(block.max() + 1):
         part = block == number
         shift, fit, beyond = _shift(time[part], light[part], latitude_deg, longitude_deg, step_s)
         long = time[part][-1] - time[part][0] >= np.timedelta64(_LONG_D, "D")
-        if long:
-            shifts.append(shift)
-            beyonds += beyond
-        if abs(shift) >= (_REFUSED_LONG_MIN if long else _REFUSED_MIN) and beyond >= _FEWEST:
-            _refuse(where, time[part][0], shift, latitude_deg, longitude_deg, light_shift_min)
+        found.append((shift, beyond, _REFUSED_LONG_MIN if long else _REFUSED_MIN, time[part][0]))
         if note is None and abs(shift) >= _NOTED_MIN and fit > _CLEAR_FIT:
             note = (
                 f"Sunlight is {abs(shift)} min {'before' if shift > 0 else 'after'} the sun: times should be the "
                 "middles of averaging intervals."
             )
-    median = _STEP_MIN * round(float(np.median(shifts)) / _STEP_MIN) if len(shifts) >= _BLOCKS else 0
-    if abs(median) >= _REFUSED_MEDIAN_MIN and beyonds >= _FEWEST:
-        _refuse(where, time[0], median, latitude_deg, longitude_deg, light_shift_min)
+    median = float(np.median([shift for shift, *_ in found]))
+    half = 30 * round(median / 30.0)
+    # Half hours are conventions; others are taken as fitted.
+    whole = half if abs(median - half) <= _STEP_MIN else _STEP_MIN * round(median / _STEP_MIN)
+    if len(found) >= _BLOCKS and abs(median) >= _REFUSED_MEDIAN_MIN and sum(each[1] for each in found) >= _FEWEST:
+        _refuse(where, time[0], whole, latitude_deg, longitude_deg, light_shift_min)
+    for shift, beyond, refused, start in found:
+        if abs(shift) >= refused and beyond >= _FEWEST:
+            shift = whole if abs(shift - whole) <= _NOTED_MIN else shift
+            _refuse(where, start, shift, latitude_deg, longitude_deg, light_shift_min)
     return note
 
 

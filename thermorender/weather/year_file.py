@@ -66,7 +66,7 @@ _PSM = {
 _BELOW = -9000.0
 _DAY_MIN = 1440
 # Least number of depths of rain below 3 mm that prove tenths of a millimetre: TMY3 always comes from such gauges.
-_FEWEST_TMY3, _FEWEST_EPW = 1, 5
+_FEWEST_TMY3, _FEWEST_EPW = 1, 10
 _OFFSET = re.compile(r"Irradiance Time Offset \(h\): *([-+]?[\d.]+)", re.IGNORECASE)
 _AVERAGING = re.compile(r"Averaging Method: *([\w ]+)", re.IGNORECASE)
 
