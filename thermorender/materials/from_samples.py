@@ -41,7 +41,7 @@ SOLAR_RANGE_UM = (0.3, 2.5)
 SOLAR_START_UM = 0.42
 SUN_TEMPERATURE_K = 5778.0
 # Reflectances throughout the thermal range that no surface has: soot is brighter, polished gold darker.
-_DARKEST, _BRIGHTEST = 0.0095, 0.99
+_DARKEST, _BRIGHTEST = 0.0101, 0.9899
 # Least number of samples for a standard deviation of the solar absorptance.
 FEWEST_FOR_SPREAD = 3
 
@@ -297,12 +297,10 @@ def _check_sample(sample, name, first, last):
     low, high = inside.min(initial=1.0), inside.max(initial=0.0)
     if high < _DARKEST or low > _BRIGHTEST:
         extreme, wrong = ("at most", high) if high < _DARKEST else ("at least", low)
-        looks = (
-            "shares under a heading of percent" if high < _DARKEST else "an emissivity under a heading of reflectance"
-        )
         raise ThermorenderError(
             f"sample {sample.source} of material {name!r} has reflectance {100 * wrong:.3g} % {extreme} over "
-            f"{first:g}–{last:g} µm, which no surface has; it looks like {looks}: correct the heading or the values"
+            f"{first:g}–{last:g} µm, which no surface has; its heading may state percent for shares, or reflectance "
+            "for emissivity, so correct the heading or the values"
         )
 
 

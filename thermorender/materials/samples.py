@@ -164,8 +164,8 @@ def _stated_units(path, header):
     if to_um is None or divisor is None or "reflect" not in y.lower():
         raise ThermorenderError(
             f"{path} states x units {x!r} and y units {y!r}; only hemispherical reflectance in percent or as a "
-            "fraction, over µm, nm or cm-1, is read from such a file, so write an emissivity as a CSV with the headings "
-            "wavelength_um and emissivity, and leave a transmittance out"
+            "fraction, over µm, nm or cm-1, is read from such a file, so write an emissivity as a CSV with the "
+            "headings wavelength_um and emissivity, and leave a transmittance out"
         )
     return to_um, divisor
 
@@ -229,8 +229,8 @@ def read_columns(path: str | Path) -> Sample:
     through = [key for key in header if "transmi" in key.lower()]
     if through:
         raise ThermorenderError(
-            f"{path} has a column {through[0]!r}; emissivity is one minus reflectance for opaque samples only, so leave "
-            "the sample out, or delete the column if it is 0 throughout"
+            f"{path} has a column {through[0]!r}; emissivity is one minus reflectance for opaque samples only, so "
+            "leave the sample out, or delete the column if it is 0 throughout"
         )
     if len(first) != 1 or len(second) != 1:
         raise ThermorenderError(

@@ -80,8 +80,8 @@ def _refuse(where, start, shift, latitude_deg, longitude_deg, light_shift_min):
         fix = f"write light_shift_min = {light_shift_min + shift:g} into [weather] if its hours are labelled otherwise"
     raise ThermorenderError(
         f"{where}: from {start} on the sunlight is {abs(shift)} min {'before' if shift > 0 else 'after'} the sun at "
-        f"{latitude_deg:g}° north, {longitude_deg:g}° east; the clock looks like about UTC{hours:+g} h, so {fix}, state "
-        "its zone, or correct the coordinates"
+        f"{latitude_deg:g}° north, {longitude_deg:g}° east; the clock looks like about UTC{hours:+g} h, so {fix}, "
+        "state its zone, or correct the coordinates"
     )
 
 

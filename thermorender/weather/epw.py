@@ -76,7 +76,7 @@ def read_epw(
         check_range(path, name, numbers)
         if name == "global_w_m2":
             elevation = sun.position_at(time, *place[:2])[1]
-            check_light(path, name, numbers[source], elevation)
+            check_light(path, name, numbers[source], elevation, 60.0 * step_min)
         # Where in the file's rows the sunlight of each row is found, relative to this quantity's instants.
         own = light_min if name in LIGHT else file.interval_min if name in _MEANS else 0.0
         given[name] = _moved(numbers, (light_min - own) / step_min, file.whole)[source]

@@ -91,7 +91,7 @@ def by_hour(
     wet = several[depth_mm[several] > 0.0]
     if wet.size:
         notes.append(
-            f"{wet.size} amounts of rain of {period[wet].min():g} to {period[wet].max():g} h are spread over their hours."
+            f"{wet.size} amounts of rain over {period[wet].min():g}–{period[wet].max():g} h are spread over the hours."
         )
     return amount
 

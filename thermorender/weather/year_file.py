@@ -217,7 +217,7 @@ def _tmy3(path, lines):
         whole = len(days) >= 365
         _add_rain(path, values, rain, hours, per_hour, whole, _FEWEST_TMY3, "Lprecip depth", notes)
     interval = -0.5 * step
-    stated = _AVERAGING.search(" ".join(lines[0]))
+    stated = _AVERAGING.search(",".join(lines[0]))
     if stated and "end" not in stated[1].lower():
         raise ThermorenderError(
             f"{path}: its first line states the averaging method {stated[1].strip()!r}, but TMY3 labels intervals by "
@@ -294,9 +294,9 @@ def _days(path, labels, step, first_row, hours, end=True):
         number, date = k % per_day, (month, day)
         if number == 0:
             days.append(date)
-            years.add(year)
         elif end and minute == 0 and number == per_day - 1:
-            minute, date = _DAY_MIN, days[-1] if date in _following(days[-1]) else date
+            minute, year, date = _DAY_MIN, labels[k - 1][0], days[-1] if date in _following(days[-1]) else date
+        years.add(year)
         if date != days[-1] or minute != first + number * step:
             raise ThermorenderError(
                 f"{path}, row {first_row + k}: {month}/{day} {text} does not follow the row above; give whole days of "
