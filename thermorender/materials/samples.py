@@ -4,6 +4,7 @@ Every file becomes hemispherical reflectance over ascending wavelength in µm. T
 unit; nothing is guessed.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -127,7 +128,7 @@ def read_ecostress(path: str | Path) -> Sample:
             f"{path} does not exist; order the spectrum at https://speclib.jpl.nasa.gov and put it there"
         )
     header, pairs = ecostress_lines(path)
-    to_um, divisor = _stated_units(path, header)
+    to_um, divisor = stated_units(path, header)
     if "hemispherical" not in header.get("measurement", "").lower():
         raise ThermorenderError(
             f"{path} was measured as {header.get('measurement', 'not stated')!r}; emissivity is one minus reflectance "
@@ -155,8 +156,16 @@ def read_ecostress(path: str | Path) -> Sample:
     )  # fmt: skip
 
 
-def _stated_units(path, header):
-    """(Function of x to µm, what reflectance 1 is in y) that a header states, or an error."""
+def stated_units(
+    path: str | Path, header: dict[str, str]
+) -> tuple[Callable[[NDArray[np.float64]], NDArray[np.float64]], float]:
+    """Return (function of x to µm, what reflectance 1 is in y) that the header of an ECOSTRESS file states.
+
+    Raises
+    ------
+    ThermorenderError
+        The units are not stated, or others, or y is not reflectance.
+    """
     x, y = header.get("x units", "nothing"), header.get("y units", "nothing")
     to_um = next((unit for words, unit in _X_UNITS if any(word in x.lower() for word in words)), None)
     divisor = next((one for words, one in _Y_UNITS if any(word in y.lower() for word in words)), None)
