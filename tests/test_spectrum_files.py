@@ -79,3 +79,17 @@ def test_csv_headings_state_one_quantity_each(tmp_path):
         read_sample(table(tmp_path / "c.csv", "wavelength_um,emissivity", [(1000 * w, 0.9) for w in grid]))
     with pytest.raises(ThermorenderError, match="which no surface has"):
         emissivity(table(tmp_path / "d.csv", "wavelength_um,emissivity_percent", [(w, 0.95) for w in grid]))
+
+
+@pytest.mark.parametrize(("count", "last"), [(250, 6.8), (200, 0.4), (200, 6.8)])
+def test_a_stated_extent_must_be_the_files(tmp_path, count, last):
+    path = spectrum(tmp_path / "a.txt")
+    stated = f"First X Value: 14.2\nLast X Value: {last}\nNumber of X Values: {count}\nX Units:"
+    path.write_text(path.read_text("latin-1").replace("X Units:", stated), "latin-1")
+    if (count, last) == (200, 6.8):
+        assert emissivity(path) == pytest.approx(0.95, abs=1e-4)
+        return
+    with pytest.raises(
+        ThermorenderError, match=f"holds 200 pairs from 6.8 to 14.2 where its header states {count} from"
+    ):
+        read_sample(path)

@@ -138,6 +138,7 @@ def read_ecostress(path: str | Path) -> Sample:
         raise ThermorenderError(
             f"{path} holds {len(pairs)} wavelength and reflectance pairs; order the whole file again"
         )
+    _check_extent(path, header, pairs)
     x, y = np.array(pairs).T
     with np.errstate(divide="ignore"):
         wavelength = to_um(x)
@@ -146,7 +147,7 @@ def read_ecostress(path: str | Path) -> Sample:
         found = pairs[int(broken.argmax())]
         raise ThermorenderError(
             f"{path} holds the pair {found[0]:g}, {found[1]:g}, a wavelength outside {SHORTEST_UM:g}…"
-            f"{LONGEST_WAVELENGTH_UM:g} µm or no number; order the file again, correct its X Units, or delete the line"
+            f"{LONGEST_WAVELENGTH_UM:g} µm or no number; order the file again, or correct its X Units"
         )
     unique, where, count = np.unique(wavelength, return_inverse=True, return_counts=True)
     reflectance = np.bincount(where, weights=y) / count / divisor
@@ -154,6 +155,21 @@ def read_ecostress(path: str | Path) -> Sample:
         name=header.get("name", path.stem), source=path.name, library="ECOSTRESS", wavelength_um=unique,
         reflectance=reflectance, sunlight_um=unique, sunlight_reflectance=reflectance,
     )  # fmt: skip
+
+
+def _check_extent(path, header, pairs):
+    """Refuse pairs that are not as many, or do not begin and end, as a header states."""
+    names = ("number of x values", "first x value", "last x value")
+    try:
+        count, *ends = (float(header[name]) for name in names)
+    except (KeyError, ValueError):
+        return
+    found = sorted((pairs[0][0], pairs[-1][0]))
+    if count != len(pairs) or not np.allclose(found, sorted(ends), rtol=0.01):
+        raise ThermorenderError(
+            f"{path} holds {len(pairs)} pairs from {found[0]:g} to {found[1]:g} where its header states {count:g} from "
+            f"{min(ends):g} to {max(ends):g}; order the whole file again, or correct the header if you edited the file"
+        )
 
 
 def stated_units(
