@@ -54,6 +54,13 @@ def test_reflectance_that_no_surface_has_is_refused(tmp_path, percent):
         emissivity(spectrum(tmp_path / "a.txt", percent))
 
 
+def test_emissivity_under_a_heading_of_reflectance_is_remarked_on(tmp_path):
+    for percent, remarked in ((96.0, True), (5.0, False)):
+        sample = read_sample(spectrum(tmp_path / "a.txt", percent))
+        note = from_samples([sample], "rock", solar_absorptance=0.5).note
+        assert ("if the values are emissivities, their heading is wrong" in note) == remarked
+
+
 def test_impossible_wavelengths_are_refused(tmp_path):
     path = spectrum(tmp_path / "a.txt")
     path.write_text(path.read_text("latin-1") + "1e18\t5.0\n", "latin-1")
