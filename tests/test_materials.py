@@ -519,7 +519,7 @@ def test_samples_without_usable_emissivity_are_refused(tmp_path):
     refused(r"measured as 'Bidirectional'; .* leave the sample out", measurement="Bidirectional")
     refused(r"has reflectance -0.5 % at .* outside 0…100 % at", percent=-0.5)
     refused(r"no sample of material 'rock' covers 0.42–2.5 µm.*give an assumed value", solar=None)
-    refused(r"y units 'Transmittance'; only wavelength in micrometres", y_units="Transmittance")
+    refused(r"y units 'Transmittance'; only hemispherical reflectance", y_units="Transmittance")
     with pytest.raises(ThermorenderError, match=r"b.txt does not exist; order the spectrum"):
         read_ecostress(tmp_path / "b.txt")
     with pytest.raises(ThermorenderError, match=r"'rock' has no sample"):

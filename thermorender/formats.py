@@ -23,7 +23,7 @@ _SEAL = "checksum"
 # --- text -------------------------------------------------------------------------------------------------------
 
 
-def read_text(path: PathLike, kind: str = "UTF-8") -> str:
+def read_text(path: PathLike, kind: str = "UTF-8", other: str | None = None) -> str:
     """Return the text of a UTF-8 file without its byte order mark.
 
     Parameters
@@ -31,9 +31,18 @@ def read_text(path: PathLike, kind: str = "UTF-8") -> str:
     path : path
     kind : str
         Name of the file type in programs, for the error message.
+    other : str, optional
+        Encoding of a file that is not UTF-8; bytes that it lacks are replaced.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
+        data = Path(path).read_bytes()
+        try:
+            text = data.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            if other is None:
+                raise
+            text = data.decode(other, errors="replace")
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
         if "\0" in text:
             raise ThermorenderError(f"{path} is not UTF-8 text (it holds zero bytes); save it as {kind}")
         return text

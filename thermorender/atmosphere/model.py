@@ -219,7 +219,7 @@ class Atmosphere:
         Raises
         ------
         ThermorenderError
-            The table does not cover the band.
+            The table does not cover the band, or absorbs nothing in it.
         """
         first, last = self.lower_um.min(), self.upper_um.max()
         if not first - 1e-9 <= lower_um < upper_um <= last + 1e-9:
@@ -229,6 +229,11 @@ class Atmosphere:
             )
         kept = (self.upper_um > lower_um + 1e-9) & (self.lower_um < upper_um - 1e-9)
         absorption = self.absorption[kept]
+        if not (absorption @ self.density).any():
+            raise ThermorenderError(
+                f"the atmosphere absorbs nothing over {lower_um:g}–{upper_um:g} µm (absorption times density is 0), so "
+                "it has no sky; give the absorption of the gases, or [sky] with a temperature for a scene without air"
+            )
         used = (absorption > 0.0).any(axis=0)
         return replace(
             self,

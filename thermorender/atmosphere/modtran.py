@@ -5,6 +5,7 @@ header: each node's absorption is multiplied by the factor that gives the file's
 Other paths follow from the altitude profiles of that standard.
 """
 
+import re
 from dataclasses import dataclass, replace
 from os import PathLike
 
@@ -22,6 +23,8 @@ _MODELS = (
 _RURAL = {1: 23.0, 2: 5.0}
 # Temperature of the Planck radiance that weights wavenumbers within a sub-band [K].
 _WEIGHT_K = 285.0
+# Card 1: letters, model, a letter, path type, mode. The line that ends a run.
+_CARD_1, _END = re.compile(r"[A-Z+ ]*(\d) *[A-Z]? *(\d) +(\d)(?!\d)"), "-9999."
 # Optical depth of an opaque node.
 _DEEPEST = 50.0
 
@@ -67,7 +70,7 @@ class Tape7:
         return float(through), float(np.interp(fine, self.wavenumber, self.path_radiance) @ step)
 
 
-def read_tape7(path: str | PathLike[str], lower_um: float, upper_um: float) -> Tape7:
+def read_tape7(path: str | PathLike[str], lower_um: float, upper_um: float, run: int | None = None) -> Tape7:
     """Return the Tape7 of a file.
 
     Parameters
@@ -75,36 +78,46 @@ def read_tape7(path: str | PathLike[str], lower_um: float, upper_um: float) -> T
     path : str or Path
     lower_um, upper_um : float
         The camera's band [µm], which the file must cover.
+    run : int, optional
+        Number of the run, from 1, in a file of several.
 
     Raises
     ------
     ThermorenderError
-        The file is missing, not a tape7, truncated, with a user-defined profile, or does not cover the band.
+        The file is missing, not a tape7, truncated, with a user-defined profile, of several runs without `run`, or does
+        not cover the band.
 
     Notes
     -----
     The reader uses card 1 (model, path type, mode), card 2 (aerosol, visibility), card 3 (geometry) and the columns of
-    total transmittance and of thermal path radiance.
+    total transmittance and of thermal path radiance. Card 1 begins with letters for the band model, its speed and the
+    kind of output, which differ between versions of MODTRAN; cards have fixed widths, so numbers may touch.
     """
     try:
         with open(path, encoding="latin-1") as file:
             lines = file.read().splitlines()
     except OSError as error:
         raise ThermorenderError(f"tape7 {path} cannot be read ({error.strerror or error}); give its path") from None
+    lines = _of_run(path, lines, run)
     start = next((number for number, line in enumerate(lines) if line.split()[:1] == ["FREQ"]), None)
     if start is None or start < 9:
         raise ThermorenderError(
             f"{path} is not a tape7 of MODTRAN: it has no line of column names that begins with FREQ; give another file"
         )
     names = lines[start].split()
-    end = next((number for number, line in enumerate(lines) if number > start and line.strip() == "-9999."), None)
+    end = next((number for number, line in enumerate(lines) if number > start and line.strip() == _END), None)
     if end is None:
         raise ThermorenderError(f"tape7 {path} is truncated: its closing line -9999. is missing; run MODTRAN again")
+    unit = (lines[start + 1].split() or ["CM-1"])[0]
+    if unit[0].isalpha() and unit != "CM-1":
+        raise ThermorenderError(f"tape7 {path} has the spectral unit {unit!r}; run MODTRAN with wavenumbers (CM-1)")
     try:
-        flags = [int(word) for word in lines[0].replace("T", " ").replace("F", " ").split()[:3]]
-        model, kind, mode = flags
-        haze, visibility = int(lines[1].split()[0]), float(lines[1].split()[6])
-        first_km, last_km, angle, range_km = (float(word) for word in lines[5].split()[:4])
+        card = _CARD_1.match(lines[0])
+        if card is None:
+            raise ValueError
+        model, kind, mode = (int(word) for word in card.groups())
+        haze, visibility = int(lines[1][2:5]), float(lines[1][30:40])
+        first_km, last_km, angle, range_km = (float(lines[5][10 * k : 10 * k + 10]) for k in range(4))
         # Transmittance runs have a second line of names and of units.
         rows = [line.split() for line in lines[start + 1 : end] if line.split() and not line.split()[0][0].isalpha()]
         wanted = 3 if "PTH_THRML" in names else 2
@@ -161,6 +174,20 @@ def atmosphere(tape: Tape7, lower_um: float, upper_um: float) -> Atmosphere:
     depth = np.minimum(-np.log(np.maximum(wanted, 1e-300)), _DEEPEST)
     factor = depth / np.maximum(-np.log(np.maximum(own, 1e-300)), 1e-12)
     return replace(base, absorption=base.absorption * factor[:, None])
+
+
+def _of_run(path, lines, run):
+    """The lines of one run of a file."""
+    ends = [number + 1 for number, line in enumerate(lines) if line.strip() == _END]
+    if ends and any(line.strip() for line in lines[ends[-1] :]):
+        # A last run without its end is truncated.
+        ends.append(len(lines))
+    if run is None and len(ends) > 1:
+        raise ThermorenderError(f"tape7 {path} holds {len(ends)} runs; choose one with run=1 … {len(ends)}")
+    if run is not None and not 1 <= run <= max(len(ends), 1):
+        raise ThermorenderError(f"run={run} is not in tape7 {path}, which holds runs 1 … {max(len(ends), 1)}")
+    number = run or 1
+    return lines[[0, *ends][number - 1] : ends[number - 1]] if ends else lines
 
 
 def _aerosol(haze, visibility):

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from thermorender.atmosphere import absorbers, lowtran
 from thermorender.atmosphere.checks import check_within, name_index
+from thermorender.atmosphere.igra import is_igra, read_igra
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.rays import MEAN_RADIUS_M
 from thermorender.atmosphere.tables import read_table
@@ -24,6 +25,9 @@ Floats = NDArray[np.float64]
 COLUMNS = ("altitude_m", "pressure_hpa", "temperature_k", "relative_humidity_percent")
 # The same columns in the University of Wyoming's sounding lists, with temperatures in °C.
 _SOUNDING = ("HGHT", "PRES", "TEMP", "RELH")
+# And in its tables of the same page as CSV.
+_SOUNDING_CSV = ("geopotential height_m", "pressure_hPa", "temperature_C", "relative humidity_%")
+_SOUNDING_UNITS = ("m", "hPa", "C", "%")
 # Most levels for LOWTRAN, in all and from the profile.
 _MOST_LEVELS = 34
 _MOST_OWN_LEVELS = 22
@@ -45,8 +49,8 @@ def from_profile(
     ----------
     path : str or Path
         CSV file with the columns altitude_m (above sea level), pressure_hpa, temperature_k and
-        relative_humidity_percent, lowest level first; or a sounding in the University of Wyoming's format, a list
-        (PRES HGHT TEMP … RELH …, in hPa, m, °C and %) or a whole page.
+        relative_humidity_percent, lowest level first; a sounding in the University of Wyoming's format, a list
+        (PRES HGHT TEMP … RELH …, in hPa, m, °C and %), a whole page or a CSV table; or one of IGRA version 2.
     aerosol : {"none", "rural", "maritime", "urban"}
     visibility_km : float
         Meteorological range at the ground, 1 … 100 km; not used without aerosol.
@@ -98,10 +102,15 @@ def read_profile(path: str | PathLike[str]) -> tuple[Floats, Floats, Floats, Flo
 
     Formats and errors as in `from_profile`.
     """
-    values, sounding = _read_columns(path, COLUMNS, _SOUNDING)
-    if sounding:
+    lines = _lines(path)
+    if lines and is_igra(lines[0][1]):
+        values = read_igra(path, lines)
         values = [each[_rising(values[0])] for each in values]
-        values[2] += ZERO_CELSIUS_K
+    else:
+        values, sounding = _read_columns(path, lines, COLUMNS, _SOUNDING)
+        if sounding:
+            values = [each[_rising(values[0])] for each in values]
+            values[2] += ZERO_CELSIUS_K
     altitude, pressure, temperature, humidity = values
     _check(path, altitude, pressure, temperature, humidity)
     if humidity.min() < 0.0 or humidity.max() > 110.0:
@@ -125,7 +134,7 @@ def read_gases(path: str | PathLike[str], gases: Sequence[str]) -> tuple[Floats,
     `from_profile`.
     """
     names = [f"{gas}_ppm" for gas in gases]
-    (altitude, pressure, temperature, *ppm), _ = _read_columns(path, (*COLUMNS[:3], *names))
+    (altitude, pressure, temperature, *ppm), _ = _read_columns(path, _lines(path), (*COLUMNS[:3], *names))
     _check(path, altitude, pressure, temperature, *ppm)
     for name, values in zip(names, ppm, strict=True):
         if values.min() < 0.0 or values.max() > 1e6:
@@ -136,20 +145,27 @@ def read_gases(path: str | PathLike[str], gases: Sequence[str]) -> tuple[Floats,
     return altitude, pressure, temperature, np.array(ppm)
 
 
-def _read_columns(path, names, of_sounding=()):
-    """([values (n,) of each column], whether the file is a sounding list with the names `of_sounding`)."""
+def _lines(path):
+    """Numbered lines of a file, without empty ones."""
     try:
         with open(path, encoding="utf-8-sig") as file:
-            numbered = [(number, line.strip()) for number, line in enumerate(file, start=1)]
+            return [(number, line.rstrip("\n")) for number, line in enumerate(file, start=1) if line.strip()]
     except (OSError, UnicodeDecodeError) as error:
         raise ThermorenderError(f"profile {path} cannot be read ({error}); give a CSV file") from None
-    # Without blank lines, comments and the rulers of a sounding list.
-    lines = [(number, line) for number, line in numbered if line.strip("-") and not line.startswith("#")]
+
+
+def _read_columns(path, numbered, names, of_sounding=()):
+    """([values (n,) of each column], whether the file is a sounding with the names `of_sounding` or its CSV table)."""
+    # Without comments and the rulers of a sounding list.
+    lines = [(number, line.strip()) for number, line in numbered if line.strip(" -") and not line.startswith("#")]
     if of_sounding:
-        lines = _list_of(lines, of_sounding)
-    header = lines[0][1].replace(",", " ").split() if lines else []
-    sounding = bool(of_sounding) and "PRES" in header
-    wanted = of_sounding if sounding else names
+        lines = _list_of(path, lines, of_sounding)
+    listed = bool(of_sounding and lines) and "PRES" in lines[0][1].split()
+    table = bool(of_sounding and lines) and _SOUNDING_CSV[0] in lines[0][1]
+    header = [word.strip() for word in lines[0][1].split(",")] if lines else []
+    if lines and not table:
+        header = lines[0][1].replace(",", " ").split()
+    wanted = of_sounding if listed else _SOUNDING_CSV if table else names
     if lines and ";" in lines[0][1] and "," not in lines[0][1]:
         raise ThermorenderError(
             f"profile {path} is separated by semicolons; save it comma-separated with a point as decimal mark"
@@ -164,13 +180,15 @@ def _read_columns(path, names, of_sounding=()):
         )
     columns = [header.index(name) for name in wanted]
     rows = []
-    # A sounding has a line of units below the names, and short lines for missing values.
-    for number, line in lines[2 if sounding else 1 :]:
-        words = line.split() if sounding else [word.strip() for word in line.split(",")]
-        if sounding and len(words) < len(header):
+    # A sounding list has a line of units below the names, and short lines for missing values.
+    for number, line in lines[2 if listed else 1 :]:
+        words = line.split() if listed else [word.strip() for word in line.split(",")]
+        if listed and len(words) < len(header):
+            continue
+        if table and len(words) == len(header) and not all(words[column] for column in columns):
             continue
         try:
-            if not sounding and any(words[len(header) :]):
+            if not listed and any(words[len(header) :]):
                 # A decimal comma would shift all later columns.
                 raise ValueError
             rows.append([float(words[column]) for column in columns])
@@ -179,14 +197,25 @@ def _read_columns(path, names, of_sounding=()):
                 f"profile {path}, line {number}: {line[:60]!r} is not a row of numbers; give {len(header)} with a "
                 "point as decimal mark"
             ) from None
-    return list(np.array(rows, dtype=np.float64).reshape(-1, len(wanted)).T), sounding
+    return list(np.array(rows, dtype=np.float64).reshape(-1, len(wanted)).T), listed or table
 
 
-def _list_of(lines, names):
+def _list_of(path, lines, names):
     """The list of a sounding from its line of names on, without the page's heading and the indices below it."""
-    start = next((k for k, (_, line) in enumerate(lines) if set(names) <= set(line.split())), None)
-    if start is None:
+    starts = [k for k, (_, line) in enumerate(lines) if set(names) <= set(line.split())]
+    if not starts:
         return lines
+    if len(starts) > 1:
+        raise ThermorenderError(
+            f"profile {path} holds {len(starts)} soundings, the second from line {lines[starts[1]][0]} on; give one"
+        )
+    start = starts[0]
+    units = dict(
+        zip(lines[start][1].split(), lines[start + 1][1].split() if start + 1 < len(lines) else [], strict=False)
+    )
+    for name, unit in zip(names, _SOUNDING_UNITS, strict=True):
+        if name in units and units[name] != unit:
+            raise ThermorenderError(f"profile {path} states {name} in {units[name]}; give it in {unit}")
     below = range(start + 2, len(lines))
     end = next((k for k in below if lines[k][1].startswith(("<", "Station "))), len(lines))
     return lines[start:end]

@@ -25,7 +25,7 @@ from thermorender.materials.csv_tables import (
 )
 from thermorender.materials.from_samples import WANTED_RANGE_UM
 from thermorender.materials.library import DIRECTIONAL_MODELS, NAME, stray
-from thermorender.materials.samples import QUANTITIES, WAVELENGTH_UNITS, ecostress_lines, is_ecostress
+from thermorender.materials.samples import QUANTITIES, WAVELENGTH_UNITS, ecostress_lines, is_ecostress, stated_units
 from thermorender.materials.thermal import THERMAL_COLUMNS, beneath_fault, parsed, read_thermals
 from thermorender.paths import data_folder, inside
 from thermorender.physics.fresnel import LARGEST_SLOPE
@@ -223,15 +223,11 @@ def _check_ecostress(path):
     where = path.name
     header, pairs = ecostress_lines(path)
     findings = []
-    if "micromet" not in header.get("x units", "").lower():
-        findings.append(
-            Finding(True, where, f"x units are {header.get('x units', 'not stated')!r}; convert to micrometres")
-        )
-    if "percent" not in header.get("y units", "").lower():
-        findings.append(
-            Finding(True, where, f"y units are {header.get('y units', 'not stated')!r}; only reflectance in percent is "
-                    "read, so convert it")
-        )  # fmt: skip
+    to_um, divisor = WAVELENGTH_UNITS["wavelength_um"], 100.0
+    try:
+        to_um, divisor = stated_units(where, header)
+    except ThermorenderError as error:
+        findings.append(Finding(True, where, str(error).removeprefix(f"{where} ")))
     if "hemispherical" not in header.get("measurement", "").lower():
         findings.append(
             Finding(True, where, f"measured as {header.get('measurement', 'not stated')!r}; one minus reflectance is "
@@ -242,7 +238,9 @@ def _check_ecostress(path):
     if not header.get("origin") and not header.get("owner"):
         findings.append(Finding(False, where, "names neither origin nor owner; add the source yourself"))
     numbers = list(range(1, len(pairs) + 1))
-    wavelength, percent = np.array(pairs).T
+    x, y = np.array(pairs).T
+    with np.errstate(divide="ignore"):
+        wavelength, percent = to_um(x), 100.0 * y / divisor
     if wavelength[0] > wavelength[-1]:
         wavelength, percent, numbers = wavelength[::-1], percent[::-1], numbers[::-1]
     wavelength, found = _to_um(where, wavelength)

@@ -40,6 +40,10 @@ SOLAR_RANGE_UM = (0.3, 2.5)
 # A spectrum must start at this wavelength or below for a solar absorptance.
 SOLAR_START_UM = 0.42
 SUN_TEMPERATURE_K = 5778.0
+# Reflectances throughout the thermal range that no surface has: soot is brighter, polished gold darker.
+_DARKEST, _BRIGHTEST = 0.0101, 0.9899
+# Emissivities below this throughout get a remark: roofing of copper and aluminium in ECOSTRESS reaches 0.05 and 0.06.
+_BARE_METAL = 0.1
 # Least number of samples for a standard deviation of the solar absorptance.
 FEWEST_FOR_SPREAD = 3
 
@@ -91,6 +95,11 @@ def from_samples(
         remarks.append("solar absorptance is assumed")
     if solar_absorptance_std is not None and not remarks[-1].endswith("with their standard deviation"):
         remarks[-1] += ", its standard deviation chosen"
+    if np.nanmax(tables) < _BARE_METAL:
+        remarks.append(
+            f"emissivity below {_BARE_METAL:g} throughout, as of bare metal; if the values are emissivities, their "
+            "heading is wrong"
+        )
     libraries = [key for key in LIBRARIES if any(sample.library == key for sample in samples)]
     sources = [
         f"{LIBRARIES[key][0]}: {'; '.join(sample.source for sample in samples if sample.library == key)}"
@@ -290,6 +299,15 @@ def _check_sample(sample, name, first, last):
             f"sample {sample.source} of material {name!r} has reflectance {100 * sample.reflectance[at]:g} % at "
             f"{sample.wavelength_um[at]:g} µm, outside 0…100 % at {np.count_nonzero(bad)} wavelengths; leave "
             "the sample out, or correct its units"
+        )
+    inside = sample.reflectance[kept]
+    low, high = inside.min(initial=1.0), inside.max(initial=0.0)
+    if high < _DARKEST or low > _BRIGHTEST:
+        extreme, wrong = ("at most", high) if high < _DARKEST else ("at least", low)
+        raise ThermorenderError(
+            f"sample {sample.source} of material {name!r} has reflectance {100 * wrong:.3g} % {extreme} over "
+            f"{first:g}–{last:g} µm, which no surface has; its heading may state percent for shares, or reflectance "
+            "for emissivity, so correct the heading or the values"
         )
 
 

@@ -4,6 +4,7 @@ Every file becomes hemispherical reflectance over ascending wavelength in µm. T
 unit; nothing is guessed.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.materials.csv_tables import csv_rows, number_in_cell, read_table, read_text
+from thermorender.materials.csv_tables import LONGEST_WAVELENGTH_UM, csv_rows, number_in_cell, read_table, read_text
 
 # Library → (its title, citation, licence).
 LIBRARIES = {
@@ -33,6 +34,15 @@ WAVELENGTH_UNITS = {
     "wavelength_nm": lambda value: value / 1e3,
     "wavenumber_cm-1": lambda value: 1e4 / value,
 }
+# Words of an ECOSTRESS header's X Units and Y Units.
+_X_UNITS = (
+    (("micromet", "micron", "µm", "(um)"), WAVELENGTH_UNITS["wavelength_um"]),
+    (("nanomet", "(nm)"), WAVELENGTH_UNITS["wavelength_nm"]),
+    (("wavenumber", "cm-1", "cm^-1", "cm⁻¹", "1/cm"), WAVELENGTH_UNITS["wavenumber_cm-1"]),
+)
+_Y_UNITS = ((("percent", "%"), 100.0), (("fraction", "unitless", "0-1", "0 to 1", "share", "decimal"), 1.0))
+# Below this wavelength there are no spectra of surfaces [µm].
+SHORTEST_UM = 0.1
 QUANTITIES = {
     "emissivity": lambda value: 1.0 - value,
     "emissivity_percent": lambda value: 1.0 - value / 100.0,
@@ -110,7 +120,7 @@ def read_ecostress(path: str | Path) -> Sample:
     Raises
     ------
     ThermorenderError
-        The file is missing, is not in µm and percent, is not hemispherical reflectance, or has no spectrum.
+        The file is missing, is not hemispherical reflectance in stated units, or has no spectrum.
     """
     path = Path(path)
     if not path.is_file():
@@ -118,12 +128,7 @@ def read_ecostress(path: str | Path) -> Sample:
             f"{path} does not exist; order the spectrum at https://speclib.jpl.nasa.gov and put it there"
         )
     header, pairs = ecostress_lines(path)
-    units = header.get("x units", "nothing"), header.get("y units", "nothing")
-    if "micromet" not in units[0].lower() or "percent" not in units[1].lower():
-        raise ThermorenderError(
-            f"{path} states x units {units[0]!r} and y units {units[1]!r}; only wavelength in micrometres "
-            "and reflectance in percent are read, so convert it first"
-        )
+    to_um, divisor = stated_units(path, header)
     if "hemispherical" not in header.get("measurement", "").lower():
         raise ThermorenderError(
             f"{path} was measured as {header.get('measurement', 'not stated')!r}; emissivity is one minus reflectance "
@@ -133,24 +138,65 @@ def read_ecostress(path: str | Path) -> Sample:
         raise ThermorenderError(
             f"{path} holds {len(pairs)} wavelength and reflectance pairs; order the whole file again"
         )
-    wavelength, percent = np.array(pairs).T
-    broken = ~(np.isfinite(wavelength) & np.isfinite(percent) & (wavelength > 0.0))
+    _check_extent(path, header, pairs)
+    x, y = np.array(pairs).T
+    with np.errstate(divide="ignore"):
+        wavelength = to_um(x)
+    broken = ~(np.isfinite(y) & (wavelength >= SHORTEST_UM) & (wavelength <= LONGEST_WAVELENGTH_UM))
     if broken.any():
         found = pairs[int(broken.argmax())]
         raise ThermorenderError(
-            f"{path} holds the pair {found[0]:g} µm, {found[1]:g} %, which is not possible; order the file again, or "
-            "delete the line"
+            f"{path} holds the pair {found[0]:g}, {found[1]:g}, a wavelength outside {SHORTEST_UM:g}…"
+            f"{LONGEST_WAVELENGTH_UM:g} µm or no number; order the file again, or correct its X Units"
         )
     unique, where, count = np.unique(wavelength, return_inverse=True, return_counts=True)
-    reflectance = np.bincount(where, weights=percent) / count / 100.0
+    reflectance = np.bincount(where, weights=y) / count / divisor
     return Sample(
         name=header.get("name", path.stem), source=path.name, library="ECOSTRESS", wavelength_um=unique,
         reflectance=reflectance, sunlight_um=unique, sunlight_reflectance=reflectance,
     )  # fmt: skip
 
 
+def _check_extent(path, header, pairs):
+    """Refuse pairs that are not as many, or do not begin and end, as a header states."""
+    names = ("number of x values", "first x value", "last x value")
+    try:
+        count, *ends = (float(header[name]) for name in names)
+    except (KeyError, ValueError):
+        return
+    found = sorted((pairs[0][0], pairs[-1][0]))
+    if count != len(pairs) or not np.allclose(found, sorted(ends), rtol=0.01):
+        raise ThermorenderError(
+            f"{path} holds {len(pairs)} pairs from {found[0]:g} to {found[1]:g} where its header states {count:g} from "
+            f"{min(ends):g} to {max(ends):g}; order the whole file again, or correct the header if you edited the file"
+        )
+
+
+def stated_units(
+    path: str | Path, header: dict[str, str]
+) -> tuple[Callable[[NDArray[np.float64]], NDArray[np.float64]], float]:
+    """Return (function of x to µm, what reflectance 1 is in y) that the header of an ECOSTRESS file states.
+
+    Raises
+    ------
+    ThermorenderError
+        The units are not stated, or others, or y is not reflectance.
+    """
+    x, y = header.get("x units", "nothing"), header.get("y units", "nothing")
+    to_um = next((unit for words, unit in _X_UNITS if any(word in x.lower() for word in words)), None)
+    divisor = next((one for words, one in _Y_UNITS if any(word in y.lower() for word in words)), None)
+    # Libraries spell reflectance in several ways.
+    if to_um is None or divisor is None or "reflect" not in y.lower():
+        raise ThermorenderError(
+            f"{path} states x units {x!r} and y units {y!r}; only hemispherical reflectance in percent or as a "
+            "fraction, over µm, nm or cm-1, is read from such a file, so write an emissivity as a CSV with the "
+            "headings wavelength_um and emissivity, and leave a transmittance out"
+        )
+    return to_um, divisor
+
+
 def ecostress_lines(path: str | Path) -> tuple[dict[str, str], list[tuple[float, float]]]:
-    """Return the header of an ECOSTRESS file with lower-case keys, and its (µm, %) pairs in file order."""
+    """Return the header of an ECOSTRESS file with lower-case keys, and its (x, y) pairs in file order."""
     header, pairs = {}, []
     # Some headers have degree signs in latin-1, which decodes any byte.
     for line in Path(path).read_text(encoding="latin-1").splitlines():
@@ -204,21 +250,33 @@ def read_columns(path: str | Path) -> Sample:
     path = Path(path)
     rows = read_table(path, ())
     header = list(rows[0][1]) if rows else []
-    first = next((key for key in WAVELENGTH_UNITS if key in header), None)
-    second = next((key for key in QUANTITIES if key in header), None)
-    if first is None or second is None:
+    first, second = ([key for key in kind if key in header] for kind in (WAVELENGTH_UNITS, QUANTITIES))
+    through = [key for key in header if "transmi" in key.lower()]
+    if through:
+        raise ThermorenderError(
+            f"{path} has a column {through[0]!r}; emissivity is one minus reflectance for opaque samples only, so "
+            "leave the sample out, or delete the column if it is 0 throughout"
+        )
+    if len(first) != 1 or len(second) != 1:
         raise ThermorenderError(
             f"{path}, row 1 holds {shortened(', '.join(header)) or 'nothing'}; the headings must be one of "
             f"{', '.join(WAVELENGTH_UNITS)} and one of {', '.join(QUANTITIES)}, which state the units"
         )
+    first, second = first[0], second[0]
     values = np.array([[_number(path, row, key, cells[key]) for key in (first, second)] for row, cells in rows])
-    wavelength = WAVELENGTH_UNITS[first](values[:, 0])
+    with np.errstate(divide="ignore"):
+        wavelength = WAVELENGTH_UNITS[first](values[:, 0])
     order = np.argsort(wavelength)
     wavelength, reflectance = wavelength[order], QUANTITIES[second](values[order, 1])
     if len(wavelength) < 2 or np.any(np.diff(wavelength) <= 0.0) or wavelength[0] <= 0.0:
         raise ThermorenderError(
             f"{path} needs at least two rows with different, positive {first}; `thermorender materials check` finds "
             "the fault"
+        )
+    if wavelength[0] < SHORTEST_UM or wavelength[-1] > LONGEST_WAVELENGTH_UM:
+        raise ThermorenderError(
+            f"{path} covers {wavelength[0]:g}–{wavelength[-1]:g} µm by its heading {first}, but spectra lie within "
+            f"{SHORTEST_UM:g}…{LONGEST_WAVELENGTH_UM:g} µm; correct the heading or the values"
         )
     return Sample(path.stem, path.name, "", wavelength, reflectance, wavelength, reflectance)
 

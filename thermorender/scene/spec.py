@@ -281,18 +281,21 @@ class WeatherSpec:
     longest_gap_h: float | None = key(number(0.0, 24.0), None)
     air_height_m: float | None = key(number(0.1, 100.0), None)
     wind_height_m: float | None = key(number(0.1, 200.0), None)
+    light_shift_min: float | None = key(number(-120.0, 120.0), None)
 
     def check(self, where: Where, given: Mapping[str, Any]) -> None:
         """Refuse none or two kinds of weather, and an incomplete described day."""
         kind = where.exactly_one(given, ("file", "epw", "air_high_c"), "station, weather year or named day")
         # A station may lack wind.
         of_station = ("longest_gap_h", "air_height_m", "wind_height_m")
-        also = {"wind_m_s": ("air_high_c", "file")} | dict.fromkeys(of_station, ("file",))
-        for name in ("air_low_c", "humidity", "wind_m_s", "cloud", *of_station):
+        also = (
+            {"wind_m_s": ("air_high_c", "file")} | dict.fromkeys(of_station, ("file",)) | {"light_shift_min": ("epw",)}
+        )
+        for name in ("air_low_c", "humidity", "wind_m_s", "cloud", *of_station, "light_shift_min"):
             kinds = also.get(name, ("air_high_c",))
             if kind not in kinds and name in given:
                 where.of(name).refuse(given[name], f"it with {' or '.join(kinds)} only, not with {kind}")
-            if name in of_station:
+            if name in (*of_station, "light_shift_min"):
                 continue
             if kind == "air_high_c" and name not in given:
                 raise where.error(f"{where.of(name).key} is missing; a named day needs it{unit_of(name, ' in ')}")

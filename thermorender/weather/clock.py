@@ -9,6 +9,8 @@ from thermorender.physics import sun
 # Shifts that are refused and noted [min]. Afternoon clouds move the best fit of a week or more by about 20 min, so an
 # hour may look like 40 min.
 _REFUSED_MIN, _REFUSED_LONG_MIN, _NOTED_MIN = 45, 35, 20
+# The median of several blocks is within 5 min for correct clocks, so half an hour is certain.
+_REFUSED_MEDIAN_MIN, _BLOCKS = 25, 4
 _STEP_MIN = 5
 # The series is checked in blocks, to detect summer time [days].
 _BLOCK_D = 30
@@ -21,9 +23,12 @@ _LONG_D = 7
 
 
 def check_clock(
-    where: object, time: sun.Times, light: NDArray[np.float64], latitude_deg: float, longitude_deg: float, step_s: float
-) -> str | None:
+    where: object, time: sun.Times, light: NDArray[np.float64], latitude_deg: float, longitude_deg: float,
+    step_s: float, light_shift_min: float | None = None,
+) -> str | None:  # fmt: skip
     """Return a note, or None, after refusing a series whose sunlight is 45 min or more away from the sun.
+
+    Over four months or more, 25 min are refused.
 
     Parameters
     ----------
@@ -35,31 +40,49 @@ def check_clock(
         Global or direct · sin(elevation) + diffuse [W m⁻²].
     latitude_deg, longitude_deg, step_s : float
         Of the station; length of an averaging interval.
+    light_shift_min : float, optional
+        Value of the user's option of this name [min], for the message; None if there is no such option.
 
     Raises
     ------
     ThermorenderError
         The light agrees with the sun after a shift, and some of it is impossible without the shift.
     """
-    note = None
+    note, found = None, []
     block = ((time - time[0]) / np.timedelta64(_BLOCK_D, "D")).astype(int)
     for number in range(block.max() + 1):
         part = block == number
         shift, fit, beyond = _shift(time[part], light[part], latitude_deg, longitude_deg, step_s)
         long = time[part][-1] - time[part][0] >= np.timedelta64(_LONG_D, "D")
-        if abs(shift) >= (_REFUSED_LONG_MIN if long else _REFUSED_MIN) and beyond >= _FEWEST:
-            hours = round(-shift / 30.0) / 2.0
-            raise ThermorenderError(
-                f"{where}: from {time[part][0]} on the sunlight is {abs(shift)} min "
-                f"{'before' if shift > 0 else 'after'} the sun at {latitude_deg:g}° north, {longitude_deg:g}° east; "
-                f"the clock looks like about UTC{hours:+g} h, so state its zone, or correct the coordinates"
-            )
+        found.append((shift, beyond, _REFUSED_LONG_MIN if long else _REFUSED_MIN, time[part][0]))
         if note is None and abs(shift) >= _NOTED_MIN and fit > _CLEAR_FIT:
             note = (
                 f"Sunlight is {abs(shift)} min {'before' if shift > 0 else 'after'} the sun: times should be the "
                 "middles of averaging intervals."
             )
+    median = float(np.median([shift for shift, *_ in found]))
+    half = 30 * round(median / 30.0)
+    # Half hours are conventions; others are taken as fitted.
+    whole = half if abs(median - half) <= _STEP_MIN else _STEP_MIN * round(median / _STEP_MIN)
+    if len(found) >= _BLOCKS and abs(median) >= _REFUSED_MEDIAN_MIN and sum(each[1] for each in found) >= _FEWEST:
+        _refuse(where, time[0], whole, latitude_deg, longitude_deg, light_shift_min)
+    for shift, beyond, refused, start in found:
+        if abs(shift) >= refused and beyond >= _FEWEST:
+            shift = whole if abs(shift - whole) <= _NOTED_MIN else shift
+            _refuse(where, start, shift, latitude_deg, longitude_deg, light_shift_min)
     return note
+
+
+def _refuse(where, start, shift, latitude_deg, longitude_deg, light_shift_min):
+    hours = round(-shift / 30.0) / 2.0
+    fix = "write times as the middles of averaging intervals"
+    if light_shift_min is not None:
+        fix = f"write light_shift_min = {light_shift_min + shift:g} into [weather] if its hours are labelled otherwise"
+    raise ThermorenderError(
+        f"{where}: from {start} on the sunlight is {abs(shift)} min {'before' if shift > 0 else 'after'} the sun at "
+        f"{latitude_deg:g}° north, {longitude_deg:g}° east; the clock looks like about UTC{hours:+g} h, so {fix}, "
+        "state its zone, or correct the coordinates"
+    )
 
 
 def _shift(time, light, latitude_deg, longitude_deg, step_s):

@@ -58,6 +58,31 @@ COLUMNS = {
     "snow_depth_m": Column("snow_m"),
     "snow_depth_cm": Column("snow_m", 0.01),
 }
+# Names that other programs use, in lower case with _ between words, by our name in the unit that they usually have:
+# pvlib, NSRDB, PVGIS, and the networks ICOS and FLUXNET.
+_USUAL = {
+    "air_c": "temp_air temperature air_temperature t_air ta tair temp temp_c t2m air_temp drybulb dry_bulb dry_bulb_c "
+    "temperature_c air_temperature_c ta_f",
+    "air_k": "temperature_k air_temperature_k",
+    "rh_percent": "relative_humidity relative_humidity_percent humidity humidity_percent rhum relhum rh_f",
+    "dew_point_c": "dew_point temp_dew dewpoint dewpoint_c dew_point_temperature",
+    "vpd_hpa": "vpd vpd_f",
+    "wind_m_s": "wind_speed windspeed wind ws ws_f ws10m wspd wind_speed_m_s wind_speed_ms",
+    "sw_down_w_m2": "ghi global_w_m2 ghi_w_m2 g_h global_horizontal global_radiation global_radiation_w_m2 sw_in "
+    "sw_in_f rg rs shortwave_w_m2 solar_w_m2 solar_radiation solar_radiation_w_m2 swdown sw_down swin irradiance",
+    "sw_direct_normal_w_m2": "dni dni_w_m2 gb_n direct_w_m2 direct_normal direct_normal_w_m2",
+    "sw_diffuse_w_m2": "dhi dhi_w_m2 gd_h diffuse_w_m2 diffuse_horizontal",
+    "lw_down_w_m2": "lw_in lw_in_f ir_h longwave_w_m2 longwave_down_w_m2 lwdown lw_down lwin",
+    "ppfd_umol_m2_s": "ppfd ppfd_in par",
+    "cloud": "cloud_cover cloud_fraction clouds cloudiness",
+    "rain_mm": "rain precipitation precipitation_mm precip precip_mm rainfall rainfall_mm prcp p_f",
+    "pressure_hpa": "pressure pressure_mbar air_pressure surface_pressure",
+    "pressure_kpa": "pa pa_f",
+    "pressure_pa": "sp",
+    "snow_depth_m": "snow snow_depth snow_m",
+    "snow_depth_cm": "snow_cm",
+}
+USUAL = {name: ours for ours, names in _USUAL.items() for name in names.split()}
 # Marks of missing values in loggers' files.
 MISSING_TEXTS = {"", "na", "n/a", "nan", "null", "none", "-", "m", "--"}
 MISSING_NUMBERS = (-999.0, -999.9, -6999.0, -9999.0, -9999.9, -99999.0, -999999.0, 9999.0, 9999.9, 99999.0, 999999.0)
@@ -81,6 +106,8 @@ _RANGES = {
     "pressure_pa": (30e3, 110e3, "a pressure of 30000…110000 Pa; the name ends in the unit: _pa, _hpa or _kpa"),
     "snow_m": (-0.1, 20.0, "snow of 0…20 m; write snow_depth_cm if the numbers are centimetres"),
 }
+# Range of the brightest global light (quantile 0.98) relative to Haurwitz' clear sky, J. Meteorol. 2 (1945) 154.
+_CLEAR_SHARES = (0.6, 1.4)
 # Range of the median pressure relative to the standard atmosphere's, by weather and air temperature.
 _PRESSURE_SHARES = (0.86, 1.06)
 
@@ -129,16 +156,31 @@ def check_range(where: object, quantity: str, values: NDArray[np.float64]) -> No
         raise ThermorenderError(f"{where}: {quantity}={values[k]:.6g} in hour {k + 1} is not allowed; give {allowed}")
 
 
-def check_light(where: object, column: str, values: NDArray[np.float64], elevation_deg: NDArray[np.float64]) -> None:
-    """Refuse sunlight that never exceeds 5 W m⁻² although the sun rises above 20°. NaN is allowed.
+def check_light(
+    where: object, column: str, values: NDArray[np.float64], elevation_deg: NDArray[np.float64], step_s: float
+) -> None:
+    """Refuse sunlight that never exceeds 5 W m⁻² although the sun rises above 20°, or unlike a clear sky's at its best.
 
-    Direct light may be 0 all day.
+    NaN is allowed. Direct light may be 0 all day. The brightest global light is judged over 300 hours or more of a sun
+    above 30°.
     """
     most = np.nanmax(values)
     if elevation_deg.max() > 20.0 and most < 5.0 and not ("direct" in column and most <= 0.0):
         raise ThermorenderError(
             f"{where}: {column} is {most:g} W/m² at most although the sun rises to {elevation_deg.max():.0f}°; it "
             "looks like MJ or kW, or was not measured, so give W/m² or leave it out"
+        )
+    high = (elevation_deg > 30.0) & ~np.isnan(values)
+    if column not in ("global_w_m2", "sw_down_w_m2") or high.sum() * step_s < 300 * 3600.0:
+        return
+    sine = np.sin(np.radians(elevation_deg[high]))
+    share = np.quantile(values[high] / (1098.0 * sine * np.exp(-0.057 / sine)), 0.98)
+    least, largest = _CLEAR_SHARES
+    if not least <= share <= largest:
+        raise ThermorenderError(
+            f"{where}: {column} reaches {share:.2f} of a clear sky's light in its brightest hours, of which {least:g}…"
+            f"{largest:g} are plausible; it looks like another unit, such as J/cm² or Wh in half an hour, or another "
+            "quantity, so convert it to global W/m² or leave it out"
         )
 
 

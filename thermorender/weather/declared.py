@@ -58,7 +58,8 @@ def declared_weather(
             own = {name: value for name, value in own.items() if value is not None}
             found = read_station(spec.file, *place, around=when, wind_m_s=spec.wind_m_s, snow_depth_m=snow, **own)
         elif spec.epw is not None:
-            found = read_epw(spec.epw, when, snow_depth_m=snow)
+            shift = getattr(spec, "light_shift_min", None) or 0.0
+            found = read_epw(spec.epw, when, snow_depth_m=snow, light_shift_min=shift)
             away_km = _away_km(found.latitude_deg, found.longitude_deg, latitude_deg, longitude_deg)
             if away_km > _FAR_KM:
                 note = f"Its place is {away_km:.0f} km away from the scene; sun and weather are those of that place."

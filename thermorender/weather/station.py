@@ -5,6 +5,7 @@ Row numbers in messages are a spreadsheet's: the header is row 1.
 
 import csv
 import io
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
@@ -23,6 +24,7 @@ from thermorender.weather.columns import (
     COLUMNS,
     MISSING_NUMBERS,
     MISSING_TEXTS,
+    USUAL,
     check_light,
     check_pressure,
     check_values,
@@ -30,6 +32,7 @@ from thermorender.weather.columns import (
 )
 from thermorender.weather.complete import complete
 from thermorender.weather.gaps import ZERO_IN_GAPS, filled, long_gaps, without_offset
+from thermorender.weather.rain import check_rain
 from thermorender.weather.series import Weather
 
 _TIMES = ("time_utc", "time", "time_local")
@@ -89,7 +92,8 @@ def read_station(
         raise ThermorenderError(
             f"{path}: rows are {step_s / 3600.0:g} h apart; give steps of 3 h at most, because the sun moves"
         )
-    notes: list[str] = []
+    others = [name for name in header if name and name not in COLUMNS and name not in _TIMES]
+    notes = [f"Columns that are not read: {shortened(', '.join(others), 200)}."] if others else []
     values, column_of = _quantities(path, header, cells, rows, notes)
     if around is not None:
         kept = _unbroken(time, values, column_of, step_s, longest_gap_h, around, notes)
@@ -99,8 +103,11 @@ def read_station(
     _note_missing_rows(path, time, rows, step_s, longest_gap_h, notes)
     elevation = sun.position_at(time, latitude_deg, longitude_deg)[1]
     for quantity in list(values):
+        if quantity.startswith("rain_mm"):
+            rate = values[quantity] * (3600.0 / step_s if quantity == "rain_mm" else 1.0)
+            check_rain(path, column_of[quantity], rate, step_s, notes)
         if quantity in _LIGHT:
-            check_light(path, column_of[quantity], values[quantity], elevation)
+            check_light(path, column_of[quantity], values[quantity], elevation, step_s)
             values[quantity] = without_offset(column_of[quantity], values[quantity], notes)
         values[quantity] = filled(
             path, column_of[quantity], quantity, values[quantity], time, step_s, longest_gap_h, notes
@@ -226,6 +233,12 @@ def _refuse_near_misses(path, header):
     ours = [name for name, column in COLUMNS.items() if column.quantity not in given and len(name) > 4]
     for name in header:
         if name and name not in COLUMNS and name not in _TIMES:
+            usual = USUAL.get(re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_"))
+            if usual and COLUMNS[usual].quantity not in given:
+                raise ThermorenderError(
+                    f"{path}: column {name!r} is not known by this name; rename it to {usual} if that is its "
+                    "unit, else to another name of docs/reference/file-formats.md, or delete it"
+                )
             near = closest(name, ours, cutoff=0.84)
             # A longer name, such as roof_air_c, is another place's; sw_up is not sw_down.
             if near and not name.endswith(f"_{near[0]}") and "_up_" not in name:

@@ -29,7 +29,7 @@ _MOST_MATERIALS = 255
 # Keys of [weather] that say where the weather comes from, each with the keys that belong to it.
 _KINDS = {
     "file": ("longest_gap_h", "air_height_m", "wind_height_m"),
-    "epw": (),
+    "epw": ("light_shift_min",),
     "air_high_c": ("air_low_c", "humidity", "wind_m_s", "cloud"),
 }
 

@@ -93,7 +93,7 @@ def _sample(path):
 _ECOSTRESS = (
     "Name: Sand\nType: Soil\nClass: Entisol\nWavelength Range: All\nOrigin: here\nMeasurement: Directional (10 Degree) "
     "Hemispherical Reflectance\nFirst Column: X\nSecond Column: Y\nX Units: Wavelength (micrometers)\n"
-    "Y Units: Reflectance (percent)\nFirst X Value: 14\nLast X Value: 0.4\nNumber of X Values: 120\n\n"
+    "Y Units: Reflectance (percent)\nFirst X Value: 14\nLast X Value: 0.545\nNumber of X Values: 118\n\n"
 ) + "".join(f"{14.0 - 0.115 * k:.4f}\t{5 + k % 7:.3f}\n" for k in range(118))
 
 
@@ -104,9 +104,9 @@ def _ecostress(path):
     return read_sample(path)
 
 
-_STATION = "time_utc,air_c,relative_humidity_percent,wind_m_s,global_w_m2,pressure_hpa\n" + "".join(
+_STATION = "time_utc,air_c,rh_percent,wind_m_s,sw_down_w_m2,pressure_hpa\n" + "".join(
     f"2018-07-{28 + k // 24:02d}T{k % 24:02d}:30Z,{18 + 6 * np.sin((k - 9) / 3.8):.1f},55,2.5,"
-    f"{max(0.0, 800 * np.sin((k % 24 - 5) / 4.8)) if 5 < k % 24 < 20 else 0:.0f},1013\n"
+    f"{800 * np.sin(np.pi * (k % 24 - 3.5) / 15) if 4 < k % 24 < 19 else 0:.0f},1013\n"
     for k in range(72)
 )
 

@@ -1,0 +1,124 @@
+"""Precipitation of weather years: tenths of millimetres, amounts of several hours, and plausible totals."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.errors import ThermorenderError
+
+Floats = NDArray[np.float64]
+
+# A gauge of the United States counts hundredths of an inch. Recorded in whole tenths of a millimetre they are 3, 5, 8 …
+_TICK_TENTHS, _BELOW_TENTHS, _MOSTLY = 2.54, 30.0, 0.7
+# Periods of synoptic reports [h]; 99 marks an unknown one.
+_PERIODS_H = (1, 2, 3, 4, 6, 12, 15, 18, 24)
+# Most rain in an hour and a year [mm], near the records of 305 in 42 minutes and 26 470 in a year (WMO archive of
+# extremes); above the second limits a note asks.
+_HOUR_MM, _YEAR_MM = (200.0, 100.0), (26_500.0, 4000.0)
+
+
+def in_mm(column: str, depth: Floats, fewest: int, notes: list[str]) -> Floats:
+    """Return depths (N,) in mm: a tenth of those that are whole tenths of a millimetre from a gauge of 0.01 inch.
+
+    Parameters
+    ----------
+    column : str
+        For the note.
+    depth : (N,)
+        As in the file; NaN is missing.
+    fewest : int
+        Least number of depths below 3 mm to judge by.
+    notes : list
+        Gets a note if the depths are tenths.
+    """
+    fallen = depth[depth > 0.0]
+    low = fallen[fallen < _BELOW_TENTHS]
+    if len(low) < fewest or (fallen % 1.0 != 0.0).any():
+        return depth
+    ticks = np.round(_TICK_TENTHS * np.arange(1, 13))
+    if np.isin(low, ticks).mean() < _MOSTLY:
+        return depth
+    notes.append(f"{column} holds 3, 5, 8 …, hundredths of an inch in tenths of a millimetre: divided by 10.")
+    return 0.1 * depth
+
+
+def by_hour(
+    path: object, depth_mm: Floats, period_h: Floats, per_hour: int, periodic: bool, notes: list[str]
+) -> Floats:
+    """Return amounts (N,) [mm] of single intervals; those of several hours are spread over their hours.
+
+    Parameters
+    ----------
+    path : str
+        File, for messages.
+    depth_mm, period_h : (N,)
+        Amount that fell in the `period_h` hours before the end of an interval; NaN is missing. Amounts without a period
+        are of their interval.
+    per_hour : int
+        Intervals in an hour.
+    periodic : bool
+        Whether the last interval precedes the first.
+    notes : list
+        Gets notes on spread amounts and on amounts of an unknown period, which count as missing.
+
+    Notes
+    -----
+    Hours with an amount of a shorter period keep it, and the rest of the longer one is spread evenly over the others.
+    """
+    known = ~np.isnan(depth_mm)
+    period = np.where(np.isnan(period_h) | (period_h == 0.0), 1.0 / per_hour, period_h)
+    unknown = known & (period == 99.0)
+    if unknown.any():
+        notes.append(
+            f"Rain of an unknown period (99 h) in {unknown.sum()} rows, {depth_mm[unknown].sum():.4g} mm, is left out."
+        )
+    known &= ~unknown
+    odd = known & ~np.isin(period, (1.0 / per_hour, *_PERIODS_H))
+    if odd.any():
+        raise ThermorenderError(
+            f"{path}: rain has a period of {period[odd][0]:g} h; give {', '.join(map(str, _PERIODS_H))} h, or leave "
+            "the amount empty"
+        )
+    steps = np.round(period * per_hour).astype(int)
+    single = known & (steps <= 1)
+    amount, done = np.where(single, depth_mm, np.nan), single.copy()
+    several = np.flatnonzero(known & ~single)
+    for k in several[np.argsort(steps[several], kind="stable")]:
+        window = np.arange(k - steps[k] + 1, k + 1)
+        window = window % len(amount) if periodic else window[window >= 0]
+        free = window[~done[window]]
+        rest = max(depth_mm[k] - np.nansum(amount[window]), 0.0)
+        amount[free], done[free] = rest / max(len(free), 1), True
+    wet = several[depth_mm[several] > 0.0]
+    if wet.size:
+        notes.append(
+            f"{wet.size} amounts of rain over {period[wet].min():g}–{period[wet].max():g} h are spread over the hours."
+        )
+    return amount
+
+
+def check_rain(where: object, column: str, rain_mm_h: Floats, step_s: float, notes: list[str]) -> None:
+    """Refuse rain (N,) [mm/h] beyond the records of an hour and a year; add a note on rare totals.
+
+    Parameters
+    ----------
+    where, column : str
+        File and column, for messages.
+    rain_mm_h : (N,)
+        Rate in intervals of `step_s` seconds; NaN is missing.
+    notes : list
+    """
+    advice = "divide the column by 10 if it holds tenths of a millimetre, or leave it empty to go on without rain"
+    rain = np.nan_to_num(rain_mm_h) * step_s / 3600.0
+    width = max(round(3600.0 / step_s), 1)
+    hour = np.convolve(rain, np.ones(width), "valid") if len(rain) >= width else rain[:1]
+    years = len(rain) * step_s / (365.0 * 86400.0)
+    totals = [("an hour", hour.max(initial=0.0), *_HOUR_MM)]
+    if years > 0.98:
+        totals.append(("a year", rain.sum() / years, *_YEAR_MM))
+    for period, total, most, rare in totals:
+        if total > most:
+            raise ThermorenderError(
+                f"{where}: {column} adds up to {total:.0f} mm in {period}, of which {most:g} are allowed; {advice}"
+            )
+        if total > rare:
+            notes.append(f"{column} adds up to {total:.0f} mm in {period}, which is rare; check its unit.")
