@@ -280,6 +280,8 @@ class TrajectoryOptions:
             lever_arm_m=parse_lever_arm(self.lever_arm_m),
             duplicates=self.duplicates,  # type: ignore[arg-type]  # checked by read_trajectory
         )
+        for note in path.notes:
+            warn(note)
         if not self.allow_below_ground:
             rate_hz = scene.camera.frame_rate_hz if rate_hz is None else rate_hz
             check_above_ground(path.sampled(path.frame_times(rate_hz, self.start_s, self.stop_s)), scene.ground)

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import FARTHEST_M, LocalFrame, ecef_from_geodetic
+from thermorender.trajectory.logs import Log
 from thermorender.trajectory.mapping import POSITION_GEODETIC
 from thermorender.trajectory.path import GroundHeight, Trajectory
-from thermorender.trajectory.tables import Log
 
 Floats = NDArray[np.float64]
 

@@ -25,6 +25,7 @@ from scipy.spatial.transform import Rotation
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.trajectory.heights import frame_of_first_sample, local_positions, refuse_far
+from thermorender.trajectory.logs import Log, read_log
 from thermorender.trajectory.mapping import (
     ANGLES,
     GIMBAL,
@@ -46,7 +47,8 @@ from thermorender.trajectory.rotations import (
     slerp,
     wxyz,
 )
-from thermorender.trajectory.tables import Log, read_log
+from thermorender.trajectory.tables import read_csv
+from thermorender.trajectory.track import jumps
 
 
 def read_trajectory(
@@ -92,6 +94,11 @@ def read_trajectory(
     ------
     ThermorenderError
         A file or an argument is invalid; for a log the message names file, row and column.
+
+    Notes
+    -----
+    `Trajectory.notes` says what was dropped, corrected or assumed: rows that the log marks as invalid, the estimator's
+    resets, jumps of the position.
     """
     mapping = load_mapping(format)
     logs = _read_logs(paths, mapping, duplicates)
@@ -107,6 +114,9 @@ def read_trajectory(
         position_log, horizontal, height, frame, ground, geoid_undulation_m, relative=anchor is not None
     )
 
+    notes = [note for log in logs for note in log.notes]
+    jump = jumps(position_log, position)
+    notes += [jump] if jump else []
     body_log, gimbal_log = _attitude_logs(logs, mount)
     time_s = _common_times([log for log in (position_log, body_log, gimbal_log) if log is not None])
     position = np.stack([np.interp(time_s, position_log.time_s, position[:, k]) for k in range(3)], axis=-1)
@@ -129,7 +139,7 @@ def read_trajectory(
     if anchor is not None:
         trajectory = _anchored(trajectory, anchor, ground, height)
     refuse_far(position_log, trajectory)
-    return trajectory
+    return replace(trajectory, notes=tuple(notes))
 
 
 def _read_logs(
@@ -139,14 +149,21 @@ def _read_logs(
     paths = [paths] if isinstance(paths, (str, PathLike)) else list(paths)
     if not paths:
         raise ThermorenderError("paths is empty; give at least one CSV file")
-    logs = [read_log(path, mapping, duplicates) for path in paths]
+    logs = [read_log(table, mapping, duplicates) for path in paths for table in read_csv(path)]
+    for log in logs:
+        for counter, phrase in log.open_resets.items():
+            if not any(counter in other.counters for other in logs):
+                raise ThermorenderError(
+                    f"{log.path}: {phrase}, but no file has the column {counter!r} to correct the attitude by; give "
+                    "the attitude's file with that column, or a log that begins after the reset"
+                )
     kinds = (POSITION, QUATERNION + ANGLES, GIMBAL)
-    for name, quantity in mapping.quantities.items():
+    for name, (quantity, *_) in mapping.quantities.items():
         if quantity.constant is not None:
             kind = next(kind for kind in kinds if name in kind)
             owner = next((log for log in logs if any(n in log.values for n in kind)), logs[0])
             owner.values[name] = np.full(owner.time_s.size, quantity.constant)
-    if mapping.stamps:
+    if mapping.from_start:
         # Simulations count from the start of the flight, not from 1970; all files have the same zero.
         zero = min(log.time_s[0] for log in logs)
         logs = [replace(log, time_s=log.time_s - zero) for log in logs]
@@ -173,10 +190,11 @@ def _position_columns(logs: list[Log], mapping: Mapping) -> tuple[Log, tuple[str
             log_of[name] = log
     names = ", ".join(log.path for log in logs)
     if mapping.quantities:
-        for name, quantity in mapping.quantities.items():
-            if name not in log_of:
+        for name, choices in mapping.quantities.items():
+            if name not in log_of and not any(choice.optional for choice in choices):
+                column = " or ".join(repr(choice.column) for choice in choices)
                 raise ThermorenderError(
-                    f"{names}: column {quantity.column!r} ({name}) is missing; format={mapping.name!r} needs "
+                    f"{names}: column {column} ({name}) is missing; format={mapping.name!r} needs "
                     "it, in this file or in another one given with it"
                 )
     pairs = [pair for pair in (POSITION_LOCAL, POSITION_GEODETIC) if any(name in log_of for name in pair)]
