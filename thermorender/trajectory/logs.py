@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.schema import closest
 from thermorender.trajectory.estimates import drop_invalid, find_resets
-from thermorender.trajectory.mapping import QUANTITIES, Mapping, Quantity, fitting_formats
+from thermorender.trajectory.mapping import QUANTITIES, UNSTATED, Mapping, Quantity, fitting_formats
 from thermorender.trajectory.tables import Floats, Table
 
 # Endings of columns with one of our quantities in another unit.
@@ -25,7 +25,8 @@ class Log:
     """One file: `values` by our names and, for messages, the file's `columns` and each sample's row.
 
     `counters` names the estimator's reset counters that the file has. `open_resets` has the resets whose effect is
-    in the file with another counter, and `notes` sentences for the user.
+    in the file with another counter, and `notes` sentences for the user. `origin` is the latitude and longitude [deg]
+    that local positions count from, if the log knows it.
     """
 
     path: str
@@ -33,6 +34,7 @@ class Log:
     time_s: Floats
     values: dict[str, Floats]
     columns: dict[str, str]
+    origin: tuple[float, float] | None = None
     what: str = "row"
     counters: tuple[str, ...] = ()
     open_resets: dict[str, str] = field(default_factory=dict)
@@ -84,19 +86,56 @@ def read_log(table: Table, mapping: Mapping, duplicates: str = "refuse") -> Log:
     if duplicates == "spread":
         time_s = _spread(time_s)
     values, columns = {}, {}
-    for name, choices in (mapping.quantities or {name: (Quantity(name),) for name in QUANTITIES}).items():
+    for name, choices in (mapping.quantities or _own(mapping)).items():
         quantity = _present(choices, table)
+        if quantity is None:
+            _refuse_other_unit(choices, table, mapping)
         if quantity is not None and quantity.column is not None:
             values[name], columns[name] = table.numbers(quantity), quantity.column
     unseen = resets.open(time_s, table)
     notes += resets.undo(values, time_s, table)
-    return Log(table.path, table.row, time_s, values, columns, table.what, resets.counters, unseen, notes)
+    origin = _origin(table, mapping)
+    return Log(table.path, table.row, time_s, values, columns, origin, table.what, resets.counters, unseen, notes)
+
+
+def _refuse_other_unit(choices: Sequence[Quantity], table: Table, mapping: Mapping) -> None:
+    """Refuse a column that a mapping names with another unit in brackets, which would be ignored silently."""
+    stems = {str(choice.column).partition("(")[0] for choice in choices if "(" in str(choice.column)}
+    for column in table.header:
+        if column.partition("(")[0] in stems and column not in [choice.column for choice in choices]:
+            raise ThermorenderError(
+                f"{table.path}: column {column!r} is not one that format={mapping.name!r} reads: "
+                f"{', '.join(repr(choice.column) for choice in choices)}; rename it if its unit is that, or delete it"
+            )
+
+
+def _own(mapping: Mapping) -> dict[str, tuple[Quantity, ...]]:
+    """Our own columns; readers of other files than CSV may also leave the reference of the height open."""
+    names = QUANTITIES if mapping.reader == "csv" else (*QUANTITIES, UNSTATED)
+    return {name: (Quantity(name),) for name in names}
 
 
 def _present(choices: Sequence[Quantity], table: Table) -> Quantity | None:
-    """The first of a mapping's choices whose column the table has."""
+    """The first of a mapping's choices whose column the table has; an optional one without any cell does not count."""
     names = table.header or tuple(table.columns)
-    return next((choice for choice in choices if choice.column in names), None)
+    for choice in choices:
+        if choice.column in names:
+            if not choice.optional or any(table.text(choice.column)):
+                return choice
+    return None
+
+
+def _origin(table: Table, mapping: Mapping) -> tuple[float, float] | None:
+    """Latitude and longitude of the origin of local positions [deg]; None if the table does not know them."""
+    names, origin = table.header or tuple(table.columns), mapping.origin
+    if origin is None or not all(name in names for name in (origin.lat_deg, origin.lon_deg, origin.valid)):
+        return None
+    known = np.flatnonzero(table.numbers(Quantity(origin.valid)) != 0.0)
+    if not known.size:
+        return None
+    first = table.kept(known[:1])
+    latitude, longitude = (float(first.numbers(Quantity(name))[0]) for name in (origin.lat_deg, origin.lon_deg))
+    return None if latitude == 0.0 == longitude else (latitude, longitude)
 
 
 def _times(table: Table, mapping: Mapping) -> tuple[str, Floats]:
@@ -169,7 +208,7 @@ def _seconds(where: str, text: str, pattern: str, fraction: str) -> float:
     try:
         if pattern == "iso":
             # Python 3.10 does not read Z, and only three or six decimals of the second.
-            moment = datetime.fromisoformat(text.replace("Z", "+00:00").replace("z", "+00:00"))
+            moment = datetime.fromisoformat(_six_decimals(text).replace("Z", "+00:00").replace("z", "+00:00"))
         else:
             moment = datetime.strptime(text, pattern)
         # Only digits are allowed; float would read exponents too.
@@ -182,6 +221,10 @@ def _seconds(where: str, text: str, pattern: str, fraction: str) -> float:
     if moment.tzinfo is None:
         moment = moment.replace(tzinfo=timezone.utc)
     return moment.timestamp() + part
+
+
+def _six_decimals(text: str) -> str:
+    return re.sub(r"\.(\d+)", lambda match: f".{match[1][:6].ljust(6, '0')}", text)
 
 
 def _refuse_near_misses(table: Table) -> None:

@@ -37,8 +37,11 @@ HEIGHTS = ("up_m", "alt_ellipsoid_m", "alt_geoid_m", "above_ground_m", "above_ta
 QUATERNION = ("qw", "qx", "qy", "qz")
 ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
 GIMBAL = ("gimbal_yaw_deg", "gimbal_pitch_deg", "gimbal_roll_deg")
+# A height whose reference the log does not state; internal to readers, since only its changes mean something.
+UNSTATED = "height_m"
 POSITION = POSITION_LOCAL + POSITION_GEODETIC + HEIGHTS
 QUANTITIES = POSITION + QUATERNION + ANGLES + GIMBAL
+READERS = ("csv", "dataflash", "gpx", "kml", "poses", "srt", "ulog")
 
 _NAMED_AXES = {
     "FRD": np.eye(3),
@@ -84,6 +87,15 @@ class Reset:
             where.of("turn").refuse(list(self.turn), "four columns: w, x, y, z")
 
 
+@dataclass(frozen=True)
+class Origin:
+    """The columns with latitude and longitude of a log's local origin, and the flag that says that they are known."""
+
+    lat_deg: str = key(text)
+    lon_deg: str = key(text)
+    valid: str = key(text)
+
+
 @dataclass(frozen=True, eq=False)
 class Mapping:
     """The mapping of a log's columns to ours.
@@ -115,6 +127,14 @@ class Mapping:
         reported.
     resets : tuple of Reset
         Resets of the estimator, if their counters are present.
+    origin : Origin or None
+        Latitude and longitude of the origin of local positions, if its columns are present.
+    reader : str
+        Kind of file; see `trajectory.sources`.
+    suffix : str
+        End of the names of such files; "" for CSV.
+    assumes : str
+        What the format takes for granted, for the user.
     """
 
     name: str = "canonical"
@@ -130,6 +150,10 @@ class Mapping:
     valid: tuple[str, ...] = ()
     doubtful: tuple[str, ...] = ()
     resets: tuple[Reset, ...] = ()
+    origin: Origin | None = None
+    reader: str = "csv"
+    suffix: str = ""
+    assumes: str = ""
 
 
 def bundled_formats() -> list[str]:
@@ -172,6 +196,10 @@ def load_mapping(name: str | PathLike[str] | None) -> Mapping:
         valid=given.valid,
         doubtful=given.doubtful,
         resets=given.resets,
+        origin=given.origin,
+        reader=given.reader,
+        suffix=given.suffix or "",
+        assumes=given.assumes or "",
     )
 
 
@@ -260,6 +288,10 @@ class _File:
     valid: tuple[str, ...] = key(texts, ())
     doubtful: tuple[str, ...] = key(texts, ())
     resets: tuple[Reset, ...] = key(tables(Reset), ())
+    origin: Origin | None = key(table(Origin), None)
+    reader: str = key(choice(*READERS), "csv")
+    suffix: str | None = key(text, None)
+    assumes: str | None = key(text, None)
 
 
 def fitting_formats(header: Iterable[str]) -> str:
@@ -277,3 +309,9 @@ def fitting_formats(header: Iterable[str]) -> str:
         f"; if another program wrote the file, say with --format which one ({', '.join(bundled_formats())}) or give a "
         "mapping of its columns"
     )
+
+
+def format_of_suffix(path: object) -> str | None:
+    """Return the bundled format of files whose names end like this one, or None."""
+    end = Path(str(path)).suffix.lower()
+    return next((name for name in bundled_formats() if end and load_mapping(name).suffix == end), None)

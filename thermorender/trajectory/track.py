@@ -15,6 +15,8 @@ _TIMES_NEIGHBOURS = 3.0
 _NEIGHBOURS = 3
 # A step without neighbours is a jump above the speed of sound.
 _LONE_M_S = 340.0
+# A vehicle that stood turns to its new course within this time [s].
+_TURN_S = 2.0
 
 
 def jumps(log: Log, position: Floats) -> str | None:
@@ -64,7 +66,7 @@ def course_deg(log: Log, position: Floats) -> Floats:
     Notes
     -----
     The course is that of steps of at least 1 m, each at the middle of its time, and turns evenly between them. It is
-    held before the first step, after the last one, and while the vehicle stands.
+    held before the first step, after the last one, and while the vehicle stands: in a step that takes more than 4 s.
     """
     kept = [0]
     for k in range(1, len(position)):
@@ -77,8 +79,12 @@ def course_deg(log: Log, position: Floats) -> Floats:
         )
     step = np.diff(position[kept, :2], axis=0)
     course = np.unwrap(np.degrees(np.arctan2(step[:, 0], step[:, 1])), period=360.0)
-    time_s = log.time_s[kept]
-    # The last sample before each step, so that a vehicle that stands keeps the course that it came with.
-    start = log.time_s[np.array(kept[1:]) - 1]
-    middle = np.maximum((time_s[:-1] + time_s[1:]) / 2.0, start)
-    return np.interp(log.time_s, middle, course)
+    start, end = log.time_s[kept[:-1]], log.time_s[kept[1:]]
+    # In a step that takes long the vehicle stands, and keeps the course that it came with until shortly before its end.
+    stands = end - start > 2.0 * _TURN_S
+    middle = np.where(stands, end - _TURN_S / 2.0, (start + end) / 2.0)
+    hold = np.flatnonzero(stands[1:]) + 1
+    knots = np.concatenate([middle, end[hold] - _TURN_S])
+    courses = np.concatenate([course, course[hold - 1]])
+    order = np.argsort(knots, kind="stable")
+    return np.interp(log.time_s, knots[order], courses[order])
