@@ -261,7 +261,8 @@ class TrajectoryOptions:
     ] = False
 
     def read(self, scene: "Scene", rate_hz: float | None) -> "Trajectory":
-        """Return the Trajectory over a scene, refused if it is below ground at one of the frames."""
+        """Return the Trajectory over a scene, refused if it is below ground at a frame; print warnings on the log."""
+        from thermorender.output.terrain_in_view import empty_frames_note
         from thermorender.trajectory import (
             check_above_ground,
             parse_anchor,
@@ -286,11 +287,13 @@ class TrajectoryOptions:
             course=self.course,
             duplicates=self.duplicates,  # type: ignore[arg-type]  # checked by read_trajectory
         )
+        rate_hz = scene.camera.frame_rate_hz if rate_hz is None else rate_hz
+        frames = path.sampled(path.frame_times(rate_hz, self.start_s, self.stop_s))
+        if not self.allow_below_ground:
+            check_above_ground(frames, scene.ground)
         for note in path.notes:
             warn(note)
-        if not self.allow_below_ground:
-            rate_hz = scene.camera.frame_rate_hz if rate_hz is None else rate_hz
-            check_above_ground(path.sampled(path.frame_times(rate_hz, self.start_s, self.stop_s)), scene.ground)
+        warn(empty_frames_note(scene, frames.poses()))
         return path
 
 

@@ -76,8 +76,11 @@ class Resets:
             if each.reset.unless and each.count.any()
         }
 
-    def undo(self, values: dict[str, Floats], time_s: Floats, table: Table) -> list[str]:
-        """Take the resets out of `values`, in place; return a note for each counter that changes."""
+    def undo(self, values: dict[str, Floats], time_s: Floats, table: Table) -> list[tuple[str, float, str]]:
+        """Take the resets out of `values`, in place; return a note for each counter that changes.
+
+        A note has the text before a time, the time [s] and the text after it, because the time's zero may change.
+        """
         notes = []
         for each in self.counted:
             rows = np.flatnonzero(each.count)
@@ -93,10 +96,9 @@ class Resets:
                 if unknown
                 else ""
             )
-            notes.append(
-                f"{table.path}: the estimator was reset {times} at {time_s[rows[0]]:.3f} s ({table.what} "
-                f"{table.row[rows[0]]}, column {each.reset.counter!r}): {effect}{rest}"
-            )
+            before = f"{table.path}: the estimator was reset {times} at "
+            where = f" s ({table.what} {table.row[rows[0]]}, column {each.reset.counter!r}): {effect}{rest}"
+            notes.append((before, float(time_s[rows[0]]), where))
         return notes
 
 

@@ -26,7 +26,7 @@ class Log:
 
     `counters` names the estimator's reset counters that the file has. `open_resets` has the resets whose effect is
     in the file with another counter, and `notes` sentences for the user. `origin` is the latitude and longitude [deg]
-    that local positions count from, if the log knows it.
+    that local positions count from, if the log knows it. `resets` are notes on resets: text, time [s], text.
     """
 
     path: str
@@ -39,6 +39,7 @@ class Log:
     counters: tuple[str, ...] = ()
     open_resets: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    resets: list[tuple[str, float, str]] = field(default_factory=list)
 
     def where(self, name: str, index: int) -> str:
         """Return "file, row R, column C" of one of our quantities, for messages."""
@@ -93,9 +94,11 @@ def read_log(table: Table, mapping: Mapping, duplicates: str = "refuse") -> Log:
         if quantity is not None and quantity.column is not None:
             values[name], columns[name] = table.numbers(quantity), quantity.column
     unseen = resets.open(time_s, table)
-    notes += resets.undo(values, time_s, table)
+    changes = resets.undo(values, time_s, table)
     origin = _origin(table, mapping)
-    return Log(table.path, table.row, time_s, values, columns, origin, table.what, resets.counters, unseen, notes)
+    return Log(
+        table.path, table.row, time_s, values, columns, origin, table.what, resets.counters, unseen, notes, changes
+    )
 
 
 def _refuse_other_unit(choices: Sequence[Quantity], table: Table, mapping: Mapping) -> None:

@@ -120,7 +120,9 @@ def read_trajectory(
         position_log, horizontal, height, frame, ground, geoid_undulation_m, relative=anchor is not None
     )
     jump = jumps(position_log, position)
-    notes = [note for log in logs for note in log.notes] + ([jump] if jump else [])
+    notes = [note for log in logs for note in (*log.notes, *(f"{a}{t:.3f}{b}" for a, t, b in log.resets))] + (
+        [jump] if jump else []
+    )
     if mapping.assumes:
         notes.append(f"format {mapping.name}: {mapping.assumes}")
 
@@ -183,7 +185,14 @@ def _read_logs(
     if mapping.from_start:
         # Simulations count from the start of the flight, not from 1970; all files have the same zero.
         zero = min(log.time_s[0] for log in logs)
-        logs = [replace(log, time_s=log.time_s - zero) for log in logs]
+        logs = [
+            replace(
+                log,
+                time_s=log.time_s - zero,
+                resets=[(before, time - zero, after) for before, time, after in log.resets],
+            )
+            for log in logs
+        ]
     return logs
 
 
