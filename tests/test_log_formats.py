@@ -151,15 +151,19 @@ def test_other_and_damaged_binary_files_are_refused(tmp_path, monkeypatch):
             read(tmp_path / "a.bin", name)
         with pytest.raises(ThermorenderError, match=rf"none cannot be read \(No such file .*\); give {what}"):
             read(tmp_path / "none", name)
-    whole = ulog(tmp_path / "a.ulg", px4()).read_bytes()
     rng = np.random.default_rng(5)
-    for k in range(40):
-        damaged = bytearray(whole)
-        damaged[int(rng.integers(8, len(whole)))] ^= int(rng.integers(1, 256))
-        (tmp_path / "b.ulg").write_bytes(damaged[: int(rng.integers(8, len(whole)))] if k % 2 else damaged)
-        # Refused in the project's words or read; never another error.
-        with suppress(ThermorenderError):
-            read(tmp_path / "b.ulg", "ulog", anchor=ANCHOR)
+    for name, file in (
+        ("ulog", ulog(tmp_path / "a.ulg", px4())),
+        ("ardupilot", dataflash(tmp_path / "b.bin", ardupilot())),
+    ):
+        whole = file.read_bytes()
+        for k in range(30):
+            damaged = bytearray(whole)
+            damaged[int(rng.integers(8, len(whole)))] ^= int(rng.integers(1, 256))
+            (tmp_path / "d").write_bytes(damaged[: int(rng.integers(8, len(whole)))] if k % 2 else damaged)
+            # Refused in the project's words or read; never another error.
+            with suppress(ThermorenderError):
+                read(tmp_path / "d", name, anchor=ANCHOR)
     monkeypatch.setitem(sys.modules, "pyulog", None)
     with pytest.raises(
         ThermorenderError, match=r"needs pyulog, which is not installed; run pip install 'thermorender\[logs\]'"

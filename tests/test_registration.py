@@ -203,8 +203,8 @@ def test_a_rig_survives_its_file(tmp_path, found):
     "change",
     [
         {"scale": "wide"}, {"scale": -1.0}, {"k1": None}, {"shift_px": [1.0]}, {"format": 9}, {"lens": 1},
-        {"scale": 1e200}, {"k1": 1e200}, {"aspect": True}, {"visible_shape": [1.5, 2]}, {"shift_px": "ab"}, {"errors": 1.5},
-        {"errors": {"k1": "small"}}, {"score": "high"}, {"score_unrelated": [0.1]}, {"frames": [1]},
+        {"scale": 1e200}, {"k1": 1e200}, {"aspect": True}, {"visible_shape": [1.5, 2]}, {"shift_px": "ab"},
+        {"errors": 1.5}, {"errors": {"k1": "small"}}, {"score": "high"}, {"score_unrelated": [0.1]}, {"frames": [1]},
         {"frames": {"a": None}}, {"rejected": {"a": 1}}, {"score": float("nan")},
     ],
 )  # fmt: skip

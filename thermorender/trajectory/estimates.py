@@ -102,6 +102,12 @@ class Resets:
         return notes
 
 
+def _is_unit(quaternion: Floats) -> NDArray[np.bool_]:
+    """Whether quaternions (N, 4) are rotations, up to a log's digits."""
+    with np.errstate(over="ignore"):
+        return np.abs(np.linalg.norm(quaternion, axis=1) - 1.0) < 0.1
+
+
 def _shift_back(each: _Counted, rows: NDArray[np.int64], values: dict[str, Floats]) -> str:
     parts = []
     for k, name in enumerate(each.reset.shift):
@@ -115,6 +121,8 @@ def _shift_back(each: _Counted, rows: NDArray[np.int64], values: dict[str, Float
 def _turn_back(each: _Counted, rows: NDArray[np.int64], values: dict[str, Floats]) -> str:
     quaternion = np.stack([values[name] for name in QUATERNION], axis=-1)
     largest = 0.0
+    if not _is_unit(quaternion).all():
+        return "but not every attitude is a rotation"  # which is refused later, with its row
     for row in rows[::-1]:
         if each.known[row]:
             change = rotation_from_wxyz(each.change[row])
@@ -136,7 +144,12 @@ def find_resets(table: Table, mapping: Mapping) -> Resets:
     present = tuple(reset for reset in mapping.resets if reset.counter in names)
     for reset in present:
         counter = table.numbers(Quantity(reset.counter))
-        count = np.concatenate([[0], np.diff(counter) % _WRAP]).astype(np.int64)
+        odd = (np.abs(counter) > 2**31) | (counter != np.round(counter))
+        if odd.any():
+            where = table.where(int(np.argmax(odd)), reset.counter)
+            raise ThermorenderError(f"{where}: {counter[odd][0]:g} does not count resets; give whole numbers")
+        step = np.concatenate([[0.0], np.diff(counter)]).astype(np.int64)
+        count = np.where(step < 0, step % _WRAP, step)
         recorded = tuple(reset.shift.values()) or reset.turn
         change = np.zeros((len(table), max(len(recorded), 1)))
         # A counter that advances by several between two rows leaves only the last change in the log.
@@ -149,7 +162,7 @@ def find_resets(table: Table, mapping: Mapping) -> Resets:
                 scale = mapping.quantities[name][0].scale if name in mapping.quantities else 1.0
                 change[rows, k] = some.numbers(Quantity(column, scale))
             if reset.turn:
-                known[rows] &= np.abs(np.linalg.norm(change[rows], axis=1) - 1.0) < 0.1
+                known[rows] &= _is_unit(change[rows])
         counted.append(_Counted(reset, count, change, known))
     return Resets(tuple(counted), tuple(reset.counter for reset in present))
 

@@ -38,8 +38,10 @@ def read_dataflash(path: str) -> list[Table]:
     rows: dict[str, list[list[float]]] = {name: [] for name in _FIELDS}
     try:
         with said_by_library() as said, contextlib.ExitStack() as stack:
-            log = reader.DFReader_binary(str(path), zero_time_base=True)
-            stack.callback(log.filehandle.close)
+            log = reader.DFReader_binary.__new__(reader.DFReader_binary)
+            # The library leaves its file open, also when its constructor fails.
+            stack.callback(lambda: log.filehandle.close() if hasattr(log, "filehandle") else None)
+            log.__init__(str(path), zero_time_base=True)
             while (message := log.recv_match(type=list(_FIELDS))) is not None:
                 row = _row(message)
                 if row is not None:

@@ -17,7 +17,7 @@ from thermorender.trajectory.mapping import UNSTATED
 from thermorender.trajectory.tables import Floats, Table
 
 _NUMBER = r"([-+]?\d+(?:\.\d+)?)"
-_TIME = re.compile(r"(\d+):(\d\d):(\d\d)[,.](\d{1,3})\s*-->")
+_TIME = re.compile(r"\b(\d{1,3}):(\d\d):(\d\d)[,.](\d{1,3})\s*-->")
 _PAIR = re.compile(rf"\b([a-z_]+)\s*:\s*{_NUMBER}")
 _GPS = re.compile(r"\bGPS\s*\(([^)]*)\)")
 _HEIGHT = re.compile(rf"\b(?:BAROMETER\s*:|Hb\s*:|H)\s*{_NUMBER}")
@@ -106,6 +106,8 @@ def _select(path: str, cues: list[dict[str, float]], row: NDArray[np.int64], nam
     """A table of the cues that have all of these values."""
     complete = np.array([all(name in cue for name in names) for cue in cues])
     index = np.flatnonzero(complete)
+    if not index.size:
+        raise ThermorenderError(f"{path}: no cue has all of {', '.join(names)}; give another log")
     columns: dict[str, Floats] = {name: np.array([cues[k][name] for k in index]) for name in ("time_s", *names)}
     notes: tuple[str, ...] = ()
     if index.size < len(cues):
