@@ -81,6 +81,7 @@ def empty_frames_note(scene: Scene, poses: NDArray[np.float64]) -> str | None:
     else:
         why = (
             f"the flight is over the terrain, but the camera looks past it, {looks}; point it with --mount "
-            "YAW,PITCH,ROLL (0,-90,0 looks down), or correct the log's gimbal angles"
+            "YAW,PITCH,ROLL (0,-90,0 looks down), or move the flight "
+            "with --anchor E,N,U,HEADING"
         )
     return f"{len(empty)} of {len(some)} frames looked at show no terrain: {why}"

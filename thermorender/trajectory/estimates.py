@@ -114,8 +114,10 @@ def _shift_back(each: _Counted, rows: NDArray[np.int64], values: dict[str, Float
         shift = np.zeros(values[name].size)
         shift[rows] = np.where(each.known[rows], each.change[rows, k], np.diff(values[name])[rows - 1])
         values[name] = values[name] - np.cumsum(shift)
-        parts.append(f"{name} by up to {np.abs(shift).max():.3g} m")
-    return f"it changed {', '.join(parts)}, which is subtracted from the rows after it so that the path is continuous"
+        if shift.any():
+            parts.append(f"{name} by up to {np.abs(shift).max():.3g} m")
+    what = ", ".join(parts) or "nothing"
+    return f"it changed {what}, which is subtracted from the rows after it so that the path is continuous"
 
 
 def _turn_back(each: _Counted, rows: NDArray[np.int64], values: dict[str, Floats]) -> str:
