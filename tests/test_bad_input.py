@@ -72,8 +72,8 @@ bits = 14
 range_c = [-25.0, 135.0]
 frame_rate_hz = 1.0
 """
-COLUMNS = "time_s,east_m,north_m,above_ground_m,gimbal_pitch_deg"
-FLIGHT = f"{COLUMNS}\n0,0,0,20,-90\n1,1,0,20,-90\n2,2,0,20,-90\n"
+COLUMNS = "time_s,east_m,north_m,above_ground_m,gimbal_pitch_deg,gimbal_yaw_deg"
+FLIGHT = f"{COLUMNS}\n0,0,0,20,-90,0\n1,1,0,20,-90,0\n2,2,0,20,-90,0\n"
 QUICK = ("--rays", 2, "--quality", "fast")
 QUAD = "v -8 -8 0\nv 8 -8 0\nv 8 8 0\nv -8 8 0\n"
 FACES = "f 1 2 3\nf 1 3 4\n"
@@ -925,9 +925,9 @@ QUATERNIONS = "time_s,east_m,north_m,up_m,qw,qx,qy,qz\n"
 @pytest.mark.parametrize(
     "text, words",
     [
-        (f"{COLUMNS}\n1,0,0,20,-90\n0,0,0,20,-90\n", ["flight.csv, row 3, column 'time_s'", "running backwards"]),
-        (f"{COLUMNS}\n0,0,0,nan,-90\n", ["row 2, column 'above_ground_m'", "not a finite number"]),
-        (f"{COLUMNS}\n0,0,0,20\n", ["row 2: 4 cells where row 1 names 5 columns"]),
+        (f"{COLUMNS}\n1,0,0,20,-90,0\n0,0,0,20,-90,0\n", ["flight.csv, row 3, column 'time_s'", "running backwards"]),
+        (f"{COLUMNS}\n0,0,0,nan,-90,0\n", ["row 2, column 'above_ground_m'", "not a finite number"]),
+        (f"{COLUMNS}\n0,0,0,20\n", ["row 2: 4 cells where row 1 names 6 columns"]),
         (f"{COLUMNS}\n", ["has no rows below the header"]),
         ("", ["the file is empty"]),
         ("time_s,east_m,above_ground_m\n0,0,20\n", ["column 'north_m' is missing"]),
@@ -936,9 +936,9 @@ QUATERNIONS = "time_s,east_m,north_m,up_m,qw,qx,qy,qz\n"
         ("time_s,east_m,nort_m,up_m\n0,0,0,20\n", ["column 'nort_m' is not known", "'north_m'"]),
         (QUATERNIONS + "0,0,0,20,1,1,0,0\n", ["row 2, columns qw, qx, qy, qz", "length 1.41421", "unit quaternions"]),
         (QUATERNIONS + "0,0,0,20,1e300,0,0,0\n", ["length inf", "unit quaternions"]),
-        (f"{COLUMNS}\n0,0,0,1e300,-90\n", ["the position is 1e+297 km from the scene's origin"]),
-        (f"{COLUMNS}\n0,1e300,0,20,-90\n", ["there is no ground below east 1000000"]),
-        (f"{COLUMNS}\n0,0,0,20,-90\n1e300,0,0,20,-90\n", ["1e+300 frames", "up to 1000000 are allowed"]),
+        (f"{COLUMNS}\n0,0,0,1e300,-90,0\n", ["the position is 1e+297 km from the scene's origin"]),
+        (f"{COLUMNS}\n0,1e300,0,20,-90,0\n", ["there is no ground below east 1000000"]),
+        (f"{COLUMNS}\n0,0,0,20,-90,0\n1e300,0,0,20,-90,0\n", ["1e+300 frames", "up to 1000000 are allowed"]),
     ],
 )
 def test_wrong_logs(scene, refused, text, words):
@@ -957,7 +957,7 @@ def test_missing_and_binary_logs(scene, refused, tmp_path):
 @pytest.mark.slow
 def test_two_samples_at_the_same_time(scene, refused, call, tmp_path):
     change(scene / "scene.toml", "[camera]", '[truth]\ntemperature = "temperature.tif"\n[camera]')
-    (scene / "flight.csv").write_text(f"{COLUMNS}\n0,0,0,20,-90\n0,1,0,20,-90\n1,2,0,20,-90\n")
+    (scene / "flight.csv").write_text(f"{COLUMNS}\n0,0,0,20,-90,0\n0,1,0,20,-90,0\n1,2,0,20,-90,0\n")
     for verb in ("fly", "compare"):
         words = ["flight.csv, row 3, column 'time_s': '0' follows the same time in row 2", "--duplicates spread"]
         refused(words, verb, scene, *QUICK)
@@ -973,13 +973,16 @@ def test_frames_without_terrain_are_reported(scene, call, tmp_path):
     flight = ["fly", scene, "--products", "counts", *QUICK]
     status, printed, errors = call(*flight, "-o", tmp_path / "a")
     assert (status, errors) == (0, "") and "show no terrain" not in printed
-    (scene / "flight.csv").write_text(f"{COLUMNS}\n0,0,0,20,-90\n1,1,0,20,60\n2,2,0,20,60\n")
+    (scene / "flight.csv").write_text(f"{COLUMNS}\n0,0,0,20,-90,0\n1,1,0,20,60,0\n2,2,0,20,60,0\n")
     status, printed, errors = call(*flight, "-o", tmp_path / "b")
-    assert (status, errors) == (0, "") and "2 of 3 frames show no terrain" in printed
+    assert status == 0 and "2 of 3 frames show no terrain" in printed
+    assert errors.startswith(
+        "warning: 2 of 3 frames looked at show no terrain: the flight is over the terrain, but the"
+    )
 
 
 def test_path_below_the_terrain(scene, refused, call, tmp_path):
-    (scene / "flight.csv").write_text(f"{COLUMNS.replace('above_ground_m', 'up_m')}\n0,0,0,-20,90\n")
+    (scene / "flight.csv").write_text(f"{COLUMNS.replace('above_ground_m', 'up_m')}\n0,0,0,-20,90,0\n")
     refused(["at 0.000 s the camera is 2", "m below the ground"], "fly", scene, *QUICK)
     status, _, errors = call("fly", scene, "-o", tmp_path / "o", "--allow-below-ground", "--products", "counts", *QUICK)
     assert (status, errors) == (0, "")

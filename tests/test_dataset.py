@@ -454,3 +454,17 @@ def test_damaged_shards_are_named_in_one_sentence(tmp_path):
     words = r"shards/a.tar cannot be read \(No such file or directory\); copy the data set again, or remove the shard's"
     with pytest.raises(ThermorenderError, match=words):
         dataset[0]
+
+
+def test_index_that_states_a_huge_length_blames_the_shard(tmp_path):
+    folder = made(tmp_path / "set", "a")
+    written = json.loads(lines(folder)[0])
+    name, (offset, _) = next(iter(written["members"].items()))
+    for place in ((offset, 2**62), (2**62, 10), (0, 10)):
+        changed = {**written, "members": {**written["members"], name: place}}
+        (folder / "index.jsonl").write_text(json.dumps(changed) + "\n")
+        dataset = read_dataset(folder)
+        with pytest.raises(
+            ThermorenderError, match=rf"a\.tar is damaged: .*{name} is not complete at the offset in the"
+        ):
+            dataset.pair(dataset.entries[0])

@@ -148,6 +148,8 @@ def test_texture_mapping_of_a_tracked_model_is_part_of_the_scene_digest(tmp_path
         ("time_s,yaw_deg\n\n0,x\n", "row 3: '0,x' is not 2 finite"),
         ("time_s,yaw_deg\n0,1\0\n", "track.csv is not UTF-8 text .it holds zero bytes.; save it as CSV UTF-8"),
         ("time_s,temperature_k\n0,20\n", "20 is below 100 K"),
+        ("time_s,yaw_deg\n0,1e308\n1,-1e308\n", r"yaw_deg=1e\+308 is out of range; give degrees, up to 1e\+06"),
+        ("time_s,yaw_deg\n-1e308,0\n1e308,1\n", r"time_s=-1e\+308 is out of range; give seconds, up to 1e\+12"),
     ],
 )
 def test_bad_tracks(tmp_path, text, words):

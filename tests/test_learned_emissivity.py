@@ -533,6 +533,8 @@ def test_polygons_in_longitude_and_latitude_give_the_same_labels(scene, tmp_path
         (lambda p: polygons(p, []), "names 0 materials; label polygons of 2…254 materials"),
         (lambda p: polygons(p, boxes()[:1]), "two or more materials, but .* has those of grass_green only; label more"),
         (lambda p: polygons(p, boxes(), crs="EPSG:nonsense"), "is not a GeoJSON FeatureCollection"),
+        (lambda p: p.write_text('{"features": 1.5}'), r"FeatureCollection \(ValueError: features is 1.5, not a list\)"),
+        (lambda p: p.write_text('{"features": ' + "[" * 100000), "FeatureCollection .*nested too deep"),
         (lambda p: p.write_text("[1, 2"), "is not a GeoJSON FeatureCollection"),
         (lambda p: p.write_text('{"features": [{"geometry": 1, "properties": {"material": "snow"}}]}'), "feature 1 is"),
         (lambda p: None, "labels.geojson cannot be read: No such file"),

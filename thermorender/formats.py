@@ -108,7 +108,7 @@ def finite_json(text: str) -> Any:
     Raises
     ------
     ValueError
-        It is not JSON, or holds a number that is not finite or takes more than 64 bits.
+        It is not JSON, is nested too deep, or holds a number that is not finite or takes more than 64 bits.
     """
 
     def number(kind, digits):
@@ -118,7 +118,10 @@ def finite_json(text: str) -> Any:
         return value
 
     kinds = {"parse_int": int, "parse_float": float, "parse_constant": float}
-    return json.loads(text, **{name: partial(number, kind) for name, kind in kinds.items()})
+    try:
+        return json.loads(text, **{name: partial(number, kind) for name, kind in kinds.items()})
+    except RecursionError:
+        raise ValueError("it is nested too deep") from None
 
 
 def read_json_lines(path: Path) -> list[Any]:

@@ -14,6 +14,7 @@ length and returns each pair as a dict of arrays, as a PyTorch DataLoader expect
 """
 
 import io
+import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -242,9 +243,13 @@ class Dataset:
         found = {}
         try:
             with open(path, "rb") as file:
+                end = os.fstat(file.fileno()).st_size
                 for name, (offset, length) in entry.members.items():
                     if truth or not name.startswith("truth"):
-                        file.seek(max(offset - BLOCK, 0))
+                        # Before reading, because an index may state any length.
+                        if offset < BLOCK or offset + length > end:
+                            raise damaged(name, "complete at the offset in the index")
+                        file.seek(offset - BLOCK)
                         data = file.read(BLOCK + length)
                         # The tar header names the file that the index expects here.
                         named = data[:100].rstrip(b"\0") == f"{entry.key}.{name}".encode()[:100]

@@ -1,13 +1,13 @@
 """Training of an emissivity map on scenes with a class raster or labelled polygons, or on procedural ones."""
 
-import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.errors import ThermorenderError
+from thermorender import formats
+from thermorender.errors import ThermorenderError, shortened
 from thermorender.learned.emissivity import MOST_MATERIALS, EmissivityMap
 from thermorender.learned.emissivity_training import Labelled, train
 from thermorender.materials import library as material_tables
@@ -130,8 +130,10 @@ def read_polygons(path: Path, grid: Grid) -> tuple[NDArray[np.uint8], dict[int, 
     from rasterio.warp import transform_geom
 
     try:
-        content = json.loads(path.read_text(encoding="utf-8-sig"))
+        content = formats.finite_json(path.read_text(encoding="utf-8-sig"))
         features = content["features"]
+        if not isinstance(features, list):
+            raise ValueError(f"features is {shortened(repr(features))}, not a list")
         crs = CRS.from_user_input(content["crs"]["properties"]["name"] if "crs" in content else "OGC:CRS84")
     except OSError as error:
         raise ThermorenderError(f"{path} cannot be read: {error.strerror}; give a GeoJSON file") from None

@@ -6,7 +6,6 @@ its share as the groups allow.
 
 import csv
 import io
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -114,7 +113,7 @@ def read_split(path: str | Path) -> dict[str, str]:
     text = formats.read_text(path, "UTF-8")
     try:
         if path.suffix.lower() == ".json":
-            kept = json.loads(text)
+            kept = formats.finite_json(text)
             rows = [(key, part) for part, keys in kept.items() for key in keys]
             usable = all(isinstance(keys, list) for keys in kept.values())
         else:

@@ -13,7 +13,12 @@ from thermorender.errors import ThermorenderError
 from thermorender.versions import version_of, versions
 
 # Packages of extras, with the extra and what needs it.
-OPTIONAL = (("lightgbm", "maps", "learned maps of trees"), ("torch", "networks", "learned maps that are networks"))
+OPTIONAL = (
+    ("lightgbm", "maps", "learned maps of trees"),
+    ("torch", "networks", "learned maps that are networks"),
+    ("pyulog", "logs", "PX4 logs in ULog"),
+    ("pymavlink", "logs", "ArduPilot logs"),
+)
 VARIANTS = ("scalar_rgb", "llvm_ad_mono", "llvm_ad_spectral", "cuda_ad_mono")
 
 

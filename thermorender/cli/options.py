@@ -231,11 +231,13 @@ class TrajectoryOptions:
 
     trajectory: Annotated[
         list[Path] | None,
-        typer.Option("--trajectory", help="Log in CSV; repeat for several files. Default: the scene's flight.csv."),
+        typer.Option("--trajectory", help="Log; repeat for several files. Default: the scene's flight.csv."),
     ] = None
     format: Annotated[
-        str | None, typer.Option("--format", help="Columns of the log: dji-gimbal, rocket-firm, px4, or a TOML file.")
-    ] = None
+        str | None,
+        typer.Option("--format", help="Program that wrote the log: airdata, ardupilot, dji-gimbal, dji-srt, euroc, "
+                     "gpx, kml, px4, rocket-firm, tum, ulog, or a mapping of columns (TOML). Default: our own CSV."),
+    ] = None  # fmt: skip
     anchor: Annotated[
         str | None, typer.Option(help="E,N,U,HEADING: move the start of the log there [m, m, m above ground, deg].")
     ] = None
@@ -249,6 +251,9 @@ class TrajectoryOptions:
     lever_arm_m: Annotated[str, typer.Option(help="FORWARD,RIGHT,DOWN: the camera's position on the vehicle [m].")] = (
         "0,0,0"
     )
+    course: Annotated[
+        bool, typer.Option("--course", help="Turn a vehicle whose log has no yaw to its course over ground.")
+    ] = False
     start_s: Annotated[float | None, typer.Option(help="First time to fly [s].")] = None
     stop_s: Annotated[float | None, typer.Option(help="Last time to fly [s].")] = None
     allow_below_ground: Annotated[
@@ -256,7 +261,8 @@ class TrajectoryOptions:
     ] = False
 
     def read(self, scene: "Scene", rate_hz: float | None) -> "Trajectory":
-        """Return the Trajectory over a scene, refused if it is below ground at one of the frames."""
+        """Return the Trajectory over a scene, refused if it is below ground at a frame; print warnings on the log."""
+        from thermorender.output.terrain_in_view import empty_frames_note
         from thermorender.trajectory import (
             check_above_ground,
             parse_anchor,
@@ -278,11 +284,16 @@ class TrajectoryOptions:
             clock_offset_s=self.clock_offset_s,
             mount=parse_mount(self.mount) if self.mount else None,
             lever_arm_m=parse_lever_arm(self.lever_arm_m),
+            course=self.course,
             duplicates=self.duplicates,  # type: ignore[arg-type]  # checked by read_trajectory
         )
+        rate_hz = scene.camera.frame_rate_hz if rate_hz is None else rate_hz
+        frames = path.sampled(path.frame_times(rate_hz, self.start_s, self.stop_s))
         if not self.allow_below_ground:
-            rate_hz = scene.camera.frame_rate_hz if rate_hz is None else rate_hz
-            check_above_ground(path.sampled(path.frame_times(rate_hz, self.start_s, self.stop_s)), scene.ground)
+            check_above_ground(frames, scene.ground)
+        for note in path.notes:
+            warn(note)
+        warn(empty_frames_note(scene, frames.poses()))
         return path
 
 

@@ -158,8 +158,8 @@ def fly(
     without = summary["frames_without_terrain"]
     if without:
         typer.echo(
-            f"{without} of {summary['frames']} frames show no terrain; check the flight's position and angles, or "
-            "move it with --anchor"
+            f"{without} of {summary['frames']} frames show no terrain; point the camera with --mount, or move the "
+            "flight with --anchor"
         )
 
 

@@ -5,14 +5,16 @@ ground below the first one. Geodetic coordinates are converted through ECEF, whi
 the tilt of the vertical.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import FARTHEST_M, LocalFrame, ecef_from_geodetic
-from thermorender.trajectory.mapping import POSITION_GEODETIC
+from thermorender.trajectory.logs import Log
+from thermorender.trajectory.mapping import POSITION_GEODETIC, UNSTATED
 from thermorender.trajectory.path import GroundHeight, Trajectory
-from thermorender.trajectory.tables import Log
 
 Floats = NDArray[np.float64]
 
@@ -23,6 +25,25 @@ def frame_of_first_sample(log: Log) -> LocalFrame:
     """Return a `LocalFrame` on the ellipsoid at the first row's latitude and longitude."""
     _refuse_impossible_coordinates(log)
     return LocalFrame(float(log.values["lat_deg"][0]), float(log.values["lon_deg"][0]), 0.0)
+
+
+def geodetic_of_local(log: Log, radius_m: float = 6_371_000.0) -> Log:
+    """Return a log of local positions with the latitude and longitude that its origin gives them.
+
+    The inverse of the azimuthal equidistant projection on a sphere, by which PX4 makes local positions (its `geo`
+    library; J. P. Snyder, Map Projections: A Working Manual, 1987, eq. 20-14, 20-15, doi:10.3133/pp1395).
+    """
+    assert log.origin is not None, "called for a log with an origin"
+    values = dict(log.values)
+    east, north = values.pop("east_m") / radius_m, values.pop("north_m") / radius_m
+    latitude, longitude = np.radians(log.origin)
+    angle = np.hypot(east, north)
+    share = np.sinc(angle / np.pi)
+    sine = np.cos(angle) * np.sin(latitude) + north * share * np.cos(latitude)
+    turned = np.arctan2(east * share, np.cos(latitude) * np.cos(angle) - north * np.sin(latitude) * share)
+    values["lat_deg"] = np.degrees(np.arcsin(np.clip(sine, -1.0, 1.0)))
+    values["lon_deg"] = np.degrees(longitude + turned)
+    return replace(log, values=values)
 
 
 def _refuse_impossible_coordinates(log: Log) -> None:
@@ -53,6 +74,11 @@ def local_positions(
     if relative:
         follows_ellipsoid = horizontal == POSITION_GEODETIC and height not in ("up_m", "above_ground_m")
         height = "alt_ellipsoid_m" if follows_ellipsoid else "up_m"
+    if height == UNSTATED:
+        raise ThermorenderError(
+            f"{where}: the log does not say what its height is relative to; move the flight with --anchor "
+            "E,N,U,HEADING, where U is the height of its first position above the ground"
+        )
     if height == "alt_geoid_m":
         if undulation is None:
             raise ThermorenderError(

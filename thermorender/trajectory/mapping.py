@@ -15,7 +15,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.schema import Where, choice, flag, key, number, read, read_toml, table, tables, text
+from thermorender.schema import (
+    FrozenDict,
+    Where,
+    choice,
+    flag,
+    key,
+    mapping,
+    number,
+    read,
+    read_toml,
+    table,
+    tables,
+    text,
+    texts,
+)
 
 POSITION_LOCAL = ("east_m", "north_m")
 POSITION_GEODETIC = ("lat_deg", "lon_deg")
@@ -23,8 +37,11 @@ HEIGHTS = ("up_m", "alt_ellipsoid_m", "alt_geoid_m", "above_ground_m", "above_ta
 QUATERNION = ("qw", "qx", "qy", "qz")
 ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
 GIMBAL = ("gimbal_yaw_deg", "gimbal_pitch_deg", "gimbal_roll_deg")
+# A height whose reference the log does not state; internal to readers, since only its changes mean something.
+UNSTATED = "height_m"
 POSITION = POSITION_LOCAL + POSITION_GEODETIC + HEIGHTS
 QUANTITIES = POSITION + QUATERNION + ANGLES + GIMBAL
+READERS = ("csv", "dataflash", "gpx", "kml", "poses", "srt", "ulog")
 
 _NAMED_AXES = {
     "FRD": np.eye(3),
@@ -34,12 +51,49 @@ _NAMED_AXES = {
 
 @dataclass(frozen=True)
 class Quantity:
-    """The source of one of our quantities: a column times `scale` plus `offset`, or a constant."""
+    """The source of one of our quantities: a column times `scale` plus `offset`, or a constant.
+
+    A log without an `optional` column is read all the same.
+    """
 
     column: str | None = key(text, None)
     scale: float = key(number(), 1.0)
     offset: float = key(number(), 0.0)
+    optional: bool = key(flag, False)
     constant: float | None = None
+
+
+@dataclass(frozen=True)
+class Reset:
+    """The columns of an estimator's resets: a counter, and what the last reset changed.
+
+    `shift` names the column of the change for each of our quantities, in the unit of that quantity's own column.
+    `turn` names the four columns (w, x, y, z) of the rotation that the attitude was multiplied by from the left.
+    With neither, a change of the counter is refused unless one of the files has the counter `unless`.
+    """
+
+    counter: str = key(text)
+    shift: dict[str, str] = key(mapping(text), FrozenDict())
+    turn: tuple[str, ...] = key(texts, ())
+    unless: str | None = key(text, None)
+
+    def check(self, where: Where, given: dict[str, Any]) -> None:
+        """Raise if the keys contradict each other."""
+        where.exactly_one([name for name in given if getattr(self, name)], ("shift", "turn", "unless"))
+        for name in self.shift:
+            if name not in QUANTITIES:
+                where.of("shift").refuse(name, f"names of {', '.join(QUANTITIES)}")
+        if self.turn and len(self.turn) != 4:
+            where.of("turn").refuse(list(self.turn), "four columns: w, x, y, z")
+
+
+@dataclass(frozen=True)
+class Origin:
+    """The columns with latitude and longitude of a log's local origin, and the flag that says that they are known."""
+
+    lat_deg: str = key(text)
+    lon_deg: str = key(text)
+    valid: str = key(text)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +107,11 @@ class Mapping:
     title : str
         Description in one line.
     quantities : dict
-        Our column name to `Quantity`; empty for our own format.
-    time : Quantity
-        Numeric time [s after scaling]; its column is None if `stamps` are used.
+        Our column name to `Quantity`s, of which the first whose column is present counts; empty for our own format.
+    time : tuple of Quantity
+        Numeric times [s after scaling], of which the first present counts; ignored if `stamps` are used.
+    from_start : bool
+        Time counts from the earliest sample of all files.
     stamps : tuple of dict
         Date-time columns to try in turn: column, pattern ("iso" or strptime's), optional fraction column.
     sort_by_time : bool
@@ -66,17 +122,38 @@ class Mapping:
         Columns: forward, right and down in the log's body axes.
     quaternion_inverse : bool
         The log's quaternion rotates world to body.
+    valid, doubtful : tuple of str
+        Columns, if present. Rows where one of `valid` is 0 are dropped; rows where one of `doubtful` is not are
+        reported.
+    resets : tuple of Reset
+        Resets of the estimator, if their counters are present.
+    origin : Origin or None
+        Latitude and longitude of the origin of local positions, if its columns are present.
+    reader : str
+        Kind of file; see `trajectory.sources`.
+    suffix : str
+        End of the names of such files; "" for CSV.
+    assumes : str
+        What the format takes for granted, for the user.
     """
 
     name: str = "canonical"
     title: str = "thermorender's own columns"
-    quantities: dict[str, Quantity] = field(default_factory=dict)
-    time: Quantity = field(default_factory=lambda: Quantity("time_s"))
+    quantities: dict[str, tuple[Quantity, ...]] = field(default_factory=dict)
+    time: tuple[Quantity, ...] = (Quantity("time_s"),)
+    from_start: bool = False
     stamps: tuple[dict[str, str], ...] = ()
     sort_by_time: bool = False
     quaternion_world: str = "NED"
     log_body_from_frd: NDArray[np.float64] = field(default_factory=lambda: np.eye(3))
     quaternion_inverse: bool = False
+    valid: tuple[str, ...] = ()
+    doubtful: tuple[str, ...] = ()
+    resets: tuple[Reset, ...] = ()
+    origin: Origin | None = None
+    reader: str = "csv"
+    suffix: str = ""
+    assumes: str = ""
 
 
 def bundled_formats() -> list[str]:
@@ -109,23 +186,45 @@ def load_mapping(name: str | PathLike[str] | None) -> Mapping:
         name=str(name),
         title=given.title or str(name),
         quantities={ours: value for ours, value in vars(given.columns).items() if value is not None},
-        time=Quantity() if given.time.stamps else Quantity(given.time.column, given.time.scale, given.time.offset),
+        time=tuple(Quantity(column, given.time.scale, given.time.offset) for column in given.time.column),
+        from_start=given.time.from_start or bool(given.time.stamps),
         stamps=tuple({k: v for k, v in vars(stamp).items() if v is not None} for stamp in given.time.stamps),
         sort_by_time=given.sort_by_time,
         quaternion_world=given.quaternion.world,
         log_body_from_frd=given.quaternion.body,
         quaternion_inverse=given.quaternion.inverse,
+        valid=given.valid,
+        doubtful=given.doubtful,
+        resets=given.resets,
+        origin=given.origin,
+        reader=given.reader,
+        suffix=given.suffix or "",
+        assumes=given.assumes or "",
     )
 
 
-def _quantity(value: Any, where: Where) -> Quantity:
+def _quantity(value: Any, where: Where) -> tuple[Quantity, ...]:
+    if isinstance(value, list) and value:
+        return tuple(_one_quantity(each, where) for each in value)
+    return (_one_quantity(value, where),)
+
+
+def _one_quantity(value: Any, where: Where) -> Quantity:
     if isinstance(value, str):
         return Quantity(text(value, where))
     if isinstance(value, dict) and "column" in value:
         return read(Quantity, value, where)
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return Quantity(constant=number()(value, where))
-    where.refuse(value, "a column's name, a number for all rows, or { column = '…', scale = 1.0, offset = 0.0 }")
+    where.refuse(
+        value,
+        "a column's name, a number for all rows, { column = '…', scale = 1.0, offset = 0.0 }, or a list of these whose "
+        "first present column counts",
+    )
+
+
+def _names(value: Any, where: Where) -> tuple[str, ...]:
+    return (value,) if isinstance(value, str) and value else texts(value, where)
 
 
 def _body_axes(axes: Any, where: Where) -> NDArray[np.float64]:
@@ -159,9 +258,10 @@ class _Stamp:
 
 @dataclass(frozen=True)
 class _Time:
-    column: str | None = key(text, None)
+    column: tuple[str, ...] = key(_names, ())
     scale: float = key(number(), 1.0)
     offset: float = key(number(), 0.0)
+    from_start: bool = key(flag, False)
     stamps: tuple[_Stamp, ...] = key(tables(_Stamp), ())
 
     def check(self, where: Where, given: dict[str, Any]) -> None:
@@ -175,25 +275,43 @@ class _Quaternion:
     inverse: bool = key(flag, False)
 
 
-_Columns = make_dataclass("_Columns", [(name, Quantity, key(_quantity, None)) for name in QUANTITIES], frozen=True)
+_Columns = make_dataclass("_Columns", [(name, tuple, key(_quantity, None)) for name in QUANTITIES], frozen=True)
 
 
 @dataclass(frozen=True)
 class _File:
     title: str | None = key(text, None)
     sort_by_time: bool = key(flag, False)
-    time: _Time = key(table(_Time), _Time("time_s"))
+    time: _Time = key(table(_Time), _Time(("time_s",)))
     columns: object = key(table(_Columns), _Columns())
     quaternion: _Quaternion = key(table(_Quaternion), _Quaternion())
+    valid: tuple[str, ...] = key(texts, ())
+    doubtful: tuple[str, ...] = key(texts, ())
+    resets: tuple[Reset, ...] = key(tables(Reset), ())
+    origin: Origin | None = key(table(Origin), None)
+    reader: str = key(choice(*READERS), "csv")
+    suffix: str | None = key(text, None)
+    assumes: str | None = key(text, None)
 
 
 def fitting_formats(header: Iterable[str]) -> str:
-    """Return a hint that names the bundled formats with some of these columns, or ""."""
-    fitting = []
+    """Return a hint that names the bundled formats with some of these columns, or `--format` if there is none."""
+    fitting, header = [], set(header)
     for name in bundled_formats():
         mapping = load_mapping(name)
-        times = {stamp["column"] for stamp in mapping.stamps} | {mapping.time.column}
-        columns = {q.column for q in mapping.quantities.values() if q.column}
-        if times & set(header) and columns & set(header):
+        times = {stamp["column"] for stamp in mapping.stamps} | {time.column for time in mapping.time}
+        columns = {each.column for choices in mapping.quantities.values() for each in choices if each.column}
+        if times & header and columns & header:
             fitting.append(repr(name))
-    return f"; the columns fit format={' or '.join(fitting)}" if fitting else ""
+    if fitting:
+        return f"; the columns fit format={' or '.join(fitting)}"
+    return (
+        f"; if another program wrote the file, say with --format which one ({', '.join(bundled_formats())}) or give a "
+        "mapping of its columns"
+    )
+
+
+def format_of_suffix(path: object) -> str | None:
+    """Return the bundled format of files whose names end like this one, or None."""
+    end = Path(str(path)).suffix.lower()
+    return next((name for name in bundled_formats() if end and load_mapping(name).suffix == end), None)

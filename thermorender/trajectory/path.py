@@ -68,6 +68,9 @@ class Trajectory:
     quaternion : (N, 4) array
         Unit quaternions (w, x, y, z) that rotate camera axes (x right, y down, z forward) to east, north, up.
 
+    notes : tuple of str
+        What a reader of logs dropped, corrected or assumed, in sentences.
+
     Raises
     ------
     ThermorenderError
@@ -78,6 +81,7 @@ class Trajectory:
     time_s: NDArray[np.float64]
     position: NDArray[np.float64]
     quaternion: NDArray[np.float64]
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         time_s, position, quaternion = (np.array(a, np.float64) for a in (self.time_s, self.position, self.quaternion))

@@ -24,7 +24,8 @@ from scipy.spatial.transform import Rotation
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
-from thermorender.trajectory.heights import frame_of_first_sample, local_positions, refuse_far
+from thermorender.trajectory.heights import frame_of_first_sample, geodetic_of_local, local_positions, refuse_far
+from thermorender.trajectory.logs import Log, read_log
 from thermorender.trajectory.mapping import (
     ANGLES,
     GIMBAL,
@@ -33,7 +34,9 @@ from thermorender.trajectory.mapping import (
     POSITION_GEODETIC,
     POSITION_LOCAL,
     QUATERNION,
+    UNSTATED,
     Mapping,
+    format_of_suffix,
     load_mapping,
 )
 from thermorender.trajectory.path import QUATERNION_TOLERANCE, Anchor, GroundHeight, Trajectory
@@ -46,7 +49,8 @@ from thermorender.trajectory.rotations import (
     slerp,
     wxyz,
 )
-from thermorender.trajectory.tables import Log, read_log
+from thermorender.trajectory.sources import SOURCES
+from thermorender.trajectory.track import course_deg, jumps
 
 
 def read_trajectory(
@@ -54,9 +58,9 @@ def read_trajectory(
     ground: GroundHeight | None = None, geoid_undulation_m: float | None = None,
     format: str | PathLike[str] | None = None, anchor: Anchor | None = None, clock_offset_s: float = 0.0,
     mount: Sequence[float] | None = None, lever_arm_m: Sequence[float] = (0.0, 0.0, 0.0),
-    duplicates: Literal["refuse", "spread", "first"] = "refuse",
+    duplicates: Literal["refuse", "spread", "first"] = "refuse", course: bool = False,
 ) -> Trajectory:  # fmt: skip
-    """Return the camera's `Trajectory` in the scene's frame from one or several CSV files of a flight.
+    """Return the camera's `Trajectory` in the scene's frame from one or several log files of a flight.
 
     Parameters
     ----------
@@ -86,12 +90,19 @@ def read_trajectory(
         The camera's position in the vehicle's body: forward, right, down [m].
     duplicates : {"refuse", "spread", "first"}
         Treatment of different rows with equal times, such as two images within one second of a clock without
-        decimals; see `tables.read_log`.
+        decimals; see `logs.read_log`.
+    course : bool
+        Turn a vehicle without yaw to its course over ground; see `track.course_deg`.
 
     Raises
     ------
     ThermorenderError
         A file or an argument is invalid; for a log the message names file, row and column.
+
+    Notes
+    -----
+    `Trajectory.notes` says what was dropped, corrected or assumed: rows that the log marks as invalid, the estimator's
+    resets, jumps of the position.
     """
     mapping = load_mapping(format)
     logs = _read_logs(paths, mapping, duplicates)
@@ -101,26 +112,40 @@ def read_trajectory(
     lever = _triple("lever_arm_m", lever_arm_m, "forward, right, down [m]")
 
     position_log, horizontal, height = _position_columns(logs, mapping)
+    if position_log.origin and horizontal == POSITION_LOCAL and frame is not None and anchor is None:
+        position_log, horizontal = geodetic_of_local(position_log), POSITION_GEODETIC
     if anchor is not None and horizontal == POSITION_GEODETIC:
         frame = frame_of_first_sample(position_log)
     position = local_positions(
         position_log, horizontal, height, frame, ground, geoid_undulation_m, relative=anchor is not None
     )
+    jump = jumps(position_log, position)
+    notes = [note for log in logs for note in (*log.notes, *(f"{a}{t:.3f}{b}" for a, t, b in log.resets))] + (
+        [jump] if jump else []
+    )
+    if mapping.assumes:
+        notes.append(f"format {mapping.name}: {mapping.assumes}")
 
     body_log, gimbal_log = _attitude_logs(logs, mount)
+    course_log = _course(position_log, position, body_log, gimbal_log, course, notes)
     time_s = _common_times([log for log in (position_log, body_log, gimbal_log) if log is not None])
     position = np.stack([np.interp(time_s, position_log.time_s, position[:, k]) for k in range(3)], axis=-1)
-    ned_from_body = _body(body_log, mapping, time_s)
-    ned_from_optical = (
-        ned_from_body * rotation_from_angles(*mount_deg)
-        if gimbal_log is None
-        else _gimbal(gimbal_log, time_s, ned_from_body)
-    )
     enu_from_ned = Rotation.from_matrix(ENU_FROM_NED)
     if frame and horizontal == POSITION_GEODETIC:
         # North and down change along the path; the scene's axes are those of its origin.
         latitude, longitude, _ = frame.geodetic_from_enu(position)
         enu_from_ned = Rotation.from_matrix(frame.enu_from_ecef_rotation) * ecef_from_ned(latitude, longitude)
+    ned_from_body = _body(body_log, mapping, time_s)
+    if course_log is not None:
+        heading = np.radians(np.interp(time_s, position_log.time_s, course_log))
+        direction = np.stack([np.sin(heading), np.cos(heading), np.zeros(time_s.size)], axis=-1)
+        along = enu_from_ned.inv().apply(direction)
+        ned_from_body = rotation_from_angles(np.degrees(np.arctan2(along[:, 1], along[:, 0])), 0.0, 0.0) * ned_from_body
+    ned_from_optical = (
+        ned_from_body * rotation_from_angles(*mount_deg)
+        if gimbal_log is None
+        else _gimbal(gimbal_log, time_s, ned_from_body)
+    )
     trajectory = Trajectory(
         time_s + clock_offset_s,
         position + (enu_from_ned * ned_from_body).apply(lever),
@@ -129,7 +154,7 @@ def read_trajectory(
     if anchor is not None:
         trajectory = _anchored(trajectory, anchor, ground, height)
     refuse_far(position_log, trajectory)
-    return trajectory
+    return replace(trajectory, notes=tuple(notes))
 
 
 def _read_logs(
@@ -139,17 +164,35 @@ def _read_logs(
     paths = [paths] if isinstance(paths, (str, PathLike)) else list(paths)
     if not paths:
         raise ThermorenderError("paths is empty; give at least one CSV file")
-    logs = [read_log(path, mapping, duplicates) for path in paths]
+    for path in paths:
+        other = format_of_suffix(path)
+        if not mapping.quantities and mapping.reader == "csv" and other:
+            raise ThermorenderError(f"{path} is read with --format {other}; add it, or give a log in CSV")
+    logs = [read_log(table, mapping, duplicates) for path in paths for table in SOURCES[mapping.reader](str(path))]
+    for log in logs:
+        for counter, phrase in log.open_resets.items():
+            if not any(counter in other.counters for other in logs):
+                raise ThermorenderError(
+                    f"{log.path}: {phrase}, but no file has the column {counter!r} to correct the attitude by; give "
+                    "the attitude's file with that column, or a log that begins after the reset"
+                )
     kinds = (POSITION, QUATERNION + ANGLES, GIMBAL)
-    for name, quantity in mapping.quantities.items():
+    for name, (quantity, *_) in mapping.quantities.items():
         if quantity.constant is not None:
             kind = next(kind for kind in kinds if name in kind)
             owner = next((log for log in logs if any(n in log.values for n in kind)), logs[0])
             owner.values[name] = np.full(owner.time_s.size, quantity.constant)
-    if mapping.stamps:
+    if mapping.from_start:
         # Simulations count from the start of the flight, not from 1970; all files have the same zero.
         zero = min(log.time_s[0] for log in logs)
-        logs = [replace(log, time_s=log.time_s - zero) for log in logs]
+        logs = [
+            replace(
+                log,
+                time_s=log.time_s - zero,
+                resets=[(before, time - zero, after) for before, time, after in log.resets],
+            )
+            for log in logs
+        ]
     return logs
 
 
@@ -173,10 +216,11 @@ def _position_columns(logs: list[Log], mapping: Mapping) -> tuple[Log, tuple[str
             log_of[name] = log
     names = ", ".join(log.path for log in logs)
     if mapping.quantities:
-        for name, quantity in mapping.quantities.items():
-            if name not in log_of:
+        for name, choices in mapping.quantities.items():
+            if name not in log_of and not any(choice.optional for choice in choices):
+                column = " or ".join(repr(choice.column) for choice in choices)
                 raise ThermorenderError(
-                    f"{names}: column {quantity.column!r} ({name}) is missing; format={mapping.name!r} needs "
+                    f"{names}: column {column} ({name}) is missing; format={mapping.name!r} needs "
                     "it, in this file or in another one given with it"
                 )
     pairs = [pair for pair in (POSITION_LOCAL, POSITION_GEODETIC) if any(name in log_of for name in pair)]
@@ -185,7 +229,7 @@ def _position_columns(logs: list[Log], mapping: Mapping) -> tuple[Log, tuple[str
             f"{names}: has {'both' if pairs else 'neither'} of the position columns east_m, north_m and "
             "lat_deg, lon_deg; give one pair"
         )
-    heights = [name for name in HEIGHTS if name in log_of]
+    heights = [name for name in (*HEIGHTS, UNSTATED) if name in log_of]
     if len(heights) != 1:
         arrived = "the height columns " + ", ".join(heights) if heights else "no height column"
         raise ThermorenderError(
@@ -194,10 +238,42 @@ def _position_columns(logs: list[Log], mapping: Mapping) -> tuple[Log, tuple[str
     for name in pairs[0]:
         if name not in log_of:
             raise ThermorenderError(f"{names}: column {name!r} is missing; {' and '.join(pairs[0])} go together")
-    used = {id(log_of[name]) for name in (*pairs[0], heights[0])}
-    if len(used) != 1:
-        raise ThermorenderError(f"{names}: {', '.join(pairs[0])} and {heights[0]} must be columns of one file")
-    return log_of[heights[0]], pairs[0], heights[0]
+    first, second, above = (log_of[name] for name in (*pairs[0], heights[0]))
+    if first is not second:
+        raise ThermorenderError(f"{names}: {' and '.join(pairs[0])} must be columns of one file")
+    return first if first is above else _joined(first, pairs[0], above, heights[0]), pairs[0], heights[0]
+
+
+def _joined(log: Log, pair: tuple[str, ...], above: Log, height: str) -> Log:
+    """One log of positions from two files: both are interpolated at the times of either within their common span."""
+    time_s = _common_times([log, above])
+    values = {name: np.interp(time_s, log.time_s, log.values[name]) for name in pair}
+    if "lon_deg" in pair:
+        # Longitudes may pass from 180 to −180.
+        longitude = np.interp(time_s, log.time_s, np.unwrap(log.values["lon_deg"], period=360.0))
+        values["lon_deg"] = (longitude + 180.0) % 360.0 - 180.0
+    values[height] = np.interp(time_s, above.time_s, above.values[height])
+    row = log.row[np.clip(np.searchsorted(log.time_s, time_s), 0, log.row.size - 1)]
+    return replace(log, time_s=time_s, values=values, row=row, columns={**above.columns, **log.columns})
+
+
+def _course(
+    log: Log, position: NDArray[np.float64], body: Log | None, gimbal: Log | None, wanted: bool, notes: list[str]
+) -> NDArray[np.float64] | None:
+    """The course at the positions' times if it stands for the yaw; a note if there is neither yaw nor course."""
+    has_yaw = body is not None and ("qw" in body.values or ANGLES[0] in body.values)
+    if wanted and has_yaw:
+        raise ThermorenderError(
+            f"course: {body.path if body else ''} has the vehicle's yaw already; leave --course out"
+        )
+    if wanted:
+        return course_deg(log, position)
+    if not has_yaw and (gimbal is None or GIMBAL[0] not in gimbal.values):
+        notes.append(
+            f"{log.path}: the log has no yaw, so the vehicle heads north all the time; --course turns it to its course "
+            "over ground"
+        )
+    return None
 
 
 def _attitude_logs(logs: list[Log], mount: Sequence[float] | None) -> list[Log | None]:

@@ -1,118 +1,126 @@
-"""Flight logs in CSV: named columns of checked numbers at strictly increasing times.
+"""Tables of flight logs: the columns of a file before a mapping gives them their meaning.
 
-Row numbers in messages are a spreadsheet's: the header is row 1.
+Row numbers in messages are a spreadsheet's for CSV (the header is row 1), else they count the file's samples from 1.
 """
 
 import csv
 import io
-import re
 from collections.abc import Sequence
-from dataclasses import dataclass
-from datetime import datetime, timezone
+from dataclasses import dataclass, field
 from os import PathLike
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.formats import read_text
-from thermorender.schema import closest
-from thermorender.trajectory.mapping import QUANTITIES, Mapping, Quantity, fitting_formats
+from thermorender.trajectory.mapping import Quantity, fitting_formats
 
 Floats = NDArray[np.float64]
 
-# Endings of columns with one of our quantities in another unit.
-_OTHER_UNITS = ("rad", "mm", "cm", "km", "ft", "feet", "ms", "us", "ns", "m", "deg", "s")
 # Separators of other programs.
 _MARKS = {";": "semicolons", "\t": "tabs", "|": "bars"}
-# Treatments of different rows with equal times.
-DUPLICATES = ("refuse", "spread", "first")
 
 
 @dataclass(frozen=True, eq=False)
-class Log:
-    """One file: `values` by our names and, for messages, the file's `columns` and each sample's spreadsheet row."""
+class Table:
+    """Columns of one file, or of one message of a binary log.
+
+    Attributes
+    ----------
+    path : str
+        The file and, for a binary log, the message.
+    columns : dict
+        Name to cells: text from CSV, numbers from other files.
+    row : (N,) int array
+        Number of each row in messages.
+    what : str
+        What a row is called in messages.
+    header : tuple of str
+        Row 1 of a CSV file with repeated names; else the names of the columns.
+    notes : tuple of str
+        Sentences for the user, from the reader of the file.
+    """
 
     path: str
+    columns: dict[str, Sequence[Any] | Floats]
     row: NDArray[np.int64]
-    time_s: Floats
-    values: dict[str, Floats]
-    columns: dict[str, str]
+    what: str = "row"
+    header: tuple[str, ...] = ()
+    notes: tuple[str, ...] = field(default=())
 
-    def where(self, name: str, index: int) -> str:
-        """Return "file, row R, column C" of one of our quantities, for messages."""
-        column = self.columns.get(name, name)
-        alias = "" if column == name else f" ({name})"
-        return f"{self.path}, row {self.row[index]}, column {column!r}{alias}"
+    def __len__(self) -> int:
+        return self.row.size
 
-    def refuse(self, name: str, bad: NDArray[np.bool_], allowed: str) -> None:
-        """Raise for the first bad sample, if any; the message says what arrived and what is allowed."""
+    def rows(self) -> list[tuple[Any, ...]]:
+        """Return all cells by row."""
+        return list(zip(*self.columns.values(), strict=True))
+
+    def kept(self, index: NDArray[np.int64]) -> "Table":
+        """Return the table of some rows, in that order."""
+        columns: dict[str, Sequence[Any] | Floats] = {
+            name: cells[index] if isinstance(cells, np.ndarray) else [cells[k] for k in index]
+            for name, cells in self.columns.items()
+        }
+        return Table(self.path, columns, self.row[index], self.what, self.header, self.notes)
+
+    def where(self, index: int, column: str) -> str:
+        """Return "file, row R, column C", for messages."""
+        return f"{self.path}, {self.what} {self.row[index]}, column {column!r}"
+
+    def cells(self, column: str | None) -> Sequence[Any] | Floats:
+        """Return a column's cells; raise if the file does not name it exactly once."""
+        names = self.header or tuple(self.columns)
+        if column not in names:
+            shown = ", ".join(names[:8]) + (f" … ({len(names)} in all)" if len(names) > 8 else "")
+            raise ThermorenderError(
+                f"{self.path}: column {column!r} is missing; row 1 names {shown}{fitting_formats(names)}"
+            )
+        if names.count(column) > 1:
+            raise ThermorenderError(
+                f"{self.path}: row 1 names column {column!r} {names.count(column)} times; once is allowed"
+            )
+        return self.columns[column]
+
+    def text(self, column: str) -> list[str]:
+        """Return a column's cells as text without blanks around it."""
+        cells = self.cells(column)
+        return [f"{cell:.9g}" for cell in cells] if isinstance(cells, np.ndarray) else [cell.strip() for cell in cells]
+
+    def numbers(self, quantity: Quantity) -> Floats:
+        """Return a column's finite numbers, (N,), scaled and shifted to our unit."""
+        cells = self.cells(quantity.column)
+        try:
+            values = np.asarray(cells).astype(np.float64)
+            bad = ~np.isfinite(values)
+        except ValueError:
+            bad = np.array([not _is_finite_number(cell) for cell in cells])
         if bad.any():
             k = int(np.argmax(bad))
-            raise ThermorenderError(f"{self.where(name, k)}: {self.values[name][k]:.9g} is not allowed; {allowed}")
+            cell = cells[k] if isinstance(cells[k], str) else f"{cells[k]:g}"
+            fix = "write it with a point as decimal mark" if "," in cell else "fill the cell or delete the row"
+            raise ThermorenderError(
+                f"{self.where(k, str(quantity.column))}: {shortened(repr(cell))} is not a finite number; {fix}"
+            )
+        return values * quantity.scale + quantity.offset
 
 
-def read_log(path: str | PathLike[str], mapping: Mapping, duplicates: str = "refuse") -> Log:
-    """Return the `Log` of a CSV file: all its mapped quantities, finite, at strictly increasing times.
+def _is_finite_number(cell: str) -> bool:
+    try:
+        return bool(np.isfinite(float(cell)))
+    except ValueError:
+        return False
 
-    A row equal to the row before it is dropped, because some loggers write a record twice.
 
-    Parameters
-    ----------
-    path : path
-    mapping : Mapping
-    duplicates : {"refuse", "spread", "first"}
-        Treatment of different rows with equal times: refuse them, spread them evenly within the last digit of the
-        log's clock, or keep only the first.
+def read_csv(path: str | PathLike[str]) -> list[Table]:
+    """Return the `Table` of a CSV file, in a list; blank rows are skipped.
 
     Raises
     ------
     ThermorenderError
-        The file is missing, empty or without rows; a cell is missing, not a number, NaN or infinite; time
-        runs backwards, or stands still and `duplicates` is "refuse".
+        The file is missing, not CSV, empty or without rows, or a row has another number of cells than row 1.
     """
-    if duplicates not in DUPLICATES:
-        raise ThermorenderError(f"duplicates={duplicates!r} is unknown; give one of {', '.join(DUPLICATES)}")
-    header, rows, numbers = _read_cells(path)
-    quantities = mapping.quantities or {name: Quantity(name) for name in QUANTITIES}
-    if not mapping.quantities:
-        _refuse_near_misses(path, header)
-    time_name: str | None
-    if mapping.stamps:
-        time_name, written, time_s = _stamps(path, header, rows, numbers, mapping)
-    else:
-        time_name, time_s = mapping.time.column, _numeric(path, header, rows, numbers, mapping.time)
-        written = _cells(path, header, rows, time_name)
-    order = np.argsort(time_s, kind="stable") if mapping.sort_by_time else np.arange(len(rows))
-    keep = [k for j, k in enumerate(order) if j == 0 or rows[k] != rows[order[j - 1]]]
-    if duplicates == "first":
-        keep = [k for j, k in enumerate(keep) if j == 0 or time_s[k] != time_s[keep[j - 1]]]
-    rows, row_of, time_s = [rows[k] for k in keep], np.array([numbers[k] for k in keep]), time_s[keep]
-    step = np.diff(time_s)
-    wrong = step < 0.0 if duplicates == "spread" else step <= 0.0
-    if wrong.any():
-        k = int(np.argmax(wrong))
-        where = f"{path}, row {row_of[k + 1]}, column {time_name!r}: {written[keep[k + 1]].strip()!r} follows"
-        if step[k] < 0.0:
-            raise ThermorenderError(
-                f"{where} {written[keep[k]].strip()!r} in row {row_of[k]}: time is running backwards, and must "
-                "strictly increase"
-            )
-        raise ThermorenderError(
-            f"{where} the same time in row {row_of[k]}, but time must strictly increase; give --duplicates spread, "
-            "which spreads them within the clock's last digit, or --duplicates first, which drops the others"
-        )
-    if duplicates == "spread":
-        time_s = _spread(time_s)
-    values, columns = {}, {}
-    for name, quantity in quantities.items():
-        if quantity.column is not None and quantity.column in header:
-            values[name], columns[name] = _numeric(path, header, rows, row_of, quantity), quantity.column
-    return Log(str(path), row_of, time_s, values, columns)
-
-
-def _read_cells(path: str | PathLike[str]) -> tuple[list[str], list[list[str]], list[int]]:
-    """Header, rows of text and their spreadsheet row numbers; blank rows are skipped."""
     try:
         lines = list(csv.reader(io.StringIO(read_text(path, "CSV UTF-8"))))
     except csv.Error as error:
@@ -120,7 +128,7 @@ def _read_cells(path: str | PathLike[str]) -> tuple[list[str], list[list[str]], 
     if not lines or not any(cell.strip() for cell in lines[0]):
         what = "row 1 is blank" if any(map(any, lines)) else "the file is empty"
         raise ThermorenderError(f"{path}: {what}; row 1 must name the columns, one sample per row follows")
-    header = [cell.strip() for cell in lines[0]]
+    header = tuple(cell.strip() for cell in lines[0])
     mark = next((name for mark, name in _MARKS.items() if mark in header[0]), None)
     if mark and len(header) == 1:
         raise ThermorenderError(f"{path} is separated by {mark}; save it comma-separated with a point as decimal mark")
@@ -137,109 +145,5 @@ def _read_cells(path: str | PathLike[str]) -> tuple[list[str], list[list[str]], 
         numbers.append(number)
     if not rows:
         raise ThermorenderError(f"{path} has no rows below the header; at least one sample is needed")
-    return header, rows, numbers
-
-
-def _cells(path: object, header: list[str], rows: list[list[str]], column: str | None) -> list[str]:
-    if column not in header:
-        shown = ", ".join(header[:8]) + (f" … ({len(header)} in all)" if len(header) > 8 else "")
-        raise ThermorenderError(f"{path}: column {column!r} is missing; row 1 names {shown}" + fitting_formats(header))
-    if header.count(column) > 1:
-        raise ThermorenderError(f"{path}: row 1 names column {column!r} {header.count(column)} times; once is allowed")
-    k = header.index(column)
-    return [row[k] for row in rows]
-
-
-def _numeric(
-    path: object, header: list[str], rows: list[list[str]], numbers: Sequence[int] | NDArray[np.int64],
-    quantity: Quantity,
-) -> Floats:  # fmt: skip
-    cells = _cells(path, header, rows, quantity.column)
-    try:
-        values = np.array(cells).astype(np.float64)
-        bad = ~np.isfinite(values)
-    except ValueError:
-        bad = np.array([not _is_finite_number(cell) for cell in cells])
-    if bad.any():
-        k = int(np.argmax(bad))
-        fix = "write it with a point as decimal mark" if "," in cells[k] else "fill the cell or delete the row"
-        raise ThermorenderError(
-            f"{path}, row {numbers[k]}, column {quantity.column!r}: {shortened(repr(cells[k]))} is not a finite "
-            f"number; {fix}"
-        )
-    return values * quantity.scale + quantity.offset
-
-
-def _is_finite_number(cell: str) -> bool:
-    try:
-        return bool(np.isfinite(float(cell)))
-    except ValueError:
-        return False
-
-
-def _spread(time_s: Floats) -> Floats:
-    """Strictly increasing times (N,) [s]: equal times are spread evenly within the last digit of the clock."""
-    scaled = (np.round(time_s * 10**digits) / 10**digits for digits in range(6))
-    digits = next((k for k, rounded in enumerate(scaled) if np.allclose(rounded, time_s, rtol=0.0, atol=1e-6)), 6)
-    _, first, count = np.unique(time_s, return_index=True, return_counts=True)
-    rank = np.arange(time_s.size) - np.repeat(first, count)
-    return time_s + 10.0**-digits * rank / np.repeat(count, count)
-
-
-def _stamps(
-    path: object, header: list[str], rows: list[list[str]], numbers: list[int], mapping: Mapping
-) -> tuple[str, list[str], Floats]:
-    """The first stamp column that is filled in every row, its times as text and in seconds since 1970."""
-    names = [stamp["column"] for stamp in mapping.stamps]
-    for stamp in mapping.stamps:
-        if stamp["column"] not in header:
-            continue
-        cells = _cells(path, header, rows, stamp["column"])
-        if not all(cell.strip() for cell in cells):
-            continue
-        fractions = _cells(path, header, rows, stamp["fraction"]) if "fraction" in stamp else [""] * len(rows)
-        seconds = [
-            _seconds(f"{path}, row {number}, column {stamp['column']!r}", cell.strip(), stamp["pattern"], part.strip())
-            for number, cell, part in zip(numbers, cells, fractions, strict=True)
-        ]
-        written = [f"{cell.strip()}.{part.strip()}".rstrip(".") for cell, part in zip(cells, fractions, strict=True)]
-        return stamp["column"], written, np.array(seconds)
-    raise ThermorenderError(
-        f"{path}: no time: none of the columns {', '.join(names)} is present and filled in every row"
-        + fitting_formats(header)
-    )
-
-
-def _seconds(where: str, text: str, pattern: str, fraction: str) -> float:
-    try:
-        if pattern == "iso":
-            # Python 3.10 does not read Z, and only three or six decimals of the second.
-            moment = datetime.fromisoformat(text.replace("Z", "+00:00").replace("z", "+00:00"))
-        else:
-            moment = datetime.strptime(text, pattern)
-        # Only digits are allowed; float would read exponents too.
-        if not re.fullmatch("[0-9]*", fraction):
-            raise ValueError
-        part = float(f"0.{fraction}")
-    except ValueError as error:
-        shown = f"{text!r}" + (f" with the fraction {fraction!r}" if fraction else "")
-        raise ThermorenderError(f"{where}: {shown} is not a time written as {pattern!r}") from error
-    if moment.tzinfo is None:
-        moment = moment.replace(tzinfo=timezone.utc)
-    return moment.timestamp() + part
-
-
-def _refuse_near_misses(path: object, header: list[str]) -> None:
-    """Refuse a misspelt column of ours, or one in another unit, that would be ignored silently."""
-    ours = [name for name in ("time_s", *QUANTITIES) if name not in header]
-    for column in header:
-        if column in QUANTITIES or column == "time_s":
-            continue
-        close = closest(column, ours, cutoff=0.85)
-        stem, _, unit = column.rpartition("_")
-        if unit in _OTHER_UNITS:
-            close = close or [name for name in ours if name.rpartition("_")[0] == stem]
-        if close:
-            raise ThermorenderError(
-                f"{path}: column {column!r} is not known; rename it to {close[0]!r} or delete it (names have units)"
-            )
+    columns: dict[str, Sequence[Any] | Floats] = dict(zip(header, map(list, zip(*rows, strict=True)), strict=True))
+    return [Table(str(path), columns, np.array(numbers), header=header)]

@@ -9,7 +9,6 @@ were resized unequally along their sides, the row of v is multiplied by the aspe
 (`thermorender.campaign.registration.fit`) and stored as JSON.
 """
 
-import json
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 
@@ -17,11 +16,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermorender import formats
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, shortened
 
 FORMAT = 1
 # Side of the squares of an inspection picture's checkerboard [px].
 _SQUARE = 40
+
+
+# Of a rig's numbers: least, largest and how many (0: a single one).
+_RANGES = {
+    "visible_shape": (1, 100_000, 2),
+    "thermal_shape": (1, 100_000, 2),
+    "scale": (1e-3, 1e3, 0),
+    "rotation_deg": (-360.0, 360.0, 0),
+    "shift_px": (-1e6, 1e6, 2),
+    "k1": (-10.0, 10.0, 0),
+    "aspect": (0.1, 10.0, 0),
+}
 
 
 @dataclass(frozen=True)
@@ -224,14 +235,11 @@ def load_rig(path: str | Path) -> Rig:
     """
     text = formats.read_text(path, "JSON")
     try:
-        values = json.loads(text)
+        values = formats.finite_json(text)
         if values.pop("format") != FORMAT:
             raise ValueError("another format")
         rig = Rig(**{key: tuple(value) if isinstance(value, list) else value for key, value in values.items()})
-        positive = [*rig.visible_shape, *rig.thermal_shape, rig.scale, rig.aspect]
-        others = [*rig.shift_px, rig.rotation_deg, rig.k1]
-        if (len(positive), len(others)) != (6, 4) or min(positive) <= 0.0 or not np.isfinite(positive + others).all():
-            raise ValueError("a number out of range")
+        _check(rig)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         known = ", ".join(each.name for each in fields(Rig))
         raise ThermorenderError(
@@ -239,6 +247,32 @@ def load_rig(path: str | Path) -> Rig:
             "prepare --calibrate`"
         ) from None
     return rig
+
+
+def _check(rig: Rig) -> None:
+    """Raise ValueError if a Rig from a file has a value of a wrong kind or out of range."""
+    for name, (low, high, count) in _RANGES.items():
+        value = getattr(rig, name)
+        numbers = value if count else (value,)
+        kind = int if name.endswith("_shape") else (int, float)
+        right = isinstance(numbers, tuple) and len(numbers) == (count or 1)
+        if not right or not all(
+            isinstance(one, kind) and not isinstance(one, bool) and low <= one <= high for one in numbers
+        ):
+            what = f"{count} numbers" if count else "a number"
+            raise ValueError(f"{name}={shortened(repr(value))} is not {what} of {low:g}…{high:g}")
+    for name in ("errors", "frames", "rejected"):
+        value, kinds = getattr(rig, name), (str,) if name == "rejected" else (int, float)
+        if not isinstance(value, dict) or not all(
+            isinstance(one, kinds) and not isinstance(one, bool) for one in value.values()
+        ):
+            raise ValueError(
+                f"{name}={shortened(repr(value))} is not a table of {'texts' if kinds == (str,) else 'numbers'}"
+            )
+    for name in ("score", "score_unrelated"):
+        value = getattr(rig, name)
+        if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float))):
+            raise ValueError(f"{name}={shortened(repr(value))} is not a number")
 
 
 def _corners_and_sides(shape):

@@ -17,6 +17,13 @@ from thermorender.scene.surface import Surface, scene_kelvin
 
 COLUMNS = ("east_m", "north_m", "above_ground_m", "yaw_deg", "temperature_k")
 
+# Largest values of a track and their unit: beyond, differences lose their digits or overflow.
+_LIMITS = {
+    **dict.fromkeys(COLUMNS[:3], (FARTHEST_M, "metres")),
+    "yaw_deg": (1e6, "degrees"),
+    "time_s": (1e12, "seconds"),
+}
+
 
 @dataclass(frozen=True, eq=False)
 class TrackedObject:
@@ -163,16 +170,16 @@ def read_track(path: Path) -> tuple[NDArray[np.float64], dict[str, NDArray[np.fl
                 "numbers; give a number for each column"
             )
     columns = dict(zip(header, values.T.copy(), strict=True))
+    for name, (most, unit) in _LIMITS.items():
+        far = np.abs(columns.get(name, np.zeros(1))) > most
+        if far.any():
+            raise ThermorenderError(
+                f"{path}: {name}={columns[name][far][0]:g} is out of range; give {unit}, up to {most:g}"
+            )
     time_s = columns.pop("time_s")
     if (np.diff(time_s) <= 0.0).any():
         row = numbers[int(np.argmax(np.diff(time_s) <= 0.0)) + 2]
         raise ThermorenderError(f"{path}, row {row}: time_s does not rise; sort the rows and give each time once")
-    for name in COLUMNS[:3]:
-        far = np.abs(columns.get(name, np.zeros(1))) > FARTHEST_M
-        if far.any():
-            raise ThermorenderError(
-                f"{path}: {name}={columns[name][far][0]:g} is out of range; give metres, up to {FARTHEST_M:g}"
-            )
     if "yaw_deg" in columns:
         # Turn the shorter way between two rows.
         columns["yaw_deg"] = np.unwrap(columns["yaw_deg"], period=360.0)

@@ -172,6 +172,71 @@ def _rocket(path):
     return of_log(path, "rocket-firm")
 
 
+_ESTIMATES = (
+    "timestamp,x,y,z,delta_xy[0],delta_xy[1],xy_valid,z_valid,xy_reset_counter,q[0],q[1],q[2],q[3],quat_reset_counter,"
+    "delta_q_reset[0],delta_q_reset[1],delta_q_reset[2],delta_q_reset[3]\n"
+) + "".join(
+    f"{10**6 + 10**5 * k},{k},0,-9,3,0,{int(k != 3)},1,{int(k > 4)},1,0,0,0,{int(k > 5)},1,0,0,0\n" for k in range(9)
+)
+
+
+@reader("PX4 estimates", "estimates.csv", _ESTIMATES)
+def _estimates(path):
+    return of_log(path, "px4")
+
+
+_SUBTITLES = (
+    "\n".join(
+        f"{k + 1}\n00:00:0{k},000 --> 00:00:0{k + 1},000\n[latitude: 47.{k:04d}] [longitude: 8.5] "
+        f"[rel_alt: 4{k}.0 abs_alt: 1.0] [gb_yaw: {k}.0 gb_pitch: -80.0 gb_roll: 0.0] F.PRY (1.0°, 2.0°, {k}.0°)\n"
+        for k in range(5)
+    )
+    + "\n9\n00:00:06,000 --> 00:00:07,000\nGPS(8.5,47.0,15) BAROMETER:1.9\n"
+)
+
+
+@reader("DJI subtitles", "video.srt", _SUBTITLES)
+def _subtitles(path):
+    return of_log(path, "dji-srt")
+
+
+_AIRDATA = (
+    "time(millisecond),latitude,longitude,height_above_takeoff(feet), compass_heading(degrees),gimbal_pitch(degrees)\n"
+) + "".join(f"{100 * k},47.{k:04d},8.5,{100 + k},{k},-45\n" for k in range(9))
+
+
+@reader("AirData log", "airdata.csv", _AIRDATA)
+def _airdata(path):
+    return of_log(path, "airdata")
+
+
+_GPX = "<gpx><trk><trkseg>" + "".join(
+    f'<trkpt lat="47.{k:04d}" lon="8.5"><ele>{k}</ele><time>2024-05-01T10:00:0{k}Z</time><fix>3d</fix></trkpt>'
+    for k in range(9)
+) + "</trkseg></trk></gpx>"  # fmt: skip
+
+
+@reader("GPX track", "track.gpx", _GPX)
+def _gpx(path):
+    return of_log(path, "gpx")
+
+
+_KML = "<kml><gx:Track xmlns:gx='x'><altitudeMode>absolute</altitudeMode>" + "".join(
+    f"<when>2024-05-01T10:00:0{k}Z</when><gx:coord>8.5 47.{k:04d} {k}</gx:coord><gx:angles>{k} 0 0</gx:angles>"
+    for k in range(9)
+) + "</gx:Track></kml>"  # fmt: skip
+
+
+@reader("KML track", "track.kml", _KML)
+def _kml(path):
+    return of_log(path, "kml")
+
+
+@reader("pose list", "poses.tum", "# poses\n" + "".join(f"{k}.5 {k} 2 3 0 0.6 0 0.8\n" for k in range(9)))
+def _poses(path):
+    return of_log(path, "tum")
+
+
 # --- air of other programs --------------------------------------------------------------------------------------
 
 

@@ -1,0 +1,138 @@
+"""Tracks in GPX and KML: positions with date-times.
+
+A document type definition is refused, because entities in it can expand without limit; neither format needs one.
+GPX counts `ele` from mean sea level (GPX 1.1 schema). KML counts `absolute` altitudes from sea level, and ignores those
+of `clampToGround`, which is the default (OGC 07-147r2, KML 2.2): only their changes are used, so the flight needs an
+anchor.
+"""
+
+from xml.etree import ElementTree
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.formats import read_text
+from thermorender.trajectory.mapping import UNSTATED
+from thermorender.trajectory.tables import Table
+
+_HEIGHTS = {"absolute": "alt_geoid_m", "relativeToGround": "above_ground_m", "clampToGround": UNSTATED}
+
+
+def read_gpx(path: str) -> list[Table]:
+    """Return the table of all track points of a GPX file.
+
+    Raises
+    ------
+    ThermorenderError
+        The file is not GPX, or a point has no time, elevation, latitude or longitude.
+    """
+    root = _root(path, "gpx")
+    segments = [node for node in root.iter() if _name(node) == "trkseg"]
+    points = [node for segment in segments for node in segment if _name(node) == "trkpt"]
+    if not points:
+        raise ThermorenderError(
+            f"{path} has no track points (trkpt); routes and way points have no times: give a track"
+        )
+    columns: dict[str, list[str]] = {name: [] for name in ("lat_deg", "lon_deg", "alt_geoid_m", "time")}
+    fixes: list[str] = []
+    for number, point in enumerate(points, start=1):
+        inner = {_name(node): (node.text or "").strip() for node in point}
+        cells = (point.get("lat"), point.get("lon"), inner.get("ele"), inner.get("time"))
+        for name, cell, what in zip(columns, cells, ("lat", "lon", "ele", "time"), strict=True):
+            if not cell:
+                raise ThermorenderError(
+                    f"{path}, track point {number}: {what} is missing; a flight needs lat, lon, ele and time at every "
+                    "point: export the track with them"
+                )
+            columns[name].append(cell)
+        # A fix in two dimensions has no measured elevation.
+        fixes.append("0" if inner.get("fix") in ("none", "2d") else "1")
+    notes: tuple[str, ...] = ()
+    if len(segments) > 1:
+        notes = (f"{path}: the track has {len(segments)} segments, and the path is straight between them",)
+    return [Table(path, {**columns, "fix": fixes}, np.arange(1, len(points) + 1), "track point", notes=notes)]
+
+
+def read_kml(path: str) -> list[Table]:
+    """Return the table of all samples of the tracks (gx:Track) of a KML file.
+
+    Raises
+    ------
+    ThermorenderError
+        The file is not KML or has no track, its altitudes have no reference, or times and positions differ in number.
+    """
+    root = _root(path, "kml")
+    tracks = [node for node in root.iter() if _name(node) == "Track"]
+    if not tracks:
+        raise ThermorenderError(
+            f"{path} has no gx:Track; a path without times cannot be flown: export a track with times"
+        )
+    columns: dict[str, list[str]] = {name: [] for name in ("time", "lat_deg", "lon_deg", "height", "yaw_deg")}
+    modes, tilted, empty = set(), False, 0
+    for track in tracks:
+        parts: dict[str, list[str]] = {"when": [], "coord": [], "angles": [], "altitudeMode": []}
+        for node in track:
+            if _name(node) in parts:
+                parts[_name(node)].append((node.text or "").strip())
+        modes.add(parts["altitudeMode"][0] if parts["altitudeMode"] else "clampToGround")
+        when, coord, angles = (parts[name] for name in ("when", "coord", "angles"))
+        if len(when) != len(coord) or (angles and len(angles) != len(when)):
+            raise ThermorenderError(
+                f"{path}: a track has {len(when)} times, {len(coord)} positions and {len(angles)} angles; their "
+                "numbers must be equal (angles may be absent)"
+            )
+        # An empty coordinate is a sample without a position.
+        filled = [k for k, text in enumerate(coord) if text]
+        empty += len(coord) - len(filled)
+        when, coord, angles = ([cells[k] for k in filled] if cells else [] for cells in (when, coord, angles))
+        for text in coord:
+            if len(text.split()) != 3:
+                raise ThermorenderError(
+                    f"{path}: gx:coord {text!r} is not longitude, latitude and altitude; give all three"
+                )
+        columns["time"] += when
+        for name, k in (("lon_deg", 0), ("lat_deg", 1), ("height", 2)):
+            columns[name] += [text.split()[k] for text in coord]
+        columns["yaw_deg"] += [(text.split() or [""])[0] for text in angles]
+        tilted |= any(text.split()[1:] not in ([], ["0", "0"], ["0.0", "0.0"]) for text in angles)
+    if len(modes) > 1 or not modes <= set(_HEIGHTS):
+        raise ThermorenderError(
+            f"{path}: altitudeMode is {' and '.join(sorted(modes))}; every track needs the same of "
+            f"{', '.join(_HEIGHTS)}"
+        )
+    columns[_HEIGHTS[modes.pop()]] = columns.pop("height")
+    if not columns["time"]:
+        raise ThermorenderError(f"{path}: the tracks have no samples; export a track with times")
+    if len(columns["yaw_deg"]) != len(columns["time"]):
+        del columns["yaw_deg"]
+    notes = []
+    if UNSTATED in columns:
+        notes.append(f"{path}: altitudeMode is clampToGround, by which KML ignores altitudes; their changes are flown")
+    if tilted:
+        notes.append(f"{path}: tilt and roll of gx:angles are not read; the vehicle is level")
+    if empty:
+        notes.append(f"{path}: {empty} samples without a position are dropped")
+    return [Table(path, dict(columns), np.arange(1, len(columns["time"]) + 1), "sample", notes=tuple(notes))]
+
+
+def _name(node: ElementTree.Element) -> str:
+    """The name of a node without its namespace."""
+    return str(node.tag).rpartition("}")[2]
+
+
+def _root(path: str, kind: str) -> ElementTree.Element:
+    text = read_text(path, f"{kind.upper()} in UTF-8")
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise ThermorenderError(
+            f"{path} holds a document type definition (<!DOCTYPE …>), which {kind.upper()} does not need and which is "
+            "not read; delete it"
+        )
+    try:
+        root = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise ThermorenderError(f"{path} is not {kind.upper()} ({error}); export it again") from error
+    if _name(root) != kind:
+        raise ThermorenderError(
+            f"{path} is not {kind.upper()}: its outermost element is {_name(root)!r}; check --format"
+        )
+    return root
