@@ -15,7 +15,7 @@ from scenes import coarse, write_mesh, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import read_temperature
 from thermorender.formats import write_image
-from thermorender.output.exr import read_exr
+from thermorender.frame.exr import read_exr
 from thermorender.output.flight import FlightOptions, fly
 from thermorender.scene.spec import TemperatureSpec
 from thermorender.sensor.detector import row_delays

@@ -38,6 +38,8 @@ Air = Annotated[
     typer.Option(help="Standard atmosphere in place of the scene's own sky: midlatitude-summer, or with an aerosol "
                  "tropical,rural-23km."),
 ]  # fmt: skip
+# Where a view is without --pose.
+_POSE = "0,0,120,0,-90,0"
 
 
 def flat(verb: Callable[..., Any]) -> Callable[..., Any]:
@@ -157,33 +159,41 @@ class ViewOptions:
 
     pose: Annotated[
         str, typer.Option(help="E,N,U,YAW,PITCH,ROLL: metres in the local frame, degrees; pitch −90 looks down.")
-    ] = "0,0,120,0,-90,0"
+    ] = _POSE
     local_up: Annotated[
         bool, typer.Option("--local-up", help="U is the local up coordinate, not metres above the ground.")
     ] = False
+    look_at: Annotated[
+        str | None,
+        typer.Option(help="E,N,U of a point in the middle of the image; --pose is then E,N,U without angles."),
+    ] = None
 
-    def numbers(self) -> tuple[float, ...]:
-        """Return the six numbers of --pose."""
+    def numbers(self) -> tuple[tuple[float, ...], tuple[float, ...] | None]:
+        """Return the numbers of --pose and of --look-at."""
         from thermorender.trajectory import parse_numbers
 
-        return parse_numbers("--pose", self.pose, ("E", "N", "U", "YAW", "PITCH", "ROLL"))
+        place = ("E", "N", "U")
+        if self.look_at is None:
+            return parse_numbers("--pose", self.pose, (*place, "YAW", "PITCH", "ROLL")), None
+        given = "0,0,120" if self.pose == _POSE else self.pose
+        return parse_numbers("--pose", given, place), parse_numbers("--look-at", self.look_at, place)
 
     def over(self, scene: "Scene") -> Any:
         """Return the pose over a scene, (4, 4) world_from_camera."""
         from thermorender.trajectory.path import pose
 
-        east, north, up, *angles = self.numbers()
-        if not self.local_up:
-            ground = float(scene.ground(east, north))
-            if ground != ground:
-                raise ThermorenderError(f"--pose={self.pose!r} is outside the terrain; move it, or give --local-up")
-            if up < 0.0:
-                raise ThermorenderError(
-                    f"--pose={self.pose!r} is {-up:.6g} m under the terrain; give U in metres above the ground, or "
-                    "--local-up"
-                )
-            up += ground
-        return pose(east, north, up, *angles)
+        (east, north, up, *angles), point = self.numbers()
+        if self.local_up:
+            return pose(east, north, up, *angles, look_at=point)
+        ground = float(scene.ground(east, north))
+        if ground != ground:
+            raise ThermorenderError(f"--pose={self.pose!r} is outside the terrain; move it, or give --local-up")
+        if up < 0.0:
+            raise ThermorenderError(
+                f"--pose={self.pose!r} is {-up:.6g} m under the terrain; give U in metres above the ground, or "
+                "--local-up"
+            )
+        return scene.pose(east, north, up, *angles, look_at=point)
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from thermorender import files, formats
 from thermorender.errors import ThermorenderError
+from thermorender.frame.record import record
 from thermorender.output import products as product_files
 from thermorender.output.day_figure import figure
-from thermorender.output.record import made_by, record, weather_of
+from thermorender.output.record import made_by, weather_of
 from thermorender.output.timed import solved_in_parts
 from thermorender.output.video import write_video
 from thermorender.scene.surface import FILLED

@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 
 from thermorender import files, formats
 from thermorender.frame import Frame
+from thermorender.frame.record import record
 from thermorender.output import products as product_files
 from thermorender.output.photograph import photograph
-from thermorender.output.record import made_by, record, weather_of
+from thermorender.output.record import made_by, weather_of
 from thermorender.output.resume import finished, load_state, refuse_moved, remove_state, save_state
 from thermorender.output.timed import STEP_S, TimedRenderer
 from thermorender.output.video import write_video

@@ -24,8 +24,9 @@ from thermorender.render.pixels import slender
 from thermorender.render.pixels.sampling import CameraRays
 from thermorender.render.pixels.tracer import Sampling, Tracer
 from thermorender.render.plan import Plan, checked, make_plan
-from thermorender.render.variant import activate
+from thermorender.render.variant import activate, active_device
 from thermorender.render.view import View, checked_pose, parts_of
+from thermorender.scene.georeference import place_of
 from thermorender.scene.scene import Scene
 from thermorender.scene.surface import FILLED, Surface
 from thermorender.scene.temperature_state import Conditional, Moved
@@ -307,7 +308,8 @@ class Renderer:
         return Frame(
             radiance=radiance, pose=view.pose, time_s=float(time_s), index=_whole("index", index), seed=self.seed,
             camera=self.scene.camera, plan=plan, time=self.scene.time,
-            materials=tuple(material.name for material in self.scene.materials), _view=view, _sampling=sampling,
+            materials=tuple(material.name for material in self.scene.materials), device=active_device(),
+            place=place_of(self.scene), _view=view, _sampling=sampling,
         )  # fmt: skip
 
     def _tracer(
