@@ -124,7 +124,9 @@ def test_an_exr_equals_that_of_the_command_line(folder, tmp_path, call):
 def test_a_tiff_is_float32_kelvin(frame, tmp_path):
     frame.save(tmp_path / "frame.tif")
     # The camera's image has no place on the map.
-    with pytest.warns(NotGeoreferencedWarning), rasterio.open(tmp_path / "frame.tif") as file:
+    with pytest.warns(NotGeoreferencedWarning):
+        file = rasterio.open(tmp_path / "frame.tif")
+    with file:
         assert (file.dtypes, file.units, file.crs) == (("float32",), ("K",), None)
         np.testing.assert_array_equal(file.read(1), frame.apparent_temperature)
 
