@@ -267,28 +267,26 @@ class TrajectoryOptions:
 
     def read(self, scene: "Scene", rate_hz: float | None) -> "Trajectory":
         """Return the Trajectory over a scene, refused if it is below ground at one of the frames."""
+        from thermorender.scene.load import load_trajectory
         from thermorender.trajectory import (
             check_above_ground,
             parse_anchor,
             parse_lever_arm,
             parse_mount,
-            read_trajectory,
         )
 
         own = scene.spec.folder / "flight.csv"
         if not self.trajectory and not own.exists():
             raise ThermorenderError(f"{own} does not exist, and no other log is given; add --trajectory LOG.csv")
-        path = read_trajectory(
+        path = load_trajectory(
             self.trajectory or [own],
-            frame=scene.frame,
-            ground=scene.ground,
-            geoid_undulation_m=scene.geoid_undulation_m,
+            scene,
             format=self.format,
             anchor=parse_anchor(self.anchor) if self.anchor else None,
             clock_offset_s=self.clock_offset_s,
             mount=parse_mount(self.mount) if self.mount else None,
             lever_arm_m=parse_lever_arm(self.lever_arm_m),
-            duplicates=self.duplicates,  # type: ignore[arg-type]  # checked by read_trajectory
+            duplicates=self.duplicates,  # type: ignore[arg-type]  # checked by load_trajectory
         )
         if not self.allow_below_ground:
             rate_hz = scene.camera.frame_rate_hz if rate_hz is None else rate_hz
