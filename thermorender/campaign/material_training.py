@@ -1,6 +1,5 @@
 """Training of an emissivity map on scenes with a class raster or labelled polygons, or on procedural ones."""
 
-import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from thermorender.learned.emissivity import MOST_MATERIALS, EmissivityMap
 from thermorender.learned.emissivity_training import Labelled, train
 from thermorender.materials import library as material_tables
 from thermorender.scene.material_map import UNKNOWN_CLASS, orthophoto_of
+from thermorender.scene.parts.patch import read_features
 from thermorender.scene.raster import Grid, grid_of, onto, read_classes
 from thermorender.scene.spec import read_scene
 
@@ -124,21 +124,10 @@ def read_polygons(path: Path, grid: Grid) -> tuple[NDArray[np.uint8], dict[int, 
 
     0 is outside all polygons; errors as `labelled_scene`.
     """
-    from rasterio.crs import CRS
-    from rasterio.errors import CRSError
     from rasterio.features import rasterize
     from rasterio.warp import transform_geom
 
-    try:
-        content = json.loads(path.read_text(encoding="utf-8-sig"))
-        features = content["features"]
-        crs = CRS.from_user_input(content["crs"]["properties"]["name"] if "crs" in content else "OGC:CRS84")
-    except OSError as error:
-        raise ThermorenderError(f"{path} cannot be read: {error.strerror}; give a GeoJSON file") from None
-    except (ValueError, KeyError, TypeError, CRSError) as error:
-        raise ThermorenderError(
-            f"{path} is not a GeoJSON FeatureCollection ({type(error).__name__}: {error}); export one from a GIS"
-        ) from None
+    features, crs = read_features(path)
     names, shapes = [], []
     for number, feature in enumerate(features, 1):
         try:

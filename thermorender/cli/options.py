@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from thermorender import defaults
-from thermorender.cli.terminal import Progress, ReadTime, Time, at_time, read_instant, split, warn
+from thermorender.cli.terminal import Progress, ReadTime, Time, at_time, named, read_instant, split, warn
 from thermorender.errors import ThermorenderError
 
 if TYPE_CHECKING:
@@ -76,6 +76,22 @@ class SceneOptions:
 
     time: Time = None
     air: Air = None
+    set: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            help="OBJECT.KEY=VALUE, e.g. marker.temperature_k=350; keys east_m, north_m, "
+            "above_ground_m, yaw_deg, temperature_k. Repeat for more.",
+        ),
+    ] = None
+    paint: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--paint",
+            help="FILE.geojson=MATERIAL: another material within the polygons, or an emissivity; "
+            "without =MATERIAL that of their property 'material'. Repeat for more.",
+        ),
+    ] = None
 
     def load(
         self, name: str, temperature: "TemperatureSpec | None" = None, read_time: ReadTime = read_instant
@@ -84,6 +100,10 @@ class SceneOptions:
         scene = at_time(name, self.time, read_time, temperature)
         if self.air is not None:
             scene = scene.with_air(*parse_air(self.air))
+        for text in self.set or ():
+            scene = scene.with_objects(parse_object(text))
+        for text in self.paint or ():
+            scene = scene.with_material_in(*parse_paint(text))
         if scene.temperature_state.weather_driven:
             for note in (_sun_of(scene), *scene.weather_notes):
                 typer.echo(f"weather: {note}")
@@ -300,6 +320,29 @@ def parse_air(text: str) -> tuple[str, ...]:
     if len(parts) > 2:
         raise ThermorenderError(f"--air={text!r} has {len(parts)} parts; give ATMOSPHERE or ATMOSPHERE,AEROSOL")
     return parts or ("",)
+
+
+def parse_object(text: str) -> dict[str, dict[str, Any]]:
+    """Return {object: {key: value}} of an option --set."""
+    place, value = named(text, "--set", "OBJECT.KEY=VALUE, such as marker.temperature_k=350")
+    name, found, key = place.rpartition(".")
+    if not (name and found and key):
+        raise ThermorenderError(f"--set={text!r} is not allowed; give OBJECT.KEY=VALUE")
+    return {name: {key: number_or_text(value)}}
+
+
+def parse_paint(text: str) -> tuple[Any, ...]:
+    """Return (file, material or None) of an option --paint."""
+    path, found, material = text.rpartition("=")
+    return (path, number_or_text(material)) if found else (text,)
+
+
+def number_or_text(text: str) -> float | str:
+    """Return the number of a text, or the text where it is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def parse_thermography(text: str | None) -> "ThermographySettings | None":

@@ -344,7 +344,7 @@ class Renderer:
             radiance=radiance, pose=view.pose, time_s=float(time_s), index=_whole("index", index), seed=self.seed,
             camera=self.scene.camera, plan=plan, time=self.scene.time,
             materials=tuple(material.name for material in self.scene.materials), device=active_device(),
-            place=place_of(self.scene), _view=view, _sampling=sampling,
+            place=place_of(self.scene.frame, self.scene.grid), _view=view, _sampling=sampling,
         )  # fmt: skip
 
     def _tracer(

@@ -1,15 +1,13 @@
 """Between map coordinates and a scene's local frame: poses of photogrammetric software, and positions on a map."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermorender.physics.geodesy import LocalFrame
-
-if TYPE_CHECKING:
-    from thermorender.scene.scene import Scene
+from thermorender.scene.raster import Grid
 
 # Length over which the scale of a map is measured [m].
 _STEP_M = 100.0
@@ -76,13 +74,13 @@ class Place:
         return float(across), float(along)
 
 
-def place_of(scene: "Scene") -> Place | None:
-    """Return the Place of a scene; None for a mesh without [frame]."""
-    if scene.frame is None:
+def place_of(frame: LocalFrame | None, grid: Grid | None) -> Place | None:
+    """Return the Place of a scene by its frame and map grid; None for a mesh without [frame]."""
+    if frame is None:
         return None
-    if scene.grid is not None:
-        return Place(scene.frame, scene.grid.crs)
+    if grid is not None:
+        return Place(frame, grid.crs)
     from rasterio.crs import CRS
 
-    zone = int((scene.frame.longitude_deg + 180.0) // 6.0) % 60 + 1
-    return Place(scene.frame, CRS.from_epsg((32600 if scene.frame.latitude_deg >= 0.0 else 32700) + zone))
+    zone = int((frame.longitude_deg + 180.0) // 6.0) % 60 + 1
+    return Place(frame, CRS.from_epsg((32600 if frame.latitude_deg >= 0.0 else 32700) + zone))

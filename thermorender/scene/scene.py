@@ -403,6 +403,6 @@ class Scene(Edits):
 
 
 _EDITS = (
-    "use with_camera, with_air, with_sky, with_sun, with_weather, with_temperature, with_material, with_objects, "
-    "with_surfaces, with_learned_materials, with_solved_temperatures or at, which return another scene"
+    "use with_camera, with_air, with_sky, with_sun, with_weather, with_temperature, with_material, with_material_in, "
+    "with_objects, with_surfaces, with_learned_materials, with_solved_temperatures or at, which return another scene"
 )
