@@ -16,6 +16,7 @@ import thermorender as tr
 from scenes import write_mesh, write_terrain
 from thermorender.frame import picture
 from thermorender.frame.exr import read_exr
+from thermorender.progress import interactive
 
 
 @pytest.fixture(autouse=True)
@@ -284,3 +285,33 @@ def test_a_terminal_shows_colours_and_a_file_one_line(frame, monkeypatch, capsys
     low, high = picture.limits(frame.apparent_temperature)
     assert lines[-1].startswith(f"{low:.1f} K") and lines[-1].endswith(f"{high:.1f} K")
     assert frame.apparent_temperature.min() <= low < high <= frame.apparent_temperature.max()
+
+
+def test_a_notebook_has_a_bar_for_long_work_and_a_program_has_none(scene, monkeypatch, capsys):
+    drawn = []
+    handle = types.SimpleNamespace(update=drawn.append)
+    shell = types.SimpleNamespace(kernel=object())
+    with monkeypatch.context() as patch:
+        patch.setitem(sys.modules, "IPython", types.SimpleNamespace(get_ipython=lambda: shell))
+        inside = types.SimpleNamespace(HTML=lambda text: text, display=lambda shown, display_id: handle)
+        patch.setitem(sys.modules, "IPython.display", inside)
+        patch.setenv("THERMORENDER_CACHE", "")
+        assert tr.Renderer(scene, quality="fast", rays=5).baked
+    assert '<progress value="0.' in "".join(drawn) and drawn[-1] == "", "the bar disappears"
+    with interactive() as report:
+        assert report is None
+    mine = []
+    with interactive(lambda *state: mine.append(state)) as report:
+        report("baking", 0.5)
+    assert mine == [("baking", 0.5)]
+    assert capsys.readouterr().err == ""
+
+
+def test_objects_print_what_they_are(scene, tmp_path):
+    html = scene._repr_html_()
+    assert "data:image/png;base64," in html and "materials" in html and "260 K" in html
+    mesh = tr.load_scene(write_mesh(tmp_path / "box", trimesh.creation.box((2.0, 2.0, 2.0))))
+    assert mesh._repr_html_().startswith("<pre>box: ")
+    camera = str(tr.load_camera("boson-640"))
+    for words in ("µm", "°", "mrad per pixel", "NETD", "mK", "bits over", "no visible camera beside it"):
+        assert words in camera

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.progress import in_notebook
 from thermorender.sensor.palettes import palette
 
 # Share of the pixels at each end that may lie outside the colours, such as a few of sky [%].
@@ -66,12 +67,6 @@ def html(kelvin: NDArray[Any], title: str) -> str:
     """Return the picture as HTML that needs no file."""
     data = base64.b64encode(png(kelvin, title)).decode()
     return f'<img alt="{escape(title)}" src="data:image/png;base64,{data}">'
-
-
-def in_notebook() -> bool:
-    """Return whether this process is the kernel of a notebook."""
-    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
-    return shell is not None and getattr(shell, "kernel", None) is not None
 
 
 def show(shown: Any, kelvin: NDArray[Any]) -> None:

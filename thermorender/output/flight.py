@@ -8,7 +8,8 @@ again. Temperatures of a heat balance follow the flight's time; see `thermorende
 """
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from os import PathLike
 from pathlib import Path
@@ -25,6 +26,7 @@ from thermorender.output.photograph import photograph
 from thermorender.output.record import made_by, weather_of
 from thermorender.output.resume import finished, load_state, refuse_moved, remove_state, save_state
 from thermorender.output.video import write_video
+from thermorender.progress import interactive
 from thermorender.render.flight.frames import FlightFrames
 from thermorender.render.flight.timed import STEP_S
 from thermorender.scene.scene import Scene
@@ -97,7 +99,7 @@ def fly(
     verify : bool
         As `resume`, but also compare the files' checksums.
     progress : callable, optional
-        Called with (frames done, frames in total).
+        Called with (frames done, frames in total). Without it a notebook and Python's prompt show a bar.
     heat_progress : callable, optional
         Called with (what, share done) while a heat balance is solved.
 
@@ -115,7 +117,8 @@ def fly(
     """
     flight = _Flight(renderer, trajectory, options, heat_progress)
     with files.output_folder(folder) as out, files.in_use(out):
-        done = flight.write(out, resume or verify, verify, progress)
+        with _bar(progress) as report:
+            done = flight.write(out, resume or verify, verify, report)
         without = flight.terrain.count(False)
         formats.write_json(out / "flight.json", flight.settings | {"frames_without_terrain": without})
     return {
@@ -126,6 +129,16 @@ def fly(
         "first_time_s": float(flight.times[0]),
         "last_time_s": float(flight.times[-1]),
     }
+
+
+@contextmanager
+def _bar(given: Callable[[int, int], object] | None) -> Iterator[Callable[[int, int], object] | None]:
+    """Yield `given`, or in an interactive session a function that draws a bar."""
+    if given is not None:
+        yield given
+        return
+    with interactive() as report:
+        yield None if report is None else lambda done, total: report(f"frame {done} of {total}", done / total)
 
 
 class _Flight:

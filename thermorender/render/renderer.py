@@ -13,6 +13,7 @@ from thermorender.errors import ThermorenderError, shortened
 from thermorender.frame import Frame
 from thermorender.physics.planck import band_radiance
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
+from thermorender.progress import interactive
 from thermorender.render import truth
 from thermorender.render.air import Vacuum, refuse_camera
 from thermorender.render.arrays import opaque_view, view_ray
@@ -61,7 +62,8 @@ class Renderer:
         Seed of the sensor's noise.
     device : {"auto", "cpu", "cuda"}
     progress : callable, optional
-        Called with (what, share done) while temperatures are solved and the scene is baked.
+        Called with (what, share done) while temperatures are solved and the scene is baked. Without it a notebook and
+        Python's prompt show a bar.
     like : Renderer, optional
         A renderer of the same surfaces at other temperatures; its traced light is used again.
 
@@ -146,7 +148,8 @@ class Renderer:
     def baked(self) -> BakedScene:
         """The BakedScene; light between surfaces is traced and solved on first use."""
         if self._baked is None:
-            self._baked = bake(self.scene, self.plan, self._geometry, self._like, self._progress)
+            with interactive(self._progress) as report:
+                self._baked = bake(self.scene, self.plan, self._geometry, self._like, report)
             self._like = None
         return self._baked
 
@@ -387,7 +390,8 @@ def _solved(scene: Scene, like: "Renderer | None", geometry: Geometry, progress:
         if known.temperature_state.solved:
             return known
     assert scene.time is not None
-    return solved_at(scene, [scene.time], geometry, progress)[0]
+    with interactive(progress) as report:
+        return solved_at(scene, [scene.time], geometry, report)[0]
 
 
 def _whole(name: str, value: int) -> int:

@@ -401,6 +401,9 @@ class Scene(Edits):
     def __str__(self) -> str:
         return text.table_of(self._declared, self._derived)
 
+    def _repr_html_(self) -> str:
+        return text.html_of(self._declared, self._derived)
+
 
 _EDITS = (
     "use with_camera, with_air, with_sky, with_sun, with_weather, with_temperature, with_material, with_material_in, "
