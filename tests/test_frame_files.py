@@ -227,7 +227,10 @@ def test_a_frame_without_place_or_ground_is_refused(tmp_path, frame, scene):
 
 def test_a_dataset_has_units_coordinates_and_crs(scene, frame):
     pytest.importorskip("xarray")
+    import xarray
+
     found = frame.to_xarray()
+    assert isinstance(found, xarray.Dataset)
     np.testing.assert_array_equal(found.apparent_temperature, frame.apparent_temperature)
     assert found.apparent_temperature.units == "K" and found.radiance.units == "W m-2 sr-1"
     assert found.depth.units == "m along the optical axis"

@@ -103,6 +103,7 @@ def flights() -> None:
     else:
         print(summary["frames"])
 
+    assert_type(tr.compare([(scene, trajectory)], "out", ["fok-1to1"]), dict[str, Any])
     tr.load_trajectory("flight.csv", scene, anchor=(0, 0, 100, 0))  # type: ignore[arg-type]
     tr.load_trajectory("flight.csv", scene, duplicates="last")  # type: ignore[arg-type]
     trajectory.frame_times("30")  # type: ignore[arg-type]

@@ -26,6 +26,7 @@ _PUBLIC = {
     "ThermorenderError": "thermorender.errors",
     "Trajectory": "thermorender.trajectory",
     "Weather": "thermorender.weather.series",
+    "compare": "thermorender.compare.referee.run",
     "fly": "thermorender.output.flight",
     "load_camera": "thermorender.sensor.camera",
     "load_scene": "thermorender.scene.load",
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     # The same names for type checkers and editors; with a __getattr__ they would accept any name.
     __version__: str
     from thermorender.atmosphere.model import Atmosphere as Atmosphere
+    from thermorender.compare.referee.run import compare as compare
     from thermorender.errors import ThermorenderError as ThermorenderError
     from thermorender.frame import Frame as Frame
     from thermorender.learned.temperature_map import TemperatureMap as TemperatureMap
