@@ -11,7 +11,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "thermorender"
 DRAWING = Path(__file__).with_name("architecture.svg")
 # From the ground up, with what each room holds: a room imports only from itself and from those before it.
 ROOMS = {
-    "ground": "errors, units, defaults, paths, versions, files, formats, cache, schema",
+    "ground": "errors, units, defaults, paths, versions, files, formats, cache, schema, progress",
     "physics": "Planck's law, bands, emission, Fresnel, surfaces, sun, heat, geodesy: NumPy only",
     "atmosphere": "air: model, rays, profile, standard table, MODTRAN, LOWTRAN7's aerosols",
     "weather": "a station's, a typical year's or a named day's: missing values are modelled, wrong ones refused",
@@ -22,9 +22,9 @@ ROOMS = {
     "learned": "RGB to temperature, RGB to material",
     "scene": "the user's description: specification, terrain, mesh, objects, temperature sources",
     "synthetic": "worlds from a seed",
-    "frame": "the Frame: a value",
+    "frame": "the Frame: a value; its picture, files and map",
     "render": "the only importer of Mitsuba and Dr.Jit: bake, trace, budget, truth, reference",
-    "output": "EXR, images, video, records, flights",
+    "output": "images, video, records, flights",
     "campaign": "data sets for learned maps",
     "compare": "learned translation against the render, maps on a data set, the cost of a frame, the self-test",
     "cli": "every command, and code that commands share",

@@ -6,7 +6,7 @@ scene = tr.load_scene("heath")
 print(scene)
 
 renderer = tr.Renderer(scene, quality="fast")
-frame = renderer.frame(tr.pose(0, -120, 120 + scene.ground(0, -120), pitch_deg=-45))
+frame = renderer.frame(scene.pose(0, -120, 120, pitch_deg=-45))
 
 temperature = frame.apparent_temperature
 print(f"apparent temperature {temperature.min():.1f} … {temperature.max():.1f} K, mean {temperature.mean():.1f} K")

@@ -32,7 +32,7 @@ scene = (
     )
     .with_temperature("balance")
 )  # fmt: skip
-pose = tr.pose(0, 0, 25 + scene.ground(0, 0), pitch_deg=-90)
+pose = scene.pose(0, 0, 25, pitch_deg=-90)
 renderer = None
 for hour in (3, 8, 13):
     # The traced light of the first renderer serves the others.

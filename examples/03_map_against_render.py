@@ -26,7 +26,7 @@ if not Path("mine.npz").exists():
 if not Path("land5").exists():
     thermorender("make-scene heath --seed 5 --size-m 40 --texel-m 0.2 -o land5")
 scene = tr.load_scene("land5")
-pose = tr.pose(0, 0, 30 + scene.ground(0, 0), pitch_deg=-90)
+pose = scene.pose(0, 0, 30, pitch_deg=-90)
 truth = tr.Renderer(scene, quality="fast")
 # The same land, its temperatures from the map.
 mapped = tr.Renderer(scene.with_temperature("mine.npz"), quality="fast", like=truth)

@@ -18,7 +18,7 @@ slate = load_library()["roof_slate"]
 coated = replace(slate, name="roof_coated", title="Slate with a coating", emissivity=0.5 * slate.emissivity)
 
 scene = tr.load_scene("village60")
-pose = tr.pose(0, 0, 60 + scene.ground(0, 0), pitch_deg=-90)
+pose = scene.pose(0, 0, 60, pitch_deg=-90)
 before = tr.Renderer(scene, quality="fast")
 after = tr.Renderer(scene.with_material(roof_slate=coated), quality="fast", like=before)
 change = after.frame(pose).apparent_temperature - before.frame(pose).apparent_temperature

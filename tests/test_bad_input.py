@@ -16,7 +16,7 @@ import pytest
 from thermorender import files
 from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
-from thermorender.output.exr import read_exr
+from thermorender.frame.exr import read_exr
 from thermorender.scene.load import load_scene
 from thermorender.scene.raster import opened
 from thermorender.scene.surface import BACKGROUND, MOST_TEXELS, SURFACE

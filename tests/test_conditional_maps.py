@@ -161,7 +161,7 @@ def test_a_flight_follows_its_time_and_records_the_weather(tmp_path):
     assert [line["temperature"]["time"] for line in lines] == [f"2018-07-28T12:0{n}:00Z" for n in range(4)]
     # One kelvin an hour.
     np.testing.assert_allclose([line["temperature"]["change_mk"] for line in lines[1:]], 1e3 / 60, atol=0.1)
-    from thermorender.output.exr import read_exr
+    from thermorender.frame.exr import read_exr
 
     for number in range(4):
         found = read_exr(tmp_path / f"f/frame_{number:06d}.exr")[0]["apparent_temperature"]

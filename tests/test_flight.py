@@ -15,8 +15,9 @@ from scenes import coarse, write_mesh, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import read_temperature
 from thermorender.formats import write_image
-from thermorender.output.exr import read_exr
+from thermorender.frame.exr import read_exr
 from thermorender.output.flight import FlightOptions, fly
+from thermorender.output.products import write
 from thermorender.scene.spec import TemperatureSpec
 from thermorender.sensor.detector import row_delays
 from thermorender.sensor.display import DisplaySettings
@@ -82,6 +83,27 @@ def test_products_and_records(setting, tmp_path):
     video = cv2.VideoCapture(str(tmp_path / "f/flight.mp4"))
     assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 5 and video.get(cv2.CAP_PROP_FRAME_WIDTH) == 160
     assert video.get(cv2.CAP_PROP_FPS) == pytest.approx(4.0)
+
+
+def test_frames_in_python_are_those_of_a_flight(setting, tmp_path):
+    renderer, path = setting
+    products = ("exr", "truth", "counts", "display")
+    fly(renderer, path, tmp_path / "f", FlightOptions(rate_hz=4.0, products=products))
+    frames = renderer.frames(path, rate_hz=4.0)
+    assert len(frames) == 5 and "5 frames, 0.000…1.000 s, 4 Hz" in repr(frames)
+    # Twice, since each loop starts with a sensor before its first frame.
+    for _ in range(2):
+        for frame in frames:
+            write(tmp_path / "own", frame, products)
+    own, flown = contents(tmp_path / "own"), contents(tmp_path / "f")
+    assert len(own) == 15
+    assert all(flown[name] == data for name, data in own.items())
+    part = list(renderer.frames(path, rate_hz=4.0, start_s=0.5))
+    assert [frame.time_s for frame in part] == [0.5, 0.75, 1.0]
+    with pytest.raises(ThermorenderError, match=r"trajectory='flight.csv' is not a Trajectory; give what load_traject"):
+        renderer.frames("flight.csv")
+    with pytest.raises(ThermorenderError, match="stop_s"):
+        renderer.frames(path, stop_s=3.0)
 
 
 def test_resume_gives_the_same_bytes(setting, tmp_path):

@@ -2,8 +2,9 @@
 
 import ast
 import re
+import subprocess
 import sys
-from importlib import metadata
+from importlib import import_module, metadata
 from pathlib import Path
 
 import pytest
@@ -28,14 +29,27 @@ def test_type_checkers_see_the_exported_names():
     seen = {alias.asname: node.module for node in imports for alias in node.names if alias.asname == alias.name}
     assert seen == tr._PUBLIC
     for name in tr.__all__:
-        assert getattr(tr, name).__name__ == name
+        # A room is loaded under its dotted name.
+        assert getattr(tr, name).__name__.rpartition(".")[2] == name
+
+
+def test_the_nouns_of_the_field_are_public():
+    nouns = {"Atmosphere", "Camera", "Frame", "Material", "Scene", "TemperatureMap", "Trajectory", "Weather"}
+    verbs = {"compare", "fly", "load_camera", "load_scene", "load_trajectory", "pose"}
+    assert nouns | verbs | {"Renderer"} <= set(tr.__all__)
+    assert all(callable(getattr(tr, name)) for name in tr.__all__)
+    # Whether or not the room of comparisons, which has the function's name, has been imported.
+    code = "import thermorender as tr; a = tr.compare; import thermorender.compare.bench; assert callable(tr.compare)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 0
 
 
 def test_the_modules_of_all_public_names_are_checked():
     with open(ROOT / "pyproject.toml", "rb") as file:
         checked = tomllib.load(file)["tool"]["mypy"]["files"]
     assert all((ROOT / name).exists() for name in checked)
-    modules = {Path(sys.modules[getattr(tr, name).__module__].__file__).relative_to(ROOT) for name in tr.__all__}
+    homes = [import_module(home) for home in tr._PUBLIC.values()]
+    found = [getattr(home, name) for name, home in zip(tr._PUBLIC, homes, strict=True)]
+    modules = {Path(sys.modules[each.__module__].__file__).relative_to(ROOT) for each in found}
     for module in modules:
         assert any(module.is_relative_to(name) for name in checked), module
 

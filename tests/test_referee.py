@@ -1049,3 +1049,11 @@ def test_kept_frames_outlive_a_full_disk_but_not_a_refusal(tmp_path):
             place.mkdir(exist_ok=True)
             raise ThermorenderError("a sentence") from error
         assert place.is_dir() == kept
+
+
+def test_a_scene_and_its_trajectory_are_seen_once_per_second(ground, tmp_path):
+    path = tr.Trajectory([0.0, 1.5], np.array([[0.0, 0.0, 8.0], [0.5, 0.0, 8.0]]), np.array([DOWN] * 2))
+    options = Options(letters=("B",), settings={"rays": 2, "samples": 1})
+    found = tr.compare([(coarse(tr.load_scene(ground), 8), path)], tmp_path / "c", ["fok-1to1"], options)
+    times = {row["time_s"] for row in csv.DictReader((tmp_path / "c/pixels.csv").read_text().splitlines())}
+    assert len(found["scenes"]) == 1 and {float(time) for time in times} == {0.0, 1.0}

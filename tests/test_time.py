@@ -21,10 +21,10 @@ from scenes import coarse, write_balance, write_mesh, write_terrain
 from thermorender.compare.referee.flight import Flight
 from thermorender.compare.referee.run import Options, compare
 from thermorender.errors import ThermorenderError
-from thermorender.output import timed
 from thermorender.output.day import day, instant_of, solar_midnight
 from thermorender.output.flight import FlightOptions, fly
 from thermorender.render import reference
+from thermorender.render.flight import timed
 from thermorender.render.plan import make_plan
 from thermorender.scene.spec import TemperatureSpec
 from thermorender.units import instant, utc_text

@@ -27,6 +27,8 @@ def frames() -> None:
     renderer = tr.Renderer(scene, quality="high", rays=16, progress=lambda what, share: print(what, f"{share:.0%}"))
     pose = tr.pose(0, -120, 120 + scene.ground(0, -120), pitch_deg=-45)
     assert_type(pose, NDArray[np.float64])
+    assert_type(tr.pose(0, 0, 120, look_at=(0, 0, 0)), NDArray[np.float64])
+    assert_type(scene.pose(0, 0, above_ground_m=120, pitch_deg=-90), NDArray[np.float64])
     frame = renderer.frame(pose, time_s=0.0, objects={"marker": {"temperature_k": 350.0}})
     assert_type(frame, tr.Frame)
     assert_type(frame.radiance, NDArray[np.float32])
@@ -37,6 +39,8 @@ def frames() -> None:
     assert_type(frame.targets["marker"], dict[str, Any])
     assert_type(frame.budget_mk, dict[str, float] | None)
     assert_type(frame.camera.width, int)
+    frame.save("frame.exr")
+    assert_type(frame.orthorectified(0.25).kelvin, NDArray[np.float32])
     assert_type(renderer.radiance(pose, 1.0), NDArray[np.float32])
     assert_type(renderer.visible(pose, time_s=1.0), tuple[NDArray[np.uint8], NDArray[np.bool_]])
 
@@ -46,6 +50,7 @@ def frames() -> None:
     tr.Renderer(scene, quality="best")  # type: ignore[arg-type]
     tr.Renderer(scene, device="gpu")  # type: ignore[arg-type]
     tr.Renderer(scene, like=scene)  # type: ignore[arg-type]
+    frame.orthorectified("0.25")  # type: ignore[arg-type]
     tr.pose("0", 0, 120)  # type: ignore[arg-type]
     renderer.frame(time_s=1.0)  # type: ignore[call-arg]
     renderer.frame(pose, objects={"marker": 350.0})  # type: ignore[dict-item]
@@ -79,9 +84,7 @@ def baked_scenes() -> None:
 def flights() -> None:
     """Logs, trajectories, flights."""
     scene = tr.load_scene("heath")
-    trajectory = tr.read_trajectory(
-        ["position.csv", Path("gimbal.csv")], frame=scene.frame, ground=scene.ground, duplicates="spread"
-    )
+    trajectory = tr.load_trajectory(["position.csv", Path("gimbal.csv")], scene, duplicates="spread")
     assert_type(trajectory, tr.Trajectory)
     assert_type(trajectory.span_s, tuple[float, float])
     assert_type(trajectory.sampled([0.0, 0.5]), tr.Trajectory)
@@ -90,6 +93,8 @@ def flights() -> None:
     assert_type(trajectory.frame_times(30, stop_s=1.0), NDArray[np.float64])
     assert_type(trajectory.anchored(0.0, 0.0, 90.0), tr.Trajectory)
     assert_type(trajectory.above_ground(scene.ground), NDArray[np.float64])
+    for frame in tr.Renderer(scene).frames(trajectory, rate_hz=4):
+        assert_type(frame, tr.Frame)
     try:
         options = tr.FlightOptions(products=("exr", "counts"))
         summary = tr.fly(tr.Renderer(scene), trajectory, "out", options, resume=True)
@@ -98,8 +103,9 @@ def flights() -> None:
     else:
         print(summary["frames"])
 
-    tr.read_trajectory("flight.csv", anchor=(0, 0, 100, 0))  # type: ignore[arg-type]
-    tr.read_trajectory("flight.csv", duplicates="last")  # type: ignore[arg-type]
+    assert_type(tr.compare([(scene, trajectory)], "out", ["fok-1to1"]), dict[str, Any])
+    tr.load_trajectory("flight.csv", scene, anchor=(0, 0, 100, 0))  # type: ignore[arg-type]
+    tr.load_trajectory("flight.csv", scene, duplicates="last")  # type: ignore[arg-type]
     trajectory.frame_times("30")  # type: ignore[arg-type]
     tr.fly(scene, trajectory, "out")  # type: ignore[arg-type]
     tr.fly(tr.Renderer(scene), "flight.csv", "out")  # type: ignore[arg-type]

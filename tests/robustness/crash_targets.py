@@ -259,7 +259,7 @@ def _write_map(path):
 
 
 def _write_exr(path):
-    from thermorender.output.exr import write_exr
+    from thermorender.frame.exr import write_exr
 
     write_exr(path, _frame(), False)
 

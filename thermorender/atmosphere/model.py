@@ -13,7 +13,7 @@ Shorter paths use the same terms; LOWTRAN's band model absorbs too much there.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -81,6 +81,12 @@ class Atmosphere:
     cloud_fraction: float = 0.0
     cloud_base_m: float = 2000.0
 
+    if TYPE_CHECKING:
+        # Set with the fields, and not fields themselves.
+        _bands: ClassVar[Floats]
+        _band_of: ClassVar[NDArray[np.intp]]
+        _profile: ClassVar[Profile]
+
     def __post_init__(self) -> None:
         for name in NAMES:
             values = np.array(getattr(self, name), np.float64)
@@ -145,15 +151,15 @@ class Atmosphere:
         haze = name_index("aerosol", aerosol, table["aerosol"])
         check_within("temperature_offset_k", temperature_offset_k, -40.0, 40.0, "kelvin")
         check_within("humidity_factor", humidity_factor, 0.0, 5.0, "times the standard water vapour")
-        pressure, temperature = np.float64(table["pressure_hpa"][model]), np.float64(table["temperature"][model])
-        gas = np.float64(table["gas"][model])
+        pressure, temperature = _floats(table["pressure_hpa"][model]), _floats(table["temperature"][model])
+        gas = _floats(table["gas"][model])
         warmer, water = offset_water(temperature, gas[0], temperature_offset_k, humidity_factor)
         gas *= temperature / warmer
         gas[0] = water
         gases = scaled_densities(pressure, warmer, gas)
-        extinction = np.float64(table["extinction"][model, haze])
+        extinction = _floats(table["extinction"][model, haze])
         factor = table["aerosol_factor"][haze]
-        result = cls.of_table(table, np.float64(table["altitude_m"]), warmer, gases, extinction, factor)
+        result = cls.of_table(table, _floats(table["altitude_m"]), warmer, gases, extinction, factor)
         return result.clouded(cloud_fraction, cloud_base_m)
 
     @classmethod
@@ -176,13 +182,16 @@ class Atmosphere:
             Each node's factor of the aerosol's extinction.
         """
         _, band_of = np.unique(table["lower_um"], return_inverse=True)
-        own = (band_of.reshape(-1)[:, None] == np.arange(len(extinction))) * np.float64(factor)[:, None]
+        own = (band_of.reshape(-1)[:, None] == np.arange(len(extinction))) * _floats(factor)[:, None]
         return cls(
-            *(np.float64(table[key]) for key in ("lower_um", "upper_um", "weight", "tilt")),
+            lower_um=_floats(table["lower_um"]),
+            upper_um=_floats(table["upper_um"]),
+            weight=_floats(table["weight"]),
+            tilt=_floats(table["tilt"]),
             altitude_m=altitude_m,
             temperature=temperature,
             density=np.concatenate([gases, extinction]),
-            absorption=np.hstack([np.float64(table["absorption"]), own]),
+            absorption=np.hstack([_floats(table["absorption"]), own]),
         )
 
     @classmethod
@@ -194,7 +203,8 @@ class Atmosphere:
         ThermorenderError
             The file is missing or not such a table, or one of its arrays is invalid.
         """
-        values, cloud = read_saved(path)
+        arrays, cloud = read_saved(path)
+        values: dict[str, Any] = dict(arrays)
         try:
             return cls(**values).clouded(*cloud)
         except ThermorenderError as error:
@@ -288,7 +298,7 @@ class Atmosphere:
 
     def air_temperature(self, at_m: ArrayLike) -> Floats:
         """Return the air's temperature at altitudes above sea level [K], in their shape."""
-        return np.interp(at_m, self.altitude_m, self.temperature)
+        return np.interp(_floats(at_m), self.altitude_m, self.temperature)
 
     def amounts(self, from_m: ArrayLike, to_m: ArrayLike, range_m: ArrayLike) -> Floats:
         """Return the absorbers' amounts along straight paths, (..., J): integral of density over metres.
@@ -393,7 +403,7 @@ class Atmosphere:
         step: float = _STEP,
     ) -> Floats:  # fmt: skip
         """Values (..., n) of a function of (altitude, length) from `rays.chord`, in batches of paths."""
-        first, last, distance = np.broadcast_arrays(*(np.float64(value) for value in (from_m, to_m, range_m)))
+        first, last, distance = np.broadcast_arrays(*(_floats(value) for value in (from_m, to_m, range_m)))
         for name, values in (("from_m", first), ("to_m", last)):
             check_altitudes(name, values, LOWEST_M, rays.TOP_M)
             self.refuse_above_clouds(name, values)
@@ -408,14 +418,14 @@ class Atmosphere:
                 f"range_m={distance.max():g} is longer than any line of sight in the air, "
                 f"{rays.LONGEST_M:.3g} m; give the length of the path in metres"
             )
-        flat = [values.reshape(-1) for values in (first, last, distance)]
+        one, other, length = (values.reshape(-1) for values in (first, last, distance))
         parts = [slice(start, start + _CHUNK) for start in range(0, max(distance.size, 1), _CHUNK)]
-        result = np.concatenate([function(*rays.chord(*(values[part] for values in flat), step)) for part in parts])
+        result = np.concatenate([function(*rays.chord(one[part], other[part], length[part], step)) for part in parts])
         return result.reshape(*distance.shape, -1)
 
     def _column(self, at_m: ArrayLike, cos_zenith: ArrayLike, top_m: float) -> tuple[Floats, Floats]:
         """(transmittance, emission) from a point along a direction up to an altitude, each (..., N)."""
-        at, cosine = np.broadcast_arrays(np.float64(at_m), np.float64(cos_zenith))
+        at, cosine = np.broadcast_arrays(_floats(at_m), _floats(cos_zenith))
         check_altitudes("at_m", at, LOWEST_M, HIGHEST_CAMERA_M)
         lowest = rays.horizon_cos_zenith(at)
         if np.any((cosine < lowest - 1e-9) | (cosine > 1.0 + 1e-9)) or np.isnan(cosine).any():
@@ -432,3 +442,7 @@ class Atmosphere:
     def _sum(self, altitude: Floats, length: Floats) -> tuple[Floats, Floats]:
         """(transmittance, emission), each (P, N), along rays."""
         return emission(self._profile, self.absorption, altitude, length, amounts(self._profile, altitude, length))
+
+
+def _floats(values: ArrayLike) -> Floats:
+    return np.array(values, np.float64)

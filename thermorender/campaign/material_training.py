@@ -12,6 +12,7 @@ from thermorender.learned.emissivity import MOST_MATERIALS, EmissivityMap
 from thermorender.learned.emissivity_training import Labelled, train
 from thermorender.materials import library as material_tables
 from thermorender.scene.material_map import UNKNOWN_CLASS, orthophoto_of
+from thermorender.scene.parts.patch import read_features
 from thermorender.scene.raster import Grid, grid_of, onto, read_classes
 from thermorender.scene.spec import read_scene
 
@@ -124,11 +125,10 @@ def read_polygons(path: Path, grid: Grid) -> tuple[NDArray[np.uint8], dict[int, 
 
     0 is outside all polygons; errors as `labelled_scene`.
     """
-    from rasterio.crs import CRS
-    from rasterio.errors import CRSError
     from rasterio.features import rasterize
     from rasterio.warp import transform_geom
 
+<<<<<<< HEAD
     try:
         content = formats.finite_json(path.read_text(encoding="utf-8-sig"))
         features = content["features"]
@@ -141,6 +141,9 @@ def read_polygons(path: Path, grid: Grid) -> tuple[NDArray[np.uint8], dict[int, 
         raise ThermorenderError(
             f"{path} is not a GeoJSON FeatureCollection ({type(error).__name__}: {error}); export one from a GIS"
         ) from None
+=======
+    features, crs = read_features(path)
+>>>>>>> pyapi
     names, shapes = [], []
     for number, feature in enumerate(features, 1):
         try:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from thermorender import defaults
-from thermorender.cli.terminal import Progress, ReadTime, Time, at_time, read_instant, split, warn
+from thermorender.cli.terminal import Progress, ReadTime, Time, at_time, named, read_instant, split, warn
 from thermorender.errors import ThermorenderError
 
 if TYPE_CHECKING:
@@ -38,6 +38,8 @@ Air = Annotated[
     typer.Option(help="Standard atmosphere in place of the scene's own sky: midlatitude-summer, or with an aerosol "
                  "tropical,rural-23km."),
 ]  # fmt: skip
+# Where a view is without --pose.
+_POSE = "0,0,120,0,-90,0"
 
 
 def flat(verb: Callable[..., Any]) -> Callable[..., Any]:
@@ -74,6 +76,22 @@ class SceneOptions:
 
     time: Time = None
     air: Air = None
+    set: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            help="OBJECT.KEY=VALUE, e.g. marker.temperature_k=350; keys east_m, north_m, "
+            "above_ground_m, yaw_deg, temperature_k. Repeat for more.",
+        ),
+    ] = None
+    paint: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--paint",
+            help="FILE.geojson=MATERIAL: another material within the polygons, or an emissivity; "
+            "without =MATERIAL that of their property 'material'. Repeat for more.",
+        ),
+    ] = None
 
     def load(
         self, name: str, temperature: "TemperatureSpec | None" = None, read_time: ReadTime = read_instant
@@ -82,6 +100,10 @@ class SceneOptions:
         scene = at_time(name, self.time, read_time, temperature)
         if self.air is not None:
             scene = scene.with_air(*parse_air(self.air))
+        for text in self.set or ():
+            scene = scene.with_objects(parse_object(text))
+        for text in self.paint or ():
+            scene = scene.with_material_in(*parse_paint(text))
         if scene.temperature_state.weather_driven:
             for note in (_sun_of(scene), *scene.weather_notes):
                 typer.echo(f"weather: {note}")
@@ -157,33 +179,41 @@ class ViewOptions:
 
     pose: Annotated[
         str, typer.Option(help="E,N,U,YAW,PITCH,ROLL: metres in the local frame, degrees; pitch −90 looks down.")
-    ] = "0,0,120,0,-90,0"
+    ] = _POSE
     local_up: Annotated[
         bool, typer.Option("--local-up", help="U is the local up coordinate, not metres above the ground.")
     ] = False
+    look_at: Annotated[
+        str | None,
+        typer.Option(help="E,N,U of a point in the middle of the image; --pose is then E,N,U without angles."),
+    ] = None
 
-    def numbers(self) -> tuple[float, ...]:
-        """Return the six numbers of --pose."""
+    def numbers(self) -> tuple[tuple[float, ...], tuple[float, ...] | None]:
+        """Return the numbers of --pose and of --look-at."""
         from thermorender.trajectory import parse_numbers
 
-        return parse_numbers("--pose", self.pose, ("E", "N", "U", "YAW", "PITCH", "ROLL"))
+        place = ("E", "N", "U")
+        if self.look_at is None:
+            return parse_numbers("--pose", self.pose, (*place, "YAW", "PITCH", "ROLL")), None
+        given = "0,0,120" if self.pose == _POSE else self.pose
+        return parse_numbers("--pose", given, place), parse_numbers("--look-at", self.look_at, place)
 
     def over(self, scene: "Scene") -> Any:
         """Return the pose over a scene, (4, 4) world_from_camera."""
         from thermorender.trajectory.path import pose
 
-        east, north, up, *angles = self.numbers()
-        if not self.local_up:
-            ground = float(scene.ground(east, north))
-            if ground != ground:
-                raise ThermorenderError(f"--pose={self.pose!r} is outside the terrain; move it, or give --local-up")
-            if up < 0.0:
-                raise ThermorenderError(
-                    f"--pose={self.pose!r} is {-up:.6g} m under the terrain; give U in metres above the ground, or "
-                    "--local-up"
-                )
-            up += ground
-        return pose(east, north, up, *angles)
+        (east, north, up, *angles), point = self.numbers()
+        if self.local_up:
+            return pose(east, north, up, *angles, look_at=point)
+        ground = float(scene.ground(east, north))
+        if ground != ground:
+            raise ThermorenderError(f"--pose={self.pose!r} is outside the terrain; move it, or give --local-up")
+        if up < 0.0:
+            raise ThermorenderError(
+                f"--pose={self.pose!r} is {-up:.6g} m under the terrain; give U in metres above the ground, or "
+                "--local-up"
+            )
+        return scene.pose(east, north, up, *angles, look_at=point)
 
 
 @dataclass(frozen=True)
@@ -261,31 +291,37 @@ class TrajectoryOptions:
     ] = False
 
     def read(self, scene: "Scene", rate_hz: float | None) -> "Trajectory":
+<<<<<<< HEAD
         """Return the Trajectory over a scene, refused if it is below ground at a frame; print warnings on the log."""
         from thermorender.output.terrain_in_view import empty_frames_note
+=======
+        """Return the Trajectory over a scene, refused if it is below ground at one of the frames."""
+        from thermorender.scene.load import load_trajectory
+>>>>>>> pyapi
         from thermorender.trajectory import (
             check_above_ground,
             parse_anchor,
             parse_lever_arm,
             parse_mount,
-            read_trajectory,
         )
 
         own = scene.spec.folder / "flight.csv"
         if not self.trajectory and not own.exists():
             raise ThermorenderError(f"{own} does not exist, and no other log is given; add --trajectory LOG.csv")
-        path = read_trajectory(
+        path = load_trajectory(
             self.trajectory or [own],
-            frame=scene.frame,
-            ground=scene.ground,
-            geoid_undulation_m=scene.geoid_undulation_m,
+            scene,
             format=self.format,
             anchor=parse_anchor(self.anchor) if self.anchor else None,
             clock_offset_s=self.clock_offset_s,
             mount=parse_mount(self.mount) if self.mount else None,
             lever_arm_m=parse_lever_arm(self.lever_arm_m),
+<<<<<<< HEAD
             course=self.course,
             duplicates=self.duplicates,  # type: ignore[arg-type]  # checked by read_trajectory
+=======
+            duplicates=self.duplicates,  # type: ignore[arg-type]  # checked by load_trajectory
+>>>>>>> pyapi
         )
         rate_hz = scene.camera.frame_rate_hz if rate_hz is None else rate_hz
         frames = path.sampled(path.frame_times(rate_hz, self.start_s, self.stop_s))
@@ -303,6 +339,29 @@ def parse_air(text: str) -> tuple[str, ...]:
     if len(parts) > 2:
         raise ThermorenderError(f"--air={text!r} has {len(parts)} parts; give ATMOSPHERE or ATMOSPHERE,AEROSOL")
     return parts or ("",)
+
+
+def parse_object(text: str) -> dict[str, dict[str, Any]]:
+    """Return {object: {key: value}} of an option --set."""
+    place, value = named(text, "--set", "OBJECT.KEY=VALUE, such as marker.temperature_k=350")
+    name, found, key = place.rpartition(".")
+    if not (name and found and key):
+        raise ThermorenderError(f"--set={text!r} is not allowed; give OBJECT.KEY=VALUE")
+    return {name: {key: number_or_text(value)}}
+
+
+def parse_paint(text: str) -> tuple[Any, ...]:
+    """Return (file, material or None) of an option --paint."""
+    path, found, material = text.rpartition("=")
+    return (path, number_or_text(material)) if found else (text,)
+
+
+def number_or_text(text: str) -> float | str:
+    """Return the number of a text, or the text where it is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def parse_thermography(text: str | None) -> "ThermographySettings | None":

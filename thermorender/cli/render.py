@@ -54,9 +54,10 @@ def render(
     device: Device = "auto",
 ) -> None:
     """Render one frame."""
+    from thermorender.frame.record import record
     from thermorender.output import products as frame_files
     from thermorender.output.photograph import photograph
-    from thermorender.output.record import made_by, record, weather_of
+    from thermorender.output.record import made_by, weather_of
 
     if engine not in ("renderer", "reference"):
         raise ThermorenderError(f"--engine={engine!r} is unknown; give renderer or reference")

@@ -1,7 +1,6 @@
 """What commands share at the terminal: options for outputs, a progress bar, a table, comma-separated options."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,14 +8,14 @@ import typer
 
 from thermorender import files
 from thermorender.errors import ThermorenderError
+from thermorender.progress import Progress as Progress
+from thermorender.progress import progress as progress
 from thermorender.units import instant
 
 if TYPE_CHECKING:
     from thermorender.scene.scene import Scene
     from thermorender.scene.spec import TemperatureSpec
 
-# Called with (what, share done).
-Progress = Callable[[str, float], None]
 # (scene, text of --time) → instant.
 ReadTime = Callable[["Scene", str], Any]
 Time = Annotated[
@@ -41,26 +40,6 @@ Results = Annotated[Path, output_option("-o", "--output", help="Folder for the r
 NewResults = Annotated[
     Path, output_option("-o", "--output", help="New folder for the results.", check=files.check_new_folder)
 ]
-
-
-@contextmanager
-def progress() -> Iterator[Progress]:
-    """Yield a function (what, share done) that draws a bar on a terminal and nothing elsewhere."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        tasks: dict[str, Any] = {}
-
-        def report(what: str, share: float) -> None:
-            key = "frames" if what.startswith("frame ") else what.partition(":")[0]
-            if key not in tasks:
-                tasks[key] = bar.add_task(what, total=1.0)
-            bar.update(tasks[key], completed=share, description=what)
-
-        yield report
 
 
 def read_instant(scene: "Scene", text: str) -> Any:

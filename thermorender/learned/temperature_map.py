@@ -13,17 +13,17 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from thermorender import files, formats
 from thermorender.defaults import BAND_UM, CAMERA, TRAINED_MAPS
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, shortened
 from thermorender.learned import correlation
 from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance, kelvin_per_radiance
-from thermorender.schema import did_you_mean, shortened
+from thermorender.schema import did_you_mean
 from thermorender.units import ZERO_CELSIUS_K
 
 FORMAT = 1
@@ -110,16 +110,16 @@ class TemperatureMap:
     name: str
     method: str
     predictor: Any
-    range_k: tuple
-    band_um: tuple
+    range_k: tuple[float, float]
+    band_um: tuple[float, float]
     texel_m: float
-    texel_range_m: tuple
+    texel_range_m: tuple[float, float]
     camera: str
     sky_temperature: float
     source: str
-    trained: dict | None = None
+    trained: dict[str, Any] | None = None
     error_k: float | None = None
-    about: dict = field(default_factory=dict)
+    about: dict[str, Any] = field(default_factory=dict)
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -156,7 +156,7 @@ class TemperatureMap:
             spread = spread * (warm - cold) * kelvin_per_radiance(usable, *self.band_um)
         return radiance, spread
 
-    def _predicted(self, inputs):
+    def _predicted(self, inputs: Inputs) -> tuple[Any, Any]:
         """The predictor's output, and its standard deviation or None."""
         for name in self.needs:
             if getattr(inputs, name) is None or not len(getattr(inputs, name)):
@@ -168,14 +168,14 @@ class TemperatureMap:
             return self.predictor.with_spread(inputs)
         return self.predictor.predict(inputs, self.texel_m), None
 
-    def _radiance_of(self, found, inputs):
+    def _radiance_of(self, found: Any, inputs: Inputs) -> np.ndarray:
         """Band radiance of the predictor's output."""
         if self.predictor.above_air:
             return self._radiance_at(np.maximum(found + inputs.conditions["air_k"], 1.0))
         cold, warm = band_radiance(np.array(self.range_k), *self.band_um)
         return cold + found * (warm - cold)
 
-    def _radiance_at(self, temperature):
+    def _radiance_at(self, temperature: np.ndarray) -> np.ndarray:
         """Band radiance of temperatures [K], by a table if it has fewer entries than the picture has pixels."""
         if not np.ptp(temperature) / RadianceTable.SPACING_K < temperature.size:
             return band_radiance(temperature, *self.band_um)
@@ -223,14 +223,14 @@ class TemperatureMap:
                                     "predicts kelvin above the air; leave it out")  # fmt: skip
         return replace(self, range_k=(low + ZERO_CELSIUS_K, high + ZERO_CELSIUS_K))
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         low, high = (limit - ZERO_CELSIUS_K for limit in self.range_k)
         return (
             f"TemperatureMap({self.name!r}, {self.method}, {low:.1f}…{high:.1f} °C, "
             f"{self.band_um[0]:g}–{self.band_um[1]:g} µm, texels of {self.texel_m:.3g} m)"
         )
 
-    def __str__(self):
+    def __str__(self) -> str:
         low, high = (limit - ZERO_CELSIUS_K for limit in self.range_k)
         trained = "–".join(f"{limit:.3g}" for limit in self.texel_range_m)
         lines = [
@@ -296,7 +296,7 @@ def load_map(path: files.PathLike) -> TemperatureMap:
         ) from None
 
 
-def _arrays(file):
+def _arrays(file: BinaryIO) -> dict[str, np.ndarray]:
     """{name: array} of an open .npz; one that would unpack to too much is refused first."""
     with zipfile.ZipFile(file) as archive:
         size = sum(item.file_size for item in archive.infolist())
@@ -307,7 +307,7 @@ def _arrays(file):
         return dict(kept)
 
 
-def _usable(model):
+def _usable(model: TemperatureMap) -> TemperatureMap:
     """Return a TemperatureMap after checking its values."""
     for name in ("range_k", "band_um", "texel_range_m"):
         value = getattr(model, name)
@@ -333,11 +333,11 @@ def _usable(model):
     return model
 
 
-def _positive(value):
+def _positive(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and 0.0 < value < np.inf
 
 
-_FOK = {
+_FOK: dict[str, Any] = {
     "range_k": (ZERO_CELSIUS_K + 14.0, ZERO_CELSIUS_K + 24.0),
     "band_um": BAND_UM,
     # 120 m, the campaign's greatest height, times 17 µm over 13 mm.

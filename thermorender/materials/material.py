@@ -181,7 +181,7 @@ class Material:
                 f"material {self.name!r} was asked for its emissivity at cos_theta={outside[0]:g}; give the cosine "
                 "of the angle from the surface normal, 0 (grazing) to 1 (along the normal)"
             )
-        if self.emissivity_by_angle is None:
+        if self.emissivity_by_angle is None or self.cosines is None:
             return np.interp(wavelength, self.wavelength_um, self.emissivity)
         row, down = _place(self.wavelength_um, wavelength)
         column, along = _place(self.cosines, cosine)
@@ -222,7 +222,7 @@ class Material:
         planck = spectral_radiance(wavelength, temperature[..., None]) * (half * _WEIGHTS).ravel()
         return (planck @ emissivity) / planck.sum(axis=-1)
 
-    def _measured(self, wavelength_um):
+    def _measured(self, wavelength_um: ArrayLike) -> NDArray[np.float64]:
         """Return the wavelengths as an array; refuse those at which nothing was measured."""
         asked = np.asarray(wavelength_um, dtype=np.float64)
         first, last = self.valid_range_um
@@ -247,7 +247,7 @@ class Material:
                 )
         return asked
 
-    def __str__(self):
+    def __str__(self) -> str:
         first, last = self.valid_range_um
         low, high = int(self.emissivity.argmin()), int(self.emissivity.argmax())
         spread = "unknown, one sample" if self.samples == 1 else "unknown"
@@ -274,8 +274,11 @@ class Material:
             lines += [f"    {line}" for line in str(self.thermal).splitlines()]
         return "\n".join(lines)
 
-    def _directional_words(self):
-        words = {"lambertian": "lambertian", "table": f"hemispherical, from {np.size(self.cosines)} angles"}
+    def _directional_words(self) -> str:
+        words = {
+            "lambertian": "lambertian",
+            "table": f"hemispherical, from {0 if self.cosines is None else self.cosines.size} angles",
+        }
         roughness = f"rms slope {self.rms_slope:g}" if self.rms_slope else "smooth"
         return words.get(self.directional, f"hemispherical, fresnel, {roughness}")
 
@@ -301,14 +304,14 @@ def grey(name: str, emissivity: float) -> Material:
             "blackbody's radiance, 0.95 for 95 %"
         )
     return Material(
-        name=name, title=f"grey, emissivity {emissivity:g}", wavelength_um=[0.0, LONGEST_WAVELENGTH_UM],
-        emissivity=[emissivity, emissivity], emissivity_std=[np.nan, np.nan], colour=(128, 128, 128),
+        name=name, title=f"grey, emissivity {emissivity:g}", wavelength_um=np.array([0.0, LONGEST_WAVELENGTH_UM]),
+        emissivity=np.full(2, emissivity), emissivity_std=np.full(2, np.nan), colour=(128, 128, 128),
         solar_absorptance=float(emissivity), temperature=300.0, source=_ASSUMED_GREY, citation="none",
         licence="none needed",
     )  # fmt: skip
 
 
-def _place(nodes, values):
+def _place(nodes: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Return the index of the node below each value, and the value's fraction of the interval to the next node."""
     below = np.clip(np.searchsorted(nodes, values, side="right") - 1, 0, nodes.size - 2)
     return below, np.clip((values - nodes[below]) / (nodes[below + 1] - nodes[below]), 0.0, 1.0)

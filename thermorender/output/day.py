@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from thermorender import files, formats
 from thermorender.errors import ThermorenderError
+from thermorender.frame.record import record
 from thermorender.output import products as product_files
 from thermorender.output.day_figure import figure
-from thermorender.output.record import made_by, record, weather_of
-from thermorender.output.timed import solved_in_parts
+from thermorender.output.record import made_by, weather_of
 from thermorender.output.video import write_video
+from thermorender.render.flight.timed import solved_in_parts
 from thermorender.scene.surface import FILLED
 from thermorender.sensor.display import DisplaySettings
 from thermorender.sensor.radiometry import ThermographySettings

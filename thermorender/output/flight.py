@@ -4,12 +4,12 @@ A frame is finished when `frames.jsonl` has its line. The line is appended after
 names, with their sizes and checksums and a checksum of the line. `flight.json` holds everything that the bytes depend
 on, so that a resume with other settings is refused, and at the end the number of frames without terrain. Two files hold
 the state of the sensor's pixels in turn until the flight is done; if it is lost, a resume renders the frames before
-again. Temperatures of a heat balance follow the flight's time; see `thermorender.output.timed`.
+again. Temperatures of a heat balance follow the flight's time; see `thermorender.render.flight.timed`.
 """
 
-import itertools
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from os import PathLike
 from pathlib import Path
@@ -20,24 +20,22 @@ from numpy.typing import NDArray
 
 from thermorender import files, formats
 from thermorender.frame import Frame
+from thermorender.frame.record import record
 from thermorender.output import products as product_files
 from thermorender.output.photograph import photograph
-from thermorender.output.record import made_by, record, weather_of
+from thermorender.output.record import made_by, weather_of
 from thermorender.output.resume import finished, load_state, refuse_moved, remove_state, save_state
-from thermorender.output.timed import STEP_S, TimedRenderer
 from thermorender.output.video import write_video
-from thermorender.scene.parts.tracks import TrackedObject
+from thermorender.progress import interactive
+from thermorender.render.flight.frames import FlightFrames
+from thermorender.render.flight.timed import STEP_S
 from thermorender.scene.scene import Scene
-from thermorender.sensor.chain import sensor_of
 from thermorender.sensor.display import DisplaySettings
-from thermorender.sensor.exposure import Exposure
-from thermorender.sensor.movers import Mover
 from thermorender.sensor.radiometry import ThermographySettings
 from thermorender.trajectory.path import Trajectory
 from thermorender.units import utc_text
 
 if TYPE_CHECKING:
-    # It imports Mitsuba, which is loaded if there is a renderer.
     from thermorender.render.renderer import Renderer
 
 # Corners of each surface that are tested before the truth of a frame, which costs as much as the frame.
@@ -86,7 +84,7 @@ def fly(
     """Render a flight into a folder and return its summary.
 
     The scene's time is that of the trajectory's first sample. Temperatures of a heat balance follow the flight in steps
-    of `thermorender.output.timed.STEP_S`.
+    of `thermorender.render.flight.timed.STEP_S`.
 
     Parameters
     ----------
@@ -101,7 +99,7 @@ def fly(
     verify : bool
         As `resume`, but also compare the files' checksums.
     progress : callable, optional
-        Called with (frames done, frames in total).
+        Called with (frames done, frames in total). Without it a notebook and Python's prompt show a bar.
     heat_progress : callable, optional
         Called with (what, share done) while a heat balance is solved.
 
@@ -119,7 +117,8 @@ def fly(
     """
     flight = _Flight(renderer, trajectory, options, heat_progress)
     with files.output_folder(folder) as out, files.in_use(out):
-        done = flight.write(out, resume or verify, verify, progress)
+        with _bar(progress) as report:
+            done = flight.write(out, resume or verify, verify, report)
         without = flight.terrain.count(False)
         formats.write_json(out / "flight.json", flight.settings | {"frames_without_terrain": without})
     return {
@@ -130,6 +129,16 @@ def fly(
         "first_time_s": float(flight.times[0]),
         "last_time_s": float(flight.times[-1]),
     }
+
+
+@contextmanager
+def _bar(given: Callable[[int, int], object] | None) -> Iterator[Callable[[int, int], object] | None]:
+    """Yield `given`, or in an interactive session a function that draws a bar."""
+    if given is not None:
+        yield given
+        return
+    with interactive() as report:
+        yield None if report is None else lambda done, total: report(f"frame {done} of {total}", done / total)
 
 
 class _Flight:
@@ -153,17 +162,13 @@ class _Flight:
         self.renderer, self.thermography = renderer, options.thermography
         self.products = product_files.check(options.products, options.thermography, camera)
         self.display = replace(options.display, tails_percent=camera.agc_tails_percent)
-        self.rate_hz = camera.frame_rate_hz if options.rate_hz is None else float(options.rate_hz)
-        self.times = trajectory.frame_times(self.rate_hz, options.start_s, options.stop_s)
-        self.poses = trajectory.sampled(self.times).poses()
-        renderer.refuse_camera(self.poses[:, :3, 3])
-        self.timed = TimedRenderer(renderer, *trajectory.span_s, heat_progress)
+        self.flown = FlightFrames(renderer, trajectory, options.rate_hz, options.start_s, options.stop_s, heat_progress)
+        self.times = self.flown.times
         self.settings = self._settings(trajectory)
-        self.exposure = _exposure(self.timed, renderer, trajectory, 1.0 / self.rate_hz)
         self.terrain: list[bool] = []
 
     def _settings(self, trajectory: Trajectory) -> dict[str, Any]:
-        scene, start = self.renderer.scene, self.timed.time(trajectory.span_s[0])
+        scene, start = self.renderer.scene, self.flown.timed.time(trajectory.span_s[0])
         return {
             "scene": scene.name,
             "scene_digest": scene.digest(),
@@ -171,7 +176,7 @@ class _Flight:
             "materials": [material.name for material in scene.materials],
             "seed": self.renderer.seed,
             "plan": self.renderer.plan.as_dict(),
-            "rate_hz": self.rate_hz,
+            "rate_hz": self.flown.rate_hz,
             "frames": len(self.times),
             "first_time_s": float(self.times[0]),
             "last_time_s": float(self.times[-1]),
@@ -179,7 +184,7 @@ class _Flight:
             **({"temperature_step_s": STEP_S} if scene.temperature_state.weather_driven else {}),
             **weather_of(scene),
             # The path between frames too, since the sensor remembers it.
-            "path_digest": _digest(self.poses, trajectory.time_s, trajectory.position, trajectory.quaternion),
+            "path_digest": _digest(self.flown.poses, trajectory.time_s, trajectory.position, trajectory.quaternion),
             "products": list(self.products),
             "display": asdict(self.display) | {"tails_percent": list(self.display.tails_percent)},
             "thermography": self.thermography and asdict(self.thermography),
@@ -204,7 +209,7 @@ class _Flight:
         remove_state(folder)
         if "video" in self.products:
             images = [product_files.paths(folder, index, ("display",))["display"] for index in range(total)]
-            write_video(folder / "flight.mp4", images, self.rate_hz)
+            write_video(folder / "flight.mp4", images, self.flown.rate_hz)
         return done
 
     def _write_frame(self, folder: Path, frame: Frame, agc: _Memory, image: Any) -> None:
@@ -213,29 +218,26 @@ class _Flight:
             folder, frame, self.products, image, self.thermography,
             lambda camera: photograph(self.renderer, frame.pose, frame.time_s, camera=camera)[0],
         )  # fmt: skip
-        state = self.exposure.state() | ({} if agc is None else {"agc": agc})
+        state = self.flown.exposure.state() | ({} if agc is None else {"agc": agc})
         files.on_disk(*written.values(), save_state(folder, frame.index, state))
         self.terrain.append(_shows_terrain(self.renderer.scene, frame))
-        line = record(frame) | self.timed.temperature_record(frame.time_s) | {"shows_terrain": self.terrain[-1]}
+        line = record(frame) | self.flown.timed.temperature_record(frame.time_s) | {"shows_terrain": self.terrain[-1]}
         line["files"] = {path.name: [path.stat().st_size, formats.checksum(path)] for path in written.values()}
         formats.append_json(folder / "frames.jsonl", formats.sealed(line))
 
     def _take(self, index: int, agc: _Memory) -> tuple[Frame, _Memory, Any]:
         """One frame with its sensor's reading, the state of the display after it, and the display image."""
-        time_s = float(self.times[index])
-        frame = self.timed.at(time_s).frame(self.poses[index], time_s=time_s, index=index)
-        frame = replace(frame, time=self.timed.time(time_s))
-        frame = frame.with_reading(*self.exposure.read(index, time_s, frame.radiance))
+        frame = self.flown.take(index)
         if "display" not in self.products:
             return frame, None, None
-        return frame, *self.display.image(frame.counts, agc, 1.0 / self.rate_hz)
+        return frame, *self.display.image(frame.counts, agc, 1.0 / self.flown.rate_hz)
 
     def _restored(self, folder: Path, done: int) -> _Memory:
         """Restore the sensor's state after `done` frames, or render them again; return the display's state."""
         arrays = load_state(folder, done - 1)
         if arrays is not None:
             agc = arrays.pop("agc", None)
-            self.exposure.restore(arrays)
+            self.flown.exposure.restore(arrays)
             return agc
         agc = None
         for index in range(done):
@@ -255,36 +257,6 @@ def _shows_terrain(scene: Scene, frame: Frame) -> bool:
         if ((z > 0.0) & (np.hypot(x, y) < slope * z)).any():
             return True
     return bool(np.isfinite(frame.truth["depth"]).any())
-
-
-def _exposure(timed: TimedRenderer, renderer: "Renderer", trajectory: Trajectory, interval_s: float) -> Exposure:
-    """The Exposure of a flight: the sensor with its state from frame to frame."""
-    scene = renderer.scene
-    first, last = trajectory.span_s
-
-    def pose_at(time_s: float) -> NDArray[np.float64]:
-        return trajectory.pose(min(max(time_s, first), last))
-
-    return Exposure(
-        sensor_of(scene.camera, renderer.seed),
-        lambda time_s, camera, lit_s: timed.at(time_s).radiance(pose_at(time_s), time_s, camera=camera, lit_s=lit_s),
-        pose_at,
-        renderer.depth,
-        interval_s,
-        movers=[_mover(tracked, scene) for tracked in scene.tracked_objects],
-    )
-
-
-def _mover(tracked: TrackedObject, scene: Scene) -> Mover:
-    """A tracked object as a Mover of the sensor."""
-    corner = np.concatenate([surface.vertices for surface in tracked.surfaces]).astype(np.float64)
-    box = np.array(list(itertools.product(*zip(corner.min(axis=0), corner.max(axis=0), strict=True))))
-
-    def corners_at(time_s: float) -> NDArray[np.float64]:
-        pose = tracked.world_from_own(tracked.at(time_s), scene.ground)
-        return box @ pose[:3, :3].T + pose[:3, 3]
-
-    return Mover(corners_at, lambda time_s: tracked.at(time_s)["temperature_k"], tracked.time_s)
 
 
 def _digest(*arrays: NDArray[Any]) -> str:

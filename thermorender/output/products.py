@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import write_tlinear
 from thermorender.formats import atomic_raster, write_image
-from thermorender.output.exr import write_exr
+from thermorender.frame.exr import write_exr
 from thermorender.sensor.camera import Camera
 from thermorender.sensor.radiometry import ThermographySettings, thermography_reading
 

@@ -1,32 +1,13 @@
-"""The record of a frame, and of the weather, versions and device that it was made with."""
+"""The record of the weather, versions and device that frames were made with."""
 
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from thermorender.render.variant import active_device
 from thermorender.scene.temperature_state import Conditional
-from thermorender.units import utc_text
 from thermorender.versions import versions
 
 if TYPE_CHECKING:
-    from thermorender.frame import Frame
     from thermorender.scene.load import Scene
-
-
-def record(frame: "Frame") -> dict[str, Any]:
-    """Return a frame's line in `frames.jsonl`: time, pose, seed, plan, budget and targets, as plain values."""
-    return {
-        "index": frame.index,
-        "time_s": frame.time_s,
-        "time": None if frame.time is None else utc_text(frame.time),
-        "world_from_camera": np.round(frame.pose, 9).tolist(),
-        "seed": frame.seed,
-        "camera": frame.camera.name,
-        "plan": frame.plan,
-        "budget_mk": frame.budget_mk and {cause: round(value, 2) for cause, value in frame.budget_mk.items()},
-        "targets": frame.targets,
-    }
 
 
 def weather_of(scene: "Scene") -> dict[str, Any]:

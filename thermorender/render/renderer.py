@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from functools import partial
 from operator import index as whole
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import drjit as dr
 import numpy as np
@@ -13,23 +13,29 @@ from thermorender.errors import ThermorenderError, shortened
 from thermorender.frame import Frame
 from thermorender.physics.planck import band_radiance
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
+from thermorender.progress import interactive
 from thermorender.render import truth
 from thermorender.render.air import Vacuum, refuse_camera
 from thermorender.render.arrays import opaque_view, view_ray
 from thermorender.render.baked import BakedScene, Progress, bake
 from thermorender.render.dynamic import Objects, placements
 from thermorender.render.geometry import Geometry, refuse_other_surfaces
+from thermorender.render.heat.instants import solved_at
 from thermorender.render.layers import Layer, OutgoingRadiance, Shape
 from thermorender.render.pixels import slender
 from thermorender.render.pixels.sampling import CameraRays
 from thermorender.render.pixels.tracer import Sampling, Tracer
 from thermorender.render.plan import Plan, checked, make_plan
-from thermorender.render.variant import activate
+from thermorender.render.variant import activate, active_device
 from thermorender.render.view import View, checked_pose, parts_of
+from thermorender.scene.georeference import place_of
 from thermorender.scene.scene import Scene
 from thermorender.scene.surface import FILLED, Surface
-from thermorender.scene.temperature_state import Conditional, Moved
 from thermorender.sensor.camera import Camera
+from thermorender.trajectory.path import Trajectory
+
+if TYPE_CHECKING:
+    from thermorender.render.flight.frames import FlightFrames
 
 # Error above which edge pixels of a visible view get more rays: a share of white, summed over the colours.
 _VISIBLE_EDGE = 0.03
@@ -56,7 +62,8 @@ class Renderer:
         Seed of the sensor's noise.
     device : {"auto", "cpu", "cuda"}
     progress : callable, optional
-        Called with (what, share done) while temperatures are solved and the scene is baked.
+        Called with (what, share done) while temperatures are solved and the scene is baked. Without it a notebook and
+        Python's prompt show a bar.
     like : Renderer, optional
         A renderer of the same surfaces at other temperatures; its traced light is used again.
 
@@ -128,6 +135,10 @@ class Renderer:
         made._geometry = baked.geometry
         return made
 
+    def solved_for(self, scene: Scene) -> "Renderer":
+        """Return the Renderer of the same surfaces at other temperatures, by light already traced; see BakedScene."""
+        return Renderer.of(self.baked.solved_for(scene), self.seed)
+
     def __repr__(self) -> str:
         state = "baked" if self._baked is not None else "not baked yet"
         scene = self.scene
@@ -137,7 +148,8 @@ class Renderer:
     def baked(self) -> BakedScene:
         """The BakedScene; light between surfaces is traced and solved on first use."""
         if self._baked is None:
-            self._baked = bake(self.scene, self.plan, self._geometry, self._like, self._progress)
+            with interactive(self._progress) as report:
+                self._baked = bake(self.scene, self.plan, self._geometry, self._like, report)
             self._like = None
         return self._baked
 
@@ -164,6 +176,33 @@ class Renderer:
         view = self._view(pose, time_s, objects)
         radiance, sampling = view.radiance()
         return self._frame(view, radiance, time_s, index, self.plan.as_dict(), sampling)
+
+    def frames(
+        self, trajectory: Trajectory, rate_hz: float | None = None, start_s: float | None = None,
+        stop_s: float | None = None,
+    ) -> "FlightFrames":  # fmt: skip
+        """Return the frames of a flight, to loop over: those that `thermorender.fly` writes, to the same bytes.
+
+        The detector keeps its state from frame to frame, and temperatures of a heat balance follow the flight's time.
+        `len` gives their number.
+
+        Parameters
+        ----------
+        trajectory : Trajectory
+        rate_hz : float, optional
+            Frames per second; by default the camera's.
+        start_s, stop_s : float, optional
+            Part of the trajectory's time [s]; the whole by default.
+
+        Raises
+        ------
+        ThermorenderError
+            Times outside the trajectory, weather that ends before it, or a camera above the range of the air or above
+            its clouds.
+        """
+        from thermorender.render.flight.frames import FlightFrames
+
+        return FlightFrames(self, trajectory, rate_hz, start_s, stop_s)
 
     def radiance(
         self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None, through_air: bool = True,
@@ -307,7 +346,8 @@ class Renderer:
         return Frame(
             radiance=radiance, pose=view.pose, time_s=float(time_s), index=_whole("index", index), seed=self.seed,
             camera=self.scene.camera, plan=plan, time=self.scene.time,
-            materials=tuple(material.name for material in self.scene.materials), _view=view, _sampling=sampling,
+            materials=tuple(material.name for material in self.scene.materials), device=active_device(),
+            place=place_of(self.scene.frame, self.scene.grid), _view=view, _sampling=sampling,
         )  # fmt: skip
 
     def _tracer(
@@ -350,29 +390,8 @@ def _solved(scene: Scene, like: "Renderer | None", geometry: Geometry, progress:
         if known.temperature_state.solved:
             return known
     assert scene.time is not None
-    return solved_at(scene, [scene.time], geometry, progress)[0]
-
-
-def solved_at(
-    scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None
-) -> list[Scene]:
-    """Return the scene with its temperatures solved for each of some instants, by the source in its temperature state.
-
-    Parameters and errors are those of `heat.simulation.solved`, `heat.moved.moved` and `heat.relief.mapped`.
-    """
-    # Imported here, as other scenes do not need them.
-    source = scene.temperature_state.source
-    if isinstance(source, Conditional):
-        from thermorender.render.heat.relief import mapped
-
-        return mapped(scene, times, geometry, progress)
-    if not isinstance(source, Moved):
-        from thermorender.render.heat.simulation import solved
-
-        return solved(scene, times, geometry, progress)
-    from thermorender.render.heat.moved import moved
-
-    return [each.scene for each in moved(scene, times, geometry, progress)]
+    with interactive(progress) as report:
+        return solved_at(scene, [scene.time], geometry, report)[0]
 
 
 def _whole(name: str, value: int) -> int:

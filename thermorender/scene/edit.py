@@ -17,15 +17,14 @@ from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import TemperatureMap
 from thermorender.materials.material import Material
-from thermorender.scene.parts.cover import OBJECT, Cover, Painted
+from thermorender.scene.parts.cover import Cover, Painted
 from thermorender.scene.parts.read import Parts
-from thermorender.scene.spec import WEATHER, AtmosphereSpec, EmissivitySpec, SunSpec, TemperatureSpec
+from thermorender.scene.spec import WEATHER, AtmosphereSpec, SunSpec, TemperatureSpec
 from thermorender.scene.state.arguments import (
     changed_object,
     checked_spec,
     flags_argument,
     kelvin_argument,
-    material_of,
     number_of,
     refuse_other,
     surfaces_argument,
@@ -34,6 +33,7 @@ from thermorender.scene.state.arguments import (
 )
 from thermorender.scene.state.declared import Declared
 from thermorender.scene.state.derived import Derived, air_in, of_surfaces
+from thermorender.scene.state.material_edits import MaterialEdits
 from thermorender.scene.surface import FALLBACK, UNMOVED, Surface, scene_kelvin
 from thermorender.scene.temperature import learned_map
 from thermorender.scene.temperature_state import Known, Moved
@@ -44,17 +44,11 @@ from thermorender.units import instant, utc_text, with_unit
 _S = TypeVar("_S", bound="Edits")
 
 
-class Edits:
-    """The edits of a Scene."""
+class Edits(MaterialEdits):
+    """The edits of a Scene; those of its materials are in `thermorender.scene.state.material_edits`."""
 
-    _parts: Parts | None
-    _declared: Declared
     _derived: Derived
     weather: Any
-
-    def _edited(self: _S, declared: Declared) -> _S:
-        """Return the scene that declares something else."""
-        raise NotImplementedError
 
     def _made(self: _S, parts: Parts | None, declared: Declared, derived: Derived) -> _S:
         """Return the scene of these parts."""
@@ -272,61 +266,6 @@ class Edits:
         if model is None:
             now = replace(now, model=learned_map(spec))
         return self._edited(now)
-
-    def with_learned_materials(self: _S, spec: EmissivitySpec) -> _S:
-        """Return this scene with its terrain's materials read from the orthophoto, as of a source "learned".
-
-        Raises
-        ------
-        ThermorenderError
-            A terrain without an orthophoto, or a map that cannot be used.
-        """
-        if not isinstance(spec, EmissivitySpec) or spec.source != "learned":
-            shown = f"source={spec.source!r}" if isinstance(spec, EmissivitySpec) else f"a {type(spec).__name__}"
-            raise ThermorenderError(
-                f"with_learned_materials was given {shown}; give EmissivitySpec('learned', model=…, fallback=…)"
-            )
-        spec = checked_spec(spec, "with_learned_materials", self._declared.spec.folder)
-        if not self._declared.spec.terrain.orthophoto:
-            raise ThermorenderError(
-                f"{self._declared.where}: a learned emissivity map reads materials from an orthophoto; add "
-                "terrain.orthophoto"
-            )
-        return self._edited(replace(self._declared, spec=replace(self._declared.spec, emissivity=spec)))
-
-    def with_material(
-        self: _S, replaced: Mapping[int | str, str | float | Material] | None = None, /,
-        **more: str | float | Material,
-    ) -> _S:  # fmt: skip
-        """Return this scene with materials of its terrain or objects replaced by others.
-
-        Parameters
-        ----------
-        replaced, **more : str, float or Material, by what it replaces
-            A key is a class number, the name of an object or the name of a material, as in the scene's files. A value
-            is the name of a material, a grey emissivity 0…1, or a Material. All replacements apply at once: with
-            `grass="sand"` and `sand="snow"` grass becomes sand, and sand becomes snow.
-
-        Raises
-        ------
-        ThermorenderError
-            Something the scene does not have, an unknown material, or one not measured over the camera's band.
-        """
-        now, parts = self._declared, self._parts
-        refuse_other("with_material", replaced or {}, "{what it replaces: material}, or name=material")
-        given: dict[int | str, str | float | Material] = dict(replaced or {})
-        given.update(more)
-        if parts is None:
-            raise ThermorenderError(
-                f"{now.where}: with_material needs materials that files describe, and this scene's surfaces were made "
-                "in memory; give with_surfaces other materials"
-            )
-        names = {item.name for item in now.spec.objects}
-        found = {
-            OBJECT + key if isinstance(key, str) and key in names else key: material_of(key, value, parts.library)
-            for key, value in given.items()
-        }
-        return self._edited(replace(now, replaced={**now.replaced, **found}))
 
     def with_objects(self: _S, objects: Mapping[str, float | Mapping[str, float]]) -> _S:
         """Return this scene with objects at other temperatures or places.

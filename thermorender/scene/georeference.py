@@ -1,11 +1,16 @@
-"""Camera poses from map coordinates, as photogrammetric software states them, to a scene's local frame."""
+"""Between map coordinates and a scene's local frame: poses of photogrammetric software, and positions on a map."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermorender.physics.geodesy import LocalFrame
+from thermorender.scene.raster import Grid
+
+# Length over which the scale of a map is measured [m].
+_STEP_M = 100.0
 
 
 def pose_from_map(frame: LocalFrame, crs: Any, pose: ArrayLike) -> NDArray[np.float64]:
@@ -35,3 +40,47 @@ def pose_from_map(frame: LocalFrame, crs: Any, pose: ArrayLike) -> NDArray[np.fl
     result[:3, :3] = u @ v @ pose[:3, :3]
     result[:3, 3] = local[0]
     return result
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a scene lies on Earth.
+
+    Attributes
+    ----------
+    frame : LocalFrame
+        The scene's.
+    crs : rasterio.crs.CRS
+        Of its map: the terrain's rasters, or for a mesh with [frame] the UTM zone of its origin.
+    """
+
+    frame: LocalFrame
+    crs: Any
+
+    def to_map(self, position: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return map coordinates (x, y), each (N,), of local positions (N, 3) [m]."""
+        from rasterio.crs import CRS
+        from rasterio.warp import transform
+
+        latitude, longitude, _ = self.frame.geodetic_from_enu(np.asarray(position, np.float64))
+        x, y = transform(CRS.from_epsg(4326), self.crs, longitude, latitude)
+        return np.asarray(x), np.asarray(y)
+
+    def pixel_size(self, metres: float) -> tuple[float, float]:
+        """Return the size of a map pixel (across, along), in map units, that is so many metres wide at the origin."""
+        x, y = self.to_map(_STEP_M * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
+        map_per_m = np.array([[x[1] - x[0], x[2] - x[0]], [y[1] - y[0], y[2] - y[0]]]) / _STEP_M
+        across, along = metres / np.linalg.norm(np.linalg.inv(map_per_m), axis=0)
+        return float(across), float(along)
+
+
+def place_of(frame: LocalFrame | None, grid: Grid | None) -> Place | None:
+    """Return the Place of a scene by its frame and map grid; None for a mesh without [frame]."""
+    if frame is None:
+        return None
+    if grid is not None:
+        return Place(frame, grid.crs)
+    from rasterio.crs import CRS
+
+    zone = int((frame.longitude_deg + 180.0) // 6.0) % 60 + 1
+    return Place(frame, CRS.from_epsg((32600 if frame.latitude_deg >= 0.0 else 32700) + zone))

@@ -1,9 +1,11 @@
-"""A scene folder read into a Scene."""
+"""A scene folder read into a Scene, and flight logs read over it."""
 
+from collections.abc import Iterable, Sequence
 from os import PathLike
 from pathlib import Path
+from typing import Literal
 
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, shortened
 from thermorender.paths import data_folder
 from thermorender.scene.parts.read import read_parts
 from thermorender.scene.scene import Scene
@@ -11,6 +13,8 @@ from thermorender.scene.spec import read_scene
 from thermorender.scene.state.declared import Declared
 from thermorender.scene.temperature import learned_map
 from thermorender.sensor.camera import load_camera
+from thermorender.trajectory.path import Anchor, Trajectory
+from thermorender.trajectory.readers import read_trajectory
 
 
 def scene_folder(name: str | PathLike[str]) -> Path:
@@ -59,3 +63,35 @@ def load_scene(name: str | PathLike[str]) -> Scene:
         truth_weather=spec.weather,
     )
     return Scene(read_parts(spec, where), declared)
+
+
+def load_trajectory(
+    paths: str | PathLike[str] | Iterable[str | PathLike[str]], scene: Scene, *,
+    format: str | PathLike[str] | None = None, anchor: Anchor | None = None, clock_offset_s: float = 0.0,
+    mount: Sequence[float] | None = None, lever_arm_m: Sequence[float] = (0.0, 0.0, 0.0),
+    duplicates: Literal["refuse", "spread", "first"] = "refuse",
+) -> Trajectory:  # fmt: skip
+    """Return the camera's Trajectory over a scene from one or several CSV files of a flight.
+
+    Parameters
+    ----------
+    paths : path or list of paths
+        One file, or several with different columns and their own times.
+    scene : Scene
+        Its place converts latitude and longitude, its ground and geoid convert heights.
+    format, anchor, clock_offset_s, mount, lever_arm_m, duplicates
+        As of `thermorender.trajectory.read_trajectory`.
+
+    Raises
+    ------
+    ThermorenderError
+        A file or an argument is invalid; for a log the message names file, row and column.
+    """
+    if not isinstance(scene, Scene):
+        raise ThermorenderError(
+            f"load_trajectory: scene={shortened(repr(scene))} is not a Scene; give what load_scene returns"
+        )
+    return read_trajectory(
+        paths, frame=scene.frame, ground=scene.ground, geoid_undulation_m=scene.geoid_undulation_m, format=format,
+        anchor=anchor, clock_offset_s=clock_offset_s, mount=mount, lever_arm_m=lever_arm_m, duplicates=duplicates,
+    )  # fmt: skip

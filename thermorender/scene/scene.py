@@ -31,6 +31,7 @@ from thermorender.scene.state.derived import Derived, camera_alone_differs, deri
 from thermorender.scene.surface import Surface
 from thermorender.scene.temperature_state import TemperatureState
 from thermorender.sensor.camera import Camera
+from thermorender.trajectory.path import pose
 from thermorender.units import ZERO_CELSIUS_K, utc_text
 
 if TYPE_CHECKING:
@@ -318,6 +319,45 @@ class Scene(Edits):
         """Callable (east, north) → local height of the terrain [m], NaN off it."""
         return Ground(self.surfaces[: self.terrain_count])
 
+    def pose(
+        self, east: float, north: float, above_ground_m: float, yaw_deg: float = 0.0, pitch_deg: float = 0.0,
+        roll_deg: float = 0.0, look_at: Sequence[float] | None = None,
+    ) -> NDArray[np.float64]:  # fmt: skip
+        """Return world_from_camera, (4, 4), of a camera above this scene's ground, as `--pose` on the command line.
+
+        Parameters
+        ----------
+        east, north, above_ground_m : float
+            Position: local east and north [m], and height above the terrain there [m].
+        yaw_deg, pitch_deg, roll_deg : float
+            As of `thermorender.pose` [deg].
+        look_at : (3,) floats, optional
+            Point on the optical axis, in place of yaw and pitch: east, north, and height above the ground there [m].
+
+        Raises
+        ------
+        ThermorenderError
+            A position or point off the terrain, a camera under it, or angles that contradict `look_at`.
+        """
+        here, point = (east, north, above_ground_m), look_at
+        if above_ground_m < 0.0:
+            raise ThermorenderError(
+                f"pose={here!r} is {-above_ground_m:.6g} m under the terrain; give metres above the ground, or local "
+                "up to tr.pose"
+            )
+        up = self._local_up("pose", here)
+        if point is not None and np.shape(point) == (3,):
+            point = (point[0], point[1], self._local_up("look_at", point))
+        return pose(east, north, up, yaw_deg, pitch_deg, roll_deg, point)
+
+    def _local_up(self, name: str, point: Sequence[float]) -> float:
+        ground = float(self.ground(float(point[0]), float(point[1])))
+        if ground != ground:
+            raise ThermorenderError(
+                f"{name}={tuple(point)!r} is outside the terrain; move it, or give local up (tr.pose, --local-up)"
+            )
+        return ground + float(point[2])
+
     @cached_property
     def targets(self) -> dict[str, NDArray[np.float64]]:
         """{name: (3,) local position of its middle [m]} of the static objects."""
@@ -361,8 +401,11 @@ class Scene(Edits):
     def __str__(self) -> str:
         return text.table_of(self._declared, self._derived)
 
+    def _repr_html_(self) -> str:
+        return text.html_of(self._declared, self._derived)
+
 
 _EDITS = (
-    "use with_camera, with_air, with_sky, with_sun, with_weather, with_temperature, with_material, with_objects, "
-    "with_surfaces, with_learned_materials, with_solved_temperatures or at, which return another scene"
+    "use with_camera, with_air, with_sky, with_sun, with_weather, with_temperature, with_material, with_material_in, "
+    "with_objects, with_surfaces, with_learned_materials, with_solved_temperatures or at, which return another scene"
 )

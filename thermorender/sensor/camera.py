@@ -198,6 +198,29 @@ class Camera:
             f"NETD {self.gain_netd_mk:g} mK)"
         )
 
+    def __str__(self) -> str:
+        across, along = self.field_of_view_deg
+        low, high = self.range_c
+        lines = [
+            f"{self.name}: {self.width}×{self.height} pixels of {self.pixel_pitch_um:g} µm, "
+            f"{self.frame_rate_hz:g} frames per second",
+            f"  lens          {self.focal_length_mm:g} mm f/{self.f_number:g}, {across:.1f}° × {along:.1f}°, "
+            f"{self.pixel_pitch_um / self.focal_length_mm:.2f} mrad per pixel",
+            f"  band          {self.band_um[0]:g}–{self.band_um[1]:g} µm",
+            f"  noise         NETD {self.gain_netd_mk:g} mK at f/{self.netd_f_number:g} in {self.gain} gain",
+            f"  counts        {self.bits} bits over {low:g}…{high:g} °C of apparent temperature in high gain",
+            f"  detector      time constant {self.time_constant_ms:g} ms, rows {self.row_time_us:g} µs apart, "
+            f"shutter every {self.ffc_interval_s:g} s (0: never)",
+            f"  photograph    {self._visible_words()}",
+        ]
+        return "\n".join(lines)
+
+    def _visible_words(self) -> str:
+        if not self.visible_width:
+            return "no visible camera beside it; visible_width and visible_field_of_view_deg add one"
+        across, along = self.visible_field_of_view_deg
+        return f"{self.visible_width} pixels wide, {across:g}° × {along:g}°, on the same axis"
+
     @property
     def visible_camera(self) -> "Camera | None":
         """The visible camera beside this one, a Camera on the same axis and without distortion; None without one."""

@@ -314,9 +314,10 @@ def parse_lever_arm(text: str) -> tuple[float, ...]:
 
 
 def pose(
-    east: float, north: float, up: float, yaw_deg: float = 0.0, pitch_deg: float = 0.0, roll_deg: float = 0.0
-) -> NDArray[np.float64]:
-    """Return world_from_camera, (4, 4), of a camera at a local position.
+    east: float, north: float, up: float, yaw_deg: float = 0.0, pitch_deg: float = 0.0, roll_deg: float = 0.0,
+    look_at: Sequence[float] | None = None,
+) -> NDArray[np.float64]:  # fmt: skip
+    """Return world_from_camera, (4, 4), of a camera at a local position; `scene.pose` takes metres above the ground.
 
     Parameters
     ----------
@@ -325,19 +326,46 @@ def pose(
     yaw_deg, pitch_deg, roll_deg : float
         Of the optical axis [deg]: heading clockwise from north, elevation above the horizon (at −90 the image's upper
         edge points to the heading), right side of the image down.
+    look_at : (3,) floats, optional
+        Local position of a point on the optical axis [m], in place of yaw and pitch. Straight above or below it,
+        `yaw_deg` is still the heading.
 
     Raises
     ------
     ThermorenderError
-        The position is more than 100 km from the scene's origin.
+        The position is more than 100 km from the scene's origin, or angles contradict `look_at`.
     """
     if not max(abs(east), abs(north), abs(up)) <= FARTHEST_M:
         raise ThermorenderError(
             f"pose: east {east:g} m, north {north:g} m, up {up:g} m is more than {FARTHEST_M / 1e3:.0f} km from the "
             "scene's origin; give a position in the scene"
         )
+    if look_at is not None:
+        yaw_deg, pitch_deg = _towards((east, north, up), look_at, yaw_deg, pitch_deg)
     matrix = np.eye(4)
     attitude = rotation_from_angles(yaw_deg, pitch_deg, roll_deg).as_matrix()
     matrix[:3, :3] = ENU_FROM_NED @ attitude @ BODY_FROM_CAMERA
     matrix[:3, 3] = east, north, up
     return matrix
+
+
+def _towards(
+    position: Sequence[float], point: Sequence[float], yaw_deg: float, pitch_deg: float
+) -> tuple[float, float]:
+    """Return (yaw, pitch) [deg] of the direction from a position to a point; refuse other angles."""
+    target = np.asarray(point, np.float64)
+    if target.shape != (3,) or not np.isfinite(target).all():
+        raise ThermorenderError(f"look_at={point!r} is not a point; give three finite numbers: east, north, up [m]")
+    east, north, up = map(float, target - np.asarray(position, np.float64))
+    level = float(np.hypot(east, north))
+    if level == up == 0.0:
+        raise ThermorenderError(f"look_at={point!r} is the camera's own position; give another point")
+    # Below a micrometre the heading is rounding of the coordinates.
+    vertical = level < 1e-6
+    if pitch_deg or (yaw_deg and not vertical):
+        raise ThermorenderError(
+            f"look_at={point!r} sets yaw and pitch, and yaw_deg={yaw_deg:g}, pitch_deg={pitch_deg:g} were given too; "
+            "leave these out"
+        )
+    yaw = yaw_deg if vertical else float(np.degrees(np.arctan2(east, north)))
+    return yaw, float(np.degrees(np.arctan2(up, level)))

@@ -32,6 +32,7 @@ from thermorender.render.baked import Progress
 from thermorender.render.renderer import Renderer
 from thermorender.scene.scene import Scene
 from thermorender.scene.spec import EmissivitySpec
+from thermorender.trajectory.path import Trajectory
 from thermorender.versions import versions
 
 COLUMNS = (
@@ -89,7 +90,7 @@ class _Contestants:
 
 
 def compare(
-    flights: Sequence[Flight],
+    flights: Sequence[Flight | tuple[Scene, Trajectory]],
     folder: str | PathLike[str],
     models: Sequence[str],
     options: Options | None = None,
@@ -99,8 +100,9 @@ def compare(
 
     Parameters
     ----------
-    flights : sequence of Flight
-        Scenes with different names. Scenes without true temperatures are compared without a reference.
+    flights : sequence of Flight, or of (Scene, Trajectory)
+        Scenes with different names; a pair is seen once per second. Scenes without true temperatures are compared
+        without a reference.
     folder : path
         New folder: `report.html`, `comparison.json`, `pixels.csv` and pictures. It is written whole or not at all.
     models : sequence of str
@@ -116,25 +118,24 @@ def compare(
         input of a map.
     """
     options = options or Options()
+    shown = [each if isinstance(each, Flight) else Flight.of(*each) for each in flights]
     report = progress or (lambda step, share: None)
-    contestants = _contestants(flights, models, options)
+    contestants = _contestants(shown, models, options)
     known = [provenance.TrainingPictures(each, lambda share: report("sketching training pictures", share))
              for each in options.datasets]  # fmt: skip
     began = time.perf_counter()
-    lands = training.lands_of([flight.scene for flight in flights])
+    lands = training.lands_of([flight.scene for flight in shown])
     calibrated = [model for _, model in contestants.maps if not model.needs]
-    thermals = _thermals(
-        flights, lands, calibrated if {"B", "C1", "C2"} & set(options.letters) else [], options, report
-    )
+    thermals = _thermals(shown, lands, calibrated if {"B", "C1", "C2"} & set(options.letters) else [], options, report)
     totals = Totals()
     scenes, notes = [], []
     photographs: dict[str, list[NDArray[np.uint8]]] = {}
     with files.atomic_folder(folder) as draft, waiting(folder) as work:
-        pictures = Pictures(draft, len(flights))
-        for number, (flight, land, thermal) in enumerate(zip(flights, lands, thermals, strict=True)):
+        pictures = Pictures(draft, len(shown))
+        for number, (flight, land, thermal) in enumerate(zip(shown, lands, thermals, strict=True)):
 
             def own_report(step: str, share: float, flight: Flight = flight, number: int = number) -> None:
-                report(f"{flight.scene.name}: {step}", (number + share) / len(flights))
+                report(f"{flight.scene.name}: {step}", (number + share) / len(shown))
 
             campaign = None
             if thermal is not None:

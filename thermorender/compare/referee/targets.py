@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from thermorender.compare import hot_spots
+from thermorender.compare.hot_spots import peaks, response
 from thermorender.compare.referee.views import View
 
 # Objects with fewer pixels are ignored; detections within this distance of an object are its own [px].
@@ -54,8 +54,8 @@ class Targets:
             return
         self.frames += 1
         size = np.median([np.sqrt((view.object == number).sum()) for number, _ in present])
-        found = np.abs(hot_spots.response(counts, size))
-        rows, columns, values = hot_spots.peaks(found, size, _LEAST)
+        found = np.abs(response(counts, size))
+        rows, columns, values = peaks(found, size, _LEAST)
         theirs = np.zeros(len(rows), bool)
         for number, name in present:
             mask = view.object == number

@@ -3,7 +3,7 @@
 The Cover follows from the Parts of a scene, what it declares and the camera's band, and from nothing else.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,7 @@ from thermorender.materials import library as material_tables
 from thermorender.materials.extended import within_band
 from thermorender.materials.material import Material, grey
 from thermorender.scene.material_map import learned_materials
+from thermorender.scene.parts.patch import Patch
 from thermorender.scene.parts.read import Parts
 from thermorender.scene.spec import EmissivitySpec, ObjectSpec
 from thermorender.scene.surface import FILLED, MOST_MATERIALS, MOST_OPEN, SURFACE, UNKNOWN, Surface, fill, nearest_valid
@@ -100,7 +101,7 @@ def refuse_band(material: Material, band_um: tuple[float, float], where: str) ->
 
 def cover_of(
     parts: Parts, emissivity: EmissivitySpec, objects: tuple[ObjectSpec, ...], replaced: Replaced,
-    band_um: tuple[float, float], where: str,
+    painted: Sequence[Patch], band_um: tuple[float, float], where: str,
 ) -> Cover:  # fmt: skip
     """Return the Cover of a scene.
 
@@ -111,6 +112,8 @@ def cover_of(
     objects : tuple of ObjectSpec
     replaced : dict
         Materials in place of others, as `Replaced` says; all are replaced at once, by the names the files give.
+    painted : sequence of Patch
+        Areas of the terrain with another material, the latest last.
     band_um : (2,) floats
         The camera's band [µm].
     where : str
@@ -132,6 +135,7 @@ def cover_of(
         ]
     else:
         ground = [_raster_cover(parts, parts.ground[0], emissivity, materials, report)]
+        ground = [_painted(ground[0], painted, materials, parts.colour is None)]
     numbers = tuple(materials.index(item.material, f"object {item.name!r}", OBJECT + item.name) for item in objects)
     for key in materials.unused:
         known = dict.fromkeys(part.name for each in materials.used for part, _ in _pure(each))
@@ -192,11 +196,25 @@ def _raster_cover(
     return Painted(material, colour, flags.astype(np.uint8))
 
 
+<<<<<<< HEAD
 def _open(parts: Parts, missing: NDArray[np.bool_]) -> float:
     """Share of the terrain's texels that a raster leaves open."""
     if parts.on_ground is None:
         return float(missing.mean())
     return float((missing & parts.on_ground).sum() / max(parts.on_ground.sum(), 1))
+=======
+def _painted(own: Painted, painted: Sequence[Patch], materials: MaterialList, coloured: bool) -> Painted:
+    """Return the cover with the materials of patches, and with their colours where materials give these."""
+    material, colour, flags = own.material, own.colour, own.flags
+    if painted:
+        material, colour, flags = material.copy(), colour.copy(), flags.copy()
+    for patch in painted:
+        material[patch.texels] = materials.add(patch.material)
+        flags[patch.texels] &= ~np.uint8(UNKNOWN)
+        if coloured:
+            colour[patch.texels] = patch.material.colour
+    return Painted(material, colour, flags)
+>>>>>>> pyapi
 
 
 def _learned(

@@ -34,19 +34,19 @@ _KINDS = {
 }
 
 
-def material_of(key: int | str, value: Any, library: Mapping[str, Material]) -> Material:
-    """Return the Material that replaces `key`: by name, by grey emissivity, or as it is."""
+def material_of(key: int | str, value: Any, library: Mapping[str, Material], edit: str = "with_material") -> Material:
+    """Return the Material that replaces `key`: by name, by grey emissivity, or as it is; `edit` is for messages."""
     if isinstance(value, Material):
         return value
     if isinstance(value, str):
-        return material_tables.find(library, value, f"with_material: {key}")
+        return material_tables.find(library, value, f"{edit}: {key}")
     if isinstance(value, bool) or not isinstance(value, Real):
         raise ThermorenderError(
-            f"with_material: {key}={shortened(repr(value))} is not a material; give a name, an emissivity above 0 and "
+            f"{edit}: {key}={shortened(repr(value))} is not a material; give a name, an emissivity above 0 and "
             "up to 1, or a Material"
         )
     if not 0.0 < float(value) <= 1.0:
-        raise ThermorenderError(f"with_material: {key}={value} is not allowed; give an emissivity above 0 and up to 1")
+        raise ThermorenderError(f"{edit}: {key}={value} is not allowed; give an emissivity above 0 and up to 1")
     return grey(str(key), float(value))
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.materials.material import Material
+from thermorender.scene.parts.patch import Patch
 from thermorender.scene.spec import SceneSpec, WeatherSpec
 from thermorender.sensor.camera import Camera
 
@@ -43,6 +44,8 @@ class Declared:
         Temperatures of the terrain in place of the raster's or the map's [K].
     replaced : dict
         Materials in place of others, as `thermorender.scene.parts.cover.Replaced` says.
+    painted : tuple of Patch
+        Areas of the terrain with another material, the latest last.
     held : dict
         Columns of tracks that an edit fixes at one value, by the name of the object.
     truth, truth_weather : Path and WeatherSpec, or None
@@ -61,6 +64,7 @@ class Declared:
     model: Any = None
     kelvin: tuple[NDArray[Any], ...] | None = None
     replaced: Mapping[int | str, Material] = field(default_factory=dict)
+    painted: tuple[Patch, ...] = ()
     held: Mapping[str, frozenset[str]] = field(default_factory=dict)
     truth: Path | None = None
     truth_weather: WeatherSpec | None = None

@@ -132,7 +132,7 @@ def _combined(
 def camera_alone_differs(one: Declared, other: Declared) -> bool:
     """Return whether two scenes of the same parts declare the same but for the camera."""
     same = ("air", "weather", "model", "kelvin")
-    equal = ("time", "stated_altitude_m", "sky_temperature", "replaced", "held", "given")
+    equal = ("time", "stated_altitude_m", "sky_temperature", "replaced", "painted", "held", "given")
     return (
         all(getattr(one, name) is getattr(other, name) for name in same)
         and all(getattr(one, name) == getattr(other, name) for name in equal)
@@ -156,7 +156,7 @@ def _shape_key(of: Declared) -> tuple[Any, ...]:
 
 def _cover_key(of: Declared) -> tuple[Any, ...]:
     band = of.camera.band_um if of.spec.emissivity.source == "learned" else None
-    return of.spec.emissivity, tuple(item.material for item in of.spec.objects), of.replaced, band
+    return of.spec.emissivity, tuple(item.material for item in of.spec.objects), of.replaced, of.painted, band
 
 
 def _air_key(of: Declared, shape: Shape) -> tuple[Any, ...]:
@@ -226,7 +226,7 @@ def _shape(parts: Parts | None, now: Declared) -> Shape:
 def _cover(parts: Parts | None, now: Declared) -> Cover:
     band = now.camera.band_um
     if parts is not None:
-        return cover_of(parts, now.spec.emissivity, now.spec.objects, now.replaced, band, now.where)
+        return cover_of(parts, now.spec.emissivity, now.spec.objects, now.replaced, now.painted, band, now.where)
     raise _in_memory(now, "its materials")
 
 

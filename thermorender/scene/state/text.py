@@ -1,12 +1,18 @@
 """A scene in words: one line for `repr`, a short table with sizes, units and ranges for `str`."""
 
+import base64
+from html import escape
 from typing import Any
+
+import numpy as np
 
 from thermorender.materials.mixture import Mixture
 from thermorender.scene.state.declared import Declared
 from thermorender.scene.state.derived import Derived
 from thermorender.units import utc_text
 
+# Longer side of a picture of the terrain, at most [px].
+_PICTURE_PX = 240
 # Largest number of names in a line; the rest is counted.
 _MOST_NAMES = 12
 
@@ -39,6 +45,20 @@ def table_of(declared: Declared, derived: Derived) -> str:
         lines.insert(2, f"  origin        {frame.latitude_deg:.6f}°, {frame.longitude_deg:.6f}°, "
                         f"{frame.height_m:g} m above the ellipsoid")  # fmt: skip
     return "\n".join(lines)
+
+
+def html_of(declared: Declared, derived: Derived) -> str:
+    """Return the table as HTML, with the terrain from above where the scene has a map."""
+    table = f"<pre>{escape(table_of(declared, derived))}</pre>"
+    if derived.shape.grid is None:
+        return table
+    import cv2
+
+    colour = derived.surfaces[0].colour
+    step = -(-max(colour.shape) // _PICTURE_PX)
+    data = cv2.imencode(".png", np.ascontiguousarray(colour[::step, ::step, ::-1]))[1].tobytes()
+    picture = f'<img alt="the terrain from above" src="data:image/png;base64,{base64.b64encode(data).decode()}">'
+    return f'<div style="display:flex;gap:1em;align-items:flex-start">{picture}{table}</div>'
 
 
 def _temperature(declared: Declared, derived: Derived) -> str:

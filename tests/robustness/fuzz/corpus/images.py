@@ -82,7 +82,7 @@ def _write_exr(path):
 
 @reader("EXR", "frame.exr", _write_exr)
 def _exr(path):
-    from thermorender.output.exr import read_exr
+    from thermorender.frame.exr import read_exr
 
     # Pixels are as in the file: without a surface they are NaN.
     return read_exr(path)[1]

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic
-from thermorender.output.record import made_by, record
+from thermorender.frame.record import header
 from thermorender.sensor.radiometry import ThermographySettings, thermography_reading
 
 if TYPE_CHECKING:
-    from thermorender.frame import Frame
+    from thermorender.frame.frame import Frame
 
 
 def write_exr(
@@ -28,7 +28,7 @@ def write_exr(
     thermography software with these settings. The header's `thermorender` attribute holds time, pose, seed, plan,
     versions, device, units and, with the truth, the materials by number as JSON.
     """
-    import OpenEXR
+    import OpenEXR  # type: ignore[import-not-found, unused-ignore]
 
     channels = {"radiance": frame.radiance, "apparent_temperature": frame.apparent_temperature}
     if thermography is not None:
@@ -44,31 +44,16 @@ def write_exr(
                     channels[f"truth.{name}.{letter}"] = np.ascontiguousarray(values[..., axis])
             else:
                 channels[f"truth.{name}"] = values
-    units = {
-        "radiance": "W m-2 sr-1",
-        "apparent_temperature": "K",
-        "thermography_temperature": "K",
-        "error": "mK at 300 K",
-        "truth.kinetic_temperature": "K",
-        "truth.depth": "m along the optical axis",
-        "truth.position": "m, local East-North-Up",
-    }
-    header = {
+    about = header(frame, thermography=thermography and asdict(thermography))
+    about |= {"materials": list(frame.materials)} if truth else {}
+    attributes = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
-        "thermorender": json.dumps(
-            {
-                **record(frame),
-                **made_by(),
-                "thermography": thermography and asdict(thermography),
-                "units": units,
-                **({"materials": list(frame.materials)} if truth else {}),
-            }
-        ),
+        "thermorender": json.dumps(about),
     }
     # A file opened here, since OpenEXR's own file does not report a full disk at its last bytes.
     with atomic(path) as part, open(part, "wb") as file:
-        OpenEXR.File(header, channels).write(file)
+        OpenEXR.File(attributes, channels).write(file)
 
 
 def read_exr(path: str | PathLike[str]) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
@@ -79,7 +64,7 @@ def read_exr(path: str | PathLike[str]) -> tuple[dict[str, NDArray[Any]], dict[s
     ThermorenderError
         A file that does not exist or cannot be read.
     """
-    import OpenEXR
+    import OpenEXR  # type: ignore[import-not-found, unused-ignore]
 
     if not Path(path).is_file():
         raise ThermorenderError(f"{path} does not exist; give an EXR file written by thermorender")

@@ -7,13 +7,17 @@ are not computed yet.
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from os import PathLike
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from thermorender.frame.orthoimage import Orthoimage, orthorectified
+from thermorender.frame.picture import html, show, span
 from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance, brightness_temperature
+from thermorender.scene.georeference import Place
 from thermorender.scene.surface import SATURATED
 from thermorender.sensor import readout
 from thermorender.sensor.camera import Camera
@@ -84,6 +88,10 @@ class Frame:
         Names of the materials that `truth["material"]` numbers.
     time : datetime64 or None
         The instant of the frame, UTC; None if the scene has no weather.
+    device : dict
+        Device that computed the radiance, and the version of its compiler.
+    place : Place or None
+        Where the scene lies on Earth, and the CRS of its map; None for a mesh without [frame].
     """
 
     radiance: NDArray[np.float32] = field(repr=False)
@@ -95,18 +103,100 @@ class Frame:
     plan: dict[str, Any]
     time: "np.datetime64 | None" = None
     materials: tuple[str, ...] = ()
+    device: dict[str, str] = field(repr=False, default_factory=dict)
+    place: Place | None = field(repr=False, default=None)
     _view: Any = field(repr=False, default=None)
     _sampling: Any = field(repr=False, default=None)
     _reading: NDArray[np.uint16] | None = field(repr=False, default=None)
 
     def __repr__(self) -> str:
         height, width = self.radiance.shape
-        kelvin = self.apparent_temperature
         when = "" if self.time is None else f", {self.time}Z"
         return (
-            f"Frame({self.index}, {self.camera.name} {width}×{height}, {kelvin.min():.1f}–{kelvin.max():.1f} K, "
+            f"Frame({self.index}, {self.camera.name} {width}×{height}, {span(self.apparent_temperature)}, "
             f"at {self.time_s:g} s{when}, seed {self.seed})"
         )
+
+    def __str__(self) -> str:
+        low, high, bits = self.radiance.min(), self.radiance.max(), self.camera.bits
+        lines = [
+            repr(self),
+            f"  apparent_temperature  {span(self.apparent_temperature)}, of a blackbody with the same radiance",
+            f"  radiance              {low:.4g}–{high:.4g} W m⁻² sr⁻¹ in {_band(self.camera)}, without noise",
+            f"  counts, display       {bits}-bit counts with noise; 8 bits for a screen",
+            "  truth                 kinetic_temperature [K], emissivity [1], depth [m], position (local) [m], "
+            "material, mask",
+            f"  targets               {', '.join(self.targets) or 'none'}: pixel, visible, range_m [m]",
+            "  budget_mk, error_mk   error by cause, and of each pixel [mK at 300 K]",
+            "  show, save, to_xarray, orthorectified",
+        ]
+        if self.place is None:
+            lines[-1] = "  show, save, to_xarray; not orthorectified, as the scene has no [frame]"
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        return html(self.apparent_temperature, repr(self))
+
+    def show(self) -> None:
+        """Draw the apparent temperature with a colour bar [K].
+
+        In a notebook it is a picture below the cell, on a desktop a window, in a terminal without a desktop coloured
+        characters. Where the output is not a terminal, the frame's line is printed.
+        """
+        show(self, self.apparent_temperature)
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the frame to a file, whose kind is the suffix of its name.
+
+        Parameters
+        ----------
+        path : path
+            .exr: radiance, apparent temperature and truth, the file that `thermorender render` writes. .npz: the same
+            arrays and the counts, with `record`, a text of JSON; without pickle. .tif: apparent temperature, float32
+            [K]. .png: the display image, 8 bits.
+
+        Raises
+        ------
+        ThermorenderError
+            Another suffix, or a file that cannot be written.
+        """
+        from thermorender.frame.save import save
+
+        save(self, path)
+
+    def to_xarray(self) -> Any:
+        """Return an xarray.Dataset of the images and the truth, with units.
+
+        Its coordinates are the pixels' middles (x, y) [px], the position that each pixel shows (east, north, up) [m]
+        and, in a scene with a place, that position on the scene's map (map_x, map_y) with the CRS in `spatial_ref`.
+
+        Raises
+        ------
+        ThermorenderError
+            xarray is not installed.
+        """
+        from thermorender.frame.labelled import of_frame
+
+        return of_frame(self)
+
+    def orthorectified(self, metres: float) -> Orthoimage:
+        """Return the apparent temperature on the scene's map, at the positions that the pixels show.
+
+        Parameters
+        ----------
+        metres : float
+            Size of a map pixel [m]. Frame pixels within it are averaged as radiance; a finer map repeats them.
+
+        Raises
+        ------
+        ThermorenderError
+            A scene without a place on Earth, a frame without a surface, or a map of too many pixels.
+        """
+        return orthorectified(self, metres)
+
+    def kelvin_of(self, radiance: ArrayLike) -> NDArray[np.float32]:
+        """Return the apparent temperature of radiances in this camera's band, (…) float32 [K]."""
+        return apparent_temperature(radiance, self.camera.band_um)
 
     def __getstate__(self) -> dict[str, Any]:
         # All parts are computed now, since the scene is not pickled.
@@ -152,7 +242,7 @@ class Frame:
     @cached_property
     def apparent_temperature(self) -> NDArray[np.float32]:
         """Temperature of the blackbody with each pixel's band radiance, (H, W) float32 [K]; 0 for no radiance."""
-        return apparent_temperature(self.radiance, self.camera.band_um)
+        return self.kelvin_of(self.radiance)
 
     @cached_property
     def counts(self) -> NDArray[np.uint16]:
@@ -182,6 +272,10 @@ class Frame:
         saturated = readout.saturated(self.counts, self.camera)
         found["mask"] = found["mask"] | np.where(saturated, SATURATED, 0).astype(np.uint8)
         return found
+
+
+def _band(camera: Camera) -> str:
+    return f"{camera.band_um[0]:g}–{camera.band_um[1]:g} µm"
 
 
 def apparent_temperature(radiance: ArrayLike, band_um: Sequence[float]) -> NDArray[np.float32]:

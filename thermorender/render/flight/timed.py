@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
+from thermorender.render.heat.instants import solved_at
 from thermorender.scene.scene import Scene
 from thermorender.units import utc_text
 
@@ -31,8 +32,6 @@ def solved_in_parts(
     progress: "Progress | None" = None,
 ) -> Iterator[Scene]:  # fmt: skip
     """Yield the scene with solved temperatures at each instant of a rising sequence; few are in memory at once."""
-    from thermorender.render.renderer import solved_at
-
     for first in range(0, len(times), TOGETHER):
         yield from solved_at(scene, list(times[first : first + TOGETHER]), geometry, progress)
 
@@ -71,14 +70,12 @@ class TimedRenderer:
 
     def at(self, time_s: float) -> "Renderer":
         """Return the Renderer for a time of the trajectory [s]."""
-        from thermorender.render.renderer import Renderer
-
         step = self._step(time_s)
         if step == 0:
             return self._first
         if step not in self._made:
-            baked = self._first.baked.solved_for(self._scenes(step)[step])
-            self._made = dict(list(self._made.items())[-1:]) | {step: Renderer.of(baked, self._first.seed)}
+            made = self._first.solved_for(self._scenes(step)[step])
+            self._made = dict(list(self._made.items())[-1:]) | {step: made}
         return self._made[step]
 
     def time(self, time_s: float) -> "np.datetime64 | None":
@@ -119,8 +116,6 @@ class TimedRenderer:
 
     def _scenes(self, step: int) -> dict[int, Scene]:
         """The scenes of the part of the flight around a step, and of the step before this part."""
-        from thermorender.render.renderer import solved_at
-
         part = (step - 1) // TOGETHER
         if part != self._part[0]:
             steps = range(part * TOGETHER, min((part + 1) * TOGETHER, self._last_step) + 1)

@@ -1,0 +1,148 @@
+"""Another material within an area, and objects set on the command line."""
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+from rasterio.warp import transform
+
+import thermorender as tr
+from scenes import write_mesh, write_terrain
+from thermorender.scene.georeference import place_of
+
+MARKER = """
+[[object]]
+name = "marker"
+shape = "disc"
+size = [2, 2, 0.1]
+position = [-4.0, -4.0, 0.0]
+temperature = 330.0
+material = "paint_black"
+"""
+# A roof of 4 m × 2 m: local east and north [m].
+ROOF = [(1.0, 2.0), (5.0, 2.0), (5.0, 4.0), (1.0, 4.0)]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    classes = np.ones((32, 32), int)
+    temperature = np.full((32, 32), 300.0)
+    return write_terrain(tmp_path_factory.mktemp("s") / "flat", classes=classes, temperature=temperature, extra=MARKER)
+
+
+@pytest.fixture(scope="module")
+def scene(folder):
+    scene = tr.load_scene(folder)
+    return scene.with_camera(scene.camera.coarser(8))
+
+
+def write_polygon(path, scene, corners, crs=None, **properties):
+    """Write corners in local metres as a GeoJSON polygon, by default in longitude and latitude."""
+    x, y = place_of(scene.frame, scene.grid).to_map([(e, n, scene.ground(e, n)) for e, n in corners])
+    if crs is None:
+        x, y = transform(scene.grid.crs, "OGC:CRS84", x, y)
+    ring = np.column_stack([x, y]).tolist()
+    feature = {
+        "type": "Feature", "properties": properties,
+        "geometry": {"type": "Polygon", "coordinates": [[*ring, ring[0]]]},
+    }  # fmt: skip
+    about = {} if crs is None else {"crs": {"type": "name", "properties": {"name": crs}}}
+    path.write_text(json.dumps({"type": "FeatureCollection", **about, "features": [feature]}))
+    return path
+
+
+def covered(scene, name):
+    """Which texels of the terrain have a material."""
+    names = [material.name for material in scene.materials]
+    return scene.surfaces[0].material == names.index(name)
+
+
+def test_a_polygon_changes_the_texels_within_it(scene):
+    painted = scene.with_material_in(ROOF, "asphalt")
+    inside = covered(painted, "asphalt")
+    # 8 m² of texels of 0.25 m².
+    assert inside.sum() == 32
+    rows, columns = np.nonzero(inside)
+    east, north = 0.5 * (columns + 0.5) - 8.0, 8.0 - 0.5 * (rows + 0.5)
+    assert (east.min(), east.max(), north.min(), north.max()) == (1.25, 4.75, 2.25, 3.75)
+    np.testing.assert_array_equal(painted.surfaces[0].temperature, scene.surfaces[0].temperature)
+    assert not any(material.name == "asphalt" for material in scene.materials), "the scene before is unchanged"
+    assert painted.digest() != scene.digest()
+
+
+def test_the_frame_shows_the_area_and_no_more(scene):
+    before = tr.Renderer(scene, quality="fast")
+    after = tr.Renderer(scene.with_material_in(ROOF, 0.5), quality="fast", like=before)
+    pose = scene.pose(0, 0, 14, pitch_deg=-90)
+    change = after.frame(pose).apparent_temperature - before.frame(pose).apparent_temperature
+    east, north, _ = np.moveaxis(before.frame(pose).truth["position"], -1, 0)
+    inside = (east > 1.3) & (east < 4.7) & (north > 2.3) & (north < 3.7)
+    outside = (east < 0.7) | (east > 5.3) | (north < 1.7) | (north > 4.3)
+    assert change[inside].max() < -10.0 and np.abs(change[outside]).max() < 0.1
+
+
+def test_a_geojson_gives_the_same_in_degrees_and_in_metres(scene, tmp_path):
+    degrees = write_polygon(tmp_path / "degrees.geojson", scene, ROOF)
+    metres = write_polygon(tmp_path / "metres.geojson", scene, ROOF, crs="EPSG:32634", material="asphalt")
+    own = scene.with_material_in(ROOF, "asphalt")
+    for painted in (scene.with_material_in(degrees, "asphalt"), scene.with_material_in(metres)):
+        np.testing.assert_array_equal(covered(painted, "asphalt"), covered(own, "asphalt"))
+
+
+def test_later_areas_cover_earlier_ones_and_other_edits_keep_them(scene):
+    twice = scene.with_material_in(ROOF, "asphalt").with_material_in(np.add(ROOF, (2.0, 0.0)), "snow")
+    assert covered(twice, "asphalt").sum() == 16 and covered(twice, "snow").sum() == 32
+    # Class 1 changes around the roof only.
+    moved = scene.with_material_in(ROOF, "asphalt").with_material({1: "soil_loam"}).with_sky(240.0)
+    assert covered(moved, "asphalt").sum() == 32 and covered(moved, "soil_loam").sum() == 32 * 32 - 32
+    turned = scene.with_sky(240.0).with_material({1: "soil_loam"}).with_material_in(ROOF, "asphalt")
+    np.testing.assert_array_equal(covered(turned, "asphalt"), covered(moved, "asphalt"))
+
+
+def test_wrong_areas_are_refused_in_one_sentence(scene, tmp_path):
+    box = tr.load_scene(write_mesh(tmp_path / "box", trimesh.creation.box((2.0, 2.0, 2.0))))
+    plain = write_polygon(tmp_path / "plain.geojson", scene, ROOF)
+    (tmp_path / "list.geojson").write_text("[]")
+    (tmp_path / "line.geojson").write_text(
+        '{"features": [{"properties": {}, "geometry": {"type": "LineString", "coordinates": [[21, 52], [22, 52]]}}]}'
+    )
+    cases = [
+        (scene, ([(0, 0), (1, 1)], 0.9), "is not a polygon; give three or more"),
+        (scene, ("none.geojson", 0.9), "none.geojson cannot be read: No such file"),
+        (scene, (tmp_path / "list.geojson", 0.9), "is not a GeoJSON FeatureCollection"),
+        (scene, (tmp_path / "line.geojson", 0.9), "feature 1 is not a polygon"),
+        (scene, (np.add(ROOF, 500.0), 0.9), "covers no texel of .*orthophoto.tif; draw it on the terrain"),
+        (scene, (plain,), "has a polygon without the property 'material'; give a material"),
+        (scene, (ROOF, "aspalt"), "with_material_in: material uses material .aspalt."),
+        (scene, (ROOF, 2.0), "with_material_in: material=2.0 is not allowed; give an emissivity above 0 and up to 1"),
+        (box, (ROOF, 0.9), "needs a terrain of an elevation raster"),
+    ]
+    for own, arguments, words in cases:
+        with pytest.raises(tr.ThermorenderError, match=words) as found:
+            own.with_material_in(*arguments)
+        assert "\n" not in str(found.value)
+
+
+def test_the_command_line_paints_and_sets(folder, scene, tmp_path, call):
+    from thermorender.frame.exr import read_exr
+
+    roof = write_polygon(tmp_path / "roof.geojson", scene, ROOF)
+    options = ["--pose", "0,0,14,0,-90,0", "--products", "exr,truth", "--quality", "fast", "--rays", "4"]
+    changes = ["--paint", f"{roof}=0.5", "--set", "marker.temperature_k=350", "--set", "marker.east_m=4"]
+    status, _, errors = call("render", folder, *options, *changes, "-o", tmp_path / "out")
+    assert status == 0, errors
+    found, _ = read_exr(tmp_path / "out/frame_000000.exr")
+    own = tr.load_scene(folder).with_material_in(ROOF, 0.5)
+    own = own.with_objects({"marker": {"temperature_k": 350.0, "east_m": 4.0}})
+    frame = tr.Renderer(own, quality="fast", rays=4).frame(own.pose(0, 0, 14, pitch_deg=-90))
+    np.testing.assert_array_equal(found["apparent_temperature"], frame.apparent_temperature)
+    assert found["truth.kinetic_temperature"].max() == 350.0
+    for option, words in (
+        (["--set", "marker=350"], "--set='marker=350' is not allowed; give OBJECT.KEY=VALUE"),
+        (["--set", "markr.temperature_k=350"], "has no object 'markr'; did you mean 'marker'?"),
+        (["--set", "marker.temperature_k=hot"], "temperature_k"),
+        (["--paint", f"{roof}=aspalt"], "aspalt"),
+    ):
+        status, _, errors = call("render", folder, *options, *option, "-o", tmp_path / "no")
+        assert status == 2 and words in errors and "Traceback" not in errors, errors

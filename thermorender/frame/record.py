@@ -1,0 +1,42 @@
+"""The record of a frame: what it is and how it was made, as plain values for JSON."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from thermorender.units import utc_text
+from thermorender.versions import versions
+
+if TYPE_CHECKING:
+    from thermorender.frame.frame import Frame
+
+# Units of the images of a frame, by the names that files give them.
+UNITS = {
+    "radiance": "W m-2 sr-1",
+    "apparent_temperature": "K",
+    "thermography_temperature": "K",
+    "error": "mK at 300 K",
+    "truth.kinetic_temperature": "K",
+    "truth.depth": "m along the optical axis",
+    "truth.position": "m, local East-North-Up",
+}
+
+
+def record(frame: "Frame") -> dict[str, Any]:
+    """Return a frame's line in `frames.jsonl`: time, pose, seed, plan, budget and targets, as plain values."""
+    return {
+        "index": frame.index,
+        "time_s": frame.time_s,
+        "time": None if frame.time is None else utc_text(frame.time),
+        "world_from_camera": np.round(frame.pose, 9).tolist(),
+        "seed": frame.seed,
+        "camera": frame.camera.name,
+        "plan": frame.plan,
+        "budget_mk": frame.budget_mk and {cause: round(value, 2) for cause, value in frame.budget_mk.items()},
+        "targets": frame.targets,
+    }
+
+
+def header(frame: "Frame", **more: Any) -> dict[str, Any]:
+    """Return the record of a frame with the versions and device that made it, more entries, and units."""
+    return {**record(frame), "versions": versions(), "device": frame.device, **more, "units": UNITS}

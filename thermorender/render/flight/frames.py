@@ -1,0 +1,122 @@
+"""The frames of a flight in order: functions of path, scene and the sensor's state after the frame before."""
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.errors import ThermorenderError, shortened
+from thermorender.frame import Frame
+from thermorender.render.flight.timed import TimedRenderer
+from thermorender.scene.parts.tracks import TrackedObject
+from thermorender.scene.scene import Scene
+from thermorender.sensor.chain import sensor_of
+from thermorender.sensor.exposure import Exposure
+from thermorender.sensor.movers import Mover
+from thermorender.trajectory.path import Trajectory
+
+if TYPE_CHECKING:
+    from thermorender.render.renderer import Renderer
+
+
+class FlightFrames:
+    """The frames of a flight.
+
+    Parameters
+    ----------
+    renderer : Renderer
+        Of the trajectory's first instant.
+    trajectory : Trajectory
+    rate_hz : float or None
+        Frames per second; None: the camera's.
+    start_s, stop_s : float or None
+        Part of the trajectory's time [s]; None: from its start, to its end.
+    progress : callable, optional
+        Called with (what, share done) while a heat balance is solved.
+
+    Attributes
+    ----------
+    times : (N,) float64
+        Of the frames [s].
+    poses : (N, 4, 4) float64
+    timed : TimedRenderer
+    exposure : Exposure
+        The sensor after the frame that was taken last.
+
+    Raises
+    ------
+    ThermorenderError
+        Times outside the trajectory, weather that ends before it, or a camera above the range of the air or above its
+        clouds.
+    """
+
+    def __init__(
+        self, renderer: "Renderer", trajectory: Trajectory, rate_hz: float | None = None,
+        start_s: float | None = None, stop_s: float | None = None,
+        progress: Callable[[str, float], object] | None = None,
+    ) -> None:  # fmt: skip
+        if not isinstance(trajectory, Trajectory):
+            raise ThermorenderError(
+                f"trajectory={shortened(repr(trajectory))} is not a Trajectory; give what load_trajectory returns"
+            )
+        self._renderer, self._trajectory = renderer, trajectory
+        self.rate_hz = renderer.scene.camera.frame_rate_hz if rate_hz is None else float(rate_hz)
+        self.times = trajectory.frame_times(self.rate_hz, start_s, stop_s)
+        self.poses = trajectory.sampled(self.times).poses()
+        renderer.refuse_camera(self.poses[:, :3, 3])
+        self.timed = TimedRenderer(renderer, *trajectory.span_s, progress)
+        self.exposure = self._exposure()
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def __repr__(self) -> str:
+        first, last = self.times[0], self.times[-1]
+        return f"FlightFrames({len(self)} frames, {first:.3f}…{last:.3f} s, {self.rate_hz:g} Hz, {self._renderer!r})"
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Take all frames from the first, with the sensor as it is before a flight."""
+        self.exposure = self._exposure()
+        for index in range(len(self)):
+            yield self.take(index)
+
+    def take(self, index: int) -> Frame:
+        """Return one frame with the sensor's reading; frames come in order."""
+        time_s = float(self.times[index])
+        frame = self.timed.at(time_s).frame(self.poses[index], time_s=time_s, index=index)
+        frame = replace(frame, time=self.timed.time(time_s))
+        return frame.with_reading(*self.exposure.read(index, time_s, frame.radiance))
+
+    def _exposure(self) -> Exposure:
+        """The sensor with its state from frame to frame."""
+        scene, timed, trajectory = self._renderer.scene, self.timed, self._trajectory
+        first, last = trajectory.span_s
+
+        def pose_at(time_s: float) -> NDArray[np.float64]:
+            return trajectory.pose(min(max(time_s, first), last))
+
+        return Exposure(
+            sensor_of(scene.camera, self._renderer.seed),
+            lambda time_s, camera, lit_s: timed.at(time_s).radiance(
+                pose_at(time_s), time_s, camera=camera, lit_s=lit_s
+            ),
+            pose_at,
+            self._renderer.depth,
+            1.0 / self.rate_hz,
+            movers=[_mover(tracked, scene) for tracked in scene.tracked_objects],
+        )
+
+
+def _mover(tracked: TrackedObject, scene: Scene) -> Mover:
+    """A tracked object as a Mover of the sensor."""
+    corner = np.concatenate([surface.vertices for surface in tracked.surfaces]).astype(np.float64)
+    box = np.array(list(itertools.product(*zip(corner.min(axis=0), corner.max(axis=0), strict=True))))
+
+    def corners_at(time_s: float) -> NDArray[np.float64]:
+        pose = tracked.world_from_own(tracked.at(time_s), scene.ground)
+        return box @ pose[:3, :3].T + pose[:3, 3]
+
+    return Mover(corners_at, lambda time_s: tracked.at(time_s)["temperature_k"], tracked.time_s)

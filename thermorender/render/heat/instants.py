@@ -1,0 +1,39 @@
+"""Temperatures of a scene at instants, by the source that its temperature state names."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from thermorender.scene.scene import Scene
+from thermorender.scene.temperature_state import Conditional, Moved
+
+if TYPE_CHECKING:
+    # These import Mitsuba, which is loaded if there is a renderer.
+    from thermorender.render.baked import Progress
+    from thermorender.render.geometry import Geometry
+
+
+def solved_at(
+    scene: Scene,
+    times: "Sequence[np.datetime64]",
+    geometry: "Geometry | None" = None,
+    progress: "Progress | None" = None,
+) -> list[Scene]:
+    """Return the scene with its temperatures solved for each of some instants, by the source in its temperature state.
+
+    Parameters and errors are those of `heat.simulation.solved`, `heat.moved.moved` and `heat.relief.mapped`.
+    """
+    # Imported here, as other scenes do not need them.
+    source = scene.temperature_state.source
+    if isinstance(source, Conditional):
+        from thermorender.render.heat.relief import mapped
+
+        return mapped(scene, times, geometry, progress)
+    if not isinstance(source, Moved):
+        from thermorender.render.heat.simulation import solved
+
+        return solved(scene, times, geometry, progress)
+    from thermorender.render.heat.moved import moved
+
+    return [each.scene for each in moved(scene, times, geometry, progress)]

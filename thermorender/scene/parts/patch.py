@@ -1,0 +1,111 @@
+"""Areas of the terrain whose material an edit names: polygons of a map or of the local frame, on the texels."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.errors import ThermorenderError, shortened
+from thermorender.materials.material import Material
+from thermorender.scene.georeference import Place
+from thermorender.scene.ground import Ground
+from thermorender.scene.raster import Grid
+
+_POLYGONS = ("Polygon", "MultiPolygon")
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """The texels of an area, (h, w) bool, and their new material."""
+
+    texels: NDArray[np.bool_]
+    material: Material
+
+
+def read_features(path: str | PathLike[str]) -> tuple[list[Any], Any]:
+    """Return (features, rasterio CRS) of a GeoJSON FeatureCollection; longitude and latitude without a "crs" member.
+
+    Raises
+    ------
+    ThermorenderError
+        The file cannot be read, or is not a FeatureCollection.
+    """
+    from rasterio.crs import CRS
+    from rasterio.errors import CRSError
+
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8-sig"))
+        crs = CRS.from_user_input(content["crs"]["properties"]["name"] if "crs" in content else "OGC:CRS84")
+        return list(content["features"]), crs
+    except OSError as error:
+        raise ThermorenderError(f"{path} cannot be read: {error.strerror}; give a GeoJSON file") from None
+    except (ValueError, KeyError, TypeError, CRSError) as error:
+        raise ThermorenderError(
+            f"{path} is not a GeoJSON FeatureCollection ({type(error).__name__}: {error}); export one from a GIS"
+        ) from None
+
+
+def areas(given: Any, place: Place, ground: Ground) -> list[tuple[Any, str | None]]:
+    """Return [(GeoJSON geometry in the CRS of the place, the property "material" or None)] of an area.
+
+    Parameters
+    ----------
+    given : path or (N, 2) array
+        GeoJSON file of polygons, or corners of one polygon: local east and north [m].
+    place : Place
+    ground : Ground
+        Height of the corners.
+    """
+    if not isinstance(given, (str, PathLike)):
+        return [(_of_corners(given, place, ground), None)]
+    from rasterio.warp import transform_geom
+
+    features, crs = read_features(given)
+    found = []
+    for number, feature in enumerate(features, 1):
+        try:
+            geometry, about = feature["geometry"], feature.get("properties") or {}
+            if geometry["type"] not in _POLYGONS:
+                raise ValueError
+            name = about.get("material") if isinstance(about, Mapping) else None
+            found.append((transform_geom(crs, place.crs, geometry), name))
+        except Exception:  # GDAL has many exception types for malformed features
+            raise ThermorenderError(f"{given}, feature {number} is not a polygon; export polygons from a GIS") from None
+    if not found:
+        raise ThermorenderError(f"{given} has no feature; draw at least one polygon")
+    return found
+
+
+def texels_in(geometry: Any, grid: Grid, name: str) -> NDArray[np.bool_]:
+    """Return which texels have their middle in a geometry, (h, w); refuse one that has none."""
+    from rasterio.features import rasterize
+
+    # rasterize only warns if no shape touches the raster.
+    burnt = rasterize([(geometry, 1)], out_shape=(grid.height, grid.width), transform=grid.transform, dtype="uint8")
+    if not burnt.any():
+        raise ThermorenderError(
+            f"{name} covers no texel of {grid.name}; draw it on the terrain, not smaller than a texel, and in GeoJSON "
+            "as longitude and latitude unless a 'crs' member names another CRS"
+        )
+    return np.asarray(burnt > 0)
+
+
+def _of_corners(given: Any, place: Place, ground: Ground) -> dict[str, Any]:
+    try:
+        corners = np.array(given, np.float64)
+    except (TypeError, ValueError):
+        corners = np.empty(0)
+    if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3 or not np.isfinite(corners).all():
+        raise ThermorenderError(
+            f"with_material_in: area={shortened(repr(given))} is not a polygon; give three or more (east, north) in "
+            "local metres, or the path of a GeoJSON file"
+        )
+    up = np.nan_to_num(ground(*corners.T))
+    x, y = place.to_map(np.column_stack([corners, up]))
+    ring = np.column_stack([x, y]).tolist()
+    return {"type": "Polygon", "coordinates": [[*ring, ring[0]]]}
