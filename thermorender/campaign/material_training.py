@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender import formats
-from thermorender.errors import ThermorenderError, shortened
+from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity import MOST_MATERIALS, EmissivityMap
 from thermorender.learned.emissivity_training import Labelled, train
 from thermorender.materials import library as material_tables
@@ -128,22 +127,7 @@ def read_polygons(path: Path, grid: Grid) -> tuple[NDArray[np.uint8], dict[int, 
     from rasterio.features import rasterize
     from rasterio.warp import transform_geom
 
-<<<<<<< HEAD
-    try:
-        content = formats.finite_json(path.read_text(encoding="utf-8-sig"))
-        features = content["features"]
-        if not isinstance(features, list):
-            raise ValueError(f"features is {shortened(repr(features))}, not a list")
-        crs = CRS.from_user_input(content["crs"]["properties"]["name"] if "crs" in content else "OGC:CRS84")
-    except OSError as error:
-        raise ThermorenderError(f"{path} cannot be read: {error.strerror}; give a GeoJSON file") from None
-    except (ValueError, KeyError, TypeError, CRSError) as error:
-        raise ThermorenderError(
-            f"{path} is not a GeoJSON FeatureCollection ({type(error).__name__}: {error}); export one from a GIS"
-        ) from None
-=======
     features, crs = read_features(path)
->>>>>>> pyapi
     names, shapes = [], []
     for number, feature in enumerate(features, 1):
         try:

@@ -291,13 +291,9 @@ class TrajectoryOptions:
     ] = False
 
     def read(self, scene: "Scene", rate_hz: float | None) -> "Trajectory":
-<<<<<<< HEAD
         """Return the Trajectory over a scene, refused if it is below ground at a frame; print warnings on the log."""
         from thermorender.output.terrain_in_view import empty_frames_note
-=======
-        """Return the Trajectory over a scene, refused if it is below ground at one of the frames."""
         from thermorender.scene.load import load_trajectory
->>>>>>> pyapi
         from thermorender.trajectory import (
             check_above_ground,
             parse_anchor,
@@ -316,12 +312,8 @@ class TrajectoryOptions:
             clock_offset_s=self.clock_offset_s,
             mount=parse_mount(self.mount) if self.mount else None,
             lever_arm_m=parse_lever_arm(self.lever_arm_m),
-<<<<<<< HEAD
             course=self.course,
-            duplicates=self.duplicates,  # type: ignore[arg-type]  # checked by read_trajectory
-=======
             duplicates=self.duplicates,  # type: ignore[arg-type]  # checked by load_trajectory
->>>>>>> pyapi
         )
         rate_hz = scene.camera.frame_rate_hz if rate_hz is None else rate_hz
         frames = path.sampled(path.frame_times(rate_hz, self.start_s, self.stop_s))

@@ -68,7 +68,7 @@ def load_scene(name: str | PathLike[str]) -> Scene:
 def load_trajectory(
     paths: str | PathLike[str] | Iterable[str | PathLike[str]], scene: Scene, *,
     format: str | PathLike[str] | None = None, anchor: Anchor | None = None, clock_offset_s: float = 0.0,
-    mount: Sequence[float] | None = None, lever_arm_m: Sequence[float] = (0.0, 0.0, 0.0),
+    mount: Sequence[float] | None = None, lever_arm_m: Sequence[float] = (0.0, 0.0, 0.0), course: bool = False,
     duplicates: Literal["refuse", "spread", "first"] = "refuse",
 ) -> Trajectory:  # fmt: skip
     """Return the camera's Trajectory over a scene from one or several CSV files of a flight.
@@ -79,7 +79,7 @@ def load_trajectory(
         One file, or several with different columns and their own times.
     scene : Scene
         Its place converts latitude and longitude, its ground and geoid convert heights.
-    format, anchor, clock_offset_s, mount, lever_arm_m, duplicates
+    format, anchor, clock_offset_s, mount, lever_arm_m, course, duplicates
         As of `thermorender.trajectory.read_trajectory`.
 
     Raises
@@ -93,5 +93,6 @@ def load_trajectory(
         )
     return read_trajectory(
         paths, frame=scene.frame, ground=scene.ground, geoid_undulation_m=scene.geoid_undulation_m, format=format,
-        anchor=anchor, clock_offset_s=clock_offset_s, mount=mount, lever_arm_m=lever_arm_m, duplicates=duplicates,
+        anchor=anchor, clock_offset_s=clock_offset_s, mount=mount, lever_arm_m=lever_arm_m, course=course,
+        duplicates=duplicates,
     )  # fmt: skip

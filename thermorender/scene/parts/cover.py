@@ -196,13 +196,13 @@ def _raster_cover(
     return Painted(material, colour, flags.astype(np.uint8))
 
 
-<<<<<<< HEAD
 def _open(parts: Parts, missing: NDArray[np.bool_]) -> float:
     """Share of the terrain's texels that a raster leaves open."""
     if parts.on_ground is None:
         return float(missing.mean())
     return float((missing & parts.on_ground).sum() / max(parts.on_ground.sum(), 1))
-=======
+
+
 def _painted(own: Painted, painted: Sequence[Patch], materials: MaterialList, coloured: bool) -> Painted:
     """Return the cover with the materials of patches, and with their colours where materials give these."""
     material, colour, flags = own.material, own.colour, own.flags
@@ -214,7 +214,6 @@ def _painted(own: Painted, painted: Sequence[Patch], materials: MaterialList, co
         if coloured:
             colour[patch.texels] = patch.material.colour
     return Painted(material, colour, flags)
->>>>>>> pyapi
 
 
 def _learned(

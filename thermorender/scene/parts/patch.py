@@ -1,6 +1,5 @@
 """Areas of the terrain whose material an edit names: polygons of a map or of the local frame, on the texels."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender import formats
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.materials.material import Material
 from thermorender.scene.georeference import Place
@@ -39,9 +39,12 @@ def read_features(path: str | PathLike[str]) -> tuple[list[Any], Any]:
     from rasterio.errors import CRSError
 
     try:
-        content = json.loads(Path(path).read_text(encoding="utf-8-sig"))
+        content = formats.finite_json(Path(path).read_text(encoding="utf-8-sig"))
+        features = content["features"]
+        if not isinstance(features, list):
+            raise ValueError(f"features is {shortened(repr(features))}, not a list")
         crs = CRS.from_user_input(content["crs"]["properties"]["name"] if "crs" in content else "OGC:CRS84")
-        return list(content["features"]), crs
+        return features, crs
     except OSError as error:
         raise ThermorenderError(f"{path} cannot be read: {error.strerror}; give a GeoJSON file") from None
     except (ValueError, KeyError, TypeError, CRSError) as error:
