@@ -25,7 +25,7 @@ def scene_with(folder, track=None, shape="box", size=(3, 3, 1.5), rest="", **key
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "track.csv").write_text(track)
     # Of the materials in the small tests, sand reflects most.
-    sand = np.full((64, 64), 2)
+    sand = np.full((66, 66), 2)
     return tr.load_scene(write_terrain(folder, height=np.zeros((33, 33)), classes=sand, extra=extra, **keywords))
 
 

@@ -172,7 +172,9 @@ def test_check_of_single_files(tmp_path):
     assert len(found(path)) == 1 and "row 22: A002=1.9 is not within 0…1" in found(path)[0]
     path = tmp_path / "rock.txt"
     pairs = "".join(f"{w:.2f} 20.0\n" for w in WAVELENGTH[::-1])
-    header = "Name: Rock\nMeasurement: Hemispherical\nX Units: Wavelength (micrometers)\nY Units: percent\n"
+    header = (
+        "Name: Rock\nMeasurement: Hemispherical\nX Units: Wavelength (micrometers)\nY Units: Reflectance (percent)\n"
+    )
     path.write_text(header + "Owner: us\n\n" + pairs)
     assert found(path) == []
     path.write_text(header.replace("Hemi", "Bi").replace("percent", "share") + "\n" + pairs.replace(" 20.0", " -1", 1))

@@ -560,8 +560,8 @@ def test_colours_of_a_ply(images, form):
     ("faces", "rows", "comments", "more", "words"),
     [
         (BY_FACE[:2], [row[:2] for row in TRIANGLES], BOTH, "", "but its faces have no texnumber that chooses one"),
-        (BY_FACE, [TRIANGLES[0], (*TRIANGLES[1][:2], 2)], BOTH, "", "has a face with texnumber [2.]"),
-        (BY_FACE, [TRIANGLES[0], (*TRIANGLES[1][:2], -1)], BOTH, "", "has a face with texnumber [-1.]"),
+        (BY_FACE, [TRIANGLES[0], (*TRIANGLES[1][:2], 2)], BOTH, "", "has a face with texnumber 2"),
+        (BY_FACE, [TRIANGLES[0], (*TRIANGLES[1][:2], -1)], BOTH, "", "has a face with texnumber -1"),
         (
             BY_FACE,
             [TRIANGLES[0], ([0, 2, 3], [0, 0, 1, 1], 1)],

@@ -274,9 +274,10 @@ def _texture_numbers(face: _Table, faces: int, textures: list[str], path: Path) 
             )
         return np.zeros(faces, np.int64)
     assert not isinstance(number, _List)
-    if textures and faces and not ((number >= 0) & (number < len(textures)) & (number % 1.0 == 0.0)).all():
+    wrong = ~((number >= 0) & (number < len(textures)) & (number % 1.0 == 0.0))
+    if textures and wrong.any():
         raise ThermorenderError(
-            f"{path} has a face with texnumber {number[(number < 0) | (number >= len(textures))][:1]}, and "
+            f"{path} has a face with texnumber {number[wrong][0]:g}, and "
             f"{len(textures)} textures (comment TextureFile), counted from 0; give every face one of them"
         )
     return number.astype(np.int64)
