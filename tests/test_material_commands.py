@@ -179,8 +179,13 @@ def test_check_of_single_files(tmp_path):
     assert found(path) == []
     path.write_text(header.replace("Hemi", "Bi").replace("percent", "counts") + "\n" + pairs.replace(" 20.0", " -1", 1))
     findings = found(path)
-    assert [w for w in ("and y units 'Reflectance (counts)'", "measured as 'Bispherical'", "neither origin", "pair 1: reflectance=-1")
-            if not any(w in finding for finding in findings)] == []  # fmt: skip
+    words = (
+        "and y units 'Reflectance (counts)'",
+        "measured as 'Bispherical'",
+        "neither origin",
+        "pair 1: reflectance=-1",
+    )
+    assert [w for w in words if not any(w in finding for finding in findings)] == []
 
 
 # --- import -----------------------------------------------------------------------------------------------
