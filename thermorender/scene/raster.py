@@ -203,7 +203,7 @@ def _crs_free(error: Exception) -> str:
 def read_band(path: Path, missing: Sequence[float] = ()) -> NDArray[np.float64]:
     """Return one band as float64 with NaN where the file has no data, (h, w); scale and offset tags applied.
 
-    Values of `missing`, before scale and offset, are no data too.
+    Values of `missing`, before scale and offset, count as missing too.
     """
     with opened(path) as dataset:
         if dataset.count != 1:

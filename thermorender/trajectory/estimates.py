@@ -175,7 +175,7 @@ def drop_invalid(table: Table, mapping: Mapping, resets: Resets, notes: list[str
     Raises
     ------
     ThermorenderError
-        No row is valid, or the estimator's resets between the valid rows cannot be told.
+        No row is valid, or the estimator's resets between the valid rows are unknown.
     """
     names = table.header or tuple(table.columns)
     valid, reasons = np.ones(len(table), bool), []

@@ -90,7 +90,7 @@ def _values(text: str) -> dict[str, float]:
 
 
 def _position(text: str) -> dict[str, float]:
-    """Latitude and longitude of "GPS(…)": in the order of their letters, else as the third number tells; {} without."""
+    """Latitude and longitude of "GPS(…)": in the order of their letters, else by the third number; {} without."""
     parts = [part.strip() for part in text.split(",")]
     found = [re.fullmatch(rf"(?:([ENSW])\s*:?\s*)?{_NUMBER}\s*([mM°]?)", part) for part in parts]
     if len(parts) < 2 or not all(found[:2]):
