@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 from test_weather import PLACE, hours, station, sunlight, write_epw, write_tmy3
 
+from scenes import write_terrain
 from thermorender.errors import ThermorenderError
+from thermorender.scene.import_terrain import import_terrain
+from thermorender.scene.load import load_scene
 from thermorender.scene.spec import WeatherSpec
 from thermorender.weather.epw import read_epw
 from thermorender.weather.rain import by_hour, check_rain, in_mm
@@ -291,3 +294,11 @@ def test_light_in_other_units_is_refused_over_a_season(tmp_path, factor):
 def test_impossible_rain_of_a_station_is_refused(tmp_path):
     with pytest.raises(ThermorenderError, match="rain_mm adds up to 380 mm in an hour"):
         read_station(station(tmp_path / "s.csv", {"rain_mm": [380.0] + [0.0] * 71}), *PLACE)
+
+
+def test_an_import_takes_a_table_of_the_nsrdb_for_a_weather_year(tmp_path):
+    """The import distinguishes weather files as the reader of weather years does."""
+    terrain = write_terrain(tmp_path / "t") / "elevation.tif"
+    psm, _ = write_psm(tmp_path / "w.csv")
+    import_terrain(terrain, None, tmp_path / "s", weather=psm, time="2019-07-21T12:00Z")
+    assert load_scene(tmp_path / "s").spec.weather.epw == tmp_path / "s" / "weather.csv"

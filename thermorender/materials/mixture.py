@@ -30,6 +30,11 @@ class Mixture(Material):
     parts: tuple[tuple[Material, float], ...] = ()
 
 
+def parts_of(material: Material) -> tuple[tuple[Material, float], ...]:
+    """Return the (Material, share) pairs of a Mixture; those of any other material are itself and 1."""
+    return material.parts if isinstance(material, Mixture) else ((material, 1.0),)
+
+
 def mix(parts: Sequence[tuple[Material, float]]) -> Material:
     """Return the Mixture of (Material, share) pairs whose shares sum to one; for a single part, that Material.
 

@@ -26,6 +26,7 @@ from thermorender.schema import toml_text
 from thermorender.sensor.camera import load_camera
 from thermorender.units import instant, utc_text
 from thermorender.weather.declared import declared_weather
+from thermorender.weather.year_file import is_year_file
 
 DEFAULT_VERTICES = 4_000_000
 DEFAULT_TEXELS = 8192
@@ -74,8 +75,8 @@ def import_terrain(
     bands, colour_range, collar
         Of the orthophoto, as in `thermorender.scene.parts.orthophoto.read_colour`.
     weather : path, optional
-        A station's CSV, an EPW or a TMY3 file. The scene then has the temperatures of a heat balance, and with an
-        orthophoto the materials that a learned map finds in it.
+        A station's CSV, an EPW file, or a TMY3 or PSM table. The scene then has the temperatures of a heat balance, and
+        with an orthophoto the materials that a learned map finds in it.
     time : str, optional
         Instant of the scene with its zone; needed with `weather`.
 
@@ -177,8 +178,7 @@ def _weather(path: Path | None, time: str | None, height: NDArray[np.float64], g
     if time is None:
         raise ThermorenderError(f"weather={path} needs the scene's instant; give --time, such as 2018-07-28T14:30Z")
     when = instant("time", time)
-    first, second, *_ = [*formats.read_text(path, "UTF-8").splitlines(), "", ""]
-    kind = "epw" if first.startswith("LOCATION") or second.startswith("Date (MM/DD/YYYY)") else "file"
+    kind = "epw" if is_year_file(path) else "file"
     x, y = grid.to_map(grid.width / 2, grid.height / 2)
     (longitude,), (latitude,) = lon_lat(grid, np.array([x]), np.array([y]))
     spec = WeatherSpec(when, epw=Path(path)) if kind == "epw" else WeatherSpec(when, file=Path(path))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
+from thermorender.materials.mixture import parts_of
 from thermorender.physics import balance, exchange
 from thermorender.physics.balance import Forcing, Ground, State
 from thermorender.physics.conduction import LAYERS, Slab, layered
@@ -189,8 +190,7 @@ def _column(
 
 def over_room(material: Material) -> bool:
     """Return whether a room is below a material or one of a mixture's parts."""
-    parts = getattr(material, "parts", None) or ((material, 1.0),)
-    for part, _ in parts:
+    for part, _ in parts_of(material):
         thermal = part.thermal
         while thermal is not None:
             if thermal.beneath == "inside":
@@ -201,8 +201,7 @@ def over_room(material: Material) -> bool:
 
 def bare(material: Material) -> bool:
     """Return whether a material, or each part of a mixture, is bare: no leaves, water or snow."""
-    parts = getattr(material, "parts", None) or ((material, 1.0),)
-    return all(part.thermal is not None and part.thermal.cover == "bare" for part, _ in parts)
+    return all(part.thermal is not None and part.thermal.cover == "bare" for part, _ in parts_of(material))
 
 
 def broadband(material: Material) -> float:

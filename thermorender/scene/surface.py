@@ -89,6 +89,21 @@ MOST_OPEN = 0.01
 _Kelvin = TypeVar("_Kelvin", bound=ArrayLike)
 
 
+def open_share(missing: NDArray[np.bool_], on_ground: NDArray[np.bool_] | None) -> float:
+    """Return the share of the terrain's texels that a raster leaves open.
+
+    Parameters
+    ----------
+    missing : (h, w) bool
+        Texels without a value.
+    on_ground : (h, w) bool or None
+        Texels on the terrain; None if all of them are.
+    """
+    if on_ground is None:
+        return float(missing.mean())
+    return float((missing & on_ground).sum() / max(on_ground.sum(), 1))
+
+
 def scene_kelvin(name: str, temperature: _Kelvin, allow_zero: bool = False) -> _Kelvin:
     """Return `temperature` unchanged [K] after refusing values that no surface or sky of a scene has.
 

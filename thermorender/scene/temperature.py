@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import likely_scales
 from thermorender.materials.material import Material
-from thermorender.materials.mixture import Mixture
+from thermorender.materials.mixture import Mixture, parts_of
 from thermorender.scene.raster import Grid, grid_of, onto, opened, read_band
 from thermorender.scene.spec import TemperatureSpec, WeatherSpec
-from thermorender.scene.surface import FALLBACK, MOST_OPEN, fill, nearest_valid, scene_kelvin
+from thermorender.scene.surface import FALLBACK, MOST_OPEN, fill, nearest_valid, open_share, scene_kelvin
 from thermorender.schema import Where, read
 from thermorender.units import ZERO_CELSIUS_K, kelvin_scale
 
@@ -167,8 +167,7 @@ def _raster(spec: TemperatureSpec, texels: Texels) -> tuple[_Kelvin, NDArray[np.
     values = raster_temperature(spec.raster, texels)
     valid = np.isfinite(values)
     if not valid.all():
-        ground = np.ones_like(valid) if texels.on_ground is None else texels.on_ground
-        share = float((~valid & ground).sum() / max(ground.sum(), 1))
+        share = open_share(~valid, texels.on_ground)
         if spec.value is None and share > MOST_OPEN:
             raise ThermorenderError(
                 f"{spec.raster} leaves {share:.1%} of the terrain of {texels.where} without a temperature; give one "
@@ -182,7 +181,7 @@ def _raster(spec: TemperatureSpec, texels: Texels) -> tuple[_Kelvin, NDArray[np.
 
 
 def _material(spec: TemperatureSpec, texels: Texels) -> tuple[_Kelvin, NDArray[np.uint8]]:
-    pure = [part for material in texels.materials for part, _ in getattr(material, "parts", ((material, 1.0),))]
+    pure = [part for material in texels.materials for part, _ in parts_of(material)]
     known = list(dict.fromkeys(material.name for material in pure))
     for name in spec.materials:
         if name not in known:

@@ -120,11 +120,7 @@ def read_trajectory(
         position_log, horizontal, height, frame, ground, geoid_undulation_m, relative=anchor is not None
     )
     jump = jumps(position_log, position)
-    notes = [note for log in logs for note in (*log.notes, *(f"{a}{t:.3f}{b}" for a, t, b in log.resets))] + (
-        [jump] if jump else []
-    )
-    if mapping.assumes:
-        notes.append(f"format {mapping.name}: {mapping.assumes}")
+    notes = _notes(logs, mapping, jump)
 
     body_log, gimbal_log = _attitude_logs(logs, mount)
     course_log = _course(position_log, position, body_log, gimbal_log, course, notes)
@@ -137,10 +133,8 @@ def read_trajectory(
         enu_from_ned = Rotation.from_matrix(frame.enu_from_ecef_rotation) * ecef_from_ned(latitude, longitude)
     ned_from_body = _body(body_log, mapping, time_s)
     if course_log is not None:
-        heading = np.radians(np.interp(time_s, position_log.time_s, course_log))
-        direction = np.stack([np.sin(heading), np.cos(heading), np.zeros(time_s.size)], axis=-1)
-        along = enu_from_ned.inv().apply(direction)
-        ned_from_body = rotation_from_angles(np.degrees(np.arctan2(along[:, 1], along[:, 0])), 0.0, 0.0) * ned_from_body
+        course_at = np.interp(time_s, position_log.time_s, course_log)
+        ned_from_body = _turned(course_at, enu_from_ned) * ned_from_body
     ned_from_optical = (
         ned_from_body * rotation_from_angles(*mount_deg)
         if gimbal_log is None
@@ -155,6 +149,24 @@ def read_trajectory(
         trajectory = _anchored(trajectory, anchor, ground, height)
     refuse_far(position_log, trajectory)
     return replace(trajectory, notes=tuple(notes))
+
+
+def _notes(logs: list[Log], mapping: Mapping, jump: str | None) -> list[str]:
+    """Sentences on what the logs say of themselves, on a jump, and on what the format assumes."""
+    notes = [note for log in logs for note in (*log.notes, *(f"{a}{t:.3f}{b}" for a, t, b in log.resets))]
+    if jump:
+        notes.append(jump)
+    if mapping.assumes:
+        notes.append(f"format {mapping.name}: {mapping.assumes}")
+    return notes
+
+
+def _turned(course: NDArray[np.float64], enu_from_ned: Rotation) -> Rotation:
+    """Turns about the vertical of NED to courses in the scene's axes [deg]."""
+    heading = np.radians(course)
+    direction = np.stack([np.sin(heading), np.cos(heading), np.zeros(heading.size)], axis=-1)
+    along = enu_from_ned.inv().apply(direction)
+    return rotation_from_angles(np.degrees(np.arctan2(along[:, 1], along[:, 0])), 0.0, 0.0)
 
 
 def _read_logs(

@@ -130,23 +130,40 @@ def read_year_file(path: str | PathLike[str]) -> YearFile:
         The file is missing or of another kind, a unit or clock is not one of those read, or rows do not follow each
         other.
     """
-    try:
-        lines = [line for line in csv.reader(io.StringIO(read_text(path, "the text it was", "cp1252"))) if line]
-    except csv.Error as error:
-        raise ThermorenderError(f"{path} is not comma-separated text ({error}); give the file as it came") from None
-    first = [cell.strip() for cell in lines[0]] if lines else [""]
-    second = [cell.strip() for cell in lines[1]] if len(lines) > 1 else []
-    if first[0].upper() == "LOCATION":
-        return _epw(path, lines)
-    if len(first) >= 7 and second[:2] == ["Date (MM/DD/YYYY)", "Time (HH:MM)"]:
-        return _tmy3(path, lines)
-    if {"Latitude", "Longitude", "Time Zone", "Elevation"} <= set(first) and len(lines) > 3:
-        return _psm(path, lines)
+    lines = _lines(path)
+    reader = _reader(lines)
+    if reader is not None:
+        return reader(path, lines)
     raise ThermorenderError(
         f"{path} is neither an EPW file, which begins with LOCATION, nor a TMY3 table, whose second line begins "
         "with Date (MM/DD/YYYY), nor a table of the NSRDB, whose first line names Latitude and Time Zone; give one of "
         "these, or make it a station's table (docs/reference/file-formats.md) and give it as file"
     )
+
+
+def is_year_file(path: str | PathLike[str]) -> bool:
+    """Return whether the first lines of a file are those of an EPW file, or of a TMY3 or PSM table."""
+    return _reader(_lines(path)) is not None
+
+
+def _lines(path):
+    try:
+        return [line for line in csv.reader(io.StringIO(read_text(path, "the text it was", "cp1252"))) if line]
+    except csv.Error as error:
+        raise ThermorenderError(f"{path} is not comma-separated text ({error}); give the file as it came") from None
+
+
+def _reader(lines):
+    """The reader of the format that the first lines show, or None."""
+    first = [cell.strip() for cell in lines[0]] if lines else [""]
+    second = [cell.strip() for cell in lines[1]] if len(lines) > 1 else []
+    if first[0].upper() == "LOCATION":
+        return _epw
+    if len(first) >= 7 and second[:2] == ["Date (MM/DD/YYYY)", "Time (HH:MM)"]:
+        return _tmy3
+    if {"Latitude", "Longitude", "Time Zone", "Elevation"} <= set(first) and len(lines) > 3:
+        return _psm
+    return None
 
 
 def _epw(path, lines):

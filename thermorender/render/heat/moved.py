@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
+from thermorender.materials.mixture import parts_of
 from thermorender.materials.shifted import PROPERTIES, shifted
 from thermorender.render.geometry import Geometry
 from thermorender.render.heat.simulation import solved
@@ -271,8 +272,7 @@ def _kelvin(scene: Scene) -> NDArray[np.float32]:
 
 
 def _is_snow(material: Material) -> bool:
-    parts = getattr(material, "parts", None) or ((material, 1.0),)
-    return any(part.thermal is not None and part.thermal.cover == "snow" for part, _ in parts)
+    return any(part.thermal is not None and part.thermal.cover == "snow" for part, _ in parts_of(material))
 
 
 def _wet(weather: Weather, at: np.datetime64) -> bool:

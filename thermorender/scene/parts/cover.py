@@ -15,11 +15,22 @@ from thermorender.learned.emissivity import load_map
 from thermorender.materials import library as material_tables
 from thermorender.materials.extended import within_band
 from thermorender.materials.material import Material, grey
+from thermorender.materials.mixture import parts_of
 from thermorender.scene.material_map import learned_materials
 from thermorender.scene.parts.patch import Patch
 from thermorender.scene.parts.read import Parts
 from thermorender.scene.spec import EmissivitySpec, ObjectSpec
-from thermorender.scene.surface import FILLED, MOST_MATERIALS, MOST_OPEN, SURFACE, UNKNOWN, Surface, fill, nearest_valid
+from thermorender.scene.surface import (
+    FILLED,
+    MOST_MATERIALS,
+    MOST_OPEN,
+    SURFACE,
+    UNKNOWN,
+    Surface,
+    fill,
+    nearest_valid,
+    open_share,
+)
 
 # New materials by what they replace: a class number, a material's name, or "object:" and an object's name.
 Replaced = Mapping[int | str, Material]
@@ -138,17 +149,12 @@ def cover_of(
         ground = [_painted(ground[0], painted, materials, parts.colour is None)]
     numbers = tuple(materials.index(item.material, f"object {item.name!r}", OBJECT + item.name) for item in objects)
     for key in materials.unused:
-        known = dict.fromkeys(part.name for each in materials.used for part, _ in _pure(each))
+        known = dict.fromkeys(part.name for each in materials.used for part, _ in parts_of(each))
         raise ThermorenderError(
             f"{where}: with_material was given {_key_words(key)}, which this scene does not have; give one of its "
             f"materials {', '.join(known)}, a class number or the name of an object"
         )
     return Cover(tuple(materials.used), tuple(ground), numbers, report)
-
-
-def _pure(material: Material) -> tuple[tuple[Material, float], ...]:
-    parts: tuple[tuple[Material, float], ...] = getattr(material, "parts", None) or ((material, 1.0),)
-    return parts
 
 
 def _key_words(key: int | str) -> str:
@@ -169,7 +175,7 @@ def _raster_cover(
         for value, name in emissivity.classes.items():
             lookup[value] = materials.index(name, f"emissivity.classes.{value}", value)
         known = parts.classes != 0
-        share = _open(parts, ~known & valid)
+        share = open_share(~known & valid, parts.on_ground)
         if share > 0.0:
             rest = emissivity.fallback or "the class beside them"
             report.update(model=f"{emissivity.raster}", fallback=rest, share_unknown=share)
@@ -194,13 +200,6 @@ def _raster_cover(
         valid &= ~parts.filled
     flags = SURFACE | np.where(valid, 0, FILLED) | np.where(unknown, UNKNOWN, 0)
     return Painted(material, colour, flags.astype(np.uint8))
-
-
-def _open(parts: Parts, missing: NDArray[np.bool_]) -> float:
-    """Share of the terrain's texels that a raster leaves open."""
-    if parts.on_ground is None:
-        return float(missing.mean())
-    return float((missing & parts.on_ground).sum() / max(parts.on_ground.sum(), 1))
 
 
 def _painted(own: Painted, painted: Sequence[Patch], materials: MaterialList, coloured: bool) -> Painted:
