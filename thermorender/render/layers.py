@@ -23,7 +23,6 @@ class OutgoingRadiance:
     rest: Channels | None = None  # the other spectral channels, about a hundredth of the first, read once per ray
     faces: Channels | None = None  # corrections added to all channels of the texels
     mirror: "Mirror | None" = None  # data of the directional texels
-    span: float = 0.0  # largest difference between the corrections of two faces, of the sum over channels
 
     @classmethod
     def of(
@@ -33,8 +32,7 @@ class OutgoingRadiance:
         """Return the radiance of spectral channels of texels, K arrays (T,), and of faces, (F, K)."""
         rest = geometry.averaged(np.stack(texels[1:], axis=1)) if len(texels) > 1 else None
         own = None if faces is None else Channels(geometry.mi, faces)
-        span = 0.0 if faces is None else float(np.ptp(np.sum(faces, axis=1)))
-        return cls(geometry.averaged(texels[0][:, None]), rest, own, mirror, span)
+        return cls(geometry.averaged(texels[0][:, None]), rest, own, mirror)
 
     def at_texel(self, texel: Jit, face: Jit, active: Jit) -> list[Jit]:
         """Return all channels of texels seen on faces, as a list of Float; 0 where inactive."""

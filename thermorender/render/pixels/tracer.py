@@ -94,8 +94,8 @@ class Tracer:
         self._slender = slender
         self._layers, self.rays, self._medium = layers, rays, medium
         self._samples, self._mi = plan.samples, layers[0].geometry.mi
-        self._strong = usual_step(plan.edge_mk * plan.radiance_per_mk, plan.samples)
-        self._strong_opaque = dr.opaque(self._mi.Float, self._strong)
+        strong = usual_step(plan.edge_mk * plan.radiance_per_mk, plan.samples)
+        self._strong = dr.opaque(self._mi.Float, strong)
         self._reading = Reading(self._mi, plan.taps, max(plan.taps, PLACES), 1.0 / plan.samples)
         self._once, self._judge = Reading(self._mi, 1, 1, 1.0), Reading(self._mi, PLACES, 1, 1.0, judges=True)
 
@@ -106,7 +106,8 @@ class Tracer:
         more rays; infinite: never.
         """
         mi, rays = self._mi, self.rays
-        uneven = any(layer.outgoing.span > self._strong for layer in self._layers)
+        # Not whether some light is strong: other temperatures would then compile another kernel.
+        uneven = any(layer.outgoing.faces is not None for layer in self._layers)
         several = uneven or sum(len(layer.geometry.surfaces) for layer in self._layers) > 1
         total: list[Jit] = []
         for cell in rays.footprints(self._samples):
@@ -278,5 +279,5 @@ class Tracer:
             # Squares of texels contain many faces with their light.
             own = outgoing.faces.at(hit.face, hit.valid & (level == 0))
             total = [a + b for a, b in zip(total, own, strict=True)]
-            hit = replace(hit, strong=dr.abs(sum(own)) > self._strong_opaque)
+            hit = replace(hit, strong=dr.abs(sum(own)) > self._strong)
         return hit, total, mirrors.met(layer, hit, position)
