@@ -264,6 +264,7 @@ class Frame:
         -------
         dict
             kinetic_temperature [K], emissivity (band mean at 300 K; towards the camera where it depends on the angle),
+            emissivity_std (its standard deviation, for scenes with a learned emissivity),
             depth along the optical axis [m], each (H, W) float32; position (H, W, 3) float32 in the local frame [m];
             material (H, W) uint8, 255 for none; mask (H, W) uint8, flags of `thermorender.scene.surface`. NaN (depth:
             infinity) where nothing is hit.

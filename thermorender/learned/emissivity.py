@@ -1,9 +1,11 @@
 """RGB → emissivity: the likely materials of each texel of an orthophoto, from its colour and texture.
 
-A small fully connected network (trained in `emissivity_training`) gives the probability of each material. The three
-most probable are kept as shares of a mix. Confidence is the largest probability, or 0 for texels unlike the training
-data. Texels below a threshold of confidence are *unknown*; the scene's fallback material replaces them. Emissivity
-itself is not learned: it comes from the material table.
+A small fully connected network (trained in `emissivity_training`) scores each material. The scores become calibrated
+probabilities: they are softened by a temperature (Guo et al. 2017, "On calibration of modern neural networks") and
+mixed with a uniform prior. Both numbers are fitted on landscapes that the network did not see. A texel's emissivity is
+the mean over all materials with these probabilities, and its uncertainty their standard deviation. Confidence is the
+largest probability, or 0 for texels unlike the training data. Texels below a threshold of confidence are *unknown*; the
+scene's fallback material replaces them. Emissivity itself is not learned: it comes from the material table.
 """
 
 import json
@@ -25,7 +27,7 @@ MOST_MATERIALS = 254
 COARSEST_RATIO = 2.5
 _TILE_TEXELS = 512  # on the map's grid
 _CHUNK_TEXELS = 8192
-_FORMAT = 2
+_FORMAT = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +49,10 @@ class EmissivityMap:
         Typical standardised features of the training texels' near surroundings.
     threshold : float
         Distance from the nearest centre above which a texel is unlike the training data.
+    softening : float
+        Temperature that the network's scores are divided by, 1 or more in general.
+    prior : float
+        Share of the uniform prior in the probabilities, 0…1.
     about : dict
         Its training: scenes, seeds, split, accuracy on held-out texels, and what was not tested.
     """
@@ -59,6 +65,8 @@ class EmissivityMap:
     layers: tuple[tuple[np.ndarray, np.ndarray], ...]
     centres: np.ndarray
     threshold: float
+    softening: float
+    prior: float
     about: dict[str, Any]
 
     def probabilities(self, described: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -72,8 +80,7 @@ class EmissivityMap:
             value = np.maximum(value @ weight + bias, 0.0)
         weight, bias = self.layers[-1]
         value = value @ weight + bias
-        value = np.exp(value - value.max(axis=-1, keepdims=True))
-        value /= value.sum(axis=-1, keepdims=True)
+        value = posterior(value, self.softening, self.prior)
         near = standard[:, NEAR]
         squared = (self.centres**2).sum(axis=-1) - 2.0 * (near @ self.centres.T)
         distance = np.sqrt(np.maximum(squared.min(axis=-1) + (near**2).sum(axis=-1), 0.0))
@@ -125,13 +132,24 @@ class Mapped:
         The three most probable materials, the most probable first, as indices into `EmissivityMap.materials`.
     share : (h, w, 3) float32
         Their probabilities, scaled to a sum of one.
+    probability : (h, w, C) uint8
+        Probability of every material, in 1/255.
     confidence : (h, w) float32
         Probability of the first; 0 where the texel is unlike the training data.
     """
 
     index: np.ndarray
     share: np.ndarray
+    probability: np.ndarray
     confidence: np.ndarray
+
+
+def posterior(score: np.ndarray, softening: float, prior: float) -> np.ndarray:
+    """Return the probabilities, (N, C), of a network's scores, (N, C): softmax(score / softening), with a prior."""
+    value = score / score.dtype.type(softening)
+    value = np.exp(value - value.max(axis=-1, keepdims=True))
+    value *= score.dtype.type(1.0 - prior) / value.sum(axis=-1, keepdims=True)
+    return value + score.dtype.type(prior / value.shape[-1])
 
 
 def map_materials(
@@ -166,7 +184,10 @@ def map_materials(
     shape, grid_shape = rgb.shape[:2], on_grid.shape[:2]
     ratio = [of_grid / of_texels for of_grid, of_texels in zip(grid_shape, shape, strict=True)]
     count = min(len(model.materials), 3)
-    result = Mapped(np.zeros((*shape, 3), np.uint8), np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32))
+    result = Mapped(
+        np.zeros((*shape, 3), np.uint8), np.zeros((*shape, 3), np.float32),
+        np.zeros((*shape, len(model.materials)), np.uint8), np.zeros(shape, np.float32),
+    )  # fmt: skip
     # Whole blocks of tiled rasters, for callers that write what `keep` receives.
     tile = int(np.clip(_TILE_TEXELS / max(ratio) // 256, 1, 6)) * 256
     starts = [(top, left) for top in range(0, shape[0], tile) for left in range(0, shape[1], tile)]
@@ -189,6 +210,7 @@ def map_materials(
         probabilities, novelty = found[:-1], found[-1]
         if keep:
             keep(*here, probabilities)
+        result.probability[here] = np.moveaxis(np.rint(255.0 * probabilities), 0, -1)
         left_over = probabilities.copy()
         for rank in range(count):
             best = left_over.argmax(axis=0)
@@ -240,7 +262,8 @@ def save_map(model: EmissivityMap, path: files.PathLike) -> None:
     """Write an EmissivityMap as arrays and a JSON text, .npz."""
     head = {
         "format": _FORMAT, "name": model.name, "materials": model.materials, "texel_m": model.texel_m,
-        "features": NAMES, "threshold": model.threshold, "layers": len(model.layers), "about": model.about,
+        "features": NAMES, "threshold": model.threshold,
+        "softening": model.softening, "prior": model.prior, "layers": len(model.layers), "about": model.about,
     }  # fmt: skip
     arrays = {"head": np.array(json.dumps(head)), "mean": model.mean, "scale": model.scale, "centres": model.centres}
     for number, (weight, bias) in enumerate(model.layers):
@@ -271,7 +294,8 @@ def load_map(name: files.PathLike) -> EmissivityMap:
             layers = tuple((_floats(file[f"weight{n}"]), _floats(file[f"bias{n}"])) for n in range(head["layers"]))
             model = EmissivityMap(
                 str(head["name"]), tuple(map(str, head["materials"])), float(head["texel_m"]), _floats(file["mean"]),
-                _floats(file["scale"]), layers, _floats(file["centres"]), float(head["threshold"]), dict(head["about"]),
+                _floats(file["scale"]), layers, _floats(file["centres"]), float(head["threshold"]),
+                float(head["softening"]), float(head["prior"]), dict(head["about"]),
             )  # fmt: skip
         _check(model)
     # A damaged file can raise many kinds of errors in zipfile, zlib, json or NumPy.
@@ -298,5 +322,6 @@ def _check(model):
     shapes = [weight.shape for weight, _ in model.layers]
     fits = shapes == list(zip(widths[:-1], widths[1:], strict=True)) and widths[-1] == len(model.materials)
     fits &= model.mean.shape == model.scale.shape == (len(NAMES),) and model.centres.shape[1:] == (len(NEAR),)
+    fits &= model.softening > 0.0 and 0.0 <= model.prior <= 1.0
     if not (fits and (model.scale > 0.0).all() and model.texel_m > 0.0 and model.threshold > 0.0):
         raise ValueError("its arrays do not fit each other")

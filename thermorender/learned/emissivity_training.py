@@ -2,7 +2,8 @@
 
 Each orthophoto is resampled to one ground sampling distance and optionally augmented. Texels are drawn with rare
 materials favoured, and scikit-learn's multilayer perceptron is fitted to their features. Distances between typical
-texels set the threshold of novelty. One block of ground in five is held out to measure the accuracy.
+texels set the threshold of novelty. One block of ground in five is held out to measure the accuracy. The probabilities
+are calibrated on domains (kinds of landscape) that a network did not see, in turn.
 """
 
 import warnings
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.learned.emissivity import MOST_MATERIALS, EmissivityMap, to_grid
+from thermorender.learned.emissivity import MOST_MATERIALS, EmissivityMap, posterior, to_grid
 from thermorender.learned.emissivity_features import NEAR, features
 
 # Side of the blocks of ground that are trained on or held out as a whole [texels]: neighbours look alike, so holding
@@ -24,6 +25,8 @@ _MOST_SAMPLES = 360_000
 _MOST_PER_IMAGE = 400_000
 _EPOCHS = 20
 _CENTRES = 160
+# Calibration: networks, texels each is fitted to and tested on, epochs.
+_FOLDS, _CALIBRATION_SAMPLES, _CALIBRATION_TESTS, _CALIBRATION_EPOCHS = 4, 90_000, 30_000, 8
 # Texels tested at a time.
 _AT_ONCE = 200_000
 # Novelty threshold: this quantile of the training texels' distances from their centres, times this margin.
@@ -46,6 +49,8 @@ class Labelled:
         Ground sampling distance [m].
     source : str
         Origin, for the record.
+    domain : str
+        Kind of landscape, camera or season; calibration holds out whole domains.
     """
 
     rgb: np.ndarray
@@ -53,6 +58,7 @@ class Labelled:
     names: dict[int, str]
     texel_m: float
     source: str
+    domain: str = ""
 
 
 def train(
@@ -92,31 +98,37 @@ def train(
         ) from None
     report = progress or (lambda what, share: None)
     generator = np.random.Generator(np.random.Philox(seed))
-    names, sources, labels, parts = [], [], np.zeros(2, dtype=np.int64), []
+    names, sources, labels, parts, domains = [], [], np.zeros(2, dtype=np.int64), [], []
+    known: dict[str, int] = {}
     for number, item in enumerate(labelled):
         report("describing the orthophotos", number / (number + 5.0))  # their number is not known in advance
         sources.append(item.source)
         labels += np.count_nonzero(item.material), item.material.size
         for found, values, held in _described(item, texel_m, name, augmentations, generator):
             parts.append((found, _numbered(values, item.names, names), held))
+            known.setdefault(item.domain or item.source, len(known))
+            domains.append(np.full(held.size, known[item.domain or item.source]))
     described, truth, held_out = map(np.concatenate, zip(*parts, strict=True))
     count = np.bincount(truth[~held_out], minlength=len(names))
     _check_labels(sources, names, count)
+    softening, prior = _calibration(described, truth, np.concatenate(domains), held_out, seed, report)
     drawn = _drawn(truth, np.flatnonzero(~held_out), count, generator)
     mean, scale = described[drawn].mean(axis=0), described[drawn].std(axis=0) + 1e-3
     standard = (described[drawn] - mean) / scale
-    layers = _layers(standard, truth[drawn], len(names), seed, report)
+    layers = _layers(standard, truth[drawn], len(names), seed, _EPOCHS, report)
     centres, distance = _centres(standard[:, NEAR], seed)
     model = EmissivityMap(
         name, tuple(names), float(texel_m), np.float32(mean), np.float32(scale),
         layers=tuple((np.float32(weight), np.float32(bias)) for weight, bias in layers), centres=np.float32(centres),
-        threshold=float(_THRESHOLD_MARGIN * np.quantile(distance, _THRESHOLD_QUANTILE)), about={},
+        threshold=float(_THRESHOLD_MARGIN * np.quantile(distance, _THRESHOLD_QUANTILE)), softening=softening,
+        prior=prior, about={},
     )  # fmt: skip
     confusion = _confusion(model, described[held_out], truth[held_out])
     accuracy = round(float(np.trace(confusion) / confusion.sum()), 4) if confusion.any() else None
     model.about.update(
         trained_on="; ".join(sources),
         split=f"one block of {BLOCK_TEXELS * texel_m:g} m in {_HELD_OUT_ONE_IN} held out",
+        calibrated_on=f"{len(known)} kinds of land, each unseen" if len(known) > 1 else "held-out blocks of the same land",
         augmentations=augmentations, seed=seed, texels=len(drawn), held_out_texels=int(held_out.sum()),
         held_out_accuracy=accuracy,
     )  # fmt: skip
@@ -151,7 +163,71 @@ def _check_labels(sources, names, count):
         )
 
 
-def _layers(standard, truth, count, seed, report):
+def _calibration(described, truth, domain, held_out, seed, report):
+    """(softening, prior) of the posterior, fitted on domains that a network did not see; each domain counts the same.
+
+    With one domain, it is fitted on the held-out blocks, whose ground resembles the ground of the training.
+    """
+    generator = np.random.Generator(np.random.Philox(seed))
+    domains = np.unique(domain)
+    folds = np.array_split(generator.permutation(domains), min(len(domains), _FOLDS))
+    if len(domains) == 1:
+        folds, domain = [np.array([1])], held_out.astype(np.int64)
+    scores, truths = [], []
+    for number, fold in enumerate(folds):
+        tested = np.isin(domain, fold)
+        report("calibrating", number / len(folds))
+        if tested.all() or not tested.any():
+            continue
+        # Materials get numbers within this training; others have no score there.
+        inside = np.unique(truth[~tested])
+        if len(inside) < 2:
+            continue
+        count = np.bincount(truth[~tested], minlength=inside.max() + 1)
+        drawn = _drawn(truth, np.flatnonzero(~tested), count, generator, _CALIBRATION_SAMPLES)
+        mean, scale = described[drawn].mean(axis=0), described[drawn].std(axis=0) + 1e-3
+        own = np.searchsorted(inside, truth[drawn])
+        layers = _layers((described[drawn] - mean) / scale, own, len(inside), seed, _CALIBRATION_EPOCHS, _quiet)
+        test = generator.choice(np.flatnonzero(tested), min(_CALIBRATION_TESTS, int(tested.sum())), replace=False)
+        score = np.full((test.size, int(truth.max()) + 1), -np.inf, dtype=np.float32)
+        score[:, inside] = _scores(layers, np.float32((described[test] - mean) / scale))
+        scores.append(score)
+        truths.append(truth[test])
+    return fitted_posterior(scores, truths) if scores else (1.0, 0.0)
+
+
+def _quiet(what, share):
+    """Report nothing."""
+
+
+def _scores(layers, standard):
+    """The network's outputs before the softmax, (N, C) float32, of standardised features (N, F)."""
+    for weight, bias in layers[:-1]:
+        standard = np.maximum(standard @ np.float32(weight) + np.float32(bias), 0.0)
+    weight, bias = layers[-1]
+    return standard @ np.float32(weight) + np.float32(bias)
+
+
+def fitted_posterior(scores, truths):
+    """Return (softening, prior) with the largest likelihood of labels (N,) given scores (N, C), per domain.
+
+    A material whose score is minus infinity was not known to that domain's network; the prior alone covers it. The
+    softening is 0.5…20, the prior 0.001…0.95. Domains have equal weight.
+    """
+    from scipy.optimize import minimize
+
+    def loss(free):
+        softening, prior = np.exp(free[0]), 1.0 / (1.0 + np.exp(-free[1]))
+        parts = [posterior(np.float64(score), softening, prior)[np.arange(len(label)), label]
+                 for score, label in zip(scores, truths, strict=True)]  # fmt: skip
+        return -np.mean([np.log(part).mean() for part in parts])
+
+    bounds = [(np.log(0.5), np.log(20.0)), (np.log(0.001 / 0.999), np.log(0.95 / 0.05))]
+    found = minimize(loss, [np.log(2.0), 0.0], bounds=bounds, method="L-BFGS-B")
+    return float(np.exp(found.x[0])), float(1.0 / (1.0 + np.exp(-found.x[1])))
+
+
+def _layers(standard, truth, count, seed, epochs, report):
     """The (weight, bias) layers of a network fitted to standardised features."""
     from sklearn.exceptions import ConvergenceWarning
     from sklearn.neural_network import MLPClassifier
@@ -163,11 +239,11 @@ def _layers(standard, truth, count, seed, report):
     with warnings.catch_warnings():
         # The number of epochs is fixed, so this warning is expected.
         warnings.simplefilter("ignore", ConvergenceWarning)
-        for epoch in range(_EPOCHS):
+        for epoch in range(epochs):
             # The rate falls by a cosine.
-            network.set_params(learning_rate_init=2e-3 * 0.5 * (1.0 + np.cos(np.pi * epoch / _EPOCHS)))
+            network.set_params(learning_rate_init=2e-3 * 0.5 * (1.0 + np.cos(np.pi * epoch / epochs)))
             network.fit(standard, truth)
-            report("fitting the network", (epoch + 1) / _EPOCHS)
+            report("fitting the network", (epoch + 1) / epochs)
     layers = list(zip(network.coefs_, network.intercepts_, strict=True))
     if count == 2:
         # scikit-learn has one logistic output for two classes, which is a softmax over 0 and it.
@@ -201,7 +277,7 @@ def _described(item, texel_m, name, augmentations, generator):
     """Yield (features (n, F), labels (n,), held out (n,)) of an orthophoto and its augmented versions."""
     import cv2
 
-    grid = EmissivityMap(name, (), texel_m, None, None, (), None, 0.0, {})
+    grid = EmissivityMap(name, (), texel_m, None, None, (), None, 0.0, 1.0, 0.0, {})
     rgb = to_grid(item.rgb, item.texel_m, grid)
     # Nearest-neighbour labels, so that shares of labels are shares of area where texels are mixed.
     labels = cv2.resize(item.material, rgb.shape[1::-1], interpolation=cv2.INTER_NEAREST)
@@ -217,20 +293,32 @@ def _described(item, texel_m, name, augmentations, generator):
 
 
 def _augmented(rgb, generator):
-    """An orthophoto with random exposure, white balance, contrast and saturation."""
-    exposure = np.exp(generator.normal(0.0, 0.3))
-    balance = np.exp(generator.normal(0.0, 0.06, 3))
-    contrast = np.exp(generator.normal(0.0, 0.15))
-    saturation = np.exp(generator.normal(0.0, 0.3))
-    image = (rgb / np.float32(255.0)) ** np.float32(contrast) * np.float32(exposure * balance)
+    """An orthophoto as another camera, air and processing might show it.
+
+    Random resolution, haze, exposure, white balance, tone curve, saturation, sharpening and JPEG compression.
+    """
+    import cv2
+
+    image = rgb / np.float32(255.0)
+    blur = generator.uniform(0.0, 1.2)
+    if blur > 0.3:
+        image = cv2.GaussianBlur(image, (0, 0), blur)
+    haze = np.float32(generator.uniform(0.0, 0.25))
+    image = image * (1 - haze) + haze * np.float32((0.75, 0.8, 0.88))
+    balance = np.exp(generator.normal(0.0, 0.3) + generator.normal(0.0, 0.1, 3))
+    image = image ** np.float32(np.exp(generator.normal(0.0, 0.2))) * np.float32(balance)
     grey = image.mean(axis=-1, keepdims=True)
-    image = grey + np.float32(saturation) * (image - grey)
-    return np.clip(255.0 * image + 0.5, 0, 255).astype(np.uint8)
+    image = grey + np.float32(np.exp(generator.normal(0.0, 0.35))) * (image - grey)
+    sharpening = np.float32(generator.uniform(0.0, 1.0))
+    image = image + sharpening * (image - cv2.GaussianBlur(image, (0, 0), 1.5))
+    image = np.clip(255.0 * image + 0.5, 0, 255).astype(np.uint8)
+    _, coded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, int(generator.integers(40, 98))])
+    return np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR))
 
 
-def _drawn(truth, allowed, count, generator):
+def _drawn(truth, allowed, count, generator, most=_MOST_SAMPLES):
     """Texels to train on, each at most once; each material's number is proportional to the square root of its area."""
     wish = np.sqrt(count / count.sum())
-    wish = _MOST_SAMPLES * wish / wish.sum()
+    wish = most * wish / wish.sum()
     chance = np.minimum(wish / np.maximum(count, 1), 1.0)[truth[allowed]]
     return allowed[generator.random(allowed.size) < chance]

@@ -190,6 +190,21 @@ class Material:
         lower = table[row + 1, column] * (1.0 - along) + table[row + 1, column + 1] * along
         return upper * (1.0 - down) + lower * down
 
+    def band_emissivity_std(self, lower_um: float, upper_um: float, temperature: float) -> float:
+        """Return the standard deviation of the band emissivity [1], NaN for a single sample.
+
+        Errors at different wavelengths are taken as fully correlated, which is an upper bound.
+        """
+        from thermorender.physics.band import quadrature
+
+        wavelength, weight = quadrature(lower_um, upper_um)
+        weight = weight * spectral_radiance(wavelength, temperature)
+        known = np.isfinite(self.emissivity_std)
+        if not known.any():
+            return float("nan")
+        std = np.interp(wavelength, self.wavelength_um[known], self.emissivity_std[known])
+        return float(std @ weight / weight.sum())
+
     def band_emissivity(
         self, lower_um: float, upper_um: float, temperature: ArrayLike, cos_theta: float | None = None
     ) -> NDArray[np.float64]:

@@ -1,7 +1,8 @@
 """Mixed materials: texels of several possible or actual materials share a limited palette of mixtures.
 
 The emissivity of a mixture is the area-weighted mean of its parts. It describes a texel that the camera cannot resolve,
-and the expected value of a texel whose material is uncertain.
+and the expected value of a texel whose material is uncertain. There, the standard deviation over the possible materials
+is the uncertainty.
 """
 
 from collections.abc import Sequence
@@ -24,7 +25,7 @@ class Mixture(Material):
     Attributes
     ----------
     parts : tuple of (Material, share)
-        The shares sum to one.
+        Its main materials, whose temperatures it combines. The shares sum to one.
     """
 
     parts: tuple[tuple[Material, float], ...] = ()
@@ -35,21 +36,30 @@ def parts_of(material: Material) -> tuple[tuple[Material, float], ...]:
     return material.parts if isinstance(material, Mixture) else ((material, 1.0),)
 
 
-def mix(parts: Sequence[tuple[Material, float]]) -> Material:
+def mix(parts: Sequence[tuple[Material, float]], possible: Sequence[tuple[Material, float]] = ()) -> Material:
     """Return the Mixture of (Material, share) pairs whose shares sum to one; for a single part, that Material.
 
-    It is known at the wavelengths of all parts, without the gaps of any.
+    `possible` are (Material, probability) pairs where the material is uncertain. The emissivity is then their mean, and
+    its standard deviation is theirs and the materials' own in quadrature. The mixture is known at the wavelengths of
+    all its materials, without the gaps of any.
     """
-    if len(parts) == 1:
+    if len(parts) == 1 and len(possible) < 2:
         return parts[0][0]
-    materials = [material for material, _ in parts]
-    share = np.array([part for _, part in parts])
+    seen = possible or parts
+    materials = [material for material, _ in seen]
+    share = np.array([part for _, part in seen])
     start = max(material.valid_range_um[0] for material in materials)
     end = min(material.valid_range_um[1] for material in materials)
     wavelength = np.unique(np.concatenate([material.wavelength_um for material in materials] + [[start, end]]))
     wavelength = wavelength[(wavelength >= start) & (wavelength <= end)]
     # Values inside gaps are never used.
-    emissivity = share @ [np.interp(wavelength, material.wavelength_um, material.emissivity) for material in materials]
+    spectra = np.array([np.interp(wavelength, material.wavelength_um, material.emissivity) for material in materials])
+    emissivity, std = share @ spectra, np.full(wavelength.size, np.nan)
+    if possible:
+        own = [np.interp(wavelength, material.wavelength_um, np.nan_to_num(material.emissivity_std))
+               for material in materials]  # fmt: skip
+        std = np.sqrt(share @ ((spectra - emissivity) ** 2 + np.square(own)))
+    materials, share = [material for material, _ in parts], np.array([part for _, part in parts])
     names = " + ".join(f"{part:.3g} {material.name}" for material, part in parts)
 
     def every(key):
@@ -57,18 +67,19 @@ def mix(parts: Sequence[tuple[Material, float]]) -> Material:
 
     return Mixture(
         name=names, title=f"mix of {names}", wavelength_um=wavelength, emissivity=emissivity,
-        emissivity_std=np.full(wavelength.size, np.nan),
+        emissivity_std=std,
         colour=tuple(round(c) for c in share @ [material.colour for material in materials]),
         solar_absorptance=float(share @ [material.solar_absorptance for material in materials]),
         temperature=float(share @ [material.temperature for material in materials]), source=every("source"),
         citation=every("citation"), licence=every("licence"),
-        gaps_um=tuple(gap for material in materials for gap in material.gaps_um), parts=tuple(parts),
+        gaps_um=tuple(gap for material, _ in seen for gap in material.gaps_um), parts=tuple(parts),
     )  # fmt: skip
 
 
 def palette(
-    index: NDArray[np.uint8], share: NDArray, materials: Sequence[Material], band_um: tuple[float, float], most: int
-) -> tuple[NDArray[np.uint8], list[Material], dict[str, float]]:
+    index: NDArray[np.uint8], share: NDArray, probability: NDArray[np.uint8], materials: Sequence[Material],
+    band_um: tuple[float, float], most: int,
+) -> tuple[NDArray[np.uint8], list[Material], dict[str, float]]:  # fmt: skip
     """Return (number (h, w) uint8, materials and mixtures, error) for texels given as shares of several materials.
 
     Parameters
@@ -77,6 +88,8 @@ def palette(
         Indices into `materials`.
     share : (h, w, 3) float
         Share of each, largest first; they sum to one.
+    probability : (h, w, C) uint8
+        Probability of each of the materials, in any unit.
     materials : sequence of Material
     band_um : (2,) floats
         Band in which mixtures are compared [µm].
@@ -105,24 +118,41 @@ def palette(
     shares, same = np.unique(shares, axis=0, return_inverse=True)
     same = same.ravel()
     count = np.bincount(same, count, len(shares))
+    own = same[np.searchsorted(codes, code)]
+    possible = _means(own, probability, len(shares))
     wavelength = np.linspace(*band_um, _BAND_SAMPLES)
     spectra = np.array([material.emissivity_at(wavelength) for material in materials])
-    mixed = shares @ spectra
+    mixed = possible @ spectra
     chosen = _chosen(mixed, count, most)
     # A rare mixture becomes the palette entry with the nearest spectrum.
     nearest = np.empty(len(shares), dtype=np.uint8)
     for start in range(0, len(shares), 512):
         away = ((mixed[start : start + 512, None] - mixed[chosen]) ** 2).sum(axis=-1)
         nearest[start : start + 512] = away.argmin(axis=1)
-    number = nearest[same[np.searchsorted(codes, code)]]
-    mean = spectra.mean(axis=-1)
-    change = np.abs((share * mean[index]).sum(axis=-1) - mixed.mean(axis=-1)[chosen][number])
+    number = nearest[own]
+    change = np.abs(_band_means(probability, spectra.mean(axis=-1)) - mixed.mean(axis=-1)[chosen][number])
     made = [
         mix([(materials[k], float(shares[which, k])) for k in np.argsort(-shares[which], kind="stable")[:3]
-             if shares[which, k] > 0.0])
+             if shares[which, k] > 0.0],
+            [(material, float(part)) for material, part in zip(materials, possible[which], strict=True) if part > 0.0])
         for which in chosen
     ]  # fmt: skip
     return number, made, {"mean": float(change.mean()), "largest": float(change.max())}
+
+
+def _means(group: NDArray[np.integer], probability: NDArray[np.uint8], count: int) -> NDArray[np.float64]:
+    """Return the mean probabilities of each of `count` groups of texels, (count, C), with a sum of one."""
+    flat = group.ravel()
+    sums = [np.bincount(flat, plane.ravel(), count) for plane in np.moveaxis(probability, -1, 0)]
+    return np.stack(sums, axis=1) / np.sum(sums, axis=0)[:, None]
+
+
+def _band_means(probability: NDArray[np.uint8], emissivity: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the mean over materials of their band emissivity, (h, w), with the probabilities of each texel."""
+    planes = np.moveaxis(probability, -1, 0)
+    total = sum((plane.astype(np.float32) for plane in planes), np.float32(0.0))
+    weighted = sum(plane * np.float32(value) for plane, value in zip(planes, emissivity, strict=True))
+    return np.asarray(weighted / total)
 
 
 def _chosen(spectra, count, most):

@@ -11,6 +11,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.materials.mixture import Mixture
 from thermorender.physics.band import quadrature
 from thermorender.physics.fresnel import COSINES
 from thermorender.physics.planck import band_radiance, spectral_radiance
@@ -55,7 +56,7 @@ def truth(
         share = spectral_radiance(wavelength, REFERENCE_K) * weight / band_radiance(REFERENCE_K, *band_um)
         table = scene.materials[one].emissivity_at_angle(wavelength, COSINES[:, None]) @ share
         emissivity[here] = np.interp(np.abs(cosine[here]), COSINES, table)
-    return {
+    found = {
         "kinetic_temperature": np.where(valid, temperature, np.nan).astype(np.float32),
         "emissivity": np.where(valid, emissivity, np.nan).astype(np.float32),
         "material": np.where(valid, material, NO_MATERIAL).astype(np.uint8),
@@ -63,6 +64,10 @@ def truth(
         "position": np.where(valid[..., None], np.stack(position, axis=-1), np.nan).astype(np.float32),
         "mask": np.where(valid, flags | np.where(cosine < 0, BEHIND, 0), np.where(up, 0, BACKGROUND)).astype(np.uint8),
     }
+    if any(isinstance(each, Mixture) for each in scene.materials):
+        std = np.array([each.band_emissivity_std(*band_um, REFERENCE_K) for each in scene.materials])[material]
+        found["emissivity_std"] = np.where(valid, std, np.nan).astype(np.float32)
+    return found
 
 
 def pixel_middles(

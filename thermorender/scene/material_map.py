@@ -66,7 +66,7 @@ def learned_materials(
     fallback = material_tables.find(library, source.fallback, f"{where}: emissivity.fallback")
     mapped = map_materials(model, colour, texel_m)
     unknown = valid & (mapped.confidence < source.confidence)
-    number, used, error = palette(mapped.index, mapped.share, own, band_um, _MOST_MIXES)
+    number, used, error = palette(mapped.index, mapped.share, mapped.probability, own, band_um, _MOST_MIXES)
     number[unknown] = len(used)
     report = {
         "model": model.name,

@@ -38,7 +38,8 @@ from thermorender.schema import (
 )
 
 # Where a learned emissivity map's most probable material is less probable than this, the texel is unknown.
-DEFAULT_CONFIDENCE = 0.35
+# Below the probability of any most probable material: only texels unlike the training data are unknown.
+DEFAULT_CONFIDENCE = 0.003
 # No scene's coldest temperature is above this [°C], so a range that begins there is one of kelvin.
 _WARMEST_COLD_C = 150.0
 # The [atmosphere] that follows [weather].
