@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from thermorender.errors import ThermorenderError
 from thermorender.physics import heat as force_restore
 from thermorender.units import ZERO_CELSIUS_K
 from validation.heat.sites import measured, modelled, read_sites
@@ -37,9 +38,14 @@ _SINUSOID = {
     "granite_paving": (0.37, -3.41, 15.0), "asphalt": (0.58, -9.78, 15.0), "grass_green": (0.21, -3.38, 14.0),
     "soil_arid": (0.33, -3.01, 14.0), "water": (0.0, 0.0, 12.0),
 }  # fmt: skip
-# Classes of other covers: trees, shrubs and dry grass as grass, other ground as bare soil, snow as the air.
-_LIKE = {"conifer": "grass_green", "grass_dry": "grass_green", "heath_shrub": "grass_green", "soil_dark": "soil_arid",
-         "soil_loam": "soil_arid", "snow": "water"}  # fmt: skip
+# Covers without values of their own: force–restore takes those of the first, the sinusoid those of the second. For the
+# sinusoid trees, shrubs and dry grass are grass, other ground is bare soil, and snow and ice follow the air.
+_LIKE = {
+    "conifer": ("conifer", "grass_green"), "grass_dry": ("grass_dry", "grass_green"),
+    "heath_shrub": ("heath_shrub", "grass_green"), "broadleaf": ("conifer", "grass_green"),
+    "soil_dark": ("soil_dark", "soil_arid"), "soil_loam": ("soil_loam", "soil_arid"), "snow": ("snow", "water"),
+    "ice": ("snow", "water"), "roof_felt": ("asphalt", "asphalt"),
+}  # fmt: skip
 # Sites, layers and time steps of the study of run time, and the settings that serve as truth.
 _COST_SITES, _COST_LAYERS, _COST_STEPS_S = ("grass", "desert", "square"), (6, 8, 12, 16), (300.0, 900.0, 1800.0, 3600.0)
 _FINE = {"layers": 24, "step_s": 60.0}
@@ -59,6 +65,14 @@ def run(sites, folder, progress=None):
     """
     report = progress or (lambda step, share: None)
     declared = read_sites(sites)
+    for site in declared:
+        for name, _ in site.cover:
+            if _like(name)[0] not in _FORCE_RESTORE or _like(name)[1] not in _SINUSOID:
+                known = sorted({*_LIKE, *(each for each in _FORCE_RESTORE if each in _SINUSOID)})
+                raise ThermorenderError(
+                    f"{sites}, site {site.name!r}: cover={name!r} has no values for force–restore and the sinusoid; "
+                    f"give a cover among {', '.join(known)}"
+                )
     there = [site for site in declared if (Path(folder) / site.file).is_file()]
     result = {"sites": {}, "missing": [site.name for site in declared if site not in there]}
     for number, site in enumerate(there):
@@ -151,6 +165,12 @@ def _mixed(found, of):
     return sum(share * of(name) ** 4 for name, share in found.site.cover) ** 0.25
 
 
+def _like(name):
+    """Return the covers whose values force–restore and the sinusoid take for a cover."""
+    kind = "snow" if name.startswith("snow") else name
+    return _LIKE.get(kind, (kind, kind))
+
+
 def _absorbed(found, absorptance):
     if found.absorbed is not None:
         return found.absorbed
@@ -161,7 +181,7 @@ def _absorbed(found, absorptance):
 
 def _force_restored(found, name):
     """Return surface temperature (N,) [K] by force–restore: h = 5.7 + 3.8 v, deep layer near the mean air."""
-    absorptance, inertia, exchange, wet = _FORCE_RESTORE["snow" if name.startswith("snow") else name]
+    absorptance, inertia, exchange, wet = _FORCE_RESTORE[_like(name)[0]]
     weather = found.weather
     second = (weather.time - weather.time[0]).astype(float)
     sun, deep = _absorbed(found, absorptance), weather.air_k.mean() + 1.5
@@ -173,7 +193,7 @@ def _force_restored(found, name):
             now, second[row] - second[row - 1], single(sun[row]), single(weather.longwave_w_m2[row]), single(h),
             single(wet), single(weather.air_k[row]), weather.vapour_pa[row], single(inertia), single(deep),
         )  # fmt: skip
-        if name.startswith("snow"):
+        if _like(name)[0] == "snow":
             now = np.minimum(now, np.float32(ZERO_CELSIUS_K))
         seen.append(float(now[0]))
     return np.array(seen)
@@ -181,7 +201,7 @@ def _force_restored(found, name):
 
 def _sinusoid(found, name):
     """Return surface temperature (N,) [K]: air temperature plus a sine over the day, reduced by clouds."""
-    slope, constant, crest = _SINUSOID[_LIKE.get("snow" if name.startswith("snow") else name, name)]
+    slope, constant, crest = _SINUSOID[_like(name)[1]]
     weather, elevation = found.weather, found.elevation_deg
     hour = (weather.time - weather.time.astype("datetime64[D]")).astype(float) / 3600.0
     hour = (hour + weather.longitude_deg / 15.0) % 24.0
