@@ -28,7 +28,6 @@ _OZFLUX = "gitanjali2022/plot_scale_lst_emissivity/8673e663a9cfea3a502c5e74fddea
 _MATSCH = "EURAC-Ecohydro/GEOtopExamples/df1407b4f5407c30c8453a630b9e50e0128f01e7/tests/Matsch_B2_Ref_007"
 SOURCES = {
     "ice_margin": f"{_PROMICE}/data/test_raw1.txt",
-    "ice_sheet_snow": f"{_PROMICE}/data/test_raw_SlimTableMem1.txt",
     "ice_sheet_night": f"{_PROMICE}/unit/bufr_export/tx_l3_test1.csv",
     "roof": f"{_PROMICE}/data/test_raw_DataTable2.txt",
     "irrigated_meadow": f"{_MATSCH}/obss/obs/obs0001.txt",
@@ -41,10 +40,7 @@ SOURCES = {
 _HOUR = timedelta(hours=1)
 # Sensitivities of the radiometers [µV per W/m²], from the station's configuration: short-wave down and up, long-wave
 # down and up.
-_LOGGERS = {
-    "ice_margin": (14.01, 12.72, 11.08, 11.42), "ice_sheet_snow": (12.55, 12.52, 13.73, 10.43),
-    "roof": (13.34, 11.90, 9.63, 9.72),
-}  # fmt: skip
+_LOGGERS = {"ice_margin": (14.01, 12.72, 11.08, 11.42), "roof": (13.34, 11.90, 9.63, 9.72)}
 _LOGGER_NAMES = {
     "ice_margin": ("AirPressure_Avg", "Temperature_Avg", "RelativeHumidity_Avg", "WindSpeed",
                          "ShortwaveRadiationIn_Avg", "ShortwaveRadiationOut_Avg", "LongwaveRadiationIn_Avg",
@@ -52,7 +48,6 @@ _LOGGER_NAMES = {
     "roof": ("Pressure_U", "Asp_temp_U", "Humidity_U", "WindSpeed_S_U", "SWUpper", "SWLower", "LWUpper", "LWLower",
              "TemperatureRadSensor"),
 }  # fmt: skip
-_LOGGER_NAMES["ice_sheet_snow"] = _LOGGER_NAMES["ice_margin"]
 _TABLE = ("pressure_hpa", "air_c", "rh_percent", "wind_m_s", "sw_down_w_m2", "sw_up_w_m2", "lw_down_w_m2", "lw_up_w_m2")
 
 
@@ -78,12 +73,11 @@ def logger(name, data):
     """Return (times, columns) of a raw logger file of an ice-sheet station.
 
     Long-wave is the thermopile's signal plus the emission of the radiometer; ten-minute means are stamped at their
-    end, hourly means too.
+    end.
     """
     lines = data.decode("utf-8").splitlines()
     table = _columns("\n".join([lines[1], *lines[4:]]))
-    hourly = name == "ice_sheet_snow"
-    time = [datetime.fromisoformat(cell) - (_HOUR / 2 if hourly else _HOUR / 12) for cell in table["TIMESTAMP"]]
+    time = [datetime.fromisoformat(cell) - _HOUR / 12 for cell in table["TIMESTAMP"]]
     pressure, air, humidity, wind, *raw, body = (_numbers(table[each]) for each in _LOGGER_NAMES[name])
     body = np.where(np.abs(body) > 80.0, np.nan, body)
     gains = _LOGGERS[name]
@@ -105,9 +99,11 @@ def irrigated_meadow(data):
     table = _columns(data.decode("utf-8"))
     stamps = [datetime.strptime(cell, "%d/%m/%Y %H:%M") for cell in next(iter(table.values()))]
     time = [stamp - 2.5 * _HOUR for stamp in stamps]
-    light = {f"{kind}_{'down' if way == 'downwelling' else 'up'}_w_m2":
-             _numbers(table[f"surface_{way}_{long}_flux"])
-             for kind, long in (("sw", "shortwave"), ("lw", "longwave")) for way in ("downwelling", "upwelling")}  # fmt: skip
+    light = {
+        f"{short}_{way}_w_m2": _numbers(table[f"surface_{way}welling_{long}wave_flux"])
+        for short, long in (("sw", "short"), ("lw", "long"))
+        for way in ("down", "up")
+    }
     columns = {
         "air_c": _numbers(table["air_temperature"]), "rh_percent": 100.0 * _numbers(table["relative_humidity"]),
         "wind_m_s": _numbers(table["wind_speed"]), "rain_mm": _numbers(table["rainfall_amount"]), **light,
@@ -226,14 +222,13 @@ def main(
 
     for name in ("ice_margin", "roof"):
         _write(folder / f"{name}.csv", *averaged(*logger(name, data(name)), 30))
-    _write(folder / "ice_sheet_snow.csv", *logger("ice_sheet_snow", data("ice_sheet_snow")))
     _write(folder / "ice_sheet_night.csv", *ice_sheet_night(data("ice_sheet_night")))
     _write(folder / "irrigated_meadow.csv", *irrigated_meadow(data("irrigated_meadow")))
     _write(folder / "prairie_grass.csv", *averaged(*prairie_grass(data("prairie_grass")), 15))
     _write(folder / "savanna.csv", *flux_tower(data("savanna"), 9.5, 0.5))
     _write(folder / "eucalypt.csv", *flux_tower(data("eucalypt"), 10.0, 1.0))
     _write(folder / "pasture.csv", *averaged(*pasture(data("pasture_weather"), data("pasture_light")), 10))
-    typer.echo(f"9 tables in {output}")
+    typer.echo(f"8 tables in {output}")
 
 
 if __name__ == "__main__":
