@@ -13,6 +13,8 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics import heat as force_restore
+from thermorender.physics import sky
+from thermorender.physics.balance import STEFAN_BOLTZMANN
 from thermorender.units import ZERO_CELSIUS_K
 from validation.heat.sites import measured, modelled, read_sites
 
@@ -46,6 +48,7 @@ _LIKE = {
     "soil_dark": ("soil_dark", "soil_arid"), "soil_loam": ("soil_loam", "soil_arid"), "snow": ("snow", "water"),
     "ice": ("snow", "water"), "roof_felt": ("asphalt", "asphalt"),
 }  # fmt: skip
+_CONDITIONS = tuple(f"{part}, {kind}" for part in ("high sun", "low sun", "night") for kind in ("clear", "cloudy"))
 # Sites, layers and time steps of the study of run time, and the settings that serve as truth.
 _COST_SITES, _COST_LAYERS, _COST_STEPS_S = ("grass", "desert", "square"), (6, 8, 12, 16), (300.0, 900.0, 1800.0, 3600.0)
 _FINE = {"layers": 24, "step_s": 60.0}
@@ -122,6 +125,7 @@ def _of_site(found):
         "scored_from": str(found.weather.time[found.scored][0]), "scored": int(found.scored.sum()),
         "without_offset": found.site.without_offset, "fitted_factor": fitted[1], "notes": list(found.weather.notes),
         "scores": {name: _scores(found, values) for name, values in series.items()},
+        "where": where(found, series["balance"]),
         "series": {
             "time": [str(at) for at in found.weather.time], "measured": found.observed_k.tolist(),
             "elevation_deg": found.elevation_deg.tolist(),
@@ -159,6 +163,28 @@ def _scores(found, values):
         numbers = (here.mean(), np.abs(here).mean(), np.sqrt((here**2).mean())) if here.size else (np.nan,) * 3
         scores[name] = dict(zip(("bias", "mae", "rms"), map(float, numbers), strict=True))
     return scores
+
+
+def where(found, values):
+    """Return {condition: {rows, bias, mae}} of temperatures (N,) [K]: high and low sun and night, clear and cloudy.
+
+    The sun is high above 0.7 of its highest elevation in the series. A sky is clear if its long-wave is that of less
+    than 0.25 of cloud.
+    """
+    weather, elevation, error = found.weather, found.elevation_deg, values - found.observed_k
+    black = STEFAN_BOLTZMANN * weather.air_k**4
+    dark = sky.longwave(weather.air_k, weather.vapour_pa, 0.0)
+    clear = weather.longwave_w_m2 < dark + 0.25 * sky.CLOUD_EMISSIVITY * (black - dark)
+    high = elevation > max(0.7 * elevation.max(), _EDGE_DEG)
+    parts = {"high sun": high, "low sun": (elevation > _EDGE_DEG) & ~high, "night": elevation < -_EDGE_DEG}
+    found_parts = {}
+    for part, rows in parts.items():
+        for kind, of in (("clear", clear), ("cloudy", ~clear)):
+            here = error[rows & of & found.scored]
+            if here.size:
+                found_parts[f"{part}, {kind}"] = {"rows": int(here.size), "bias": float(here.mean()),
+                                                  "mae": float(np.abs(here).mean())}  # fmt: skip
+    return found_parts
 
 
 def _mixed(found, of):
@@ -259,6 +285,12 @@ def page(path, result):
     lines += ["| " + " | ".join(HEADER) + " |", "|" + "---|" * len(HEADER)]
     lines += ["| " + " | ".join(row) + " |" for row in rows(result)]
     lines += ["", *(f"- {sentence}" for sentence in _beaten(result))]
+    lines += ["", "Bias / mean absolute error [K] of the balance by sun and sky, and the number of rows:", ""]
+    lines += ["| site | " + " | ".join(_CONDITIONS) + " |", "|---|" + "---|" * len(_CONDITIONS)]
+    for name, site in result["sites"].items():
+        cells = [site["where"].get(condition) for condition in _CONDITIONS]
+        lines.append(f"| {name} | " + " | ".join(
+            f"{c['bias']:+.1f} / {c['mae']:.1f} ({c['rows']})" if c else "" for c in cells) + " |")  # fmt: skip
     lines += ["", "| site | what | starts from | scored from | rows | notes |", "|---|---|---|---|---|---|"]
     for name, site in result["sites"].items():
         offset = " Its mean error is subtracted." if site["without_offset"] else ""
