@@ -105,15 +105,17 @@ def _of_site(found):
     own = modelled(found)
     seconds = time.perf_counter() - begin
     names = [name for name, _ in found.site.cover]
-    # Long records take minutes; half-hour steps suffice to find the best factor.
+    # Long records take minutes; half-hour steps suffice to find the best factor. Nothing is fitted to held-out sites,
+    # those without an aim.
     coarse = 1800.0 if len(own) > 3000 else None
+    factors = _FACTORS if found.site.aim_k else ()
     fitted = min(
-        ((own, 1.0), *((modelled(found, coarse, edit=_scaled(factor)), factor) for factor in _FACTORS)),
+        ((own, 1.0), *((modelled(found, coarse, edit=_scaled(factor)), factor) for factor in factors)),
         key=lambda pair: _rms(found, pair[0]),
     )
     series = {
         "balance": own,
-        "one fitted": fitted[0],
+        **({"one fitted": fitted[0]} if factors else {}),
         "force–restore": _mixed(found, lambda name: _force_restored(found, name)),
         "sinusoid": _mixed(found, lambda name: _sinusoid(found, name)),
         "air": found.weather.air_k.copy(),
@@ -123,7 +125,8 @@ def _of_site(found):
         "title": found.site.title, "cover": names, "aim_k": found.site.aim_k, "seconds": seconds,
         "start": "measured below the ground" if found.begin_k is not None else "first day repeated",
         "scored_from": str(found.weather.time[found.scored][0]), "scored": int(found.scored.sum()),
-        "without_offset": found.site.without_offset, "fitted_factor": fitted[1], "notes": list(found.weather.notes),
+        "without_offset": found.site.without_offset,
+        "fitted_factor": fitted[1] if factors else None, "notes": list(found.weather.notes),
         "scores": {name: _scores(found, values) for name, values in series.items()},
         "where": where(found, series["balance"]),
         "series": {
