@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.output.terrain_in_view import shows_terrain
 from thermorender.trajectory.path import Trajectory
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ class Prospect:
         East and north on the ground, around the footprint, clockwise: of the rays to a point of the frame's border,
         the outermost that meets a surface; NaN where none does [m].
     shows_terrain : (N,) bool
-        Whether one of the frame's rays meets a surface.
+        Whether a ray of the frame meets a surface, or a corner of the terrain's faces is in the picture.
     pixel_m : (N,) float64
         Size of a pixel across the view, the median over the frame's rays that meet a surface; NaN without one [m].
     motion_px : (N,) float64
@@ -148,10 +149,12 @@ def prospect(renderer: "Renderer", trajectory: Trajectory, times_s: Floats, rate
     point = origin + depth[..., None] * world
     position = pose[:, :3, 3]
     shows = np.isfinite(depth).any(axis=1)
+    # Terrain between the rays.
+    shows[~shows] = shows_terrain(scene, pose[~shows])
     return Prospect(
         frames=len(times_s), rate_hz=rate_hz, index=index, time_s=time_s, position=position,
         above_ground_m=position[:, 2] - np.asarray(scene.ground(position[:, 0], position[:, 1]), np.float64),
-        outline=_outermost(point[..., :2]), shows_terrain=shows,
+        outline=_outermost(point[:, 1:, :2]), shows_terrain=shows,
         pixel_m=_over(np.median, depth) / camera.focal_length_px,
         motion_px=_motion(trajectory, camera, time_s, point), texel_m=scene.surfaces[0].texel_m,
         time_constant_s=camera.time_constant_s,
@@ -160,11 +163,12 @@ def prospect(renderer: "Renderer", trajectory: Trajectory, times_s: Floats, rate
 
 
 def _slopes(camera: "Camera") -> Floats:
-    """Slopes (K, 2) of rays along lines from the middle of the image to points of its border, outermost last."""
+    """Slopes (1 + K, 2) of rays: the middle of the image, then along lines to points of its border, outermost last."""
     side, zero = np.arange(_SIDE) / _SIDE, np.zeros(_SIDE)
     edge = np.concatenate([[side, zero], [zero + 1.0, side], [1.0 - side, zero + 1.0], [zero, 1.0 - side]], axis=1)
     share = np.arange(1, _ALONG + 1)[:, None, None] / _ALONG
-    return camera.directions(((0.5 + share * (edge.T - 0.5)) * (camera.width, camera.height)).reshape(-1, 2))
+    place = np.concatenate([[[0.5, 0.5]], (0.5 + share * (edge.T - 0.5)).reshape(-1, 2)])
+    return camera.directions(place * (camera.width, camera.height))
 
 
 def _outermost(point: Floats) -> Floats:
