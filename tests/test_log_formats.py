@@ -504,7 +504,11 @@ def test_rosbag_of_fixes_and_choice_of_a_topic(tmp_path):
     assert np.allclose(path.time_s, [0.0, 1.0], atol=1e-6) and np.allclose(path.position[:, 2], 500.0 - FRAME.height_m)
     assert np.allclose(np.diff(path.position[:, 1]), 22.2, atol=0.1)
     notes = "\n".join(path.notes)
-    assert "'fix'" in notes and "the log has no yaw" in notes and "is taken as east" not in notes
+    assert (
+        "1 of 3 messages (33.3%) are dropped as invalid" in notes
+        and "the log has no yaw" in notes
+        and "is taken as east" not in notes
+    )
     with pytest.raises(ThermorenderError, match=r"topic '/imu' is not one of poses or fixes; name one after a #"):
         read(f"{folder}#/imu", "rosbag")
     with pytest.raises(ThermorenderError, match=r"none\.mcap does not exist; give a bag of ROS 2"):

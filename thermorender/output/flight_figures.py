@@ -57,9 +57,11 @@ def flight_map(renderer: "Renderer", seen: Prospect, marked: Mapping[str, Sequen
     bounds = _bounds(seen)
     size = bounds[2:] - bounds[:2]
     across, down = _MAP_PX * size / size.max() / _DPI
-    # Margins for the labels, in inches.
-    figure = _figure(((across + 1.0), (down + 1.1)))
-    axes = figure.add_axes((0.8 / (across + 1.0), 0.9 / (down + 1.1), across / (across + 1.0), down / (down + 1.1)))
+    # Room for labels and legend [inches].
+    below = 0.9 if across > 4.0 else 1.3
+    whole = across + 1.0, down + below + 0.2
+    figure = _figure(whole)
+    axes = figure.add_axes((0.8 / whole[0], below / whole[1], across / whole[0], down / whole[1]))
     axes.imshow(_from_above(renderer, bounds), extent=(bounds[0], bounds[2], bounds[1], bounds[3]), zorder=0)
     for k in chosen(len(seen.index), _FOOTPRINTS):
         ring = seen.outline[k][np.isfinite(seen.outline[k, :, 0])]

@@ -119,7 +119,7 @@ class Prospect:
         pixels = self.texel_m / float(np.nanmedian(self.pixel_m))
         if pixels <= 1.0:
             return f"; the orthophoto's texels of {self.texel_m:.3g} m are not coarser"
-        return f"; the orthophoto is coarser, with texels of {self.texel_m:.3g} m, {pixels:.2g} pixels wide"
+        return f"; the orthophoto is coarser, with texels of {self.texel_m:.3g} m, {pixels:.3g} pixels wide"
 
 
 def prospect(renderer: "Renderer", trajectory: Trajectory, times_s: Floats, rate_hz: float) -> Prospect:
