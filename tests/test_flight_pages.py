@@ -15,6 +15,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.output.cost import Cost
 from thermorender.output.flight import FlightOptions, fly
 from thermorender.output.preview import preview
+from thermorender.output.products import check
 from thermorender.output.prospect import Prospect, prospect
 
 DOWN = (0.0, 1.0, 0.0, 0.0)
@@ -129,15 +130,21 @@ def test_preview_writes_its_page_and_no_frames(renderer, path, tmp_path):
     assert preview(renderer, path, FlightOptions(rate_hz=4.0, products=("counts",)), None, told.append) == []
 
 
-def test_report_shows_the_flight_and_survives_a_resume(renderer, path, tmp_path):
+@pytest.fixture(scope="module")
+def flown(renderer, path, tmp_path_factory):
+    """The folder of a flight with the default products, and what it told beforehand."""
+    told, folder = [], tmp_path_factory.mktemp("flights") / "f"
+    fly(renderer, path, folder, FlightOptions(rate_hz=4.0), outlook=told.append)
+    return folder, told
+
+
+def test_report_shows_the_flight_and_survives_a_resume(renderer, path, flown, tmp_path):
     import cv2
 
-    told, options = [], FlightOptions(rate_hz=4.0)
-    fly(renderer, path, tmp_path / "f", options, outlook=told.append)
+    folder, told = flown
     assert [type(part) for part in told] == [Prospect, Cost]
-    folder = tmp_path / "f"
-    flown = json.loads((folder / "flight.json").read_text())
-    assert flown["prospect"] == told[0].as_dict() and flown["prospect"]["above_ground_m"][1] == pytest.approx(12.0)
+    about = json.loads((folder / "flight.json").read_text())
+    assert about["prospect"] == told[0].as_dict() and about["prospect"]["above_ground_m"][1] == pytest.approx(12.0)
     page, contact = (folder / "index.html").read_text(), cv2.imread(str(folder / "contact.png"))
     assert contact.std() > 1.0 and "http" not in page
     assert not [link for link in re.findall(r"href='([^']*)'", page) if not (folder / link).is_file()]
@@ -151,31 +158,26 @@ def test_report_shows_the_flight_and_survives_a_resume(renderer, path, tmp_path)
     assert middle == pytest.approx(np.median(kelvin), abs=2e-3)
     assert f"<td>{middle:.2f}</td>" in page
 
+    folder = shutil.copytree(folder, tmp_path / "f")
     whole = {name: (folder / name).read_bytes() for name in ("index.html", "contact.png", "flight.json")}
     (folder / "index.html").unlink()
     (folder / "contact.png").write_bytes(b"half")
     lines = (folder / "frames.jsonl").read_text().splitlines(keepends=True)
     (folder / "frames.jsonl").write_text("".join(lines[:3]))
-    assert fly(renderer, path, folder, options, resume=True)["rendered"] == 2
+    assert fly(renderer, path, folder, FlightOptions(rate_hz=4.0), resume=True)["rendered"] == 2
     assert {name: (folder / name).read_bytes() for name in whole} == whole
 
 
-def test_report_is_a_product_of_flights_alone(renderer, path, tmp_path):
-    products = ("counts", "display")
+def test_report_is_a_product_of_flights_alone_and_changes_no_frame(renderer, path, flown, tmp_path):
+    products = ("exr", "truth", "counts", "display")
     fly(renderer, path, tmp_path / "f", FlightOptions(rate_hz=4.0, products=products))
     assert not {"index.html", "contact.png"} & {file.name for file in (tmp_path / "f").iterdir()}
-    from thermorender.output.products import check
-
+    frames = list((tmp_path / "f").glob("frame*"))
+    assert len(frames) == 5 * 3 + 1
+    assert all((flown[0] / file.name).read_bytes() == file.read_bytes() for file in frames)
     with pytest.raises(ThermorenderError, match="product 'report' is a page of a flight; leave it out here"):
         check(("counts", "report"))
     assert check(("counts", "report"), flight=True) == ("counts", "report")
-
-
-def test_bytes_of_frames_do_not_depend_on_the_report(renderer, path, tmp_path):
-    for name, more in (("with", ("report",)), ("without", ())):
-        fly(renderer, path, tmp_path / name, FlightOptions(rate_hz=4.0, products=("exr", "counts", *more)))
-    for file in (tmp_path / "without").glob("frame*"):
-        assert (tmp_path / "with" / file.name).read_bytes() == file.read_bytes()
 
 
 def test_command_previews_without_a_folder_and_flies_with_one(tmp_path, monkeypatch):

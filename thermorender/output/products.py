@@ -68,6 +68,7 @@ def check(
     """Return the products as a tuple, after refusing unknown names and combinations without effect.
 
     If `camera` has a visible camera beside it, the product "visible" is two images: registered, and by that camera.
+    "report" is a product of a `flight` only.
     """
     products = tuple(products)
     if "visible" in products and camera is not None and camera.visible_camera is not None:
