@@ -45,7 +45,7 @@ class Cost:
 
     def lines(self) -> list[str]:
         """Return the cost in sentences."""
-        parts = ", ".join(f"{name} {size / 1e6:.2f}" for name, size in self.sizes.items())
+        parts = ", ".join(f"{name} {size / 1e6:.2f}" for name, size in self.sizes.items()) or "no files"
         memory = "unknown" if self.memory is None else f"{self.memory / 1e9:.2g} GB in use at most so far"
         return [
             f"time: {self.seconds:.2g} s for a frame, measured here, {_duration(self.frames * self.seconds)} for "

@@ -293,7 +293,9 @@ class _Flight:
         if frame.targets:
             number, names = self.renderer.objects_seen(frame.pose, frame.time_s)
             pixels = {name: int((number == k).sum()) for k, name in enumerate(names)}
-        self.pictured[frame.index] = Pictured(frame.kelvin_of(thumbnail(frame.radiance)), pixels)
+        # Surfaces cover most of a pixel of the small picture.
+        surface = thumbnail(np.isfinite(frame.truth["depth"]).astype(np.float32)) > 0.5
+        self.pictured[frame.index] = Pictured(frame.kelvin_of(thumbnail(frame.radiance)), surface, pixels)
 
     def _take(self, index: int, agc: _Memory) -> tuple[Frame, _Memory, Any]:
         """One frame with its sensor's reading, the state of the display after it, and the display image."""

@@ -54,7 +54,7 @@ def flight_map(renderer: "Renderer", seen: Prospect, marked: Mapping[str, Sequen
     marked : dict
         {name: (east, north, …) [m]}.
     """
-    bounds = _bounds(seen)
+    bounds = _bounds(renderer, seen)
     size = bounds[2:] - bounds[:2]
     across, down = _MAP_PX * size / size.max() / _DPI
     # Room for labels and legend [inches].
@@ -111,19 +111,30 @@ def curves(time_s: Floats, panels: Sequence[Curve]) -> Picture:
     return _pixels(figure)
 
 
-def thumbnail(radiance: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return an image of band radiance (H, W) at most `THUMBNAIL_PX` wide, by means over areas."""
+def thumbnail(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return an image (H, W) at most `THUMBNAIL_PX` wide, by means over areas."""
     import cv2
 
-    height, width = radiance.shape
+    height, width = image.shape
     if width <= THUMBNAIL_PX:
-        return radiance
+        return image
     size = THUMBNAIL_PX, max(round(height * THUMBNAIL_PX / width), 1)
-    return np.asarray(cv2.resize(radiance, size, interpolation=cv2.INTER_AREA), np.float32)
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
-def sheet(kelvin: Sequence[NDArray[np.float32]], labels: Sequence[str], title: str) -> Picture:
-    """Return a picture of frames beside each other, (h, w) [K] each, in the colours of one bar."""
+def sheet(
+    kelvin: Sequence[NDArray[np.float32]], surface: Sequence[NDArray[np.bool_]], labels: Sequence[str], title: str
+) -> Picture:
+    """Return a picture of frames beside each other in the colours of one bar, whose range is that of the surfaces.
+
+    Parameters
+    ----------
+    kelvin : sequence of (h, w) arrays
+    surface : sequence of (h, w) bool
+        Where a surface is seen, and neither sky nor surroundings.
+    labels : sequence of str
+    title : str
+    """
     from matplotlib.colors import ListedColormap
 
     (height, width), gap, head = kelvin[0].shape, 4, 16
@@ -135,24 +146,31 @@ def sheet(kelvin: Sequence[NDArray[np.float32]], labels: Sequence[str], title: s
     corner = [(k // columns * (height + gap + head) + head, k % columns * (width + gap)) for k in range(len(kelvin))]
     for (top, left), image in zip(corner, kelvin, strict=True):
         mosaic[top : top + height, left : left + width] = image.repeat(zoom, 0).repeat(zoom, 1)
-    low, high = limits(np.concatenate([image.ravel() for image in kelvin]))
+    seen = np.concatenate([image[where] for image, where in zip(kelvin, surface, strict=True)])
+    low, high = limits(seen if seen.size else np.stack(kelvin))
     colours = ListedColormap(np.asarray(palette("ironbow")) / 255.0, name="ironbow")
-    figure = _figure(((max(mosaic.shape[1], 420) + 110) / _DPI, (mosaic.shape[0] + 34) / _DPI))
+    figure = _figure(((max(mosaic.shape[1], 420) + 124) / _DPI, (mosaic.shape[0] + 34) / _DPI))
     across, down = figure.get_size_inches() * _DPI
     axes = figure.add_axes((10 / across, 4 / down, mosaic.shape[1] / across, mosaic.shape[0] / down))
     drawn = axes.imshow(mosaic, cmap=colours, vmin=low, vmax=high, interpolation="nearest")
     axes.set_axis_off()
     for (top, left), label in zip(corner, labels, strict=True):
         axes.text(left, top - 4, label, fontsize=8, va="bottom")
-    bar = figure.add_axes((1.0 - 92 / across, 24 / down, 14 / across, (down - 64) / down))
-    figure.colorbar(drawn, cax=bar, extend="both").set_label("apparent temperature [K]", fontsize=9)
+    bar = figure.add_axes((1.0 - 106 / across, 24 / down, 14 / across, (down - 64) / down))
+    scale = figure.colorbar(drawn, cax=bar, extend="both")
+    scale.set_label("apparent temperature [K]", fontsize=9)
+    scale.formatter.set_useOffset(False)
     figure.text(10 / across, 1.0 - 18 / down, title, fontsize=10)
     return _pixels(figure)
 
 
-def _bounds(seen: Prospect) -> Floats:
-    """West, south, east, north of a map of track and footprints [m]."""
+def _bounds(renderer: "Renderer", seen: Prospect) -> Floats:
+    """West, south, east, north of a map of track and footprints, and of the terrain if a frame misses it [m]."""
     place = np.concatenate([seen.position[:, :2], seen.outline.reshape(-1, 2)])
+    if not seen.shows_terrain.all():
+        scene = renderer.scene
+        corner = [surface.vertices[:, :2] for surface in scene.surfaces[: scene.terrain_count]]
+        place = np.concatenate([place, *([each.min(axis=0), each.max(axis=0)] for each in corner)])
     place = place[np.isfinite(place).all(axis=1)]
     low, high = place.min(axis=0), place.max(axis=0)
     # At least 10 m, and not narrower than half its length.

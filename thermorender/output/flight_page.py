@@ -23,9 +23,10 @@ _STYLE = "pre { background: var(--soft); padding: .6rem .8rem; white-space: pre-
 
 @dataclass(frozen=True)
 class Pictured:
-    """A frame on the sheet: its apparent temperatures (h, w) [K] and {object: pixels whose middle shows it}."""
+    """A frame on the sheet: apparent temperatures (h, w) [K], where a surface is seen (h, w), and {object: pixels}."""
 
     kelvin: NDArray[np.float32]
+    surface: NDArray[np.bool_]
     pixels: Mapping[str, int]
 
 
@@ -68,7 +69,8 @@ def write_page(
     lines = [json.loads(line) for line in (folder / "frames.jsonl").read_text(encoding="utf-8").splitlines()]
     labels = [f"{index} · {lines[index]['time_s']:.2f} s" for index in pictured]
     title = f"{settings['scene']}, {settings['camera']}: {len(pictured)} of {len(lines)} frames"
-    contact = sheet([each.kelvin for each in pictured.values()], labels, title)
+    shown = pictured.values()
+    contact = sheet([each.kelvin for each in shown], [each.surface for each in shown], labels, title)
     formats.write_image(folder / "contact.png", contact)
     drawn = flight_map(renderer, seen, renderer.scene.targets)
     when = f", from {settings['time']}" if settings["time"] else ""
@@ -76,7 +78,7 @@ def write_page(
     parts = [
         f"<h1>Flight over {text(settings['scene'])}</h1>", f"<p class=note>{text(about)}</p>", _links(folder),
         _summary(seen.lines()), figure(jpeg(drawn), "Track, and what evenly chosen frames see of the ground."),
-        figure(jpeg(contact), "Evenly chosen frames in the colours of one bar, without noise."),
+        figure(jpeg(contact), "Evenly chosen frames, without noise, in the colours of the surfaces seen."),
         figure(jpeg(_over_time(lines)), "Apparent temperature: median, and from the least to the greatest pixel; "
                "error budget at 300 K."),
         *_targets(lines, pictured), *_frames(lines, pictured),
