@@ -16,7 +16,7 @@ from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
 from thermorender.progress import interactive
 from thermorender.render import truth
 from thermorender.render.air import Vacuum, refuse_camera
-from thermorender.render.arrays import opaque_view, view_ray
+from thermorender.render.arrays import aligned, opaque_view, view_ray
 from thermorender.render.baked import BakedScene, Progress, bake
 from thermorender.render.dynamic import Objects, placements
 from thermorender.render.geometry import Geometry, refuse_other_surfaces
@@ -278,6 +278,25 @@ class Renderer:
         """
         at_rest = Shape(self._geometry, opaque_view(self._geometry.mi, checked_pose(pose)))
         return np.asarray(truth.pixel_middles([at_rest], self._camera_rays(camera))[4], np.float32)
+
+    def hits(self, origin: ArrayLike, direction: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+        """Return (distance [m], infinite for a miss; number of the texel, −1 for a miss) of rays into the static scene.
+
+        Parameters
+        ----------
+        origin, direction : (N, 3) arrays
+            Local positions [m], and directions of any length.
+        """
+        mi, geometry = self._geometry.mi, self._geometry
+        start, way = (np.asarray(given, np.float64).T for given in (origin, direction))
+        way = way / np.linalg.norm(way, axis=0)
+        ray = mi.Ray3f(mi.Point3f(*map(aligned, start)), mi.Vector3f(*map(aligned, way)))
+        hit = geometry.cast(ray)
+        place = geometry.map_position(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
+        found = [dr.select(hit.valid, hit.distance, np.inf), geometry.nearest(hit.surface, *place, hit.valid)]
+        dr.eval(found)
+        distance, texel = (np.array(values) for values in found)
+        return distance, np.where(np.isfinite(distance), texel.astype(np.int64), -1)
 
     def objects_seen(
         self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None
