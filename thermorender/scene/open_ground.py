@@ -67,6 +67,8 @@ class Columns:
         Whether indoor air is below; otherwise outdoor air, or air without effect.
     node_m : (M, L)
         Depth of the layers' temperatures [m].
+    snow_m : (M,)
+        Depth of snow on top [m].
     """
 
     ground: Ground
@@ -74,6 +76,7 @@ class Columns:
     wind_factor: NDArray[np.float64]
     indoors: NDArray[np.bool_]
     node_m: NDArray[np.float64]
+    snow_m: NDArray[np.float64]
 
 
 def columns(
@@ -110,14 +113,13 @@ def columns(
     if not sum(map(np.sum, stacked["sun_share"])):
         stacked["sun_share"] = None
     rest = zip(*(each[1:] for each in made), strict=True)
-    absorptance, wind, indoors, node = (np.array(values) for values in rest)
-    return Columns(Ground(**stacked), absorptance, wind, indoors, node)
+    return Columns(Ground(**stacked), *(np.array(values) for values in rest))
 
 
 def _column(
     material: Material, weather: Weather, snow_m: float, station_roughness_m: float | None, layers: int
-) -> tuple[Ground, float, float, bool, NDArray[np.float64]]:
-    """(Ground of one column, absorptance, factor on the wind, whether indoor air is below, depth of nodes)."""
+) -> tuple[Ground, float, float, bool, NDArray[np.float64], float]:
+    """(Ground of one column, absorptance, factor on the wind, whether indoor air is below, depth of nodes, of snow)."""
     thermal = material.known_thermal()
     chain = thermal.layers
     slabs, snowy = [], []
@@ -161,7 +163,7 @@ def _column(
     resistance = thermal.surface_resistance_s_m
     # A wet surface without resistance is free water.
     free = thermal.wetness if resistance == 0.0 else 0.0
-    soil = thermal.cover == "bare" and bool(resistance) and thermal.thickness_m is None
+    soil = thermal.cover == "bare" and bool(resistance) and (thermal.thickness_m is None or bool(thermal.texture))
     share = np.zeros(layers)
     if thermal.attenuation_1_m:
         reached = np.exp(-thermal.attenuation_1_m * cut.edge_m)
@@ -185,7 +187,8 @@ def _column(
         room=list(room),
         sun_share=list(share),
     )
-    return ground, material.solar_absorptance, factor, end == "inside", cut.node_m
+    deep = slabs[0].thickness_m if snowy[0] and np.isfinite(slabs[0].thickness_m) else 0.0
+    return ground, material.solar_absorptance, factor, end == "inside", cut.node_m, deep
 
 
 def over_room(material: Material) -> bool:

@@ -26,7 +26,7 @@ _MEANS = ("longwave_w_m2", "rain_mm_h")
 
 
 def read_epw(
-    path: str | PathLike[str], year: int | np.datetime64, snow_depth_m: float = 0.0, light_shift_min: float = 0.0
+    path: str | PathLike[str], year: int | np.datetime64, snow_depth_m: float | None = None, light_shift_min: float = 0.0
 ) -> Weather:
     """Return the Weather of an EPW file, or a TMY3 or PSM table, in a calendar year.
 

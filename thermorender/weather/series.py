@@ -105,6 +105,11 @@ class Weather:
         asked = (time - self.time[0]).astype(np.float64)
         return Conditions(*(np.interp(asked, second, getattr(self, name)) for name in Conditions._fields))
 
+    @property
+    def knows_rain(self) -> bool:
+        """Whether rain is in the series; a series without any says nothing on the soil's moisture."""
+        return bool(self.rain_mm_h.any())
+
     def likely_snow_mm(self, time: np.datetime64) -> float:
         """Return the water [mm] that fell as snow before an instant and has not melted since, where none is recorded.
 

@@ -54,7 +54,8 @@ def _digest(declared: Declared, derived: Derived, sun: Any, weather: Any) -> str
         for table in (material.cosines, material.emissivity_by_angle):
             state.update(b"" if table is None else table.tobytes())
         layers = material.thermal.layers if material.thermal else ()
-        state.update(repr((material.solar_absorptance, [layer.values for layer in layers])).encode())
+        values = [{key: value for key, value in layer.values.items() if key != "texture" or value} for layer in layers]
+        state.update(repr((material.solar_absorptance, values)).encode())
     for tracked in derived.tracked_objects:
         state.update(repr((tracked.item, tracked.lift_m)).encode() + tracked.time_s.tobytes())
         for name, values in tracked.columns.items():

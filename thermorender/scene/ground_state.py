@@ -1,0 +1,163 @@
+"""Ground as a weather leaves it: soil and low vegetation with the moisture of the past weeks, and under snow.
+
+A material whose table names a soil's texture takes part. Others, such as paving, roofs and trees, stay as their tables
+say, and so does all ground where the weather has no rain.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.materials.library import find, load_library
+from thermorender.materials.material import Material
+from thermorender.materials.thermal import Thermal
+from thermorender.physics import humidity, moisture
+from thermorender.physics.moisture import Bucket, Texture
+from thermorender.units import ZERO_CELSIUS_K
+from thermorender.weather.series import Weather
+
+Floats = NDArray[np.float64]
+
+# Snow from this depth on hides half of low ground: the share of ground that it covers grows linearly up to 0.1 m,
+# Dutra et al., J. Hydrometeorol. 11 (2010) 899, doi:10.1175/2010JHM1249.1 [m].
+COVERS_M = 0.05
+_DAY_S = 86400.0
+_WATER_J_M3_K = 4.186e6
+
+
+class _Days(NamedTuple):
+    """Rain and melt [mm], reference evapotranspiration [mm], and whether snow lies, by day (N,)."""
+
+    wet_mm: Floats
+    reference_mm: Floats
+    white: NDArray[np.bool_]
+
+
+def in_weather(materials: Sequence[Material], weather: Weather, at: np.datetime64) -> list[Material]:
+    """Return materials as the weather before an instant leaves them.
+
+    Parameters
+    ----------
+    materials : sequence of Material
+        Each with thermal properties.
+    weather : Weather
+    at : datetime64
+
+    Notes
+    -----
+    Moisture begins at the table's `water_share` and follows `moisture.after_day` from the weather's first instant.
+    Conductivity changes by Johansen's law from the table's value, heat capacity by that of water. Where no material is
+    snow, snow of `COVERS_M` or more covers the ground; otherwise the materials say where it lies.
+    """
+    if not any(material.known_thermal().texture for material in materials):
+        return list(materials)
+    found, days = [], None
+    snow_m = float(weather.at(at).snow_m)
+    white = snow_m >= COVERS_M and not any(each.known_thermal().cover == "snow" for each in materials)
+    for material in materials:
+        thermal = material.known_thermal()
+        if thermal.texture and weather.knows_rain:
+            days = days or _days(weather, at)
+            material = replace(material, thermal=_moist(thermal, days))
+        if thermal.texture and white:
+            material = _covered(material, snow_m)
+        found.append(material)
+    return found
+
+
+def water_of(thermal: Thermal, weather: Weather, at: np.datetime64) -> Bucket:
+    """Return the Bucket of a soil with texture at an instant."""
+    return _bucket(thermal, _days(weather, at))
+
+
+def _days(weather: Weather, at: np.datetime64) -> _Days:
+    """The days of 24 h before an instant, from the weather's first instant on; the first one may be shorter."""
+    count = int(np.searchsorted(weather.time, at, side="right"))
+    if count < 2:
+        return _Days(*(np.zeros(0),) * 2, np.zeros(0, bool))
+    second = (weather.time - weather.time[0]).astype(np.float64)
+    middle = 0.5 * (second[1:] + second[:-1])
+    # A row is the mean of the interval around it.
+    length = np.diff(np.concatenate([second[:1], middle, second[-1:]]))[:count]
+    celsius = weather.air_k[:count] - ZERO_CELSIUS_K
+    snow, wet = moisture.snow_water(length / _DAY_S, celsius, weather.rain_mm_h[:count] * length / 3600.0)
+    before = (second[count - 1] - second[:count]) // _DAY_S
+    number = (before[0] - before).astype(int)
+    first = np.searchsorted(number, np.arange(number[-1] + 1))
+    rows = np.diff(np.append(first, count))
+    mean = lambda values: np.add.reduceat(values[:count], first) / rows  # noqa: E731
+    pressure = humidity.saturation_pressure
+    air = weather.air_k[:count]
+    saturated = 0.5 * (pressure(np.maximum.reduceat(air, first)) + pressure(np.minimum.reduceat(air, first)))
+    sine = np.sin(np.radians(np.maximum(weather.sun(weather.time[:count])[1], 0.0)))
+    light = weather.direct_w_m2[:count] * sine + weather.diffuse_w_m2[:count]
+    net = moisture.net_radiation(light, weather.longwave_w_m2[:count], air)
+    wind = moisture.at_two_metres(mean(weather.wind_m_s), weather.wind_height_m)
+    reference = moisture.reference_evapotranspiration(
+        mean(celsius), saturated, mean(weather.vapour_pa), wind, mean(net), mean(weather.pressure_pa)
+    )
+    # The first day may be shorter.
+    reference *= np.add.reduceat(length, first) / _DAY_S
+    white = mean((snow > 0.0).astype(np.float64)) > 0.5
+    return _Days(np.add.reduceat(wet, first), np.where(white, 0.0, reference), white)
+
+
+def _bucket(thermal: Thermal, days: _Days) -> Bucket:
+    texture = moisture.TEXTURES[thermal.texture]
+    bucket, leaves = moisture.filled(texture, thermal.water_share), thermal.cover == "leaves"
+    for wet, reference in zip(days.wet_mm.tolist(), days.reference_mm.tolist(), strict=True):
+        bucket, _, _ = moisture.after_day(texture, bucket, wet, reference, leaves)
+    return bucket
+
+
+def _moist(thermal: Thermal, days: _Days) -> Thermal:
+    """A soil, or vegetation on it, with the water of its bucket."""
+    texture, bucket = moisture.TEXTURES[thermal.texture], _bucket(thermal, days)
+    if thermal.cover == "leaves":
+        water = texture.capacity - 1e-3 * bucket.roots_mm / moisture.ROOTS_M
+        below = thermal.below and _wetted(thermal.below, texture, water)
+        wetness = float(moisture.transpires(texture, bucket.roots_mm))
+        return replace(_wetted(thermal, texture, water), wetness=wetness, below=below)
+    top = texture.capacity - 1e-3 * bucket.surface_mm / moisture.SURFACE_M
+    deep = texture.capacity - 1e-3 * (bucket.roots_mm - bucket.surface_mm) / (moisture.ROOTS_M - moisture.SURFACE_M)
+    resistance = float(moisture.resistance(texture, top, bucket.surface_mm))
+    wetness = min((thermal.surface_resistance_s_m or 0.0) / resistance, 1.0)
+    dry_m = moisture.DRY_M * (1.0 - float(moisture.evaporates(texture, bucket.surface_mm)))
+    stack = _wetted(thermal, texture, max(deep, 0.5 * texture.wilting))
+    stack = replace(
+        _wetted(thermal, texture, top), thickness_m=moisture.SURFACE_M - dry_m, beneath="soil", below=stack
+    )
+    if dry_m > 1e-4:
+        stack = replace(_wetted(thermal, texture, 0.0), thickness_m=dry_m, beneath="soil", below=stack)
+    return replace(stack, wetness=wetness)
+
+
+def _wetted(thermal: Thermal, texture: Texture, water: float) -> Thermal:
+    """A layer with this water [m³ m⁻³] in place of its usual water."""
+    usual = thermal.water_share
+    dry, soaked = _DRY_W_M_K, _SOAKED_W_M_K
+    by_law = lambda share: dry + float(moisture.kersten(texture, share)) * (soaked - dry)  # noqa: E731
+    added = water - usual
+    capacity = thermal.heat_capacity_j_m3_k + added * _WATER_J_M3_K
+    density = thermal.density_kg_m3 + 1000.0 * added
+    return replace(
+        thermal, conductivity_w_m_k=thermal.conductivity_w_m_k * by_law(water) / by_law(usual), density_kg_m3=density,
+        specific_heat_j_kg_k=capacity / density, water_share=water,
+    )  # fmt: skip
+
+
+# Sandy soil, dry and saturated, of which the tables are made: Oke, Boundary Layer Climates (2nd ed. 1987), table 2.1.
+_DRY_W_M_K, _SOAKED_W_M_K = 0.3, 2.2
+
+
+def _covered(material: Material, snow_m: float) -> Material:
+    """Ground under this much snow; it keeps its name."""
+    snow = find(load_library(None), "snow", "snow on the ground")
+    thermal = material.known_thermal()
+    # Leaves are bent down or covered.
+    ground = replace(thermal, skin_conductance_w_m2_k=None)
+    own = replace(snow.known_thermal(), thickness_m=snow_m, beneath=material.name, below=ground)
+    return replace(snow, name=material.name, thermal=own)
