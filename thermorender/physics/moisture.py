@@ -16,9 +16,9 @@ Floats = NDArray[np.float64]
 
 # Precipitation below this air temperature is snow [°C]: Auer, Weatherwise 27 (1974) 67, half of it at 2 °C, most at 1.
 SNOW_C = 1.0
-# Melt by day and kelvin above 0 °C [mm], of 2.5 … 5.5 measured on snow: Hock, J. Hydrol. 282 (2003) 104,
-# doi:10.1016/S0022-1694(03)00257-9, table 1.
-MELT_MM_K = 4.0
+# Melt by day and kelvin above 0 °C at the winter and the summer solstice [mm]: rural land, Huber and Dickinson, Storm
+# Water Management Model, Version 4, EPA/600/3-88/001a (1988).
+MELT_MM_K = (1.4, 6.9)
 # Depth of the layer that evaporates (FAO-56, page 144: 0.10 … 0.15 m) and of the roots of pasture (table 22) [m].
 SURFACE_M, ROOTS_M = 0.1, 1.0
 # Share of the available water that roots draw without stress: table 22, grazing pasture.
@@ -27,9 +27,10 @@ _UNSTRESSED = 0.6
 _LEAVES, _RESIDUAL = 0.7, 0.15
 # Upper limit of both over the reference: eq. 72, for low cover.
 _MOST = 1.2
-# Deepest dry surface layer [m], and how vapour diffuses through it [m² s⁻¹]: Swenson and Lawrence, J. Geophys. Res.
-# Atmos. 119 (2014) 10299, doi:10.1002/2014JD022314, has 15 mm; 2.5e-5 m² s⁻¹ of which pores leave a quarter.
-DRY_M, _DIFFUSES_M2_S = 0.015, 6.25e-6
+# Share of the soil below closed leaves from which water evaporates: table 21, cover of 0.9.
+_EXPOSED = 0.1
+# How vapour diffuses through dry soil [m² s⁻¹]: 2.5e-5 in air, of which pores of 40 % and their turns leave a quarter.
+_DIFFUSES_M2_S = 6.25e-6
 
 
 class Texture(NamedTuple):
@@ -74,7 +75,18 @@ class Bucket(NamedTuple):
     roots_mm: Any
 
 
-def snow_water(days: Floats, celsius: Floats, rain_mm: Floats) -> tuple[Floats, Floats]:
+def melt_factor(time: NDArray[np.datetime64], latitude_deg: float) -> Floats:
+    """Return the melt by day and kelvin above 0 °C (N,) [mm] by season, a sine between `MELT_MM_K`.
+
+    Anderson, NOAA Technical Memorandum NWS HYDRO-17 (1973), of SNOW-17; the southern hemisphere is half a year apart.
+    """
+    day = (time - time.astype("M8[Y]")) / np.timedelta64(86400, "s") - 80.0
+    season = np.sin(2.0 * np.pi * day / 366.0) * (1.0 if latitude_deg >= 0.0 else -1.0)
+    low, high = MELT_MM_K
+    return 0.5 * (high + low) + 0.5 * (high - low) * season
+
+
+def snow_water(days: Floats, celsius: Floats, rain_mm: Floats, melt_mm_k: Floats) -> tuple[Floats, Floats]:
     """Return (water of the snow on the ground, rain and melt that reach the soil) after each interval, (N,) [mm].
 
     Parameters
@@ -93,7 +105,7 @@ def snow_water(days: Floats, celsius: Floats, rain_mm: Floats) -> tuple[Floats, 
     frozen = np.where(celsius < SNOW_C, rain_mm, 0.0)
     if not frozen.any():
         return np.zeros_like(rain_mm), rain_mm
-    melt = MELT_MM_K * np.maximum(celsius, 0.0) * days
+    melt = melt_mm_k * np.maximum(celsius, 0.0) * days
     snow, held = np.empty_like(rain_mm), 0.0
     for k, (fell, melts) in enumerate(zip(frozen.tolist(), melt.tolist(), strict=True)):
         held = max(held + fell - melts, 0.0)
@@ -178,11 +190,21 @@ def after_day(
     drained = max(-roots, 0.0)
     roots = max(roots, 0.0)
     drawn = float(transpires(texture, roots)) * (_LEAVES if leaves else _RESIDUAL) * reference_mm
-    drawn = min(drawn, texture.available_mm - roots)
-    dried = 0.0 if leaves else float(evaporates(texture, surface)) * (_MOST - _RESIDUAL) * reference_mm
-    dried = min(dried, texture.evaporable_mm - surface)
-    surface = min(surface + (drawn * SURFACE_M / ROOTS_M if leaves else dried), texture.evaporable_mm)
+    drawn = min(drawn, max(texture.available_mm - roots, 0.0))
+    most = _EXPOSED * _MOST if leaves else _MOST - _RESIDUAL
+    dried = min(float(evaporates(texture, surface)) * most * reference_mm, texture.evaporable_mm - surface)
+    # Bare soil transpires nothing from its surface layer.
+    surface = min(surface + dried + (drawn * SURFACE_M / ROOTS_M if leaves else 0.0), texture.evaporable_mm)
     return Bucket(surface, roots + drawn + dried), drawn + dried, drained
+
+
+def dry_depth(texture: Texture, surface_mm: ArrayLike) -> Floats:
+    """Return the depth of the air-dry top of the surface layer [m].
+
+    FAO-56 lets the surface layer dry to half its wilting point, between none and all of it: at that limit the upper
+    half is dry, and the lower one at the wilting point.
+    """
+    return 0.5 * SURFACE_M * (1.0 - evaporates(texture, surface_mm))
 
 
 def kersten(texture: Texture, water: ArrayLike) -> Floats:
@@ -208,11 +230,11 @@ def resistance(texture: Texture, water: ArrayLike, surface_mm: ArrayLike) -> Flo
     Notes
     -----
     A share Kr of the soil is moist up to its surface: exp(8.206 − 4.225 S), Sellers et al., J. Geophys. Res. 97 (1992)
-    19033, doi:10.1029/92JD01096. The rest is below a dry layer as deep as the surface layer.
+    19033, doi:10.1029/92JD01096. Vapour of the rest diffuses through half the surface layer.
     """
     moist = np.exp(8.206 - 4.225 * np.minimum(np.asarray(water, np.float64) / texture.pores, 1.0))
     share = evaporates(texture, surface_mm)
-    return 1.0 / (share / moist + (1.0 - share) / (moist + SURFACE_M / _DIFFUSES_M2_S))
+    return 1.0 / (share / moist + (1.0 - share) / (moist + 0.5 * SURFACE_M / _DIFFUSES_M2_S))
 
 
 def celsius(kelvin: ArrayLike) -> Floats:

@@ -21,11 +21,12 @@ from thermorender.weather.series import Weather
 
 Floats = NDArray[np.float64]
 
-# Snow from this depth on hides half of low ground: the share of ground that it covers grows linearly up to 0.1 m,
-# Dutra et al., J. Hydrometeorol. 11 (2010) 899, doi:10.1175/2010JHM1249.1 [m].
-COVERS_M = 0.05
+# Snow covers low ground from this depth on, 1 mm of water: in SNOW-17 new snow covers all of it [m].
+COVERS_M = 0.0033
 _DAY_S = 86400.0
 _WATER_J_M3_K = 4.186e6
+# Thinner dry soil is neglected [m].
+_LEAST_M = 1e-3
 
 
 class _Days(NamedTuple):
@@ -83,7 +84,8 @@ def _days(weather: Weather, at: np.datetime64) -> _Days:
     # A row is the mean of the interval around it.
     length = np.diff(np.concatenate([second[:1], middle, second[-1:]]))[:count]
     celsius = weather.air_k[:count] - ZERO_CELSIUS_K
-    snow, wet = moisture.snow_water(length / _DAY_S, celsius, weather.rain_mm_h[:count] * length / 3600.0)
+    snow, wet = moisture.snow_water(length / _DAY_S, celsius, weather.rain_mm_h[:count] * length / 3600.0,
+                                    moisture.melt_factor(weather.time[:count], weather.latitude_deg))  # fmt: skip
     before = (second[count - 1] - second[:count]) // _DAY_S
     number = (before[0] - before).astype(int)
     first = np.searchsorted(number, np.arange(number[-1] + 1))
@@ -116,23 +118,20 @@ def _bucket(thermal: Thermal, days: _Days) -> Bucket:
 def _moist(thermal: Thermal, days: _Days) -> Thermal:
     """A soil, or vegetation on it, with the water of its bucket."""
     texture, bucket = moisture.TEXTURES[thermal.texture], _bucket(thermal, days)
-    if thermal.cover == "leaves":
-        water = texture.capacity - 1e-3 * bucket.roots_mm / moisture.ROOTS_M
-        below = thermal.below and _wetted(thermal.below, texture, water)
-        wetness = float(moisture.transpires(texture, bucket.roots_mm))
-        return replace(_wetted(thermal, texture, water), wetness=wetness, below=below)
     top = texture.capacity - 1e-3 * bucket.surface_mm / moisture.SURFACE_M
     deep = texture.capacity - 1e-3 * (bucket.roots_mm - bucket.surface_mm) / (moisture.ROOTS_M - moisture.SURFACE_M)
+    soil = _wetted(thermal.below or thermal, texture, max(deep, 0.5 * texture.wilting))
+    dry_m = float(moisture.dry_depth(texture, bucket.surface_mm))
+    moist_m = moisture.SURFACE_M - dry_m
+    moist = _wetted(thermal, texture, top * moisture.SURFACE_M / moist_m)
+    moist = replace(moist, thickness_m=moist_m, beneath="soil", below=soil)
+    if dry_m > _LEAST_M:
+        dry = _wetted(thermal, texture, 0.0)
+        moist = replace(dry, thickness_m=dry_m, beneath="soil", below=moist)
+    if thermal.cover == "leaves":
+        return replace(moist, wetness=float(moisture.transpires(texture, bucket.roots_mm)))
     resistance = float(moisture.resistance(texture, top, bucket.surface_mm))
-    wetness = min((thermal.surface_resistance_s_m or 0.0) / resistance, 1.0)
-    dry_m = moisture.DRY_M * (1.0 - float(moisture.evaporates(texture, bucket.surface_mm)))
-    stack = _wetted(thermal, texture, max(deep, 0.5 * texture.wilting))
-    stack = replace(
-        _wetted(thermal, texture, top), thickness_m=moisture.SURFACE_M - dry_m, beneath="soil", below=stack
-    )
-    if dry_m > 1e-4:
-        stack = replace(_wetted(thermal, texture, 0.0), thickness_m=dry_m, beneath="soil", below=stack)
-    return replace(stack, wetness=wetness)
+    return replace(moist, wetness=min((thermal.surface_resistance_s_m or 0.0) / resistance, 1.0))
 
 
 def _wetted(thermal: Thermal, texture: Texture, water: float) -> Thermal:

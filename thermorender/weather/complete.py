@@ -72,7 +72,7 @@ def complete(
     take("wind_m_s", constant, f"Wind is missing: {constant:g} m/s throughout.")
     take("rain_mm_h", 0.0, "Rain is missing: none falls, and soil has its usual moisture.")
     if snow_depth_m is None and "snow_m" not in given and rest["rain_mm_h"].any():
-        given = {**given, "snow_m": _likely_snow(time, air, rest["rain_mm_h"], notes)}
+        given = {**given, "snow_m": _likely_snow(time, latitude_deg, air, rest["rain_mm_h"], notes)}
     depth_m = snow_depth_m or 0.0
     take("snow_m", depth_m, f"Snow on the ground is missing: {depth_m:g} m throughout.")
 
@@ -94,16 +94,18 @@ def complete(
     )  # fmt: skip
 
 
-def _likely_snow(time, air, rain, notes):
+def _likely_snow(time, latitude_deg, air, rain, notes):
     """Depth of snow (N,) [m] from precipitation and air temperature; its note is added."""
     second = (time - time[0]).astype(np.float64)
     length = np.diff(np.concatenate([second[:1], 0.5 * (second[1:] + second[:-1]), second[-1:]]))
-    water, _ = moisture.snow_water(length / 86400.0, air - ZERO_CELSIUS_K, rain * length / 3600.0)
+    water, _ = moisture.snow_water(
+        length / 86400.0, air - ZERO_CELSIUS_K, rain * length / 3600.0,
+        moisture.melt_factor(time, latitude_deg))  # fmt: skip
     depth = water / _SNOW_KG_M3
     how = f"up to {depth.max():.2g} m" if depth.any() else "none"
     notes.append(
-        f"Snow on the ground is missing: {how}, from precipitation below {moisture.SNOW_C:g} °C less "
-        f"{moisture.MELT_MM_K:g} mm of melt per day and kelvin; snow_depth_m would replace it."
+        f"Snow on the ground is missing: {how}, from precipitation below {moisture.SNOW_C:g} °C less melt by degree "
+        "days; a snow_depth_m replaces it."
     )
     return depth
 
