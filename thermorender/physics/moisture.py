@@ -1,4 +1,4 @@
-"""Water in the ground: snow by degree days, a bucket of two layers, and what moisture does to conduction and evaporation.
+"""Water in the ground: snow by degree days, a bucket of two layers, and conduction and evaporation of moist soil.
 
 The bucket is that of the FAO: Allen et al., Crop Evapotranspiration, FAO Irrigation and Drainage Paper 56 (1998),
 https://www.fao.org/4/X0490E/x0490e00.htm, chapters 3, 4, 7 and 8. Amounts of water are mm, that is kg m⁻².
@@ -14,6 +14,7 @@ from thermorender.units import ZERO_CELSIUS_K
 
 Floats = NDArray[np.float64]
 
+_DAY_S = 86400.0
 # Precipitation below this air temperature is snow [°C]: Auer, Weatherwise 27 (1974) 67, half of it at 2 °C, most at 1.
 SNOW_C = 1.0
 # Melt by day and kelvin above 0 °C at the winter and the summer solstice [mm]: rural land, Huber and Dickinson, Storm
@@ -75,6 +76,12 @@ class Bucket(NamedTuple):
     roots_mm: Any
 
 
+def intervals_s(time: NDArray[np.datetime64]) -> Floats:
+    """Return the length [s] of the interval that each of some instants (N,) is the middle of."""
+    second = (time - time[0]).astype("timedelta64[s]").astype(np.float64)
+    return np.diff(np.concatenate([second[:1], 0.5 * (second[1:] + second[:-1]), second[-1:]]))
+
+
 def melt_factor(time: NDArray[np.datetime64], latitude_deg: float) -> Floats:
     """Return the melt by day and kelvin above 0 °C (N,) [mm] by season, a sine between `MELT_MM_K`.
 
@@ -86,31 +93,34 @@ def melt_factor(time: NDArray[np.datetime64], latitude_deg: float) -> Floats:
     return 0.5 * (high + low) + 0.5 * (high - low) * season
 
 
-def snow_water(days: Floats, celsius: Floats, rain_mm: Floats, melt_mm_k: Floats) -> tuple[Floats, Floats]:
-    """Return (water of the snow on the ground, rain and melt that reach the soil) after each interval, (N,) [mm].
+def snow_water(
+    time: NDArray[np.datetime64], latitude_deg: float, air_k: Floats, rain_mm_h: Floats
+) -> tuple[Floats, Floats]:
+    """Return (water of the snow on the ground, rain and melt that reach the soil) of each interval, (N,) [mm].
 
     Parameters
     ----------
-    days : (N,)
-        Length of the intervals.
-    celsius : (N,)
-        Air temperature.
-    rain_mm : (N,)
-        Precipitation of the intervals.
+    time : (N,) datetime64
+        Middles of the intervals.
+    latitude_deg : float
+    air_k, rain_mm_h : (N,)
+        Air temperature and precipitation.
 
     Notes
     -----
-    Precipitation below 1 °C stays; `MELT_MM_K` melts per day and kelvin above 0 °C.
+    Precipitation below 1 °C stays, and melts by `melt_factor`.
     """
-    frozen = np.where(celsius < SNOW_C, rain_mm, 0.0)
+    length, celsius = intervals_s(time), air_k - ZERO_CELSIUS_K
+    rain = rain_mm_h * length / 3600.0
+    frozen = np.where(celsius < SNOW_C, rain, 0.0)
     if not frozen.any():
-        return np.zeros_like(rain_mm), rain_mm
-    melt = melt_mm_k * np.maximum(celsius, 0.0) * days
-    snow, held = np.empty_like(rain_mm), 0.0
+        return np.zeros_like(rain), rain
+    melt = melt_factor(time, latitude_deg) * np.maximum(celsius, 0.0) * length / _DAY_S
+    snow, water = np.empty_like(rain), 0.0
     for k, (fell, melts) in enumerate(zip(frozen.tolist(), melt.tolist(), strict=True)):
-        held = max(held + fell - melts, 0.0)
-        snow[k] = held
-    return snow, rain_mm - np.diff(snow, prepend=0.0)
+        water = max(water + fell - melts, 0.0)
+        snow[k] = water
+    return snow, rain - np.diff(snow, prepend=0.0)
 
 
 def reference_evapotranspiration(
@@ -135,7 +145,7 @@ def reference_evapotranspiration(
     celsius, wind_2m = np.asarray(celsius, np.float64), np.asarray(wind_2m, np.float64)
     slope = 4098.0 * 0.6108 * np.exp(17.27 * celsius / (celsius + 237.3)) / (celsius + 237.3) ** 2
     gamma = 0.665e-6 * np.asarray(pressure_pa, np.float64)
-    deficit = 1e-3 * (np.asarray(saturation_pa, np.float64) - vapour_pa)
+    deficit = 1e-3 * (np.asarray(saturation_pa, np.float64) - np.asarray(vapour_pa, np.float64))
     net = 0.0864 * np.asarray(net_w_m2, np.float64)
     return np.maximum(
         (0.408 * slope * net + gamma * 900.0 / (celsius + 273.0) * wind_2m * deficit)
@@ -145,9 +155,9 @@ def reference_evapotranspiration(
 
 
 def net_radiation(sunlight_w_m2: ArrayLike, longwave_w_m2: ArrayLike, air_k: ArrayLike) -> Floats:
-    """Return the net radiation of reference grass [W m⁻²]: albedo 0.23 (FAO-56, eq. 38), and black at the air's level."""
-    emitted = STEFAN_BOLTZMANN * np.asarray(air_k, np.float64) ** 4
-    return 0.77 * np.asarray(sunlight_w_m2, np.float64) + longwave_w_m2 - emitted
+    """Return the net radiation of reference grass [W m⁻²]: albedo 0.23 (FAO-56, eq. 38), and as warm as the air."""
+    sunlight, longwave, air = (np.asarray(each, np.float64) for each in (sunlight_w_m2, longwave_w_m2, air_k))
+    return 0.77 * sunlight + longwave - STEFAN_BOLTZMANN * air**4
 
 
 def at_two_metres(wind_m_s: ArrayLike, height_m: float) -> Floats:
@@ -235,8 +245,3 @@ def resistance(texture: Texture, water: ArrayLike, surface_mm: ArrayLike) -> Flo
     moist = np.exp(8.206 - 4.225 * np.minimum(np.asarray(water, np.float64) / texture.pores, 1.0))
     share = evaporates(texture, surface_mm)
     return 1.0 / (share / moist + (1.0 - share) / (moist + 0.5 * SURFACE_M / _DIFFUSES_M2_S))
-
-
-def celsius(kelvin: ArrayLike) -> Floats:
-    """Return temperatures [°C]."""
-    return np.asarray(kelvin, np.float64) - ZERO_CELSIUS_K

@@ -4,7 +4,7 @@ A material whose table names a soil's texture takes part. Others, such as paving
 say, and so does all ground where the weather has no rain.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from thermorender.materials.library import find, load_library
 from thermorender.materials.material import Material
+from thermorender.materials.mixture import parts_of
 from thermorender.materials.thermal import Thermal
 from thermorender.physics import humidity, moisture
 from thermorender.physics.moisture import Bucket, Texture
@@ -21,9 +22,9 @@ from thermorender.weather.series import Weather
 
 Floats = NDArray[np.float64]
 
-# Snow covers low ground from this depth on, 1 mm of water: in SNOW-17 new snow covers all of it [m].
-COVERS_M = 0.0033
-_DAY_S = 86400.0
+# Snow covers low ground from this depth on, 1 mm of water at 250 kg/m³: in SNOW-17 new snow covers all of it [m].
+COVERS_M = 0.004
+_DAY_S = 86400
 _WATER_J_M3_K = 4.186e6
 # Thinner dry soil is neglected [m].
 _LEAST_M = 1e-3
@@ -37,36 +38,43 @@ class _Days(NamedTuple):
     white: NDArray[np.bool_]
 
 
-def in_weather(materials: Sequence[Material], weather: Weather, at: np.datetime64) -> list[Material]:
+def lying_snow(materials: Iterable[Material], weather: Weather, at: np.datetime64) -> float:
+    """Return the depth of snow that covers low ground at an instant [m]; 0 where a material is snow and says where."""
+    depth = float(weather.at(at).snow_m)
+    return depth if depth >= COVERS_M and not any(map(_is_snow, materials)) else 0.0
+
+
+def in_weather(
+    materials: Sequence[Material], weather: Weather, at: np.datetime64, snow_m: float = 0.0
+) -> list[Material]:
     """Return materials as the weather before an instant leaves them.
 
     Parameters
     ----------
     materials : sequence of Material
-        Each with thermal properties.
+        Each with thermal properties; no mixtures.
     weather : Weather
     at : datetime64
+    snow_m : float
+        Of `lying_snow`.
 
     Notes
     -----
     Moisture begins at the table's `water_share` and follows `moisture.after_day` from the weather's first instant.
-    Conductivity changes by Johansen's law from the table's value, heat capacity by that of water. Where no material is
-    snow, snow of `COVERS_M` or more covers the ground; otherwise the materials say where it lies.
+    Conductivity changes by Johansen's law from the table's value, heat capacity by that of water.
     """
-    if not any(material.known_thermal().texture for material in materials):
-        return list(materials)
     found, days = [], None
-    snow_m = float(weather.at(at).snow_m)
-    white = snow_m >= COVERS_M and not any(each.known_thermal().cover == "snow" for each in materials)
     for material in materials:
         thermal = material.known_thermal()
         if thermal.texture and weather.knows_rain:
             days = days or _days(weather, at)
             material = replace(material, thermal=_moist(thermal, days))
-        if thermal.texture and white:
-            material = _covered(material, snow_m)
-        found.append(material)
+        found.append(_covered(material, snow_m) if thermal.texture and snow_m else material)
     return found
+
+
+def _is_snow(material: Material) -> bool:
+    return any(part.thermal is not None and part.thermal.cover == "snow" for part, _ in parts_of(material))
 
 
 def water_of(thermal: Thermal, weather: Weather, at: np.datetime64) -> Bucket:
@@ -79,22 +87,17 @@ def _days(weather: Weather, at: np.datetime64) -> _Days:
     count = int(np.searchsorted(weather.time, at, side="right"))
     if count < 2:
         return _Days(*(np.zeros(0),) * 2, np.zeros(0, bool))
-    second = (weather.time - weather.time[0]).astype(np.float64)
-    middle = 0.5 * (second[1:] + second[:-1])
-    # A row is the mean of the interval around it.
-    length = np.diff(np.concatenate([second[:1], middle, second[-1:]]))[:count]
-    celsius = weather.air_k[:count] - ZERO_CELSIUS_K
-    snow, wet = moisture.snow_water(length / _DAY_S, celsius, weather.rain_mm_h[:count] * length / 3600.0,
-                                    moisture.melt_factor(weather.time[:count], weather.latitude_deg))  # fmt: skip
-    before = (second[count - 1] - second[:count]) // _DAY_S
-    number = (before[0] - before).astype(int)
+    time, air = weather.time[:count], weather.air_k[:count]
+    length, celsius = moisture.intervals_s(weather.time)[:count], air - ZERO_CELSIUS_K
+    snow, wet = moisture.snow_water(time, weather.latitude_deg, air, weather.rain_mm_h[:count])
+    before = (time[-1] - time).astype(np.int64) // _DAY_S
+    number = before[0] - before
     first = np.searchsorted(number, np.arange(number[-1] + 1))
     rows = np.diff(np.append(first, count))
     mean = lambda values: np.add.reduceat(values[:count], first) / rows  # noqa: E731
     pressure = humidity.saturation_pressure
-    air = weather.air_k[:count]
     saturated = 0.5 * (pressure(np.maximum.reduceat(air, first)) + pressure(np.minimum.reduceat(air, first)))
-    sine = np.sin(np.radians(np.maximum(weather.sun(weather.time[:count])[1], 0.0)))
+    sine = np.sin(np.radians(np.maximum(weather.sun(time)[1], 0.0)))
     light = weather.direct_w_m2[:count] * sine + weather.diffuse_w_m2[:count]
     net = moisture.net_radiation(light, weather.longwave_w_m2[:count], air)
     wind = moisture.at_two_metres(mean(weather.wind_m_s), weather.wind_height_m)
@@ -154,7 +157,7 @@ _DRY_W_M_K, _SOAKED_W_M_K = 0.3, 2.2
 
 def _covered(material: Material, snow_m: float) -> Material:
     """Ground under this much snow; it keeps its name."""
-    snow = find(load_library(None), "snow", "snow on the ground")
+    snow = find(load_library(None), "snow_medium", "snow on the ground")
     thermal = material.known_thermal()
     # Leaves are bent down or covered.
     ground = replace(thermal, skin_conductance_w_m2_k=None)

@@ -44,6 +44,9 @@ _TEMPERATURE_K = 290.0
 # Simulation in the open: time step, largest number of repeated days before it, and the change that ends them.
 STEP_S = 900.0
 _MOST_DAYS, SETTLED_K = 15, 0.1
+# The ground below seasonal snow stays near the melting point: Goodrich, Can. Geotech. J. 19 (1982) 421,
+# doi:10.1139/t82-047 [K].
+_BELOW_SNOW_K = ZERO_CELSIUS_K
 # Above this depth, the ground settles within a few days [m].
 _SOON_M = 0.5
 # Older weather affects only the depth, which a settled day approximates.
@@ -310,13 +313,15 @@ def settle(columns: Columns, mean_k: float, day: "Callable[[State], tuple[State,
     ----------
     columns : Columns
     mean_k : float
-        Initial temperature at all depths; snow starts frozen [K].
+        Initial temperature at all depths [K]. Snow starts frozen, and the ground below it at 0 °C.
     day : callable
         Simulates the day from a State; returns the final State and the surface temperatures after each step.
     """
     count, ground = len(columns.absorptance), columns.ground
-    begin = np.where(ground.melting > 0.5, min(mean_k, ZERO_CELSIUS_K), mean_k)
-    state = balance.at_rest(np, [begin] * len(ground.capacity), ground)
+    snowy, depth = ground.melting > 0.5, columns.node_m.T
+    under = snowy & (columns.snow_m > 0.0) & (depth > columns.snow_m)
+    begin = np.where(snowy, np.where(under, _BELOW_SNOW_K, min(mean_k, ZERO_CELSIUS_K)), mean_k)
+    state = balance.at_rest(np, list(begin), ground)
     # In a periodic state the mean heat flow is zero: without sunlight, the depth has the surface's mean.
     free = ~columns.indoors & (ground.conductance[-1] == 0.0) & (ground.melting < 0.5)
     if ground.sun_share is not None:

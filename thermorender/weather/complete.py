@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.physics import humidity, moisture, sky, sun
-from thermorender.units import ZERO_CELSIUS_K
 from thermorender.weather.series import Weather
 
 # Range of altitudes on land [m].
@@ -20,7 +19,7 @@ _DARK_DEG = -6.0
 _WIND_M_S = 2.5
 # Density of snow on the ground, that of the material snow [kg/m³]; Sturm et al., J. Hydrometeorol. 11 (2010) 1380,
 # doi:10.1175/2010JHM1202.1, has 240 … 330 for seasonal snow of open land.
-_SNOW_KG_M3 = 300.0
+_SNOW_KG_M3 = 250.0
 
 
 def complete(
@@ -52,6 +51,7 @@ def complete(
     The mean absolute error of the long-wave is 11 to 14 W m⁻² at four sites with a pyrgeometer (desert, winter valley,
     grassland, forest; bias −8 … 0), and 26 to 30 at three sites with sun or sky from elsewhere. Over the seven it is 19
     with Prata's clear sky, 22 with Brutsaert's (1975), 20 with Dilley and O'Brien's (1998).
+    Snow: from precipitation and air temperature by degree days, `moisture.snow_water`.
     Vapour: saturated at the day's lowest air temperature, FAO Irrigation and Drainage Paper 56 (1998), eq. 48.
     """
     latitude_deg, longitude_deg, altitude_m = place
@@ -96,11 +96,7 @@ def complete(
 
 def _likely_snow(time, latitude_deg, air, rain, notes):
     """Depth of snow (N,) [m] from precipitation and air temperature; its note is added."""
-    second = (time - time[0]).astype(np.float64)
-    length = np.diff(np.concatenate([second[:1], 0.5 * (second[1:] + second[:-1]), second[-1:]]))
-    water, _ = moisture.snow_water(
-        length / 86400.0, air - ZERO_CELSIUS_K, rain * length / 3600.0,
-        moisture.melt_factor(time, latitude_deg))  # fmt: skip
+    water, _ = moisture.snow_water(time, latitude_deg, air, rain)
     depth = water / _SNOW_KG_M3
     how = f"up to {depth.max():.2g} m" if depth.any() else "none"
     notes.append(

@@ -10,7 +10,7 @@ from thermorender.materials.library import load_library
 from thermorender.physics import balance
 from thermorender.physics.balance import STEFAN_BOLTZMANN
 from thermorender.scene import open_ground
-from thermorender.scene.ground_state import in_weather
+from thermorender.scene.ground_state import in_weather, lying_snow
 from thermorender.schema import Where, choice, flag, key, mapping, number, read, read_toml, tables, text
 from thermorender.units import ZERO_CELSIUS_K, instant
 from thermorender.weather.series import Conditions, Weather
@@ -234,8 +234,10 @@ def modelled(found, step_s=None, layers=None, edit=None):
     if edit:
         materials = [(edit(m), share) for m, share in materials]
     more = {} if layers is None else {"layers": layers}
+
     def at(instant):
-        present = in_weather([m for m, _ in materials], weather, instant)
+        own = [material for material, _ in materials]
+        present = in_weather(own, weather, instant, lying_snow(own, weather, instant))
         return open_ground.columns(present, weather, site.snow_depth_m or 0.0, **more)
 
     step_s = step_s or open_ground.STEP_S
