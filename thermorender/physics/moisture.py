@@ -30,6 +30,8 @@ _LEAVES, _RESIDUAL = 0.7, 0.15
 _MOST = 1.2
 # Share of the soil below closed leaves from which water evaporates: table 21, cover of 0.9.
 _EXPOSED = 0.1
+# Conductivity of saturated sandy soil: Oke, Boundary Layer Climates (2nd ed. 1987), table 2.1 [W m⁻¹ K⁻¹].
+SOAKED_W_M_K = 2.2
 # How vapour diffuses through dry soil [m² s⁻¹]: 2.5e-5 in air, of which pores of 40 % and their turns leave a quarter.
 _DIFFUSES_M2_S = 6.25e-6
 
@@ -224,6 +226,16 @@ def kersten(texture: Texture, water: ArrayLike) -> Floats:
     """
     saturation = np.clip(np.asarray(water, np.float64) / texture.pores, 1e-6, 1.0)
     return np.maximum(1.0 + (0.7 if texture.coarse else 1.0) * np.log10(saturation), 0.0)
+
+
+def conductivity(texture: Texture, water: ArrayLike, dry_kg_m3: float) -> Floats:
+    """Return the thermal conductivity of unfrozen soil [W m⁻¹ K⁻¹] of this water [m³ m⁻³] and dry density [kg m⁻³].
+
+    Johansen (1975): dry, (0.135 ρ + 64.7) / (2700 − 0.947 ρ), as in Peters-Lidard et al., J. Atmos. Sci. 55 (1998) 1209,
+    eq. 9; between it and `SOAKED_W_M_K` by `kersten`.
+    """
+    dry = (0.135 * dry_kg_m3 + 64.7) / (2700.0 - 0.947 * dry_kg_m3)
+    return dry + kersten(texture, water) * (SOAKED_W_M_K - dry)
 
 
 def resistance(texture: Texture, water: ArrayLike, surface_mm: ArrayLike) -> Floats:

@@ -69,7 +69,11 @@ def complete(
     take("vapour_pa", humidity.saturation_pressure(lowest),
          "Humidity is missing: the air is saturated at each day's lowest temperature.")  # fmt: skip
     constant = _WIND_M_S if wind_m_s is None else wind_m_s
-    take("wind_m_s", constant, f"Wind is missing: {constant:g} m/s throughout.")
+    take(
+        "wind_m_s",
+        constant,
+        f"Wind is missing: {constant:g} m/s at {heights.get('wind_height_m', 10.0):g} m throughout.",
+    )
     take("rain_mm_h", 0.0, "Rain is missing: none falls, and soil has its usual moisture.")
     if snow_depth_m is None and "snow_m" not in given and rest["rain_mm_h"].any():
         given = {**given, "snow_m": _likely_snow(time, latitude_deg, air, rest["rain_mm_h"], notes)}

@@ -10,7 +10,7 @@ from thermorender.materials.library import load_library
 from thermorender.physics import balance
 from thermorender.physics.balance import STEFAN_BOLTZMANN
 from thermorender.scene import open_ground
-from thermorender.scene.ground_state import in_weather, lying_snow
+from thermorender.scene.state.weathered_ground import in_weather, lying_snow
 from thermorender.schema import Where, choice, flag, key, mapping, number, read, read_toml, tables, text
 from thermorender.units import ZERO_CELSIUS_K, instant
 from thermorender.weather.series import Conditions, Weather

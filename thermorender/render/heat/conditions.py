@@ -11,7 +11,7 @@ import numpy as np
 from thermorender.materials.library import find, load_library
 from thermorender.physics.sun import solar_hour
 from thermorender.scene import open_ground
-from thermorender.scene.ground_state import in_weather
+from thermorender.scene.state.weathered_ground import in_weather
 from thermorender.units import ZERO_CELSIUS_K
 from thermorender.weather.series import Weather
 

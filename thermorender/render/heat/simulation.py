@@ -32,8 +32,8 @@ from thermorender.render.light import cache
 from thermorender.render.variant import activate
 from thermorender.scene import open_ground
 from thermorender.scene.deviations import Deviations
-from thermorender.scene.ground_state import in_weather, lying_snow
 from thermorender.scene.scene import Scene
+from thermorender.scene.state.weathered_ground import in_weather, lying_snow
 from thermorender.scene.surface import fill, nearest_valid
 from thermorender.units import ZERO_CELSIUS_K, utc_text
 
@@ -113,14 +113,11 @@ def solved(
         found = kelvin if most == 1 else found + weight[simulation.material] * kelvin.astype(np.float64) ** 4
     kelvin = simulation.covered(found if most == 1 else found**0.25)
     report_progress(_WHAT, 1.0)
-    notes: tuple[str, ...] = ()
-    if simulation.settled_k >= open_ground.SETTLED_K:
-        note = f"the ground did not settle before {utc_text(simulation.start)}: two equal days differed by "
-        notes = (f"{note}{simulation.settled_k:.1f} K",)
+    note = f"the ground did not settle before {utc_text(simulation.start)}: two equal days differed by "
+    notes = (f"{note}{simulation.settled_k:.1f} K",) if simulation.settled_k >= open_ground.SETTLED_K else ()
+    borders = geometry.texel_start[1 : scene.terrain_count]
     scenes = {
-        at: scene.with_solved_temperatures(
-            at, np.split(values, geometry.texel_start[1 : scene.terrain_count]), notes=notes
-        )
+        at: scene.with_solved_temperatures(at, np.split(values, borders), notes=notes)
         for at, values in zip(asked, kelvin, strict=True)
     }
     return [scenes[at] for at in times]

@@ -139,20 +139,14 @@ def _moist(thermal: Thermal, days: _Days) -> Thermal:
 
 def _wetted(thermal: Thermal, texture: Texture, water: float) -> Thermal:
     """A layer with this water [m³ m⁻³] in place of its usual water."""
-    usual = thermal.water_share
-    dry, soaked = _DRY_W_M_K, _SOAKED_W_M_K
-    by_law = lambda share: dry + float(moisture.kersten(texture, share)) * (soaked - dry)  # noqa: E731
-    added = water - usual
-    capacity = thermal.heat_capacity_j_m3_k + added * _WATER_J_M3_K
+    added = water - thermal.water_share
+    dry = thermal.density_kg_m3 - 1000.0 * thermal.water_share
+    now, usual = (float(moisture.conductivity(texture, each, dry)) for each in (water, thermal.water_share))
     density = thermal.density_kg_m3 + 1000.0 * added
     return replace(
-        thermal, conductivity_w_m_k=thermal.conductivity_w_m_k * by_law(water) / by_law(usual), density_kg_m3=density,
-        specific_heat_j_kg_k=capacity / density, water_share=water,
+        thermal, conductivity_w_m_k=thermal.conductivity_w_m_k * now / usual, density_kg_m3=density,
+        specific_heat_j_kg_k=(thermal.heat_capacity_j_m3_k + added * _WATER_J_M3_K) / density, water_share=water,
     )  # fmt: skip
-
-
-# Sandy soil, dry and saturated, of which the tables are made: Oke, Boundary Layer Climates (2nd ed. 1987), table 2.1.
-_DRY_W_M_K, _SOAKED_W_M_K = 0.3, 2.2
 
 
 def _covered(material: Material, snow_m: float) -> Material:
