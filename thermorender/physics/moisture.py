@@ -231,8 +231,8 @@ def kersten(texture: Texture, water: ArrayLike) -> Floats:
 def conductivity(texture: Texture, water: ArrayLike, dry_kg_m3: float) -> Floats:
     """Return the thermal conductivity of unfrozen soil [W m⁻¹ K⁻¹] of this water [m³ m⁻³] and dry density [kg m⁻³].
 
-    Johansen (1975): dry, (0.135 ρ + 64.7) / (2700 − 0.947 ρ), as in Peters-Lidard et al., J. Atmos. Sci. 55 (1998) 1209,
-    eq. 9; between it and `SOAKED_W_M_K` by `kersten`.
+    Johansen (1975): dry, (0.135 ρ + 64.7) / (2700 − 0.947 ρ), as in Peters-Lidard et al., J. Atmos. Sci. 55 (1998)
+    1209, eq. 9; between it and `SOAKED_W_M_K` by `kersten`.
     """
     dry = (0.135 * dry_kg_m3 + 64.7) / (2700.0 - 0.947 * dry_kg_m3)
     return dry + kersten(texture, water) * (SOAKED_W_M_K - dry)
