@@ -7,6 +7,7 @@ import pytest
 
 from scenes import write_balance
 from thermorender.materials.library import load_library
+from thermorender.materials.shifted import shifted
 from thermorender.physics import moisture
 from thermorender.scene import open_ground
 from thermorender.scene.load import load_scene
@@ -163,6 +164,16 @@ def test_ground_without_rain_or_texture_stays_as_its_table_says():
     others = [LIBRARY[name] for name in ("asphalt", "conifer", "water", "granite", "snow")]
     assert all(a is b for a, b in zip(in_weather(others, wet, wet.time[-1]), others, strict=True))
     assert all(LIBRARY[name].thermal.texture for name in NAMES)
+
+
+def test_uncertain_wetness_of_soil_outlives_the_weather():
+    """A material shifted to be drier resists more, whatever the rain."""
+    weather = weather_of("2018-06-01", 5, rain_mm_h=only(121, 5, 20.0))
+    for name in ("soil_loam", "grass_green"):
+        pair = [LIBRARY[name], shifted(LIBRARY[name], "wetness")]
+        own, drier = (each.thermal for each in in_weather(pair, weather, weather.time[-1]))
+        assert own.wetness == drier.wetness
+        assert drier.surface_resistance_s_m > 1.2 * own.surface_resistance_s_m
 
 
 @pytest.mark.parametrize("name", NAMES)

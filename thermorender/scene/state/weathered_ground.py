@@ -133,8 +133,10 @@ def _moist(thermal: Thermal, days: _Days) -> Thermal:
         moist = replace(dry, thickness_m=dry_m, beneath="soil", below=moist)
     if thermal.cover == "leaves":
         return replace(moist, wetness=float(moisture.transpires(texture, bucket.roots_mm)))
-    resistance = float(moisture.resistance(texture, top, bucket.surface_mm))
-    return replace(moist, wetness=min((thermal.surface_resistance_s_m or 0.0) / resistance, 1.0))
+    soaked, now = (
+        float(moisture.resistance(texture, *each)) for each in ((texture.pores, 0.0), (top, bucket.surface_mm))
+    )
+    return replace(moist, wetness=soaked / now)
 
 
 def _wetted(thermal: Thermal, texture: Texture, water: float) -> Thermal:
