@@ -264,3 +264,21 @@ def test_a_scene_lies_under_likely_snow_unless_it_states_none(tmp_path):
     assert depths[0] == pytest.approx(23.0 / 250.0) and depths[1] == 0.0
     assert "Snow on the ground is missing: up to 0.092 m" in notes[0] and "lays it on soil, grass and heath" in notes[0]
     assert "states no snow on the ground" in notes[1] and "0 m throughout" in notes[1]
+
+
+@pytest.mark.slow
+def test_a_scene_is_solved_under_likely_snow(tmp_path):
+    """Under a sun of noon, snow on soil and grass stays frozen; ground that states no snow is above 0 °C."""
+    from thermorender.render.heat import simulation
+
+    time = np.datetime64("2018-03-09T00:00", "s") + HOUR * np.arange(97)
+    rows = [f"{at}Z,-2.0,70,2.0,{2.0 if k < 12 else 0.0}" for k, at in enumerate(time)]
+    text = "\n".join(["time_utc,air_c,rh_percent,wind_m_s,rain_mm", *rows]) + "\n"
+    warmest = []
+    for name, more in (("inferred", ""), ("none", "snow_depth_m = 0.0\n")):
+        folder = write_balance(tmp_path / name, f'[weather]\ntime = 2018-03-12T12:00:00Z\nfile = "station.csv"\n{more}')
+        (folder / "station.csv").write_text(text)
+        scene = load_scene(folder)
+        found = simulation.solved(scene, [scene.time])[0].surfaces[0].temperature
+        warmest.append(float(found.max()))
+    assert 260.0 < warmest[0] <= 273.16 and warmest[1] > 276.0
