@@ -12,7 +12,7 @@ from thermorender.physics import moisture
 from thermorender.scene import open_ground
 from thermorender.scene.load import load_scene
 from thermorender.scene.state.weathered_ground import in_weather, lying_snow, water_of
-from thermorender.weather.series import Weather
+from thermorender.weather.series import Conditions, Weather
 from validation.heat.sites import carried
 
 LIBRARY = load_library()
@@ -164,6 +164,17 @@ def test_ground_without_rain_or_texture_stays_as_its_table_says():
     others = [LIBRARY[name] for name in ("asphalt", "conifer", "water", "granite", "snow")]
     assert all(a is b for a, b in zip(in_weather(others, wet, wet.time[-1]), others, strict=True))
     assert all(LIBRARY[name].thermal.texture for name in NAMES)
+
+
+def test_days_without_rows_join_their_neighbours():
+    """A gap of two days evaporates about as much as the days themselves; rain before it is not lost."""
+    whole = weather_of("2018-06-01", 8, rain_mm_h=only(193, 5, 15.0))
+    kept = np.r_[0:72, 120:193]
+    series = {name: getattr(whole, name)[kept] for name in ("time", *Conditions._fields)}
+    thermal = LIBRARY["soil_loam"].thermal
+    full, gappy = (water_of(thermal, each, whole.time[-1]) for each in (whole, replace(whole, **series)))
+    assert gappy.roots_mm == pytest.approx(full.roots_mm, abs=1.5)
+    assert np.isfinite(gappy.surface_mm)
 
 
 def test_uncertain_wetness_of_soil_outlives_the_weather():

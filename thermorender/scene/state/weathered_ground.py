@@ -91,8 +91,8 @@ def _days(weather: Weather, at: np.datetime64) -> _Days:
     length, celsius = moisture.intervals_s(weather.time)[:count], air - ZERO_CELSIUS_K
     snow, wet = moisture.snow_water(time, weather.latitude_deg, air, weather.rain_mm_h[:count])
     before = (time[-1] - time).astype(np.int64) // _DAY_S
-    number = before[0] - before
-    first = np.searchsorted(number, np.arange(number[-1] + 1))
+    # A day without rows, in a longer gap, joins its neighbours.
+    _, first = np.unique(before[0] - before, return_index=True)
     rows = np.diff(np.append(first, count))
     mean = lambda values: np.add.reduceat(values[:count], first) / rows  # noqa: E731
     pressure = humidity.saturation_pressure
