@@ -17,8 +17,8 @@ _CLOUD_WINDOW_H = 3.0
 # Below this elevation of the sun the sky is dark, and a sensor reads its offset [deg].
 _DARK_DEG = -6.0
 _WIND_M_S = 2.5
-# Density of snow on the ground, that of the material snow [kg/m³]; Sturm et al., J. Hydrometeorol. 11 (2010) 1380,
-# doi:10.1175/2010JHM1202.1, has 240 … 330 for seasonal snow of open land.
+# Density of snow on the ground, that of the material snow_medium [kg/m³]; Sturm et al., J. Hydrometeorol. 11 (2010)
+# 1380, doi:10.1175/2010JHM1202.1, table 4, begins winters on open land with 233 (prairie) and 243 (tundra).
 _SNOW_KG_M3 = 250.0
 
 
