@@ -13,6 +13,7 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.materials.csv_tables import number_in_cell, read_table
+from thermorender.physics.moisture import TEXTURES
 from thermorender.schema import closest
 from thermorender.units import ZERO_CELSIUS_K
 
@@ -21,6 +22,8 @@ CHOSEN = "chosen:"
 COVERS = ("bare", "leaves", "water", "snow")
 # What may be beneath besides a material: indoor air through a film, outdoor air under a sheet.
 ENDS = ("inside", "outside")
+# Soils whose moisture follows the weather: `physics.moisture.TEXTURES`.
+SOILS = tuple(TEXTURES)
 
 _SHARE = "give a share, 0.3 for 30 %"
 # Limits of every number and advice for values outside; wide enough for aerogel, gold, a forest and a deep lake.
@@ -39,9 +42,9 @@ NUMBERS = {
     "melting_k": (150.0, 3700.0, f"values are kelvin, add {ZERO_CELSIUS_K} to °C, or leave it empty"),
 }
 OPTIONAL = ("thickness_m", "beneath", "skin_conductance_w_m2_k", "surface_resistance_s_m", "attenuation_1_m",
-            "melting_k")  # fmt: skip
+            "melting_k", "texture")  # fmt: skip
 # In the order of a table.
-PROPERTIES = ("cover", *list(NUMBERS)[:4], "beneath", *list(NUMBERS)[4:])
+PROPERTIES = ("cover", *list(NUMBERS)[:4], "beneath", *list(NUMBERS)[4:], "texture")
 
 # Only metals, which are denser than this, conduct better than this (rock and ice: up to 8 W m⁻¹ K⁻¹).
 _METAL_W_M_K, _METAL_KG_M3 = 20.0, 1700.0
@@ -78,6 +81,8 @@ class Thermal:
         Of sunlight inside the layer [1/m]; None: opaque.
     melting_k : float or None
         Upper limit of the surface temperature [K].
+    texture : str
+        Kind of soil, one of `SOILS`, whose moisture follows the weather's rain; "": moisture is always the usual one.
     uncertainty : dict of str to float
         One standard deviation of each number, in its unit. Positive numbers are log-normal: roughness lengths are
         known to a factor.
@@ -101,6 +106,7 @@ class Thermal:
     surface_resistance_s_m: float | None = None
     attenuation_1_m: float | None = None
     melting_k: float | None = None
+    texture: str = ""
     uncertainty: dict[str, float] = field(default_factory=dict)
     source: dict[str, str] = field(default_factory=dict)
     below: "Thermal | None" = None
@@ -216,7 +222,10 @@ def _value(key, text):
     if key == "beneath":
         return text, None
     if not text:
-        return None, None
+        return "" if key == "texture" else None, None
+    if key == "texture":
+        fault = f"texture={text!r} is not known; write one of {', '.join(SOILS)}, or leave it empty"
+        return (text, None) if text in SOILS else (None, fault)
     if key == "cover":
         fault = f"cover={text!r} is not known; write {', '.join(COVERS[:-1])} or {COVERS[-1]}"
         return (text, None) if text in COVERS else (None, fault)

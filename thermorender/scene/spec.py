@@ -276,7 +276,7 @@ class WeatherSpec:
     humidity: float | None = key(share, None)
     wind_m_s: float | None = key(number(0.0, 60.0), None)
     cloud: float | None = key(number(0.0, 1.0), None)
-    snow_depth_m: float = key(number(0.0, 20.0), 0.0)
+    snow_depth_m: float | None = key(number(0.0, 20.0), None)
     inside_c: float = key(number(-60.0, 60.0), 20.0)
     longest_gap_h: float | None = key(number(0.0, 24.0), None)
     air_height_m: float | None = key(number(0.1, 100.0), None)
