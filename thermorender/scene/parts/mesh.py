@@ -157,7 +157,7 @@ def _joined(pieces: Sequence[Piece], named: Collection[str]) -> list[tuple[Piece
 
 def _one_texel_each(faces: int) -> tuple[NDArray[np.float32], tuple[int, int]]:
     """(map coordinates (F, 3, 2), (rows, columns)) that give each face a texel of its own."""
-    columns = int(np.ceil(np.sqrt(faces)))
+    columns = max(int(np.ceil(np.sqrt(faces))), 1)
     rows = -(-faces // columns)
     row, column = np.divmod(np.arange(faces), columns)
     middle = np.stack([(column + 0.5) / columns, (row + 0.5) / rows], axis=-1).astype(np.float32)

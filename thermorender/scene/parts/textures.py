@@ -137,7 +137,7 @@ def texel_size_m(surface: Surface) -> float:
     """
     rows, columns = surface.flags.shape
     a, b, c = np.moveaxis(surface.uv.astype(np.float64) * (columns, rows), 1, 0)
-    shown = 0.5 * np.abs(np.cross(b - a, c - a))
+    shown = 0.5 * np.abs(np.linalg.det(np.stack([b - a, c - a], axis=1)))
     area = areas(surface)
     if shown.sum() < 1e-6:
         return float(np.sqrt(area.sum() / min(len(area), rows * columns)))
