@@ -607,7 +607,6 @@ def test_garbage_and_empty_meshes(scene, refused, suffix):
         ("mtllib good.mtl\nmtllib deep.mtl\n" + QUAD + FACES_UV, "libraries have two materials 'a'"),
         ("mtllib " + 300 * "x" + "\n" + QUAD + FACES, "which cannot be read (File name too long)"),
         (QUAD + "v 4 8 0\nv 4 0 0\nv -4 0 0\nv -4 8 0\nf 1 2 3 5 6 7 8 4\n", "has a concave polygon"),
-        (QUAD.replace(" 0\n", " 0 0 0 1\n").replace("0 0 1", "1 0 0", 1) + FACES, "is coloured by vertex or face"),
     ],
 )
 def test_wrong_obj(scene, refused, text, words):
@@ -705,7 +704,8 @@ def test_damaged_object_mesh_and_mesh_with_map_rasters(scene, refused):
     refused("car.glb is empty", "render", scene)
     mesh_scene(scene, "model.obj", QUAD + FACES)
     change(scene / "scene.toml", 'source = "constant"\nvalue = 300.0', 'source = "raster"\nraster = "temperature.tif"')
-    refused("a temperature raster needs terrain with an elevation raster", "render", scene)
+    words = "temperature.tif is a raster for surface 'model:mesh', which has no texture that it could lie on"
+    refused(words, "render", scene)
 
 
 def painted(image, **named):

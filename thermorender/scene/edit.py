@@ -233,7 +233,7 @@ class Edits(MaterialEdits):
 
     def with_temperature(
         self: _S,
-        source: "TemperatureSpec | float | str | PathLike[str] | TemperatureMap | Mapping[str, float | str | PathLike[str]]",
+        source: "TemperatureSpec | float | str | PathLike[str] | TemperatureMap | Mapping[str, Any]",
         model: TemperatureMap | None = None, kelvin: Sequence[ArrayLike] | None = None,
     ) -> _S:  # fmt: skip
         """Return this scene with its terrain's temperatures from another source.

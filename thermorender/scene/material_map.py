@@ -118,8 +118,8 @@ def orthophoto_of(spec: SceneSpec) -> tuple[NDArray[np.uint8], NDArray[np.bool_]
     source = spec.terrain
     if source.mesh:
         raise ThermorenderError(
-            f"{spec.folder / 'scene.toml'} is a mesh, whose textures are not on a map; give emissivity.source='learned' "
-            "to use its materials at once, or class rasters of its textures"
+            f"{spec.folder / 'scene.toml'} is a mesh, whose textures are not on a map; give "
+            "emissivity.source='learned' to use its materials at once, or class rasters of its textures"
         )
     if not (source.elevation and source.orthophoto):
         raise ThermorenderError(

@@ -157,7 +157,7 @@ def _joined(pieces: Sequence[Piece], named: Collection[str]) -> list[tuple[Piece
 
 def _one_texel_each(faces: int) -> tuple[NDArray[np.float32], tuple[int, int]]:
     """(map coordinates (F, 3, 2), (rows, columns)) that give each face a texel of its own."""
-    columns = max(int(np.ceil(np.sqrt(faces))), 1)
+    columns = int(np.ceil(np.sqrt(faces)))
     rows = -(-faces // columns)
     row, column = np.divmod(np.arange(faces), columns)
     middle = np.stack([(column + 0.5) / columns, (row + 0.5) / rows], axis=-1).astype(np.float32)
@@ -173,7 +173,7 @@ def _parts(path: Path, pieces: Sequence[Piece], named: Collection[str]) -> list[
                 "export the mesh in metres, with map coordinates shifted to an origin near it"
             )
         coat, faces, texture = piece.coat, piece.faces.astype(np.int32), None
-        if piece.tint is not None:
+        if piece.tint is not None and len(faces):
             uv, size = _one_texel_each(len(faces))
             light = np.full((size[0] * size[1], 3), piece.tint.mean(axis=0), np.float32)
             light[: len(faces)] = piece.tint

@@ -65,7 +65,8 @@ class MaterialEdits:
         ----------
         replaced, **more : str, float or Material, by what it replaces
             A key is a class number, the name of an object, the name of a mesh's node, group, material or texture, or
-            the name of a material, as in the scene's files; the first of these that the scene has counts. A value is the name of a material, a grey emissivity 0…1, or a Material. All replacements apply at once: with
+            the name of a material, as in the scene's files; the first of these that the scene has counts. A value is
+            the name of a material, a grey emissivity 0…1, or a Material. All replacements apply at once: with
             `grass="sand"` and `sand="snow"` grass becomes sand, and sand becomes snow.
 
         Raises
