@@ -639,7 +639,8 @@ def test_valid_obj_is_accepted(scene, call, tmp_path):
 
     (scene / "good.mtl").write_bytes("# by Zoë\nnewmtl a\nmap_Kd good one.png\n".encode("latin-1"))
     Image.new("RGB", (4, 4), (200, 0, 0)).save(scene / "good one.png")
-    mesh_scene(scene, "model.obj", "mtllib good.mtl\n" + QUAD + FACES_UV)
+    faces = "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nusemtl a\nf 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
+    mesh_scene(scene, "model.obj", "mtllib good.mtl\n" + QUAD + faces)
     status, _, errors = call("render", scene, "-o", tmp_path / "o", "--pose", "0,0,20,0,-90,0", *QUICK)
     assert (status, errors) == (0, "")
     assert load_scene(scene).surfaces[0].colour.shape == (4, 4, 3)

@@ -252,7 +252,7 @@ def coloured_obj(colours, scale=1.0, mtl=""):
 
 @pytest.mark.parametrize("scale", [1.0, 1.0 / 255.0])
 def test_colours_by_vertex_are_the_photograph_of_each_face(tmp_path, scale):
-    colours = (*THREE, (255, 0, 0))
+    colours = (*THREE, (120, 60, 30))
     (tmp_path / "m.mtl").write_text("newmtl dark\nKd 0.1 0.1 0.1\n")
     for mtl in ("", "mtllib m.mtl\nusemtl dark\n"):
         (tmp_path / "m.obj").write_text(coloured_obj(colours, scale, mtl))
