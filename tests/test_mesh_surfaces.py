@@ -292,6 +292,16 @@ def test_maps_of_neighbours_refuse_colours_without_a_picture(folder):
         scene(folder, 'source = "learned"\nmodel = "procedural"\nfallback = "soil_loam"')
 
 
+def test_a_map_reports_the_mean_of_all_surfaces(folder):
+    found = scene(folder, temperature='source = "learned"\nmodel = "fok-1to1"')
+    alone = scene(folder, temperature='source = "learned"\nmodel = "fok-1to1"', more=ROOF)
+    both, ground = (each.temperature_state.report["fok-1to1"] for each in (found, alone))
+    assert (both["texels"], ground["texels"]) == (129, 128)
+    # The roof's one texel is outside the map's range, or inside it.
+    of_roof = 129 * both["share_outside_0_1"] - 128 * ground["share_outside_0_1"]
+    assert of_roof == pytest.approx(round(of_roof), abs=1e-9) and 0 <= round(of_roof) <= 1
+
+
 def test_coloured_points_without_faces_are_refused(tmp_path):
     (tmp_path / "m.ply").write_text(
         "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"

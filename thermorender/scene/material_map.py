@@ -85,6 +85,8 @@ def learned_materials(
         [one.index for one in mapped], [one.share for one in mapped], [one.confidence for one in mapped],
         [one.valid for one in pictures],
     )]  # fmt: skip
+    # The largest arrays of all.
+    del mapped
     index, share, confidence, valid = together
     unknown = valid & (confidence < source.confidence)
     number, used, error = palette(index, share, own, band_um, _MOST_MIXES)

@@ -253,9 +253,13 @@ def from_map(
     values, trusted, outside = kinetic_from_map(
         model, inputs, texels.material, texels.materials, sky_temperature, stand_in
     )
+    # A mesh has several surfaces: their mean.
+    count, before = trusted.size, texels.report.get(model.name, {"texels": 0})
+    now = {"share_outside_0_1": outside, "share_fallback": float(1.0 - trusted.mean())}
+    total = before["texels"] + count
     texels.report[model.name] = {
-        "share_outside_0_1": outside,
-        "share_fallback": float(1.0 - trusted.mean()),
+        **{key: (before.get(key, 0.0) * before["texels"] + value * count) / total for key, value in now.items()},
+        "texels": total,
         "texel_m": texels.texel_m,
         "trained_texel_m": model.texel_m,
         "warning": model.texel_warning(texels.texel_m),

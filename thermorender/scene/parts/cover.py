@@ -228,7 +228,7 @@ def _mesh_cover(
     edited = named(textures, edits, where, "with_material: surface")
     stated = stating(textures, surfaces, ("material", "classes"), where)
     found: list[Painted | None] = []
-    missing: dict[str, float] = {}
+    missing: list[tuple[float, float]] = []
     for surface, texture, edit, own in zip(parts.ground, textures, edited, stated, strict=True):
         shape = surface.flags.shape
         if edit is not None:
@@ -243,7 +243,7 @@ def _mesh_cover(
             material, known, unknown, share = _of_classes(
                 texture.classes, everywhere, used, name, emissivity, materials
             )
-            missing[surface.name] = share
+            missing.append((share, float(areas(surface).sum())))
             if not known.all():
                 material = fill(material, nearest_valid(known))
             flags = surface.flags | np.where(known | ~used, 0, FILLED) | np.where(unknown & used, UNKNOWN, 0)
@@ -262,7 +262,8 @@ def _mesh_cover(
         else:
             number = _single(emissivity, materials)
         found.append(Painted(np.full(shape, number, np.uint8), surface.colour, surface.flags))
-    if share := _weighted(missing, parts.ground):
+    if any(share for share, _ in missing):
+        share = float(np.average([share for share, _ in missing], weights=[area for _, area in missing]))
         rest = emissivity.fallback or "the class beside them"
         report.update(model="the class rasters", fallback=rest, share_unknown=share)
     waiting = [k for k, painted in enumerate(found) if painted is None]
@@ -270,12 +271,6 @@ def _mesh_cover(
         for k, painted in zip(waiting, _learned_mesh(parts, waiting, emissivity, materials, report), strict=True):
             found[k] = painted
     return [painted for painted in found if painted is not None]
-
-
-def _weighted(share: Mapping[str, float], ground: Sequence[Surface]) -> float:
-    """Mean of shares of surfaces by their area; 0 without any."""
-    area = {surface.name: float(areas(surface).sum()) for surface in ground if surface.name in share}
-    return sum(share[name] * area[name] for name in share) / max(sum(area.values()), 1e-300)
 
 
 def _learned_mesh(

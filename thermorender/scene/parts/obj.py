@@ -87,9 +87,8 @@ def read(path: Path, beside: Beside, named: Collection[str] = ()) -> list[Piece]
             )
         own = uv[at] * [1.0, -1.0] + [0.0, 1.0] if coat.image is not None else None
         names = (name or "mesh", *(other or "" for other in others), coat.file)
-        pieces.append(
-            Piece(f"{path.stem}:{name or 'mesh'}", vertices, index[corner[mine]], own, coat, names, tint).compact()
-        )
+        whole = ":".join(filter(None, (path.stem, *names[:-1])))
+        pieces.append(Piece(whole, vertices, index[corner[mine]], own, coat, names, tint).compact())
     return pieces
 
 
