@@ -10,6 +10,7 @@ import thermorender as tr
 from scenes import WEATHER, write_raster
 from thermorender.errors import ThermorenderError
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
+from thermorender.scene.material_map import write_map
 from thermorender.scene.parts.mesh import load
 from thermorender.scene.spec import EmissivitySpec
 from thermorender.scene.surface import FALLBACK, FILLED, UNKNOWN
@@ -235,6 +236,14 @@ def test_an_edit_of_a_part_of_shared_texels_says_what_to_do(folder):
     own = '[[surface]]\nname = "left"\nmaterial = "asphalt"\n'
     assert len(scene(folder, mesh="m.gltf", more=own).surfaces) == 2
     assert (scene(folder, mesh="m.gltf").with_temperature({"paint": 280.0}).surfaces[0].temperature == 280.0).all()
+
+
+def test_maps_on_the_ground_say_what_a_mesh_has_instead(folder):
+    found = scene(folder)
+    with pytest.raises(ThermorenderError, match=r"is a mesh, .* give emissivity.source='learned' .* or class rasters"):
+        write_map(folder, folder)
+    with pytest.raises(ThermorenderError, match="for a mesh use with_material"):
+        found.with_material_in([[0, 0], [5, 0], [5, 5]], "asphalt")
 
 
 # --- colours by vertex --------------------------------------------------------------------------------------------
