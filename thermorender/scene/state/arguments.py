@@ -15,7 +15,7 @@ from thermorender.materials import library as material_tables
 from thermorender.materials.material import Material, grey
 from thermorender.scene.parts.tracks import COLUMNS
 from thermorender.scene.raster import FORMATS
-from thermorender.scene.spec import ObjectSpec, TemperatureSpec, WeatherSpec
+from thermorender.scene.spec import ObjectSpec, SceneSpec, SurfaceSpec, TemperatureSpec, WeatherSpec
 from thermorender.scene.state.declared import Declared
 from thermorender.scene.state.derived import Derived
 from thermorender.scene.surface import Surface, scene_kelvin
@@ -195,6 +195,26 @@ def temperature_spec(source: Any, folder: Path, kelvin: bool = False) -> Tempera
         f"with_temperature was given a {type(source).__name__}; give kelvin, the path of a raster, the name or path of "
         "a learned map, 'balance' or a TemperatureSpec"
     )
+
+
+def surface_temperatures(spec: SceneSpec, given: Mapping[str, Any]) -> SceneSpec:
+    """Return a SceneSpec in which parts of a mesh have other temperatures, [K] or a raster's path by their names."""
+    if not spec.terrain.mesh:
+        raise ThermorenderError(
+            "with_temperature: a dict gives temperatures to parts of a mesh, and this terrain is an elevation raster; "
+            "give one source"
+        )
+    surfaces = {one.name: one for one in spec.surfaces}
+    for name, value in given.items():
+        what = f"with_temperature: {name}"
+        if isinstance(value, (str, PathLike)) and not isinstance(with_unit(value), Stated):
+            found: float | Path = Path(value)
+            if not Path(value).is_file():
+                raise ThermorenderError(f"{what}={str(value)!r} does not exist; give kelvin, or a raster of kelvin")
+        else:
+            found = scene_kelvin(what, number_of(what, with_unit(value)))
+        surfaces[name] = replace(surfaces.get(name, SurfaceSpec(name=name)), temperature=found)
+    return replace(spec, surfaces=tuple(surfaces.values()))
 
 
 def weather_argument(weather: Any, keys: Mapping[str, Any], now: Declared) -> tuple[WeatherSpec, Any]:
