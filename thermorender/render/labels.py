@@ -60,7 +60,7 @@ def labels(
         if not front.any():
             continue
         slope = local[front, :2] / local[front, 2:]
-        corner = _imaged(camera, slope)
+        corner = imaged(camera, slope)
         low, high = corner.min(axis=0), corner.max(axis=0)
         size = np.array([camera.width, camera.height])
         if not front.all():
@@ -98,8 +98,8 @@ def _hits(geometry: Geometry, view: Floats, slope: Floats) -> NDArray[np.bool_]:
     return np.isfinite(np.array(hit.distance))
 
 
-def _imaged(camera: Camera, slope: Floats) -> Floats:
-    """Image coordinates (n, 2) of slopes (n, 2); farther out than the corners, the lens does not distort any more.
+def imaged(camera: Camera, slope: Floats) -> Floats:
+    """Return image coordinates, (n, 2), of slopes (n, 2); farther out than the corners the lens adds no distortion.
 
     Out there the polynomial of the distortion may fold back into the image.
     """
@@ -126,7 +126,7 @@ def _beyond(camera: Camera, geometry: Geometry, view: Floats, slope: Floats, in_
     step = (np.arange(int(_RAYS**0.5)) + 0.5) / int(_RAYS**0.5)
     across, along = np.meshgrid(*(low[k] + step * (high[k] - low[k]) for k in (0, 1)))
     rays = np.column_stack([across.ravel(), along.ravel()])
-    pixel = _imaged(camera, rays[_hits(geometry, view, rays)])
+    pixel = imaged(camera, rays[_hits(geometry, view, rays)])
     if not len(pixel):
         return None
     inside = ((pixel >= 0.0) & (pixel < (camera.width, camera.height))).all(axis=-1)
