@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import subprocess
+import warnings
 from dataclasses import replace
 
 import cv2
@@ -19,7 +20,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import read_temperature
 from thermorender.frame.exr import read_exr
 from thermorender.output.labels import coco, masks, run_lengths
-from thermorender.output.survey import geotiff
+from thermorender.output.survey import geotiff, ground
 
 BOX = '[[object]]\nname = "{}"\nshape = "box"\nsize = {}\nposition = {}\ntemperature = {}\nmaterial = "paint_black"\n'
 # car_1 is under one half of roof-1; car_2 drives east.
@@ -112,9 +113,10 @@ def test_a_lens_that_folds_far_out_shows_nothing_from_there(renderer, scene):
 
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 def test_coco_agrees_with_the_truth(flight, tmp_path, capsys):
-    pycocotools = pytest.importorskip("pycocotools.coco")
+    import pycocotools.coco
+
     assert coco(flight, tmp_path / "labels.json") == {"images": 3, "annotations": 9, "categories": 2}
-    read = pycocotools.COCO(str(tmp_path / "labels.json"))
+    read = pycocotools.coco.COCO(str(tmp_path / "labels.json"))
     capsys.readouterr()
     assert {each["id"]: each["name"] for each in read.loadCats(read.getCatIds())} == {1: "car", 2: "roof"}
     lines = records(flight)
@@ -128,8 +130,8 @@ def test_coco_agrees_with_the_truth(flight, tmp_path, capsys):
             mask = read.annToMask(each).astype(bool)
             assert (mask == (shown == each["track_id"])).all()
             assert each["object"] == about["objects"][each["track_id"] - 1]
-            assert each["area"] == mask.sum() == pycocotools.maskUtils.area(read.annToRLE(each))
-            assert (pycocotools.maskUtils.toBbox(read.annToRLE(each)) == each["bbox"]).all()
+            assert each["area"] == mask.sum() == pycocotools.coco.maskUtils.area(read.annToRLE(each))
+            assert (pycocotools.coco.maskUtils.toBbox(read.annToRLE(each)) == each["bbox"]).all()
             assert each["range_m"] == lines[image["id"] - 1]["targets"][each["object"]]["range_m"]
             distance = distance_transform_cdt(~mask, metric="chessboard")
             around = kelvin[(distance > 1) & (distance <= 5) & (shown == 0)]
@@ -173,12 +175,12 @@ def tags_by_exiftool(path):
 
 
 def tags_by_tifffile(path):
-    tifffile = pytest.importorskip("tifffile")
+    import tifffile
+
     with tifffile.TiffFile(path) as file:
         tags = {tag.name: tag.value for tag in file.pages[0].tags.values()}
     exif, gps, xmp = tags["ExifTag"], tags["GPSTag"], bytes(tags["XMP"]).decode()
-    found = {name: value for name, value in re.findall(r'Camera:(\w+)="([^"]*)"', xmp)}
-    found |= {name: value for name, value in re.findall(r"<drone-dji:(\w+)>([^<]*)<", xmp)}
+    found = dict(re.findall(r'Camera:(\w+)="([^"]*)"', xmp)) | dict(re.findall(r"<drone-dji:(\w+)>([^<]*)<", xmp))
 
     def number(ratio):
         return ratio[0] / ratio[1] if isinstance(ratio, (tuple, list)) else float(ratio)
@@ -230,7 +232,10 @@ def test_geotiff_is_kelvin_for_gdal_and_this_package(flight, tmp_path):
         folder = tmp_path / kind
         geotiff(flight, folder, float32)
         path = folder / "frame_000002.tif"
-        with pytest.warns(rasterio.errors.NotGeoreferencedWarning), rasterio.open(path) as file:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+            file = rasterio.open(path)
+        with file:
             assert file.dtypes == (kind,) and file.units == ("K",)
             assert np.abs(file.read(1) * file.scales[0] + file.offsets[0] - kelvin).max() < error
         assert np.abs(read_temperature(path) - kelvin).max() < error
@@ -256,6 +261,18 @@ def test_time_of_a_survey_is_utc(tmp_path):
     assert more[36867] == "2018:07:28 12:34:56" and more[36881] == "+00:00" and int(more[37521]) == 250000000
 
 
+def test_ground_is_the_orthorectified_frame(flight, renderer, tmp_path):
+    assert ground(flight, tmp_path, 0.25) == 3
+    line = records(flight)[1]
+    frame = renderer.frame(line["world_from_camera"], line["time_s"])
+    own = frame.orthorectified(0.25)
+    with rasterio.open(tmp_path / "frame_000001_ground.tif") as file:
+        assert file.crs == own.grid.crs and np.allclose(file.transform, own.grid.transform)
+        # Poses on file are rounded, so single pixels may fall beside their cell's border.
+        difference = np.abs(file.read(1) - own.kelvin)
+        assert (difference[np.isfinite(difference)] < 1e-2).mean() > 0.99
+
+
 def test_what_cannot_be_exported_is_refused(tmp_path):
     with pytest.raises(ThermorenderError, match=r"holds no frame_\*.exr; give a folder of"):
         coco(tmp_path, tmp_path / "labels.json")
@@ -278,6 +295,8 @@ def test_what_cannot_be_exported_is_refused(tmp_path):
     scene = narrow(tr.load_scene(mesh), 16, 16)
     frame = tr.Renderer(scene, quality="fast", rays=16).frame(tr.pose(0, 0, 10, pitch_deg=-90))
     write_exr(tmp_path / "bare" / "frame_000000.exr", frame, truth=False)
-    with pytest.raises(ThermorenderError, match=r"reaches 6\d\d K, and counts of 0.01 K end at 655.35 K; add --float32"):
+    with pytest.raises(
+        ThermorenderError, match=r"reaches 6\d\d K, and counts of 0.01 K end at 655.35 K; add --float32"
+    ):
         geotiff(tmp_path / "bare", tmp_path / "out")
     assert geotiff(tmp_path / "bare", tmp_path / "out", float32=True) == 1

@@ -290,8 +290,8 @@ class Frame:
         dict
             kinetic_temperature [K], emissivity (band mean at 300 K; towards the camera where it depends on the angle),
             depth along the optical axis [m], each (H, W) float32; position (H, W, 3) float32 in the local frame [m];
-            material (H, W) uint8, 255 for none; object (H, W) uint32, from 1 in the order of `objects`, 0 for none; mask (H, W) uint8, flags of `thermorender.scene.surface`. NaN (depth:
-            infinity) where nothing is hit.
+            material (H, W) uint8, 255 for none; object (H, W) uint32, from 1 in the order of `objects`, 0 for none;
+            mask (H, W) uint8, flags of `thermorender.scene.surface`. NaN (depth: infinity) where nothing is hit.
         """
         found = self._view.truth()
         saturated = readout.saturated(self.counts, self.camera)

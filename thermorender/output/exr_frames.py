@@ -30,7 +30,9 @@ def exr_frames(folder: str | PathLike[str], channels: Sequence[str], entries: Se
     """
     paths = sorted(Path(folder).glob("frame_*.exr"))
     if not paths:
-        raise ThermorenderError(f"{folder} holds no frame_*.exr; give a folder of `thermorender fly --products exr,truth`")
+        raise ThermorenderError(
+            f"{folder} holds no frame_*.exr; give a folder of `thermorender fly --products exr,truth`"
+        )
     for path in paths:
         images, about = read_exr(path)
         missing = next((name for name in channels if name not in images), None)

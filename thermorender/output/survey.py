@@ -1,4 +1,4 @@
-"""Frames as geotagged radiometric TIFFs, which photogrammetric software takes as the photographs of a survey.
+"""Frames as geotagged radiometric TIFFs, which photogrammetric software takes as the photographs of a survey; and maps.
 
 The tags are those that OpenDroneMap 3.6 (opendm/photo.py, https://github.com/OpenDroneMap/ODM) and OpenSfM 0.5.2
 (opensfm/exif.py, https://github.com/mapillary/OpenSfM) read:
@@ -12,9 +12,11 @@ The tags are those that OpenDroneMap 3.6 (opendm/photo.py, https://github.com/Op
 """
 
 import math
+from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, cast
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -23,10 +25,16 @@ from scipy.spatial.transform import Rotation
 
 from thermorender import files
 from thermorender.errors import ThermorenderError
+from thermorender.frame.frame import apparent_temperature
+from thermorender.frame.orthoimage import orthorectified
 from thermorender.output.exr_frames import exr_frames
 from thermorender.physics.geodesy import LocalFrame
+from thermorender.scene.georeference import Place
 from thermorender.trajectory.rotations import BODY_FROM_CAMERA, angles_from_rotation, ecef_from_ned
 from thermorender.versions import versions
+
+if TYPE_CHECKING:
+    from thermorender.frame import Frame
 
 # Kelvin of one count.
 STEP_K = 0.01
@@ -67,11 +75,7 @@ def geotiff(folder: str | PathLike[str], output: str | PathLike[str], float32: b
     count = 0
     with files.output_folder(output) as out:
         for number, channels, about in exr_frames(folder, ("apparent_temperature",), ("lens", "place")):
-            if about["place"] is None:
-                raise ThermorenderError(
-                    f"{folder} shows a scene without a place on Earth; add [frame] with latitude_deg, longitude_deg "
-                    "and height_m to its scene.toml and render it again"
-                )
+            _refuse_nowhere(folder, about)
             kelvin = channels["apparent_temperature"]
             if not float32 and (hottest := float(np.nanmax(kelvin))) > 65535 * STEP_K:
                 raise ThermorenderError(
@@ -82,6 +86,50 @@ def geotiff(folder: str | PathLike[str], output: str | PathLike[str], float32: b
                 _write(part, kelvin, about, float32)
             count += 1
     return count
+
+
+def ground(folder: str | PathLike[str], output: str | PathLike[str], metres: float) -> int:
+    """Write the frames of a folder on the scene's map, as `Frame.orthorectified`, and return their number.
+
+    Parameters
+    ----------
+    folder : path
+        Of `render`, `fly` or `day`, with EXR files that hold the truth.
+    output : path
+        Folder for frame_NNNNNN_ground.tif. Frames without a surface are left out.
+    metres : float
+        Size of a map pixel [m]. Pixels of all frames lie on one lattice.
+
+    Raises
+    ------
+    ThermorenderError
+        A folder without frames or truth, a scene without a place, or a size that is not allowed.
+    """
+    from rasterio.crs import CRS
+
+    count, axes = 0, [f"truth.position.{axis}" for axis in "xyz"]
+    with files.output_folder(output) as out:
+        for number, channels, about in exr_frames(folder, ("radiance", *axes), ("lens", "place")):
+            _refuse_nowhere(folder, about)
+            position = np.stack([channels[name] for name in axes], axis=-1)
+            if not np.isfinite(position).any():
+                continue
+            seen = SimpleNamespace(
+                radiance=channels["radiance"], truth={"position": position},
+                place=Place(_frame(about), CRS.from_string(about["place"]["crs"])),
+                kelvin_of=partial(apparent_temperature, band_um=about["lens"]["band_um"]),
+            )  # fmt: skip
+            orthorectified(cast("Frame", seen), metres).save(out / f"frame_{number:06d}_ground.tif")
+            count += 1
+    return count
+
+
+def _refuse_nowhere(folder: str | PathLike[str], about: dict[str, Any]) -> None:
+    if about["place"] is None:
+        raise ThermorenderError(
+            f"{folder} shows a scene without a place on Earth; add [frame] with latitude_deg, longitude_deg and "
+            "height_m to its scene.toml and render it again"
+        )
 
 
 def _write(path: Path, kelvin: NDArray[np.float32], about: dict[str, Any], float32: bool) -> None:
@@ -149,7 +197,9 @@ def _xmp(about: dict[str, Any]) -> str:
     nadir = angles_from_rotation(ned_from_camera * Rotation.from_matrix(_BODY_FROM_NADIR).inv())
     gimbal = angles_from_rotation(ned_from_camera * Rotation.from_matrix(BODY_FROM_CAMERA).inv())
     lens, pitch_mm = about["lens"], about["lens"]["pixel_pitch_um"] * 1e-3
-    middle = (0.5 * lens[side] + off for side, off in zip(("width", "height"), lens["principal_offset_px"], strict=True))
+    middle = (
+        0.5 * lens[side] + off for side, off in zip(("width", "height"), lens["principal_offset_px"], strict=True)
+    )
     k1, k2, p1, p2, k3 = lens["distortion"]
     camera = {
         **dict(zip(("Yaw", "Pitch", "Roll"), (f"{angle:.7f}" for angle in nadir), strict=True)),
