@@ -202,7 +202,7 @@ def _xmp(about: dict[str, Any]) -> str:
     )
     k1, k2, p1, p2, k3 = lens["distortion"]
     camera = {
-        **dict(zip(("Yaw", "Pitch", "Roll"), (f"{angle:.7f}" for angle in nadir), strict=True)),
+        **dict(zip(("Yaw", "Pitch", "Roll"), (f"{round(angle, 7) + 0.0:.7f}" for angle in nadir), strict=True)),
         "BandName": "LWIR", "HorizCS": "EPSG:4326", "VertCS": "ellipsoidal",
         "PerspectiveFocalLength": f"{lens['focal_length_mm']:.9g}",
         "PrincipalPoint": ",".join(f"{value * pitch_mm:.9g}" for value in middle),
@@ -212,7 +212,7 @@ def _xmp(about: dict[str, Any]) -> str:
     drone["AbsoluteAltitude"] = height
     spaces = " ".join(f'xmlns:{name}="{address}"' for name, address in _NAMESPACES.items())
     attributes = " ".join(f"Camera:{name}={quoteattr(value)}" for name, value in camera.items())
-    elements = "".join(f"<drone-dji:{name}>{value:+.7f}</drone-dji:{name}>" for name, value in drone.items())
+    elements = "".join(f"<drone-dji:{name}>{round(value, 7) + 0.0:+.7f}</drone-dji:{name}>" for name, value in drone.items())
     return (
         f'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF {spaces}><rdf:Description rdf:about="" {attributes}>{elements}'
         "</rdf:Description></rdf:RDF></x:xmpmeta>"
