@@ -212,7 +212,9 @@ def _xmp(about: dict[str, Any]) -> str:
     drone["AbsoluteAltitude"] = height
     spaces = " ".join(f'xmlns:{name}="{address}"' for name, address in _NAMESPACES.items())
     attributes = " ".join(f"Camera:{name}={quoteattr(value)}" for name, value in camera.items())
-    elements = "".join(f"<drone-dji:{name}>{round(value, 7) + 0.0:+.7f}</drone-dji:{name}>" for name, value in drone.items())
+    elements = "".join(
+        f"<drone-dji:{name}>{round(value, 7) + 0.0:+.7f}</drone-dji:{name}>" for name, value in drone.items()
+    )
     return (
         f'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF {spaces}><rdf:Description rdf:about="" {attributes}>{elements}'
         "</rdf:Description></rdf:RDF></x:xmpmeta>"
