@@ -88,16 +88,18 @@ def test_boxes_and_hidden_shares_of_known_geometry(renderer, scene):
     assert (renderer.objects_seen(frame.pose, 1.0)[0] + 1 == frame.truth["object"]).all()
 
 
-def test_share_beyond_the_border(renderer, scene):
-    # The left border of the image is at −10/focal·160 m; the upper side of car_2 reaches from −2.5 to −1.5 m at 9 m.
-    edge = -160.0 * 9.0 / scene.camera.focal_length_px
-    frame = renderer.frame(scene.pose(0.0, 0.0, 10.0, 0.0, -90.0), time_s=1.0)
-    assert -2.5 < edge < -1.5
-    # Its right side, seen from above the car's middle, adds 1 m · (1/9 − 1/10) of the distance to the axis.
-    seen, whole = 1.5 / 9.0 - 1.5 / 10.0, 1.0 / 9.0
-    hidden = (-2.5 - edge) / 9.0
-    assert abs(frame.labels["car_2"]["truncated"] + hidden / (whole + seen)) < 0.01
-    assert frame.labels["car_2"]["full_box"][0] < 0.0
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_share_beyond_the_border(renderer, scene, side):
+    # Middle of the car 2 m from the axis: its upper side reaches from 1.5 to 2.5 m at a distance of 9 m.
+    edge = 160.0 * 9.0 / scene.camera.focal_length_px
+    frame = renderer.frame(scene.pose(0.0 if side == "left" else -4.0, 0.0, 10.0, 0.0, -90.0), time_s=1.0)
+    assert 1.5 < edge < 2.5
+    # The side towards the axis is visible too: in slopes it reaches from 1.5 / 10 to 1.5 / 9.
+    inner, whole = 1.5 / 9.0 - 1.5 / 10.0, 1.0 / 9.0
+    label = frame.labels["car_2"]
+    assert abs(label["truncated"] - (2.5 - edge) / 9.0 / (whole + inner)) < 0.01
+    left, _, width, _ = label["full_box"]
+    assert left < 0.0 if side == "left" else left + width > 320.0
     away = renderer.frame(scene.pose(0.0, 0.0, 10.0, 0.0, -90.0), time_s=-99.0)
     assert "car_2" not in away.labels and away.targets["car_2"]["in_view"] is False
 
