@@ -21,6 +21,7 @@ from thermorender.render.baked import BakedScene, Progress, bake
 from thermorender.render.dynamic import Objects, placements
 from thermorender.render.geometry import Geometry, refuse_other_surfaces
 from thermorender.render.heat.instants import solved_at
+from thermorender.render.labels import object_names, object_numbers
 from thermorender.render.layers import Layer, OutgoingRadiance, Shape
 from thermorender.render.pixels import slender
 from thermorender.render.pixels.sampling import CameraRays
@@ -304,14 +305,7 @@ class Renderer:
         """Return (number of the object at each pixel's middle, (H, W), −1 elsewhere; names of the objects)."""
         view = self._view(pose, time_s, objects)
         valid, number, *_ = truth.pixel_middles(self.baked.device.layers(view.pose, view.placements), view.rays)
-        dynamic = [surface for tracked in self.scene.tracked_objects for surface in tracked.surfaces]
-        shown = (*self.scene.surfaces, *dynamic)
-        owner = [surface.name.split(":")[0] for surface in shown]
-        names = list(dict.fromkeys(owner[self.scene.terrain_count :]))
-        of = np.array([names.index(name) if name in names else -1 for name in owner])
-        ends = np.cumsum([surface.material.size for surface in shown])
-        surface = np.minimum(np.searchsorted(ends, number, side="right"), len(shown) - 1)
-        return np.where(valid, of[surface], -1), names
+        return object_numbers(self.scene, valid, number).astype(np.int64) - 1, list(object_names(self.scene))
 
     def pictured(
         self, values: NDArray[np.float32], pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None
@@ -365,8 +359,8 @@ class Renderer:
         return Frame(
             radiance=radiance, pose=view.pose, time_s=float(time_s), index=_whole("index", index), seed=self.seed,
             camera=self.scene.camera, plan=plan, time=self.scene.time,
-            materials=tuple(material.name for material in self.scene.materials), device=active_device(),
-            place=place_of(self.scene.frame, self.scene.grid), _view=view, _sampling=sampling,
+            materials=tuple(material.name for material in self.scene.materials), objects=object_names(self.scene),
+            device=active_device(), place=place_of(self.scene.frame, self.scene.grid), _view=view, _sampling=sampling,
         )  # fmt: skip
 
     def _tracer(
