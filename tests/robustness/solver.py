@@ -50,7 +50,7 @@ def known(emissivity):
 def solved(emissivity, tolerance_k):
     """(largest error [K], bound [K]) of known light, solved to a tolerance [K]."""
     exact, rho, outside = known(emissivity)
-    found, bound = radiosity.solve(closed(), np.zeros((_FACES, 1)), rho, outside, tolerance_k * _PER_K)
+    found, bound, _ = radiosity.solve(closed(), np.zeros((_FACES, 1)), rho, outside, tolerance_k * _PER_K)
     return float(np.abs(found - exact).max()) / _PER_K, float(bound.max()) / _PER_K
 
 
