@@ -190,7 +190,7 @@ def bake(
     incident, noise = solved.incident, solved.noise
     lost: Any = 0.0 if scene.air is None else left_out(scene, known, solved.reflectance)
     face = np.empty((geometry.face_count, spectrum.channels), dtype=np.float32)
-    covers = geometry.face_of_texel()
+    covers = geometry.face_of_texel
     if spectrum.channels > 1:
         # Scatter is converted to kelvin in the band radiance without a path.
         light = texels.light(incident, np.tensordot(spectrum.solver.sum(axis=0), spectrum.reflected, (0, 1)))

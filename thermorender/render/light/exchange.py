@@ -30,7 +30,7 @@ _STRONG = 0.1
 # What a round's guesses may leave, as a share of the largest rest.
 _GUESS = 0.03
 # Share of the squares of all rests that principal components may leave.
-_LEFT_OUT = 1e-3
+_LEFT_OUT = 3e-4
 
 
 def threads() -> ThreadPoolExecutor:
@@ -62,7 +62,7 @@ class Exchange:
     noise : (F,)
         Half the difference that the two halves of their rays make to the light they reflect, over all nodes
         [W m⁻² sr⁻¹].
-    brightest, largest : (N,)
+    brightest, largest : float
         The largest incident radiance and the largest rest [W m⁻² sr⁻¹].
     """
 
@@ -79,7 +79,7 @@ class Exchange:
         self.incident, self.rest = np.zeros(emitted.shape), emitted.copy()
         self.noise = np.zeros(len(emitted))
 
-        def begin(part: slice) -> tuple[Floats, Floats]:
+        def begin(part: slice) -> tuple[float, float]:
             if environment is None:
                 return self._received(part, np.zeros((1, 1)), np.zeros((1, 1)))
             whole, difference = transport.beyond(environment, part)
@@ -87,30 +87,30 @@ class Exchange:
 
         self._measure(begin)
 
-    def _measure(self, receive: Callable[[slice], tuple[Floats, Floats]]) -> None:
+    def _measure(self, receive: Callable[[slice], tuple[float, float]]) -> None:
         """Let all parts of the faces receive light, and note the largest values."""
-        self.brightest, self.largest = np.max(list(self._pool.map(receive, self._parts)), axis=0)
+        self.brightest, self.largest = map(max, zip(*self._pool.map(receive, self._parts), strict=True))
 
-    def _received(self, part: slice, light: Floats, difference: Floats) -> tuple[Floats, Floats]:
+    def _received(self, part: slice, light: Floats, difference: Floats) -> tuple[float, float]:
         """Add light to a part of the faces, and the difference of the halves of their rays; return largest values."""
         reflectance = self._reflectance[part]
         self.noise[part] += np.einsum("fn,fn->f", reflectance, difference)
         self.incident[part] += light
         self.rest[part] += reflectance * light
-        return np.abs(self.incident[part]).max(axis=0), np.abs(self.rest[part]).max(axis=0)
+        return float(np.abs(self.incident[part]).max()), float(np.abs(self.rest[part]).max())
 
-    def settled(self, wanted: Floats) -> Callable[[slice], Floats]:
+    def settled(self, wanted: float) -> Callable[[slice], Floats]:
         """Return what faces should send: their rests, those of strong reflectors after exchange among them.
 
-        `wanted` (N,) is the largest rest that may remain in the end. The result is as `send` takes it.
+        `wanted` is the largest rest that may remain in the end. The result is as `send` takes it.
         """
         faces, seen, mutual = self.strong
         sent = self.rest.copy()
 
         def settle(node: int) -> None:
-            own, at = self._reflectance[faces, node], slice(node, node + 1)
+            own = self._reflectance[faces, node]
             received = (seen @ self.rest[:, node])[:, None]
-            left = np.maximum(0.5 * wanted[at], _GUESS * np.abs(received).max(initial=0.0))
+            left = np.array([max(0.5 * wanted, _GUESS * float(np.abs(received).max(initial=0.0)))])
             if len(faces):
                 sent[faces, node] += own * gmres(mutual, own[:, None], received, left)[:, 0]
 
@@ -130,7 +130,7 @@ class Exchange:
         def divide(part: slice) -> None:
             shares[part] = sent(part) @ (basis.T / rays)
 
-        def receive(part: slice) -> tuple[Floats, Floats]:
+        def receive(part: slice) -> tuple[float, float]:
             seen = (self._transport.halves(part) @ shares).reshape(-1, 2, len(basis))
             self.rest[part] -= shares[part] @ (basis * rays)
             return self._received(part, (seen[:, 0] + seen[:, 1]) @ basis, (seen[:, 0] - seen[:, 1]) @ basis)

@@ -51,8 +51,8 @@ _MOST_REFLECTED = 1.0 - 1e-7
 _NOISE_ACCURACY = 0.05
 # Rounds of exchange; about 6 are needed.
 _ROUNDS = 20
-# Number of hits handled at once: their faces and shares, 12 bytes each, fit into a core's own cache.
-_HITS_AT_ONCE = 1 << 19
+# Faces handled at once. Products of matrices of so few rows stay in their thread, so that their sums have one order.
+_FACES_AT_ONCE = 3000
 # Steps of the table of chords of the unit disk.
 _CHORDS = 4096
 
@@ -95,10 +95,9 @@ class Transport:
         return csr_array((self.hits, self.seen, borders), shape=(len(self.up), len(self.up)))
 
     def parts(self) -> list[slice]:
-        """Return slices of the faces, each with about as many hits as fit into a core's own cache."""
-        cuts = np.searchsorted(self.start[::2], np.arange(_HITS_AT_ONCE, self.start[-1], _HITS_AT_ONCE))
-        cuts = np.unique([0, *cuts, len(self.up)])
-        return [slice(int(first), int(last)) for first, last in zip(cuts[:-1], cuts[1:], strict=True)]
+        """Return slices of the faces, so small that their hits fit into a core's own cache."""
+        count = len(self.up)
+        return [slice(first, min(first + _FACES_AT_ONCE, count)) for first in range(0, count, _FACES_AT_ONCE)]
 
     def halves(self, part: slice) -> Any:
         """Number of the rays of a part of n faces that hit each face, csr_array (2 n, F) of float64.
@@ -117,11 +116,12 @@ class Transport:
 
         The second is half the difference of what the two halves of their rays receive.
         """
-        sky, down = (counted[part] / (2.0 * self.rays) for counted in (self.up, self.down))
-        whole = environment.light(sky[:, 0] + sky[:, 1], down[:, 0] + down[:, 1], part)
+        up, down = self.up[part].astype(np.int32), self.down[part].astype(np.int32)
+        rays = 2.0 * self.rays
+        whole = environment.light((up[:, 0] + up[:, 1]) / rays, (down[:, 0] + down[:, 1]) / rays, part)
         if environment.direct is not None:
             whole += environment.direct[part]
-        return whole, environment.light(sky[:, 0] - sky[:, 1], down[:, 0] - down[:, 1], part)
+        return whole, environment.light((up[:, 0] - up[:, 1]) / rays, (down[:, 0] - down[:, 1]) / rays, part)
 
     def among(self, faces: NDArray[np.intp]) -> tuple[Any, Any]:
         """Rows of `operator` of n ascending faces, (n, F), and their part between these faces, (n, n)."""
@@ -181,8 +181,8 @@ def background_code(mi: Mitsuba, direction: Jit) -> Jit:
 def solve(
     transport: Transport, emitted: Floats, reflectance: Floats, environment: "Environment", tolerance: float,
     start: NDArray[np.floating] | None = None,
-) -> tuple[Floats, Floats, Floats]:  # fmt: skip
-    """Return (incident (F, N) mean incident radiance of each face, error bound (N,), noise (F,)), all [W m⁻² sr⁻¹].
+) -> tuple[Floats, float, Floats]:  # fmt: skip
+    """Return (incident (F, N) mean incident radiance of each face, error bound of every node, noise (F,)), all [W m⁻² sr⁻¹].
 
     The noise is a draw of the Monte Carlo error of each face's reflected radiance, summed over the nodes. Only its root
     mean square over many faces is meaningful: it is one standard error. Draws of other nodes of the same transport add
@@ -231,18 +231,18 @@ def solve(
                 "leaves; give them an emissivity of 1e-6 or more"
             )
         amplification = 1.0 / (1.0 - reflected)
-        wanted = np.full(emitted.shape[1], 0.5 * tolerance / amplification)
+        wanted = 0.5 * tolerance / amplification
         rounding = np.finfo(float).eps * (2 * transport.rays + 4)
         light = Exchange(transport, pool, emitted, reflectance, environment)
         if start is not None:
-            light.send(lambda part: emitted[part] + reflectance[part] * start[part], np.eye(len(wanted)))
+            light.send(lambda part: emitted[part] + reflectance[part] * start[part], np.eye(emitted.shape[1]))
         for _ in range(_ROUNDS):
             bound = amplification * (light.largest + rounding * light.brightest)
-            if bound.max() <= tolerance:
+            if bound <= tolerance:
                 return light.incident, bound, _reflected_noise(transport, pool, reflectance, light)
             light.send(light.settled(wanted))
     raise ThermorenderError(
-        f"the light between surfaces does not converge: {bound.max():.3g} W m⁻² sr⁻¹ remain where "
+        f"the light between surfaces does not converge: {bound:.3g} W m⁻² sr⁻¹ remain where "
         f"{tolerance:.3g} are allowed; give a larger tolerance"
     )
 
