@@ -6,13 +6,13 @@ node the mean incident radiance x of every face then satisfies the linear system
 
     x = K (e + ρ x) + outside,
 
-with e and ρ the faces' mean emitted radiance and reflectance. GMRES solves it in a time that hardly depends on ρ, and
-the residual bounds the error: see `solve`.
+with e and ρ the faces' mean emitted radiance and reflectance. Rounds of exchange solve it in a time that hardly depends
+on ρ, and the light that they leave bounds the error: see `solve`.
 
 The rays of a face are the points of Sobol' (1967, doi:10.1016/0041-5553(67)90144-9) in four dimensions, two of
 direction and two of position, with digits shifted at random for each face (Owen 2003, doi:10.1145/945511.945518). They
 are split into two halves, whose difference estimates the Monte Carlo error of their mean, rather too large than too
-small: see `noise`. Normals are those of the flat faces.
+small: see `solve`. Normals are those of the flat faces.
 """
 
 from collections.abc import Callable
@@ -127,7 +127,8 @@ class Transport:
         """Rows of `operator` of n ascending faces, (n, F), and their part between these faces, (n, n)."""
         if len(faces) == len(self.up):
             return self.operator, self.operator
-        rows = self._counted[faces] / (2.0 * self.rays)
+        rows = self._counted[faces]
+        rows.data = rows.data / (2.0 * self.rays)
         return rows, rows[:, faces]
 
 
@@ -182,11 +183,11 @@ def solve(
     transport: Transport, emitted: Floats, reflectance: Floats, environment: "Environment", tolerance: float,
     start: NDArray[np.floating] | None = None,
 ) -> tuple[Floats, float, Floats]:  # fmt: skip
-    """Return (incident (F, N) mean incident radiance of each face, error bound of every node, noise (F,)), all [W m⁻² sr⁻¹].
+    """Return (mean incident radiance of each face (F, N), its error bound, noise (F,)), all in W m⁻² sr⁻¹.
 
-    The noise is a draw of the Monte Carlo error of each face's reflected radiance, summed over the nodes. Only its root
-    mean square over many faces is meaningful: it is one standard error. Draws of other nodes of the same transport add
-    with their signs.
+    The bound holds at every node. The noise is a draw of the Monte Carlo error of each face's reflected radiance, summed
+    over the nodes. Only its root mean square over many faces is meaningful: it is one standard error. Draws of other
+    nodes of the same transport add with their signs.
 
     Parameters
     ----------
@@ -206,18 +207,13 @@ def solve(
 
     Notes
     -----
-    Every face has a rest of radiance J − s, of which no face knows yet: s is what it has sent. Each round sends a part
-    of all rests, d, and adds K d to `incident` and ρ K d to the rests. Whatever d is, the light sent is exact. An error
-    δ of the light then obeys δ = K ρ δ + K (J − s), and K ρ has no negative entries, hence ‖δ‖∞ ≤ ‖J − s‖∞ / (1 − max
-    K ρ). The bound includes the rounding error, one unit per term of a row.
-
-    Two things make rounds few and cheap. Surfaces that reflect much exchange light among themselves first, and send
-    what leaves them in the end: see `_sent`. Rests have few different spectra, so that K is applied to their principal
-    components only, and what these do not represent remains a rest.
+    With s, the light sent so far (see `exchange`), and J = e + ρ x: an error δ of the light obeys δ = K ρ δ + K (J − s).
+    K and ρ have no negative entries, and no row of K has a sum above 1. Hence ‖δ‖∞ ≤ ‖J − s‖∞ / (1 − max K ρ), where
+    the largest ρ may stand for max K ρ. The bound includes the rounding error, one unit per term of a row.
 
     The two halves of the rays see the radiosity J as x₁ and x₂. If they were independent, (x₁ − x₂) / 2 would have the
     variance of their mean's error. But they fill each other's gaps, so it is 1.0 to 1.4 times too large in open scenes.
-    The error is itself light and is reflected: see `_reflected_noise`.
+    The error is itself light and is reflected: δ = K ρ δ + (x₁ − x₂) / 2 to first order, which matters in cavities.
     """
     with threads() as pool:
         reflected = float(reflectance.max(initial=0.0))
@@ -248,9 +244,9 @@ def solve(
 
 
 def _reflected_noise(transport: Transport, pool: Executor, reflectance: Floats, light: Exchange) -> Floats:
-    """The error of the reflected light, (F,), from its part that comes directly from the rays, and is reflected on.
+    """`light.noise` and its own reflections, (F,).
 
-    All nodes together have the reflectance of a face for the light that it receives.
+    They are solved for all nodes together, with each face's mean reflectance of the light that it receives.
     """
     total = light.incident.sum(axis=1)
     mean = np.einsum("fn,fn->f", reflectance, light.incident) / np.where(total > 0.0, total, 1.0)
