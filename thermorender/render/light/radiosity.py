@@ -185,8 +185,8 @@ def solve(
 ) -> tuple[Floats, float, Floats]:  # fmt: skip
     """Return (mean incident radiance of each face (F, N), its error bound, noise (F,)), all in W m⁻² sr⁻¹.
 
-    The bound holds at every node. The noise is a draw of the Monte Carlo error of each face's reflected radiance, summed
-    over the nodes. Only its root mean square over many faces is meaningful: it is one standard error. Draws of other
+    The bound holds at every node. The noise is a draw of the Monte Carlo error of each face's reflected radiance,
+    summed over the nodes. Only its root mean square over many faces is meaningful: it is one standard error. Draws of other
     nodes of the same transport add with their signs.
 
     Parameters
@@ -207,7 +207,7 @@ def solve(
 
     Notes
     -----
-    With s, the light sent so far (see `exchange`), and J = e + ρ x: an error δ of the light obeys δ = K ρ δ + K (J − s).
+    With the light s sent so far (see `exchange`) and J = e + ρ x, an error δ of the light obeys δ = K ρ δ + K (J − s).
     K and ρ have no negative entries, and no row of K has a sum above 1. Hence ‖δ‖∞ ≤ ‖J − s‖∞ / (1 − max K ρ), where
     the largest ρ may stand for max K ρ. The bound includes the rounding error, one unit per term of a row.
 
