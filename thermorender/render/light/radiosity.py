@@ -186,8 +186,8 @@ def solve(
     """Return (mean incident radiance of each face (F, N), its error bound, noise (F,)), all in W m⁻² sr⁻¹.
 
     The bound holds at every node. The noise is a draw of the Monte Carlo error of each face's reflected radiance,
-    summed over the nodes. Only its root mean square over many faces is meaningful: it is one standard error. Draws of other
-    nodes of the same transport add with their signs.
+    summed over the nodes. Only its root mean square over many faces is meaningful: it is one standard error. Draws of
+    other nodes of the same transport add with their signs.
 
     Parameters
     ----------
