@@ -298,6 +298,16 @@ def test_an_edit_fixes_a_column_of_a_track(tmp_path):
     assert scene.with_objects({"car": 300.0}).digest() != scene.digest()
 
 
+def test_kelvin_of_a_raster_or_number_stay_when_a_material_is_edited(weathered):
+    raster, name = weathered, weathered.materials[0].name
+    number = raster.with_temperature(291.0)
+    by_material = raster.with_temperature(TemperatureSpec(source="material", materials={name: 300.0}))
+    for scene, kept in ((raster, True), (number, True), (by_material, False)):
+        edited = scene.with_material({scene.materials[1].name: "snow"})
+        assert np.shares_memory(edited.surfaces[0].temperature, scene.surfaces[0].temperature) == kept
+        assert edited.materials != scene.materials
+
+
 def test_a_material_is_replaced_everywhere_it_is_used(weathered):
     names = [each.name for each in weathered.materials]
     assert names == ["grass_green", "sand_quartz", "asphalt"]

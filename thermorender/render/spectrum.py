@@ -124,6 +124,18 @@ class Spectrum:
         """Return radiance of the air's nodes, (..., n), as radiance of the spectral nodes, (..., N)."""
         return self.gathered(self.points.spread(radiance))
 
+    def of(self, other: "Spectrum") -> Floats:
+        """Return a matrix (N', N) that turns radiance of another spectrum's nodes into that of these, approximately.
+
+        The light of each node is spread over its points as a blackbody's is. Between bands or airs of other points,
+        that of all nodes together is.
+        """
+        label = other.label if len(other.label) == len(self.label) else np.zeros(len(self.label), int)
+        black = self.points.planck(REFERENCE_K)
+        shares = np.zeros((int(label.max()) + 1, self.nodes))
+        np.add.at(shares, (label, self.label), black / np.bincount(label, black)[label])
+        return shares if label is other.label else np.repeat(shares, other.nodes, axis=0)
+
     def emitted(
         self, emissivity: Emissivity, coldest: float, warmest: float, band_um: tuple[float, float]
     ) -> tuple[Floats, Floats]:

@@ -187,8 +187,10 @@ def _temperature_key(of: Declared, made: Derived) -> tuple[Any, ...]:
         # Temperatures of surfaces made in memory change only by a new source or the weather.
         source: tuple[Any, ...] = (made.shape,)
     else:
+        # Kelvin of a number or a raster are the same on any material.
+        bare = not _weather_driven(of) and (of.kelvin is not None or spec.temperature.source in ("constant", "raster"))
         own_kelvin = tuple((one.name, one.temperature) for one in spec.surfaces)
-        source = spec.temperature, own_kelvin, id(of.model), id(of.kelvin), made.shape, made.cover
+        source = spec.temperature, own_kelvin, id(of.model), id(of.kelvin), made.shape, None if bare else made.cover
     if not _weather_driven(of):
         return source
     own = tuple(item.temperature for item in spec.objects if item.track is None)
