@@ -120,5 +120,5 @@ def test_a_table_of_a_layer_below_needs_no_material(tmp_path):
     own = load_library(tmp_path)
     assert own["asphalt"].known_thermal().layers[1].conductivity_w_m_k == 2.0 and "rubble" not in own
     (tmp_path / "thermal" / "asphalt.csv").unlink()
-    with pytest.raises(ThermorenderError, match="rubble.csv belongs to no material"):
+    with pytest.raises(ThermorenderError, match=r"rubble.csv belongs to no material"):
         load_library(tmp_path)

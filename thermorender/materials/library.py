@@ -102,7 +102,10 @@ def load_library(directory: str | Path | None = None) -> dict[str, Material]:
 def _read_once(
     directory: Path, state: frozenset[tuple[str, int, int]]
 ) -> tuple[dict[str, Material], dict[str, Thermal]]:
-    """The materials and thermal tables of a folder, read again when `state` differs. Their arrays are read-only: scenes share them."""
+    """The materials and thermal tables of a folder, read again when `state` differs.
+
+    Arrays are read-only: scenes share them.
+    """
     library = read_library(directory)
     for material in library.values():
         for value in vars(material).values():

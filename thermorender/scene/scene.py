@@ -16,6 +16,7 @@ from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
 from thermorender.physics.geodesy import LocalFrame
+from thermorender.scene import albedo
 from thermorender.scene.edit import Edits
 from thermorender.scene.ground import Ground
 from thermorender.scene.parts.cover import Cover, Painted
@@ -281,7 +282,7 @@ class Scene(Edits):
 
     @property
     def weather_notes(self) -> tuple[str, ...]:
-        """Notes on filled gaps of the weather, a short record before `time`, snow, likely snow and rooms."""
+        """Notes on filled gaps of the weather, a short record before `time`, snow, likely snow, rooms and albedo."""
         from thermorender.scene.open_ground import over_room
 
         weather, time = self.weather, self.time
@@ -312,7 +313,11 @@ class Scene(Edits):
                 f"rooms below roofs are at inside_c={inside_c:g} °C, and the air outside is at {outside_c:.0f} °C; "
                 "state inside_c in [weather] if that is wrong"
             )
-        return tuple(notes)
+        return (*notes, *self._albedo_notes)
+
+    @cached_property
+    def _albedo_notes(self) -> tuple[str, ...]:
+        return albedo.notes(self)
 
     @cached_property
     def ground(self) -> Ground:

@@ -14,6 +14,7 @@ from thermorender.atmosphere.declared import declared_air
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
 from thermorender.materials.extended import missing
+from thermorender.scene.albedo import shares, with_albedo
 from thermorender.scene.parts.cover import Cover, cover_of, refuse_band
 from thermorender.scene.parts.read import Parts
 from thermorender.scene.parts.shape import Shape, shape_of
@@ -156,7 +157,12 @@ def _shape_key(of: Declared) -> tuple[Any, ...]:
 
 def _cover_key(of: Declared) -> tuple[Any, ...]:
     band = of.camera.band_um if of.spec.emissivity.source == "learned" else None
-    return of.spec.emissivity, tuple(item.material for item in of.spec.objects), of.replaced, of.painted, band
+    objects = tuple(item.material for item in of.spec.objects)
+    return of.spec.emissivity, objects, of.replaced, of.painted, band, _albedo(of)
+
+
+def _albedo(of: Declared) -> float | None:
+    return of.spec.weather.albedo if of.spec.weather else None
 
 
 def _air_key(of: Declared, shape: Shape) -> tuple[Any, ...]:
@@ -225,9 +231,14 @@ def _shape(parts: Parts | None, now: Declared) -> Shape:
 
 def _cover(parts: Parts | None, now: Declared) -> Cover:
     band = now.camera.band_um
-    if parts is not None:
-        return cover_of(parts, now.spec.emissivity, now.spec.objects, now.replaced, now.painted, band, now.where)
-    raise _in_memory(now, "its materials")
+    if parts is None:
+        raise _in_memory(now, "its materials")
+    cover = cover_of(parts, now.spec.emissivity, now.spec.objects, now.replaced, now.painted, band, now.where)
+    albedo = _albedo(now)
+    if albedo is None:
+        return cover
+    share = shares(cover.ground, len(cover.materials))
+    return replace(cover, materials=tuple(with_albedo(cover.materials, share, albedo, now.where)))
 
 
 def _in_memory(now: Declared, what: str) -> ThermorenderError:
