@@ -16,7 +16,6 @@ from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
 from thermorender.physics.geodesy import LocalFrame
-from thermorender.scene import albedo
 from thermorender.scene.edit import Edits
 from thermorender.scene.ground import Ground
 from thermorender.scene.parts.cover import Cover, Painted
@@ -25,7 +24,7 @@ from thermorender.scene.parts.shape import Shape
 from thermorender.scene.parts.tracks import TrackedObject
 from thermorender.scene.raster import Grid
 from thermorender.scene.spec import SceneSpec, SunSpec, TemperatureSpec
-from thermorender.scene.state import digest, text
+from thermorender.scene.state import albedo, digest, text
 from thermorender.scene.state.agreement import contradictions, refuse_disagreement
 from thermorender.scene.state.declared import Declared
 from thermorender.scene.state.derived import Derived, camera_alone_differs, derived, of_surfaces, weather_of

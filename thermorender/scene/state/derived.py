@@ -14,12 +14,12 @@ from thermorender.atmosphere.declared import declared_air
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
 from thermorender.materials.extended import missing
-from thermorender.scene.albedo import shares, with_albedo
 from thermorender.scene.parts.cover import Cover, cover_of, refuse_band
 from thermorender.scene.parts.read import Parts
 from thermorender.scene.parts.shape import Shape, shape_of
 from thermorender.scene.parts.tracks import TrackedObject
 from thermorender.scene.spec import WEATHER
+from thermorender.scene.state.albedo import shares, with_albedo
 from thermorender.scene.state.declared import Declared
 from thermorender.scene.surface import FALLBACK, UNMOVED, Surface, fill, nearest_valid, scene_kelvin
 from thermorender.scene.temperature import Texels, map_error_k, resolve, trained
