@@ -7,16 +7,19 @@ light between records follows the clear sky, and the day before is taken to be t
 
 import csv
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import rasterio
 from scipy import ndimage
 
-from thermorender import formats
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
 from thermorender.physics import exchange
+from thermorender.render.geometry import Geometry
 from thermorender.render.heat.simulation import solved
+from thermorender.render.variant import activate
 from thermorender.scene import open_ground
 from thermorender.scene.load import load_scene
 from thermorender.scene.raster import grid_of, onto, read_band
@@ -36,8 +39,12 @@ ALBEDO, ALBEDO_STD = 0.32, 0.04
 STATION_MINUS_MAP_K = 4.43
 _DAY_S = 86400.0
 # Pixels at the edge of a patch that are not scored: land beyond it casts no shadow there.
-_EDGE = 16
-HEADER = ("patch", "run", "bias [K]", "MAE [K]", "MAE after one offset [K]", "correlation", "error's spread [K]",
+_EDGE = 8
+# Posts of the surface model that are averaged along each side, to 0.6 m.
+_BLOCK = 2
+# Standard deviation of the Gaussian that separates fine from coarse patterns [m].
+_FINE_M = 5.0
+HEADER = ("patch", "run", "bias [K]", "MAE [K]", "MAE after one offset [K]", "correlation", "below 10 m", "error's spread [K]",
           "map's spread [K]", "MAE of the map as read [K]")  # fmt: skip
 _WORDS = {"table": "table's absorptance", "albedo": f"albedo {ALBEDO:g}"}
 
@@ -82,8 +89,6 @@ def at_station(albedo=ALBEDO):
     """Return the modelled minus the measured ground temperature at the station, (N,) [K], at each of its records."""
     own, air = station(), weather()
     material = load_library()[MATERIAL]
-    from dataclasses import replace
-
     columns = open_ground.columns([replace(material, solar_absorptance=1.0 - albedo)], air)
     now, found = air.time[0] + np.timedelta64(1, "D"), []
     state, _ = open_ground.settled(columns, air, now)
@@ -97,7 +102,15 @@ def at_station(albedo=ALBEDO):
 def scene_of(folder, surface_model, title):
     """Write the scene of a surface model into a folder and return it with the station's weather."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "elevation.tif").write_bytes(surface_model.read_bytes())
+    with rasterio.open(surface_model) as source:
+        # Means of blocks: the map's pixels cannot be told from their neighbours'.
+        shape = source.height // _BLOCK, source.width // _BLOCK
+        area = (slice(0, shape[0] * _BLOCK), slice(0, shape[1] * _BLOCK))
+        height = source.read(1)[area].reshape(shape[0], _BLOCK, shape[1], _BLOCK).mean(axis=(1, 3))
+        grid = source.transform * rasterio.Affine.scale(_BLOCK)
+        with rasterio.open(folder / "elevation.tif", "w", driver="GTiff", count=1, dtype="float32", height=shape[0],
+                           width=shape[1], crs=source.crs, transform=grid) as made:  # fmt: skip
+            made.write(height.astype(np.float32), 1)
     (folder / "scene.toml").write_text(
         f'title = "{title}"\n[terrain]\nelevation = "elevation.tif"\n[temperature]\nsource = "balance"\n'
         f'[emissivity]\nsource = "material"\nmaterial = "{MATERIAL}"\n[camera]\nmodel = "zenmuse-xt2"\n'
@@ -123,6 +136,13 @@ def scores(found, read):
     }  # fmt: skip
 
 
+def fine(found, read, texel_m):
+    """Return the correlation of two maps without what varies over more than some metres."""
+    inner, reach = (slice(_EDGE, -_EDGE),) * 2, _FINE_M / texel_m
+    planes = [(each - ndimage.gaussian_filter(each, reach))[inner].ravel() for each in (found, read)]
+    return float(np.corrcoef(*planes)[0, 1])
+
+
 def explained(error, height, shade, texel_m):
     """Return {group: R² of a least-squares fit of the error} for groups of properties of the relief, alone and all."""
     north, east = np.gradient(height, texel_m)
@@ -136,7 +156,9 @@ def explained(error, height, shade, texel_m):
         "shade, and shade within 3 m": [shade, ndimage.uniform_filter(shade, round(3.0 / texel_m))],
         "height": [height, height**2],
     }
-    groups["all"] = [each for group in list(groups.values()) for each in group]
+    row, column = np.mgrid[: height.shape[0], : height.shape[1]] / max(height.shape)
+    groups["all of the relief"] = [each for group in list(groups.values()) for each in group]
+    groups["place in the patch, quadratic"] = [row, column, row**2, column**2, row * column]
     inner = (slice(_EDGE, -_EDGE),) * 2
     target = error[inner].ravel() - error[inner].mean()
     found = {}
@@ -176,28 +198,38 @@ def run(data, scratch, progress=None):
         read = onto(read_band(data / f"{name}_thermal_degC.tif"), grid_of(data / f"{name}_thermal_degC.tif"),
                     scene.grid, "bilinear")  # fmt: skip
         shade = onto(read_band(data / f"{name}_shade.tif"), grid_of(data / f"{name}_shade.tif"), scene.grid, "bilinear")
-        runs = {}
+        geometry, runs = Geometry(activate(), scene.surfaces), {}
         for key, one in (("table", scene), ("albedo", scene.with_weather(albedo=ALBEDO, albedo_std=ALBEDO_STD))):
-            found = solved(one, [AT])[0].surfaces[0].temperature.astype(np.float64) - ZERO_CELSIUS_K
-            runs[key] = scores(found, read)
+            found = solved(one, [AT], geometry)[0].surfaces[0].temperature.astype(np.float64) - ZERO_CELSIUS_K
+            whole = np.where(np.isfinite(read), read, np.nanmean(read))
+            texel_m = scene.surfaces[0].texel_m
+            runs[key] = scores(found, read) | {"fine_correlation": fine(found, whole, texel_m)}
         height = onto(read_band(data / f"{name}_dsm.tif"), grid_of(data / f"{name}_dsm.tif"), scene.grid, "bilinear")
         height = np.where(np.isfinite(height), height, np.nanmean(height))
         shade = np.nan_to_num(shade)
-        error = found - np.where(np.isfinite(read), read, np.nanmean(read))
-        texel_m = scene.surfaces[0].texel_m
+        error = found - whole
         patches[name] = {
             "runs": runs, "explained": explained(error, height, shade, texel_m),
-            "explained_of_map": explained(np.nan_to_num(read, nan=np.nanmean(read)), height, shade, texel_m),
+            "explained_of_map": explained(whole, height, shade, texel_m),
         }  # fmt: skip
     notes = list(scene.with_weather(albedo=ALBEDO, albedo_std=ALBEDO_STD).weather_notes)
     return {"albedo": ALBEDO, "albedo_std": ALBEDO_STD, "station_minus_map_k": STATION_MINUS_MAP_K,
             "at_station_k": dict(zip(map(str, station()["time"]), map(float, at_station()), strict=True)),
-            "notes": notes, "patches": formats.plain(patches) if hasattr(formats, "plain") else patches}  # fmt: skip
+            "notes": notes, "patches": patches}  # fmt: skip
 
 
 def rows(result):
     """Return the rows of the study's table; see `HEADER`."""
-    keys = ("bias_k", "mae_k", "mae_after_offset_k", "correlation", "spread_k", "map_spread_k", "mae_as_read_k")
+    keys = (
+        "bias_k",
+        "mae_k",
+        "mae_after_offset_k",
+        "correlation",
+        "fine_correlation",
+        "spread_k",
+        "map_spread_k",
+        "mae_as_read_k",
+    )
     return [
         (name, _WORDS[run], *(f"{scores[key]:.2f}" for key in keys))
         for name, patch in result["patches"].items()
