@@ -1,8 +1,9 @@
 """The heat balance of a desert wadi against a thermal map that a drone took, with a stated albedo and without.
 
 Surface models, shade and thermal maps of patches of the wadi Zeelim by the Dead Sea: Itzkovitch et al., data of
-github.com/levyofi/Itzkovitch_el_al_JTB (MIT). `day.csv` has their station's records on that day; local time is UTC+2. The
-light between records follows the clear sky, and the day before is taken to be the same. Nothing is fitted to the maps.
+github.com/levyofi/Itzkovitch_el_al_JTB (MIT). `day.csv` has their station's records on that day; local time is UTC+2.
+The light between records follows the clear sky, and the day before is taken to be the same. Nothing is fitted to the
+maps.
 """
 
 import csv
@@ -44,8 +45,8 @@ _EDGE = 8
 _BLOCK = 2
 # Standard deviation of the Gaussian that separates fine from coarse patterns [m].
 _FINE_M = 5.0
-HEADER = ("patch", "run", "bias [K]", "MAE [K]", "MAE after one offset [K]", "correlation", "below 10 m", "error's spread [K]",
-          "map's spread [K]", "MAE of the map as read [K]")  # fmt: skip
+HEADER = ("patch", "run", "bias [K]", "MAE [K]", "MAE after one offset [K]", "correlation", "below 10 m",
+          "error's spread [K]", "map's spread [K]", "MAE of the map as read [K]")  # fmt: skip
 _WORDS = {"table": "table's absorptance", "albedo": f"albedo {ALBEDO:g}"}
 
 
