@@ -22,8 +22,9 @@ from thermorender.weather.series import Conditions, Weather
 
 # Roughness length of the open grass over which wind is measured: WMO-No. 8 (2018), volume I, 5.9.2 [m].
 STATION_ROUGHNESS_M = 0.03
-# Films of still indoor air and of moving air under a sheet: ISO 6946:2017, table 7 [W m⁻² K⁻¹].
-_FILMS = {"inside": 1.0 / 0.13, "outside": 1.0 / 0.04}
+# Films of still indoor air and of moving air under a sheet: ISO 6946:2017, table 7 [W m⁻² K⁻¹]. The face above a well
+# ventilated cavity has the resistance of still air (6.9.4).
+_FILMS = {"inside": 1.0 / 0.13, "outside": 1.0 / 0.04, "ventilated": 1.0 / 0.13}
 # Water that stays on leaves and on hard ground, and what bare soil holds before it resists evaporation: FAO Irrigation
 # and Drainage Paper 56 (1998), table 19, loams: 8 mm [kg m⁻²].
 _HELD, _HELD_BY_SOIL = 0.5, 8.0

@@ -24,7 +24,7 @@ from thermorender.scene.parts.shape import Shape
 from thermorender.scene.parts.tracks import TrackedObject
 from thermorender.scene.raster import Grid
 from thermorender.scene.spec import SceneSpec, SunSpec, TemperatureSpec
-from thermorender.scene.state import digest, text
+from thermorender.scene.state import albedo, digest, text
 from thermorender.scene.state.agreement import contradictions, refuse_disagreement
 from thermorender.scene.state.declared import Declared
 from thermorender.scene.state.derived import Derived, camera_alone_differs, derived, of_surfaces, weather_of
@@ -281,7 +281,7 @@ class Scene(Edits):
 
     @property
     def weather_notes(self) -> tuple[str, ...]:
-        """Notes on filled gaps of the weather, a short record before `time`, snow, likely snow and rooms."""
+        """Notes on filled gaps of the weather, a short record before `time`, snow, likely snow, rooms and albedo."""
         from thermorender.scene.open_ground import over_room
 
         weather, time = self.weather, self.time
@@ -311,7 +311,11 @@ class Scene(Edits):
                 f"rooms below roofs are at inside_c={inside_c:g} °C, and the air outside is at {outside_c:.0f} °C; "
                 "state inside_c in [weather] if that is wrong"
             )
-        return tuple(notes)
+        return (*notes, *self._albedo_notes)
+
+    @cached_property
+    def _albedo_notes(self) -> tuple[str, ...]:
+        return albedo.notes(self)
 
     @cached_property
     def ground(self) -> Ground:

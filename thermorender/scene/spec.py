@@ -293,7 +293,10 @@ class SunSpec:
 
 @dataclass(frozen=True)
 class WeatherSpec:
-    """The weather, from a station's record, a weather year or a described day, and the scene's instant."""
+    """The weather, from a station's record, a weather year or a described day, and the scene's instant.
+
+    `albedo` is the mean reflectance of the terrain for sunlight; it sets the bare materials' solar absorptance.
+    """
 
     time: np.datetime64 = key(instant)
     file: Path | None = key(file_inside, None)
@@ -305,6 +308,8 @@ class WeatherSpec:
     cloud: float | None = key(number(0.0, 1.0), None)
     snow_depth_m: float | None = key(number(0.0, 20.0), None)
     inside_c: float = key(number(-60.0, 60.0), 20.0)
+    albedo: float | None = key(number(0.02, 0.95), None)
+    albedo_std: float | None = key(number(0.0, 0.3), None)
     longest_gap_h: float | None = key(number(0.0, 24.0), None)
     air_height_m: float | None = key(number(0.1, 100.0), None)
     wind_height_m: float | None = key(number(0.1, 200.0), None)
@@ -313,6 +318,8 @@ class WeatherSpec:
     def check(self, where: Where, given: Mapping[str, Any]) -> None:
         """Refuse none or two kinds of weather, and an incomplete described day."""
         kind = where.exactly_one(given, ("file", "epw", "air_high_c"), "station, weather year or named day")
+        if "albedo_std" in given and "albedo" not in given:
+            where.of("albedo_std").refuse(given["albedo_std"], "it with albedo only")
         # A station may lack wind.
         of_station = ("longest_gap_h", "air_height_m", "wind_height_m")
         also = (

@@ -26,6 +26,8 @@ _Spec = TypeVar("_Spec", bound=Any)
 # Of a scene: texels number them in a byte.
 _MOST_MATERIALS = 255
 
+# Keys of [weather] that no Weather holds.
+_OF_SCENE = {"time", "inside_c", "albedo", "albedo_std"}
 # Keys of [weather] that say where the weather comes from, each with the keys that belong to it.
 _KINDS = {
     "file": ("longest_gap_h", "air_height_m", "wind_height_m"),
@@ -219,7 +221,7 @@ def surface_temperatures(spec: SceneSpec, given: Mapping[str, Any]) -> SceneSpec
 
 def weather_argument(weather: Any, keys: Mapping[str, Any], now: Declared) -> tuple[WeatherSpec, Any]:
     """Return (keys of [weather], Weather in place of its file or None) of the arguments of `with_weather`."""
-    series = now.weather if weather is None and set(keys) <= {"time", "inside_c"} else None
+    series = now.weather if weather is None and set(keys) <= _OF_SCENE else None
     spec = now.spec.weather
     if isinstance(weather, WeatherSpec):
         spec = checked_spec(weather, "with_weather", now.spec.folder)
@@ -229,7 +231,7 @@ def weather_argument(weather: Any, keys: Mapping[str, Any], now: Declared) -> tu
                 f"with_weather was given a {type(weather).__name__}; give a WeatherSpec, a Weather or keys of [weather]"
             )
         series = weather
-        measured = sorted(set(keys) - {"time", "inside_c"})
+        measured = sorted(set(keys) - _OF_SCENE)
         if measured:
             raise ThermorenderError(
                 f"with_weather was given a Weather and {measured[0]}={keys[measured[0]]!r}, which the Weather "

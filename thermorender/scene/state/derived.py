@@ -21,6 +21,7 @@ from thermorender.scene.parts.shape import Shape, shape_of
 from thermorender.scene.parts.textures import stating, used_texels
 from thermorender.scene.parts.tracks import TrackedObject
 from thermorender.scene.spec import WEATHER, TemperatureSpec
+from thermorender.scene.state.albedo import shares, with_albedo
 from thermorender.scene.state.declared import Declared
 from thermorender.scene.surface import FALLBACK, UNMOVED, Surface, fill, nearest_valid, scene_kelvin
 from thermorender.scene.temperature import Texels, map_error_k, resolve, trained
@@ -159,8 +160,12 @@ def _shape_key(of: Declared) -> tuple[Any, ...]:
 def _cover_key(of: Declared) -> tuple[Any, ...]:
     band = of.camera.band_um if of.spec.emissivity.source == "learned" else None
     covered = tuple((one.name, one.material, one.classes) for one in of.spec.surfaces)
-    materials = tuple(item.material for item in of.spec.objects)
-    return of.spec.emissivity, materials, covered, of.replaced, of.painted, band
+    objects = tuple(item.material for item in of.spec.objects)
+    return of.spec.emissivity, objects, covered, of.replaced, of.painted, band, _albedo(of)
+
+
+def _albedo(of: Declared) -> float | None:
+    return of.spec.weather.albedo if of.spec.weather else None
 
 
 def _air_key(of: Declared, shape: Shape) -> tuple[Any, ...]:
@@ -232,10 +237,14 @@ def _shape(parts: Parts | None, now: Declared) -> Shape:
 
 def _cover(parts: Parts | None, now: Declared) -> Cover:
     band = now.camera.band_um
-    if parts is not None:
-        spec = now.spec
-        return cover_of(parts, spec.emissivity, spec.objects, spec.surfaces, now.replaced, now.painted, band, now.where)
-    raise _in_memory(now, "its materials")
+    if parts is None:
+        raise _in_memory(now, "its materials")
+    spec, albedo = now.spec, _albedo(now)
+    cover = cover_of(parts, spec.emissivity, spec.objects, spec.surfaces, now.replaced, now.painted, band, now.where)
+    if albedo is None:
+        return cover
+    share = shares(cover.ground, len(cover.materials))
+    return replace(cover, materials=tuple(with_albedo(cover.materials, share, albedo, now.where)))
 
 
 def _in_memory(now: Declared, what: str) -> ThermorenderError:
