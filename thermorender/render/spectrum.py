@@ -239,7 +239,7 @@ def make_spectrum(materials: Sequence[Material], envelope: Envelope, tolerance_m
     points = Points.of(envelope.band_um, envelope.air)
     pure, shares = _pure(materials)
     spectra = np.array([material.emissivity_at(points.wavelength_um) for material in pure])
-    mixed = [(part, kelvin) for material, kelvin in envelope.objects for part in np.flatnonzero(shares[material])]
+    mixed = [(int(part), kelvin) for number, kelvin in envelope.objects for part in np.flatnonzero(shares[number])]
     envelope = replace(envelope, objects=list(dict.fromkeys(mixed)))
     case = _Case(points, spectra, envelope, envelope.paths())
     basis, solver, channels_mk = _channels(case, tolerance_mk)
