@@ -607,7 +607,6 @@ def test_garbage_and_empty_meshes(scene, refused, suffix):
         ("mtllib good.mtl\nmtllib deep.mtl\n" + QUAD + FACES_UV, "libraries have two materials 'a'"),
         ("mtllib " + 300 * "x" + "\n" + QUAD + FACES, "which cannot be read (File name too long)"),
         (QUAD + "v 4 8 0\nv 4 0 0\nv -4 0 0\nv -4 8 0\nf 1 2 3 5 6 7 8 4\n", "has a concave polygon"),
-        (QUAD.replace(" 0\n", " 0 0 0 1\n").replace("0 0 1", "1 0 0", 1) + FACES, "is coloured by vertex or face"),
     ],
 )
 def test_wrong_obj(scene, refused, text, words):
@@ -640,7 +639,8 @@ def test_valid_obj_is_accepted(scene, call, tmp_path):
 
     (scene / "good.mtl").write_bytes("# by Zoë\nnewmtl a\nmap_Kd good one.png\n".encode("latin-1"))
     Image.new("RGB", (4, 4), (200, 0, 0)).save(scene / "good one.png")
-    mesh_scene(scene, "model.obj", "mtllib good.mtl\n" + QUAD + FACES_UV)
+    faces = "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nusemtl a\nf 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
+    mesh_scene(scene, "model.obj", "mtllib good.mtl\n" + QUAD + faces)
     status, _, errors = call("render", scene, "-o", tmp_path / "o", "--pose", "0,0,20,0,-90,0", *QUICK)
     assert (status, errors) == (0, "")
     assert load_scene(scene).surfaces[0].colour.shape == (4, 4, 3)
@@ -705,7 +705,8 @@ def test_damaged_object_mesh_and_mesh_with_map_rasters(scene, refused):
     refused("car.glb is empty", "render", scene)
     mesh_scene(scene, "model.obj", QUAD + FACES)
     change(scene / "scene.toml", 'source = "constant"\nvalue = 300.0', 'source = "raster"\nraster = "temperature.tif"')
-    refused("a temperature raster needs terrain with an elevation raster", "render", scene)
+    words = "temperature.tif is a raster for surface 'model:mesh', which has no texture that it could lie on"
+    refused(words, "render", scene)
 
 
 def painted(image, **named):

@@ -73,6 +73,21 @@ def test_temperature_of_a_mixed_cover_is_between_those_of_its_parts(tmp_path):
     assert (np.minimum(*parts[:2]) < parts[2]).all() and (parts[2] < np.maximum(*parts[:2])).all()
 
 
+def test_errors_are_parted_by_sun_and_sky(tmp_path):
+    """A model 1 K too warm under clear skies and 2 K too cold under clouds is found so at each height of the sun."""
+    overcast = np.arange(49) % 2 == 1
+    longwave = np.where(overcast, STEFAN_BOLTZMANN * 288.15**4, 300.0)
+    text = 'cover = [["asphalt", 1.0]]\nsurface = "surface_c"\n'
+    site = site_of(tmp_path, text, surface_c=np.full(49, 20.0), lw_down_w_m2=longwave)
+    found = measured(site, tmp_path)
+    parts = heat.where(found, found.observed_k + np.where(overcast, -2.0, 1.0))
+    assert set(parts) == set(heat._CONDITIONS)
+    assert sum(part["rows"] for part in parts.values()) == (np.abs(found.elevation_deg) > 3.0).sum()
+    for name, part in parts.items():
+        assert part["bias"] == pytest.approx(1.0 if name.endswith("clear") else -2.0)
+        assert part["mae"] == abs(part["bias"])
+
+
 def test_model_starts_from_measured_soil_temperatures(tmp_path):
     soil = 'soil = [[0.05, "a_c"], [1.0, "b_c"]]\n'
     text = 'cover = [["soil_loam", 1.0]]\nsurface = "air_c"\n' + soil

@@ -443,7 +443,7 @@ def test_learned_materials_need_an_orthophoto(scene, tmp_path):
 
     folder = write_mesh(tmp_path / "mesh", trimesh.creation.box())
     learned_source(folder, 'model = "procedural"\nfallback = "granite"\n')
-    with pytest.raises(ThermorenderError, match=r"emissivity.source='learned' needs an elevation raster"):
+    with pytest.raises(ThermorenderError, match="reads materials from textures, and this mesh has none"):
         tr.load_scene(folder)
 
 

@@ -42,7 +42,7 @@ def write(path, text):
 
 
 def test_formats_are_complete_and_named_everywhere():
-    names = "airdata ardupilot dji-gimbal dji-srt euroc gpx kml px4 rocket-firm tum ulog".split()
+    names = "airdata ardupilot dji-gimbal dji-srt euroc gpx kml px4 rocket-firm rosbag tum ulog".split()
     assert bundled_formats() == names
     assert set(SOURCES) == set(READERS)
     (option,) = TrajectoryOptions.__dataclass_fields__["format"].type.__metadata__
@@ -377,7 +377,14 @@ def test_kml_track(tmp_path):
     ground = kml("<altitudeMode>relativeToGround</altitudeMode>", "<gx:angles>90 5 0</gx:angles>")
     path = read(write(tmp_path / "b.kml", ground), "kml")
     assert np.allclose(path.position[:, 2], [540.0, 541.0, 540.0], atol=1e-2)
-    assert "tilt and roll of gx:angles are not read" in path.notes[0]
+    assert "a positive tilt lowers the nose, a positive roll the left side" in path.notes[0]
+    # Nose down and left side down: clockwise around the axes, as the heading is from above.
+    assert np.allclose(view(path)[0], np.cos(np.radians(5)) * EAST - np.sin(np.radians(5)) * UP, atol=1e-4)
+    rolled = kml("<altitudeMode>relativeToGround</altitudeMode>", "<gx:angles>0 0 350</gx:angles>")
+    edge = view(read(write(tmp_path / "r.kml", rolled), "kml"))[1]
+    assert np.allclose(edge, np.cos(np.radians(10)) * UP + np.sin(np.radians(10)) * EAST, atol=1e-4)
+    heading = kml("<altitudeMode>relativeToGround</altitudeMode>", "<gx:angles>90</gx:angles>")
+    assert read(write(tmp_path / "h.kml", heading), "kml").notes == ()
     clamped = write(tmp_path / "c.kml", kml("", "", last=""))
     path = read(clamped, "kml", anchor=ANCHOR)
     assert np.allclose(path.position[:, 2], [80.0, 81.0], atol=1e-3)
@@ -389,6 +396,8 @@ def test_kml_track(tmp_path):
         ("<kml><LineString/></kml>", "has no gx:Track"),
         (kml().replace("<when>2024-05-01T10:00:02Z</when>", ""), "2 times, 3 positions and 3 angles"),
         (kml(last="8 47"), "is not longitude, latitude and altitude"),
+        (kml(angles="<gx:angles>9 x 0</gx:angles>"), "gx:angles '9 x 0' is not heading, tilt and roll"),
+        (kml(angles="<gx:angles>9 0 0 1</gx:angles>"), "gx:angles '9 0 0 1' is not heading, tilt and roll"),
     ):
         with pytest.raises(ThermorenderError, match=message):
             read(write(tmp_path / "d.kml", text), "kml")
@@ -419,6 +428,110 @@ def test_euroc_body_axes_are_those_of_its_inertial_sensor(tmp_path):
     path = read(write(tmp_path / "a.csv", header + rows), "euroc")
     assert np.allclose(path.time_s, [0.0, 1.0, 2.0], atol=1e-6) and np.allclose(path.position[0], [1.0, 2.0, 3.0])
     assert np.allclose(view(path)[0], -EAST, atol=1e-9) and np.allclose(view(path)[1], UP, atol=1e-9)
+
+
+# Bags of ROS 2
+
+
+def bag(path, storage="MCAP", frame="map", child="base_link", stamped=True, topics=("/odom", "/fix")):
+    """Write a bag of one second: odometry that climbs northward and turns to the east, and fixes, one of them bad."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kind = {name.rpartition("/")[2]: made for name, made in store.types.items()}
+
+    def header(k):
+        at = kind["Time"](sec=1_700_000_000 + k // 2 if stamped else 0, nanosec=500_000_000 * (k % 2) if stamped else 0)
+        return kind["Header"](stamp=at, frame_id=frame)
+
+    def odometry(k):
+        # Yaw from the east, anticlockwise: 90° is north, 0° is east.
+        half = np.radians([90.0, 45.0, 0.0][k]) / 2
+        turn = kind["Quaternion"](x=0.0, y=0.0, z=np.sin(half), w=np.cos(half))
+        pose = kind["Pose"](position=kind["Point"](x=1.0, y=10.0 * k, z=50.0 + k), orientation=turn)
+        zero = kind["Vector3"](x=0.0, y=0.0, z=0.0)
+        return kind["Odometry"](
+            header=header(k), child_frame_id=child,
+            pose=kind["PoseWithCovariance"](pose=pose, covariance=np.zeros(36)),
+            twist=kind["TwistWithCovariance"](twist=kind["Twist"](linear=zero, angular=zero), covariance=np.zeros(36)),
+        )  # fmt: skip
+
+    def fix(k):
+        status = kind["NavSatStatus"](status=-1 if k == 1 else 0, service=1)
+        return kind["NavSatFix"](
+            header=header(k), status=status, latitude=47.0 + 1e-4 * k, longitude=8.0, altitude=500.0,
+            position_covariance=np.zeros(9), position_covariance_type=0,
+        )  # fmt: skip
+
+    def words(k):
+        return kind["String"](data="hello")
+
+    made = {"/odom": ("nav_msgs/msg/Odometry", odometry), "/fix": ("sensor_msgs/msg/NavSatFix", fix),
+            "/words": ("std_msgs/msg/String", words)}  # fmt: skip
+    with Writer(path, version=9, storage_plugin=getattr(StoragePlugin, storage)) as writer:
+        for topic in topics:
+            name, make = made[topic]
+            connection = writer.add_connection(topic, name, typestore=store)
+            for k in range(3):
+                received = 1_700_000_100_000_000_000 + 250_000_000 * k
+                writer.write(connection, received, store.serialize_cdr(make(k), name))
+    return path
+
+
+@pytest.mark.parametrize("storage", ["MCAP", "SQLITE3"])
+def test_rosbag_of_poses(tmp_path, storage):
+    folder = bag(tmp_path / "bag", storage, topics=("/odom", "/words"))
+    (file,) = [each for each in folder.iterdir() if each.suffix in (".mcap", ".db3")]
+    for given in (folder, file, f"{file}#/odom"):
+        path = read(given, "rosbag")
+        assert np.allclose(path.time_s, [0.0, 0.5, 1.0], atol=1e-6)
+        assert np.allclose(path.position, [[1, 0, 50], [1, 10, 51], [1, 20, 52]])
+        assert np.allclose(view(path)[0], NORTH, atol=1e-9) and np.allclose(view(path)[1], UP, atol=1e-9)
+        assert np.allclose(view(path, 2)[0], EAST, atol=1e-9)
+        assert any("x of frame 'map' is taken as east" in note for note in path.notes)
+    with pytest.raises(ThermorenderError, match=r"is read with --format rosbag; add it"):
+        read_trajectory(f"{file}#/odom")
+
+
+def test_rosbag_of_fixes_and_choice_of_a_topic(tmp_path):
+    folder = bag(tmp_path / "bag")
+    with pytest.raises(
+        ThermorenderError, match=r"several topics fit; name one after a #, such as \S+bag#/fix \(there a"
+    ):
+        read(folder, "rosbag")
+    path = read(f"{folder}#/fix", "rosbag")
+    assert np.allclose(path.time_s, [0.0, 1.0], atol=1e-6) and np.allclose(path.position[:, 2], 500.0 - FRAME.height_m)
+    assert np.allclose(np.diff(path.position[:, 1]), 22.2, atol=0.1)
+    notes = "\n".join(path.notes)
+    assert (
+        "1 of 3 messages (33.3%) are dropped as invalid" in notes
+        and "the log has no yaw" in notes
+        and "is taken as east" not in notes
+    )
+    with pytest.raises(ThermorenderError, match=r"topic '/imu' is not one of poses or fixes; name one after a #"):
+        read(f"{folder}#/imu", "rosbag")
+    with pytest.raises(ThermorenderError, match=r"none\.mcap does not exist; give a bag of ROS 2"):
+        read(tmp_path / "none.mcap#/odom", "rosbag")
+    damaged = write(tmp_path / "d.mcap", "not a bag")
+    with pytest.raises(ThermorenderError, match=r"d\.mcap cannot be read as a bag of ROS 2 \(.*copy it again"):
+        read(damaged, "rosbag")
+    with pytest.raises(ThermorenderError, match=r"no topic is of PoseStamped, .*, but there is /words \(std_msgs"):
+        read(bag(tmp_path / "w", topics=("/words",)), "rosbag")
+
+
+def test_rosbag_in_other_axes_is_refused_and_headers_without_time_are_said(tmp_path, monkeypatch):
+    for k, (frame, child) in enumerate([("map_ned", "base_link"), ("map", "cam_optical_frame"), ("earth", "")]):
+        with pytest.raises(ThermorenderError, match=f"the axes of frame '{frame if k != 1 else child}' are .* REP 103"):
+            read(bag(tmp_path / f"b{k}", frame=frame, child=child, topics=("/odom",)), "rosbag")
+    path = read(bag(tmp_path / "n", stamped=False, topics=("/odom",)), "rosbag")
+    assert np.allclose(path.time_s, [0.0, 0.25, 0.5], atol=1e-6)
+    assert any("the headers have no time, so that of recording is used" in note for note in path.notes)
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    with pytest.raises(
+        ThermorenderError, match=r"needs rosbags, which is not installed; run pip install 'thermorender"
+    ):
+        read(tmp_path / "n", "rosbag")
 
 
 # Joining, yaw and course

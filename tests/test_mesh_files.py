@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from thermorender.errors import ThermorenderError
+from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
 from thermorender.scene.load import load_scene
 from thermorender.scene.parts.mesh import load
 
@@ -335,7 +336,7 @@ REFUSED = {
     "bufferView 1 of 52 bytes ends before byte 64": lambda f: f.tree["accessors"][0].update(count=5),
     "its indices name vertex 3 of 3": lambda f: f.tree["accessors"][0].update(count=3),
     "5 indices are not whole triangles": lambda f: f.tree["accessors"][2].update(count=5),
-    "is coloured by vertex or face, which is not supported": coloured,
+    "is tinted by different colours by vertex (COLOR_0), which is not supported beside": coloured,
     "the texture of material 'paint' has transparent texels (alphaMode)": see_through,
     "material 'paint' is invisible (alphaMode BLEND)": lambda f: (
         f.paint.update(alphaMode="BLEND"),
@@ -551,9 +552,13 @@ def test_colours_of_a_ply(images, form):
         expected = np.rint(np.array(colour) * (255 if letter == "f" else 1))
         assert load(path)[0].colour.tolist() == [[expected.tolist()]]
     rows = [(*corner, 10 * k, 0, 0) for k, corner in enumerate(CORNERS)]
-    refused(ply(path, form, columns, rows, triangle, [([0, 1, 2],)]), "is coloured by vertex or face")
+    # Different colours by vertex: each face has the mean of their light.
+    (part,) = load(ply(path, form, columns, rows, triangle, [([0, 1, 2],)]))
+    light = linear_from_bytes(np.array([[10 * k, 0, 0] for k in range(3)], np.uint8)).mean(axis=0)
+    assert part.colour.tolist() == [[bytes_from_linear(light).tolist()]]
     of_faces = [*triangle, ("red", "B"), ("green", "B"), ("blue", "B")]
-    refused(ply(path, form, VERTICES, CORNERS, of_faces, [([0, 1, 2], 1, 2, 3), ([0, 2, 3], 9, 2, 3)]), "coloured by")
+    (part,) = load(ply(path, form, VERTICES, CORNERS, of_faces, [([0, 1, 2], 1, 2, 3), ([0, 2, 3], 9, 2, 3)]))
+    assert part.colour.tolist() == [[[1, 2, 3], [9, 2, 3]]]
 
 
 @pytest.mark.parametrize(

@@ -140,12 +140,17 @@ def test_properties_move_by_their_stated_uncertainty():
     deeper = shifted(grass, "inertia").thermal
     assert deeper.below.inertia > grass.thermal.below.inertia
     assert deeper.skin_conductance_w_m2_k > grass.thermal.skin_conductance_w_m2_k
-    dry = shifted(grass, "wetness").thermal
+    leaves = replace(grass, thermal=replace(grass.thermal, texture=""))
+    dry = shifted(leaves, "wetness").thermal
     assert 0.0 < dry.wetness < grass.thermal.wetness and dry.surface_resistance_s_m == 59.0
+    # The weather sets the wetness of soil, so its resistance moves, to the same ratio.
+    soil = shifted(grass, "wetness").thermal
+    assert soil.wetness == grass.thermal.wetness
+    assert soil.surface_resistance_s_m / soil.wetness == pytest.approx(59.0 / dry.wetness)
     rough = shifted(grass, "exchange").thermal
     assert rough.roughness_m > grass.thermal.roughness_m
     assert rough.heat_roughness_ratio < grass.thermal.heat_roughness_ratio
-    both = shifted(mix([(grass, 0.5), (sand, 0.5)]), "wetness")
+    both = shifted(mix([(leaves, 0.5), (sand, 0.5)]), "wetness")
     assert both.parts[0][0].thermal.wetness == dry.wetness and both.parts[1][1] == 0.5
     unknown = replace(sand, thermal=None)
     with pytest.raises(ThermorenderError, match=r"has no thermal properties; add thermal/sand_quartz.csv"):

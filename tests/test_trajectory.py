@@ -515,7 +515,11 @@ LOCAL = "time_s,east_m,north_m,up_m"
             {"format": "dji"},
             "format='dji' is neither a bundled .*dji-gimbal, dji-srt, euroc",
         ),
-        ("timestamp,x,y,z\n0,0,0,0\n", {}, "column 'time_s' is missing; .*the columns fit format='px4'"),
+        (
+            "timestamp,x,y,z\n0,0,0,0\n",
+            {},
+            "column 'time_s' is missing; .*the columns fit --format px4 .in Python, format='px4'",
+        ),
     ],
 )
 def test_bad_logs_are_refused_with_file_and_row(tmp_path, text, options, message):

@@ -266,15 +266,18 @@ def test_long_gaps_on_other_days_do_not_matter(tmp_path):
 
 
 def test_snow_that_nobody_recorded_is_estimated(tmp_path):
-    """24 mm fall in a day at −5 °C; then 4 mm melt per day and kelvin, 20 mm in a day at +5 °C."""
-    air = np.repeat([-5.0, 5.0, -5.0], 24)
+    """24 mm fall in a day at −5 °C; then 6.7 mm melt per day and kelvin in July, 13.4 mm in a day at +2 °C."""
+    air = np.repeat([-5.0, 2.0, -5.0], 24)
     rain = np.repeat([1.0, 0.0, 0.0], 24)
     changes = {"air_c": air, "rain_mm_h": rain, "sw_down_w_m2": None, "rh_percent": None}
-    weather = read_station(station(tmp_path / "s.csv", changes), *PLACE)
+    path = station(tmp_path / "s.csv", changes)
+    weather = read_station(path, *PLACE, snow_depth_m=0.0)
     day = [START + np.timedelta64(24 * n, "h") for n in (1, 2, 3)]
     found = [weather.likely_snow_mm(each) for each in day]
     # The step across midnight counts as one of the hour that follows.
-    assert found == pytest.approx([23.0, 4.0, 4.0], abs=1.01)
+    assert found == pytest.approx([23.5, 10.3, 10.3], abs=0.6)
+    inferred = read_station(path, *PLACE)
+    assert inferred.snow_m[-1] == pytest.approx(found[2] / 250.0) and inferred.likely_snow_mm(day[2]) == 0.0
     assert weather.likely_snow_mm(weather.time[0]) == 0.0
     recorded = read_station(station(tmp_path / "t.csv", {**changes, "snow_depth_m": np.full(72, 0.1)}), *PLACE)
     assert recorded.likely_snow_mm(day[0]) == 0.0

@@ -175,6 +175,8 @@ STUDIES = (
           ("sensor/sensor.png", "sensor/effects.png"), _sensor),
     Study("heat", "validation.heat", "The heat balance against measurements", "heat/heat.json", ("heat/heat.png",),
           _heat),
+    Study("longwave", "validation.longwave", "The sky's long-wave against pyrgeometers", "longwave/longwave.json",
+          runs=False),
     Study("moved", "validation.moved", "Learned maps at another hour", "moved/moved.json", ("moved/moved.png",),
           _moved),
     Study("growth", "validation.growth", "Cost against size", "growth/growth.json", ("growth/growth.png",),

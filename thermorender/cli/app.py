@@ -9,6 +9,7 @@ from thermorender import defaults
 from thermorender.cli.camera import fit_camera
 from thermorender.cli.compare import bench, compare
 from thermorender.cli.doctor import doctor
+from thermorender.cli.export import app as export
 from thermorender.cli.maps import dataset, evaluate, prepare, train, translate
 from thermorender.cli.materials import app as materials
 from thermorender.cli.options import Device
@@ -43,6 +44,7 @@ def demo(output: Results = Path("out/demo"), device: Device = "auto") -> None:
 
 
 app.add_typer(materials, name="materials")
+app.add_typer(export, name="export")
 for _verb in (fit_camera, prepare, dataset, train, evaluate, translate, doctor, import_terrain, make_scene, plan,
               render, fly, day, compare, bench, demo, map_materials):  # fmt: skip
     app.command(_verb.__name__.replace("_", "-"))(_verb)

@@ -26,7 +26,7 @@ Seed = Annotated[int, typer.Option(help="Seed of the sensor's noise.")]
 Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
 Products = Annotated[
     str, typer.Option(help="Comma-separated: exr, truth, error, counts, counts-tiff, radiometric, display, video, "
-                           "visible.")
+                           "visible; of a flight also report: index.html and contact.png.")
 ]  # fmt: skip
 Thermography = Annotated[
     str | None,
@@ -266,7 +266,8 @@ class TrajectoryOptions:
     format: Annotated[
         str | None,
         typer.Option("--format", help="Program that wrote the log: airdata, ardupilot, dji-gimbal, dji-srt, euroc, "
-                     "gpx, kml, px4, rocket-firm, tum, ulog, or a mapping of columns (TOML). Default: our own CSV."),
+                     "gpx, kml, px4, rocket-firm, rosbag, tum, ulog, or a mapping of columns (TOML). Default: our own "
+                     "CSV."),
     ] = None  # fmt: skip
     anchor: Annotated[
         str | None, typer.Option(help="E,N,U,HEADING: move the start of the log there [m, m, m above ground, deg].")

@@ -1,6 +1,7 @@
 """Verbs that render frames: one frame, a flight, a day."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -23,11 +24,13 @@ from thermorender.cli.options import (
     parse_thermography,
     print_cache_note,
 )
-from thermorender.cli.terminal import NewResults, Results, progress, split, warn
+from thermorender.cli.terminal import NewResults, Results, output_option, progress, split, warn
 from thermorender.errors import ThermorenderError
 
 if TYPE_CHECKING:
     from thermorender.frame import Frame
+    from thermorender.output.cost import Cost
+    from thermorender.output.prospect import Prospect
     from thermorender.scene.scene import Scene
 
 # A texel this many pixels wide makes a frame look blurred.
@@ -118,16 +121,22 @@ def _coarse(scene: "Scene", frame: "Frame") -> str | None:
 @flat
 def fly(
     scene: SceneName,
-    output: Results,
+    output: Annotated[
+        Path | None, output_option("-o", "--output", help="Folder for the results; --preview can do without.")
+    ] = None,
     *,
     log: TrajectoryOptions,
     rate_hz: Annotated[float | None, typer.Option(help="Frames per second; default: the camera's.")] = None,
     situation: SceneOptions,
-    products: Products = "exr,truth,counts,display,video",
+    products: Products = "exr,truth,counts,display,video,report",
     look: DisplayOptions,
     agc_memory_s: Annotated[float, typer.Option(help="Time constant of the gain control; 0: none [s].")] = 0.0,
     thermography: Thermography = None,
     source: TemperatureOptions,
+    preview: Annotated[
+        bool,
+        typer.Option("--preview", help="Only tell what the flight will show and cost; with -o also as preview.html."),
+    ] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a stopped flight.")] = False,
     verify: Annotated[
         bool, typer.Option("--verify", help="Continue from the first frame whose files differ from those written.")
@@ -140,28 +149,46 @@ def fly(
     from thermorender.output import products as frame_files
     from thermorender.output.flight import FlightOptions
     from thermorender.output.flight import fly as run
+    from thermorender.output.preview import preview as foresee
 
+    if output is None and not preview:
+        raise ThermorenderError("-o is missing; give the folder for the flight, or --preview to see what it will show")
+    if preview and (resume or verify):
+        raise ThermorenderError("--preview writes no frames; leave --resume and --verify out")
     settings = parse_thermography(thermography)
     options = FlightOptions(
-        rate_hz=rate_hz, start_s=log.start_s, stop_s=log.stop_s, products=frame_files.check(split(products), settings),
-        display=look.settings(agc_memory_s), thermography=settings,
+        rate_hz=rate_hz, start_s=log.start_s, stop_s=log.stop_s, display=look.settings(agc_memory_s),
+        products=frame_files.check(split(products), settings, flight=True), thermography=settings,
     )  # fmt: skip
     with progress() as report:
         loaded = situation.load(scene, source.source())
         path = log.read(loaded, rate_hz)
         renderer = sampling.renderer(loaded, seed, device, report)
+        if preview:
+            for written in foresee(renderer, path, options, output, _tell):
+                typer.echo(str(written))
+            return
         summary = run(
-            renderer, path, output, options, resume=resume, verify=verify, heat_progress=report,
+            renderer, path, output, options, resume=resume, verify=verify, heat_progress=report, outlook=_tell,
             progress=lambda done, total: report(f"frame {done} of {total}", done / total),
         )  # fmt: skip
     print_cache_note(renderer)
     typer.echo(f"{summary['frames']} frames, {summary['rendered']} rendered now, in {summary['folder']}")
+    if "report" in options.products:
+        typer.echo(f"look at {output / 'index.html'}")
     without = summary["frames_without_terrain"]
     if without:
         typer.echo(
             f"{without} of {summary['frames']} frames show no terrain; point the camera with --mount, or move the "
             "flight with --anchor"
         )
+
+
+def _tell(outlook: "Prospect | Cost") -> None:
+    """Print what a flight will show or cost."""
+    for line in outlook.lines():
+        typer.echo(line)
+    warn(outlook.warning)
 
 
 @flat

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic
-from thermorender.frame.record import header
+from thermorender.frame.record import header, truth_header
 from thermorender.sensor.radiometry import ThermographySettings, thermography_reading
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def write_exr(
 
     `truth` adds the frame's truth, `error` the estimated error of each pixel, and `thermography` the reading of
     thermography software with these settings. The header's `thermorender` attribute holds time, pose, seed, plan,
-    versions, device, units and, with the truth, the materials by number as JSON.
+    versions, device, units and, with the truth, the entries of `truth_header` as JSON.
     """
     import OpenEXR  # type: ignore[import-not-found, unused-ignore]
 
@@ -37,7 +37,7 @@ def write_exr(
         channels["error"] = frame.error_mk
     if truth:
         for name, values in frame.truth.items():
-            if values.dtype == np.uint8:
+            if values.dtype.kind == "u":
                 channels[f"truth.{name}"] = values.astype(np.uint32)
             elif values.ndim == 3:
                 for axis, letter in enumerate("xyz"):
@@ -45,7 +45,7 @@ def write_exr(
             else:
                 channels[f"truth.{name}"] = values
     about = header(frame, thermography=thermography and asdict(thermography))
-    about |= {"materials": list(frame.materials)} if truth else {}
+    about |= truth_header(frame) if truth else {}
     attributes = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,

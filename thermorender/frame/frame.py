@@ -38,6 +38,8 @@ class Found:
         From `View.truth`.
     objects : dict
         From `View.targets`.
+    extents : dict
+        From `View.labels`.
     budget : dict or None
         From `View.budget_mk`.
     error : (H, W) float32 or None
@@ -46,6 +48,7 @@ class Found:
 
     images: dict[str, NDArray[Any]]
     objects: dict[str, dict[str, Any]]
+    extents: dict[str, dict[str, Any]]
     budget: dict[str, float] | None
     error: NDArray[np.float32] | None
 
@@ -56,6 +59,10 @@ class Found:
     def targets(self) -> dict[str, dict[str, Any]]:
         """Return the positions of objects."""
         return self.objects
+
+    def labels(self, seen: NDArray[np.uint32]) -> dict[str, dict[str, Any]]:
+        """Return the extents of objects."""
+        return self.extents
 
     def budget_mk(self, radiance: NDArray[np.float32], sampling: Any) -> dict[str, float] | None:
         """Return the error budget of the radiance that was pickled."""
@@ -86,6 +93,8 @@ class Frame:
         Settings of the rendering steps.
     materials : tuple of str
         Names of the materials that `truth["material"]` numbers.
+    objects : tuple of str
+        Names of the objects that `truth["object"]` numbers, from 1.
     time : datetime64 or None
         The instant of the frame, UTC; None if the scene has no weather.
     device : dict
@@ -103,6 +112,7 @@ class Frame:
     plan: dict[str, Any]
     time: "np.datetime64 | None" = None
     materials: tuple[str, ...] = ()
+    objects: tuple[str, ...] = ()
     device: dict[str, str] = field(repr=False, default_factory=dict)
     place: Place | None = field(repr=False, default=None)
     _view: Any = field(repr=False, default=None)
@@ -125,7 +135,7 @@ class Frame:
             f"  radiance              {low:.4g}–{high:.4g} W m⁻² sr⁻¹ in {_band(self.camera)}, without noise",
             f"  counts, display       {bits}-bit counts with noise; 8 bits for a screen",
             "  truth                 kinetic_temperature [K], emissivity [1], depth [m], position (local) [m], "
-            "material, mask",
+            "material, object, mask",
             f"  targets               {', '.join(self.targets) or 'none'}: pixel, visible, range_m [m]",
             "  budget_mk, error_mk   error by cause, and of each pixel [mK at 300 K]",
             "  show, save, to_xarray, orthorectified",
@@ -203,7 +213,7 @@ class Frame:
         state = dict(vars(self))
         images = state.pop("truth", None) or self._view.truth()
         images = {**images, "mask": images["mask"] & ~np.uint8(SATURATED)}
-        found = Found(images, self.targets, self.budget_mk, self.error_mk)
+        found = Found(images, self.targets, self.labels, self.budget_mk, self.error_mk)
         return {**state, "_view": found, "_sampling": None}
 
     def with_reading(self, counts: NDArray[np.uint16], how: dict[str, Any]) -> "Frame":
@@ -240,6 +250,21 @@ class Frame:
         return self._view.targets()
 
     @cached_property
+    def labels(self) -> dict[str, dict[str, Any]]:
+        """How much of each object the image shows, for the objects whose extent meets it.
+
+        Returns
+        -------
+        dict
+            {name: {…}} with pixels, whose middle shows the object; silhouette_pixels, whose middle would show it if no
+            other surface were there; occluded, the share of those that other surfaces hide; truncated, the share of
+            its silhouette beyond the border of the image; full_box, [left, top, width, height] of the whole object
+            [px], hidden parts and parts beyond the border included. A share is None where no ray meets the object,
+            and the box where it reaches behind the camera.
+        """
+        return self._view.labels(self.truth["object"])
+
+    @cached_property
     def apparent_temperature(self) -> NDArray[np.float32]:
         """Temperature of the blackbody with each pixel's band radiance, (H, W) float32 [K]; 0 for no radiance."""
         return self.kelvin_of(self.radiance)
@@ -266,8 +291,8 @@ class Frame:
             kinetic_temperature [K], emissivity (band mean at 300 K; towards the camera where it depends on the angle),
             emissivity_std (its standard deviation, for scenes with a learned emissivity),
             depth along the optical axis [m], each (H, W) float32; position (H, W, 3) float32 in the local frame [m];
-            material (H, W) uint8, 255 for none; mask (H, W) uint8, flags of `thermorender.scene.surface`. NaN (depth:
-            infinity) where nothing is hit.
+            material (H, W) uint8, 255 for none; object (H, W) uint32, from 1 in the order of `objects`, 0 for none;
+            mask (H, W) uint8, flags of `thermorender.scene.surface`. NaN (depth: infinity) where nothing is hit.
         """
         found = self._view.truth()
         saturated = readout.saturated(self.counts, self.camera)

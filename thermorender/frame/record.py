@@ -21,6 +21,10 @@ UNITS = {
     "truth.position": "m, local East-North-Up",
 }
 
+# Keys of the camera that describe its image, as its TOML file names them.
+_LENS = ("width", "height", "pixel_pitch_um", "focal_length_mm", "f_number", "principal_offset_px", "distortion",
+         "band_um")  # fmt: skip
+
 
 def record(frame: "Frame") -> dict[str, Any]:
     """Return a frame's line in `frames.jsonl`: time, pose, seed, plan, budget and targets, as plain values."""
@@ -38,5 +42,24 @@ def record(frame: "Frame") -> dict[str, Any]:
 
 
 def header(frame: "Frame", **more: Any) -> dict[str, Any]:
-    """Return the record of a frame with the versions and device that made it, more entries, and units."""
-    return {**record(frame), "versions": versions(), "device": frame.device, **more, "units": UNITS}
+    """Return the record of a frame with its lens, the place of its scene, versions, device, more entries and units."""
+    return {
+        **record(frame), "lens": {name: getattr(frame.camera, name) for name in _LENS}, "place": _place(frame),
+        "versions": versions(), "device": frame.device, **more, "units": UNITS,
+    }  # fmt: skip
+
+
+def truth_header(frame: "Frame") -> dict[str, Any]:
+    """Return what the images of the truth need: names of materials and objects by number, and labels of objects."""
+    return {"materials": list(frame.materials), "objects": list(frame.objects), "labels": frame.labels}
+
+
+def _place(frame: "Frame") -> dict[str, Any] | None:
+    """The origin of the local frame in WGS 84 and the scene's map; None without a place."""
+    if frame.place is None:
+        return None
+    origin = frame.place.frame
+    return {
+        "latitude_deg": origin.latitude_deg, "longitude_deg": origin.longitude_deg, "height_m": origin.height_m,
+        "crs": frame.place.crs.to_string(),
+    }  # fmt: skip

@@ -13,7 +13,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.files import atomic
 from thermorender.formats import write_image
 from thermorender.frame.exr import write_exr
-from thermorender.frame.record import header
+from thermorender.frame.record import header, truth_header
 from thermorender.frame.tiff import write_kelvin
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def images(frame: "Frame") -> dict[str, NDArray[Any]]:
 
 
 def _write_arrays(path: str | PathLike[str], frame: "Frame") -> None:
-    about = json.dumps(header(frame, materials=list(frame.materials)))
+    about = json.dumps(header(frame, **truth_header(frame)))
     arrays: dict[str, Any] = {**images(frame), "record": np.array(about)}
     # `atomic` keeps the suffix, to which NumPy adds nothing then.
     with atomic(path) as part:

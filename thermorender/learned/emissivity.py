@@ -231,8 +231,8 @@ def to_grid(rgb: np.ndarray, texel_m: float, model: EmissivityMap) -> np.ndarray
 
     if not texel_m <= COARSEST_RATIO * model.texel_m:
         raise ThermorenderError(
-            f"the orthophoto has texels of {texel_m:.3g} m, but emissivity map {model.name!r} was trained at "
-            f"{model.texel_m:g} m and takes at most {COARSEST_RATIO * model.texel_m:g} m; give a finer orthophoto, or "
+            f"the picture has texels of {texel_m:.3g} m, but emissivity map {model.name!r} was trained at "
+            f"{model.texel_m:g} m and takes at most {COARSEST_RATIO * model.texel_m:g} m; give a finer one, or "
             "train a map on it with `thermorender train emissivity`"
         )
     size = [max(1, round(n * texel_m / model.texel_m)) for n in rgb.shape[:2]]

@@ -48,6 +48,10 @@ class Palette:
         """Return intensity, (h, w) float64, by colour alone, at any ground sampling distance."""
         return self.value.ravel()[cells(inputs.rgb, self.cell, len(self.value))]
 
+    def reach(self, spacing: float = 1.0) -> int:
+        """Return the radius of the neighbourhood [pixels]: 0, colour alone counts."""
+        return 0
+
     def unseen(self, inputs: Inputs) -> np.ndarray:
         """Return where a pixel's cell has no training pixels, (h, w) bool."""
         return self.count.ravel()[cells(inputs.rgb, self.cell, len(self.value))] == 0

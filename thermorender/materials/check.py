@@ -26,7 +26,7 @@ from thermorender.materials.csv_tables import (
 from thermorender.materials.from_samples import WANTED_RANGE_UM
 from thermorender.materials.library import DIRECTIONAL_MODELS, NAME, stray
 from thermorender.materials.samples import QUANTITIES, WAVELENGTH_UNITS, ecostress_lines, is_ecostress, stated_units
-from thermorender.materials.thermal import THERMAL_COLUMNS, beneath_fault, parsed, read_thermals
+from thermorender.materials.thermal import THERMAL_COLUMNS, beneath, beneath_fault, parsed, read_thermals
 from thermorender.paths import data_folder, inside
 from thermorender.physics.fresnel import LARGEST_SLOPE
 from thermorender.units import LOWEST_KELVIN, ZERO_CELSIUS_K
@@ -110,8 +110,8 @@ def _check_thermals(folder, names):
             own[path.stem] = thermal
         else:
             unreadable.add(path.stem)
-        if path.stem not in {*names, *shipped}:
-            findings.append(Finding(True, where, stray(path.stem, {*names, *shipped})))
+    for name in sorted({*own, *unreadable} - {*names, *shipped, *beneath(own)}):
+        findings.append(Finding(True, f"thermal/{name}.csv", stray(name, {*names, *shipped})))
     for name, thermal in own.items():
         # A table that cannot be read still exists for the layers above it.
         if thermal.beneath not in unreadable and (fault := beneath_fault(name, shipped | own)):

@@ -130,12 +130,14 @@ def _similar(material: Material, band_um: tuple[float, float], others: Iterable[
     first, last = material.valid_range_um
     common = np.arange(max(first, band_um[0]), min(last, band_um[1]) + 1e-9, _STEP_UM)
     own = material.emissivity_at(common)
-    found: list[tuple[float, str, Material]] = []
+    # A copy of a material under another name counts once.
+    found: dict[bytes, tuple[float, str, Material]] = {}
     for other in others:
         complete = not missing(other, band_um) and not other.gaps_um and not other.assumed_um
         if other.name != material.name and other.directional == "lambertian" and complete:
-            found.append((float(np.sqrt(np.mean((other.emissivity_at(common) - own) ** 2))), other.name, other))
-    return [other for *_, other in sorted(found, key=lambda one: one[:2])[:_SIMILAR]]
+            difference = float(np.sqrt(np.mean((other.emissivity_at(common) - own) ** 2)))
+            found.setdefault(other.emissivity.tobytes(), (difference, other.name, other))
+    return [other for *_, other in sorted(found.values(), key=lambda one: one[:2])[:_SIMILAR]]
 
 
 def _share(part: tuple[float, float], band_um: tuple[float, float]) -> float:

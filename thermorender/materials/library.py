@@ -26,7 +26,7 @@ from thermorender.materials.csv_tables import (
     read_table,
 )
 from thermorender.materials.material import Material
-from thermorender.materials.thermal import read_thermals, stacked
+from thermorender.materials.thermal import Thermal, beneath, read_thermals, stacked
 from thermorender.paths import data_folder
 from thermorender.physics.fresnel import LARGEST_SLOPE
 from thermorender.schema import closest
@@ -72,7 +72,7 @@ def load_library(directory: str | Path | None = None) -> dict[str, Material]:
     directory : path, optional
         Folder with `index.csv`, `spectra/` and `thermal/`, e.g. a scene's own `materials/`. A row with its spectrum
         replaces the shipped ones of the same name; independently, so does a thermal table. A folder with only
-        `thermal/` needs no index.
+        `thermal/` needs no index. A thermal table that another one names as `beneath` needs no material.
 
     Raises
     ------
@@ -81,8 +81,8 @@ def load_library(directory: str | Path | None = None) -> dict[str, Material]:
         is unknown; the message names file and row.
     """
     shipped = data_folder("materials")
-    library, where = dict(_read_once(shipped, _state(shipped))), shipped
-    thermals = {name: material.thermal for name, material in library.items() if material.thermal}
+    first, thermals = _read_once(shipped, _state(shipped))
+    library, where = dict(first), shipped
     if directory is not None:
         where = Path(directory)
         library |= read_library(where)
@@ -90,22 +90,28 @@ def load_library(directory: str | Path | None = None) -> dict[str, Material]:
         # The folder's own come first, so that their faults are reported first.
         thermals = own | {name: thermal for name, thermal in thermals.items() if name not in own}
         for name in own:
-            if name not in library:
+            if name not in {*library, *beneath(thermals)}:
                 raise ThermorenderError(f"{where / 'thermal' / name}.csv {stray(name, library)}")
     for name, thermal in stacked(thermals, where).items():
-        library[name] = replace(library[name], thermal=thermal)
+        if name in library:
+            library[name] = replace(library[name], thermal=thermal)
     return library
 
 
 @functools.lru_cache(maxsize=2)
-def _read_once(directory: Path, state: frozenset[tuple[str, int, int]]) -> dict[str, Material]:
-    """The materials of a folder, read again when `state` differs. Their arrays are read-only: scenes share them."""
+def _read_once(
+    directory: Path, state: frozenset[tuple[str, int, int]]
+) -> tuple[dict[str, Material], dict[str, Thermal]]:
+    """The materials and thermal tables of a folder, read again when `state` differs.
+
+    Arrays are read-only: scenes share them.
+    """
     library = read_library(directory)
     for material in library.values():
         for value in vars(material).values():
             if isinstance(value, np.ndarray):
                 value.flags.writeable = False
-    return library
+    return library, read_thermals(directory)
 
 
 def _state(directory: Path) -> frozenset[tuple[str, int, int]]:
@@ -118,7 +124,7 @@ def stray(name: str, library: Iterable[str]) -> str:
     """Return the fault of a thermal table whose name no material has, as a clause."""
     near = closest(name, library)
     hint = f"did you mean {near[0]}? " if near else ""
-    return f"belongs to no material; {hint}name it after one, or add a row to index.csv and a spectrum"
+    return f"belongs to no material; {hint}name it after one, beneath another, or add a row to index.csv and a spectrum"
 
 
 def read_library(directory: Path) -> dict[str, Material]:

@@ -28,7 +28,8 @@ def shifted(material: Material, name: str) -> Material:
     name : str
         "absorptance": of sunlight, upwards, or downwards close to one.
         "inertia": conductivity and heat capacity of all layers up by the same factor, and the skin's conductance.
-        "wetness": down by the uncertainty of wetness over surface resistance, since only the ratio matters.
+        "wetness": down by the uncertainty of wetness over surface resistance, since only the ratio matters; where soil
+        has a texture, the resistance moves up.
         "exchange": momentum roughness length up and heat_roughness_ratio down, each by 1/√2 standard deviations, so
         that their joint effect is one standard deviation.
 
@@ -91,7 +92,13 @@ def _slower(thermal):
 
 def _wetness(material, thermal):
     both = np.hypot(_of_logarithm(thermal, "wetness"), _of_logarithm(thermal, "surface_resistance_s_m"))
-    return replace(material, thermal=replace(thermal, wetness=thermal.wetness * float(np.exp(-both))))
+    drier = float(np.exp(-both))
+    if thermal.texture and thermal.surface_resistance_s_m:
+        # The weather sets the wetness of soils.
+        moved = replace(thermal, surface_resistance_s_m=thermal.surface_resistance_s_m / drier)
+    else:
+        moved = replace(thermal, wetness=thermal.wetness * drier)
+    return replace(material, thermal=moved)
 
 
 def _exchange(material, thermal):

@@ -13,14 +13,18 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.materials.csv_tables import number_in_cell, read_table
+from thermorender.physics.moisture import TEXTURES
 from thermorender.schema import closest
 from thermorender.units import ZERO_CELSIUS_K
 
 THERMAL_COLUMNS = ("property", "value", "uncertainty", "source")
 CHOSEN = "chosen:"
 COVERS = ("bare", "leaves", "water", "snow")
-# What may be beneath besides a material: indoor air through a film, outdoor air under a sheet.
-ENDS = ("inside", "outside")
+# What may be beneath besides a material: indoor air through a film, outdoor air under a sheet, and outdoor air in a
+# ventilated cavity or loft.
+ENDS = ("inside", "outside", "ventilated")
+# Soils whose moisture follows the weather: `physics.moisture.TEXTURES`.
+SOILS = tuple(TEXTURES)
 
 _SHARE = "give a share, 0.3 for 30 %"
 # Limits of every number and advice for values outside; wide enough for aerogel, gold, a forest and a deep lake.
@@ -39,9 +43,9 @@ NUMBERS = {
     "melting_k": (150.0, 3700.0, f"values are kelvin, add {ZERO_CELSIUS_K} to °C, or leave it empty"),
 }
 OPTIONAL = ("thickness_m", "beneath", "skin_conductance_w_m2_k", "surface_resistance_s_m", "attenuation_1_m",
-            "melting_k")  # fmt: skip
+            "melting_k", "texture")  # fmt: skip
 # In the order of a table.
-PROPERTIES = ("cover", *list(NUMBERS)[:4], "beneath", *list(NUMBERS)[4:])
+PROPERTIES = ("cover", *list(NUMBERS)[:4], "beneath", *list(NUMBERS)[4:], "texture")
 
 # Only metals, which are denser than this, conduct better than this (rock and ice: up to 8 W m⁻¹ K⁻¹).
 _METAL_W_M_K, _METAL_KG_M3 = 20.0, 1700.0
@@ -60,7 +64,8 @@ class Thermal:
     thickness_m : float or None
         Thickness of the layer [m]; None: unlimited.
     beneath : str
-        Material below the layer; "inside": indoor air through a film; "outside": outdoor air; "": unlimited layer.
+        Material below the layer; "inside": indoor air through a film; "outside": outdoor air; "ventilated": outdoor air
+        in a ventilated cavity or loft; "": unlimited layer.
     skin_conductance_w_m2_k : float or None
         Between the radiating surface and the top of the layer (leaves over ground); None: in contact.
     roughness_m : float
@@ -78,6 +83,8 @@ class Thermal:
         Of sunlight inside the layer [1/m]; None: opaque.
     melting_k : float or None
         Upper limit of the surface temperature [K].
+    texture : str
+        Kind of soil, one of `SOILS`, whose moisture follows the weather's rain; "": moisture is always the usual one.
     uncertainty : dict of str to float
         One standard deviation of each number, in its unit. Positive numbers are log-normal: roughness lengths are
         known to a factor.
@@ -101,6 +108,7 @@ class Thermal:
     surface_resistance_s_m: float | None = None
     attenuation_1_m: float | None = None
     melting_k: float | None = None
+    texture: str = ""
     uncertainty: dict[str, float] = field(default_factory=dict)
     source: dict[str, str] = field(default_factory=dict)
     below: "Thermal | None" = None
@@ -129,7 +137,7 @@ class Thermal:
     def layers(self) -> tuple["Thermal", ...]:
         """All layers from the surface down.
 
-        The last one is unlimited, or ends at "inside" or "outside" air.
+        The last one is unlimited, or ends at one of `ENDS`.
 
         Raises
         ------
@@ -216,7 +224,10 @@ def _value(key, text):
     if key == "beneath":
         return text, None
     if not text:
-        return None, None
+        return "" if key == "texture" else None, None
+    if key == "texture":
+        fault = f"texture={text!r} is not known; write one of {', '.join(SOILS)}, or leave it empty"
+        return (text, None) if text in SOILS else (None, fault)
     if key == "cover":
         fault = f"cover={text!r} is not known; write {', '.join(COVERS[:-1])} or {COVERS[-1]}"
         return (text, None) if text in COVERS else (None, fault)
@@ -234,8 +245,8 @@ def _contradictions(values, given):
     """Yield sentences on values that contradict each other; `given` holds the keys with a value, refused ones too."""
     beneath, conductivity, density = (values.get(key) for key in ("beneath", "conductivity_w_m_k", "density_kg_m3"))
     if "thickness_m" in given and not beneath:
-        yield ("thickness_m has nothing beneath; name the material there, or inside or outside, or "
-               "leave the thickness empty for an unlimited layer")  # fmt: skip
+        yield ("thickness_m has nothing beneath; name the material there, or inside, outside or "
+               "ventilated, or leave the thickness empty for an unlimited layer")  # fmt: skip
     if beneath and "thickness_m" not in given:
         yield f"beneath={beneath!r} is given without thickness_m; give the layer's thickness, or leave beneath empty"
     if conductivity and density and conductivity > _METAL_W_M_K and density < _METAL_KG_M3:
@@ -263,6 +274,11 @@ def read_thermals(directory: str | Path) -> dict[str, Thermal]:
     return {path.stem: read_thermal(path, directory) for path in sorted((directory / "thermal").glob("*.csv"))}
 
 
+def beneath(thermals: Mapping[str, Thermal]) -> set[str]:
+    """Return the names that `thermals` have beneath them."""
+    return {thermal.beneath for thermal in thermals.values()}
+
+
 def beneath_fault(name: str, thermals: Mapping[str, Thermal]) -> str | None:
     """Return a sentence if `thermals[name].beneath` has no table or leads in a circle, else None."""
     under, passed = thermals[name].beneath, [name]
@@ -270,7 +286,7 @@ def beneath_fault(name: str, thermals: Mapping[str, Thermal]) -> str | None:
         near = closest(under, thermals)
         hint = f"did you mean {near[0]}? " if near else ""
         return (f"beneath={under!r} is not a material with thermal properties; {hint}name one with a table, or write "
-                f"{' or '.join(ENDS)}")  # fmt: skip
+                f"{', '.join(ENDS[:-1])} or {ENDS[-1]}")  # fmt: skip
     while under in thermals and under not in passed:
         passed.append(under)
         under = thermals[under].beneath

@@ -8,6 +8,7 @@ again. Temperatures of a heat balance follow the flight's time; see `thermorende
 """
 
 import os
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
@@ -22,7 +23,12 @@ from thermorender import files, formats
 from thermorender.frame import Frame
 from thermorender.frame.record import record
 from thermorender.output import products as product_files
+from thermorender.output.cost import MEASURED, Cost
+from thermorender.output.flight_figures import SHEET, chosen, thumbnail
+from thermorender.output.flight_page import Pictured, write_page
 from thermorender.output.photograph import photograph
+from thermorender.output.prospect import Prospect
+from thermorender.output.prospect import prospect as prospect_of
 from thermorender.output.record import made_by, weather_of
 from thermorender.output.resume import finished, load_state, refuse_moved, remove_state, save_state
 from thermorender.output.video import write_video
@@ -55,7 +61,7 @@ class FlightOptions:
     start_s, stop_s : float or None
         Part of the trajectory's time to fly [s]; None: from its start, to its end.
     products : sequence of str
-        Some of exr, truth, error, counts, counts-tiff, radiometric, display, video, visible.
+        Some of exr, truth, error, counts, counts-tiff, radiometric, display, video, visible, report.
     display : DisplaySettings
         How counts become display images. Its tails are replaced by the camera's.
     thermography : ThermographySettings or None
@@ -80,6 +86,7 @@ def fly(
     verify: bool = False,
     progress: Callable[[int, int], object] | None = None,
     heat_progress: Callable[[str, float], object] | None = None,
+    outlook: Callable[[Prospect | Cost], object] | None = None,
 ) -> dict[str, Any]:
     """Render a flight into a folder and return its summary.
 
@@ -102,6 +109,8 @@ def fly(
         Called with (frames done, frames in total). Without it a notebook and Python's prompt show a bar.
     heat_progress : callable, optional
         Called with (what, share done) while a heat balance is solved.
+    outlook : callable, optional
+        Called with a Prospect before the first frame, and with a Cost after the second.
 
     Returns
     -------
@@ -118,9 +127,9 @@ def fly(
     flight = _Flight(renderer, trajectory, options, heat_progress)
     with files.output_folder(folder) as out, files.in_use(out):
         with _bar(progress) as report:
-            done = flight.write(out, resume or verify, verify, report)
+            done = flight.write(out, resume or verify, verify, report, outlook)
         without = flight.terrain.count(False)
-        formats.write_json(out / "flight.json", flight.settings | {"frames_without_terrain": without})
+        formats.write_json(out / "flight.json", flight.described | {"frames_without_terrain": without})
     return {
         "frames": len(flight.times),
         "rendered": len(flight.times) - done,
@@ -129,6 +138,16 @@ def fly(
         "first_time_s": float(flight.times[0]),
         "last_time_s": float(flight.times[-1]),
     }
+
+
+def measured(
+    renderer: "Renderer", trajectory: Trajectory, options: FlightOptions, folder: Path, prospect: Prospect | None = None
+) -> Cost:
+    """Return the Cost of a flight from its first frames, which are written into an empty folder."""
+    flight = _Flight(renderer, trajectory, options, None, prospect)
+    for index in range(min(MEASURED, len(flight.times))):
+        flight.write_frame(folder, index)
+    return flight.cost(folder, len(flight.times))
 
 
 @contextmanager
@@ -148,24 +167,32 @@ class _Flight:
     ----------
     times : (N,) float64
         Of the frames [s].
+    prospect : Prospect
     settings : dict
-        Of `flight.json`.
+        Of `flight.json`; a flight is continued with the same.
     terrain : list of bool
         Whether each finished frame shows terrain.
     """
 
     def __init__(
         self, renderer: "Renderer", trajectory: Trajectory, options: FlightOptions,
-        heat_progress: Callable[[str, float], object] | None,
+        heat_progress: Callable[[str, float], object] | None, prospect: Prospect | None = None,
     ) -> None:  # fmt: skip
         camera = renderer.scene.camera
         self.renderer, self.thermography = renderer, options.thermography
-        self.products = product_files.check(options.products, options.thermography, camera)
+        self.products = product_files.check(options.products, options.thermography, camera, flight=True)
         self.display = replace(options.display, tails_percent=camera.agc_tails_percent)
         self.flown = FlightFrames(renderer, trajectory, options.rate_hz, options.start_s, options.stop_s, heat_progress)
         self.times = self.flown.times
+        self.prospect = prospect or prospect_of(renderer, trajectory, self.times, self.flown.rate_hz)
         self.settings = self._settings(trajectory)
         self.terrain: list[bool] = []
+        # Frames on the contact sheet.
+        self.sheet = chosen(len(self.times), SHEET).tolist() if "report" in self.products else []
+        self.pictured: dict[int, Pictured] = {}
+        # Of the frames written now: seconds, and {product: bytes}.
+        self._spent: list[tuple[float, dict[str, int]]] = []
+        self._agc: _Memory = None
 
     def _settings(self, trajectory: Trajectory) -> dict[str, Any]:
         scene, start = self.renderer.scene, self.flown.timed.time(trajectory.span_s[0])
@@ -191,39 +218,84 @@ class _Flight:
             **made_by(),
         }
 
-    def write(self, folder: Path, resume: bool, verify: bool, progress: Callable[[int, int], object] | None) -> int:
-        """Write the frames that are not finished, and the video; return the number of frames finished before."""
+    @property
+    def described(self) -> dict[str, Any]:
+        """The content of `flight.json`: settings, and what the flight was expected to show."""
+        return self.settings | {"prospect": self.prospect.as_dict()}
+
+    def write(
+        self, folder: Path, resume: bool, verify: bool, progress: Callable[[int, int], object] | None,
+        outlook: Callable[[Prospect | Cost], object] | None,
+    ) -> int:  # fmt: skip
+        """Write the frames that are not finished, video and report; return the number of frames finished before."""
         self.terrain = finished(folder, self.settings, self.products, resume, verify)
         done, total, place = len(self.terrain), len(self.times), os.stat(folder)
-        agc = self._restored(folder, done) if 0 < done < total else None
+        if outlook and done < total:
+            outlook(self.prospect)
+        self._agc = self._restored(folder, done) if 0 < done < total else None
         for index in range(done, total):
-            frame, agc, image = self._take(index, agc)
-            refuse_moved(folder, place)
-            # Not earlier, so that an error in the first frame leaves no files.
-            if not (folder / "flight.json").exists():
-                formats.write_json(folder / "flight.json", self.settings)
-            self._write_frame(folder, frame, agc, image)
+            self.write_frame(folder, index, place)
             if progress:
                 progress(index + 1, total)
+            if outlook and index + 1 == min(done + MEASURED, total):
+                outlook(self.cost(folder, total - done))
         refuse_moved(folder, place)
         remove_state(folder)
         if "video" in self.products:
             images = [product_files.paths(folder, index, ("display",))["display"] for index in range(total)]
             write_video(folder / "flight.mp4", images, self.flown.rate_hz)
+        if "report" in self.products:
+            for index in self.sheet:
+                if index not in self.pictured:
+                    self._picture(self.flown.still(index))
+            pictured = {index: self.pictured[index] for index in self.sheet}
+            write_page(folder, self.renderer, self.settings, self.prospect, pictured)
         return done
 
-    def _write_frame(self, folder: Path, frame: Frame, agc: _Memory, image: Any) -> None:
-        """Write the files of a frame, then its line."""
+    def cost(self, folder: Path, frames: int) -> Cost:
+        """Return the Cost of a number of frames, by those that were written now."""
+        some = self._spent[:MEASURED]
+        sizes = {name: sum(each[name] for _, each in some) / len(some) for name in some[0][1]}
+        return Cost.of(folder, frames, some[-1][0], sizes)
+
+    def write_frame(self, folder: Path, index: int, place: os.stat_result | None = None) -> None:
+        """Take a frame and write its files and its line, unless the folder is no longer at its `place`."""
+        start = time.perf_counter()
+        frame, self._agc, image = self._take(index, self._agc)
+        if place is not None:
+            refuse_moved(folder, place)
+        # Not earlier, so that an error in the first frame leaves no files.
+        if not (folder / "flight.json").exists():
+            formats.write_json(folder / "flight.json", self.described)
+        written = self._write_files(folder, frame, image)
+        if index in self.sheet:
+            self._picture(frame)
+        self._spent.append((time.perf_counter() - start, {name: path.stat().st_size for name, path in written.items()}))
+
+    def _write_files(self, folder: Path, frame: Frame, image: Any) -> dict[str, Path]:
+        """Write the files of a frame, then its line; return the files by product."""
         written = product_files.write(
             folder, frame, self.products, image, self.thermography,
             lambda camera: photograph(self.renderer, frame.pose, frame.time_s, camera=camera)[0],
         )  # fmt: skip
-        state = self.flown.exposure.state() | ({} if agc is None else {"agc": agc})
+        state = self.flown.exposure.state() | ({} if self._agc is None else {"agc": self._agc})
         files.on_disk(*written.values(), save_state(folder, frame.index, state))
         self.terrain.append(_shows_terrain(self.renderer.scene, frame))
         line = record(frame) | self.flown.timed.temperature_record(frame.time_s) | {"shows_terrain": self.terrain[-1]}
+        line["apparent_k"] = _apparent_k(frame)
         line["files"] = {path.name: [path.stat().st_size, formats.checksum(path)] for path in written.values()}
         formats.append_json(folder / "frames.jsonl", formats.sealed(line))
+        return written
+
+    def _picture(self, frame: Frame) -> None:
+        """Keep a frame for the contact sheet."""
+        pixels: dict[str, int] = {}
+        if frame.targets:
+            number, names = self.renderer.objects_seen(frame.pose, frame.time_s)
+            pixels = {name: int((number == k).sum()) for k, name in enumerate(names)}
+        # Surfaces cover most of a pixel of the small picture.
+        surface = thumbnail(np.isfinite(frame.truth["depth"]).astype(np.float32)) > 0.5
+        self.pictured[frame.index] = Pictured(frame.kelvin_of(thumbnail(frame.radiance)), surface, pixels)
 
     def _take(self, index: int, agc: _Memory) -> tuple[Frame, _Memory, Any]:
         """One frame with its sensor's reading, the state of the display after it, and the display image."""
@@ -257,6 +329,14 @@ def _shows_terrain(scene: Scene, frame: Frame) -> bool:
         if ((z > 0.0) & (np.hypot(x, y) < slope * z)).any():
             return True
     return bool(np.isfinite(frame.truth["depth"]).any())
+
+
+def _apparent_k(frame: Frame) -> list[float]:
+    """Least, median and greatest apparent temperature of a frame [K]."""
+    radiance = frame.radiance
+    # Between the two middle pixels: the median's radiance, as temperatures rise with radiance.
+    three = np.array([radiance.min(), np.median(radiance), radiance.max()], np.float32)
+    return [round(float(value), 3) for value in frame.kelvin_of(three)]
 
 
 def _digest(*arrays: NDArray[Any]) -> str:

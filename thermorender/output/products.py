@@ -19,9 +19,9 @@ from thermorender.sensor.radiometry import ThermographySettings, thermography_re
 if TYPE_CHECKING:
     from thermorender.frame import Frame
 
-DEFAULT = ("exr", "truth", "counts", "display", "video")
-# Products that are parts of others.
-_PARTS = ("truth", "error", "video")
+DEFAULT = ("exr", "truth", "counts", "display", "video", "report")
+# Products that are parts of others, or made of all frames.
+_PARTS = ("truth", "error", "video", "report")
 
 
 def write_radiometric(path: Path, frame: "Frame", thermography: ThermographySettings | None) -> None:
@@ -62,11 +62,13 @@ WRITERS = {
 
 
 def check(
-    products: Iterable[str], thermography: ThermographySettings | None = None, camera: Camera | None = None
-) -> tuple[str, ...]:
+    products: Iterable[str], thermography: ThermographySettings | None = None, camera: Camera | None = None,
+    flight: bool = False,
+) -> tuple[str, ...]:  # fmt: skip
     """Return the products as a tuple, after refusing unknown names and combinations without effect.
 
     If `camera` has a visible camera beside it, the product "visible" is two images: registered, and by that camera.
+    "report" is a product of a `flight` only.
     """
     products = tuple(products)
     if "visible" in products and camera is not None and camera.visible_camera is not None:
@@ -85,6 +87,8 @@ def check(
     for name in ("truth", "error"):
         if name in products and "exr" not in products:
             raise ThermorenderError(f"product {name!r} is channels of the EXR; add 'exr'")
+    if "report" in products and not flight:
+        raise ThermorenderError("product 'report' is a page of a flight; leave it out here")
     if "video" in products and "display" not in products:
         raise ThermorenderError("product 'video' is made of the display images; add 'display'")
     if thermography is not None and not {"exr", "radiometric"} & set(products):

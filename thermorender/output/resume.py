@@ -55,7 +55,7 @@ def finished(folder: Path, settings: dict[str, Any], products: Sequence[str], re
     for number, line in enumerate(text.splitlines()):
         try:
             stored = formats.unsealed(json.loads(line))
-            index, shows, known = stored["index"], stored["shows_terrain"], stored["files"]
+            index, shows, known, _ = (stored[key] for key in ("index", "shows_terrain", "files", "apparent_k"))
             images = product_files.paths(folder, number, products).values()
             if index != number or not all(_whole(path, known[path.name], verify) for path in images):
                 break

@@ -38,6 +38,9 @@ class BakedScene:
     plan : Plan
     transport : Transport or None
         Rays between the faces; None where reflection is left out.
+    incident : (F, N) float32 or None
+        Mean radiance that each face receives at each spectral node, from which an edit's solution begins
+        [W m⁻² sr⁻¹]; None where reflection is left out.
     texels : tuple of (T,) float32
         Radiance that leaves each texel, one array per spectral channel [W m⁻² sr⁻¹].
     faces : (F, K) float32 or None
@@ -61,6 +64,7 @@ class BakedScene:
     scene: Scene
     plan: Plan
     transport: radiosity.Transport | None
+    incident: NDArray[np.float32] | None
     texels: tuple[NDArray[np.float32], ...]
     faces: NDArray[np.float32] | None
     face_error: NDArray[np.float32] | None
@@ -111,7 +115,7 @@ class BakedScene:
             scene, samples=old.samples, taps=old.taps, edge_mk=old.edge_mk, rays=old.rays,
             tolerance_mk=old.tolerance_mk,
         )  # fmt: skip
-        return bake(scene, plan, like=self, progress=progress)
+        return bake(scene, plan, like=self, progress=progress, start=self)
 
     def seen_as(self, scene: Scene, plan: Plan) -> "BakedScene | None":
         """Return this light under another camera or sampling, or None where `scene` and `plan` change the light."""
@@ -132,6 +136,7 @@ def bake(
     geometry: Geometry | None = None,
     like: BakedScene | None = None,
     progress: Progress | None = None,
+    start: BakedScene | None = None,
 ) -> BakedScene:
     """Return the BakedScene of a scene.
 
@@ -146,6 +151,9 @@ def bake(
         Of the same surfaces; its rays are used again if their number per face is the same.
     progress : callable, optional
         Called with (what, share done).
+    start : BakedScene, optional
+        Of the same surfaces and similar light, from which the solution begins. It saves time and changes the solution
+        within its error bound.
 
     Raises
     ------
@@ -167,7 +175,7 @@ def bake(
     uploaded: dict[str, Any] = {"geometry": geometry}
     if not plan.bake:
         none = dict.fromkeys(("solution", "noise", "faces", "texels"), 0.0)
-        return BakedScene(scene, plan, None, tuple(texel), None, None, black, None, none, None, uploaded)
+        return BakedScene(scene, plan, None, None, tuple(texel), None, None, black, None, none, None, uploaded)
     report_progress, note = progress or (lambda what, share: None), None
     if known is None:
         what = "tracing the light between surfaces"
@@ -175,13 +183,14 @@ def bake(
         known, note = cache.traced(geometry, plan.rays, lambda share: report_progress(what, share))
     report_progress("solving the light between surfaces", 0.0)
     per_mk, share = plan.radiance_per_mk, geometry.share
-    solved = _solve(scene, plan, geometry, known, material, temperature)
+    guess = None
+    if start is not None and start.incident is not None:
+        guess = start.incident @ spectrum.of(start.plan.spectrum)
+    solved = _solve(scene, plan, geometry, known, material, temperature, guess)
     incident, noise = solved.incident, solved.noise
     lost: Any = 0.0 if scene.air is None else left_out(scene, known, solved.reflectance)
-    # The operator takes as much memory as the rays.
-    known.forget_operator()
     face = np.empty((geometry.face_count, spectrum.channels), dtype=np.float32)
-    covers = geometry.face_of_texel()
+    covers = geometry.face_of_texel
     if spectrum.channels > 1:
         # Scatter is converted to kelvin in the band radiance without a path.
         light = texels.light(incident, np.tensordot(spectrum.solver.sum(axis=0), spectrum.reflected, (0, 1)))
@@ -200,7 +209,9 @@ def bake(
     report_progress("solving the light between surfaces", 1.0)
     # Per face, for the error budget of frames.
     square = (noise**2 + scatter + lost**2).astype(np.float32)
-    return BakedScene(scene, plan, known, tuple(texel), face, square, black, solved.static, errors, note, uploaded)
+    return BakedScene(
+        scene, plan, known, incident, tuple(texel), face, square, black, solved.static, errors, note, uploaded
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,7 +228,7 @@ class _Light:
 
 def _solve(
     scene: Scene, plan: Plan, geometry: Geometry, known: radiosity.Transport, material: NDArray[np.uint8],
-    temperature: NDArray[np.float32],
+    temperature: NDArray[np.float32], guess: Floats | None,
 ) -> _Light:  # fmt: skip
     """The _Light of a scene with known Transport, solved in blocks of nodes."""
     spectrum = plan.spectrum
@@ -231,8 +242,9 @@ def _solve(
     blocks = radiosity.blocks(*shape)
     means = texels.face_means(geometry, plan, material, temperature, blocks)
     for nodes, (emitted, reflectance) in zip(blocks, means, strict=True):
-        found, bounds[nodes] = radiosity.solve(known, emitted, reflectance, around.at(nodes), tolerance)
-        noise += radiosity.noise(known, emitted, reflectance, around.at(nodes), found)
+        near = None if guess is None else guess[:, nodes]
+        found, bounds[nodes], draw = radiosity.solve(known, emitted, reflectance, around.at(nodes), tolerance, near)
+        noise += draw
         incident[:, nodes], mean_reflectance[nodes] = found, geometry.share @ reflectance
         mean += reflectance @ black_share[nodes]
         if static:

@@ -42,6 +42,8 @@ class DeviceScene:
             self._air = Vacuum(mi, *band_radiance(outside, *plan.band_um)[:, None])
         else:
             self._air = Air(mi, scene, plan.spectrum)
+        self._static_objects = scene.surfaces[scene.terrain_count :]
+        self._alone: dict[str, Geometry] = {}
         self._last_medium: tuple[Any, Any] = None, None
         self._last_light: tuple[Any, Any] = None, None
         self._last_outgoing: tuple[Any, Any] = None, None
@@ -53,6 +55,16 @@ class DeviceScene:
         for item, placement, radiance in zip(self.objects, placements, own, strict=True):
             layers.append(Layer(item.geometry, opaque_view(self._mi, np.linalg.inv(placement.pose) @ pose), radiance))
         return layers
+
+    def alone(self, name: str, placements: Sequence[Placement]) -> tuple[Geometry, Floats]:
+        """Return (Geometry of one object without the others, pose of its frame in the scene's)."""
+        for item, placement in zip(self.objects, placements, strict=True):
+            if placement.name == name:
+                return item.geometry, placement.pose
+        if name not in self._alone:
+            own = [each for each in self._static_objects if each.name.split(":")[0] == name]
+            self._alone[name] = Geometry(self._mi, own)
+        return self._alone[name], np.eye(4)
 
     def face_errors(self, placements: Sequence[Placement]) -> list[Jit]:
         """Return the squared error of the light on the faces of each layer, in the order of `layers`.

@@ -197,7 +197,7 @@ class Geometry:
                 found.append(None)
                 continue
             if covers is None:
-                covers = self.face_of_texel().numpy() < self.face_count
+                covers = self.face_of_texel.numpy() < self.face_count
             part = covers[self.texel_start[number] : self.texel_start[number + 1]]
             found.append(part.reshape(surface.material.shape))
         return found
@@ -233,8 +233,9 @@ class Geometry:
         """Unit normals of all faces; zero where a face has no area."""
         return Channels(self.mi, of_faces(self.surfaces, _unit_across, (3,)))
 
+    @cached_property
     def face_of_texel(self) -> Jit:
-        """Return the face that covers each texel's centre, UInt32 over all texels; `face_count` where no face does.
+        """The face that covers each texel's centre, UInt32 over all texels; `face_count` where no face does.
 
         Rays are cast down onto the triangles of the map. A face whose map has no area covers nothing.
         """

@@ -16,11 +16,12 @@ from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
 from thermorender.progress import interactive
 from thermorender.render import truth
 from thermorender.render.air import Vacuum, refuse_camera
-from thermorender.render.arrays import opaque_view, view_ray
+from thermorender.render.arrays import aligned, opaque_view, view_ray
 from thermorender.render.baked import BakedScene, Progress, bake
 from thermorender.render.dynamic import Objects, placements
 from thermorender.render.geometry import Geometry, refuse_other_surfaces
 from thermorender.render.heat.instants import solved_at
+from thermorender.render.labels import object_names, object_numbers
 from thermorender.render.layers import Layer, OutgoingRadiance, Shape
 from thermorender.render.pixels import slender
 from thermorender.render.pixels.sampling import CameraRays
@@ -279,20 +280,32 @@ class Renderer:
         at_rest = Shape(self._geometry, opaque_view(self._geometry.mi, checked_pose(pose)))
         return np.asarray(truth.pixel_middles([at_rest], self._camera_rays(camera))[4], np.float32)
 
+    def hits(self, origin: ArrayLike, direction: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+        """Return (distance [m], infinite for a miss; number of the texel, −1 for a miss) of rays into the static scene.
+
+        Parameters
+        ----------
+        origin, direction : (N, 3) arrays
+            Local positions [m], and directions of any length.
+        """
+        mi, geometry = self._geometry.mi, self._geometry
+        start, way = (np.asarray(given, np.float64).T for given in (origin, direction))
+        way = way / np.linalg.norm(way, axis=0)
+        ray = mi.Ray3f(mi.Point3f(*map(aligned, start)), mi.Vector3f(*map(aligned, way)))
+        hit = geometry.cast(ray)
+        place = geometry.map_position(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
+        found = [dr.select(hit.valid, hit.distance, np.inf), geometry.nearest(hit.surface, *place, hit.valid)]
+        dr.eval(found)
+        distance, texel = (np.array(values) for values in found)
+        return distance, np.where(np.isfinite(distance), texel.astype(np.int64), -1)
+
     def objects_seen(
         self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None
     ) -> tuple[NDArray[np.int64], list[str]]:
         """Return (number of the object at each pixel's middle, (H, W), −1 elsewhere; names of the objects)."""
         view = self._view(pose, time_s, objects)
         valid, number, *_ = truth.pixel_middles(self.baked.device.layers(view.pose, view.placements), view.rays)
-        dynamic = [surface for tracked in self.scene.tracked_objects for surface in tracked.surfaces]
-        shown = (*self.scene.surfaces, *dynamic)
-        owner = [surface.name.split(":")[0] for surface in shown]
-        names = list(dict.fromkeys(owner[self.scene.terrain_count :]))
-        of = np.array([names.index(name) if name in names else -1 for name in owner])
-        ends = np.cumsum([surface.material.size for surface in shown])
-        surface = np.minimum(np.searchsorted(ends, number, side="right"), len(shown) - 1)
-        return np.where(valid, of[surface], -1), names
+        return object_numbers(self.scene, valid, number).astype(np.int64) - 1, list(object_names(self.scene))
 
     def pictured(
         self, values: NDArray[np.float32], pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None
@@ -346,8 +359,8 @@ class Renderer:
         return Frame(
             radiance=radiance, pose=view.pose, time_s=float(time_s), index=_whole("index", index), seed=self.seed,
             camera=self.scene.camera, plan=plan, time=self.scene.time,
-            materials=tuple(material.name for material in self.scene.materials), device=active_device(),
-            place=place_of(self.scene.frame, self.scene.grid), _view=view, _sampling=sampling,
+            materials=tuple(material.name for material in self.scene.materials), objects=object_names(self.scene),
+            device=active_device(), place=place_of(self.scene.frame, self.scene.grid), _view=view, _sampling=sampling,
         )  # fmt: skip
 
     def _tracer(

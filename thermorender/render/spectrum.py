@@ -9,7 +9,8 @@ They are the principal components of all spectra of the scene behind all paths.
 
 Emission is integrated over all points and needs no nodes. Reflection couples the reflectance of one surface with the
 spectrum of its surroundings. Its nodes are as few as keep the error below the tolerance for the light in the scene's
-envelope, a list of spectra: these errors are the largest on that list, not bounds for all light of a scene.
+envelope, a list of spectra: these errors are the largest on that list, not bounds for all light of a scene. They are in
+mK at the brightness of the light, or at 300 K where it is colder.
 """
 
 from collections.abc import Sequence
@@ -22,8 +23,15 @@ from numpy.typing import ArrayLike, NDArray
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
+from thermorender.materials.mixture import parts_of
 from thermorender.physics.band import Emissivity, RadianceTable, emitted_radiance, quadrature
-from thermorender.physics.planck import Floats, band_radiance, kelvin_per_radiance, spectral_radiance
+from thermorender.physics.planck import (
+    Floats,
+    band_radiance,
+    band_radiance_derivative,
+    kelvin_per_radiance,
+    spectral_radiance,
+)
 
 MOST_NODES = 64
 MOST_CHANNELS = 8
@@ -123,6 +131,18 @@ class Spectrum:
     def of_air(self, radiance: Floats) -> Floats:
         """Return radiance of the air's nodes, (..., n), as radiance of the spectral nodes, (..., N)."""
         return self.gathered(self.points.spread(radiance))
+
+    def of(self, other: "Spectrum") -> Floats:
+        """Return a matrix (N', N) that turns radiance of another spectrum's nodes into that of these, approximately.
+
+        The light of each node is spread over its points as a blackbody's is. Between bands or airs of other points,
+        that of all nodes together is.
+        """
+        label = other.label if len(other.label) == len(self.label) else np.zeros(len(self.label), int)
+        black = self.points.planck(REFERENCE_K)
+        shares = np.zeros((int(label.max()) + 1, self.nodes))
+        np.add.at(shares, (label, self.label), black / np.bincount(label, black)[label])
+        return shares if label is other.label else np.repeat(shares, other.nodes, axis=0)
 
     def emitted(
         self, emissivity: Emissivity, coldest: float, warmest: float, band_um: tuple[float, float]
@@ -229,20 +249,22 @@ def make_spectrum(materials: Sequence[Material], envelope: Envelope, tolerance_m
         The tolerance is not reached with 64 nodes.
     """
     points = Points.of(envelope.band_um, envelope.air)
-    spectra = np.array([material.emissivity_at(points.wavelength_um) for material in materials])
-    passed = envelope.paths()
-    case = _Case(points, spectra, envelope, passed)
+    pure, shares = _pure(materials)
+    spectra = np.array([material.emissivity_at(points.wavelength_um) for material in pure])
+    mixed = [(int(part), kelvin) for number, kelvin in envelope.objects for part in np.flatnonzero(shares[number])]
+    envelope = replace(envelope, objects=list(dict.fromkeys(mixed)))
+    case = _Case(points, spectra, envelope, envelope.paths())
     basis, solver, channels_mk = _channels(case, tolerance_mk)
     label = np.zeros(len(points.node), dtype=int)
     if not reflects:
-        return case.spectrum(label, basis, solver, channels_mk)
+        return _mixed(case.spectrum(label, basis, solver, channels_mk), shares)
     from scipy.cluster.hierarchy import fcluster, linkage
 
     tree, wanted = linkage(case.features(), "ward"), case.wanted(basis)
     for count in range(1, MOST_NODES + 1):
         found = case.spectrum(fcluster(tree, count, "maxclust") - 1, basis, solver, channels_mk, wanted)
         if found.nodes_mk <= tolerance_mk:
-            return found
+            return _mixed(found, shares)
     raise ThermorenderError(
         f"tolerance_mk={tolerance_mk:g} is not reached with {MOST_NODES} spectral nodes ({found.nodes_mk:.3g} mK "
         "remain); give a larger tolerance"
@@ -261,6 +283,25 @@ def with_nodes(spectrum: Spectrum, materials: Sequence[Material], count: int) ->
     return replace(spectrum, label=label, emissivity=emissivity, reflected=reflected, share=share)
 
 
+def _pure(materials: Sequence[Material]) -> tuple[list[Material], Floats]:
+    """(The P materials that these are mixed of, share of each in every material (M, P)).
+
+    All that a mixture emits and reflects is the mean of its parts, and its error at most the largest of theirs.
+    """
+    pure = list(dict.fromkeys(part for material in materials for part, _ in parts_of(material)))
+    shares = np.zeros((len(materials), len(pure)))
+    for row, material in zip(shares, materials, strict=True):
+        for part, share in parts_of(material):
+            row[pure.index(part)] += share
+    return pure, shares
+
+
+def _mixed(spectrum: Spectrum, shares: Floats) -> Spectrum:
+    """The Spectrum of mixtures from that of their parts."""
+    reflected = np.einsum("mp,pkn->mkn", shares, spectrum.reflected)
+    return replace(spectrum, emissivity=shares @ spectrum.emissivity, reflected=reflected)
+
+
 class _Case:
     """A scene's envelope at the points: its light, its reflections, and the radiance of a millikelvin."""
 
@@ -272,10 +313,10 @@ class _Case:
 
     @cached_property
     def per_mk(self) -> Floats:
-        """Radiance per millikelvin of each surface at its coldest, reflecting each light, (M, L)."""
+        """Radiance per millikelvin of each surface at its coldest, reflecting each light, (M, L), by `_kelvin`."""
         coldest = self.sources[1][0]
         shown = (1.0 - self.spectra) @ self.light.T + (self.spectra @ coldest)[:, None]
-        return 1e-3 / kelvin_per_radiance(shown, *self.envelope.band_um)
+        return 1e-3 / _kelvin(shown, self.envelope.band_um)
 
     def wanted(self, basis: Floats) -> Floats:
         """Reflection of each light by each material into each channel, (M, K, L)."""
@@ -326,7 +367,7 @@ def _channels(case: _Case, tolerance_mk: float) -> tuple[Floats, Floats, float]:
     node = case.points.node
     reflected = [_gathered((1.0 - emissivity) * case.light, node) for emissivity in case.spectra]
     shown = np.concatenate([_gathered(case.spectra[m] * black, node) + reflected[m] for m, black in own])
-    shown *= 1e3 * kelvin_per_radiance(shown.sum(axis=1), *case.envelope.band_um)[:, None]
+    shown *= 1e3 * _kelvin(shown.sum(axis=1), case.envelope.band_um)[:, None]
     square = shown.T @ shown
     size, axes = np.linalg.eigh(square)
     left, size, _ = np.linalg.svd(case.passed @ (axes * np.sqrt(np.maximum(size, 0.0))), full_matrices=False)
@@ -339,6 +380,15 @@ def _channels(case: _Case, tolerance_mk: float) -> tuple[Floats, Floats, float]:
         if worst <= tolerance_mk:
             break
     return basis, solver, worst
+
+
+def _kelvin(radiance: Floats, band_um: tuple[float, float]) -> Floats:
+    """d(brightness temperature)/d(band radiance) [K W⁻¹ m² sr], that of 300 K for what is colder.
+
+    A budget is in mK at 300 K. A texel close to 100 K has a hundredth of that radiance per millikelvin.
+    """
+    coldest = 1.0 / band_radiance_derivative(REFERENCE_K, *band_um)
+    return np.minimum(kelvin_per_radiance(radiance, *band_um), coldest)
 
 
 def _means(points: Points, spectra: Floats, basis: Floats, label: NDArray[np.integer]) -> tuple[Floats, Floats, Floats]:

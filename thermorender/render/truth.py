@@ -17,6 +17,7 @@ from thermorender.physics.fresnel import COSINES
 from thermorender.physics.planck import band_radiance, spectral_radiance
 from thermorender.render.arrays import Floats, aligned, view_ray
 from thermorender.render.dynamic import Placement
+from thermorender.render.labels import imaged, object_numbers
 from thermorender.render.layers import Shape
 from thermorender.render.pixels.sampling import CameraRays
 from thermorender.render.reflection.reflectance import directional
@@ -60,6 +61,7 @@ def truth(
         "kinetic_temperature": np.where(valid, temperature, np.nan).astype(np.float32),
         "emissivity": np.where(valid, emissivity, np.nan).astype(np.float32),
         "material": np.where(valid, material, NO_MATERIAL).astype(np.uint8),
+        "object": object_numbers(scene, valid, number),
         "depth": np.where(valid, depth, np.inf).astype(np.float32),
         "position": np.where(valid[..., None], np.stack(position, axis=-1), np.nan).astype(np.float32),
         "mask": np.where(valid, flags | np.where(cosine < 0, BEHIND, 0), np.where(up, 0, BACKGROUND)).astype(np.uint8),
@@ -133,7 +135,8 @@ def targets(
         return {}
     centre = np.array(list(middles.values()))
     local = (centre - pose[:3, 3]) @ pose[:3, :3]
-    pixel = camera.project(local)
+    pixel, front = np.full((len(local), 2), np.nan), local[:, 2] > 0.0
+    pixel[front] = imaged(camera, local[front, :2] / local[front, 2:])
     distance = np.linalg.norm(local, axis=-1)
     nearest, names = np.full(len(centre), np.inf), np.full(len(centre), "", dtype=object)
     shown = [(baked.geometry, baked.scene.surfaces, np.eye(4))]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.render import truth
+from thermorender.render import labels, truth
 from thermorender.render.arrays import Floats
 from thermorender.render.baked import BakedScene
 from thermorender.render.dynamic import Placement
@@ -53,6 +53,10 @@ class View:
     def targets(self) -> dict[str, dict[str, Any]]:
         """Return the positions of objects, as `Frame.targets`."""
         return truth.targets(self.baked, self.rays.camera, self.pose, self.placements)
+
+    def labels(self, seen: NDArray[np.uint32]) -> dict[str, dict[str, Any]]:
+        """Return the extents of objects, as `Frame.labels`; `seen` is the truth's image of objects."""
+        return labels.labels(self.baked, self.rays.camera, self.pose, self.placements, seen)
 
     def budget_mk(self, radiance: NDArray[np.float32], sampling: Sampling | None) -> dict[str, float] | None:
         """Return the error budget of a radiance image, as `Frame.budget_mk`; None without its Sampling."""

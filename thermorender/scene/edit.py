@@ -27,6 +27,7 @@ from thermorender.scene.state.arguments import (
     kelvin_argument,
     number_of,
     refuse_other,
+    surface_temperatures,
     surfaces_argument,
     temperature_spec,
     weather_argument,
@@ -231,16 +232,18 @@ class Edits(MaterialEdits):
         return self._edited(now.under(spec, series))
 
     def with_temperature(
-        self: _S, source: "TemperatureSpec | float | str | PathLike[str] | TemperatureMap",
+        self: _S,
+        source: "TemperatureSpec | float | str | PathLike[str] | TemperatureMap | Mapping[str, Any]",
         model: TemperatureMap | None = None, kelvin: Sequence[ArrayLike] | None = None,
     ) -> _S:  # fmt: skip
         """Return this scene with its terrain's temperatures from another source.
 
         Parameters
         ----------
-        source : TemperatureSpec, number, str, path or TemperatureMap
+        source : TemperatureSpec, number, str, path, TemperatureMap or dict
             Kelvin for all texels, the path of a raster of kelvin, the name or path of a learned map, "balance", or the
-            keys of [temperature].
+            keys of [temperature]; it replaces the temperatures of all [[surface]] too. A dict gives parts of a mesh
+            their own: {name of a node, group, material or texture: kelvin or the path of a raster in its pixels}.
         model : TemperatureMap, optional
             The learned map that `source` names, where it has been read already.
         kelvin : sequence of (h, w) arrays, optional
@@ -254,13 +257,17 @@ class Edits(MaterialEdits):
         """
         if model is not None and not isinstance(model, TemperatureMap):
             raise ThermorenderError(f"with_temperature: model is a {type(model).__name__}; give a TemperatureMap")
+        if isinstance(source, Mapping):
+            return self._edited(replace(self._declared, spec=surface_temperatures(self._declared.spec, source)))
         if isinstance(source, TemperatureMap):
             model, spec = source, TemperatureSpec(source="learned", model=source.name)
         else:
             spec = temperature_spec(source, self._declared.spec.folder, kelvin is not None or model is not None)
         ground = self._derived.shape.ground
+        surfaces = tuple(replace(one, temperature=None) for one in self._declared.spec.surfaces)
         now = replace(
-            self._declared, spec=replace(self._declared.spec, temperature=spec), model=model, given=False,
+            self._declared, spec=replace(self._declared.spec, temperature=spec, surfaces=surfaces), model=model,
+            given=False,
             kelvin=kelvin if kelvin is None else kelvin_argument("with_temperature: kelvin", kelvin, ground, True),
         )  # fmt: skip
         if model is None:
@@ -331,7 +338,7 @@ class Edits(MaterialEdits):
         painted = tuple(Painted(s.material, s.colour, s.flags & ~np.uint8(FALLBACK | UNMOVED)) for s in ground)
         shape = replace(
             had.shape, ground=ground, static=static, static_of=(), tracked=had.tracked_objects, tracked_of=(),
-            highest_m=max(float(surface.vertices[:, 2].max()) for surface in shown),
+            textures=(), highest_m=max(float(surface.vertices[:, 2].max()) for surface in shown),
         )  # fmt: skip
         now, cover = replace(now, given=True), Cover(made, painted, (), had.cover.report)
         return self._made(None, now, of_surfaces(now, shape, cover, had))

@@ -1,6 +1,7 @@
 """Materials of a scene from its orthophoto: a learned emissivity map applied, or written as files for correction."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -32,22 +33,37 @@ _Colour = tuple[int, ...]
 _DISTINCT = 20.0
 
 
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A photograph of ground: an orthophoto or the texture of a mesh.
+
+    Attributes
+    ----------
+    colour : (h, w, 3) uint8
+        sRGB, holes filled.
+    valid : (h, w) bool
+        False where holes were filled, and where no ground shows the texel.
+    texel_m : float
+    """
+
+    colour: NDArray[np.uint8]
+    valid: NDArray[np.bool_]
+    texel_m: float
+
+
 def learned_materials(
-    source: EmissivitySpec, library: Mapping[str, Material], colour: NDArray[np.uint8], valid: NDArray[np.bool_],
-    texel_m: float, band_um: tuple[float, float], where: str,
-) -> tuple[NDArray[np.uint8], list[Material], NDArray[np.bool_], dict[str, Any]]:  # fmt: skip
-    """Return (number (h, w) uint8, materials and mixes, unknown (h, w) bool, report) of a terrain's texels.
+    source: EmissivitySpec, library: Mapping[str, Material], pictures: Sequence[Picture],
+    band_um: tuple[float, float], where: str,
+) -> tuple[list[NDArray[np.uint8]], list[Material], list[NDArray[np.bool_]], dict[str, Any]]:  # fmt: skip
+    """Return (numbers (h, w) uint8, materials and mixes, unknown (h, w) bool, report) of a terrain's pictures.
 
     Parameters
     ----------
     source : EmissivitySpec
         Of source "learned".
     library : dict of str to Material
-    colour : (h, w, 3) uint8
-        sRGB, holes filled.
-    valid : (h, w) bool
-        False where holes were filled.
-    texel_m : float
+    pictures : sequence of Picture
+        They share the materials and mixes; numbers and unknown have an array for each.
     band_um : (2,) floats
         The camera's band [µm].
     where : str
@@ -55,30 +71,42 @@ def learned_materials(
 
     Returns
     -------
-    unknown : (h, w) bool
+    unknown : list of (h, w) bool
         Where the fallback is used, the last of the materials returned.
     report : dict
-        Share of unknown texels, mean confidence and errors of the palette.
+        Share of unknown texels, mean confidence, errors of the palette and the coarsest texel.
     """
     assert source.model is not None and source.fallback is not None
     model = load_map(source.model).without(source.without)
     own = [material_tables.find(library, name, f"emissivity map {model.name!r}") for name in model.materials]
     fallback = material_tables.find(library, source.fallback, f"{where}: emissivity.fallback")
-    mapped = map_materials(model, colour, texel_m)
-    unknown = valid & (mapped.confidence < source.confidence)
-    number, used, error = palette(mapped.index, mapped.share, mapped.probability, own, band_um, _MOST_MIXES)
+    mapped = [map_materials(model, one.colour, one.texel_m) for one in pictures]
+    together = [np.concatenate([a.reshape(-1, *a.shape[2:]) for a in arrays]) for arrays in (
+        [one.index for one in mapped], [one.share for one in mapped], [one.probability for one in mapped],
+        [one.confidence for one in mapped], [one.valid for one in pictures],
+    )]  # fmt: skip
+    # The largest arrays of all.
+    del mapped
+    index, share, probability, confidence, valid = together
+    unknown = valid & (confidence < source.confidence)
+    number, used, error = palette(index, share, probability, own, band_um, _MOST_MIXES)
     number[unknown] = len(used)
     report = {
         "model": model.name,
         "fallback": fallback.name,
         "share_unknown": float(unknown.sum() / valid.sum()),
-        "mean_confidence": float(mapped.confidence[valid].mean()),
+        "mean_confidence": float(confidence[valid].mean()),
         "palette_mean": error["mean"],
         "palette_largest": error["largest"],
-        "texel_m": texel_m,
+        "texel_m": max(one.texel_m for one in pictures),
         "trained_texel_m": model.texel_m,
     }
-    return number, [*used, fallback], unknown, report
+    ends = np.cumsum([one.valid.size for one in pictures])[:-1]
+
+    def apart(values: NDArray[Any]) -> list[NDArray[Any]]:
+        return [part.reshape(one.valid.shape) for part, one in zip(np.split(values, ends), pictures, strict=True)]
+
+    return apart(number), [*used, fallback], apart(unknown), report
 
 
 def orthophoto_of(spec: SceneSpec) -> tuple[NDArray[np.uint8], NDArray[np.bool_], Grid, float]:
@@ -90,6 +118,11 @@ def orthophoto_of(spec: SceneSpec) -> tuple[NDArray[np.uint8], NDArray[np.bool_]
         The scene has none.
     """
     source = spec.terrain
+    if source.mesh:
+        raise ThermorenderError(
+            f"{spec.folder / 'scene.toml'} is a mesh, whose textures are not on a map; give "
+            "emissivity.source='learned' to use its materials at once, or class rasters of its textures"
+        )
     if not (source.elevation and source.orthophoto):
         raise ThermorenderError(
             f"{spec.folder / 'scene.toml'} has no terrain.orthophoto beside terrain.elevation; materials are read "

@@ -22,8 +22,9 @@ from thermorender.weather.series import Conditions, Weather
 
 # Roughness length of the open grass over which wind is measured: WMO-No. 8 (2018), volume I, 5.9.2 [m].
 STATION_ROUGHNESS_M = 0.03
-# Films of still indoor air and of moving air under a sheet: ISO 6946:2017, table 7 [W m⁻² K⁻¹].
-_FILMS = {"inside": 1.0 / 0.13, "outside": 1.0 / 0.04}
+# Films of still indoor air and of moving air under a sheet: ISO 6946:2017, table 7 [W m⁻² K⁻¹]. The face above a well
+# ventilated cavity has the resistance of still air (6.9.4).
+_FILMS = {"inside": 1.0 / 0.13, "outside": 1.0 / 0.04, "ventilated": 1.0 / 0.13}
 # Water that stays on leaves and on hard ground, and what bare soil holds before it resists evaporation: FAO Irrigation
 # and Drainage Paper 56 (1998), table 19, loams: 8 mm [kg m⁻²].
 _HELD, _HELD_BY_SOIL = 0.5, 8.0
@@ -44,6 +45,9 @@ _TEMPERATURE_K = 290.0
 # Simulation in the open: time step, largest number of repeated days before it, and the change that ends them.
 STEP_S = 900.0
 _MOST_DAYS, SETTLED_K = 15, 0.1
+# The ground below seasonal snow stays near the melting point: Goodrich, Can. Geotech. J. 19 (1982) 421,
+# doi:10.1139/t82-047 [K].
+_BELOW_SNOW_K = ZERO_CELSIUS_K
 # Above this depth, the ground settles within a few days [m].
 _SOON_M = 0.5
 # Older weather affects only the depth, which a settled day approximates.
@@ -67,6 +71,8 @@ class Columns:
         Whether indoor air is below; otherwise outdoor air, or air without effect.
     node_m : (M, L)
         Depth of the layers' temperatures [m].
+    snow_m : (M,)
+        Depth of snow on top [m].
     """
 
     ground: Ground
@@ -74,6 +80,7 @@ class Columns:
     wind_factor: NDArray[np.float64]
     indoors: NDArray[np.bool_]
     node_m: NDArray[np.float64]
+    snow_m: NDArray[np.float64]
 
 
 def columns(
@@ -110,14 +117,13 @@ def columns(
     if not sum(map(np.sum, stacked["sun_share"])):
         stacked["sun_share"] = None
     rest = zip(*(each[1:] for each in made), strict=True)
-    absorptance, wind, indoors, node = (np.array(values) for values in rest)
-    return Columns(Ground(**stacked), absorptance, wind, indoors, node)
+    return Columns(Ground(**stacked), *(np.array(values) for values in rest))
 
 
 def _column(
     material: Material, weather: Weather, snow_m: float, station_roughness_m: float | None, layers: int
-) -> tuple[Ground, float, float, bool, NDArray[np.float64]]:
-    """(Ground of one column, absorptance, factor on the wind, whether indoor air is below, depth of nodes)."""
+) -> tuple[Ground, float, float, bool, NDArray[np.float64], float]:
+    """(Ground of one column, absorptance, factor on the wind, whether indoor air is below, depth of nodes, of snow)."""
     thermal = material.known_thermal()
     chain = thermal.layers
     slabs, snowy = [], []
@@ -161,7 +167,7 @@ def _column(
     resistance = thermal.surface_resistance_s_m
     # A wet surface without resistance is free water.
     free = thermal.wetness if resistance == 0.0 else 0.0
-    soil = thermal.cover == "bare" and bool(resistance) and thermal.thickness_m is None
+    soil = thermal.cover == "bare" and bool(resistance) and (thermal.thickness_m is None or bool(thermal.texture))
     share = np.zeros(layers)
     if thermal.attenuation_1_m:
         reached = np.exp(-thermal.attenuation_1_m * cut.edge_m)
@@ -185,7 +191,8 @@ def _column(
         room=list(room),
         sun_share=list(share),
     )
-    return ground, material.solar_absorptance, factor, end == "inside", cut.node_m
+    deep = slabs[0].thickness_m if snowy[0] and np.isfinite(slabs[0].thickness_m) else 0.0
+    return ground, material.solar_absorptance, factor, end == "inside", cut.node_m, deep
 
 
 def over_room(material: Material) -> bool:
@@ -307,13 +314,15 @@ def settle(columns: Columns, mean_k: float, day: "Callable[[State], tuple[State,
     ----------
     columns : Columns
     mean_k : float
-        Initial temperature at all depths; snow starts frozen [K].
+        Initial temperature at all depths [K]. Snow starts frozen, and the ground below it at 0 °C.
     day : callable
         Simulates the day from a State; returns the final State and the surface temperatures after each step.
     """
     count, ground = len(columns.absorptance), columns.ground
-    begin = np.where(ground.melting > 0.5, min(mean_k, ZERO_CELSIUS_K), mean_k)
-    state = balance.at_rest(np, [begin] * len(ground.capacity), ground)
+    snowy, depth = ground.melting > 0.5, columns.node_m.T
+    under = snowy & (columns.snow_m > 0.0) & (depth > columns.snow_m)
+    begin = np.where(snowy, np.where(under, _BELOW_SNOW_K, min(mean_k, ZERO_CELSIUS_K)), mean_k)
+    state = balance.at_rest(np, list(begin), ground)
     # In a periodic state the mean heat flow is zero: without sunlight, the depth has the surface's mean.
     free = ~columns.indoors & (ground.conductance[-1] == 0.0) & (ground.melting < 0.5)
     if ground.sun_share is not None:

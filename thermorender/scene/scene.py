@@ -24,7 +24,7 @@ from thermorender.scene.parts.shape import Shape
 from thermorender.scene.parts.tracks import TrackedObject
 from thermorender.scene.raster import Grid
 from thermorender.scene.spec import SceneSpec, SunSpec, TemperatureSpec
-from thermorender.scene.state import digest, text
+from thermorender.scene.state import albedo, digest, text
 from thermorender.scene.state.agreement import contradictions, refuse_disagreement
 from thermorender.scene.state.declared import Declared
 from thermorender.scene.state.derived import Derived, camera_alone_differs, derived, of_surfaces, weather_of
@@ -281,7 +281,7 @@ class Scene(Edits):
 
     @property
     def weather_notes(self) -> tuple[str, ...]:
-        """Notes on filled gaps of the weather, a short record before `time`, snow, likely snow and rooms."""
+        """Notes on filled gaps of the weather, a short record before `time`, snow, likely snow, rooms and albedo."""
         from thermorender.scene.open_ground import over_room
 
         weather, time = self.weather, self.time
@@ -296,15 +296,14 @@ class Scene(Edits):
         snow = float(weather.at(time).snow_m)
         if snow > 0.0 and not any(each.thermal and each.thermal.cover == "snow" for each in self.materials):
             notes.append(
-                f"the weather has {snow:g} m of snow, but no material of the scene is snow, so its ground is taken as "
-                "bare; use the material snow where there is snow"
+                f"the weather has {snow:.2g} m of snow, but no material of the scene is snow, so the heat balance lays "
+                "it on soil, grass and heath only, with their own emissivity; use the material snow where there is snow"
             )
         likely = weather.likely_snow_mm(time)
         if likely > _LIKELY_SNOW_MM:
             notes.append(
                 f"about {likely:.0f} mm of water fell as snow and have not melted by {utc_text(time)}, and the weather "
-                "has no snow on the ground, so the ground gets too warm; state snow_depth_m or a column of snow, "
-                "and use the material snow"
+                "states no snow on the ground, so the ground gets too warm; leave snow_depth_m out or state the depth"
             )
         outside_c, inside_c = float(weather.at(time).air_k) - ZERO_CELSIUS_K, self.spec.weather.inside_c  # type: ignore[union-attr]
         if abs(outside_c - inside_c) > _INDOORS_K and any(over_room(material) for material in self.materials):
@@ -312,7 +311,11 @@ class Scene(Edits):
                 f"rooms below roofs are at inside_c={inside_c:g} °C, and the air outside is at {outside_c:.0f} °C; "
                 "state inside_c in [weather] if that is wrong"
             )
-        return tuple(notes)
+        return (*notes, *self._albedo_notes)
+
+    @cached_property
+    def _albedo_notes(self) -> tuple[str, ...]:
+        return albedo.notes(self)
 
     @cached_property
     def ground(self) -> Ground:

@@ -67,6 +67,12 @@ def instant(value: Any, where: Where) -> "np.datetime64":
     return units.instant(str(where), value)
 
 
+def kelvin_or_raster(value: Any, where: Where) -> "float | Path":
+    """Read a temperature [K], or the name of a raster of temperatures."""
+    raster = isinstance(value, str) and not isinstance(units.with_unit(value), units.Stated)
+    return raster_inside(value, where) if raster else kelvin(value, where)
+
+
 def raster_inside(value: Any, where: Where) -> Path:
     """Read the name of a raster whose files are all in the scene's folder; return its Path."""
     path = file_inside(value, where)
@@ -194,9 +200,30 @@ class EmissivitySpec:
 
     def check(self, where: Where, given: Mapping[str, Any]) -> None:
         """Refuse a source without its keys."""
-        needs = {"constant": ["value"], "material": ["material"], "classes": ["raster", "classes"],
+        needs = {"constant": ["value"], "material": ["material"], "classes": ["classes"],
                  "learned": ["model", "fallback"]}  # fmt: skip
         _needed(where, self, needs)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceSpec:
+    """Part of a mesh whose material or temperature is not that of [emissivity] or [temperature].
+
+    `name` is that of a node, group, material or texture in the mesh's file. `classes` is a raster of class numbers in
+    the pixels of the texture; [emissivity.classes] names their materials. `temperature` may be such a raster too.
+    """
+
+    name: str = key(text)
+    material: str | None = key(text, None)
+    classes: Path | None = key(raster_inside, None)
+    temperature: "float | Path | None" = key(kelvin_or_raster, None)
+
+    def check(self, where: Where, given: Mapping[str, Any]) -> None:
+        """Refuse a surface without a statement, and one of two materials."""
+        if not {"material", "classes", "temperature"} & set(given):
+            raise where.error(f"{where.key} states nothing; give material, classes or temperature")
+        if "material" in given and "classes" in given:
+            raise where.error(f"{where.key} has both material and classes; give one of them")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -267,7 +294,10 @@ class SunSpec:
 
 @dataclass(frozen=True)
 class WeatherSpec:
-    """The weather, from a station's record, a weather year or a described day, and the scene's instant."""
+    """The weather, from a station's record, a weather year or a described day, and the scene's instant.
+
+    `albedo` is the mean reflectance of the terrain for sunlight; it sets the bare materials' solar absorptance.
+    """
 
     time: np.datetime64 = key(instant)
     file: Path | None = key(file_inside, None)
@@ -277,8 +307,10 @@ class WeatherSpec:
     humidity: float | None = key(share, None)
     wind_m_s: float | None = key(number(0.0, 60.0), None)
     cloud: float | None = key(number(0.0, 1.0), None)
-    snow_depth_m: float = key(number(0.0, 20.0), 0.0)
+    snow_depth_m: float | None = key(number(0.0, 20.0), None)
     inside_c: float = key(number(-60.0, 60.0), 20.0)
+    albedo: float | None = key(number(0.02, 0.95), None)
+    albedo_std: float | None = key(number(0.0, 0.3), None)
     longest_gap_h: float | None = key(number(0.0, 24.0), None)
     air_height_m: float | None = key(number(0.1, 100.0), None)
     wind_height_m: float | None = key(number(0.1, 200.0), None)
@@ -287,6 +319,8 @@ class WeatherSpec:
     def check(self, where: Where, given: Mapping[str, Any]) -> None:
         """Refuse none or two kinds of weather, and an incomplete described day."""
         kind = where.exactly_one(given, ("file", "epw", "air_high_c"), "station, weather year or named day")
+        if "albedo_std" in given and "albedo" not in given:
+            where.of("albedo_std").refuse(given["albedo_std"], "it with albedo only")
         # A station may lack wind.
         of_station = ("longest_gap_h", "air_height_m", "wind_height_m")
         also = (
@@ -333,9 +367,11 @@ class SceneSpec:
     truth_temperature: Path | None = key(entry("temperature", raster_inside, None), None, name="truth")
     frame: tuple[float, float, float] | None = key(lambda value, where: astuple(read(_Frame, value, where)), None)
     objects: tuple[ObjectSpec, ...] = key(tables(ObjectSpec), (), name="object")
+    surfaces: tuple[SurfaceSpec, ...] = key(tables(SurfaceSpec), (), name="surface")
 
     def check(self, where: Where, given: Mapping[str, Any]) -> None:
         """Refuse none or two skies, a sun without air or beside the weather's, and two objects of one name."""
+        self._check_surfaces(where)
         if not ("weather" in given and "sky" not in given and "atmosphere" not in given):
             where.exactly_one(
                 given, ("sky", "atmosphere"),
@@ -349,10 +385,23 @@ class SceneSpec:
         if self.sun and (moved or self.temperature.source == "balance"):
             why = "temperature.trained" if moved else "temperature.source='balance'"
             raise where.error(f"[sun] follows from weather.time with {why}; leave it out")
-        names = [item.name for item in self.objects]
-        for name in names:
-            if names.count(name) > 1:
-                where.of("object.name").refuse(name, "each object a unique name")
+        for kind, items in (("object", self.objects), ("surface", self.surfaces)):
+            names = [item.name for item in items]
+            for name in names:
+                if names.count(name) > 1:
+                    where.of(f"{kind}.name").refuse(name, f"each {kind} a unique name")
+
+    def _check_surfaces(self, where: Where) -> None:
+        """Refuse surfaces of a raster terrain, and classes without names or raster."""
+        if self.surfaces and not self.terrain.mesh:
+            raise where.error(
+                "[[surface]] names a part of a mesh, and this terrain is an elevation raster; give its materials by "
+                "emissivity.source='classes'"
+            )
+        if self.emissivity.source == "classes" and not (self.terrain.mesh or self.emissivity.raster):
+            raise where.error("emissivity.raster is missing; source='classes' needs it")
+        if any(one.classes for one in self.surfaces) and not self.emissivity.classes:
+            raise where.error("surface.classes needs the materials of its numbers; add [emissivity.classes]")
 
 
 def read_scene(folder: Path | str) -> SceneSpec:

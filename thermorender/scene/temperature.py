@@ -12,9 +12,10 @@ from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import likely_scales
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import Mixture, parts_of
+from thermorender.scene.parts.textures import Texture, onto_texels, separate
 from thermorender.scene.raster import Grid, grid_of, onto, opened, read_band
 from thermorender.scene.spec import TemperatureSpec, WeatherSpec
-from thermorender.scene.surface import FALLBACK, MOST_OPEN, fill, nearest_valid, open_share, scene_kelvin
+from thermorender.scene.surface import FALLBACK, MOST_OPEN, Surface, fill, nearest_valid, open_share, scene_kelvin
 from thermorender.schema import Where, read
 from thermorender.units import ZERO_CELSIUS_K, kelvin_scale
 
@@ -49,6 +50,8 @@ class Texels:
         The map of a source "learned", as by `learned_map`.
     on_ground : (h, w) bool or None
         Texels on the terrain; None if all of them are.
+    surface, texture : Surface and Texture, or None
+        Of a mesh, for rasters in the pixels of its texture.
     """
 
     colour: NDArray[np.uint8]
@@ -60,6 +63,8 @@ class Texels:
     report: dict[str, Any] = field(default_factory=dict)
     model: "TemperatureMap | None" = None
     on_ground: NDArray[np.bool_] | None = None
+    surface: Surface | None = None
+    texture: Texture | None = None
 
 
 def resolve(spec: TemperatureSpec, texels: Texels) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
@@ -110,17 +115,20 @@ def _map_of(spec: TemperatureSpec, model: "TemperatureMap | None") -> "Temperatu
 
 def raster_temperature(path: Path, texels: Texels) -> NDArray[np.float64]:
     """Return a raster's temperatures on the texel grid, (h, w) [K], NaN where it has none."""
-    if texels.grid is None:
+    if texels.grid is None and (texels.surface is None or texels.texture is None):
         raise ThermorenderError(
-            f"{texels.where}: a temperature raster needs terrain with an elevation raster; a mesh has no map grid"
+            f"{texels.where}: a temperature raster needs terrain that files describe, and its surfaces were made in "
+            "memory; give the temperatures of its texels as with_temperature(…, kelvin=…)"
         )
-    grid = grid_of(path)
     values = _in_kelvin(path)
     finite = values[np.isfinite(values)]
     if not finite.size:
         raise ThermorenderError(f"{path} has no valid temperature in it; give a raster of kelvin")
     scene_kelvin(str(path), finite)
-    values = onto(values, grid, texels.grid, "bilinear")
+    if texels.grid is None:
+        assert texels.surface is not None and texels.texture is not None
+        return onto_texels(values, path, texels.surface, texels.texture)
+    values = onto(values, grid_of(path), texels.grid, "bilinear")
     if not np.isfinite(values).any():
         raise ThermorenderError(f"{path} does not overlap the texels of {texels.where}; give one of the same area")
     return values
@@ -203,7 +211,16 @@ def _learned(spec: TemperatureSpec, texels: Texels) -> tuple[_Kelvin, NDArray[np
     from thermorender.learned.temperature_map import Inputs
 
     assert texels.model is not None
-    return from_map(texels.model, Inputs(texels.colour, texels.texel_m), texels)
+    if texels.surface is None or texels.material.size == 1 or not separate(texels.surface):
+        return from_map(texels.model, Inputs(texels.colour, texels.texel_m), texels)
+    reach = getattr(texels.model.predictor, "reach", None)
+    if reach is None or reach() > 0:
+        raise ThermorenderError(
+            f"{texels.where}: temperature.model={texels.model.name!r} reads the neighbours of a pixel, and the faces "
+            f"of surface {texels.surface.name!r} have colours without a picture around them; bake the colours into a "
+            "texture, or take a map that sees colour alone, such as fok-1to1"
+        )
+    return from_map(texels.model, Inputs(texels.colour, None), texels)
 
 
 def learned_map(spec: TemperatureSpec) -> "TemperatureMap | None":
@@ -236,9 +253,13 @@ def from_map(
     values, trusted, outside = kinetic_from_map(
         model, inputs, texels.material, texels.materials, sky_temperature, stand_in
     )
+    # A mesh has several surfaces: their mean.
+    count, before = trusted.size, texels.report.get(model.name, {"texels": 0})
+    now = {"share_outside_0_1": outside, "share_fallback": float(1.0 - trusted.mean())}
+    total = before["texels"] + count
     texels.report[model.name] = {
-        "share_outside_0_1": outside,
-        "share_fallback": float(1.0 - trusted.mean()),
+        **{key: (before.get(key, 0.0) * before["texels"] + value * count) / total for key, value in now.items()},
+        "texels": total,
         "texel_m": texels.texel_m,
         "trained_texel_m": model.texel_m,
         "warning": model.texel_warning(texels.texel_m),

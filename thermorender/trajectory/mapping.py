@@ -41,7 +41,7 @@ GIMBAL = ("gimbal_yaw_deg", "gimbal_pitch_deg", "gimbal_roll_deg")
 UNSTATED = "height_m"
 POSITION = POSITION_LOCAL + POSITION_GEODETIC + HEIGHTS
 QUANTITIES = POSITION + QUATERNION + ANGLES + GIMBAL
-READERS = ("csv", "dataflash", "gpx", "kml", "poses", "srt", "ulog")
+READERS = ("csv", "dataflash", "gpx", "kml", "poses", "rosbag", "srt", "ulog")
 
 _NAMED_AXES = {
     "FRD": np.eye(3),
@@ -132,7 +132,7 @@ class Mapping:
     reader : str
         Kind of file; see `trajectory.sources`.
     suffix : str
-        End of the names of such files; "" for CSV.
+        Ends of the names of such files, separated by blanks; "" for CSV.
     assumes : str
         What the format takes for granted, for the user.
     """
@@ -301,10 +301,10 @@ def fitting_formats(header: Iterable[str]) -> str:
         mapping = load_mapping(name)
         times = {stamp["column"] for stamp in mapping.stamps} | {time.column for time in mapping.time}
         columns = {each.column for choices in mapping.quantities.values() for each in choices if each.column}
-        if times & header and columns & header:
-            fitting.append(repr(name))
+        if mapping.reader == "csv" and times & header and columns & header:
+            fitting.append(name)
     if fitting:
-        return f"; the columns fit format={' or '.join(fitting)}"
+        return f"; the columns fit --format {' or --format '.join(fitting)} (in Python, format='{fitting[0]}')"
     return (
         f"; if another program wrote the file, say with --format which one ({', '.join(bundled_formats())}) or give a "
         "mapping of its columns"
@@ -313,5 +313,5 @@ def fitting_formats(header: Iterable[str]) -> str:
 
 def format_of_suffix(path: object) -> str | None:
     """Return the bundled format of files whose names end like this one, or None."""
-    end = Path(str(path)).suffix.lower()
-    return next((name for name in bundled_formats() if end and load_mapping(name).suffix == end), None)
+    end = Path(str(path).partition("#")[0]).suffix.lower()
+    return next((name for name in bundled_formats() if end and end in load_mapping(name).suffix.split()), None)

@@ -4,6 +4,7 @@ There are three sets of axes. *Body* is FRD: x forward, y right, z down. *NED* i
 at the vehicle's position. *Camera* is x right, y down, z forward (along the optical axis).
 """
 
+import warnings
 from collections.abc import Callable
 
 import numpy as np
@@ -31,6 +32,16 @@ def rotation_from_angles(yaw_deg: ArrayLike, pitch_deg: ArrayLike, roll_deg: Arr
     """
     angles = np.stack(np.broadcast_arrays(*(np.asarray(a, np.float64) for a in (yaw_deg, pitch_deg, roll_deg))), -1)
     return Rotation.from_euler("ZYX", angles, degrees=True)
+
+
+def angles_from_rotation(rotation: Rotation) -> NDArray[np.float64]:
+    """Return (yaw, pitch, roll) [deg] of a rotation as of `rotation_from_angles`, (3,) or (N, 3).
+
+    At pitch ±90°, where one of the others is free, roll is 0.
+    """
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Gimbal lock detected", UserWarning)
+        return rotation.as_euler("ZYX", degrees=True)
 
 
 def rotation_from_wxyz(quaternion: ArrayLike) -> Rotation:

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.physics import humidity, sky, sun
+from thermorender.physics import humidity, moisture, sky, sun
 from thermorender.weather.series import Weather
 
 # Range of altitudes on land [m].
@@ -17,11 +17,14 @@ _CLOUD_WINDOW_H = 3.0
 # Below this elevation of the sun the sky is dark, and a sensor reads its offset [deg].
 _DARK_DEG = -6.0
 _WIND_M_S = 2.5
+# Density of snow on the ground, that of the material snow_medium [kg/m³]; Sturm et al., J. Hydrometeorol. 11 (2010)
+# 1380, doi:10.1175/2010JHM1202.1, table 4, begins winters on open land with 233 (prairie) and 243 (tundra).
+_SNOW_KG_M3 = 250.0
 
 
 def complete(
     time: NDArray[np.datetime64], place: tuple[float, float, float], given: Mapping[str, NDArray[np.float64]],
-    notes: Sequence[str] = (), wind_m_s: float | None = None, snow_depth_m: float = 0.0, **heights: float,
+    notes: Sequence[str] = (), wind_m_s: float | None = None, snow_depth_m: float | None = None, **heights: float,
 ) -> Weather:  # fmt: skip
     """Return the Weather of a series in which quantities may be missing.
 
@@ -36,8 +39,8 @@ def complete(
         Earlier notes.
     wind_m_s : float, optional
         Wind if none is given; 2.5 m/s by default.
-    snow_depth_m : float
-        Snow if none is given.
+    snow_depth_m : float, optional
+        Snow if none is given; by default it follows from rain and air temperature.
     heights
         air_height_m, wind_height_m.
 
@@ -48,6 +51,7 @@ def complete(
     The mean absolute error of the long-wave is 11 to 14 W m⁻² at four sites with a pyrgeometer (desert, winter valley,
     grassland, forest; bias −8 … 0), and 26 to 30 at three sites with sun or sky from elsewhere. Over the seven it is 19
     with Prata's clear sky, 22 with Brutsaert's (1975), 20 with Dilley and O'Brien's (1998).
+    Snow: from precipitation and air temperature by degree days, `moisture.snow_water`.
     Vapour: saturated at the day's lowest air temperature, FAO Irrigation and Drainage Paper 56 (1998), eq. 48.
     """
     latitude_deg, longitude_deg, altitude_m = place
@@ -65,9 +69,16 @@ def complete(
     take("vapour_pa", humidity.saturation_pressure(lowest),
          "Humidity is missing: the air is saturated at each day's lowest temperature.")  # fmt: skip
     constant = _WIND_M_S if wind_m_s is None else wind_m_s
-    take("wind_m_s", constant, f"Wind is missing: {constant:g} m/s throughout.")
-    take("rain_mm_h", 0.0, "Rain is missing: none falls.")
-    take("snow_m", snow_depth_m, f"Snow on the ground is missing: {snow_depth_m:g} m throughout.")
+    take(
+        "wind_m_s",
+        constant,
+        f"Wind is missing: {constant:g} m/s at {heights.get('wind_height_m', 10.0):g} m throughout.",
+    )
+    take("rain_mm_h", 0.0, "Rain is missing: none falls, and soil has its usual moisture.")
+    if snow_depth_m is None and "snow_m" not in given and rest["rain_mm_h"].any():
+        given = {**given, "snow_m": _likely_snow(time, latitude_deg, air, rest["rain_mm_h"], notes)}
+    depth_m = snow_depth_m or 0.0
+    take("snow_m", depth_m, f"Snow on the ground is missing: {depth_m:g} m throughout.")
 
     elevation = sun.position_at(time, latitude_deg, longitude_deg)[1]
     water = humidity.precipitable_water(rest["vapour_pa"], air)
@@ -85,6 +96,18 @@ def complete(
         time=time, air_k=air, direct_w_m2=direct, diffuse_w_m2=diffuse, latitude_deg=latitude_deg,
         longitude_deg=longitude_deg, altitude_m=altitude_m, notes=tuple(notes), **rest, **heights,
     )  # fmt: skip
+
+
+def _likely_snow(time, latitude_deg, air, rain, notes):
+    """Depth of snow (N,) [m] from precipitation and air temperature; its note is added."""
+    water, _ = moisture.snow_water(time, latitude_deg, air, rain)
+    depth = water / _SNOW_KG_M3
+    how = f"up to {depth.max():.2g} m" if depth.any() else "none"
+    notes.append(
+        f"Snow on the ground is missing: {how}, from precipitation below {moisture.SNOW_C:g} °C less melt by degree "
+        "days; a snow_depth_m replaces it."
+    )
+    return depth
 
 
 def _daily_lowest(time, air, longitude_deg):

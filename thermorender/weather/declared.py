@@ -45,7 +45,7 @@ def declared_weather(
         begins with [weather].
     """
     place = latitude_deg, longitude_deg, altitude_m
-    snow = spec.snow_depth_m or 0.0
+    snow = spec.snow_depth_m
     try:
         if not LOWEST_M <= altitude_m <= HIGHEST_M:
             raise ThermorenderError(
@@ -74,7 +74,7 @@ def declared_weather(
                 for value, chosen in ((spec.humidity, _HUMIDITY), (spec.wind_m_s, _WIND_M_S), (spec.cloud, _CLOUD))
             )
             found = named_day(when, place, **given, humidity_low=humidity, wind_m_s=wind, cloud=cloud,
-                              snow_depth_m=snow)  # fmt: skip
+                              snow_depth_m=snow or 0.0)  # fmt: skip
         found.at(when)
     except ThermorenderError as error:
         raise ThermorenderError(f"[weather] {error}") from None

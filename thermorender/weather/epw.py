@@ -26,8 +26,11 @@ _MEANS = ("longwave_w_m2", "rain_mm_h")
 
 
 def read_epw(
-    path: str | PathLike[str], year: int | np.datetime64, snow_depth_m: float = 0.0, light_shift_min: float = 0.0
-) -> Weather:
+    path: str | PathLike[str],
+    year: int | np.datetime64,
+    snow_depth_m: float | None = None,
+    light_shift_min: float = 0.0,
+) -> Weather:  # fmt: skip
     """Return the Weather of an EPW file, or a TMY3 or PSM table, in a calendar year.
 
     A file of a whole year is extended by its December before the year and its January after it.
@@ -38,8 +41,8 @@ def read_epw(
         The first lines name the format.
     year : int or datetime64
         Calendar year; for an instant, its year in the file's zone.
-    snow_depth_m : float
-        Used if the file has none.
+    snow_depth_m : float, optional
+        Used if the file has none; by default snow follows from rain and air temperature.
     light_shift_min : float
         Added to the times of the sunlight [min], for a file whose radiation belongs to other instants than its format
         says: 30 if it belongs to the labels themselves, -30 if it belongs to an hour before them.

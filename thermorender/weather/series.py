@@ -7,12 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.physics import sun
-from thermorender.units import ZERO_CELSIUS_K
+from thermorender.physics import moisture, sun
 
 Floats = NDArray[np.float64]
-# Precipitation below this is snow [°C]; melt by day and kelvin above 0 °C [mm].
-_SNOW_C, _MELT_MM_K = 1.0, 4.0
 
 
 class Conditions(NamedTuple):
@@ -105,22 +102,21 @@ class Weather:
         asked = (time - self.time[0]).astype(np.float64)
         return Conditions(*(np.interp(asked, second, getattr(self, name)) for name in Conditions._fields))
 
-    def likely_snow_mm(self, time: np.datetime64) -> float:
-        """Return the water [mm] that fell as snow before an instant and has not melted since, where none is recorded.
+    @property
+    def knows_rain(self) -> bool:
+        """Whether rain is in the series; a series without any says nothing on the soil's moisture."""
+        return bool(self.rain_mm_h.any())
 
-        Precipitation below 1 °C stays; 4 mm melt per day and kelvin above 0 °C, of 2.5 … 5.5 measured on snow (Hock, J.
-        Hydrol. 282 (2003) 104, doi:10.1016/S0022-1694(03)00257-9). 0 if the series has snow on the ground.
+    def likely_snow_mm(self, time: np.datetime64) -> float:
+        """Return the water [mm] that fell as snow before an instant and has not melted since, where none is stated.
+
+        `moisture.snow_water`; 0 if the series has snow on the ground.
         """
         if self.snow_m.any():
             return 0.0
-        day = np.diff(self.time).astype(np.float64) / 86400.0
-        before = self.time[1:] <= time
-        celsius, rain = self.air_k[1:] - ZERO_CELSIUS_K, self.rain_mm_h[1:]
-        water = 0.0
-        for fell, melted in zip(24.0 * rain * day * (celsius < _SNOW_C) * before,
-                                _MELT_MM_K * np.maximum(celsius, 0.0) * day * before, strict=True):  # fmt: skip
-            water = max(water + fell - melted, 0.0)
-        return water
+        past = slice(max(int(np.searchsorted(self.time, time, side="right")), 1))
+        snow, _ = moisture.snow_water(self.time[past], self.latitude_deg, self.air_k[past], self.rain_mm_h[past])
+        return float(snow[-1])
 
     def sun(self, time: sun.Times) -> tuple[Floats, Floats]:
         """Return the sun's (azimuth clockwise from north, elevation) [deg] at instants; see `sun.position_at`."""

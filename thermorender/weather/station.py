@@ -44,8 +44,8 @@ def read_station(
     path: str | PathLike[str], latitude_deg: float, longitude_deg: float, altitude_m: float, *,
     utc_offset_h: float | None = None, names: Mapping[str, str] | None = None,
     during: Sequence[str | datetime | np.datetime64] | None = None, around: np.datetime64 | None = None,
-    longest_gap_h: float = 3.0, wind_m_s: float | None = None, snow_depth_m: float = 0.0, air_height_m: float = 2.0,
-    wind_height_m: float = 10.0,
+    longest_gap_h: float = 3.0, wind_m_s: float | None = None, snow_depth_m: float | None = None,
+    air_height_m: float = 2.0, wind_height_m: float = 10.0,
 ) -> Weather:  # fmt: skip
     """Return the Weather of a station's table.
 
@@ -66,8 +66,8 @@ def read_station(
         Rows before the last longer gap before this instant, and after the first one behind it, are left out.
     longest_gap_h : float
         Gaps up to this length are interpolated.
-    wind_m_s, snow_depth_m : float
-        Used if the file has none.
+    wind_m_s, snow_depth_m : float, optional
+        Used if the file has none; by default 2.5 m/s, and snow that follows from rain and air temperature.
     air_height_m, wind_height_m : float
         Of the sensors.
 

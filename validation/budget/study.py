@@ -21,7 +21,8 @@ from validation.kept_cases import kept_cases
 QUALITIES = ("standard", "high")
 # The same light for all, because it is not measured here.
 _RAYS = 128
-HEADER = ("scene", "view", "quality", "pixels", "true [mK]", "stated [mK]", "stated ÷ true", "frame [ms]")
+HEADER = ("scene", "view", "quality", "pixels", "true [mK]", "stated [mK]", "stated ÷ true", "image true [mK]",
+          "image stated [mK]", "frame [ms]")  # fmt: skip
 _TURNS = 5
 
 
@@ -99,7 +100,8 @@ def rows(kept):
     """Return the chosen cases as table rows of text under `HEADER`."""
     return [
         (case["scene"], case["view"], case["quality"], str(case["pixels"]), f"{case['true_mk']:.0f}",
-         f"{case['stated_mk']:.0f}", f"{case['stated_mk'] / max(case['true_mk'], 1e-9):.2f}", f"{case['frame_ms']:.0f}")
+         f"{case['stated_mk']:.0f}", f"{case['stated_mk'] / max(case['true_mk'], 1e-9):.2f}",
+         f"{case['image_true_mk']:.0f}", f"{case['image_stated_mk']:.0f}", f"{case['frame_ms']:.0f}")
         for case in kept.values() if not case["drawn"]
     ]  # fmt: skip
 

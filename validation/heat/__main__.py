@@ -25,10 +25,12 @@ def main(
         result = study.run(sites or Path(__file__).with_name("sites.toml"), data, progress=report)
         if not result["sites"]:
             raise ThermorenderError(f"--data={data} has no table of any site; give the folder with these tables")
-        figure(folder / "heat.png", result)
-        study.page(folder / "heat.md", result)
+        # Results of another file of sites have its name.
+        name = sites.stem if sites else "heat"
+        figure(folder / f"{name}.png", result)
+        study.page(folder / f"{name}.md", result)
         formats.write_json(
-            folder / "heat.json",
+            folder / f"{name}.json",
             result | {"sites": {n: {k: v for k, v in s.items() if k != "series"} for n, s in result["sites"].items()}},
         )
     conclude("heat", output, study.HEADER, study.rows(result), "table, numbers and figure")

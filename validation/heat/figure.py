@@ -31,8 +31,9 @@ def figure(path, result):
             values = np.array(series[label], dtype=float)[part] - ZERO_CELSIUS_K
             axes.plot(hour, values, color=colour, lw=1.6 if label in ("measured", "balance") else 0.9, label=label)
         score = site["scores"]["balance"]
-        night = f" / {score['night']['mae']:.2f}" if np.isfinite(score["night"]["mae"]) else ""
-        axes.set(title=f"{site['title']}\nMAE {score['day']['mae']:.2f}{night} K", ylabel="°C")
+        errors = [score[part]["mae"] for part in ("day", "night")]
+        shown = " / ".join(f"{error:.2f}" if np.isfinite(error) else "–" for error in errors)
+        axes.set(title=f"{site['title']}\nMAE {shown} K", ylabel="°C")
         axes.set_xlabel(f"hours since {time[part][0]}Z")
         axes.title.set_fontsize(9)
         axes.grid(alpha=0.3)

@@ -10,6 +10,7 @@ from thermorender.materials.library import load_library
 from thermorender.physics import balance
 from thermorender.physics.balance import STEFAN_BOLTZMANN
 from thermorender.scene import open_ground
+from thermorender.scene.state.weathered_ground import in_weather, lying_snow
 from thermorender.schema import Where, choice, flag, key, mapping, number, read, read_toml, tables, text
 from thermorender.units import ZERO_CELSIUS_K, instant
 from thermorender.weather.series import Conditions, Weather
@@ -77,7 +78,7 @@ class Site:
     air_height_m: float = key(number(0.1, 200.0), 2.0)
     wind_height_m: float = key(number(0.1, 200.0), 10.0)
     wind_m_s: float | None = key(number(0.0, 60.0), None)
-    snow_depth_m: float = key(number(0.0, 30.0), 0.0)
+    snow_depth_m: float | None = key(number(0.0, 30.0), None)
     canopy_m: float | None = key(number(0.0, 100.0, above=True), None)
     wetness: float | None = key(number(0.0, 1.0), None)
     depth_m: float | None = key(number(0.1, 200.0), None)
@@ -227,13 +228,21 @@ def modelled(found, step_s=None, layers=None, edit=None):
     rough = site.canopy_m and 0.1 * site.canopy_m
     own = {"roughness_m": rough, "wetness": site.wetness, "thickness_m": site.depth_m}
     own = {name: value for name, value in own.items() if value is not None}
+    # A stated moisture stays.
+    own |= {"texture": ""} if site.wetness is not None else {}
     materials = [(replace(m, thermal=replace(m.known_thermal(), **own)), share) for m, share in materials]
     if edit:
         materials = [(edit(m), share) for m, share in materials]
     more = {} if layers is None else {"layers": layers}
-    made = open_ground.columns([m for m, _ in materials], weather, site.snow_depth_m, **more)
+
+    def at(instant):
+        own = [material for material, _ in materials]
+        present = in_weather(own, weather, instant, lying_snow(own, weather, instant))
+        return open_ground.columns(present, weather, site.snow_depth_m or 0.0, **more)
+
     step_s = step_s or open_ground.STEP_S
-    series = _Drive(found, made)
+    series = _Drive(found, at)
+    made = series.columns
     if found.begin_k is not None:
         depth, kelvin = found.begin_k
         known = np.isfinite(kelvin)
@@ -246,16 +255,42 @@ def modelled(found, step_s=None, layers=None, edit=None):
     return (kelvin**4 @ (share / share.sum())) ** 0.25
 
 
-class _Drive:
-    """Simulates the columns of a Measured under its weather, from row to row."""
+def carried(state, before, after):
+    """Return a State of Columns `before` as that of Columns `after`, whose moisture and snow differ.
 
-    def __init__(self, found, columns):
-        self.found, self.columns = found, columns
+    Temperatures keep their depth below the ground. New snow has the surface's temperature, and is frozen.
+    """
+    depth = np.array(after.node_m) - (after.snow_m - before.snow_m)[:, None]
+    old = np.concatenate([np.zeros((len(depth), 1)), before.node_m], axis=1)
+    shown = np.array([state.surface_k, *state.layers_k]).T
+    kelvin = [np.interp(*each) for each in zip(depth, old, shown, strict=True)]
+    fresh = balance.at_rest(np, list(np.array(kelvin).T), after.ground)
+    liquid = fresh.liquid
+    if liquid is not None and state.liquid is not None:
+        share = [now / np.maximum(water, 1e-9) for now, water in zip(state.liquid, before.ground.water, strict=True)]
+        share = [np.interp(*each) for each in zip(depth, before.node_m, np.array(share).T, strict=True)]
+        liquid = [
+            np.minimum(part * water, room)
+            for part, water, room in zip(np.array(share).T, after.ground.water, after.ground.room, strict=True)
+        ]
+    surface = np.where(after.ground.melting > 0.5, np.minimum(state.surface_k, ZERO_CELSIUS_K), state.surface_k)
+    return fresh._replace(surface_k=surface, film=np.minimum(state.film, after.ground.held), liquid=liquid)
+
+
+class _Drive:
+    """Simulates the columns of a Measured under its weather, from row to row.
+
+    `columns_at` returns the Columns of an instant; they change once a day.
+    """
+
+    def __init__(self, found, columns_at):
+        self.found, self.columns_at = found, columns_at
+        self.columns = columns_at(found.weather.time[0])
         self.first_layer = found.site.water is not None
 
     def simulate(self, state, step_s, count=None):
         """Return temperatures (N, M) at each row, or at the first `count` rows."""
-        weather, columns = self.found.weather, self.columns
+        weather = self.found.weather
         time, absorbed = weather.time[:count], self.found.absorbed
         second = (time - time[0]).astype(float)
         shown = lambda state: state.layers_k[0] if self.first_layer else state.surface_k  # noqa: E731
@@ -263,8 +298,13 @@ class _Drive:
         light = None
         if absorbed is not None:
             light = lambda at: np.interp((at - time[0]) / np.timedelta64(1, "s"), second, absorbed[: len(second)])  # noqa: E731
+        day = time[0]
         for begin, end in zip(time[:-1], time[1:], strict=True):
-            state, _ = open_ground.march(columns, weather, state, begin, end, step_s=step_s, shortwave=light)
+            if weather.knows_rain and begin - day >= np.timedelta64(_DAY_S, "s"):
+                before, day = self.columns, begin
+                self.columns = self.columns_at(begin)
+                state = carried(state, before, self.columns)
+            state, _ = open_ground.march(self.columns, weather, state, begin, end, step_s=step_s, shortwave=light)
             seen.append(shown(state))
         self.state = state
         return np.array(seen)
@@ -276,7 +316,7 @@ class _Drive:
         """
         day = self.found.weather.time[0] + np.timedelta64(_DAY_S, "s")
         if self.found.weather.time[-1] < day:
-            return _Drive(_closed(self.found, day), self.columns).settled(step_s)
+            return _Drive(_closed(self.found, day), self.columns_at).settled(step_s)
         weather = self.found.weather
         count = min(np.searchsorted(weather.time, day) + 1, len(weather.time))
 

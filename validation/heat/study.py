@@ -11,7 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from thermorender.errors import ThermorenderError
 from thermorender.physics import heat as force_restore
+from thermorender.physics import sky
+from thermorender.physics.balance import STEFAN_BOLTZMANN
 from thermorender.units import ZERO_CELSIUS_K
 from validation.heat.sites import measured, modelled, read_sites
 
@@ -37,9 +40,15 @@ _SINUSOID = {
     "granite_paving": (0.37, -3.41, 15.0), "asphalt": (0.58, -9.78, 15.0), "grass_green": (0.21, -3.38, 14.0),
     "soil_arid": (0.33, -3.01, 14.0), "water": (0.0, 0.0, 12.0),
 }  # fmt: skip
-# Classes of other covers: trees, shrubs and dry grass as grass, other ground as bare soil, snow as the air.
-_LIKE = {"conifer": "grass_green", "grass_dry": "grass_green", "heath_shrub": "grass_green", "soil_dark": "soil_arid",
-         "soil_loam": "soil_arid", "snow": "water"}  # fmt: skip
+# Covers without values of their own: force–restore takes those of the first, the sinusoid those of the second. For the
+# sinusoid trees, shrubs and dry grass are grass, other ground is bare soil, and snow and ice follow the air.
+_LIKE = {
+    "conifer": ("conifer", "grass_green"), "grass_dry": ("grass_dry", "grass_green"),
+    "heath_shrub": ("heath_shrub", "grass_green"), "broadleaf": ("conifer", "grass_green"),
+    "soil_dark": ("soil_dark", "soil_arid"), "soil_loam": ("soil_loam", "soil_arid"), "snow": ("snow", "water"),
+    "ice": ("snow", "water"), "roof_felt": ("asphalt", "asphalt"),
+}  # fmt: skip
+_CONDITIONS = tuple(f"{part}, {kind}" for part in ("high sun", "low sun", "night") for kind in ("clear", "cloudy"))
 # Sites, layers and time steps of the study of run time, and the settings that serve as truth.
 _COST_SITES, _COST_LAYERS, _COST_STEPS_S = ("grass", "desert", "square"), (6, 8, 12, 16), (300.0, 900.0, 1800.0, 3600.0)
 _FINE = {"layers": 24, "step_s": 60.0}
@@ -59,6 +68,14 @@ def run(sites, folder, progress=None):
     """
     report = progress or (lambda step, share: None)
     declared = read_sites(sites)
+    for site in declared:
+        for name, _ in site.cover:
+            if _like(name)[0] not in _FORCE_RESTORE or _like(name)[1] not in _SINUSOID:
+                known = sorted({*_LIKE, *(each for each in _FORCE_RESTORE if each in _SINUSOID)})
+                raise ThermorenderError(
+                    f"{sites}, site {site.name!r}: cover={name!r} has no values for force–restore and the sinusoid; "
+                    f"give a cover among {', '.join(known)}"
+                )
     there = [site for site in declared if (Path(folder) / site.file).is_file()]
     result = {"sites": {}, "missing": [site.name for site in declared if site not in there]}
     for number, site in enumerate(there):
@@ -88,15 +105,17 @@ def _of_site(found):
     own = modelled(found)
     seconds = time.perf_counter() - begin
     names = [name for name, _ in found.site.cover]
-    # Long records take minutes; half-hour steps suffice to find the best factor.
+    # Long records take minutes; half-hour steps suffice to find the best factor. Nothing is fitted to held-out sites,
+    # those without an aim.
     coarse = 1800.0 if len(own) > 3000 else None
+    factors = _FACTORS if found.site.aim_k else ()
     fitted = min(
-        ((own, 1.0), *((modelled(found, coarse, edit=_scaled(factor)), factor) for factor in _FACTORS)),
+        ((own, 1.0), *((modelled(found, coarse, edit=_scaled(factor)), factor) for factor in factors)),
         key=lambda pair: _rms(found, pair[0]),
     )
     series = {
         "balance": own,
-        "one fitted": fitted[0],
+        **({"one fitted": fitted[0]} if factors else {}),
         "force–restore": _mixed(found, lambda name: _force_restored(found, name)),
         "sinusoid": _mixed(found, lambda name: _sinusoid(found, name)),
         "air": found.weather.air_k.copy(),
@@ -106,8 +125,10 @@ def _of_site(found):
         "title": found.site.title, "cover": names, "aim_k": found.site.aim_k, "seconds": seconds,
         "start": "measured below the ground" if found.begin_k is not None else "first day repeated",
         "scored_from": str(found.weather.time[found.scored][0]), "scored": int(found.scored.sum()),
-        "without_offset": found.site.without_offset, "fitted_factor": fitted[1], "notes": list(found.weather.notes),
+        "without_offset": found.site.without_offset,
+        "fitted_factor": fitted[1] if factors else None, "notes": list(found.weather.notes),
         "scores": {name: _scores(found, values) for name, values in series.items()},
+        "where": where(found, series["balance"]),
         "series": {
             "time": [str(at) for at in found.weather.time], "measured": found.observed_k.tolist(),
             "elevation_deg": found.elevation_deg.tolist(),
@@ -147,8 +168,36 @@ def _scores(found, values):
     return scores
 
 
+def where(found, values):
+    """Return {condition: {rows, bias, mae}} of temperatures (N,) [K]: high and low sun and night, clear and cloudy.
+
+    The sun is high above 0.7 of its highest elevation in the series. A sky is clear if its long-wave is that of less
+    than 0.25 of cloud.
+    """
+    weather, elevation, error = found.weather, found.elevation_deg, values - found.observed_k
+    black = STEFAN_BOLTZMANN * weather.air_k**4
+    dark = sky.longwave(weather.air_k, weather.vapour_pa, 0.0)
+    clear = weather.longwave_w_m2 < dark + 0.25 * sky.CLOUD_EMISSIVITY * (black - dark)
+    high = elevation > max(0.7 * elevation.max(), _EDGE_DEG)
+    parts = {"high sun": high, "low sun": (elevation > _EDGE_DEG) & ~high, "night": elevation < -_EDGE_DEG}
+    found_parts = {}
+    for part, rows in parts.items():
+        for kind, of in (("clear", clear), ("cloudy", ~clear)):
+            here = error[rows & of & found.scored]
+            if here.size:
+                found_parts[f"{part}, {kind}"] = {"rows": int(here.size), "bias": float(here.mean()),
+                                                  "mae": float(np.abs(here).mean())}  # fmt: skip
+    return found_parts
+
+
 def _mixed(found, of):
     return sum(share * of(name) ** 4 for name, share in found.site.cover) ** 0.25
+
+
+def _like(name):
+    """Return the covers whose values force–restore and the sinusoid take for a cover."""
+    kind = "snow" if name.startswith("snow") else name
+    return _LIKE.get(kind, (kind, kind))
 
 
 def _absorbed(found, absorptance):
@@ -161,7 +210,7 @@ def _absorbed(found, absorptance):
 
 def _force_restored(found, name):
     """Return surface temperature (N,) [K] by force–restore: h = 5.7 + 3.8 v, deep layer near the mean air."""
-    absorptance, inertia, exchange, wet = _FORCE_RESTORE["snow" if name.startswith("snow") else name]
+    absorptance, inertia, exchange, wet = _FORCE_RESTORE[_like(name)[0]]
     weather = found.weather
     second = (weather.time - weather.time[0]).astype(float)
     sun, deep = _absorbed(found, absorptance), weather.air_k.mean() + 1.5
@@ -173,7 +222,7 @@ def _force_restored(found, name):
             now, second[row] - second[row - 1], single(sun[row]), single(weather.longwave_w_m2[row]), single(h),
             single(wet), single(weather.air_k[row]), weather.vapour_pa[row], single(inertia), single(deep),
         )  # fmt: skip
-        if name.startswith("snow"):
+        if _like(name)[0] == "snow":
             now = np.minimum(now, np.float32(ZERO_CELSIUS_K))
         seen.append(float(now[0]))
     return np.array(seen)
@@ -181,7 +230,7 @@ def _force_restored(found, name):
 
 def _sinusoid(found, name):
     """Return surface temperature (N,) [K]: air temperature plus a sine over the day, reduced by clouds."""
-    slope, constant, crest = _SINUSOID[_LIKE.get("snow" if name.startswith("snow") else name, name)]
+    slope, constant, crest = _SINUSOID[_like(name)[1]]
     weather, elevation = found.weather, found.elevation_deg
     hour = (weather.time - weather.time.astype("datetime64[D]")).astype(float) / 3600.0
     hour = (hour + weather.longitude_deg / 15.0) % 24.0
@@ -239,6 +288,12 @@ def page(path, result):
     lines += ["| " + " | ".join(HEADER) + " |", "|" + "---|" * len(HEADER)]
     lines += ["| " + " | ".join(row) + " |" for row in rows(result)]
     lines += ["", *(f"- {sentence}" for sentence in _beaten(result))]
+    lines += ["", "Bias / mean absolute error [K] of the balance by sun and sky, and the number of rows:", ""]
+    lines += ["| site | " + " | ".join(_CONDITIONS) + " |", "|---|" + "---|" * len(_CONDITIONS)]
+    for name, site in result["sites"].items():
+        cells = [site["where"].get(condition) for condition in _CONDITIONS]
+        lines.append(f"| {name} | " + " | ".join(
+            f"{c['bias']:+.1f} / {c['mae']:.1f} ({c['rows']})" if c else "" for c in cells) + " |")  # fmt: skip
     lines += ["", "| site | what | starts from | scored from | rows | notes |", "|---|---|---|---|---|---|"]
     for name, site in result["sites"].items():
         offset = " Its mean error is subtracted." if site["without_offset"] else ""

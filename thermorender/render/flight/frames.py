@@ -86,9 +86,14 @@ class FlightFrames:
     def take(self, index: int) -> Frame:
         """Return one frame with the sensor's reading; frames come in order."""
         time_s = float(self.times[index])
-        frame = self.timed.at(time_s).frame(self.poses[index], time_s=time_s, index=index)
-        frame = replace(frame, time=self.timed.time(time_s))
+        frame = self.still(index)
         return frame.with_reading(*self.exposure.read(index, time_s, frame.radiance))
+
+    def still(self, index: int) -> Frame:
+        """Return one frame, in any order, with the reading of a camera at rest."""
+        time_s = float(self.times[index])
+        frame = self.timed.at(time_s).frame(self.poses[index], time_s=time_s, index=index)
+        return replace(frame, time=self.timed.time(time_s))
 
     def _exposure(self) -> Exposure:
         """The sensor with its state from frame to frame."""

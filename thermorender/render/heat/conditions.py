@@ -11,6 +11,7 @@ import numpy as np
 from thermorender.materials.library import find, load_library
 from thermorender.physics.sun import solar_hour
 from thermorender.scene import open_ground
+from thermorender.scene.state.weathered_ground import in_weather
 from thermorender.units import ZERO_CELSIUS_K
 from thermorender.weather.series import Weather
 
@@ -43,7 +44,7 @@ def conditions(weather: Weather, time: np.datetime64, inside_c: float = 20.0) ->
     found["solar_hour"] = float(solar_hour(time, weather.longitude_deg))
     found["day"] = float((time.astype("M8[D]") - time.astype("M8[Y]").astype("M8[D]")).astype(int))
     library = load_library(None)
-    materials = [find(library, name, "typical materials") for name in TYPICAL]
+    materials = in_weather([find(library, name, "typical materials") for name in TYPICAL], weather, time)
     columns = open_ground.columns(materials, weather, found["snow_m"], open_ground.STATION_ROUGHNESS_M)
     inside_k = inside_c + ZERO_CELSIUS_K
     start, _ = open_ground.settled(columns, weather, before, inside_k)

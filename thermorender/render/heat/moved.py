@@ -29,7 +29,7 @@ even where the map is warmer.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -142,7 +142,11 @@ def balances(scene: Scene) -> tuple[Scene, Scene]:
             "weather of its temperatures"
         )
     here = scene.with_temperature("balance")
-    there = here.with_weather(scene.temperature_state.source.trained)
+    # The ground is the same at both instants.
+    own, trained = scene.spec.weather, scene.temperature_state.source.trained
+    if own is not None and trained.albedo is None:
+        trained = replace(trained, albedo=own.albedo, albedo_std=own.albedo_std)
+    there = here.with_weather(trained)
     try:
         there.weather  # noqa: B018 - read here, so that its errors name the right section
     except ThermorenderError as error:

@@ -101,7 +101,7 @@ def _traced(
 
     mi, weather, surface = geometry.mi, scene.weather, scene.surfaces[0]
     shape, texels = surface.material.shape, np.arange(surface.material.size)
-    covers = np.array(geometry.face_of_texel())[: texels.size]
+    covers = np.array(geometry.face_of_texel)[: texels.size]
     bare = covers >= len(surface.faces)
     if bare.any() and not bare.all():
         # Beyond the outermost posts and in holes the nearest texel that a face covers is used.

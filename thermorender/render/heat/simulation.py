@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
-from thermorender.materials.mixture import Mixture
+from thermorender.materials.mixture import parts_of
 from thermorender.physics import balance, exchange, humidity
 from thermorender.physics.balance import STEFAN_BOLTZMANN, Forcing, Ground, State
 from thermorender.physics.srgb import linear_from_bytes
@@ -33,6 +33,7 @@ from thermorender.render.variant import activate
 from thermorender.scene import open_ground
 from thermorender.scene.deviations import Deviations
 from thermorender.scene.scene import Scene
+from thermorender.scene.state.weathered_ground import in_weather, lying_snow
 from thermorender.scene.surface import fill, nearest_valid
 from thermorender.units import ZERO_CELSIUS_K, utc_text
 
@@ -93,7 +94,7 @@ def solved(
     geometry = geometry or Geometry(activate(), scene.surfaces)
     report_progress = progress or (lambda what, share: None)
     report_progress(_WHAT, 0.0)
-    parts = [_parts(material) for material in scene.materials]
+    parts = [parts_of(material) for material in scene.materials]
     terrain = scene.surfaces[: scene.terrain_count]
     kinds = np.unique(np.concatenate([np.unique(surface.material) for surface in terrain]))
     most = max(len(parts[kind]) for kind in kinds)
@@ -112,20 +113,14 @@ def solved(
         found = kelvin if most == 1 else found + weight[simulation.material] * kelvin.astype(np.float64) ** 4
     kelvin = simulation.covered(found if most == 1 else found**0.25)
     report_progress(_WHAT, 1.0)
+    note = f"the ground did not settle before {utc_text(simulation.start)}: two equal days differed by "
+    notes = (f"{note}{simulation.settled_k:.1f} K",) if simulation.settled_k >= open_ground.SETTLED_K else ()
     borders = geometry.texel_start[1 : scene.terrain_count]
-    notes: tuple[str, ...] = ()
-    if simulation.settled_k >= open_ground.SETTLED_K:
-        note = f"the ground did not settle before {utc_text(simulation.start)}: two equal days differed by "
-        notes = (f"{note}{simulation.settled_k:.1f} K",)
     scenes = {
         at: scene.with_solved_temperatures(at, np.split(values, borders), notes=notes)
         for at, values in zip(asked, kelvin, strict=True)
     }
     return [scenes[at] for at in times]
-
-
-def _parts(material: Material) -> tuple[tuple[Material, float], ...]:
-    return material.parts if isinstance(material, Mixture) else ((material, 1.0),)
 
 
 def _emits(parts: tuple[tuple[Material, float], ...], number: int) -> float:
@@ -171,7 +166,8 @@ class _Simulation:
             )
         self.middle = corner.mean(axis=1).astype(np.float32)
         self.normal = (across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)).astype(np.float32)
-        self.covers = np.array(geometry.face_of_texel())[: self.texels]
+        self.snow_m = lying_snow(scene.materials, self.weather, asked[0])
+        self.covers = np.array(geometry.face_of_texel)[: self.texels]
         self.reflects = self._brightness() * (1.0 if self.deviations is None else self.deviations[0])
         self.start = max(asked[0] - np.timedelta64(int(_BEFORE_S), "s"), self.weather.time[0])
         # Change of the ground over the last day of settling [K], the largest of all runs.
@@ -193,10 +189,15 @@ class _Simulation:
         temperature = np.concatenate([surface.temperature.ravel() for surface in surfaces])[number]
         self.face_material, self.face_kelvin = material, temperature.astype(np.float32)
         self.face_texel = number
-        of = self.scene.materials
+        of = [self._shown(each) for each in self.scene.materials]
         reflects = np.array([1.0 - each.solar_absorptance for each in of], np.float32)[material]
         emits = np.array([open_ground.broadband(each) for each in of], np.float32)[material]
         return reflects, emits
+
+    def _shown(self, material: Material) -> Material:
+        """A material, or the snow on its parts."""
+        parts = [part for part, _ in parts_of(material) if part.thermal and part.thermal.texture]
+        return in_weather(parts[:1], self.weather, self.asked[0], self.snow_m)[0] if self.snow_m and parts else material
 
     def run(
         self, materials: dict[int, Material], wanted: NDArray[np.bool_], progress: Callable[[float], object]
@@ -207,11 +208,10 @@ class _Simulation:
         """
         self.row = np.zeros(256, dtype=np.uint32)
         self.row[list(materials)] = np.arange(len(materials))
-        snow = float(self.weather.at(self.asked[0]).snow_m)
-        self.columns = open_ground.columns(
-            list(materials.values()), self.weather, snow, open_ground.STATION_ROUGHNESS_M
-        )
-        self.state, change = open_ground.settled(self.columns, self.weather, self.start, self.inside_k)
+        weather, snow = self.weather, float(self.weather.at(self.asked[0]).snow_m)
+        present = in_weather(list(materials.values()), weather, self.asked[0], self.snow_m)
+        self.columns = open_ground.columns(present, weather, snow, open_ground.STATION_ROUGHNESS_M)
+        self.state, change = open_ground.settled(self.columns, weather, self.start, self.inside_k)
         self.settled_k = max(self.settled_k, change)
         found = np.zeros((len(self.asked), self.texels), dtype=np.float32)
         every = np.flatnonzero(wanted)
@@ -248,7 +248,7 @@ class _Simulation:
         mean = np.bincount(self.material, light) / np.maximum(np.bincount(self.material), 1)
         ratio = light / np.maximum(mean[self.material], 1e-4)
         # Dark spots in vegetation, water and snow are shade or depth, not absorption.
-        mineral = np.array([open_ground.bare(each) for each in self.scene.materials])
+        mineral = np.array([open_ground.bare(self._shown(each)) for each in self.scene.materials])
         ratio[~mineral[self.material]] = 1.0
         return np.clip(ratio, 1.0 / _BRIGHTEST, _BRIGHTEST).astype(np.float32)
 

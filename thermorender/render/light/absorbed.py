@@ -8,9 +8,8 @@ from thermorender.render.geometry import farthest
 from thermorender.render.light.radiosity import Transport
 from thermorender.scene.scene import Scene
 
-# Number of lengths, from 1 m on, at which the change is computed; faces handled at a time.
+# Number of lengths, from 1 m on, at which the change is computed.
 _LENGTHS = 24
-_FACES_AT_ONCE = 1 << 16
 
 
 def left_out(scene: Scene, transport: Transport, reflectance: Floats) -> Floats:
@@ -31,16 +30,13 @@ def left_out(scene: Scene, transport: Transport, reflectance: Floats) -> Floats:
     change, length = np.pad(change, ((0, 0), (1, 0))), np.append(0.0, length)
     middle = np.concatenate([each.vertices[each.faces].mean(axis=1) for each in scene.surfaces]).astype(np.float32)
     surface = np.repeat(np.arange(len(scene.surfaces)), [len(each.faces) for each in scene.surfaces])
-    result, operator = np.empty(len(middle)), transport.operator
-    for first in range(0, len(middle), _FACES_AT_ONCE):
-        rows = slice(first, min(first + _FACES_AT_ONCE, len(middle)))
-        ends = operator.indptr[rows.start : rows.stop + 1]
-        face = np.repeat(np.arange(rows.start, rows.stop), np.diff(ends))
-        within = slice(ends[0], ends[-1])
-        other = transport.seen[within]
+    result = np.empty(len(middle))
+    for rows in transport.parts():
+        hits = transport.halves(rows)
+        face, other = np.repeat(np.arange(rows.start, rows.stop), np.diff(hits.indptr[::2])), hits.indices
         place = np.interp(np.linalg.norm(middle[face] - middle[other], axis=1), length, np.arange(len(length)))
         lower = np.minimum(place.astype(np.intp), len(length) - 2)
         first_end, last_end = (change[surface[other], lower + k] for k in (0, 1))
-        lost = operator.data[within] * (first_end + (place - lower) * (last_end - first_end))
-        result[rows] = reflectance[rows] * np.bincount(face - first, lost, rows.stop - first)
+        lost = hits.data / (2.0 * transport.rays) * (first_end + (place - lower) * (last_end - first_end))
+        result[rows] = reflectance[rows] * np.bincount(face - rows.start, lost, rows.stop - rows.start)
     return result

@@ -6,18 +6,18 @@ node the mean incident radiance x of every face then satisfies the linear system
 
     x = K (e + ρ x) + outside,
 
-with e and ρ the faces' mean emitted radiance and reflectance. GMRES solves it in a time that hardly depends on ρ, and
-the residual bounds the error: see `solve`.
+with e and ρ the faces' mean emitted radiance and reflectance. Rounds of exchange solve it in a time that hardly depends
+on ρ, and the light that they leave bounds the error: see `solve`.
 
 The rays of a face are the points of Sobol' (1967, doi:10.1016/0041-5553(67)90144-9) in four dimensions, two of
 direction and two of position, with digits shifted at random for each face (Owen 2003, doi:10.1145/945511.945518). They
 are split into two halves, whose difference estimates the Monte Carlo error of their mean, rather too large than too
-small: see `noise`. Normals are those of the flat faces.
+small: see `solve`. Normals are those of the flat faces.
 """
 
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.render.arrays import Floats, Jit, Mitsuba, aligned
 from thermorender.render.geometry import Geometry, of_faces
-from thermorender.render.light.gmres import STEPS, gmres
+from thermorender.render.light.exchange import Exchange, threads
+from thermorender.render.light.gmres import STEPS
 from thermorender.scene.surface import Surface
 
 if TYPE_CHECKING:
@@ -39,15 +40,19 @@ VERSION = 4
 SKY_BINS = 16
 # About 30 bytes per ray at once.
 _RAYS_AT_ONCE = 1 << 21
-# About 300 bytes per face at once.
-_FACES_AT_ONCE = 1 << 18
 _SEED = 0x7E44
 # Memory for the vectors of one solution [bytes].
 _KRYLOV_BYTES = 1 << 30
+# From this share of reflected light on it is worthwhile to compute a sharper bound of it.
+_MUCH_REFLECTED = 0.9
 # Above this reflectance light is amplified beyond the resolution of float64.
 _MOST_REFLECTED = 1.0 - 1e-7
 # Relative accuracy of the Monte Carlo error itself.
 _NOISE_ACCURACY = 0.05
+# Rounds of exchange; about 6 are needed.
+_ROUNDS = 20
+# Faces handled at once. Products of matrices of so few rows stay in their thread, so that their sums have one order.
+_FACES_AT_ONCE = 3000
 # Steps of the table of chords of the unit disk.
 _CHORDS = 4096
 
@@ -64,10 +69,6 @@ class Transport:
     up: NDArray[np.uint16]  # (F, 2, SKY_BINS) rays of each half that see the sky, by zenith angle
     down: NDArray[np.uint16]  # (F, 2) rays of each half that see the surroundings below the horizon
 
-    def __getstate__(self) -> dict[str, Any]:
-        # The operator is as large as the rest, from which it is computed again.
-        return {name: value for name, value in vars(self).items() if name != "operator"}
-
     @property
     def sky(self) -> Floats:
         """Share of each face's cosine-weighted hemisphere that sees each bin of the sky, (F, SKY_BINS)."""
@@ -78,30 +79,57 @@ class Transport:
         """Share of each face's cosine-weighted hemisphere that sees the surroundings below the horizon, (F,)."""
         return self.down.sum(axis=1) / (2.0 * self.rays)
 
-    @cached_property
+    @property
     def operator(self) -> Any:
         """Share of face i's cosine-weighted hemisphere that sees face j, (F, F) csr_array of float64."""
-        from scipy.sparse import csr_array
-
-        # A row of the sum is the two halves' rows in succession: every second border is left out.
-        weight = self.hits / (2.0 * self.rays)
-        return csr_array((weight, self.seen, self._borders[::2].copy()), shape=(len(self.up), len(self.up)))
-
-    def forget_operator(self) -> None:
-        """Free the operator's memory until it is needed again."""
-        vars(self).pop("operator", None)
+        return self._counted / (2.0 * self.rays)
 
     @property
-    def halves(self) -> Any:
-        """Rows 2 i and 2 i + 1 add up to row i of `operator`, (2 F, F); shares the operator's memory."""
+    def _counted(self) -> Any:
+        """Number of the rays of face i that hit face j, (F, F) csr_array that shares memory with `hits`."""
         from scipy.sparse import csr_array
 
-        return csr_array((self.operator.data, self.seen, self._borders), shape=(2 * len(self.up), len(self.up)))
+        # A row is the two halves' rows in succession: every second border is left out. SciPy would convert the int32
+        # columns to the borders' type, at twice the memory.
+        borders = self.start[::2].astype(np.int32 if self.start[-1] < 2**31 else np.int64)
+        return csr_array((self.hits, self.seen, borders), shape=(len(self.up), len(self.up)))
 
-    @property
-    def _borders(self) -> NDArray[np.integer]:
-        # SciPy would convert the int32 columns to the borders' type, at twice the memory.
-        return self.start.astype(np.int32) if self.start[-1] < 2**31 else self.start
+    def parts(self) -> list[slice]:
+        """Return slices of the faces, so small that their hits fit into a core's own cache."""
+        count = len(self.up)
+        return [slice(first, min(first + _FACES_AT_ONCE, count)) for first in range(0, count, _FACES_AT_ONCE)]
+
+    def halves(self, part: slice) -> Any:
+        """Number of the rays of a part of n faces that hit each face, csr_array (2 n, F) of float64.
+
+        Rows 2 i and 2 i + 1 are of the two halves of face i's rays.
+        """
+        from scipy.sparse import csr_array
+
+        start = self.start[2 * part.start : 2 * part.stop + 1]
+        here = slice(int(start[0]), int(start[-1]))
+        borders = (start - start[0]).astype(np.int32)
+        return csr_array((self.hits[here].astype(np.float64), self.seen[here], borders), (len(start) - 1, len(self.up)))
+
+    def beyond(self, environment: "Environment", part: slice) -> tuple[Floats, Floats]:
+        """Return light from beyond the surfaces on a part of the faces, (n, N) [W m⁻² sr⁻¹].
+
+        The second is half the difference of what the two halves of their rays receive.
+        """
+        up, down = self.up[part].astype(np.int32), self.down[part].astype(np.int32)
+        rays = 2.0 * self.rays
+        whole = environment.light((up[:, 0] + up[:, 1]) / rays, (down[:, 0] + down[:, 1]) / rays, part)
+        if environment.direct is not None:
+            whole += environment.direct[part]
+        return whole, environment.light((up[:, 0] - up[:, 1]) / rays, (down[:, 0] - down[:, 1]) / rays, part)
+
+    def among(self, faces: NDArray[np.intp]) -> tuple[Any, Any]:
+        """Rows of `operator` of n ascending faces, (n, F), and their part between these faces, (n, n)."""
+        if len(faces) == len(self.up):
+            return self.operator, self.operator
+        rows = self._counted[faces]
+        rows.data = rows.data / (2.0 * self.rays)
+        return rows, rows[:, faces]
 
 
 def trace(geometry: Geometry, rays: int, progress: Callable[[float], object] | None = None, seed: int = 0) -> Transport:
@@ -152,9 +180,14 @@ def background_code(mi: Mitsuba, direction: Jit) -> Jit:
 
 
 def solve(
-    transport: Transport, emitted: Floats, reflectance: Floats, environment: "Environment", tolerance: float
-) -> tuple[Floats, Floats]:
-    """Return (incident (F, N) mean incident radiance of each face, error bound (N,)), both [W m⁻² sr⁻¹].
+    transport: Transport, emitted: Floats, reflectance: Floats, environment: "Environment", tolerance: float,
+    start: NDArray[np.floating] | None = None,
+) -> tuple[Floats, float, Floats]:  # fmt: skip
+    """Return (mean incident radiance of each face (F, N), its error bound, noise (F,)), all in W m⁻² sr⁻¹.
+
+    The bound holds at every node. The noise is a draw of the Monte Carlo error of each face's reflected radiance,
+    summed over the nodes. Only its root mean square over many faces is meaningful: it is one standard error. Draws of
+    other nodes of the same transport add with their signs.
 
     Parameters
     ----------
@@ -164,6 +197,8 @@ def solve(
         Light from sky, surroundings and sun.
     tolerance : float
         Error bound to reach at each node [W m⁻² sr⁻¹].
+    start : (F, N), optional
+        An incident radiance close to the solution, which saves time; zeros by default.
 
     Raises
     ------
@@ -172,72 +207,58 @@ def solve(
 
     Notes
     -----
-    An error δ with the residual r obeys δ = K ρ δ + r, and K ρ has no negative entries, hence ‖δ‖∞ ≤ ‖r‖∞ / (1 − max K
-    ρ). The bound includes the rounding error of the residual, one unit per term of a row. Nodes are solved side by
-    side, so that the operator is read once for all of them; `blocks` limits their number.
+    With the light s sent so far (see `exchange`) and J = e + ρ x, an error δ of the light obeys δ = K ρ δ + K (J − s).
+    K and ρ have no negative entries, and no row of K has a sum above 1. Hence ‖δ‖∞ ≤ ‖J − s‖∞ / (1 − max K ρ), where
+    the largest ρ may stand for max K ρ. The bound includes the rounding error, one unit per term of a row.
+
+    The two halves of the rays see the radiosity J as x₁ and x₂. If they were independent, (x₁ − x₂) / 2 would have the
+    variance of their mean's error. But they fill each other's gaps, so it is 1.0 to 1.4 times too large in open scenes.
+    The error is itself light and is reflected: δ = K ρ δ + (x₁ − x₂) / 2 to first order, which matters in cavities.
     """
-    operator = transport.operator
-    source = operator @ emitted + _beyond(transport, environment, 1.0)
-    if environment.direct is not None:
-        source += environment.direct
-    reflected = (operator @ reflectance).max(axis=0, initial=0.0)
-    if reflected.max() > _MOST_REFLECTED:
-        raise ThermorenderError(
-            f"surfaces that face each other reflect {reflected.max():.8f} of the light between them, which never "
-            "leaves; give them an emissivity of 1e-6 or more"
-        )
-    amplification = 1.0 / (1.0 - reflected)
-    wanted = 0.5 * tolerance / amplification
-    rounding = 0.5 * np.finfo(float).eps * (2 * transport.rays + 4)
-    x, residual = np.zeros(source.shape), source
-    for _ in range(6):
-        x += gmres(operator, reflectance, residual, wanted)
-        residual = source - x + operator @ (reflectance * x)
-        bound = (np.abs(residual).max(axis=0) + rounding * np.abs(x).max(axis=0, initial=0.0)) * amplification
-        if bound.max() <= tolerance:
-            return x, bound
+    with threads() as pool:
+        reflected = float(reflectance.max(initial=0.0))
+        if reflected > _MUCH_REFLECTED:
+            top = reflectance.max(axis=1) / (2.0 * transport.rays)
+            shares = [(transport.halves(part) @ top).reshape(-1, 2).sum(axis=1).max() for part in transport.parts()]
+            reflected = min(reflected, float(max(shares)))
+        if reflected > _MOST_REFLECTED:
+            raise ThermorenderError(
+                f"surfaces that face each other reflect {reflected:.8f} of the light between them, which never "
+                "leaves; give them an emissivity of 1e-6 or more"
+            )
+        amplification = 1.0 / (1.0 - reflected)
+        wanted = 0.5 * tolerance / amplification
+        rounding = np.finfo(float).eps * (2 * transport.rays + 4)
+        light = Exchange(transport, pool, emitted, reflectance, environment)
+        if start is not None:
+            light.send(lambda part: emitted[part] + reflectance[part] * start[part], np.eye(emitted.shape[1]))
+        for _ in range(_ROUNDS):
+            bound = amplification * (light.largest + rounding * light.brightest)
+            if bound <= tolerance:
+                return light.incident, bound, _reflected_noise(transport, pool, reflectance, light)
+            light.send(light.settled(wanted))
     raise ThermorenderError(
-        f"the light between surfaces does not converge: {bound.max():.3g} W m⁻² sr⁻¹ remain where "
+        f"the light between surfaces does not converge: {bound:.3g} W m⁻² sr⁻¹ remain where "
         f"{tolerance:.3g} are allowed; give a larger tolerance"
     )
 
 
-def noise(
-    transport: Transport, emitted: Floats, reflectance: Floats, environment: "Environment", incident: Floats
-) -> Floats:
-    """Return a draw of the Monte Carlo error of each face's reflected radiance, (F,) [W m⁻² sr⁻¹], summed over nodes.
+def _reflected_noise(transport: Transport, pool: Executor, reflectance: Floats, light: Exchange) -> Floats:
+    """`light.noise` and its own reflections, (F,).
 
-    Only the root mean square over many faces is meaningful: it is one standard error. Draws of other nodes of the same
-    transport add with their signs. Parameters as of `solve`, with its result `incident`.
-
-    The two halves of the rays see the solved radiosity J = e + ρ x as x₁ and x₂. If they were independent, (x₁ − x₂) /
-    2 would have the variance of their mean's error. But they fill each other's gaps, so it is 1.0 to 1.4 times too
-    large in open scenes. The error is itself light and is reflected: δ = K ρ δ + (x₁ − x₂) / 2 to first order, which
-    matters in cavities.
+    They are solved for all nodes together, with each face's mean reflectance of the light that it receives.
     """
-    seen = (transport.halves @ (emitted + reflectance * incident)).reshape(len(emitted), 2, -1)
-    source = seen[:, 0] - seen[:, 1] + _beyond(transport, environment, -1.0)
-    size = np.abs(source).max(axis=0)
-    return (reflectance * gmres(transport.operator, reflectance, source, _NOISE_ACCURACY * size)).sum(axis=1)
+    total = light.incident.sum(axis=1)
+    mean = np.einsum("fn,fn->f", reflectance, light.incident) / np.where(total > 0.0, total, 1.0)
+    error = Exchange(transport, pool, light.noise[:, None], mean[:, None], strong=light.strong)
+    error.send(error.settled(_NOISE_ACCURACY * error.largest))
+    return light.noise + mean * error.incident[:, 0]
 
 
 def blocks(faces: int, nodes: int) -> list[slice]:
     """Return slices of nodes, each with as many as the memory for the vectors of a solution allows, at least one."""
     size = max(1, _KRYLOV_BYTES // (8 * max(faces, 1) * (STEPS + 4)))
     return [slice(first, min(first + size, nodes)) for first in range(0, nodes, size)]
-
-
-def _beyond(transport: Transport, environment: "Environment", sign: float) -> Floats:
-    """Light from beyond the surfaces on each face, (F, N): of both halves of its rays, the second times `sign`."""
-    light = np.empty((len(transport.up), len(environment.background)))
-    for first in range(0, len(light), _FACES_AT_ONCE):
-        part = slice(first, first + _FACES_AT_ONCE)
-        up, down = (
-            (counted[part, 0] + sign * counted[part, 1]) / (2.0 * transport.rays)
-            for counted in (transport.up, transport.down)
-        )
-        light[part] = environment.light(up, down, part)
-    return light
 
 
 def face_rays(geometry: Geometry, half: int) -> tuple[Jit, Jit, Jit, Jit]:

@@ -17,11 +17,12 @@ from thermorender.materials.material import Material
 from thermorender.physics.band import RadianceTable
 from thermorender.render.arrays import Floats, Jit, aligned
 from thermorender.render.geometry import Geometry
+from thermorender.render.light.exchange import threads
 from thermorender.render.plan import Plan
 
 # Number of points for the mean of a face: least, most, and per texel of an average face.
 _FEWEST, _MOST, _PER_TEXEL = 4, 64, 2
-_TEXELS_AT_ONCE = 1 << 22
+_TEXELS_AT_ONCE = 1 << 18
 
 
 def face_means(
@@ -74,14 +75,18 @@ def emitted(
     found = [np.empty(len(material), dtype=np.float32) for _ in range(plan.spectrum.channels)]
     limits = float(temperature.min()), float(temperature.max())
     tables = [plan.spectrum.emitted(each.emissivity_at, *limits, plan.band_um) for each in materials]
-    # A few million texels at a time, as the interpolation uses float64.
-    for start in range(0, len(material), _TEXELS_AT_ONCE):
+
+    def fill(start: int) -> None:
         part = slice(start, start + _TEXELS_AT_ONCE)
         for number in np.unique(material[part]):
             here = np.flatnonzero(material[part] == number)
             warm, (grid, table) = temperature[part][here], tables[number]
             for channel, values in enumerate(table.T):
                 found[channel][part][here] = np.interp(warm, grid, values)
+
+    # Parts, as the interpolation uses float64.
+    with threads() as pool:
+        list(pool.map(fill, range(0, len(material), _TEXELS_AT_ONCE)))
     return found
 
 

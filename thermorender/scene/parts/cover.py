@@ -16,10 +16,11 @@ from thermorender.materials import library as material_tables
 from thermorender.materials.extended import within_band
 from thermorender.materials.material import Material, grey
 from thermorender.materials.mixture import parts_of
-from thermorender.scene.material_map import learned_materials
+from thermorender.scene.material_map import Picture, learned_materials
 from thermorender.scene.parts.patch import Patch
 from thermorender.scene.parts.read import Parts
-from thermorender.scene.spec import EmissivitySpec, ObjectSpec
+from thermorender.scene.parts.textures import areas, named, separate, stating, used_texels
+from thermorender.scene.spec import EmissivitySpec, ObjectSpec, SurfaceSpec
 from thermorender.scene.surface import (
     FILLED,
     MOST_MATERIALS,
@@ -32,9 +33,9 @@ from thermorender.scene.surface import (
     open_share,
 )
 
-# New materials by what they replace: a class number, a material's name, or "object:" and an object's name.
+# New materials by what they replace: a class number, a material's name, or "object:" or "surface:" and a name.
 Replaced = Mapping[int | str, Material]
-OBJECT = "object:"
+OBJECT, SURFACE_OF_MESH = "object:", "surface:"
 # The name of the grey material of an emissivity of source "constant".
 CONSTANT = "constant"
 
@@ -111,8 +112,8 @@ def refuse_band(material: Material, band_um: tuple[float, float], where: str) ->
 
 
 def cover_of(
-    parts: Parts, emissivity: EmissivitySpec, objects: tuple[ObjectSpec, ...], replaced: Replaced,
-    painted: Sequence[Patch], band_um: tuple[float, float], where: str,
+    parts: Parts, emissivity: EmissivitySpec, objects: tuple[ObjectSpec, ...], surfaces: tuple[SurfaceSpec, ...],
+    replaced: Replaced, painted: Sequence[Patch], band_um: tuple[float, float], where: str,
 ) -> Cover:  # fmt: skip
     """Return the Cover of a scene.
 
@@ -121,6 +122,8 @@ def cover_of(
     parts : Parts
     emissivity : EmissivitySpec
     objects : tuple of ObjectSpec
+    surfaces : tuple of SurfaceSpec
+        Parts of a mesh with their own material.
     replaced : dict
         Materials in place of others, as `Replaced` says; all are replaced at once, by the names the files give.
     painted : sequence of Patch
@@ -139,11 +142,7 @@ def cover_of(
     materials = MaterialList(parts.library, replaced, band_um, where)
     report: dict[str, Any] = {}
     if parts.grid is None:
-        number = _single(emissivity, materials)
-        ground = [
-            Painted(np.full(surface.flags.shape, number, np.uint8), surface.colour, surface.flags)
-            for surface in parts.ground
-        ]
+        ground = _mesh_cover(parts, emissivity, surfaces, materials, report)
     else:
         ground = [_raster_cover(parts, parts.ground[0], emissivity, materials, report)]
         ground = [_painted(ground[0], painted, materials, parts.colour is None)]
@@ -152,13 +151,13 @@ def cover_of(
         known = dict.fromkeys(part.name for each in materials.used for part, _ in parts_of(each))
         raise ThermorenderError(
             f"{where}: with_material was given {_key_words(key)}, which this scene does not have; give one of its "
-            f"materials {', '.join(known)}, a class number or the name of an object"
+            f"materials {', '.join(known)}, a class number or the name of an object or of a mesh's surface"
         )
     return Cover(tuple(materials.used), tuple(ground), numbers, report)
 
 
 def _key_words(key: int | str) -> str:
-    return f"class {key}" if isinstance(key, int) else repr(str(key).removeprefix(OBJECT))
+    return f"class {key}" if isinstance(key, int) else repr(str(key).removeprefix(OBJECT).removeprefix(SURFACE_OF_MESH))
 
 
 def _raster_cover(
@@ -169,25 +168,20 @@ def _raster_cover(
     if parts.valid is not None:
         valid = parts.valid.copy()
     if emissivity.source == "learned":
-        material, unknown = _learned(parts, emissivity, surface.texel_m, materials, report)
+        if parts.colour is None:
+            raise ThermorenderError(
+                f"{materials.where}: a learned emissivity map reads materials from an orthophoto; add "
+                "terrain.orthophoto"
+            )
+        filled = parts.colour if valid.all() else fill(parts.colour, nearest_valid(valid))
+        (material,), (unknown,) = _learned([Picture(filled, valid, surface.texel_m)], emissivity, materials, report)
     elif emissivity.source == "classes" and parts.classes is not None:
-        lookup = np.full(256, 255, dtype=np.uint8)
-        for value, name in emissivity.classes.items():
-            lookup[value] = materials.index(name, f"emissivity.classes.{value}", value)
-        known = parts.classes != 0
-        share = open_share(~known & valid, parts.on_ground)
+        material, known, unknown, share = _of_classes(
+            parts.classes, valid, parts.on_ground, f"{emissivity.raster}", emissivity, materials
+        )
         if share > 0.0:
             rest = emissivity.fallback or "the class beside them"
             report.update(model=f"{emissivity.raster}", fallback=rest, share_unknown=share)
-        if emissivity.fallback and share > 0.0:
-            lookup[0], unknown = materials.index(emissivity.fallback, "emissivity.fallback"), ~known & valid
-            known = known | unknown
-        elif share > MOST_OPEN:
-            raise ThermorenderError(
-                f"{emissivity.raster} leaves {share:.1%} of the terrain of {materials.where} without a class; give one "
-                "that covers it, or name the material of the rest as emissivity.fallback"
-            )
-        material = np.where(known, lookup[parts.classes], 0).astype(np.uint8)
         valid &= known
     else:
         material = np.full(shape, _single(emissivity, materials), np.uint8)
@@ -200,6 +194,113 @@ def _raster_cover(
         valid &= ~parts.filled
     flags = SURFACE | np.where(valid, 0, FILLED) | np.where(unknown, UNKNOWN, 0)
     return Painted(material, colour, flags.astype(np.uint8))
+
+
+def _of_classes(
+    classes: NDArray[np.uint8], valid: NDArray[np.bool_], on_ground: NDArray[np.bool_] | None, name: str,
+    emissivity: EmissivitySpec, materials: MaterialList,
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_], NDArray[np.bool_], float]:  # fmt: skip
+    """(material numbers, where they are known, where they are the fallback, share without a class) of class numbers."""
+    lookup = np.full(256, 255, dtype=np.uint8)
+    for value, material in emissivity.classes.items():
+        lookup[value] = materials.index(material, f"emissivity.classes.{value}", value)
+    known, unknown = classes != 0, np.zeros(classes.shape, bool)
+    share = open_share(~known & valid, on_ground)
+    if emissivity.fallback and share > 0.0:
+        lookup[0], unknown = materials.index(emissivity.fallback, "emissivity.fallback"), ~known & valid
+        known = known | unknown
+    elif share > MOST_OPEN:
+        raise ThermorenderError(
+            f"{name} leaves {share:.1%} of the terrain of {materials.where} without a class; give one "
+            "that covers it, or name the material of the rest as emissivity.fallback"
+        )
+    return np.where(known, lookup[classes], 0).astype(np.uint8), known, unknown, share
+
+
+def _mesh_cover(
+    parts: Parts, emissivity: EmissivitySpec, surfaces: Sequence[SurfaceSpec], materials: MaterialList,
+    report: dict[str, Any],
+) -> list[Painted]:  # fmt: skip
+    """The Painted of each surface of a mesh: by an edit, its [[surface]], its class raster or [emissivity]."""
+    textures, where = parts.textures, materials.where
+    edits = [str(key).removeprefix(SURFACE_OF_MESH) for key in materials.replaced
+             if str(key).startswith(SURFACE_OF_MESH)]  # fmt: skip
+    edited = named(textures, edits, where, "with_material: surface")
+    stated = stating(textures, surfaces, ("material", "classes"), where)
+    found: list[Painted | None] = []
+    missing: list[tuple[float, float]] = []
+    for surface, texture, edit, own in zip(parts.ground, textures, edited, stated, strict=True):
+        shape = surface.flags.shape
+        if edit is not None:
+            key = SURFACE_OF_MESH + edits[edit]
+            materials.unused.discard(key)
+            number = materials.add(materials.replaced[key])
+        elif own is not None and own.material is not None:
+            number = materials.index(own.material, f"surface {own.name!r}")
+        elif texture.classes is not None:
+            name = f"the class raster of surface {surface.name!r}"
+            used, everywhere = used_texels(surface), np.ones(shape, bool)
+            material, known, unknown, share = _of_classes(
+                texture.classes, everywhere, used, name, emissivity, materials
+            )
+            missing.append((share, float(areas(surface).sum())))
+            if not known.all():
+                material = fill(material, nearest_valid(known))
+            flags = surface.flags | np.where(known | ~used, 0, FILLED) | np.where(unknown & used, UNKNOWN, 0)
+            found.append(Painted(material, surface.colour, flags.astype(np.uint8)))
+            continue
+        elif emissivity.source == "learned":
+            found.append(None)
+            continue
+        elif emissivity.source == "classes":
+            if not emissivity.fallback:
+                raise ThermorenderError(
+                    f"{where}: surface {surface.name!r} has no class raster; give it classes or a material in a "
+                    "[[surface]], or name the material of the rest as emissivity.fallback"
+                )
+            number = materials.index(emissivity.fallback, "emissivity.fallback")
+        else:
+            number = _single(emissivity, materials)
+        found.append(Painted(np.full(shape, number, np.uint8), surface.colour, surface.flags))
+    if any(share for share, _ in missing):
+        share = float(np.average([share for share, _ in missing], weights=[area for _, area in missing]))
+        rest = emissivity.fallback or "the class beside them"
+        report.update(model="the class rasters", fallback=rest, share_unknown=share)
+    waiting = [k for k, painted in enumerate(found) if painted is None]
+    if waiting:
+        for k, painted in zip(waiting, _learned_mesh(parts, waiting, emissivity, materials, report), strict=True):
+            found[k] = painted
+    return [painted for painted in found if painted is not None]
+
+
+def _learned_mesh(
+    parts: Parts, numbers: Sequence[int], emissivity: EmissivitySpec, materials: MaterialList, report: dict[str, Any]
+) -> list[Painted]:
+    """The Painted of some surfaces by a learned map; those without a texture have the fallback."""
+    pictured = [k for k in numbers if parts.textures[k].size and not separate(parts.ground[k])]
+    if not pictured:
+        raise ThermorenderError(
+            f"{materials.where}: emissivity.source='learned' reads materials from textures, and this mesh has none; "
+            "bake its colours into a texture, or give materials in [[surface]] tables"
+        )
+    pictures = []
+    for k in pictured:
+        surface = parts.ground[k]
+        used = used_texels(surface)
+        colour = surface.colour if used.all() else fill(surface.colour, nearest_valid(used))
+        pictures.append(Picture(colour, used, surface.texel_m))
+    number, unknown = _learned(pictures, emissivity, materials, report)
+    assert emissivity.fallback is not None
+    rest = materials.index(emissivity.fallback, "emissivity.fallback")
+    of = dict(zip(pictured, zip(number, unknown, strict=True), strict=True))
+    found = []
+    for k in numbers:
+        surface = parts.ground[k]
+        shape = surface.flags.shape
+        material, flagged = of.get(k, (np.full(shape, rest, np.uint8), np.ones(shape, bool)))
+        flags = surface.flags | np.where(flagged, UNKNOWN, 0).astype(np.uint8)
+        found.append(Painted(material, surface.colour, flags))
+    return found
 
 
 def _painted(own: Painted, painted: Sequence[Patch], materials: MaterialList, coloured: bool) -> Painted:
@@ -216,25 +317,19 @@ def _painted(own: Painted, painted: Sequence[Patch], materials: MaterialList, co
 
 
 def _learned(
-    parts: Parts, emissivity: EmissivitySpec, texel_m: float, materials: MaterialList, report: dict[str, Any]
-) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """(material number, whether it is unknown) of the terrain's texels by their colour, (h, w) each."""
-    colour, valid = parts.colour, parts.valid
-    if colour is None or valid is None:
-        raise ThermorenderError(
-            f"{materials.where}: a learned emissivity map reads materials from an orthophoto; add terrain.orthophoto"
-        )
-    if not valid.all():
-        colour = fill(colour, nearest_valid(valid))
+    pictures: Sequence[Picture], emissivity: EmissivitySpec, materials: MaterialList, report: dict[str, Any]
+) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.bool_]]]:
+    """(material numbers, whether they are unknown) of the texels of pictures by their colour, (h, w) each."""
     assert emissivity.model is not None  # the scene file's reader asks for it
     names = {*load_map(emissivity.model).without(emissivity.without).materials, emissivity.fallback}
     own = {str(name): material for name, material in materials.replaced.items() if name in names}
     materials.unused -= set(own)
-    number, used, unknown, found = learned_materials(
-        emissivity, {**materials.library, **own}, colour, valid, texel_m, materials.band_um, materials.where
+    numbers, used, unknown, found = learned_materials(
+        emissivity, {**materials.library, **own}, pictures, materials.band_um, materials.where
     )
     report.update(found)
-    return np.array([materials.add(material) for material in used], dtype=np.uint8)[number], unknown
+    lookup = np.array([materials.add(material) for material in used], dtype=np.uint8)
+    return [lookup[number] for number in numbers], unknown
 
 
 def _single(source: EmissivitySpec, materials: MaterialList) -> int:

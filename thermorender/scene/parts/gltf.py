@@ -8,13 +8,14 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.scene.parts.gltf_data import File
-from thermorender.scene.parts.mesh_pieces import Beside, Coat, Piece, one_colour
+from thermorender.scene.parts.mesh_pieces import Beside, Coat, Piece, of_faces, several
 
 _REPEAT = 10497  # section 5.25: the default wrap mode of a texture
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6  # section 5.24; other modes are points and lines, which have no area
@@ -44,13 +45,29 @@ def read(path: Path, beside: Beside) -> list[Piece]:
             if material not in coats:
                 coats[material] = _coat(file, material)
             coat, texture = coats[material]
+            coat, tint = _tinted(file, primitive, coat, faces, len(vertices))
             uv = None if coat.image is None else _map(file, primitive, texture, faces, len(vertices))
             vertices = vertices @ matrix[:3, :3].T + matrix[:3, 3]
             if np.linalg.det(matrix[:3, :3]) < 0.0:
                 faces, uv = faces[:, ::-1], None if uv is None else uv[:, ::-1]
-            coat = _tinted(file, primitive, coat)
-            pieces.append(Piece(f"{path.stem}:{name}" + (f":{number}" if number else ""), vertices, faces, uv, coat))
+            own = f"{path.stem}:{name}" + (f":{number}" if number else "")
+            names = (name, *_names(file, mesh, material, texture))
+            pieces.append(Piece(own, vertices, faces, uv, coat, names, tint))
     return pieces
+
+
+def _names(file: File, mesh: dict[str, Any], material: int | None, texture: Any) -> Iterator[str]:
+    """Names of a primitive's mesh, material and image file."""
+    yield str(mesh.get("name", ""))
+    if material is not None:
+        yield str(file.item("materials", material).get("name", ""))
+    if texture is not None:
+        source = file.item("textures", texture["index"])
+        extensions = source.get("extensions", {})
+        image = file.item("images", extensions.get("EXT_texture_webp", {}).get("source", source.get("source")))
+        yield str(image.get("name", ""))
+        if not str(image.get("uri", "data:")).startswith("data:"):
+            yield unquote(str(image["uri"]).rpartition("/")[2])
 
 
 def _nodes(file: File) -> Iterator[tuple[str, _Floats, dict[str, Any]]]:
@@ -194,11 +211,25 @@ def _map(file: File, primitive: dict[str, Any], texture: Any, faces: NDArray[np.
     return found
 
 
-def _tinted(file: File, primitive: dict[str, Any], coat: Coat) -> Coat:
-    """The Coat times the primitive's colour by vertex (section 3.9.2), which must be the same everywhere."""
+def _tinted(
+    file: File, primitive: dict[str, Any], coat: Coat, faces: NDArray[np.int64], vertices: int
+) -> tuple[Coat, NDArray[np.float32] | None]:
+    """(Coat times a colour by vertex that is the same everywhere, light of each face of several colours or None).
+
+    Section 3.9.2: the linear colour by vertex multiplies base colour and texture.
+    """
     number = primitive["attributes"].get("COLOR_0")
     if number is None:
-        return coat
+        return coat, None
     linear = file.attribute(number, "COLOR_0", ["VEC3", "VEC4"], normalized_only=True)[:, :3]
-    tint = one_colour(linear, str(file.path))
-    return replace(coat, factor=coat.factor * tint)
+    if len(linear) != vertices:
+        raise file.damaged(f"COLOR_0 has {len(linear)} of {vertices} vertices")
+    if not several(linear):
+        return replace(coat, factor=coat.factor * linear[0]), None
+    if coat.image is not None:
+        raise ThermorenderError(
+            f"{file.path}: the {coat.what} is tinted by different colours by vertex (COLOR_0), which is not supported "
+            "beside a texture; bake both into one texture, or delete the colours by vertex (Blender: Object Data > "
+            "Color Attributes > Remove) and export it again"
+        )
+    return coat, of_faces(np.clip(linear, 0.0, 1.0), faces)

@@ -6,9 +6,9 @@ texels. An atlas would save no memory and would need its texels moved.
 
 import io
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from thermorender.errors import ThermorenderError, shortened
 from thermorender.physics.geodesy import FARTHEST_M
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
 from thermorender.scene.parts import gltf, obj, ply
-from thermorender.scene.parts.mesh_pieces import GREY, Beside, Coat, Piece, one_colour
+from thermorender.scene.parts.mesh_pieces import GREY, Beside, Coat, Piece, of_faces, several
 from thermorender.scene.surface import MOST_TEXELS
 
 # Not archives, which trimesh reads too: they contain other files.
@@ -42,6 +42,10 @@ class Part:
         0…1, u to the right and v down the image.
     colour : (h, w, 3) uint8
         sRGB.
+    names : tuple of tuple of str
+        What the file calls each of the pieces joined here: node, group, material, texture.
+    texture : (2,) tuple of int, or None
+        Rows and columns of the texture, which `colour` repeats where faces need that; None without a texture.
     """
 
     name: str
@@ -49,9 +53,11 @@ class Part:
     faces: NDArray[np.int32]
     uv: NDArray[np.float32]
     colour: NDArray[np.uint8]
+    names: tuple[tuple[str, ...], ...] = ()
+    texture: tuple[int, int] | None = None
 
 
-def load(path: Path | str, folder: Path | None = None) -> list[Part]:
+def load(path: Path | str, folder: Path | None = None, named: Collection[str] = ()) -> list[Part]:
     """Return the Parts of a mesh file in its own coordinates, z up; the y-up axes of glTF are rotated.
 
     Parameters
@@ -59,6 +65,8 @@ def load(path: Path | str, folder: Path | None = None) -> list[Part]:
     path : path
     folder : path, optional
         Material libraries, textures and buffers that the file names must be inside it. Default: the file's folder.
+    named : collection of str
+        Names that the pieces of one part must share or lack.
 
     Raises
     ------
@@ -75,7 +83,7 @@ def load(path: Path | str, folder: Path | None = None) -> list[Part]:
     try:
         # `_parts` checks for values that are not finite.
         with _largest_image(MOST_TEXELS), np.errstate(all="ignore"):
-            return _parts(path, _pieces(path, path.parent if folder is None else folder))
+            return _parts(path, _pieces(path, path.parent if folder is None else folder, named), named)
     except ThermorenderError:
         raise
     except Exception as error:  # a broken file breaks its reader in many ways
@@ -98,9 +106,12 @@ def _largest_image(pixels: int) -> Iterator[None]:
         Image.MAX_IMAGE_PIXELS = before
 
 
-def _pieces(path: Path, folder: Path) -> list[Piece]:
-    reader = {".glb": gltf.read, ".gltf": gltf.read, ".obj": obj.read, ".ply": ply.read}.get(path.suffix.lower())
-    return _plain(path) if reader is None else reader(path, Beside(path, folder))
+def _pieces(path: Path, folder: Path, named: Collection[str]) -> list[Piece]:
+    beside, kind = Beside(path, folder), path.suffix.lower()
+    if kind == ".obj":
+        return obj.read(path, beside, named)
+    reader = {".glb": gltf.read, ".gltf": gltf.read, ".ply": ply.read}.get(kind)
+    return _plain(path) if reader is None else reader(path, beside)
 
 
 def _plain(path: Path) -> list[Piece]:
@@ -109,21 +120,29 @@ def _plain(path: Path) -> list[Piece]:
 
     # With process=True, trimesh silently drops vertices that are not finite, and their faces.
     geometry: Any = trimesh.load_mesh(path, process=False)
-    visual = geometry.visual
-    colour = GREY
-    if visual.defined:
-        colour = one_colour(np.asarray(visual.vertex_colors)[:, :3], str(path))
     vertices, faces = np.array(geometry.vertices, np.float64), np.array(geometry.faces, np.int64)
-    return [Piece(f"{path.stem}:mesh", vertices, faces, None, Coat(colour=colour))]
+    visual, colour, tint = geometry.visual, GREY, None
+    if visual.defined:
+        by_face = visual.kind == "face"
+        found = np.array(visual.face_colors if by_face else visual.vertex_colors, np.uint8)[:, :3]
+        colour = found[0]
+        if several(found):
+            linear = linear_from_bytes(found)
+            colour, tint = np.full(3, 255, np.uint8), linear if by_face else of_faces(linear, faces)
+    return [Piece(f"{path.stem}:mesh", vertices, faces, None, Coat(colour=colour), ("mesh",), tint)]
 
 
-def _joined(pieces: Sequence[Piece]) -> list[Piece]:
-    """The pieces, those with one image joined: the texels of a surface take far more memory than its triangles."""
+def _joined(pieces: Sequence[Piece], named: Collection[str]) -> list[tuple[Piece, tuple[tuple[str, ...], ...]]]:
+    """The pieces and what they are called, those with one image joined unless `named` tells them apart.
+
+    The texels of a surface take far more memory than its triangles.
+    """
     groups: dict[Any, list[Piece]] = {}
     for number, piece in enumerate(pieces):
         coat = piece.coat
         shared = coat.image is not None and piece.uv is not None
-        key = (coat.image, coat.factor.tobytes(), coat.repeats, coat.cut_below) if shared else number
+        own = tuple(sorted(set(named) & {piece.name, *piece.names}))
+        key = (coat.image, coat.factor.tobytes(), coat.repeats, coat.cut_below, own) if shared else number
         groups.setdefault(key, []).append(piece)
     joined = []
     for group in groups.values():
@@ -131,28 +150,45 @@ def _joined(pieces: Sequence[Piece]) -> list[Piece]:
         faces = np.concatenate([piece.faces + start for piece, start in zip(group, first, strict=False)])
         uv = None if group[0].uv is None else np.concatenate([piece.uv for piece in group if piece.uv is not None])
         vertices = np.concatenate([piece.vertices for piece in group])
-        joined.append(Piece(group[0].name, vertices, faces, uv, group[0].coat))
+        names = tuple(tuple(dict.fromkeys(filter(None, (piece.name, *piece.names)))) for piece in group)
+        joined.append((replace(group[0], vertices=vertices, faces=faces, uv=uv), names))
     return joined
 
 
-def _parts(path: Path, pieces: Sequence[Piece]) -> list[Part]:
+def _one_texel_each(faces: int) -> tuple[NDArray[np.float32], tuple[int, int]]:
+    """(map coordinates (F, 3, 2), (rows, columns)) that give each face a texel of its own."""
+    columns = int(np.ceil(np.sqrt(faces)))
+    rows = -(-faces // columns)
+    row, column = np.divmod(np.arange(faces), columns)
+    middle = np.stack([(column + 0.5) / columns, (row + 0.5) / rows], axis=-1).astype(np.float32)
+    return np.repeat(middle[:, None], 3, axis=1), (rows, columns)
+
+
+def _parts(path: Path, pieces: Sequence[Piece], named: Collection[str]) -> list[Part]:
     parts = []
-    for piece in _joined(pieces):
+    for piece, names in _joined(pieces, named):
         if not (np.abs(piece.vertices) <= FARTHEST_M).all():
             raise ThermorenderError(
                 f"{path} has a vertex that is not finite or is more than {FARTHEST_M / 1e3:g} km from its origin; "
                 "export the mesh in metres, with map coordinates shifted to an origin near it"
             )
-        coat, faces = piece.coat, piece.faces.astype(np.int32)
-        if coat.image is None:
+        coat, faces, texture = piece.coat, piece.faces.astype(np.int32), None
+        if piece.tint is not None and len(faces):
+            uv, size = _one_texel_each(len(faces))
+            light = np.full((size[0] * size[1], 3), piece.tint.mean(axis=0), np.float32)
+            light[: len(faces)] = piece.tint
+            colour = bytes_from_linear(light * coat.factor).reshape(*size, 3)
+        elif coat.image is None:
             uv, colour = np.full((len(faces), 3, 2), 0.5, np.float32), _tinted(coat.colour.reshape(1, 1, 3), coat)
         else:
             if piece.uv is None:
                 raise ThermorenderError(f"{path} has a texture but no map coordinates for it; export the mesh with UVs")
             if not np.isfinite(piece.uv).all():
                 raise ThermorenderError(f"{path} has a map coordinate that is not finite; export the mesh again")
-            uv, colour = _repeated(piece.uv, _pixels(coat, path), coat, path)
-        parts.append(Part(piece.name, piece.vertices, faces, uv, colour))
+            pixels = _pixels(coat, path)
+            texture = pixels.shape[0], pixels.shape[1]
+            uv, colour = _repeated(piece.uv, pixels, coat, path)
+        parts.append(Part(piece.name, piece.vertices, faces, uv, colour, names, texture))
     if not any(_has_area(part) for part in parts):
         raise ThermorenderError(f"{path} holds no triangles of any area; give a mesh with faces")
     return parts

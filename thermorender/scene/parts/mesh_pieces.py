@@ -1,6 +1,6 @@
 """What the readers of mesh formats return: triangles of one material; and the files that a mesh names."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -35,6 +35,8 @@ class Coat:
         Whether the image repeats beyond 0…1; otherwise its edge is clamped or mirrored.
     cut_below : float
         Texels of a smaller alpha, 0…1, are holes.
+    file : str
+        Name of the image file, without its folder.
     """
 
     what: str = "texture"
@@ -43,6 +45,7 @@ class Coat:
     factor: NDArray[np.float64] = field(default_factory=lambda: np.ones(3))
     repeats: bool = True
     cut_below: float = 0.0
+    file: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +61,10 @@ class Piece:
     uv : (F, 3, 2) float64, optional
         u to the right and v down the image.
     coat : Coat
+    names : tuple of str
+        What the file calls its node, group, material and texture.
+    tint : (F, 3) float32, optional
+        Linear light of each face, on which `coat.factor` works, where the file states several colours.
     """
 
     name: str
@@ -65,11 +72,13 @@ class Piece:
     faces: NDArray[np.int64]
     uv: NDArray[np.float64] | None
     coat: Coat
+    names: tuple[str, ...] = ()
+    tint: NDArray[np.float32] | None = None
 
     def compact(self) -> "Piece":
         """Return this piece without the vertices that no face uses."""
         used, faces = np.unique(self.faces, return_inverse=True)
-        return Piece(self.name, self.vertices[used], faces.reshape(-1, 3), self.uv, self.coat)
+        return replace(self, vertices=self.vertices[used], faces=faces.reshape(-1, 3))
 
 
 class Beside:
@@ -107,14 +116,14 @@ class Beside:
         raise ThermorenderError(f"{self.path} names {shortened(repr(name))}, which {reason}")
 
 
-def one_colour(colours: NDArray[Any], where: str) -> NDArray[Any]:
-    """Return the colour of all vertices or faces, (C,) of (N, C); several are refused."""
-    if np.ptp(colours, axis=0).any():
-        raise ThermorenderError(
-            f"{where} is coloured by vertex or face, which is not supported; bake it into a texture"
-        )
-    first: NDArray[Any] = colours[0]
-    return first
+def several(colours: NDArray[Any] | None) -> bool:
+    """Return whether vertices or faces, (N, C), have different colours; None has not."""
+    return colours is not None and len(colours) > 0 and bool(np.ptp(colours, axis=0).any())
+
+
+def of_faces(linear: NDArray[Any], faces: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Return the mean light of each face, (F, 3) float32, of its vertices' linear light, (V, 3)."""
+    return np.asarray(linear, np.float32)[faces].mean(axis=1)
 
 
 def triangles(

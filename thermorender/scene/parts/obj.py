@@ -5,19 +5,20 @@ the options of a texture.
 """
 
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from itertools import chain
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.scene.parts.mesh_pieces import GREY, Beside, Coat, Piece, one_colour, triangles
+from thermorender.physics.srgb import linear_from_bytes
+from thermorender.scene.parts.mesh_pieces import GREY, Beside, Coat, Piece, of_faces, several, triangles
 
 # Statements without influence on triangles and their colour; points and lines have no area.
-_IGNORED = frozenset("vn vp o g s mg l p lod bevel c_interp d_interp shadow_obj trace_obj".split())
+_IGNORED = frozenset("vn vp s mg l p lod bevel c_interp d_interp shadow_obj trace_obj".split())
 _NO_INDEX = np.iinfo(np.int64).min  # of a corner without map coordinates
 _CHUNK = 100_000  # lines, which bounds the memory of their words
 _Floats = NDArray[np.float64]
@@ -41,33 +42,43 @@ class _Content:
     libraries: dict[str, None] = field(default_factory=dict)
     # (number of faces before it, name)
     uses: list[tuple[int, str]] = field(default_factory=list)
+    # The same of objects (o) and groups (g).
+    objects: list[tuple[int, str]] = field(default_factory=list)
+    groups: list[tuple[int, str]] = field(default_factory=list)
     # Vertices and map coordinates so far, by the number of a face with negative numbers.
     so_far: dict[int, tuple[int, int]] = field(default_factory=dict)
 
 
-def read(path: Path, beside: Beside) -> list[Piece]:
-    """Return the Pieces of an OBJ file.
+def read(path: Path, beside: Beside, named: Collection[str] = ()) -> list[Piece]:
+    """Return the Pieces of an OBJ file, one for each material, and for each object and group in `named`.
 
     Map coordinates run up the image in the file. A texture is shown as it is: `Kd` beside it is left out, as is a
-    constant transparency, since panes are opaque in the long-wave infrared. A texture replaces colours by vertex.
+    constant transparency, since panes are opaque in the long-wave infrared. A texture replaces colours by vertex, and
+    different colours by vertex replace `Kd`.
     """
     content = _content(path)
     vertices, colour = _vertices(content.vertices, path)
     uv = _map_corners(content.map_corners, path)
     lengths, index, map_index = _faces(content, path, len(vertices), len(uv))
     corner, polygon = triangles(lengths, index, vertices, path)
-    names = _materials_of_faces(content, len(lengths))
+    kinds = [_used(content.uses, len(lengths))]
+    kinds += [_used([(n, x if x in named else "") for n, x in kind], len(lengths))
+              for kind in (content.objects, content.groups)]  # fmt: skip
     library = _Library(path, beside, content.libraries)
     pieces = []
-    for number, name in enumerate(names.names):
-        mine = names.number[polygon] == number
-        if not mine.any():
-            continue
-        coat = library.coat(name)
-        if coat.image is None and (name is None or not library.materials):
-            coat = Coat(colour=GREY if colour is None else one_colour(colour, str(path)))
-        elif coat.image is None and colour is not None:
-            one_colour(colour, str(path))
+    numbers = np.stack([kind.number for kind in kinds], axis=-1)[polygon]
+    for own_numbers in np.unique(numbers, axis=0):
+        mine = (numbers == own_numbers).all(axis=1)
+        name, *others = (kind.names[number] for kind, number in zip(kinds, own_numbers, strict=True))
+        coat, tint = library.coat(name), None
+        if coat.image is None and colour is not None:
+            if several(colour):
+                coat = Coat(colour=np.full(3, 255, np.uint8))
+                tint = of_faces(linear_from_bytes(colour), index[corner[mine]])
+            elif name is None or not library.materials:
+                coat = Coat(colour=colour[0])
+        elif coat.image is None and (name is None or not library.materials):
+            coat = Coat(colour=GREY)
         at = map_index[corner[mine]]
         if coat.image is not None and (at == _NO_INDEX).any():
             raise ThermorenderError(
@@ -75,7 +86,9 @@ def read(path: Path, beside: Beside) -> list[Piece]:
                 "triangles; export the mesh with UVs"
             )
         own = uv[at] * [1.0, -1.0] + [0.0, 1.0] if coat.image is not None else None
-        pieces.append(Piece(f"{path.stem}:{name or 'mesh'}", vertices, index[corner[mine]], own, coat).compact())
+        names = (name or "mesh", *(other or "" for other in others), coat.file)
+        whole = ":".join(filter(None, (path.stem, *names[:-1])))
+        pieces.append(Piece(whole, vertices, index[corner[mine]], own, coat, names, tint).compact())
     return pieces
 
 
@@ -97,8 +110,8 @@ def _content(path: Path) -> _Content:
             if "-" in rest:
                 found.so_far[len(found.faces)] = len(found.vertices), len(found.map_corners)
             found.faces.append(rest)
-        elif key == "usemtl":
-            found.uses.append((len(found.faces), rest))
+        elif key in ("usemtl", "o", "g"):
+            {"usemtl": found.uses, "o": found.objects, "g": found.groups}[key].append((len(found.faces), rest))
         elif key == "mtllib":
             found.libraries[rest] = None
         elif key not in _IGNORED:
@@ -193,11 +206,11 @@ class _Used:
     number: _Ints
 
 
-def _materials_of_faces(content: _Content, faces: int) -> _Used:
-    """The names of materials, None for faces before the first `usemtl`, and each face's number among them."""
+def _used(uses: list[tuple[int, str]], faces: int) -> _Used:
+    """The names of materials, objects or groups, None for faces before the first, and each face's number among them."""
     names: dict[str | None, int] = {None: 0}
-    numbers = [0, *(names.setdefault(name, len(names)) for _, name in content.uses)]
-    number = np.repeat(numbers, np.diff([0, *(start for start, _ in content.uses), faces]))
+    numbers = [0, *(names.setdefault(name, len(names)) for _, name in uses)]
+    number = np.repeat(numbers, np.diff([0, *(start for start, _ in uses), faces]))
     return _Used(tuple(names), number)
 
 
@@ -256,7 +269,8 @@ class _Library:
             )
         if "map_kd" in material:
             file, repeats = self._texture(name, material["map_kd"])
-            return Coat(f"texture {shortened(repr(file))}", image=self.beside.get(file), repeats=repeats)
+            what, image = f"texture {shortened(repr(file))}", self.beside.get(file)
+            return Coat(what, image=image, repeats=repeats, file=PureWindowsPath(file).name)
         if "kd" not in material:
             return Coat()
         try:

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.scene.parts.mesh_pieces import GREY, Beside, Coat, Piece, one_colour, triangles
+from thermorender.physics.srgb import linear_from_bytes
+from thermorender.scene.parts.mesh_pieces import GREY, Beside, Coat, Piece, of_faces, several, triangles
 
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
@@ -69,14 +70,14 @@ def read(path: Path, beside: Beside) -> list[Piece]:
     number = _texture_numbers(face, len(polygons.lengths), textures, path)[polygon]
     uv = _map(vertex, face, polygons.lengths, faces, corner, polygon, path) if textures else None
     if not textures:
-        return [
-            Piece(f"{path.stem}:mesh", vertices, faces, None, Coat(colour=_colour(tables, elements, path))).compact()
-        ]
+        colour, tint = _colour(tables, elements, faces, polygon, path)
+        return [Piece(f"{path.stem}:mesh", vertices, faces, None, Coat(colour=colour), ("mesh",), tint).compact()]
     pieces = []
     for k, name in enumerate(textures):
         if (mine := number == k).any():
             coat = Coat(f"texture {shortened(repr(name))}", image=beside.get(name))
-            pieces.append(Piece(f"{path.stem}:{name}", vertices, faces[mine], None if uv is None else uv[mine], coat))
+            own = None if uv is None else uv[mine]
+            pieces.append(Piece(f"{path.stem}:{name}", vertices, faces[mine], own, coat, (name,)))
     return [piece.compact() for piece in pieces]
 
 
@@ -308,14 +309,28 @@ def _map(
     return uv * [1.0, -1.0] + [0.0, 1.0]
 
 
-def _colour(tables: dict[str, _Table], elements: list[_Element], path: Path) -> NDArray[np.uint8]:
-    """The one colour of a mesh without texture, (3,) sRGB; faces take precedence over vertices."""
+def _colour(
+    tables: dict[str, _Table], elements: list[_Element], faces: NDArray[np.int64], polygon: NDArray[np.int64],
+    path: Path,
+) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None]:  # fmt: skip
+    """((3,) sRGB, None), or (white, light of each triangle) for several colours; faces take precedence over vertices.
+
+    The file states sRGB, as scanners and mesh programs write it.
+    """
     kinds = {(element.name, name): kind for element in elements for name, kind, _ in element.properties}
     for element in ("face", "vertex"):
         for names in _COLOURS:
             colour = _columns(tables.get(element, {}), (names,), path)
             if colour is not None and len(colour):
-                # Integers are bytes; real numbers are 0…1.
-                scale = 255.0 if kinds[element, names[0]][0] == "f" and colour.max() <= 1.0 else 1.0
-                return np.clip(np.rint(one_colour(colour, str(path)) * scale), 0, 255).astype(np.uint8)
-    return GREY
+                # Integers of one byte; real numbers are 0…1 or 0…255.
+                kind = kinds[element, names[0]]
+                scale = 255.0 if kind[0] == "f" and colour.max() <= 1.0 else 1.0
+                if kind == "u2":
+                    scale = 1.0 / 257.0
+                srgb = np.clip(np.rint(colour * scale), 0, 255).astype(np.uint8)
+                if not several(srgb):
+                    return srgb[0], None
+                linear = linear_from_bytes(srgb)
+                white = np.full(3, 255, np.uint8)
+                return white, linear[polygon].astype(np.float32) if element == "face" else of_faces(linear, faces)
+    return GREY, None

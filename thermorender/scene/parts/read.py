@@ -1,19 +1,20 @@
 """The content of a scene folder before any edit: terrain, orthophoto, classes, objects and materials."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, shortened
 from thermorender.materials import library as material_tables
 from thermorender.materials.material import Material
 from thermorender.physics.geodesy import FARTHEST_M, LocalFrame
 from thermorender.scene import terrain
 from thermorender.scene.parts import mesh
 from thermorender.scene.parts.orthophoto import read_colour
+from thermorender.scene.parts.textures import Texture, onto_texels, stating, texel_size_m
 from thermorender.scene.parts.tracks import TrackedObject, read_track
 from thermorender.scene.raster import Grid, bounds_in, grid_of, onto, read_classes
 from thermorender.scene.spec import ObjectSpec, SceneSpec
@@ -44,6 +45,8 @@ class Parts:
     objects : tuple of TrackedObject
         Every object, in its own frame; one without a track has one row.
     library : dict of str to Material
+    textures : tuple of Texture
+        One per surface of a mesh; empty for a raster terrain.
     """
 
     frame: LocalFrame | None
@@ -56,6 +59,7 @@ class Parts:
     on_ground: NDArray[np.bool_] | None
     objects: tuple[TrackedObject, ...]
     library: Mapping[str, Material]
+    textures: tuple[Texture, ...] = ()
 
 
 def read_parts(spec: SceneSpec, where: str) -> Parts:
@@ -153,27 +157,55 @@ def _classes(spec: SceneSpec, texels: Grid, where: str) -> NDArray[np.uint8]:
     grid = grid_of(source.raster)
     _require_overlap(grid, texels)
     classes: NDArray[np.uint8] = onto(read_classes(source.raster), grid, texels, "nearest")
-    for value in np.unique(classes[classes != 0]):
-        if value not in source.classes:
-            raise ThermorenderError(
-                f"{source.raster} holds class {value}, which emissivity.classes of {where} does not name; "
-                "add it there (0 marks no data)"
-            )
-    if not classes.any():
-        raise ThermorenderError(f"{source.raster} has no class in it, only 0 (no data); give a raster of class numbers")
+    _refuse_unnamed(classes, source.raster, spec, where)
     return classes
 
 
+def _refuse_unnamed(classes: NDArray[np.uint8], path: Path, spec: SceneSpec, where: str) -> None:
+    """Refuse class numbers without a material, and none but 0."""
+    for value in np.unique(classes[classes != 0]):
+        if value not in spec.emissivity.classes:
+            raise ThermorenderError(
+                f"{path} holds class {value}, which emissivity.classes of {where} does not name; "
+                "add it there (0 marks no data)"
+            )
+    if not classes.any():
+        raise ThermorenderError(f"{path} has no class in it, only 0 (no data); give a raster of class numbers")
+
+
 def _mesh_terrain(spec: SceneSpec, where: str, library: Mapping[str, Material]) -> Parts:
-    if spec.emissivity.source in ("classes", "learned"):
-        raise ThermorenderError(
-            f"{where}: emissivity.source={spec.emissivity.source!r} needs an elevation raster; give "
-            "'constant' or 'material'"
-        )
     assert spec.terrain.mesh is not None
-    ground = tuple(_part_surface(part) for part in mesh.load(spec.terrain.mesh, spec.folder))
+    names = [one.name for one in spec.surfaces]
+    parts = mesh.load(spec.terrain.mesh, spec.folder, names)
+    ground = tuple(_part_surface(part) for part in parts)
+    textures = _with_classes(spec, ground, [Texture(part.names, part.texture) for part in parts], where)
     frame = LocalFrame(*spec.frame) if spec.frame else None
-    return Parts(frame, None, ground, None, None, None, None, None, (), library)
+    return Parts(frame, None, ground, None, None, None, None, None, (), library, textures)
+
+
+def _with_classes(
+    spec: SceneSpec, ground: Sequence[Surface], textures: Sequence[Texture], where: str
+) -> tuple[Texture, ...]:
+    """The textures with the class numbers of their rasters."""
+    own = stating(textures, spec.surfaces, ("material", "classes"), where)
+    paths = [None if one is None else one.classes for one in own]
+    if spec.emissivity.source == "classes" and spec.emissivity.raster:
+        rest = [k for k, one in enumerate(own) if one is None and textures[k].size]
+        if len(rest) != 1:
+            listed = shortened(", ".join(repr(ground[k].name) for k in rest), 300) or "none"
+            raise ThermorenderError(
+                f"{where}: emissivity.raster is in the pixels of one texture, and the mesh has {len(rest)} textures "
+                f"without another material ({listed}); give each its raster as classes in a [[surface]]"
+            )
+        paths[rest[0]] = spec.emissivity.raster
+    found = []
+    for surface, texture, path in zip(ground, textures, paths, strict=True):
+        if path is not None:
+            numbers = onto_texels(read_classes(path).astype(np.uint8), path, surface, texture)
+            _refuse_unnamed(numbers, path, spec, where)
+            texture = replace(texture, classes=numbers)
+        found.append(texture)
+    return tuple(found)
 
 
 def _object(item: ObjectSpec, folder: Path) -> TrackedObject:
@@ -194,10 +226,8 @@ def _object(item: ObjectSpec, folder: Path) -> TrackedObject:
 
 def _part_surface(part: mesh.Part) -> Surface:
     shape = part.colour.shape[:2]
-    corners = part.vertices[part.faces]
-    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1).sum()
-    made = _surface(part.name, part.vertices, part.faces, part.uv, shape, float(np.sqrt(area / (shape[0] * shape[1]))))
-    return replace(made, colour=part.colour)
+    made = _surface(part.name, part.vertices, part.faces, part.uv, shape, 1.0)
+    return replace(made, colour=part.colour, texel_m=texel_size_m(made))
 
 
 def _surface(

@@ -11,6 +11,7 @@ from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene.ground import Ground
 from thermorender.scene.parts.read import Parts
 from thermorender.scene.parts.refine import evened, refined
+from thermorender.scene.parts.textures import Texture
 from thermorender.scene.parts.tracks import TrackedObject
 from thermorender.scene.raster import Grid
 from thermorender.scene.spec import ObjectSpec
@@ -41,6 +42,8 @@ class Shape:
         Number of the object of each of `tracked`.
     highest_m : float
         Highest vertex of terrain and objects, along their tracks too [m].
+    textures : tuple of Texture
+        One per surface of a mesh; empty for a raster terrain and for surfaces made in memory.
     """
 
     frame: LocalFrame | None
@@ -52,6 +55,7 @@ class Shape:
     tracked: tuple[TrackedObject, ...]
     tracked_of: tuple[int, ...]
     highest_m: float
+    textures: tuple[Texture, ...] = ()
 
 
 def shape_of(parts: Parts, objects: Sequence[ObjectSpec], held: Held, where: str) -> Shape:
@@ -95,6 +99,7 @@ def shape_of(parts: Parts, objects: Sequence[ObjectSpec], held: Held, where: str
         tracked=tuple(replace(one, surfaces=tuple(refined((), one.surfaces)[1])) for one in tracked),
         tracked_of=tuple(tracked_of),
         highest_m=highest,
+        textures=parts.textures,
     )
 
 

@@ -15,7 +15,7 @@ from thermorender.materials import library as material_tables
 from thermorender.materials.material import Material, grey
 from thermorender.scene.parts.tracks import COLUMNS
 from thermorender.scene.raster import FORMATS
-from thermorender.scene.spec import ObjectSpec, TemperatureSpec, WeatherSpec
+from thermorender.scene.spec import ObjectSpec, SceneSpec, SurfaceSpec, TemperatureSpec, WeatherSpec
 from thermorender.scene.state.declared import Declared
 from thermorender.scene.state.derived import Derived
 from thermorender.scene.surface import Surface, scene_kelvin
@@ -26,6 +26,8 @@ _Spec = TypeVar("_Spec", bound=Any)
 # Of a scene: texels number them in a byte.
 _MOST_MATERIALS = 255
 
+# Keys of [weather] that no Weather holds.
+_OF_SCENE = {"time", "inside_c", "albedo", "albedo_std"}
 # Keys of [weather] that say where the weather comes from, each with the keys that belong to it.
 _KINDS = {
     "file": ("longest_gap_h", "air_height_m", "wind_height_m"),
@@ -197,9 +199,29 @@ def temperature_spec(source: Any, folder: Path, kelvin: bool = False) -> Tempera
     )
 
 
+def surface_temperatures(spec: SceneSpec, given: Mapping[str, Any]) -> SceneSpec:
+    """Return a SceneSpec in which parts of a mesh have other temperatures, [K] or a raster's path by their names."""
+    if not spec.terrain.mesh:
+        raise ThermorenderError(
+            "with_temperature: a dict gives temperatures to parts of a mesh, and this terrain is an elevation raster; "
+            "give one source"
+        )
+    surfaces = {one.name: one for one in spec.surfaces}
+    for name, value in given.items():
+        what = f"with_temperature: {name}"
+        if isinstance(value, (str, PathLike)) and not isinstance(with_unit(value), Stated):
+            found: float | Path = Path(value)
+            if not Path(value).is_file():
+                raise ThermorenderError(f"{what}={str(value)!r} does not exist; give kelvin, or a raster of kelvin")
+        else:
+            found = scene_kelvin(what, number_of(what, with_unit(value)))
+        surfaces[name] = replace(surfaces.get(name, SurfaceSpec(name=name)), temperature=found)
+    return replace(spec, surfaces=tuple(surfaces.values()))
+
+
 def weather_argument(weather: Any, keys: Mapping[str, Any], now: Declared) -> tuple[WeatherSpec, Any]:
     """Return (keys of [weather], Weather in place of its file or None) of the arguments of `with_weather`."""
-    series = now.weather if weather is None and set(keys) <= {"time", "inside_c"} else None
+    series = now.weather if weather is None and set(keys) <= _OF_SCENE else None
     spec = now.spec.weather
     if isinstance(weather, WeatherSpec):
         spec = checked_spec(weather, "with_weather", now.spec.folder)
@@ -209,7 +231,7 @@ def weather_argument(weather: Any, keys: Mapping[str, Any], now: Declared) -> tu
                 f"with_weather was given a {type(weather).__name__}; give a WeatherSpec, a Weather or keys of [weather]"
             )
         series = weather
-        measured = sorted(set(keys) - {"time", "inside_c"})
+        measured = sorted(set(keys) - _OF_SCENE)
         if measured:
             raise ThermorenderError(
                 f"with_weather was given a Weather and {measured[0]}={keys[measured[0]]!r}, which the Weather "

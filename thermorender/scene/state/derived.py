@@ -5,6 +5,7 @@ the current declarations, not on the order of the edits.
 """
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,13 +13,15 @@ from numpy.typing import NDArray
 
 from thermorender.atmosphere.declared import declared_air
 from thermorender.atmosphere.model import Atmosphere
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, shortened
 from thermorender.materials.extended import missing
 from thermorender.scene.parts.cover import Cover, cover_of, refuse_band
 from thermorender.scene.parts.read import Parts
 from thermorender.scene.parts.shape import Shape, shape_of
+from thermorender.scene.parts.textures import stating, used_texels
 from thermorender.scene.parts.tracks import TrackedObject
-from thermorender.scene.spec import WEATHER
+from thermorender.scene.spec import WEATHER, TemperatureSpec
+from thermorender.scene.state.albedo import shares, with_albedo
 from thermorender.scene.state.declared import Declared
 from thermorender.scene.surface import FALLBACK, UNMOVED, Surface, fill, nearest_valid, scene_kelvin
 from thermorender.scene.temperature import Texels, map_error_k, resolve, trained
@@ -156,7 +159,13 @@ def _shape_key(of: Declared) -> tuple[Any, ...]:
 
 def _cover_key(of: Declared) -> tuple[Any, ...]:
     band = of.camera.band_um if of.spec.emissivity.source == "learned" else None
-    return of.spec.emissivity, tuple(item.material for item in of.spec.objects), of.replaced, of.painted, band
+    covered = tuple((one.name, one.material, one.classes) for one in of.spec.surfaces)
+    objects = tuple(item.material for item in of.spec.objects)
+    return of.spec.emissivity, objects, covered, of.replaced, of.painted, band, _albedo(of)
+
+
+def _albedo(of: Declared) -> float | None:
+    return of.spec.weather.albedo if of.spec.weather else None
 
 
 def _air_key(of: Declared, shape: Shape) -> tuple[Any, ...]:
@@ -183,7 +192,10 @@ def _temperature_key(of: Declared, made: Derived) -> tuple[Any, ...]:
         # Temperatures of surfaces made in memory change only by a new source or the weather.
         source: tuple[Any, ...] = (made.shape,)
     else:
-        source = spec.temperature, id(of.model), id(of.kelvin), made.shape, made.cover
+        # Kelvin of a number or a raster are the same on any material.
+        bare = not _weather_driven(of) and (of.kelvin is not None or spec.temperature.source in ("constant", "raster"))
+        own_kelvin = tuple((one.name, one.temperature) for one in spec.surfaces)
+        source = spec.temperature, own_kelvin, id(of.model), id(of.kelvin), made.shape, None if bare else made.cover
     if not _weather_driven(of):
         return source
     own = tuple(item.temperature for item in spec.objects if item.track is None)
@@ -225,9 +237,14 @@ def _shape(parts: Parts | None, now: Declared) -> Shape:
 
 def _cover(parts: Parts | None, now: Declared) -> Cover:
     band = now.camera.band_um
-    if parts is not None:
-        return cover_of(parts, now.spec.emissivity, now.spec.objects, now.replaced, now.painted, band, now.where)
-    raise _in_memory(now, "its materials")
+    if parts is None:
+        raise _in_memory(now, "its materials")
+    spec, albedo = now.spec, _albedo(now)
+    cover = cover_of(parts, spec.emissivity, spec.objects, spec.surfaces, now.replaced, now.painted, band, now.where)
+    if albedo is None:
+        return cover
+    share = shares(cover.ground, len(cover.materials))
+    return replace(cover, materials=tuple(with_albedo(cover.materials, share, albedo, now.where)))
 
 
 def _in_memory(now: Declared, what: str) -> ThermorenderError:
@@ -337,15 +354,40 @@ def _temperatures(
     if now.kelvin is not None:
         found = [_filled(values, surface) for values, surface in zip(now.kelvin, shape.ground, strict=True)]
     else:
-        found = [
-            resolve(spec, Texels(own.colour, own.material, cover.materials, shape.grid, surface.texel_m, now.where,
-                                 report, now.model, shape.on_ground))
-            for surface, own in zip(shape.ground, cover.ground, strict=True)
-        ]  # fmt: skip
+        found = _resolved(now, shape, cover, report)
     kelvin, flags = [each[0] for each in found], [each[1] for each in found]
     if weather_driven:
         return waiting, flags, Pending(_source_moved(now, kelvin), report)
     return kelvin, flags, Known(report=report)
+
+
+def _resolved(
+    now: Declared, shape: Shape, cover: Cover, report: dict[str, Any]
+) -> list[tuple[NDArray[np.float32], NDArray[np.uint8]]]:
+    """(kelvin, flags) of each terrain surface, from its own [[surface]] or from [temperature]."""
+    spec, textures = now.spec.temperature, shape.textures or [None] * len(shape.ground)
+    own = stating(shape.textures, now.spec.surfaces, ("temperature",), now.where) or [None] * len(textures)
+    rest = [surface.name for surface, one in zip(shape.ground, own, strict=True) if one is None]
+    if spec.source == "raster" and shape.textures and len(rest) > 1:
+        raise ThermorenderError(
+            f"{now.where}: temperature.raster is in the pixels of one texture, and the mesh has {len(rest)} surfaces "
+            f"without another temperature ({shortened(', '.join(map(repr, rest)), 300)}); give each its raster or "
+            "kelvin as temperature in a [[surface]]"
+        )
+    found = []
+    for surface, painted, texture, one in zip(shape.ground, cover.ground, textures, own, strict=True):
+        source = spec
+        stated = None if one is None else one.temperature
+        if isinstance(stated, Path):
+            source = TemperatureSpec("raster", raster=stated, value=spec.value)
+        elif stated is not None:
+            source = TemperatureSpec("constant", value=stated)
+        on_ground = used_texels(surface) if texture and source.source == "raster" else shape.on_ground
+        found.append(resolve(source, Texels(
+            painted.colour, painted.material, cover.materials, shape.grid, surface.texel_m, now.where, report,
+            now.model, on_ground, surface if texture else None, texture,
+        )))  # fmt: skip
+    return found
 
 
 def _filled(values: NDArray[Any], surface: Surface) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
@@ -376,6 +418,12 @@ def _refuse_source(now: Declared, shape: Shape) -> None:
             f"{now.where}: temperature.model={spec.model!r} takes relief or hour as input and needs a terrain with an "
             "elevation raster, and this one is a mesh; take a map that sees colour only"
         )
+    for one in now.spec.surfaces:
+        if one.temperature is not None:
+            raise ThermorenderError(
+                f"{now.where}: surface {one.name!r} has temperature={one.temperature}, and the others follow the "
+                "weather, which is not supported; leave it out, or make that part an [[object]] of its own file"
+            )
     key = "trained" if moved else f"model={spec.model!r}" if spec.model else "source='balance'"
     why = f"{now.where}: temperature.{key} "
     if now.spec.weather is None:

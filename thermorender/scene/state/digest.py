@@ -44,8 +44,8 @@ def weather_digest_of(weather: Any) -> str:
 
 def _digest(declared: Declared, derived: Derived, sun: Any, weather: Any) -> str:
     state, spec, air = hashlib.blake2b(digest_size=16), declared.spec, derived.air
-    own = [surface for tracked in derived.tracked_objects for surface in tracked.surfaces]
-    for surface in (*derived.surfaces, *own):
+    moved = [surface for tracked in derived.tracked_objects for surface in tracked.surfaces]
+    for surface in (*derived.surfaces, *moved):
         for item in fields(surface):
             value = getattr(surface, item.name)
             state.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
@@ -54,7 +54,9 @@ def _digest(declared: Declared, derived: Derived, sun: Any, weather: Any) -> str
         for table in (material.cosines, material.emissivity_by_angle):
             state.update(b"" if table is None else table.tobytes())
         layers = material.thermal.layers if material.thermal else ()
-        state.update(repr((material.solar_absorptance, [layer.values for layer in layers])).encode())
+        # An empty texture is left out, so that it changes no fingerprint.
+        own = [{key: each for key, each in layer.values.items() if key != "texture" or each} for layer in layers]
+        state.update(repr((material.solar_absorptance, own)).encode())
     for tracked in derived.tracked_objects:
         state.update(repr((tracked.item, tracked.lift_m)).encode() + tracked.time_s.tobytes())
         for name, values in tracked.columns.items():

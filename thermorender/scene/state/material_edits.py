@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
 from thermorender.scene.georeference import place_of
-from thermorender.scene.parts.cover import OBJECT
+from thermorender.scene.parts.cover import OBJECT, SURFACE_OF_MESH
 from thermorender.scene.parts.patch import Patch, areas, texels_in
 from thermorender.scene.parts.read import Parts
 from thermorender.scene.spec import EmissivitySpec
@@ -32,7 +32,9 @@ class MaterialEdits:
         raise NotImplementedError
 
     def with_learned_materials(self: _S, spec: EmissivitySpec) -> _S:
-        """Return this scene with its terrain's materials read from the orthophoto, as of a source "learned".
+        """Return this scene with its terrain's materials read from orthophoto or textures, as of a source "learned".
+
+        The materials of a [[surface]] stay.
 
         Raises
         ------
@@ -45,7 +47,8 @@ class MaterialEdits:
                 f"with_learned_materials was given {shown}; give EmissivitySpec('learned', model=…, fallback=…)"
             )
         spec = checked_spec(spec, "with_learned_materials", self._declared.spec.folder)
-        if not self._declared.spec.terrain.orthophoto:
+        terrain = self._declared.spec.terrain
+        if not (terrain.orthophoto or terrain.mesh):
             raise ThermorenderError(
                 f"{self._declared.where}: a learned emissivity map reads materials from an orthophoto; add "
                 "terrain.orthophoto"
@@ -61,8 +64,9 @@ class MaterialEdits:
         Parameters
         ----------
         replaced, **more : str, float or Material, by what it replaces
-            A key is a class number, the name of an object or the name of a material, as in the scene's files. A value
-            is the name of a material, a grey emissivity 0…1, or a Material. All replacements apply at once: with
+            A key is a class number, the name of an object, the name of a mesh's node, group, material or texture, or
+            the name of a material, as in the scene's files; the first of these that the scene has counts. A value is
+            the name of a material, a grey emissivity 0…1, or a Material. All replacements apply at once: with
             `grass="sand"` and `sand="snow"` grass becomes sand, and sand becomes snow.
 
         Raises
@@ -80,10 +84,14 @@ class MaterialEdits:
                 "in memory; give with_surfaces other materials"
             )
         names = {item.name for item in now.spec.objects}
-        found = {
-            OBJECT + key if isinstance(key, str) and key in names else key: material_of(key, value, parts.library)
-            for key, value in given.items()
-        }
+        of_mesh = frozenset[str]().union(*(texture.known for texture in parts.textures))
+
+        def place(key: int | str) -> int | str:
+            if not isinstance(key, str) or key not in names | of_mesh:
+                return key
+            return (OBJECT if key in names else SURFACE_OF_MESH) + key
+
+        found = {place(key): material_of(key, value, parts.library) for key, value in given.items()}
         return self._edited(replace(now, replaced={**now.replaced, **found}))
 
     def with_material_in(

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 from thermorender.trajectory.sources.dataflash import read_dataflash
 from thermorender.trajectory.sources.pose_list import read_poses
+from thermorender.trajectory.sources.rosbag import read_rosbag
 from thermorender.trajectory.sources.srt import read_srt
 from thermorender.trajectory.sources.ulog import read_ulog
 from thermorender.trajectory.sources.xml_tracks import read_gpx, read_kml
@@ -18,6 +19,7 @@ SOURCES: dict[str, Callable[[str], list[Table]]] = {
     "gpx": read_gpx,
     "kml": read_kml,
     "poses": read_poses,
+    "rosbag": read_rosbag,
     "srt": read_srt,
     "ulog": read_ulog,
 }

@@ -3,16 +3,19 @@
 A document type definition is refused, because entities in it can expand without limit; neither format needs one.
 GPX counts `ele` from mean sea level (GPX 1.1 schema). KML counts `absolute` altitudes from sea level, and ignores those
 of `clampToGround`, which is the default (OGC 07-147r2, KML 2.2): only their changes are used, so the flight needs an
-anchor.
+anchor. The angles of a track are heading, tilt and roll in degrees, clockwise around z (up), x (right) and y (forward)
+of a model (OGC 12-007r2, KML 2.3). Clockwise from above is what makes the heading that of a compass, so a positive tilt
+lowers the nose, and a positive roll lowers the left side. Missing angles are 0.
 """
 
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.formats import read_text
-from thermorender.trajectory.mapping import UNSTATED
+from thermorender.trajectory.mapping import ANGLES, UNSTATED
 from thermorender.trajectory.tables import Table
 
 _HEIGHTS = {"absolute": "alt_geoid_m", "relativeToGround": "above_ground_m", "clampToGround": UNSTATED}
@@ -67,8 +70,9 @@ def read_kml(path: str) -> list[Table]:
         raise ThermorenderError(
             f"{path} has no gx:Track; a path without times cannot be flown: export a track with times"
         )
-    columns: dict[str, list[str]] = {name: [] for name in ("time", "lat_deg", "lon_deg", "height", "yaw_deg")}
-    modes, tilted, empty = set(), False, 0
+    columns: dict[str, Any] = {name: [] for name in ("time", "lat_deg", "lon_deg", "height")}
+    turned: list[tuple[float, ...]] = []
+    modes, empty = set(), 0
     for track in tracks:
         parts: dict[str, list[str]] = {"when": [], "coord": [], "angles": [], "altitudeMode": []}
         for node in track:
@@ -93,8 +97,7 @@ def read_kml(path: str) -> list[Table]:
         columns["time"] += when
         for name, k in (("lon_deg", 0), ("lat_deg", 1), ("height", 2)):
             columns[name] += [text.split()[k] for text in coord]
-        columns["yaw_deg"] += [(text.split() or [""])[0] for text in angles]
-        tilted |= any(text.split()[1:] not in ([], ["0", "0"], ["0.0", "0.0"]) for text in angles)
+        turned += [_angles(path, text) for text in angles]
     if len(modes) > 1 or not modes <= set(_HEIGHTS):
         raise ThermorenderError(
             f"{path}: altitudeMode is {' and '.join(sorted(modes))}; every track needs the same of "
@@ -103,16 +106,31 @@ def read_kml(path: str) -> list[Table]:
     columns[_HEIGHTS[modes.pop()]] = columns.pop("height")
     if not columns["time"]:
         raise ThermorenderError(f"{path}: the tracks have no samples; export a track with times")
-    if len(columns["yaw_deg"]) != len(columns["time"]):
-        del columns["yaw_deg"]
     notes = []
+    if len(turned) == len(columns["time"]):
+        columns |= dict(zip(ANGLES, np.array(turned).T, strict=True))
+        if any(pitch or roll for _, pitch, roll in turned):
+            notes.append(
+                f"{path}: tilt and roll of gx:angles are read as KML defines them: a positive tilt lowers the nose, a "
+                "positive roll the left side"
+            )
     if UNSTATED in columns:
         notes.append(f"{path}: altitudeMode is clampToGround, by which KML ignores altitudes; their changes are flown")
-    if tilted:
-        notes.append(f"{path}: tilt and roll of gx:angles are not read; the vehicle is level")
     if empty:
         notes.append(f"{path}: {empty} samples without a position are dropped")
     return [Table(path, dict(columns), np.arange(1, len(columns["time"]) + 1), "sample", notes=tuple(notes))]
+
+
+def _angles(path: str, text: str) -> tuple[float, ...]:
+    """Yaw, pitch and roll [deg] of the text of gx:angles."""
+    try:
+        angles = [float(cell) for cell in text.split()]
+    except ValueError:
+        angles = []
+    if not 1 <= len(angles) <= 3 or not np.isfinite(angles).all():
+        raise ThermorenderError(f"{path}: gx:angles {text!r} is not heading, tilt and roll; give up to three numbers")
+    heading, tilt, roll = (*angles, 0.0, 0.0)[:3]
+    return heading, -tilt, -roll
 
 
 def _name(node: ElementTree.Element) -> str:

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import Any
 
-from thermorender.compare.html import text
 from thermorender.compare.referee.methods import CALIBRATED, OWN_MEAN, REFITTED
 from thermorender.compare.words import counted
+from thermorender.output.html import text
 
 Summary = dict[str, Any]
 

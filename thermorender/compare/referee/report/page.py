@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from thermorender import formats
-from thermorender.compare.html import document, figure, table, text
 from thermorender.compare.referee import findings
 from thermorender.compare.referee.methods import THERMAL
 from thermorender.compare.referee.report import figures
 from thermorender.compare.referee.report.introduction import introduction
 from thermorender.compare.referee.terms import NAMES
+from thermorender.output.html import document, figure, table, text
 
 Summary = dict[str, Any]
 

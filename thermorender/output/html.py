@@ -31,9 +31,9 @@ def table(head: Iterable[object], rows: Iterable[tuple[Iterable[object], bool]],
 
 
 def figure(content: bytes, words: str) -> str:
-    """Return a figure of a PNG's bytes with a caption."""
-    data = base64.b64encode(content).decode()
-    return f"<figure><img src='data:image/png;base64,{data}' alt=''><figcaption>{text(words)}</figcaption></figure>"
+    """Return a figure of the bytes of a PNG or JPEG with a caption."""
+    kind, data = "png" if content.startswith(b"\x89PNG") else "jpeg", base64.b64encode(content).decode()
+    return f"<figure><img src='data:image/{kind};base64,{data}' alt=''><figcaption>{text(words)}</figcaption></figure>"
 
 
 def text(value: object) -> str:

@@ -1,0 +1,62 @@
+"""The verbs `export …`: files for other programs from the frames of a folder."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from thermorender.cli.terminal import NewResults, output_option
+from thermorender.files import check_output_file
+
+app = typer.Typer(
+    help="Write labels, masks and geotagged images from the frames of render, fly or day.", no_args_is_help=True
+)
+
+Frames = Annotated[Path, typer.Argument(help="Folder with frame_*.exr and their truth.")]
+
+
+@app.command()
+def coco(
+    folder: Frames,
+    output: Annotated[
+        Path,
+        output_option("-o", "--output", help="JSON to write.", check=lambda path: check_output_file(path, (".json",))),
+    ],
+) -> None:
+    """Write COCO detection JSON of the objects: boxes, masks, tracks, hidden share, range and contrast."""
+    from thermorender.output.labels import coco as run
+
+    found = run(folder, output)
+    typer.echo(f"{found['annotations']} annotations of {found['images']} images in {output}")
+
+
+@app.command()
+def masks(folder: Frames, output: NewResults) -> None:
+    """Write masks of materials and objects as PNG, with a legend."""
+    from thermorender.output.labels import masks as run
+
+    typer.echo(f"masks of {run(folder, output)} frames in {output}")
+
+
+@app.command()
+def geotiff(
+    folder: Frames,
+    output: NewResults,
+    float32: Annotated[bool, typer.Option("--float32", help="Write kelvin, not counts of 0.01 K as uint16.")] = False,
+) -> None:
+    """Write radiometric TIFFs with position and gimbal angles, such as OpenDroneMap reads."""
+    from thermorender.output.survey import geotiff as run
+
+    typer.echo(f"{run(folder, output, float32)} images in {output}")
+
+
+@app.command()
+def ground(
+    folder: Frames,
+    output: NewResults,
+    metres: Annotated[float, typer.Option(help="Size of a pixel on the map [m].")],
+) -> None:
+    """Write each frame on the scene's map as a GeoTIFF of kelvin."""
+    from thermorender.output.survey import ground as run
+
+    typer.echo(f"{run(folder, output, metres)} maps in {output}")

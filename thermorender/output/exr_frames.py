@@ -1,0 +1,42 @@
+"""The frames of a folder for exports: the EXR files that `render`, `fly` and `day` wrote there."""
+
+from collections.abc import Iterator, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from thermorender.errors import ThermorenderError
+from thermorender.frame.exr import read_exr
+
+# (number of the frame, {channel: (H, W) array}, record)
+ExrFrame = tuple[int, dict[str, NDArray[Any]], dict[str, Any]]
+
+
+def exr_frames(folder: str | PathLike[str], channels: Sequence[str], entries: Sequence[str]) -> Iterator[ExrFrame]:
+    """Yield the frames of a folder in order.
+
+    Parameters
+    ----------
+    folder : path
+    channels, entries : sequence of str
+        Channels and entries of the record that each file must have.
+
+    Raises
+    ------
+    ThermorenderError
+        A folder without frames, or a frame without one of the channels or entries.
+    """
+    paths = sorted(Path(folder).glob("frame_*.exr"))
+    if not paths:
+        raise ThermorenderError(
+            f"{folder} holds no frame_*.exr; give a folder of `thermorender fly --products exr,truth`"
+        )
+    for path in paths:
+        images, about = read_exr(path)
+        missing = next((name for name in channels if name not in images), None)
+        missing = missing or next((name for name in entries if name not in about), None)
+        if missing:
+            raise ThermorenderError(f"{path} has no {missing!r}; render it again with --products exr,truth")
+        yield int(path.stem.removeprefix("frame_")), images, about

@@ -1,0 +1,56 @@
+"""A flight before it is rendered: what it will show, what it costs, and a page of both."""
+
+import tempfile
+from collections.abc import Callable
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from thermorender import files
+from thermorender.output.cost import Cost
+from thermorender.output.flight import FlightOptions, measured
+from thermorender.output.flight_page import write_preview
+from thermorender.output.prospect import Prospect, prospect
+from thermorender.trajectory.path import Trajectory
+
+if TYPE_CHECKING:
+    from thermorender.render.renderer import Renderer
+
+
+def preview(
+    renderer: "Renderer", trajectory: Trajectory, options: FlightOptions,
+    folder: str | PathLike[str] | None = None, outlook: Callable[[Prospect | Cost], object] | None = None,
+) -> list[Path]:  # fmt: skip
+    """Write `preview.html` and `preview.png` of a flight into a folder, and return their paths.
+
+    Two frames are rendered and written to a temporary folder, which measures time and space.
+
+    Parameters
+    ----------
+    renderer : Renderer
+    trajectory : Trajectory
+    options : FlightOptions
+    folder : path, optional
+        For the page; without it nothing is written.
+    outlook : callable, optional
+        As of `thermorender.output.flight.fly`.
+
+    Raises
+    ------
+    ThermorenderError
+        As of `thermorender.output.flight.fly`.
+    """
+    tell = outlook or (lambda part: None)
+    rate_hz = renderer.scene.camera.frame_rate_hz if options.rate_hz is None else options.rate_hz
+    times = trajectory.frame_times(rate_hz, options.start_s, options.stop_s)
+    seen = prospect(renderer, trajectory, times, rate_hz)
+    tell(seen)
+    if folder is None:
+        with tempfile.TemporaryDirectory() as trial:
+            tell(measured(renderer, trajectory, options, Path(trial), seen))
+        return []
+    with files.output_folder(folder) as out:
+        with tempfile.TemporaryDirectory(dir=out, prefix=".preview.") as trial:
+            cost = measured(renderer, trajectory, options, Path(trial), seen)
+        tell(cost)
+        return write_preview(out, renderer, seen, cost)

@@ -1,0 +1,148 @@
+"""Exchange of light between faces in rounds, until hardly any light is left that faces have not sent yet.
+
+The light x that faces receive from what they have sent, s, is x = K s + outside. A face that emits e and reflects ρ has
+a rest e + ρ x − s, which is not sent yet. A round sends any part d of the rests: x grows by K d and the rests by
+ρ K d − d. The relation holds whatever d is, so d may be a guess, and errors do not accumulate.
+
+Two guesses make rounds few and cheap. Faces that reflect much exchange light among themselves first, by GMRES, and send
+what leaves them in the end; in a cavity these are all faces. The spectra of rests hardly differ from face to face, so a
+round sends their principal components only, and the remainder stays a rest.
+"""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import Executor, ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.render.arrays import Floats
+from thermorender.render.light.gmres import gmres
+
+if TYPE_CHECKING:
+    from thermorender.render.light.environment import Environment
+    from thermorender.render.light.radiosity import Transport
+
+# Faces that reflect more than this exchange light among themselves first. One of less reflects a tenth or less of what
+# it receives, so that every round leaves a tenth of the rests or less.
+_STRONG = 0.1
+# What a round's guesses may leave, as a share of the largest rest.
+_GUESS = 0.03
+# Share of the squares of all rests that principal components may leave.
+_LEFT_OUT = 3e-4
+
+
+def threads() -> ThreadPoolExecutor:
+    """Return a pool with a thread for each core that this process may use; SciPy's products release Python's lock."""
+    return ThreadPoolExecutor(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count())
+
+
+class Exchange:
+    """Light between faces at some nodes.
+
+    Parameters
+    ----------
+    transport : Transport
+    pool : Executor
+        Its number of threads does not change the result.
+    emitted, reflectance : (F, N)
+        Radiance that faces emit [W m⁻² sr⁻¹], and their reflectance.
+    environment : Environment or None
+        Light from beyond all faces, if any.
+    strong : optional
+        That of another Exchange, whose strong reflectors are to be the same.
+
+    Attributes
+    ----------
+    incident : (F, N)
+        Radiance that faces receive [W m⁻² sr⁻¹].
+    rest : (F, N)
+        Radiance that leaves them and is not sent yet [W m⁻² sr⁻¹].
+    noise : (F,)
+        Half the difference that the two halves of their rays make to the light they reflect, over all nodes
+        [W m⁻² sr⁻¹].
+    brightest, largest : float
+        The largest incident radiance and the largest rest [W m⁻² sr⁻¹].
+    """
+
+    def __init__(
+        self, transport: "Transport", pool: Executor, emitted: Floats, reflectance: Floats,
+        environment: "Environment | None" = None, strong: tuple[NDArray[np.intp], Any, Any] | None = None,
+    ) -> None:  # fmt: skip
+        self._transport, self._pool, self._reflectance = transport, pool, reflectance
+        self._parts = transport.parts()
+        if strong is None:
+            faces = np.flatnonzero(reflectance.max(axis=1) > _STRONG)
+            strong = faces, *transport.among(faces)
+        self.strong = strong
+        self.incident, self.rest = np.zeros(emitted.shape), emitted.copy()
+        self.noise = np.zeros(len(emitted))
+
+        def begin(part: slice) -> tuple[float, float]:
+            if environment is None:
+                return self._received(part, np.zeros((1, 1)), np.zeros((1, 1)))
+            whole, difference = transport.beyond(environment, part)
+            return self._received(part, whole, difference)
+
+        self._measure(begin)
+
+    def _measure(self, receive: Callable[[slice], tuple[float, float]]) -> None:
+        """Let all parts of the faces receive light, and note the largest values."""
+        self.brightest, self.largest = map(max, zip(*self._pool.map(receive, self._parts), strict=True))
+
+    def _received(self, part: slice, light: Floats, difference: Floats) -> tuple[float, float]:
+        """Add light to a part of the faces, and the difference of the halves of their rays; return largest values."""
+        reflectance = self._reflectance[part]
+        self.noise[part] += np.einsum("fn,fn->f", reflectance, difference)
+        self.incident[part] += light
+        self.rest[part] += reflectance * light
+        return float(np.abs(self.incident[part]).max()), float(np.abs(self.rest[part]).max())
+
+    def settled(self, wanted: float) -> Callable[[slice], Floats]:
+        """Return what faces should send: their rests, those of strong reflectors after exchange among them.
+
+        `wanted` is the largest rest that may remain in the end. The result is as `send` takes it.
+        """
+        faces, seen, mutual = self.strong
+        sent = self.rest.copy()
+
+        def settle(node: int) -> None:
+            own = self._reflectance[faces, node]
+            received = (seen @ self.rest[:, node])[:, None]
+            left = np.array([max(0.5 * wanted, _GUESS * float(np.abs(received).max(initial=0.0)))])
+            if len(faces):
+                sent[faces, node] += own * gmres(mutual, own[:, None], received, left)[:, 0]
+
+        list(self._pool.map(settle, range(sent.shape[1])))
+        return sent.__getitem__
+
+    def send(self, sent: Callable[[slice], Floats], basis: Floats | None = None) -> None:
+        """Send the principal components of radiance, or its components in an orthonormal `basis` (n, N).
+
+        `sent` returns the radiance of a part of the faces, (n, N) [W m⁻² sr⁻¹].
+        """
+        if basis is None:
+            basis = self._components(sent)
+        # The share of each ray.
+        shares, rays = np.empty((len(self.rest), len(basis))), 2.0 * self._transport.rays
+
+        def divide(part: slice) -> None:
+            shares[part] = sent(part) @ (basis.T / rays)
+
+        def receive(part: slice) -> tuple[float, float]:
+            seen = (self._transport.halves(part) @ shares).reshape(-1, 2, len(basis))
+            self.rest[part] -= shares[part] @ (basis * rays)
+            return self._received(part, (seen[:, 0] + seen[:, 1]) @ basis, (seen[:, 0] - seen[:, 1]) @ basis)
+
+        list(self._pool.map(divide, self._parts))
+        self._measure(receive)
+
+    def _components(self, sent: Callable[[slice], Floats]) -> Floats:
+        """Principal components of the spectra of all faces, (n, N) orthonormal, as many as represent them."""
+        gram = sum(self._pool.map(lambda part: sent(part).T @ sent(part), self._parts))
+        size, axes = np.linalg.eigh(gram)
+        kept = np.cumsum(np.maximum(size, 0.0)) > _LEFT_OUT * size.sum()
+        # Without any light one is kept.
+        kept[-1] = True
+        return axes[:, kept].T

@@ -1,0 +1,122 @@
+"""The stated broadband albedo of a terrain: it sets how much sunlight the bare materials absorb.
+
+Station, satellite product or a calibrated orthophoto give the mean reflectance of the ground for sunlight. One common
+factor on the reflectance of the bare materials makes the mean over the terrain's texels equal to it. Leaves, water and
+snow keep their tables.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.errors import ThermorenderError
+from thermorender.materials.material import Material
+from thermorender.materials.mixture import Mixture, parts_of
+from thermorender.scene import open_ground
+from thermorender.scene.surface import FILLED
+from thermorender.units import ZERO_CELSIUS_K
+
+if TYPE_CHECKING:
+    from thermorender.scene.scene import Scene
+
+# Standard deviation of an albedo that states none. Products of MODIS are within 0.02 to 0.05 of measurements: Schaaf et
+# al., Remote Sens. Environ. 83 (2002) 135.
+ASSUMED_STD = 0.03
+# Largest reflectance of a material: fresh snow and clean salt are below.
+_MOST = 0.95
+
+
+def shares(terrain: Sequence[Any], count: int) -> NDArray[np.float64]:
+    """Return the share of each of `count` materials in the known texels of a terrain's surfaces, (count,)."""
+    found = np.zeros(count)
+    for surface in terrain:
+        known = (surface.flags & FILLED) == 0
+        found += np.bincount(surface.material[known], minlength=count)
+    return np.asarray(found / max(found.sum(), 1.0))
+
+
+def with_albedo(materials: Sequence[Material], share: NDArray[np.float64], albedo: float, where: str) -> list[Material]:
+    """Return the materials, the bare ones with another solar absorptance, so that their mean reflectance is `albedo`.
+
+    Parameters
+    ----------
+    materials : sequence of Material
+    share : (N,) float64
+        Share of each in the terrain.
+    albedo : float
+        Mean reflectance of the terrain for sunlight.
+    where : str
+        Name of the scene file, for messages.
+
+    Raises
+    ------
+    ThermorenderError
+        The terrain has no bare material, or no factor gives that mean.
+    """
+    bare, rest, brightest = 0.0, 0.0, 0.0
+    for material, area in zip(materials, share, strict=True):
+        for part, of in parts_of(material):
+            reflected = 1.0 - part.solar_absorptance
+            if open_ground.bare(part):
+                bare += area * of * reflected
+                brightest = max(brightest, reflected if area > 0.0 else 0.0)
+            else:
+                rest += area * of * reflected
+    if bare == 0.0:
+        raise ThermorenderError(
+            f"{where}: weather.albedo={albedo:g} sets bare materials, and the terrain has none; leave it out"
+        )
+    most = rest + bare * _MOST / brightest
+    if not rest < albedo <= most:
+        raise ThermorenderError(
+            f"{where}: weather.albedo={albedo:g} is out of reach of this terrain's bare materials; give a value above "
+            f"{rest:.2f} and up to {most:.2f}, or other materials"
+        )
+    factor = (albedo - rest) / bare
+    return [_brighter(material, factor) for material in materials]
+
+
+def _brighter(material: Material, factor: float) -> Material:
+    """The material with a factor on the reflectance of its bare parts."""
+    if isinstance(material, Mixture):
+        parts = tuple((_brighter(part, factor), share) for part, share in material.parts)
+        mean = sum(share * part.solar_absorptance for part, share in parts)
+        return replace(material, parts=parts, solar_absorptance=float(mean))
+    if not open_ground.bare(material):
+        return material
+    return replace(material, solar_absorptance=float(max(1.0 - factor * (1.0 - material.solar_absorptance), 0.0)))
+
+
+def notes(scene: "Scene") -> tuple[str, ...]:
+    """Return a sentence on the stated albedo of a scene, and on its uncertainty in kelvin; none without one.
+
+    The uncertainty is the change of the mean temperature of the bare materials, level in the open at the scene's time,
+    for a change of the albedo by its standard deviation.
+    """
+    spec = scene.spec.weather
+    if spec is None or spec.albedo is None or scene.time is None:
+        return ()
+    std = ASSUMED_STD if spec.albedo_std is None else spec.albedo_std
+    share = shares(scene.surfaces[: scene.terrain_count], len(scene.materials))
+    used = [(part, area * of) for material, area in zip(scene.materials, share, strict=True) if area > 0.0
+            for part, of in parts_of(material) if open_ground.bare(part)]  # fmt: skip
+    weight = np.array([area for _, area in used])
+    reflected = np.array([1.0 - part.solar_absorptance for part, _ in used])
+    step = 0.5 * std / float(weight @ reflected)
+    ends = [_brighter(part, factor) for factor in (1.0 - step, 1.0 + step) for part, _ in used]
+    weather = scene.weather
+    columns = open_ground.columns(ends, weather, 0.0, open_ground.STATION_ROUGHNESS_M)
+    state, _ = open_ground.settled(columns, weather, scene.time, spec.inside_c + ZERO_CELSIUS_K)
+    dark, bright = np.split(state.surface_k, 2)
+    kelvin = abs(float(weight @ (dark - bright))) / weight.sum()
+    by_name: dict[str, float] = {part.name: part.solar_absorptance for part, _ in used}
+    absorbs = ", ".join(f"{name} absorbs {value:.2f}" for name, value in list(by_name.items())[:4])
+    more = f" and {len(by_name) - 4} more" if len(by_name) > 4 else ""
+    assumed = "assumed " if spec.albedo_std is None else ""
+    return (
+        f"albedo={spec.albedo:g} sets the sunlight that bare materials absorb: {absorbs}{more}; its {assumed}± {std:g} "
+        f"is ± {kelvin:.1f} K of theirs, level in the open",
+    )

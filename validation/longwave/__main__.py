@@ -1,0 +1,34 @@
+"""The sky's long-wave against pyrgeometers: `python -m validation.longwave --data DIR`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from thermorender import formats
+from thermorender.errors import ThermorenderError
+from validation.command import Out, conclude, new_results, run_command
+from validation.longwave import study
+
+
+def main(
+    data: Annotated[list[Path], typer.Option(help="Folder with the tables that the sites name; may be repeated.")],
+    sites: Annotated[
+        list[Path] | None, typer.Option(help="File of sites; default: sites.toml and held_out.toml of heat.")
+    ] = None,
+    output: Out = Path("out/validation/longwave"),
+):
+    """The modelled and the spectral long-wave irradiance of the sky against pyrgeometers."""
+    with new_results(output) as (report, folder):
+        result = study.run(sites or study.SITES, data, progress=report)
+        if not result["sites"]:
+            raise ThermorenderError(
+                f"--data={', '.join(map(str, data))} has no table with long-wave of any site; give the folder with them"
+            )
+        study.page(folder / "longwave.md", result)
+        formats.write_json(folder / "longwave.json", result)
+    conclude("longwave", output, study.HEADER, study.rows(result), "table and numbers")
+
+
+if __name__ == "__main__":
+    run_command(main)
