@@ -26,14 +26,22 @@ class Mixture(Material):
     ----------
     parts : tuple of (Material, share)
         Its main materials, whose temperatures it combines. The shares sum to one.
+    possible : tuple of (Material, probability)
+        The materials whose mean its emissivity is, where these are more than its parts. The probabilities sum to one.
     """
 
     parts: tuple[tuple[Material, float], ...] = ()
+    possible: tuple[tuple[Material, float], ...] = ()
 
 
 def parts_of(material: Material) -> tuple[tuple[Material, float], ...]:
     """Return the (Material, share) pairs of a Mixture; those of any other material are itself and 1."""
     return material.parts if isinstance(material, Mixture) else ((material, 1.0),)
+
+
+def spectra_of(material: Material) -> tuple[tuple[Material, float], ...]:
+    """Return the (Material, share) pairs whose mean a material's emissivity is."""
+    return material.possible or material.parts if isinstance(material, Mixture) else ((material, 1.0),)
 
 
 def mix(parts: Sequence[tuple[Material, float]], possible: Sequence[tuple[Material, float]] = ()) -> Material:
@@ -73,6 +81,7 @@ def mix(parts: Sequence[tuple[Material, float]], possible: Sequence[tuple[Materi
         temperature=float(share @ [material.temperature for material in materials]), source=every("source"),
         citation=every("citation"), licence=every("licence"),
         gaps_um=tuple(gap for material, _ in seen for gap in material.gaps_um), parts=tuple(parts),
+        possible=tuple(possible),
     )  # fmt: skip
 
 

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
-from thermorender.materials.mixture import parts_of
+from thermorender.materials.mixture import spectra_of
 from thermorender.physics.band import Emissivity, RadianceTable, emitted_radiance, quadrature
 from thermorender.physics.planck import (
     Floats,
@@ -288,10 +288,10 @@ def _pure(materials: Sequence[Material]) -> tuple[list[Material], Floats]:
 
     All that a mixture emits and reflects is the mean of its parts, and its error at most the largest of theirs.
     """
-    pure = list(dict.fromkeys(part for material in materials for part, _ in parts_of(material)))
+    pure = list(dict.fromkeys(part for material in materials for part, _ in spectra_of(material)))
     shares = np.zeros((len(materials), len(pure)))
     for row, material in zip(shares, materials, strict=True):
-        for part, share in parts_of(material):
+        for part, share in spectra_of(material):
             row[pure.index(part)] += share
     return pure, shares
 
