@@ -19,8 +19,8 @@ from scenes import narrow, write_mesh, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import read_temperature
 from thermorender.frame.exr import read_exr
-from thermorender.output.labels import coco, masks, run_lengths
-from thermorender.output.survey import geotiff, ground
+from thermorender.output.export.labels import coco, masks, run_lengths
+from thermorender.output.export.survey import geotiff, ground
 
 BOX = '[[object]]\nname = "{}"\nshape = "box"\nsize = {}\nposition = {}\ntemperature = {}\nmaterial = "paint_black"\n'
 # car_1 is under one half of roof-1; car_2 drives east.
@@ -245,7 +245,7 @@ def test_geotiff_is_kelvin_for_gdal_and_this_package(flight, tmp_path):
 
 
 def test_time_of_a_survey_is_utc(tmp_path):
-    from thermorender.output import survey
+    from thermorender.output.export import survey
 
     lens = {"width": 64, "height": 48, "pixel_pitch_um": 17.0, "focal_length_mm": 13.0, "f_number": 1.0,
             "principal_offset_px": [0, 0], "distortion": [0.0] * 5}  # fmt: skip

@@ -12,11 +12,11 @@ import pytest
 import thermorender as tr
 from scenes import coarse, write_terrain
 from thermorender.errors import ThermorenderError
-from thermorender.output.cost import Cost
 from thermorender.output.flight import FlightOptions, fly
-from thermorender.output.preview import preview
+from thermorender.output.flight_pages.cost import Cost
+from thermorender.output.flight_pages.preview import preview
+from thermorender.output.flight_pages.prospect import Prospect, prospect
 from thermorender.output.products import check
-from thermorender.output.prospect import Prospect, prospect
 
 DOWN = (0.0, 1.0, 0.0, 0.0)
 MARKER = """
@@ -86,7 +86,7 @@ def test_footprint_of_a_view_beyond_the_terrain_ends_on_it(renderer):
 
 
 def test_long_flights_are_looked_at_in_some_frames(renderer, monkeypatch):
-    monkeypatch.setattr("thermorender.output.prospect.MOST_FRAMES", 10)
+    monkeypatch.setattr("thermorender.output.flight_pages.prospect.MOST_FRAMES", 10)
     slow = flight((-1.0, 0.0, 12.0), (1.0, 0.0, 12.0), seconds=9.0)
     seen = prospect(renderer, slow, slow.frame_times(9.0), 9.0)
     assert seen.frames == 82 and len(seen.index) == 10 and seen.index[[0, -1]].tolist() == [0, 81]

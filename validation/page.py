@@ -4,7 +4,7 @@ import math
 from pathlib import Path
 
 from thermorender import formats
-from thermorender.output.html import document, figure, table, text
+from thermorender.output.flight_pages.html import document, figure, table, text
 from validation.verdicts import gathered
 
 PAGE = "index.html"

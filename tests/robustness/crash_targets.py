@@ -278,8 +278,11 @@ def shut_out(folder):
     from thermorender.render.light import cache as kept
 
     kept.WORTH_RAYS = 0
+    from thermorender.output.flight import FlightOptions, fly
+
     # Late imports must not need files that not everybody may read.
     flight(folder)
+    fly(renderer(folder.parent / "scene"), straight(1.0), folder / "early", FlightOptions(rate_hz=1.0))
     (folder / "out").rename(folder / "before")
     for name in ("mine", "shut"):
         (folder / name / "out").mkdir(parents=True)
@@ -293,8 +296,6 @@ def shut_out(folder):
     if os.geteuid() == 0:
         os.setgid(_NOBODY)
         os.setuid(_NOBODY)
-    from thermorender.output.flight import FlightOptions, fly
-
     drawn = renderer(folder.parent / "scene", seed=4)
     wrong = _unlike_a_sentence(lambda: renderer(folder / "secret"), False)
     for place in ("shut/out", "shut/new", "before"):

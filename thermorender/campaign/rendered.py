@@ -278,6 +278,6 @@ def _season(time):
 
 def _sky(weather):
     """Label of a named day: snow if any, then clear, cloudy or overcast, and windy if the wind is strong."""
-    ground = "snow " if weather.snow_depth_m > 0.0 else ""
+    ground = "snow " if weather.snow_depth_m else ""
     sky = "clear" if weather.cloud < 0.25 else "cloudy" if weather.cloud < 0.75 else "overcast"
     return f"{ground}{sky}{' windy' if weather.wind_m_s > 5.0 else ''}"

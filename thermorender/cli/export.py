@@ -24,7 +24,7 @@ def coco(
     ],
 ) -> None:
     """Write COCO detection JSON of the objects: boxes, masks, tracks, hidden share, range and contrast."""
-    from thermorender.output.labels import coco as run
+    from thermorender.output.export.labels import coco as run
 
     found = run(folder, output)
     typer.echo(f"{found['annotations']} annotations of {found['images']} images in {output}")
@@ -33,7 +33,7 @@ def coco(
 @app.command()
 def masks(folder: Frames, output: NewResults) -> None:
     """Write masks of materials and objects as PNG, with a legend."""
-    from thermorender.output.labels import masks as run
+    from thermorender.output.export.labels import masks as run
 
     typer.echo(f"masks of {run(folder, output)} frames in {output}")
 
@@ -45,7 +45,7 @@ def geotiff(
     float32: Annotated[bool, typer.Option("--float32", help="Write kelvin, not counts of 0.01 K as uint16.")] = False,
 ) -> None:
     """Write radiometric TIFFs with position and gimbal angles, such as OpenDroneMap reads."""
-    from thermorender.output.survey import geotiff as run
+    from thermorender.output.export.survey import geotiff as run
 
     typer.echo(f"{run(folder, output, float32)} images in {output}")
 
@@ -57,6 +57,6 @@ def ground(
     metres: Annotated[float, typer.Option(help="Size of a pixel on the map [m].")],
 ) -> None:
     """Write each frame on the scene's map as a GeoTIFF of kelvin."""
-    from thermorender.output.survey import ground as run
+    from thermorender.output.export.survey import ground as run
 
     typer.echo(f"{run(folder, output, metres)} maps in {output}")

@@ -29,8 +29,8 @@ from thermorender.errors import ThermorenderError
 
 if TYPE_CHECKING:
     from thermorender.frame import Frame
-    from thermorender.output.cost import Cost
-    from thermorender.output.prospect import Prospect
+    from thermorender.output.flight_pages.cost import Cost
+    from thermorender.output.flight_pages.prospect import Prospect
     from thermorender.scene.scene import Scene
 
 # A texel this many pixels wide makes a frame look blurred.
@@ -149,7 +149,7 @@ def fly(
     from thermorender.output import products as frame_files
     from thermorender.output.flight import FlightOptions
     from thermorender.output.flight import fly as run
-    from thermorender.output.preview import preview as foresee
+    from thermorender.output.flight_pages.preview import preview as foresee
 
     if output is None and not preview:
         raise ThermorenderError("-o is missing; give the folder for the flight, or --preview to see what it will show")

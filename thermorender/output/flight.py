@@ -23,12 +23,12 @@ from thermorender import files, formats
 from thermorender.frame import Frame
 from thermorender.frame.record import record
 from thermorender.output import products as product_files
-from thermorender.output.cost import MEASURED, Cost
-from thermorender.output.flight_figures import SHEET, chosen, thumbnail
-from thermorender.output.flight_page import Pictured, write_page
+from thermorender.output.flight_pages.cost import MEASURED, Cost
+from thermorender.output.flight_pages.flight_figures import SHEET, chosen, thumbnail
+from thermorender.output.flight_pages.flight_page import Pictured, write_page
+from thermorender.output.flight_pages.prospect import Prospect
+from thermorender.output.flight_pages.prospect import prospect as prospect_of
 from thermorender.output.photograph import photograph
-from thermorender.output.prospect import Prospect
-from thermorender.output.prospect import prospect as prospect_of
 from thermorender.output.record import made_by, weather_of
 from thermorender.output.resume import finished, load_state, refuse_moved, remove_state, save_state
 from thermorender.output.video import write_video

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.defaults import TEMPERATURE_MAP
 from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import likely_scales
 from thermorender.materials.material import Material
@@ -218,7 +219,7 @@ def _learned(spec: TemperatureSpec, texels: Texels) -> tuple[_Kelvin, NDArray[np
         raise ThermorenderError(
             f"{texels.where}: temperature.model={texels.model.name!r} reads the neighbours of a pixel, and the faces "
             f"of surface {texels.surface.name!r} have colours without a picture around them; bake the colours into a "
-            "texture, or take a map that sees colour alone, such as fok-1to1"
+            f"texture, or take a map that sees colour alone, such as {TEMPERATURE_MAP}"
         )
     return from_map(texels.model, Inputs(texels.colour, None), texels)
 

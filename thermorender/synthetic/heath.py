@@ -12,7 +12,13 @@ from thermorender.synthetic.noise import smoothstep
 
 LATITUDE_DEG = 52.2
 WEATHER = WeatherSpec(
-    time=np.datetime64("2018-09-12T12:44:00"), air_low_c=10.3, air_high_c=22.3, humidity=0.84, wind_m_s=3.0, cloud=0.0
+    time=np.datetime64("2018-09-12T12:44:00"),
+    air_low_c=10.3,
+    air_high_c=22.3,
+    humidity=0.84,
+    wind_m_s=3.0,
+    cloud=0.0,
+    snow_depth_m=0.0,
 )
 MARKER = (4.0, 6.0)  # east, north [m]
 

@@ -207,7 +207,7 @@ def make(
 
     canvas = Canvas(seed, size, texel)
     objects, flight = known.layout(canvas)
-    lay_snow(canvas, weather.snow_depth_m, weather.air_low_c)
+    lay_snow(canvas, weather.snow_depth_m or 0.0, weather.air_low_c)
     deviations = deviations_of(canvas, again)
     sun = sun_of_photograph(weather.time, latitude)
     surface = canvas.surface

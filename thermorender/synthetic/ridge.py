@@ -13,7 +13,13 @@ from thermorender.synthetic.noise import fractal_noise, ridged_noise, smoothstep
 
 LATITUDE_DEG = 49.2
 WEATHER = WeatherSpec(
-    time=np.datetime64("2018-09-17T12:06:00"), air_low_c=-3.2, air_high_c=6.3, humidity=0.89, wind_m_s=3.6, cloud=0.0
+    time=np.datetime64("2018-09-17T12:06:00"),
+    air_low_c=-3.2,
+    air_high_c=6.3,
+    humidity=0.89,
+    wind_m_s=3.6,
+    cloud=0.0,
+    snow_depth_m=0.0,
 )
 # Altitude of the valley [m].
 _FOOT_M = 1380.0

@@ -13,7 +13,13 @@ from thermorender.synthetic.noise import smoothstep
 
 LATITUDE_DEG = 51.9
 WEATHER = WeatherSpec(
-    time=np.datetime64("2018-09-02T12:30:00"), air_low_c=12.4, air_high_c=23.9, humidity=0.80, wind_m_s=2.8, cloud=0.0
+    time=np.datetime64("2018-09-02T12:30:00"),
+    air_low_c=12.4,
+    air_high_c=23.9,
+    humidity=0.80,
+    wind_m_s=2.8,
+    cloud=0.0,
+    snow_depth_m=0.0,
 )
 _LAWNS = [(118, 132, 74), (108, 126, 66), (136, 140, 86), (126, 132, 82)]
 _CARS = [

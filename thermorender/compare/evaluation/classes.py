@@ -16,7 +16,8 @@ MAN_MADE = frozenset(
     "roof_felt brick_cement brick_painted cement concrete_urban granite_paving roof_slate_urban fibre_cement "
     "roof_tile_cement sandstone_building limestone_building pvc_roofing quartzite metal_painted steel_aluzinc "
     "aluminium_stucco aluminium_weathered lead_weathered iron_weathered glass_fresnel silica_fused "
-    "aluminium_polished copper_polished gold_polished iron_polished".split()
+    "aluminium_polished copper_polished gold_polished iron_polished roof_tile_loft roof_flat_gravel roof_flat_membrane "
+    "roof_metal_insulated road_asphalt pavement_concrete".split()
 )
 NATURAL = frozenset(
     "grass_green grass_dry heath_shrub conifer broadleaf leaf_litter bark soil_loam soil_dark sand_quartz granite "

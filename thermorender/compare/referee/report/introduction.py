@@ -5,7 +5,7 @@ from typing import Any
 
 from thermorender.compare.referee.methods import CALIBRATED, OWN_MEAN, REFITTED
 from thermorender.compare.words import counted
-from thermorender.output.html import text
+from thermorender.output.flight_pages.html import text
 
 Summary = dict[str, Any]
 

@@ -11,7 +11,7 @@ from thermorender.compare.referee.methods import THERMAL
 from thermorender.compare.referee.report import figures
 from thermorender.compare.referee.report.introduction import introduction
 from thermorender.compare.referee.terms import NAMES
-from thermorender.output.html import document, figure, table, text
+from thermorender.output.flight_pages.html import document, figure, table, text
 
 Summary = dict[str, Any]
 

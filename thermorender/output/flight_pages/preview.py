@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from thermorender import files
-from thermorender.output.cost import Cost
 from thermorender.output.flight import FlightOptions, measured
-from thermorender.output.flight_page import write_preview
-from thermorender.output.prospect import Prospect, prospect
+from thermorender.output.flight_pages.cost import Cost
+from thermorender.output.flight_pages.flight_page import write_preview
+from thermorender.output.flight_pages.prospect import Prospect, prospect
 from thermorender.trajectory.path import Trajectory
 
 if TYPE_CHECKING:

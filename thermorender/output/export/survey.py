@@ -27,7 +27,7 @@ from thermorender import files
 from thermorender.errors import ThermorenderError
 from thermorender.frame.frame import apparent_temperature
 from thermorender.frame.orthoimage import orthorectified
-from thermorender.output.exr_frames import exr_frames
+from thermorender.output.export.exr_frames import exr_frames
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene.georeference import Place
 from thermorender.trajectory.rotations import BODY_FROM_CAMERA, angles_from_rotation, ecef_from_ned

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.frame.picture import limits
-from thermorender.output.prospect import Prospect
+from thermorender.output.flight_pages.prospect import Prospect
 from thermorender.sensor.palettes import palette
 from thermorender.units import ZERO_CELSIUS_K
 

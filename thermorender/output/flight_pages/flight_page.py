@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender import formats
-from thermorender.output.cost import Cost
-from thermorender.output.flight_figures import Curve, Picture, curves, flight_map, jpeg, sheet
-from thermorender.output.html import document, figure, table, text
-from thermorender.output.prospect import Prospect
+from thermorender.output.flight_pages.cost import Cost
+from thermorender.output.flight_pages.flight_figures import Curve, Picture, curves, flight_map, jpeg, sheet
+from thermorender.output.flight_pages.html import document, figure, table, text
+from thermorender.output.flight_pages.prospect import Prospect
 
 if TYPE_CHECKING:
     from thermorender.render.renderer import Renderer

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from thermorender import files, formats
 from thermorender.errors import ThermorenderError
-from thermorender.output.exr_frames import exr_frames
+from thermorender.output.export.exr_frames import exr_frames
 
 # The surrounding of an object: pixels without an object, farther from it than the first and up to the second [px].
 # A pixel beside its silhouette may hold a part of it.
