@@ -13,13 +13,13 @@ from scenes import write_mesh, write_raster, write_terrain
 from thermorender.campaign.material_training import labelled_scene, train_on
 from thermorender.errors import ThermorenderError
 from thermorender.learned import emissivity as learned
-from thermorender.learned.emissivity import EmissivityMap, load_map, map_materials, save_map
+from thermorender.learned.emissivity import EmissivityMap, load_map, map_materials, posterior, save_map
 from thermorender.learned.emissivity_features import NAMES, NEAR, features
-from thermorender.learned.emissivity_training import Labelled, train
+from thermorender.learned.emissivity_training import Labelled, fitted_posterior, train
 from thermorender.learned.features import lab
 from thermorender.materials.library import load_library
 from thermorender.materials.material import grey
-from thermorender.materials.mixture import Mixture, mix, palette
+from thermorender.materials.mixture import Mixture, mix, palette, parts_of
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.scene.material_map import UNKNOWN_CLASS, write_map
 from thermorender.scene.surface import FILLED, UNKNOWN
@@ -313,24 +313,56 @@ def test_palette_preserves_the_emissivity_of_every_mix():
     share = np.sort(generator.dirichlet((0.6, 0.6, 0.6), (60, 80)), axis=-1)[..., ::-1]
     index = np.argsort(generator.random((60, 80, 4)), axis=-1)[..., :3].astype(np.uint8)
     index[0, 0], share[0, 0] = (3, 0, 1), (1.0, 0.0, 0.0)
+
+    def probability(index, share):
+        every = np.zeros((*index.shape[:2], 4))
+        np.put_along_axis(every, index.astype(np.int64), share, axis=-1)
+        return np.rint(255.0 * every).astype(np.uint8)
+
     for most in (200, 30):
-        number, made, error = palette(index, share, own, (7.5, 13.5), most)
+        number, made, error = palette(index, share, probability(index, share), own, (7.5, 13.5), most)
         assert len(made) <= most and number.max() < len(made)
         spectrum = np.linspace(7.5, 13.5, 48)
         mean = np.array([material.emissivity_at(spectrum).mean() for material in own])
         got = np.array([material.emissivity_at(spectrum).mean() for material in made])[number]
         change = np.abs(got - (share * mean[index]).sum(axis=-1))
-        assert error["largest"] == pytest.approx(change.max(), abs=1e-9)
-        assert error["mean"] == pytest.approx(change.mean(), abs=1e-9)
+        # Probabilities are rounded to 1/255.
+        assert error["largest"] == pytest.approx(change.max(), abs=0.004)
+        assert error["mean"] == pytest.approx(change.mean(), abs=0.002)
         if most == 200:
-            assert made[number[0, 0]] is own[3]
+            assert parts_of(made[number[0, 0]]) == ((own[3], 1.0),)
             # Half an eighth for each of two shares, between materials no further apart than these.
             assert error["largest"] < 0.125 * np.ptp(mean) and error["mean"] < 0.02
     one_way, other_way = np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1, 3), np.uint8)
     one_way[..., :2], other_way[..., :2] = (0, 1), (1, 0)
     half = np.array([[[0.5, 0.5, 0.0]]])
-    both = palette(np.hstack([one_way, other_way]), half.repeat(2, axis=1), own, (7.5, 13.5), 200)
+    twice, half = np.hstack([one_way, other_way]), half.repeat(2, axis=1)
+    both = palette(twice, half, probability(one_way, half[:, :1]).repeat(2, axis=1), own, (7.5, 13.5), 200)
     assert len(both[1]) == 1
+
+
+def test_mixture_of_possible_materials_has_their_mean_and_spread():
+    library = load_library()
+    pairs = [(library["sand_quartz"], 0.2), (library["snow"], 0.5), (library["paint_metallic"], 0.3)]
+    mixed = mix([(library["snow"], 1.0)], pairs)
+    wavelength = np.linspace(7.5, 13.5, 50)
+    spectra = np.array([material.emissivity_at(wavelength) for material, _ in pairs])
+    mean = np.array([0.2, 0.5, 0.3]) @ spectra
+    assert mixed.emissivity_at(wavelength) == pytest.approx(mean, abs=1e-6)
+    between = np.sqrt(np.array([0.2, 0.5, 0.3]) @ (spectra - mean) ** 2).mean()
+    # Their own spread is below 0.02; Planck's weights differ little from equal ones.
+    assert between - 0.001 <= mixed.band_emissivity_std(7.5, 13.5, 300.0) < between + 0.02
+    assert mixed.parts == ((library["snow"], 1.0),)
+
+
+def test_posterior_is_fitted_to_scores_that_are_too_sure():
+    """Labels follow softmax(score / 3), with three in ten at random."""
+    generator = np.random.default_rng(4)
+    score = np.float32(generator.normal(0.0, 6.0, (40_000, 5)))
+    chance = posterior(score, 3.0, 0.3)
+    label = (generator.random((len(score), 1)) > chance.cumsum(axis=1)).sum(axis=1).clip(0, 4)
+    softening, prior = fitted_posterior([score], [label])
+    assert softening == pytest.approx(3.0, rel=0.05) and prior == pytest.approx(0.3, abs=0.02)
 
 
 def test_scene_takes_its_materials_from_its_orthophoto(scene):

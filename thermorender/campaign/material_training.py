@@ -115,7 +115,12 @@ def procedural(seeds: Iterable[int]) -> Iterator[Labelled]:
         for kind in KINDS:
             scene = make(kind, seed)
             yield Labelled(
-                scene.orthophoto, scene.classes, scene.class_names, scene.texel_m, f"procedural {kind} seed {seed}", kind
+                scene.orthophoto,
+                scene.classes,
+                scene.class_names,
+                scene.texel_m,
+                f"procedural {kind} seed {seed}",
+                kind,
             )
 
 

@@ -49,12 +49,12 @@ class EmissivityMap:
         Typical standardised features of the training texels' near surroundings.
     threshold : float
         Distance from the nearest centre above which a texel is unlike the training data.
+    about : dict
+        Its training: scenes, seeds, split, accuracy on held-out texels, and what was not tested.
     softening : float
         Temperature that the network's scores are divided by, 1 or more in general.
     prior : float
         Share of the uniform prior in the probabilities, 0…1.
-    about : dict
-        Its training: scenes, seeds, split, accuracy on held-out texels, and what was not tested.
     """
 
     name: str
@@ -65,9 +65,9 @@ class EmissivityMap:
     layers: tuple[tuple[np.ndarray, np.ndarray], ...]
     centres: np.ndarray
     threshold: float
-    softening: float
-    prior: float
     about: dict[str, Any]
+    softening: float = 1.0
+    prior: float = 0.0
 
     def probabilities(self, described: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return (probabilities (N, C) float32, novelty (N,) float32) of features, (N, F).
@@ -295,7 +295,7 @@ def load_map(name: files.PathLike) -> EmissivityMap:
             model = EmissivityMap(
                 str(head["name"]), tuple(map(str, head["materials"])), float(head["texel_m"]), _floats(file["mean"]),
                 _floats(file["scale"]), layers, _floats(file["centres"]), float(head["threshold"]),
-                float(head["softening"]), float(head["prior"]), dict(head["about"]),
+                dict(head["about"]), float(head["softening"]), float(head["prior"]),
             )  # fmt: skip
         _check(model)
     # A damaged file can raise many kinds of errors in zipfile, zlib, json or NumPy.

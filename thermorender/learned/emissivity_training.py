@@ -120,15 +120,15 @@ def train(
     model = EmissivityMap(
         name, tuple(names), float(texel_m), np.float32(mean), np.float32(scale),
         layers=tuple((np.float32(weight), np.float32(bias)) for weight, bias in layers), centres=np.float32(centres),
-        threshold=float(_THRESHOLD_MARGIN * np.quantile(distance, _THRESHOLD_QUANTILE)), softening=softening,
-        prior=prior, about={},
+        threshold=float(_THRESHOLD_MARGIN * np.quantile(distance, _THRESHOLD_QUANTILE)), about={},
+        softening=softening, prior=prior,
     )  # fmt: skip
     confusion = _confusion(model, described[held_out], truth[held_out])
     accuracy = round(float(np.trace(confusion) / confusion.sum()), 4) if confusion.any() else None
     model.about.update(
         trained_on="; ".join(sources),
         split=f"one block of {BLOCK_TEXELS * texel_m:g} m in {_HELD_OUT_ONE_IN} held out",
-        calibrated_on=f"{len(known)} kinds of land, each unseen" if len(known) > 1 else "held-out blocks of the same land",
+        calibrated_on=f"{len(known)} kinds of land, each unseen" if len(known) > 1 else "held-out blocks",
         augmentations=augmentations, seed=seed, texels=len(drawn), held_out_texels=int(held_out.sum()),
         held_out_accuracy=accuracy,
     )  # fmt: skip
@@ -277,7 +277,7 @@ def _described(item, texel_m, name, augmentations, generator):
     """Yield (features (n, F), labels (n,), held out (n,)) of an orthophoto and its augmented versions."""
     import cv2
 
-    grid = EmissivityMap(name, (), texel_m, None, None, (), None, 0.0, 1.0, 0.0, {})
+    grid = EmissivityMap(name, (), texel_m, None, None, (), None, 0.0, {})
     rgb = to_grid(item.rgb, item.texel_m, grid)
     # Nearest-neighbour labels, so that shares of labels are shares of area where texels are mixed.
     labels = cv2.resize(item.material, rgb.shape[1::-1], interpolation=cv2.INTER_NEAREST)
