@@ -91,7 +91,8 @@ def _of_import(summary: dict[str, Any], collar: int, scaled: bool) -> str | None
     from thermorender.scene.parts.orthophoto import COLLAR
 
     found = []
-    if summary["share_collar"] and not collar:
+    # Fewer texels hardly show; lossy edges leave some.
+    if summary["share_collar"] >= 0.0005 and not collar:
         found.append(f"{summary['share_collar']:.1%} of the orthophoto is near black or white up to its edge and taken "
                      f"for ground; --collar={COLLAR} leaves it out")  # fmt: skip
     if scaled and summary["share_clipped"]:
