@@ -44,7 +44,7 @@ def geotiff(
     output: NewResults,
     float32: Annotated[bool, typer.Option("--float32", help="Write kelvin, not counts of 0.01 K as uint16.")] = False,
 ) -> None:
-    """Write radiometric TIFFs with position and gimbal angles, such as OpenDroneMap reads."""
+    """Write radiometric TIFFs with position and gimbal angles, such as OpenDroneMap reads; they are not maps."""
     from thermorender.output.export.survey import geotiff as run
 
     typer.echo(f"{run(folder, output, float32)} images in {output}")
@@ -56,7 +56,7 @@ def ground(
     output: NewResults,
     metres: Annotated[float, typer.Option(help="Size of a pixel on the map [m].")],
 ) -> None:
-    """Write each frame on the scene's map as a GeoTIFF of kelvin."""
+    """Write a map of each frame: a GeoTIFF of apparent temperature [K] in the scene's CRS."""
     from thermorender.output.export.survey import ground as run
 
     typer.echo(f"{run(folder, output, metres)} maps in {output}")
