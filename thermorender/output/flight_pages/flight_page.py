@@ -137,8 +137,8 @@ def _targets(lines: Sequence[Mapping[str, Any]], pictured: Mapping[int, Pictured
         "range then [m]",
         "pixels on it, frames of the sheet",
     )
-    note = "<p class=note>Visible: nothing hides its middle. Where something does, other parts may show. Red: never seen.</p>"
-    return ["<h2>Targets</h2>", table(head, rows), note]
+    words = "Visible: nothing hides its middle. Where something does, other parts may show. Red: never seen."
+    return ["<h2>Targets</h2>", table(head, rows), f"<p class=note>{words}</p>"]
 
 
 def _frames(lines: Sequence[Mapping[str, Any]], pictured: Mapping[int, Pictured]) -> list[str]:
