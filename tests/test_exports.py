@@ -275,6 +275,16 @@ def test_ground_is_the_orthorectified_frame(flight, renderer, tmp_path):
         assert (difference[np.isfinite(difference)] < 1e-2).mean() > 0.99
 
 
+def test_commands_count_one_and_several(flight, tmp_path, call):
+    one = tmp_path / "one"
+    one.mkdir()
+    shutil.copy(flight / "frame_000000.exr", one)
+    for verb, option, words in (("ground", ["--metres=0.5"], "map"), ("geotiff", [], "image")):
+        for folder, wanted in ((one, f"1 {words} in"), (flight, f"3 {words}s in")):
+            status, output, _ = call("export", verb, folder, *option, "-o", tmp_path / f"{verb}-{folder.name}")
+            assert status == 0 and output.startswith(wanted)
+
+
 def test_what_cannot_be_exported_is_refused(tmp_path):
     with pytest.raises(ThermorenderError, match=r"holds no frame_\*.exr; give a folder of"):
         coco(tmp_path, tmp_path / "labels.json")

@@ -14,6 +14,7 @@ from scenes import coarse, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.output.flight import FlightOptions, fly
 from thermorender.output.flight_pages.cost import Cost
+from thermorender.output.flight_pages.flight_figures import Curve, curves
 from thermorender.output.flight_pages.preview import preview
 from thermorender.output.flight_pages.prospect import Prospect, prospect
 from thermorender.output.products import check
@@ -166,6 +167,23 @@ def test_report_shows_the_flight_and_survives_a_resume(renderer, path, flown, tm
     (folder / "frames.jsonl").write_text("".join(lines[:3]))
     assert fly(renderer, path, folder, FlightOptions(rate_hz=4.0), resume=True)["rendered"] == 2
     assert {name: (folder / name).read_bytes() for name in whole} == whole
+
+
+def test_labels_of_curves_have_room_and_legends_cover_no_curve():
+    time_s, rows = np.linspace(0.0, 9.0, 50), np.zeros(50)
+    wide = curves(time_s, [Curve("pixel on the\nground [m]", {"pixel": np.linspace(0.0675, 0.0785, 50)})])
+    assert (wide[:, :2] == 255).all() and (wide[:, -2:] == 255).all()
+    # A curve along the top of its panel, where a legend inside would stand: its colour shows in every column.
+    named = {"low": rows, "middle": rows + 0.5, "high": rows + 1.0}
+    drawn = curves(time_s, [Curve("a [K]", named)]).astype(int)
+    green = (np.abs(drawn - (0x00, 0x9E, 0x73)).max(axis=-1) < 40).any(axis=0)
+    columns = np.flatnonzero(green)
+    assert columns.size > 600 and (np.diff(columns) == 1).all()
+
+
+def test_report_names_what_is_counted_of_a_target(flown):
+    page = (flown[0] / "index.html").read_text()
+    assert "frames with its middle visible" in page and "other parts may show" in page
 
 
 def test_report_is_a_product_of_flights_alone_and_changes_no_frame(renderer, path, flown, tmp_path):

@@ -89,7 +89,8 @@ def curves(time_s: Floats, panels: Sequence[Curve]) -> Picture:
     tall = 0.7 + 1.6 * len(panels)
     figure = _figure((8.6, tall))
     axes = figure.subplots(len(panels), sharex=True, squeeze=False)[:, 0]
-    figure.subplots_adjust(left=0.1, right=0.92, top=1.0 - 0.1 / tall, bottom=0.55 / tall, hspace=0.08)
+    # Labels of any width have room, and legends stand above their panel, where they cover no curve.
+    figure.set_layout_engine("constrained", h_pad=0.05, hspace=0.0)
     for axis, panel in zip(axes, panels, strict=True):
         if panel.band is not None:
             axis.fill_between(time_s, *panel.band, color=_BLUE, alpha=0.2, linewidth=0)
@@ -101,13 +102,14 @@ def curves(time_s: Floats, panels: Sequence[Curve]) -> Picture:
         axis.grid(alpha=0.3)
         axis.margins(x=0.01)
         if len(panel.values) > 1:
-            axis.legend(fontsize=8, loc="upper right", ncols=4, framealpha=0.7)
+            axis.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, frameon=False, borderpad=0.0)
         if panel.celsius:
             other = axis.secondary_yaxis(
                 "right", functions=(lambda k: k - ZERO_CELSIUS_K, lambda c: c + ZERO_CELSIUS_K)
             )
             other.set_ylabel("[°C]", fontsize=9)
     axes[-1].set_xlabel("time [s]")
+    figure.align_ylabels(axes)
     return _pixels(figure)
 
 
