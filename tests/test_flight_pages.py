@@ -14,7 +14,7 @@ from scenes import coarse, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.formats import label
 from thermorender.frame import picture
-from thermorender.materials.material import grey
+from thermorender.materials.library import load_library
 from thermorender.materials.plot import plot
 from thermorender.output.day_figure import figure as draw_day
 from thermorender.output.flight import FlightOptions, fly
@@ -129,7 +129,7 @@ def test_names_are_drawn_as_they_are(renderer, path, tmp_path, name):
     row = {"solar_hour": 1.0, "air_k": 290.0, "apparent_mean_k": 290.0, "time_utc": "2018-07-28T12:00:00Z"}
     row |= {f"{name}_{kind}_k": 290.0 for kind in ("min", "mean", "max")}
     draw_day(tmp_path / "day.png", name, [row, row | {"solar_hour": 2.0}], (np.arange(3.0), np.ones(3, bool)))
-    plot([replace(grey("made", 0.9), name=name, samples=2)], tmp_path / "made.png")
+    plot([replace(load_library()["granite"], name=name)], tmp_path / "made.png")
 
 
 @pytest.mark.parametrize("name", ["a$\\frac{$", "$", "_hidden"])

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import Mixture, parts_of
-from thermorender.scene import open_ground
 from thermorender.scene.parts.textures import areas, used_texels
 from thermorender.scene.surface import FILLED, Surface
 from thermorender.units import ZERO_CELSIUS_K
@@ -73,6 +72,8 @@ def with_albedo(materials: Sequence[Material], share: NDArray[np.float64], albed
     ThermorenderError
         The terrain has no bare material, or no factor gives that mean.
     """
+    from thermorender.scene import open_ground
+
     bare, rest, brightest = 0.0, 0.0, 0.0
     for material, area in zip(materials, share, strict=True):
         for part, of in parts_of(material):
@@ -105,6 +106,8 @@ def _brighter(material: Material, factor: float) -> Material:
         parts = tuple((_brighter(part, factor), share) for part, share in material.parts)
         mean = sum(share * part.solar_absorptance for part, share in parts)
         return replace(material, parts=parts, solar_absorptance=float(mean))
+    from thermorender.scene import open_ground
+
     if not open_ground.bare(material):
         return material
     return replace(
@@ -121,6 +124,8 @@ def notes(scene: "Scene") -> tuple[str, ...]:
     spec = scene.spec.weather
     if spec is None or spec.albedo is None or scene.time is None:
         return ()
+    from thermorender.scene import open_ground
+
     std = ASSUMED_STD if spec.albedo_std is None else spec.albedo_std
     ground = scene.surfaces[: scene.terrain_count]
     share = shares(ground, ground, len(scene.materials), scene.spec.terrain.mesh is not None)
