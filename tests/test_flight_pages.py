@@ -12,9 +12,14 @@ import pytest
 import thermorender as tr
 from scenes import coarse, write_terrain
 from thermorender.errors import ThermorenderError
+from thermorender.formats import label
+from thermorender.frame import picture
+from thermorender.materials.library import load_library
+from thermorender.materials.plot import plot
+from thermorender.output.day_figure import figure as draw_day
 from thermorender.output.flight import FlightOptions, fly
 from thermorender.output.flight_pages.cost import Cost
-from thermorender.output.flight_pages.flight_figures import Curve, curves
+from thermorender.output.flight_pages.flight_figures import Curve, curves, flight_map, sheet
 from thermorender.output.flight_pages.preview import preview
 from thermorender.output.flight_pages.prospect import Prospect, prospect
 from thermorender.output.products import check
@@ -111,6 +116,31 @@ def test_cost_warns_of_a_disk_that_is_too_small():
     ]
     assert "2214 frames take 17 GB, and the output's file system has 10 GB free: give another folder" in cost.warning
     assert replace(cost, free=int(20e9)).warning is None
+
+
+@pytest.mark.parametrize("name", ["a$\\frac{$", "$", "$5", "_hidden", "<b>&"])
+def test_names_are_drawn_as_they_are(renderer, path, tmp_path, name):
+    """Matplotlib takes text between dollars as a formula, of which half a one is an error."""
+    seen = prospect(renderer, path, path.frame_times(4.0), 4.0)
+    flight_map(renderer, seen, {name: (0.0, 0.0)})
+    curves(seen.time_s, [Curve("range [m]", {name: seen.above_ground_m})])
+    sheet([np.full((8, 8), 300.0, np.float32)] * 2, [np.ones((8, 8), bool)] * 2, ["0", "1"], name)
+    picture.png(np.full((8, 8), 300.0), name)
+    row = {"solar_hour": 1.0, "air_k": 290.0, "apparent_mean_k": 290.0, "time_utc": "2018-07-28T12:00:00Z"}
+    row |= {f"{name}_{kind}_k": 290.0 for kind in ("min", "mean", "max")}
+    draw_day(tmp_path / "day.png", name, [row, row | {"solar_hour": 2.0}], (np.arange(3.0), np.ones(3, bool)))
+    plot([replace(load_library()["granite"], name=name)], tmp_path / "made.png")
+
+
+@pytest.mark.parametrize("name", ["a$\\frac{$", "$", "_hidden"])
+def test_a_label_shows_the_name(name):
+    from matplotlib.cbook import is_math_text
+    from matplotlib.figure import Figure
+
+    assert not is_math_text(label(name)) and label(name).replace("\\$", "$").strip() == name
+    axis = Figure().subplots()
+    axis.plot([0, 1], label=label(name))
+    assert len(axis.get_legend_handles_labels()[1]) == 1
 
 
 def test_preview_writes_its_page_and_no_frames(renderer, path, tmp_path):

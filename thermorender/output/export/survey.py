@@ -231,5 +231,6 @@ def _ratio(value: float) -> Any:
 
 def _degrees(value: float) -> tuple[Any, Any, Any]:
     """Degrees, minutes and seconds of an angle, as EXIF rationals; the seconds to 1e-7."""
-    degrees, rest = divmod(abs(value) * 60.0, 60.0)
-    return _ratio(degrees), _ratio(math.floor(rest)), _ratio(60.0 * (rest - math.floor(rest)))
+    minutes, rest = divmod(round(abs(value) * 3600e7), 60 * 10**7)
+    degrees, minutes = divmod(minutes, 60)
+    return _ratio(degrees), _ratio(minutes), _ratio(rest * 1e-7)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.formats import label
 from thermorender.frame.picture import limits
 from thermorender.output.flight_pages.prospect import Prospect
 from thermorender.sensor.palettes import palette
@@ -97,7 +98,7 @@ def curves(time_s: Floats, panels: Sequence[Curve]) -> Picture:
         mark = "o" if len(time_s) < 3 else "None"
         for number, (name, values) in enumerate(panel.values.items()):
             colour = _COLOURS[number % len(_COLOURS)]
-            axis.plot(time_s, values, color=colour, linewidth=1.4, marker=mark, markersize=3, label=name)
+            axis.plot(time_s, values, color=colour, linewidth=1.4, marker=mark, markersize=3, label=label(name))
         axis.set_ylabel(panel.label, fontsize=9)
         axis.grid(alpha=0.3)
         axis.margins(x=0.01)
@@ -156,13 +157,13 @@ def sheet(
     axes = figure.add_axes((10 / across, 4 / down, mosaic.shape[1] / across, mosaic.shape[0] / down))
     drawn = axes.imshow(mosaic, cmap=colours, vmin=low, vmax=high, interpolation="nearest")
     axes.set_axis_off()
-    for (top, left), label in zip(corner, labels, strict=True):
-        axes.text(left, top - 4, label, fontsize=8, va="bottom")
+    for (top, left), word in zip(corner, labels, strict=True):
+        axes.text(left, top - 4, word, fontsize=8, va="bottom")
     bar = figure.add_axes((1.0 - 106 / across, 24 / down, 14 / across, (down - 64) / down))
     scale = figure.colorbar(drawn, cax=bar, extend="both")
     scale.set_label("apparent temperature [K]", fontsize=9)
     scale.formatter.set_useOffset(False)
-    figure.text(10 / across, 1.0 - 18 / down, title, fontsize=10)
+    figure.text(10 / across, 1.0 - 18 / down, label(title), fontsize=10)
     return _pixels(figure)
 
 
@@ -207,7 +208,7 @@ def _word(axes: Any, place: Sequence[float], word: str, colour: str, up: int = 5
     """A word beside a point, readable on a picture."""
     from matplotlib.patheffects import withStroke
 
-    axes.annotate(word, tuple(place), (5, up), textcoords="offset points", fontsize=8, color=colour, zorder=6,
+    axes.annotate(label(word), tuple(place), (5, up), textcoords="offset points", fontsize=8, color=colour, zorder=6,
                   path_effects=[withStroke(linewidth=2.5, foreground="white")])  # fmt: skip
 
 
