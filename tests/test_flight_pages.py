@@ -1,4 +1,4 @@
-"""What a flight tells before it is rendered, and the page that it leaves."""
+"""What a flight reports before it is rendered, and the page that it leaves."""
 
 import json
 import re
@@ -146,11 +146,11 @@ def test_a_label_shows_the_name(name):
 def test_preview_writes_its_page_and_no_frames(renderer, path, tmp_path):
     import cv2
 
-    told = []
-    written = preview(renderer, path, FlightOptions(rate_hz=4.0), tmp_path / "p", told.append)
+    reported = []
+    written = preview(renderer, path, FlightOptions(rate_hz=4.0), tmp_path / "p", reported.append)
     assert sorted(file.name for file in (tmp_path / "p").iterdir()) == ["preview.html", "preview.png"]
     assert [file.name for file in written] == ["preview.png", "preview.html"]
-    seen, cost = told
+    seen, cost = reported
     assert isinstance(seen, Prospect) and cost.frames == 5 and set(cost.sizes) == {"exr", "counts", "display"}
     assert len([*seen.lines(), *cost.lines()]) <= 10
     page = (tmp_path / "p/preview.html").read_text()
@@ -158,24 +158,24 @@ def test_preview_writes_its_page_and_no_frames(renderer, path, tmp_path):
     assert cv2.imread(str(tmp_path / "p/preview.png")).std() > 1.0
     # The flight itself goes into the same folder.
     fly(renderer, path, tmp_path / "p", FlightOptions(rate_hz=4.0, products=("counts",)))
-    assert preview(renderer, path, FlightOptions(rate_hz=4.0, products=("counts",)), None, told.append) == []
+    assert preview(renderer, path, FlightOptions(rate_hz=4.0, products=("counts",)), None, reported.append) == []
 
 
 @pytest.fixture(scope="module")
 def flown(renderer, path, tmp_path_factory):
-    """The folder of a flight with the default products, and what it told beforehand."""
-    told, folder = [], tmp_path_factory.mktemp("flights") / "f"
-    fly(renderer, path, folder, FlightOptions(rate_hz=4.0), outlook=told.append)
-    return folder, told
+    """The folder of a flight with the default products, and what it reported beforehand."""
+    reported, folder = [], tmp_path_factory.mktemp("flights") / "f"
+    fly(renderer, path, folder, FlightOptions(rate_hz=4.0), outlook=reported.append)
+    return folder, reported
 
 
 def test_report_shows_the_flight_and_survives_a_resume(renderer, path, flown, tmp_path):
     import cv2
 
-    folder, told = flown
-    assert [type(part) for part in told] == [Prospect, Cost]
+    folder, reported = flown
+    assert [type(part) for part in reported] == [Prospect, Cost]
     about = json.loads((folder / "flight.json").read_text())
-    assert about["prospect"] == told[0].as_dict() and about["prospect"]["above_ground_m"][1] == pytest.approx(12.0)
+    assert about["prospect"] == reported[0].as_dict() and about["prospect"]["above_ground_m"][1] == pytest.approx(12.0)
     page, contact = (folder / "index.html").read_text(), cv2.imread(str(folder / "contact.png"))
     assert contact.std() > 1.0 and "http" not in page
     assert not [link for link in re.findall(r"href='([^']*)'", page) if not (folder / link).is_file()]

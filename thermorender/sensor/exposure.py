@@ -27,7 +27,7 @@ from thermorender.sensor.detector import (
     stepped,
 )
 from thermorender.sensor.motion import Relief, border_uncertainty, grid_camera, moved, pixel_grid
-from thermorender.sensor.movers import Mover, Part, parts
+from thermorender.sensor.movers import Mover, Part, outside, parts
 from thermorender.sensor.schedule import (
     FAR_PX,
     FITTED_GRADIENT_MK,
@@ -149,14 +149,16 @@ class Exposure:
         reading = motion * max(late, 1.0)
         if reading <= STATIC_PX:
             signal = self._static(time_s, self.sensor.power(radiance, moment))
-            instants, renders = 1, 1
+            instants, renders, parts = 1, 1, self._parts(time_s, before, moved_s)
             error = unmoved_mk(radiance, self.sensor.camera, motion * np.hypot(1.0, late), gradient)
         elif reading <= SUBPIXEL_PX and interpolates and self.sensor.camera.time_constant_s:
             image = self.sensor.blurred(radiance)
             way = self._way(relief, time_s, self.sensor.camera.time_constant_s)
             signal, error = self._subpixel(way, time_s, image, moment)
             moved_s = _AGES[-1] * self.sensor.camera.time_constant_s - self._delays[0]
-            error = np.hypot(error, moved_mk(image, self.sensor.camera, way, motion, np.hypot(_AGES, late), _WEIGHTS))
+            parts = self._parts(time_s, before, moved_s)
+            gaps, rest = np.hypot(_AGES, late), outside(parts, image.shape)
+            error = np.hypot(error, moved_mk(image, self.sensor.camera, way, motion, gaps, _WEIGHTS, rest))
             error = np.hypot(error, SUBPIXEL_MK * motion**2 * contrast)
             instants, renders = len(_AGES), 1
         else:
@@ -165,12 +167,13 @@ class Exposure:
             plan = self._seen(plan, relief, image, motion) if interpolates else plan
             signal, error = self._fast(plan, relief, image, moment)
             instants, renders, moved_s = len(plan.times_s), len(plan.renders), self._moved_s(plan)
+            parts = self._parts(time_s, before, moved_s)
             if len(plan.renders) < len(plan.times_s):
                 way = self._way(relief, time_s, min(self._span_s(), _SHORT_S))
                 gaps, weights = plan.moved_middles(self.sensor.camera.time_constant_s)
-                error = np.hypot(error, moved_mk(image, self.sensor.camera, way, motion, gaps, weights))
+                rest = outside(parts, image.shape)
+                error = np.hypot(error, moved_mk(image, self.sensor.camera, way, motion, gaps, weights, rest))
             carried = error**2
-        parts = self._parts(time_s, before, moved_s)
         remembered = self._remembered_mk(time_s, before) ** 2
         square = error**2 + remembered
         followed = remembered + carried

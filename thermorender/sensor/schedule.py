@@ -145,7 +145,7 @@ def instants_mk(spacing_px: float, motion: float) -> float:
 
 def moved_mk(
     image: Image, camera: Camera, way: tuple[Image, Image], motion: float, gaps: NDArray[np.float64],
-    weights: NDArray[np.float64], lines_read: int = 40,
+    weights: NDArray[np.float64], counts: NDArray[np.bool_], lines_read: int = 40,
 ) -> float:  # fmt: skip
     """Return the estimated error of moved images [mK], from cubic interpolation between every other pixel.
 
@@ -160,6 +160,8 @@ def moved_mk(
         The most of it that counts [px].
     gaps, weights : (n,) arrays
         Time from instants to the nearest render [time constants], and share of the signal that they make.
+    counts : (H, W) bool
+        The pixels over which the error is the root mean square.
     lines_read : int
         About how many rows and as many columns are read.
     """
@@ -169,24 +171,29 @@ def moved_mk(
     square_px = np.square(np.multiply.outer(speeds, gaps))
     shares = square_px / (square_px + _DETAIL_PX**2) @ weights / (1.0 + speeds**1.5) / speeds**2
     square = 0.0
-    for lines, along, across in (
-        (image[::every], *(part[::every] for part in way)),
-        (image[:, ::every].T, *(part[:, ::every].T for part in reversed(way))),
-    ):
+    right, down = way
+    # Along rows, then along columns.
+    for radiance, counted, onwards, sideways in ((image, counts, right, down), (image.T, counts.T, down.T, right.T)):
+        here: NDArray[np.bool_] = counted[::every]
+        lines, along, across = (part[::every] for part in (radiance, onwards, sideways))
+        between = here[:, 1:] & here[:, :-1]
+        if not between.any():
+            continue
         pixel = np.pad(lines, ((0, 0), (3, 3)), mode="edge")
         near, far = pixel[:, 2:-4] + pixel[:, 4:-2], pixel[:, :-6] + pixel[:, 6:]
         rough = np.square(lines - (9.0 * near - far) / 16.0)
-        aliased = np.mean(rough) / max(np.mean(np.diff(lines) ** 2) if lines.shape[1] > 1 else 0.0, 1e-30)
+        change = float(np.mean(np.diff(lines) ** 2, where=between))
+        aliased = float(np.mean(rough, where=here)) / max(change, 1e-30)
         speed = np.hypot(along, across)
         share = np.interp(speed, speeds, shares) * along**2 * np.minimum(1.0, motion / np.maximum(speed, 1e-9)) ** 2
-        square += float(aliased * np.mean(rough * share))
+        square += aliased * float(np.mean(rough * share, where=here))
     return _MOVED * float(np.sqrt(square)) / per_mk(camera)
 
 
 def unmoved_mk(image: Image, camera: Camera, motion: float, gradient: float) -> float:
     """Return the estimated error of one image in place of a time constant with so little motion [px], [mK]."""
     way = np.broadcast_to(np.float32(motion / np.sqrt(2.0)), image.shape)
-    detail = moved_mk(image, camera, (way, way), motion, np.ones(1), np.ones(1), 20)
+    detail = moved_mk(image, camera, (way, way), motion, np.ones(1), np.ones(1), np.ones(image.shape, bool), 20)
     # Along one direction, an image changes by up to √2 of `gradient_mk`, the mean over both axes.
     return float(np.hypot(np.sqrt(2.0) * motion * gradient, detail))
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from thermorender.formats import label
 from thermorender.frame.picture import limits
-from thermorender.output.flight_pages.prospect import Prospect
+from thermorender.output.flight_pages.prospect import Prospect, chosen
 from thermorender.sensor.palettes import palette
 from thermorender.units import ZERO_CELSIUS_K
 
@@ -38,11 +38,6 @@ class Curve:
     values: Mapping[str, Floats]
     band: tuple[Floats, Floats] | None = None
     celsius: bool = False
-
-
-def chosen(count: int, most: int) -> NDArray[np.int64]:
-    """Return the numbers of up to `most` evenly chosen frames of `count`, with the first and the last."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
 
 
 def flight_map(renderer: "Renderer", seen: Prospect, marked: Mapping[str, Sequence[float]] = {}) -> Picture:

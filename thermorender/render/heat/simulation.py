@@ -34,7 +34,7 @@ from thermorender.render.variant import activate
 from thermorender.scene import open_ground
 from thermorender.scene.deviations import Deviations
 from thermorender.scene.scene import Scene
-from thermorender.scene.state.weathered_ground import in_weather, lying_snow
+from thermorender.scene.state.weathered_ground import covered, in_weather, lying_snow
 from thermorender.scene.surface import fill, nearest_valid
 from thermorender.units import ZERO_CELSIUS_K, utc_text
 
@@ -197,7 +197,7 @@ class _Simulation:
     def _shown(self, material: Material) -> Material:
         """A material, or the snow on its parts."""
         parts = [part for part, _ in parts_of(material) if part.thermal and part.thermal.texture]
-        return in_weather(parts[:1], self.weather, self.asked[0], self.snow_m)[0] if self.snow_m and parts else material
+        return covered(parts[0], self.snow_m) if self.snow_m and parts else material
 
     def run(
         self, materials: dict[int, Material], wanted: NDArray[np.bool_], progress: Callable[[float], object]
