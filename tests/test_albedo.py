@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from scenes import WEATHER, write_balance
 from thermorender.errors import ThermorenderError
@@ -75,6 +76,46 @@ def test_edits_keep_the_albedo_in_any_order(rocky):
     assert reflected(one.at("2018-07-28T09:00Z")) == pytest.approx(0.3, abs=1e-6)
 
 
+def test_texels_of_a_mesh_count_by_their_area(tmp_path):
+    """A texture of 128 texels, of which faces show the left half, on 400 m² beside one texel on 1600 m²."""
+    corners = [(0, 0), (20, 0), (20, 20), (0, 20), (30, 0), (70, 0), (70, 40), (30, 40)]
+    lines = [f"v {x} {y} 0" for x, y in corners] + [f"vt {u} {v}" for u, v in ((0, 0), (0.45, 0), (0.45, 1), (0, 1))]
+    lines += ["usemtl ground", "f 1/1 2/2 3/3", "f 1/1 3/3 4/4", "usemtl tiles", "f 5 6 7", "f 5 7 8"]
+    (tmp_path / "m.obj").write_text("mtllib m.mtl\n" + "\n".join(lines) + "\n")
+    (tmp_path / "m.mtl").write_text("newmtl ground\nmap_Kd t.png\nnewmtl tiles\nKd 0.6 0.2 0.1\n")
+    Image.fromarray(np.full((16, 8, 3), 120, np.uint8)).save(tmp_path / "t.png")
+    classes = np.repeat([[1] * 3 + [2] * 5], 16, axis=0).astype(np.uint8)
+    Image.fromarray(classes).save(tmp_path / "classes.png")
+    (tmp_path / "scene.toml").write_text(
+        '[terrain]\nmesh = "m.obj"\n[temperature]\nsource = "balance"\n[emissivity]\nsource = "classes"\n'
+        '[emissivity.classes]\n1 = "granite"\n2 = "sand_quartz"\n[[surface]]\nname = "t.png"\nclasses = "classes.png"\n'
+        '[[surface]]\nname = "tiles"\nmaterial = "asphalt"\n[frame]\nlatitude_deg = 52.0\nlongitude_deg = 20.0\n'
+        f"height_m = 100.0\n{WEATHER}albedo = 0.25\n"
+    )
+    scene = load_scene(tmp_path)
+    share = {"granite": 300.0, "sand_quartz": 100.0, "asphalt": 1600.0}
+    mean = sum(share[each.name] * (1.0 - each.solar_absorptance) for each in scene.materials) / 2000.0
+    assert mean == pytest.approx(0.25, abs=1e-6)
+
+
+def test_materials_of_objects_keep_their_table(folders):
+    path = folders["granite"] / "scene.toml"
+    text = path.read_text()
+    box = (
+        '[[object]]\nname = "box"\nshape = "box"\nsize = [2, 2, 2]\nposition = [2.0, 2.0, 0.0]\n'
+        'temperature = 300.0\nmaterial = "sand_gypsum"\n'
+    )
+    try:
+        path.write_text(f"{text}\n{box}")
+        scene = load_scene(folders["granite"])
+    finally:
+        path.write_text(text)
+    before, after = (
+        {m.name: m.solar_absorptance for m in s.materials} for s in (scene, scene.with_weather(albedo=0.5))
+    )
+    assert after["sand_gypsum"] == before["sand_gypsum"] and after["granite"] < before["granite"]
+
+
 @pytest.mark.parametrize(
     ("name", "keys", "words"),
     [
@@ -95,7 +136,7 @@ def test_albedo_out_of_reach_is_refused(folders, name, keys, words):
 
 def test_albedo_without_bare_ground_is_refused(folders):
     scene = load_scene(folders["grass_green"]).with_material(sand_quartz="grass_dry")
-    with pytest.raises(ThermorenderError, match="sets bare materials, and the terrain has none; leave it out"):
+    with pytest.raises(ThermorenderError, match="sets bare materials that reflect sunlight, and the terrain has none"):
         scene.with_weather(albedo=0.2)
 
 

@@ -63,7 +63,9 @@ def test_deviations_match_columns_in_the_open(level):
             ground = ground._replace(
                 capacity=[factor * c for c in ground.capacity], conductance=[factor * c for c in ground.conductance]
             )
-        own = open_ground.Columns(ground, absorptance, columns.wind_factor, columns.indoors, columns.node_m)
+        own = open_ground.Columns(
+            ground, absorptance, columns.wind_factor, columns.indoors, columns.node_m, columns.snow_m
+        )
         expected = in_the_open(own) - table
         found = on_the_device(fields(shape, **{name: factor})) - plain
         print(name, expected, found)

@@ -20,7 +20,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import read_temperature
 from thermorender.frame.exr import read_exr
 from thermorender.output.export.labels import coco, masks, run_lengths
-from thermorender.output.export.survey import geotiff, ground
+from thermorender.output.export.survey import _degrees, geotiff, ground
 
 BOX = '[[object]]\nname = "{}"\nshape = "box"\nsize = {}\nposition = {}\ntemperature = {}\nmaterial = "paint_black"\n'
 # car_1 is under one half of roof-1; car_2 drives east.
@@ -228,6 +228,23 @@ def test_tags_project_targets_to_the_pixels_of_the_truth(flight, scene, tmp_path
                 assert np.abs(pixel - target["pixel"]).max() < 0.05
 
 
+def test_files_that_are_not_frames_stay_out(flight, tmp_path):
+    """A copy of a frame under another name has no number, and numbers beyond six digits keep their order."""
+    shutil.copytree(flight, tmp_path / "flight")
+    for name in ("frame_000001_copy", "frame_best", "frame_1000000"):
+        shutil.copy(flight / "frame_000001.exr", tmp_path / "flight" / f"{name}.exr")
+    assert coco(tmp_path / "flight", tmp_path / "labels.json")["images"] == 4
+    labels = json.loads((tmp_path / "labels.json").read_text())
+    assert [image["id"] for image in labels["images"]] == [1, 2, 3, 1000001]
+
+
+def test_seconds_of_a_position_stay_below_60():
+    for value in (20.0, 20.0 - 1e-13, 19.999999999, -0.5, 179.99999999999):
+        degrees, minutes, seconds = map(float, _degrees(value))
+        assert minutes < 60.0 and seconds < 60.0
+        assert degrees + minutes / 60.0 + seconds / 3600.0 == pytest.approx(abs(value), abs=1e-10)
+
+
 def test_geotiff_is_kelvin_for_gdal_and_this_package(flight, tmp_path):
     kelvin = read_exr(flight / "frame_000002.exr")[0]["apparent_temperature"]
     for float32, kind, error in ((False, "uint16", 0.0051), (True, "float32", 1e-4)):
@@ -273,6 +290,16 @@ def test_ground_is_the_orthorectified_frame(flight, renderer, tmp_path):
         # Poses on file are rounded, so single pixels may fall beside their cell's border.
         difference = np.abs(file.read(1) - own.kelvin)
         assert (difference[np.isfinite(difference)] < 1e-2).mean() > 0.99
+
+
+def test_commands_count_one_and_several(flight, tmp_path, call):
+    one = tmp_path / "one"
+    one.mkdir()
+    shutil.copy(flight / "frame_000000.exr", one)
+    for verb, option, words in (("ground", ["--metres=0.5"], "map"), ("geotiff", [], "image")):
+        for folder, wanted in ((one, f"1 {words} in"), (flight, f"3 {words}s in")):
+            status, output, _ = call("export", verb, folder, *option, "-o", tmp_path / f"{verb}-{folder.name}")
+            assert status == 0 and output.startswith(wanted)
 
 
 def test_what_cannot_be_exported_is_refused(tmp_path):

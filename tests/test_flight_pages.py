@@ -1,4 +1,4 @@
-"""What a flight tells before it is rendered, and the page that it leaves."""
+"""What a flight reports before it is rendered, and the page that it leaves."""
 
 import json
 import re
@@ -12,8 +12,14 @@ import pytest
 import thermorender as tr
 from scenes import coarse, write_terrain
 from thermorender.errors import ThermorenderError
+from thermorender.formats import label
+from thermorender.frame import picture
+from thermorender.materials.library import load_library
+from thermorender.materials.plot import plot
+from thermorender.output.day_figure import figure as draw_day
 from thermorender.output.flight import FlightOptions, fly
 from thermorender.output.flight_pages.cost import Cost
+from thermorender.output.flight_pages.flight_figures import Curve, curves, flight_map, sheet
 from thermorender.output.flight_pages.preview import preview
 from thermorender.output.flight_pages.prospect import Prospect, prospect
 from thermorender.output.products import check
@@ -112,14 +118,39 @@ def test_cost_warns_of_a_disk_that_is_too_small():
     assert replace(cost, free=int(20e9)).warning is None
 
 
+@pytest.mark.parametrize("name", ["a$\\frac{$", "$", "$5", "_hidden", "<b>&"])
+def test_names_are_drawn_as_they_are(renderer, path, tmp_path, name):
+    """Matplotlib takes text between dollars as a formula, of which half a one is an error."""
+    seen = prospect(renderer, path, path.frame_times(4.0), 4.0)
+    flight_map(renderer, seen, {name: (0.0, 0.0)})
+    curves(seen.time_s, [Curve("range [m]", {name: seen.above_ground_m})])
+    sheet([np.full((8, 8), 300.0, np.float32)] * 2, [np.ones((8, 8), bool)] * 2, ["0", "1"], name)
+    picture.png(np.full((8, 8), 300.0), name)
+    row = {"solar_hour": 1.0, "air_k": 290.0, "apparent_mean_k": 290.0, "time_utc": "2018-07-28T12:00:00Z"}
+    row |= {f"{name}_{kind}_k": 290.0 for kind in ("min", "mean", "max")}
+    draw_day(tmp_path / "day.png", name, [row, row | {"solar_hour": 2.0}], (np.arange(3.0), np.ones(3, bool)))
+    plot([replace(load_library()["granite"], name=name)], tmp_path / "made.png")
+
+
+@pytest.mark.parametrize("name", ["a$\\frac{$", "$", "_hidden"])
+def test_a_label_shows_the_name(name):
+    from matplotlib.cbook import is_math_text
+    from matplotlib.figure import Figure
+
+    assert not is_math_text(label(name)) and label(name).replace("\\$", "$").strip() == name
+    axis = Figure().subplots()
+    axis.plot([0, 1], label=label(name))
+    assert len(axis.get_legend_handles_labels()[1]) == 1
+
+
 def test_preview_writes_its_page_and_no_frames(renderer, path, tmp_path):
     import cv2
 
-    told = []
-    written = preview(renderer, path, FlightOptions(rate_hz=4.0), tmp_path / "p", told.append)
+    reported = []
+    written = preview(renderer, path, FlightOptions(rate_hz=4.0), tmp_path / "p", reported.append)
     assert sorted(file.name for file in (tmp_path / "p").iterdir()) == ["preview.html", "preview.png"]
     assert [file.name for file in written] == ["preview.png", "preview.html"]
-    seen, cost = told
+    seen, cost = reported
     assert isinstance(seen, Prospect) and cost.frames == 5 and set(cost.sizes) == {"exr", "counts", "display"}
     assert len([*seen.lines(), *cost.lines()]) <= 10
     page = (tmp_path / "p/preview.html").read_text()
@@ -127,24 +158,24 @@ def test_preview_writes_its_page_and_no_frames(renderer, path, tmp_path):
     assert cv2.imread(str(tmp_path / "p/preview.png")).std() > 1.0
     # The flight itself goes into the same folder.
     fly(renderer, path, tmp_path / "p", FlightOptions(rate_hz=4.0, products=("counts",)))
-    assert preview(renderer, path, FlightOptions(rate_hz=4.0, products=("counts",)), None, told.append) == []
+    assert preview(renderer, path, FlightOptions(rate_hz=4.0, products=("counts",)), None, reported.append) == []
 
 
 @pytest.fixture(scope="module")
 def flown(renderer, path, tmp_path_factory):
-    """The folder of a flight with the default products, and what it told beforehand."""
-    told, folder = [], tmp_path_factory.mktemp("flights") / "f"
-    fly(renderer, path, folder, FlightOptions(rate_hz=4.0), outlook=told.append)
-    return folder, told
+    """The folder of a flight with the default products, and what it reported beforehand."""
+    reported, folder = [], tmp_path_factory.mktemp("flights") / "f"
+    fly(renderer, path, folder, FlightOptions(rate_hz=4.0), outlook=reported.append)
+    return folder, reported
 
 
 def test_report_shows_the_flight_and_survives_a_resume(renderer, path, flown, tmp_path):
     import cv2
 
-    folder, told = flown
-    assert [type(part) for part in told] == [Prospect, Cost]
+    folder, reported = flown
+    assert [type(part) for part in reported] == [Prospect, Cost]
     about = json.loads((folder / "flight.json").read_text())
-    assert about["prospect"] == told[0].as_dict() and about["prospect"]["above_ground_m"][1] == pytest.approx(12.0)
+    assert about["prospect"] == reported[0].as_dict() and about["prospect"]["above_ground_m"][1] == pytest.approx(12.0)
     page, contact = (folder / "index.html").read_text(), cv2.imread(str(folder / "contact.png"))
     assert contact.std() > 1.0 and "http" not in page
     assert not [link for link in re.findall(r"href='([^']*)'", page) if not (folder / link).is_file()]
@@ -166,6 +197,23 @@ def test_report_shows_the_flight_and_survives_a_resume(renderer, path, flown, tm
     (folder / "frames.jsonl").write_text("".join(lines[:3]))
     assert fly(renderer, path, folder, FlightOptions(rate_hz=4.0), resume=True)["rendered"] == 2
     assert {name: (folder / name).read_bytes() for name in whole} == whole
+
+
+def test_labels_of_curves_have_room_and_legends_cover_no_curve():
+    time_s, rows = np.linspace(0.0, 9.0, 50), np.zeros(50)
+    wide = curves(time_s, [Curve("pixel on the\nground [m]", {"pixel": np.linspace(0.0675, 0.0785, 50)})])
+    assert (wide[:, :2] == 255).all() and (wide[:, -2:] == 255).all()
+    # A curve along the top of its panel, where a legend inside would stand: its colour shows in every column.
+    named = {"low": rows, "middle": rows + 0.5, "high": rows + 1.0}
+    drawn = curves(time_s, [Curve("a [K]", named)]).astype(int)
+    green = (np.abs(drawn - (0x00, 0x9E, 0x73)).max(axis=-1) < 40).any(axis=0)
+    columns = np.flatnonzero(green)
+    assert columns.size > 600 and (np.diff(columns) == 1).all()
+
+
+def test_report_names_what_is_counted_of_a_target(flown):
+    page = (flown[0] / "index.html").read_text()
+    assert "frames with its middle visible" in page and "other parts may show" in page
 
 
 def test_report_is_a_product_of_flights_alone_and_changes_no_frame(renderer, path, flown, tmp_path):

@@ -159,6 +159,17 @@ def test_edits_name_the_same_parts(folder):
     assert [set(names(again, surface).flat) for surface in again.surfaces] == [{"sand_quartz"}, {"tiles"}]
 
 
+def test_an_edit_of_a_group_of_an_obj_needs_its_name_in_the_scene_file(folder):
+    start = scene(folder, more=ROOF)
+    for edit in (start.with_material, start.with_temperature):
+        with pytest.raises(ThermorenderError, match=r"group of an OBJ once a \[\[surface\]\] of scene.toml"):
+            edit({"roof": 0.5 if edit == start.with_material else 300.0})
+    # The advice works.
+    named = scene(folder, more=ROOF.replace('"tiles"', '"roof"'))
+    assert (named.with_temperature({"roof": 300.0}).surfaces[1].temperature == 300.0).all()
+    assert "roof" in names(named.with_material(roof=0.5), named.with_material(roof=0.5).surfaces[1])
+
+
 BALANCE = 'source = "balance"'
 CLASS = 'source = "classes"\n'
 REFUSED = {

@@ -162,6 +162,15 @@ def test_collars_are_named_and_left_out_on_request(tmp_path, call, level):
     assert (status, errors) == (0, "") and "12.5% without colour" in output
 
 
+def test_a_small_collar_is_not_a_share_of_zero(tmp_path, call):
+    picture = np.tile(rgb(), (1, 10, 10))
+    picture[:, 0, :64] = 3
+    write(tmp_path / "o.tif", picture)
+    write(tmp_path / "dem.tif", np.full((16, 16), 100.0, np.float32))
+    status, _, errors = call("import-terrain", tmp_path / "dem.tif", tmp_path / "o.tif", "-o", tmp_path / "a")
+    assert status == 0 and "less than 0.1% of the orthophoto is near black or white" in errors
+
+
 def test_overviews_tiles_and_turned_grids_show_the_same_picture(tmp_path):
     step = 1.0
     plain = write(tmp_path / "plain.tif", rgb())

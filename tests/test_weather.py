@@ -1,6 +1,7 @@
 """Weather: a station's file, a typical year's, a named day; missing values are modelled, wrong ones reported."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,7 +10,7 @@ import pytest
 from conftest import shared_data
 
 from thermorender.errors import ThermorenderError
-from thermorender.physics import humidity, sky, sun
+from thermorender.physics import humidity, moisture, sky, sun
 from thermorender.weather.columns import COLUMNS
 from thermorender.weather.declared import declared_weather
 from thermorender.weather.epw import read_epw
@@ -78,6 +79,42 @@ def test_weather_refuses_gaps_and_repeated_times(tmp_path):
         Weather(**{**arrays, "wind_m_s": np.where(np.arange(72) == 3, np.nan, 1.0)})
     with pytest.raises(ThermorenderError, match="does not rise"):
         Weather(**{**arrays, "time": np.r_[weather.time[:1], weather.time[:-1]]})
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("rain_mm_h", -5.0, "rain_mm_h of a Weather is -5, which is not allowed; give 0 … 2500"),
+        ("air_k", 20.0, "air_k of a Weather is 20, which is not allowed; give 150 … 350"),
+        ("snow_m", -1.0, "snow_m of a Weather is -1"),
+        ("pressure_pa", 0.0, "pressure_pa of a Weather is 0"),
+        ("latitude_deg", 200.0, "latitude_deg of a Weather is 200, which is not allowed; give -90 … 90"),
+        ("wind_height_m", np.nan, "wind_height_m of a Weather is nan"),
+    ],
+)
+def test_weather_made_in_python_refuses_what_a_file_may_not_hold(tmp_path, name, value, words):
+    weather = read_station(station(tmp_path / "s.csv"), *PLACE)
+    if np.ndim(own := getattr(weather, name)):
+        value = np.where(np.arange(72) == 3, value, own)
+    with pytest.raises(ThermorenderError, match=words):
+        replace(weather, **{name: value})
+
+
+def test_rain_beside_a_gap_of_rows_does_not_fill_the_gap(tmp_path):
+    """Missing values of rain are 0, and so are those of missing rows; the air is interpolated."""
+    rows = ["time,air_c,rain_mm_h"]
+    rows += [f"2018-07-{1 + k // 24:02d}T{k % 24:02d}:00Z,{10 + k},{9.0 * (k == 10)}" for k in range(40)]
+    found = {}
+    for name, lines in (("whole", rows), ("gap", [*rows[:12], *rows[31:]]), ("one", [*rows[:12], *rows[13:]])):
+        (tmp_path / "s.csv").write_text("\n".join(lines) + "\n")
+        weather = read_station(tmp_path / "s.csv", *PLACE, longest_gap_h=24)
+        seconds = np.arange(0, 39 * 3600, 60) * np.timedelta64(1, "s")
+        at = weather.at(weather.time[0] + seconds)
+        fallen = float((weather.rain_mm_h * moisture.intervals_s(weather.time)).sum() / 3600.0)
+        found[name] = fallen, at.rain_mm_h.sum() / 60.0, at.air_k
+    for name in ("gap", "one"):
+        assert found[name][:2] == pytest.approx(found["whole"][:2], rel=1e-3)
+        np.testing.assert_allclose(found[name][2], found["whole"][2], atol=1e-9)
 
 
 # --- a station ----------------------------------------------------------------------------------------------

@@ -142,6 +142,15 @@ def read_json_lines(path: Path) -> list[Any]:
 # --- pictures and rasters: encoded in memory, since neither OpenCV nor GDAL reports a full disk -------------------
 
 
+def label(text: object) -> str:
+    """Return a text from outside, such as an object's name, for Matplotlib to draw as it is.
+
+    Matplotlib takes text between dollars as a formula, and leaves a line whose label begins with _ out of legends.
+    """
+    words = str(text).replace("$", r"\$")
+    return f" {words}" if words.startswith("_") else words
+
+
 def write_image(path: PathLike, image: np.ndarray) -> None:
     """Write (H, W) uint8 or uint16, or (H, W, 3) uint8 RGB, as PNG or TIFF by the path's suffix."""
     import cv2

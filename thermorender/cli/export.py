@@ -15,6 +15,10 @@ app = typer.Typer(
 Frames = Annotated[Path, typer.Argument(help="Folder with frame_*.exr and their truth.")]
 
 
+def _counted(number: int, name: str) -> str:
+    return f"{number} {name}" if number == 1 else f"{number} {name}s"
+
+
 @app.command()
 def coco(
     folder: Frames,
@@ -27,7 +31,7 @@ def coco(
     from thermorender.output.export.labels import coco as run
 
     found = run(folder, output)
-    typer.echo(f"{found['annotations']} annotations of {found['images']} images in {output}")
+    typer.echo(f"{_counted(found['annotations'], 'annotation')} of {_counted(found['images'], 'image')} in {output}")
 
 
 @app.command()
@@ -35,7 +39,7 @@ def masks(folder: Frames, output: NewResults) -> None:
     """Write masks of materials and objects as PNG, with a legend."""
     from thermorender.output.export.labels import masks as run
 
-    typer.echo(f"masks of {run(folder, output)} frames in {output}")
+    typer.echo(f"masks of {_counted(run(folder, output), 'frame')} in {output}")
 
 
 @app.command()
@@ -44,10 +48,10 @@ def geotiff(
     output: NewResults,
     float32: Annotated[bool, typer.Option("--float32", help="Write kelvin, not counts of 0.01 K as uint16.")] = False,
 ) -> None:
-    """Write radiometric TIFFs with position and gimbal angles, such as OpenDroneMap reads."""
+    """Write radiometric TIFFs with position and gimbal angles, such as OpenDroneMap reads; they are not maps."""
     from thermorender.output.export.survey import geotiff as run
 
-    typer.echo(f"{run(folder, output, float32)} images in {output}")
+    typer.echo(f"{_counted(run(folder, output, float32), 'image')} in {output}")
 
 
 @app.command()
@@ -56,7 +60,7 @@ def ground(
     output: NewResults,
     metres: Annotated[float, typer.Option(help="Size of a pixel on the map [m].")],
 ) -> None:
-    """Write each frame on the scene's map as a GeoTIFF of kelvin."""
+    """Write a map of each frame: a GeoTIFF of apparent temperature [K] in the scene's CRS."""
     from thermorender.output.export.survey import ground as run
 
-    typer.echo(f"{run(folder, output, metres)} maps in {output}")
+    typer.echo(f"{_counted(run(folder, output, metres), 'map')} in {output}")

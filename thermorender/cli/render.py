@@ -135,7 +135,7 @@ def fly(
     source: TemperatureOptions,
     preview: Annotated[
         bool,
-        typer.Option("--preview", help="Only tell what the flight will show and cost; with -o also as preview.html."),
+        typer.Option("--preview", help="Only report what the flight will show and cost; with -o also as preview.html."),
     ] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a stopped flight.")] = False,
     verify: Annotated[
@@ -165,11 +165,11 @@ def fly(
         path = log.read(loaded, rate_hz)
         renderer = sampling.renderer(loaded, seed, device, report)
         if preview:
-            for written in foresee(renderer, path, options, output, _tell):
+            for written in foresee(renderer, path, options, output, _print_outlook):
                 typer.echo(str(written))
             return
         summary = run(
-            renderer, path, output, options, resume=resume, verify=verify, heat_progress=report, outlook=_tell,
+            renderer, path, output, options, resume=resume, verify=verify, heat_progress=report, outlook=_print_outlook,
             progress=lambda done, total: report(f"frame {done} of {total}", done / total),
         )  # fmt: skip
     print_cache_note(renderer)
@@ -184,11 +184,14 @@ def fly(
         )
 
 
-def _tell(outlook: "Prospect | Cost") -> None:
+def _print_outlook(outlook: "Prospect | Cost") -> None:
     """Print what a flight will show or cost."""
     for line in outlook.lines():
         typer.echo(line)
-    warn(outlook.warning)
+    from thermorender.output.flight_pages.cost import Cost
+
+    if isinstance(outlook, Cost):
+        warn(outlook.warning)
 
 
 @flat

@@ -92,12 +92,17 @@ def _of_import(summary: dict[str, Any], collar: int, scaled: bool) -> str | None
 
     found = []
     if summary["share_collar"] and not collar:
-        found.append(f"{summary['share_collar']:.1%} of the orthophoto is near black or white up to its edge and taken "
-                     f"for ground; --collar={COLLAR} leaves it out")  # fmt: skip
+        found.append(f"{_percent(summary['share_collar'])} of the orthophoto is near black or white up to its edge and "
+                     f"taken for ground; --collar={COLLAR} leaves it out")  # fmt: skip
     if scaled and summary["share_clipped"]:
-        found.append(f"{summary['share_clipped']:.1%} of the orthophoto is black or white in a band; --colour-range "
-                     "sets these ends")  # fmt: skip
+        found.append(f"{_percent(summary['share_clipped'])} of the orthophoto is black or white in a band; "
+                     "--colour-range sets these ends")  # fmt: skip
     return "; ".join(found) or None
+
+
+def _percent(share: float) -> str:
+    """Return a share above 0 in per cent, never as 0.0%."""
+    return "less than 0.1%" if share < 0.001 else f"{share:.1%}"
 
 
 def make_scene(

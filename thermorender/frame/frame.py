@@ -202,7 +202,7 @@ class Frame:
         ThermorenderError
             A scene without a place on Earth, a frame without a surface, or a map of too many pixels.
         """
-        return orthorectified(self, metres)
+        return orthorectified(self.radiance, self.truth["position"], self.place, metres, self.kelvin_of)
 
     def kelvin_of(self, radiance: ArrayLike) -> NDArray[np.float32]:
         """Return the apparent temperature of radiances in this camera's band, (…) float32 [K]."""

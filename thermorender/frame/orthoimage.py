@@ -1,12 +1,13 @@
 """A frame on the map: apparent temperatures at the positions that the pixels show, as an image of the ground."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.frame.picture import html, show, span
@@ -15,7 +16,6 @@ from thermorender.scene.raster import Grid
 from thermorender.scene.surface import MOST_TEXELS
 
 if TYPE_CHECKING:
-    from thermorender.frame.frame import Frame
     from thermorender.scene.georeference import Place
 
 # A little more than half the diagonal of a pixel's footprint, since footprints are oblique.
@@ -71,22 +71,38 @@ class Orthoimage:
         return of_orthoimage(self)
 
 
-def orthorectified(frame: "Frame", metres: float) -> Orthoimage:
-    """Return the Orthoimage of a frame, as `Frame.orthorectified`."""
+def orthorectified(
+    radiance: NDArray[np.float32], position: NDArray[np.float32], place: "Place | None", metres: float,
+    kelvin_of: Callable[[ArrayLike], NDArray[np.float32]],
+) -> Orthoimage:  # fmt: skip
+    """Return the Orthoimage of a frame, as `Frame.orthorectified`.
+
+    Parameters
+    ----------
+    radiance : (H, W) float32
+        Band radiance [W m⁻² sr⁻¹].
+    position : (H, W, 3) float32
+        What the pixels show, in the local frame [m]; NaN where that is no surface.
+    place : Place or None
+    metres : float
+        Size of a map pixel [m].
+    kelvin_of : callable
+        The apparent temperature [K] of radiances.
+    """
     from rasterio import Affine
 
     if not (np.isfinite(metres) and metres > 0.0):
         raise ThermorenderError(f"orthorectified: metres={metres!r} is not allowed; give the size of a pixel, above 0")
-    if frame.place is None:
+    if place is None:
         raise ThermorenderError(
             "orthorectified needs a place on Earth, which the frame's scene does not have; add [frame] with "
             "latitude_deg, longitude_deg and height_m to its scene.toml"
         )
-    position = frame.truth["position"].astype(np.float64)
-    seen = np.asarray(np.isfinite(position).all(axis=-1))
+    point = position.astype(np.float64)
+    seen = np.asarray(np.isfinite(point).all(axis=-1))
     if not seen.any():
         raise ThermorenderError("orthorectified: this frame shows no surface; look at the terrain")
-    column, row = _in_pixels(frame.place, position, seen, size := frame.place.pixel_size(metres))
+    column, row = _in_pixels(place, point, seen, size := place.pixel_size(metres))
     # Whole multiples of the pixel's size, so that maps of several frames have their pixels in common.
     left, top = np.floor(np.nanmin(column)), np.floor(np.nanmin(row))
     width, height = (int(np.floor(np.nanmax(of) - start)) + 1 for of, start in ((column, left), (row, top)))
@@ -95,11 +111,11 @@ def orthorectified(frame: "Frame", metres: float) -> Orthoimage:
             f"orthorectified: metres={metres:g} makes {width}×{height} pixels of what this frame sees; up to "
             f"{MOST_TEXELS} are allowed: give larger pixels, or look down"
         )
-    grid = Grid(frame.place.crs, Affine(size[0], 0.0, left * size[0], 0.0, -size[1], -top * size[1]), height, width)
-    radiance = _gridded(column - left, row - top, position[..., 2], frame.radiance, (height, width), metres)
-    known = np.isfinite(radiance)
-    kelvin = np.full(radiance.shape, np.nan, np.float32)
-    kelvin[known] = frame.kelvin_of(radiance[known])
+    grid = Grid(place.crs, Affine(size[0], 0.0, left * size[0], 0.0, -size[1], -top * size[1]), height, width)
+    mean = _gridded(column - left, row - top, point[..., 2], radiance, (height, width), metres)
+    known = np.isfinite(mean)
+    kelvin = np.full(mean.shape, np.nan, np.float32)
+    kelvin[known] = kelvin_of(mean[known])
     return Orthoimage(kelvin, grid)
 
 

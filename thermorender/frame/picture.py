@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.formats import label
 from thermorender.progress import in_notebook
 from thermorender.sensor.palettes import palette
 
@@ -46,7 +47,7 @@ def draw(figure: Any, kelvin: NDArray[Any], title: str) -> None:
     axes = figure.add_subplot()
     drawn = axes.imshow(kelvin, cmap=colours, vmin=low, vmax=high, interpolation="nearest")
     axes.set(xticks=[], yticks=[])
-    axes.set_title(title, fontsize=9)
+    axes.set_title(label(title), fontsize=9)
     figure.colorbar(drawn, ax=axes, label="apparent temperature [K]", extend="both", shrink=0.85)
 
 

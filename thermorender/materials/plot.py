@@ -8,6 +8,7 @@ import numpy as np
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic, check_output_file
+from thermorender.formats import label
 from thermorender.materials.material import Material
 
 # Plotted range, that of long-wave infrared cameras; tables may cover more.
@@ -99,8 +100,10 @@ def _label(material, band_um, temperature):
     first, last = material.valid_range_um
     low, high = max(band_um[0], first), min(band_um[1], last)
     if (low, high) == tuple(band_um):
-        return f"{material.name}: ε = {material.band_emissivity(low, high, temperature):.3f}, {_samples(material)}"
-    return f"{material.name}: measured {first:g}–{last:g} µm only, {_samples(material)}"
+        return (
+            f"{label(material.name)}: ε = {material.band_emissivity(low, high, temperature):.3f}, {_samples(material)}"
+        )
+    return f"{label(material.name)}: measured {first:g}–{last:g} µm only, {_samples(material)}"
 
 
 def _samples(material):

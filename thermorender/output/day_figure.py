@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender import files
+from thermorender.formats import label
 from thermorender.units import ZERO_CELSIUS_K
 
 # Okabe and Ito, Color Universal Design (2008): distinct for every kind of colour vision; black is for the air.
@@ -43,14 +44,14 @@ def figure(
     for number, material in enumerate(materials):
         colour, dash = _COLOURS[number % len(_COLOURS)], _DASHES[number // len(_COLOURS) % len(_DASHES)]
         low, mean, high = (np.array([row[f"{material}_{kind}_k"] for row in rows]) for kind in ("min", "mean", "max"))
-        axis.plot(hours, mean, dash, color=colour, linewidth=1.8, label=material)
+        axis.plot(hours, mean, dash, color=colour, linewidth=1.8, label=label(material))
         if len(materials) <= 4:
             axis.fill_between(hours, low, high, color=colour, alpha=0.12, linewidth=0)
     axis.plot(hours, [row["air_k"] for row in rows], color="black", linewidth=1.2, linestyle=(0, (1, 1)), label="air")
     axis.plot(hours, [row["apparent_mean_k"] for row in rows], color="0.45", linewidth=1.2, linestyle=(0, (5, 1)),
               label="apparent, mean of the frame")  # fmt: skip
     axis.set(xlim=(0, 24), xlabel="mean solar time [h]", ylabel="kinetic temperature [K]",
-             title=f"{name}, day from {rows[0]['time_utc']}: mean over the terrain; grey: sun down")  # fmt: skip
+             title=f"{label(name)}, day from {rows[0]['time_utc']}: mean over the terrain; grey: sun down")  # fmt: skip
     axis.set_xticks(range(0, 25, 3))
     axis.grid(alpha=0.3)
     celsius = axis.secondary_yaxis(

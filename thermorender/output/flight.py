@@ -24,9 +24,9 @@ from thermorender.frame import Frame
 from thermorender.frame.record import record
 from thermorender.output import products as product_files
 from thermorender.output.flight_pages.cost import MEASURED, Cost
-from thermorender.output.flight_pages.flight_figures import SHEET, chosen, thumbnail
+from thermorender.output.flight_pages.flight_figures import SHEET, thumbnail
 from thermorender.output.flight_pages.flight_page import Pictured, write_page
-from thermorender.output.flight_pages.prospect import Prospect
+from thermorender.output.flight_pages.prospect import Prospect, chosen
 from thermorender.output.flight_pages.prospect import prospect as prospect_of
 from thermorender.output.photograph import photograph
 from thermorender.output.record import made_by, weather_of

@@ -137,7 +137,8 @@ class Edits(MaterialEdits):
             Temperature of the black surroundings beyond the terrain [K]; by default it stays as it is.
         """
         now = self._declared
-        kelvin = number_of("with_sky: kelvin", with_unit(kelvin))
+        follows = ", or call with_air('weather') for the air and sky of the weather"
+        kelvin = number_of("with_sky: kelvin", with_unit(kelvin), follows)
         scene_kelvin("with_sky: kelvin", kelvin, allow_zero=True)
         around = now.spec.surroundings_temperature
         if surroundings is not None:

@@ -263,7 +263,9 @@ def _picture(
     for axes in (left, right):
         axes.set_axis_off()
     order = sorted(shown, key=lambda value: -shown[value][1])
-    patches = [Patch(color=table[value] / 255.0, label="{} {:.1%}".format(*shown[value])) for value in order]
+    patches = [
+        Patch(color=table[value] / 255.0, label=formats.label("{} {:.1%}".format(*shown[value]))) for value in order
+    ]
     figure.legend(handles=patches, loc="outside right center", frameon=False)
     with files.atomic(path) as part:
         figure.savefig(part, dpi=110)

@@ -27,8 +27,9 @@ from thermorender.sensor.detector import (
     stepped,
 )
 from thermorender.sensor.motion import Relief, border_uncertainty, grid_camera, moved, pixel_grid
-from thermorender.sensor.movers import Mover, Part, parts
+from thermorender.sensor.movers import Mover, Part, outside, parts
 from thermorender.sensor.schedule import (
+    FAR_PX,
     FITTED_GRADIENT_MK,
     LAG_MK,
     MEMORY,
@@ -42,7 +43,9 @@ from thermorender.sensor.schedule import (
     moved_mk,
     per_mk,
     sample,
+    sample_mean,
     schedule,
+    unmoved_mk,
 )
 
 # Ages [time constants] and weights that integrate cubics against e⁻ᵃ exactly (Gauss–Laguerre).
@@ -146,23 +149,31 @@ class Exposure:
         reading = motion * max(late, 1.0)
         if reading <= STATIC_PX:
             signal = self._static(time_s, self.sensor.power(radiance, moment))
-            instants, renders, error = 1, 1, motion * np.hypot(1.0, late) * gradient
+            instants, renders, parts = 1, 1, self._parts(time_s, before, moved_s)
+            error = unmoved_mk(radiance, self.sensor.camera, motion * np.hypot(1.0, late), gradient)
         elif reading <= SUBPIXEL_PX and interpolates and self.sensor.camera.time_constant_s:
             image = self.sensor.blurred(radiance)
-            signal = self._subpixel(relief, time_s, image, moment)
+            way = self._way(relief, time_s, self.sensor.camera.time_constant_s)
+            signal, error = self._subpixel(way, time_s, image, moment)
             moved_s = _AGES[-1] * self.sensor.camera.time_constant_s - self._delays[0]
-            error = np.hypot(moved_mk(image, self.sensor.camera, motion), SUBPIXEL_MK * motion**2 * contrast)
+            parts = self._parts(time_s, before, moved_s)
+            gaps, rest = np.hypot(_AGES, late), outside(parts, image.shape)
+            error = np.hypot(error, moved_mk(image, self.sensor.camera, way, motion, gaps, _WEIGHTS, rest))
+            error = np.hypot(error, SUBPIXEL_MK * motion**2 * contrast)
             instants, renders = len(_AGES), 1
         else:
             plan = self._schedule(time_s, motion, contrast, self._since(time_s, before), self._render_px)
             image = self.sensor.blurred(radiance)
-            plan = self._seen(plan, relief, image) if interpolates else plan
+            plan = self._seen(plan, relief, image, motion) if interpolates else plan
             signal, error = self._fast(plan, relief, image, moment)
             instants, renders, moved_s = len(plan.times_s), len(plan.renders), self._moved_s(plan)
+            parts = self._parts(time_s, before, moved_s)
             if len(plan.renders) < len(plan.times_s):
-                error = np.hypot(error, moved_mk(image, self.sensor.camera, motion))
+                way = self._way(relief, time_s, min(self._span_s(), _SHORT_S))
+                gaps, weights = plan.moved_middles(self.sensor.camera.time_constant_s)
+                rest = outside(parts, image.shape)
+                error = np.hypot(error, moved_mk(image, self.sensor.camera, way, motion, gaps, weights, rest))
             carried = error**2
-        parts = self._parts(time_s, before, moved_s)
         remembered = self._remembered_mk(time_s, before) ** 2
         square = error**2 + remembered
         followed = remembered + carried
@@ -231,11 +242,11 @@ class Exposure:
         lag_mk = self._lag_mk / max(contrast, 1e-6)
         return schedule(time_s, self._delays, self.sensor.camera.time_constant_s, motion, since_s, lag_mk, render_px)
 
-    def _seen(self, plan: Schedule, relief: Relief, image: Image) -> Schedule:
+    def _seen(self, plan: Schedule, relief: Relief, image: Image, motion: float) -> Schedule:
         """The Schedule with more renders where the images before and after do not see enough of an instant: the last
-        one, the first row's, and that a time constant earlier."""
+        one, the first row's, and those one and, in fast motion, three time constants earlier."""
         times, here, renders = plan.times_s, sample(image.shape), plan.renders
-        for age in (None, 0.0, 1.0):
+        for age in (None, 0.0, 1.0, *([3.0] if motion > FAR_PX else [])):
             number = len(times) - 1
             if age is not None:
                 since = plan.row_times_s[0] - age * self.sensor.camera.time_constant_s
@@ -335,22 +346,31 @@ class Exposure:
         old = response_weights(passed, time_constant_s)[0].astype(np.float32)
         return power if old[0] < SETTLED else power + old[:, None] * (before.signal - power)
 
-    def _subpixel(self, relief: Relief, time_s: float, image: Image, moment: Moment) -> Image:
-        """The signal of each row at its own time, from one image that is moved to a few ages, (H, W) float32 [W]."""
-        camera = self.sensor.camera
+    def _way(self, relief: Relief, time_s: float, span_s: float) -> tuple[Image, Image]:
+        """Motion of each pixel within a time constant, by that in a span before a time: (right, down) (H, W) [px]."""
+        found = relief.source_pixels(self._pose_at(time_s - span_s), self._pose_at(time_s))
+        for here, before in zip(pixel_grid(self.sensor.camera), found, strict=True):
+            np.subtract(here, before, out=before)
+            before *= np.float32(self._span_s() / span_s)
+        return found
+
+    def _subpixel(self, way: tuple[Image, Image], time_s: float, image: Image, moment: Moment) -> tuple[Image, float]:
+        """(The signal (H, W) [W] of each row at its own time, from one image that is moved to a few ages; the error of
+        what lies beyond its border, root mean square [mK])."""
+        camera, here = self.sensor.camera, sample(image.shape)
         column, row = pixel_grid(camera)
-        # Such a small motion is the same in both directions.
-        right, down = relief.source_pixels(self._pose_at(time_s - camera.time_constant_s), self._pose_at(time_s))
-        np.subtract(column, right, out=right)
-        np.subtract(row, down, out=down)
-        total = np.zeros_like(image)
+        total, unseen = np.zeros_like(image), np.zeros_like(image[here])
         for age, weight in zip(_AGES, _WEIGHTS.astype(np.float32), strict=True):
             ago = (age - self._delays / camera.time_constant_s).astype(np.float32)[:, None]
+            # Such a small motion is the same in both directions.
+            right, down = column + way[0] * ago, row + way[1] * ago
             # The blur of linear interpolation matters little at a small weight.
-            total += weight * moved(image, column + right * ago, row + down * ago, coarsely=bool(weight < 0.2))
+            total += weight * moved(image, right, down, coarsely=bool(weight < 0.2))
+            unseen += weight * border_uncertainty(image, right[here], down[here])
         # The scene is static, so the next frame's own image gives its past.
         self.pixels = None
-        return self.sensor.power(total, moment, blurred=True)
+        error_mk = np.sqrt(sample_mean(unseen**2, image.shape)) / per_mk(camera)
+        return self.sensor.power(total, moment, blurred=True), error_mk
 
     def _fast(self, plan: Schedule, relief: Relief, image: Image, moment: Moment) -> tuple[Image, float]:
         """The signal of each row at its own time from the image at the frame's time, and the error of its lag.
@@ -382,7 +402,7 @@ class Exposure:
         self.pixels = follower.pixels
         scale = np.broadcast_to(self.sensor.power_law(moment)[1] * per_mk(camera), image.shape)[here]
         apart = [np.mean(((follower.signal[here] - one.signal) / scale) ** 2) for one in coarser]
-        guessed = np.mean((unseen.signal / per_mk(camera)) ** 2)
+        guessed = sample_mean((unseen.signal / per_mk(camera)) ** 2, image.shape)
         return follower.signal, float(np.sqrt(_BY_HALF**2 * max(apart) + guessed))
 
     def _powers(

@@ -154,3 +154,11 @@ def _sides(one: Part, other: Part) -> tuple[tuple[slice, slice], tuple[slice, sl
 
 def _overlap(one: Part, other: Part) -> bool:
     return all(a.start < b.stop and b.start < a.stop for a, b in _sides(one, other))
+
+
+def outside(parts: Sequence[Part], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Return whether pixels (H, W) are outside all parts; those inside are followed apart, with their own error."""
+    found = np.ones(shape, dtype=bool)
+    for part in parts:
+        found[part.rows, part.columns] = False
+    return found

@@ -11,6 +11,15 @@ from thermorender.physics import moisture, sun
 
 Floats = NDArray[np.float64]
 
+# Lowest and highest value of each quantity and number of a Weather.
+_LIMITS = {
+    "air_k": (150.0, 350.0), "vapour_pa": (0.0, 20e3), "wind_m_s": (0.0, 120.0), "direct_w_m2": (0.0, 2000.0),
+    "diffuse_w_m2": (0.0, 2000.0), "longwave_w_m2": (0.0, 1000.0), "rain_mm_h": (0.0, 2500.0),
+    "pressure_pa": (10e3, 120e3), "snow_m": (0.0, 50.0), "latitude_deg": (-90.0, 90.0),
+    "longitude_deg": (-360.0, 360.0), "altitude_m": (-1000.0, 10e3), "air_height_m": (0.01, 1000.0),
+    "wind_height_m": (0.01, 1000.0),
+}  # fmt: skip
+
 
 class Conditions(NamedTuple):
     """The weather at some instants: arrays of their shape, units as in `Weather`."""
@@ -66,7 +75,7 @@ class Weather:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse times that do not rise, and series of other lengths or with values that are not finite."""
+        """Refuse times that do not rise, series of other lengths, and values that are not finite or out of range."""
         time = np.array(self.time, "datetime64[s]")
         time.flags.writeable = False
         object.__setattr__(self, "time", time)
@@ -82,6 +91,13 @@ class Weather:
             values = values.copy()
             values.flags.writeable = False
             object.__setattr__(self, name, values)
+        for name, (low, high) in _LIMITS.items():
+            values = np.atleast_1d(np.asarray(getattr(self, name), np.float64))
+            # Rounding may leave light just below 0.
+            if not (fits := (values >= low - 1e-6) & (values <= high)).all():
+                raise ThermorenderError(
+                    f"{name} of a Weather is {values[np.argmin(fits)]:g}, which is not allowed; give {low:g} … {high:g}"
+                )
 
     def at(self, time: sun.Times) -> Conditions:
         """Return the Conditions, linearly interpolated, at instants (datetime64, UTC) of any shape.

@@ -101,6 +101,7 @@ def read_station(
     if "pressure_pa" in values:
         check_pressure(path, column_of["pressure_pa"], values["pressure_pa"], altitude_m)
     _note_missing_rows(path, time, rows, step_s, longest_gap_h, notes)
+    time, rows, values = _dry_gaps(time, rows, values, step_s)
     elevation = sun.position_at(time, latitude_deg, longitude_deg)[1]
     for quantity in list(values):
         if quantity.startswith("rain_mm"):
@@ -369,5 +370,23 @@ def _note_missing_rows(path, time, rows, step_s, longest_gap_h, notes):
     if short.any():
         notes.append(
             f"{short.sum()} gaps of missing rows, {(step[short].max() - step_s) / 3600.0:.2g} h at most, are "
-            "interpolated."
+            "interpolated, without rain."
         )
+
+
+def _dry_gaps(time, rows, values, step_s):
+    """Times, rows and values with rows of no rain after and before gaps, so that rain beside a gap does not fill it."""
+    rain = [quantity for quantity in values if quantity in ("rain_mm", "rain_mm_h")]
+    step = np.timedelta64(int(step_s), "s")
+    after = np.flatnonzero(np.diff(time) > 1.5 * step) if rain else []
+    if not len(after):
+        return time, rows, values
+    added = np.unique(np.concatenate([time[after] + step, np.maximum(time[after + 1] - step, time[after] + step)]))
+    added = np.setdiff1d(added, time)
+    whole = np.concatenate([time, added])
+    order = np.argsort(whole, kind="stable")
+    found = {}
+    for quantity, series in values.items():
+        new = np.interp(added.astype(float), time.astype(float), series)
+        found[quantity] = np.concatenate([series, np.zeros(len(added)) if quantity in rain else new])[order]
+    return whole[order], np.concatenate([rows, rows[np.searchsorted(time, added)]])[order], found

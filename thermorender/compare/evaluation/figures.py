@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.compare.evaluation.estimators import View
 from thermorender.units import ZERO_CELSIUS_K
 
@@ -46,12 +46,12 @@ def picture(path: Path, view: View, guesses: Mapping[str, NDArray[np.floating]],
     every = np.abs(np.concatenate([error[np.isfinite(error)] for error in errors.values()]))
     limit = float(np.percentile(every, 98)) if every.any() else 1.0
     pairs[0, 0].imshow(view.pair.visible)
-    pairs[0, 0].set_title(f"{view.pair.entry.key}: visible", fontsize=10)
+    pairs[0, 0].set_title(f"{formats.label(view.pair.entry.key)}: visible", fontsize=10)
     warm = pairs[0, 1].imshow(true, cmap="inferno", vmin=low, vmax=high)
     pairs[0, 1].set_title(f"true; quantile {share:g} of the first map's error", fontsize=10)
     for (name, guess), (left, right) in zip(guesses.items(), pairs[1:], strict=False):
         left.imshow(guess - ZERO_CELSIUS_K, cmap="inferno", vmin=low, vmax=high)
-        left.set_title(name, fontsize=10)
+        left.set_title(formats.label(name), fontsize=10)
         off = right.imshow(errors[name], cmap="RdBu_r", vmin=-limit, vmax=limit)
         finite = errors[name][np.isfinite(errors[name])]
         if finite.size:
@@ -80,12 +80,12 @@ def against_time(path: Path, result: dict[str, Any]) -> None:
         if found["mae_k"] is None:
             continue
         if found.get("seconds_per_mpixel") is None:
-            axis.axhline(found["mae_k"], color="0.3", lw=1, ls=(0, next(dashes, (1, 0))), label=label)
+            axis.axhline(found["mae_k"], color="0.3", lw=1, ls=(0, next(dashes, (1, 0))), label=formats.label(label))
             continue
         ends = found["interval_95"]["mae_k"] or (found["mae_k"],) * 2
         bars = np.abs(np.array(ends) - found["mae_k"])[:, None]
         axis.errorbar(found["seconds_per_mpixel"], found["mae_k"], bars, fmt=_MARKERS[number // 10 % len(_MARKERS)],
-                      color=f"C{number % 10}", capsize=3, label=label)  # fmt: skip
+                      color=f"C{number % 10}", capsize=3, label=formats.label(label))  # fmt: skip
     axis.set(xscale="log", xlabel="inference [s per megapixel]", ylabel="mean absolute error [K]")
     fastest, slowest = axis.get_xlim()
     axis.set_xlim(fastest / 2.0, slowest * 2.0)
@@ -111,7 +111,7 @@ def _curves(path: Path, curves: Curves, label: str, scale: str) -> None:
     figure, axis = plot.subplots(figsize=(8, 5), layout="constrained")
     for name, curve in curves.items():
         x, error = np.array(sorted(curve)).T
-        axis.plot(x, error, "o-", label=name)
+        axis.plot(x, error, "o-", label=formats.label(name))
     axis.set(xscale=scale, xlabel=label, ylabel="mean absolute error [K]")
     axis.set_ylim(bottom=0.0)
     axis.grid(True, which="both", lw=0.3, color="0.85")

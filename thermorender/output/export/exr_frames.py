@@ -1,5 +1,6 @@
 """The frames of a folder for exports: the EXR files that `render`, `fly` and `day` wrote there."""
 
+import re
 from collections.abc import Iterator, Sequence
 from os import PathLike
 from pathlib import Path
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.frame.exr import read_exr
 
+_FRAME = re.compile(r"frame_(\d{6,})\.exr")
 # (number of the frame, {channel: (H, W) array}, record)
 ExrFrame = tuple[int, dict[str, NDArray[Any]], dict[str, Any]]
 
@@ -28,15 +30,18 @@ def exr_frames(folder: str | PathLike[str], channels: Sequence[str], entries: Se
     ThermorenderError
         A folder without frames, or a frame without one of the channels or entries.
     """
-    paths = sorted(Path(folder).glob("frame_*.exr"))
-    if not paths:
+    # Other files, such as a copy of a frame, have no number of their own.
+    numbered = {
+        int(match[1]): path for path in Path(folder).glob("frame_*.exr") if (match := _FRAME.fullmatch(path.name))
+    }
+    if not numbered:
         raise ThermorenderError(
             f"{folder} holds no frame_*.exr; give a folder of `thermorender fly --products exr,truth`"
         )
-    for path in paths:
+    for number, path in sorted(numbered.items()):
         images, about = read_exr(path)
         missing = next((name for name in channels if name not in images), None)
         missing = missing or next((name for name in entries if name not in about), None)
         if missing:
             raise ThermorenderError(f"{path} has no {missing!r}; render it again with --products exr,truth")
-        yield int(path.stem.removeprefix("frame_")), images, about
+        yield number, images, about

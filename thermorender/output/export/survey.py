@@ -15,8 +15,7 @@ import math
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -32,9 +31,6 @@ from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene.georeference import Place
 from thermorender.trajectory.rotations import BODY_FROM_CAMERA, angles_from_rotation, ecef_from_ned
 from thermorender.versions import versions
-
-if TYPE_CHECKING:
-    from thermorender.frame import Frame
 
 # Kelvin of one count.
 STEP_K = 0.01
@@ -114,12 +110,10 @@ def ground(folder: str | PathLike[str], output: str | PathLike[str], metres: flo
             position = np.stack([channels[name] for name in axes], axis=-1)
             if not np.isfinite(position).any():
                 continue
-            seen = SimpleNamespace(
-                radiance=channels["radiance"], truth={"position": position},
-                place=Place(_frame(about), CRS.from_string(about["place"]["crs"])),
-                kelvin_of=partial(apparent_temperature, band_um=about["lens"]["band_um"]),
-            )  # fmt: skip
-            orthorectified(cast("Frame", seen), metres).save(out / f"frame_{number:06d}_ground.tif")
+            place = Place(_frame(about), CRS.from_string(about["place"]["crs"]))
+            kelvin_of = partial(apparent_temperature, band_um=about["lens"]["band_um"])
+            made = orthorectified(channels["radiance"], position, place, metres, kelvin_of)
+            made.save(out / f"frame_{number:06d}_ground.tif")
             count += 1
     return count
 
@@ -231,5 +225,6 @@ def _ratio(value: float) -> Any:
 
 def _degrees(value: float) -> tuple[Any, Any, Any]:
     """Degrees, minutes and seconds of an angle, as EXIF rationals; the seconds to 1e-7."""
-    degrees, rest = divmod(abs(value) * 60.0, 60.0)
-    return _ratio(degrees), _ratio(math.floor(rest)), _ratio(60.0 * (rest - math.floor(rest)))
+    minutes, rest = divmod(round(abs(value) * 3600e7), 60 * 10**7)
+    degrees, minutes = divmod(minutes, 60)
+    return _ratio(degrees), _ratio(minutes), _ratio(rest * 1e-7)

@@ -24,7 +24,7 @@ class Cost:
     free : int
         Free bytes of the output's file system.
     memory : int or None
-        Most memory that this process had in use [bytes]; None where the system does not tell.
+        Most memory that this process had in use [bytes]; None where the system does not state it.
     """
 
     frames: int

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.formats import label
 from thermorender.frame.picture import limits
-from thermorender.output.flight_pages.prospect import Prospect
+from thermorender.output.flight_pages.prospect import Prospect, chosen
 from thermorender.sensor.palettes import palette
 from thermorender.units import ZERO_CELSIUS_K
 
@@ -37,11 +38,6 @@ class Curve:
     values: Mapping[str, Floats]
     band: tuple[Floats, Floats] | None = None
     celsius: bool = False
-
-
-def chosen(count: int, most: int) -> NDArray[np.int64]:
-    """Return the numbers of up to `most` evenly chosen frames of `count`, with the first and the last."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
 
 
 def flight_map(renderer: "Renderer", seen: Prospect, marked: Mapping[str, Sequence[float]] = {}) -> Picture:
@@ -89,25 +85,27 @@ def curves(time_s: Floats, panels: Sequence[Curve]) -> Picture:
     tall = 0.7 + 1.6 * len(panels)
     figure = _figure((8.6, tall))
     axes = figure.subplots(len(panels), sharex=True, squeeze=False)[:, 0]
-    figure.subplots_adjust(left=0.1, right=0.92, top=1.0 - 0.1 / tall, bottom=0.55 / tall, hspace=0.08)
+    # Labels of any width have room, and legends stand above their panel, where they cover no curve.
+    figure.set_layout_engine("constrained", h_pad=0.05, hspace=0.0)
     for axis, panel in zip(axes, panels, strict=True):
         if panel.band is not None:
             axis.fill_between(time_s, *panel.band, color=_BLUE, alpha=0.2, linewidth=0)
         mark = "o" if len(time_s) < 3 else "None"
         for number, (name, values) in enumerate(panel.values.items()):
             colour = _COLOURS[number % len(_COLOURS)]
-            axis.plot(time_s, values, color=colour, linewidth=1.4, marker=mark, markersize=3, label=name)
+            axis.plot(time_s, values, color=colour, linewidth=1.4, marker=mark, markersize=3, label=label(name))
         axis.set_ylabel(panel.label, fontsize=9)
         axis.grid(alpha=0.3)
         axis.margins(x=0.01)
         if len(panel.values) > 1:
-            axis.legend(fontsize=8, loc="upper right", ncols=4, framealpha=0.7)
+            axis.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, frameon=False, borderpad=0.0)
         if panel.celsius:
             other = axis.secondary_yaxis(
                 "right", functions=(lambda k: k - ZERO_CELSIUS_K, lambda c: c + ZERO_CELSIUS_K)
             )
             other.set_ylabel("[°C]", fontsize=9)
     axes[-1].set_xlabel("time [s]")
+    figure.align_ylabels(axes)
     return _pixels(figure)
 
 
@@ -154,13 +152,13 @@ def sheet(
     axes = figure.add_axes((10 / across, 4 / down, mosaic.shape[1] / across, mosaic.shape[0] / down))
     drawn = axes.imshow(mosaic, cmap=colours, vmin=low, vmax=high, interpolation="nearest")
     axes.set_axis_off()
-    for (top, left), label in zip(corner, labels, strict=True):
-        axes.text(left, top - 4, label, fontsize=8, va="bottom")
+    for (top, left), word in zip(corner, labels, strict=True):
+        axes.text(left, top - 4, word, fontsize=8, va="bottom")
     bar = figure.add_axes((1.0 - 106 / across, 24 / down, 14 / across, (down - 64) / down))
     scale = figure.colorbar(drawn, cax=bar, extend="both")
     scale.set_label("apparent temperature [K]", fontsize=9)
     scale.formatter.set_useOffset(False)
-    figure.text(10 / across, 1.0 - 18 / down, title, fontsize=10)
+    figure.text(10 / across, 1.0 - 18 / down, label(title), fontsize=10)
     return _pixels(figure)
 
 
@@ -205,7 +203,7 @@ def _word(axes: Any, place: Sequence[float], word: str, colour: str, up: int = 5
     """A word beside a point, readable on a picture."""
     from matplotlib.patheffects import withStroke
 
-    axes.annotate(word, tuple(place), (5, up), textcoords="offset points", fontsize=8, color=colour, zorder=6,
+    axes.annotate(label(word), tuple(place), (5, up), textcoords="offset points", fontsize=8, color=colour, zorder=6,
                   path_effects=[withStroke(linewidth=2.5, foreground="white")])  # fmt: skip
 
 

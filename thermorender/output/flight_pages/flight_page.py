@@ -78,7 +78,7 @@ def write_page(
     parts = [
         f"<h1>Flight over {text(settings['scene'])}</h1>", f"<p class=note>{text(about)}</p>", _links(folder),
         _summary(seen.lines()), figure(jpeg(drawn), "Track, and what evenly chosen frames see of the ground."),
-        figure(jpeg(contact), "Evenly chosen frames, without noise, in the colours of the surfaces seen."),
+        figure(jpeg(contact), "Evenly chosen frames, without noise. The colours span the surfaces that they show."),
         figure(jpeg(_over_time(lines)), "Apparent temperature: median, and from the least to the greatest pixel; "
                "error budget at 300 K."),
         *_targets(lines, pictured), *_frames(lines, pictured),
@@ -132,13 +132,13 @@ def _targets(lines: Sequence[Mapping[str, Any]], pictured: Mapping[int, Pictured
         return []
     head = (
         "target",
-        "frames in view",
-        "frames visible",
-        "range while visible [m]",
-        "pixels on target, frames of the sheet",
+        "frames with its middle in view",
+        "frames with its middle visible",
+        "range then [m]",
+        "pixels on it, frames of the sheet",
     )
-    note = "<p class=note>Visible: its middle is in view and nothing hides it. Red: never seen.</p>"
-    return ["<h2>Targets</h2>", table(head, rows), note]
+    words = "Visible: nothing hides its middle. Where something does, other parts may show. Red: never seen."
+    return ["<h2>Targets</h2>", table(head, rows), f"<p class=note>{words}</p>"]
 
 
 def _frames(lines: Sequence[Mapping[str, Any]], pictured: Mapping[int, Pictured]) -> list[str]:

@@ -40,17 +40,17 @@ def preview(
     ThermorenderError
         As of `thermorender.output.flight.fly`.
     """
-    tell = outlook or (lambda part: None)
+    report = outlook or (lambda part: None)
     rate_hz = renderer.scene.camera.frame_rate_hz if options.rate_hz is None else options.rate_hz
     times = trajectory.frame_times(rate_hz, options.start_s, options.stop_s)
     seen = prospect(renderer, trajectory, times, rate_hz)
-    tell(seen)
+    report(seen)
     if folder is None:
         with tempfile.TemporaryDirectory() as trial:
-            tell(measured(renderer, trajectory, options, Path(trial), seen))
+            report(measured(renderer, trajectory, options, Path(trial), seen))
         return []
     with files.output_folder(folder) as out:
         with tempfile.TemporaryDirectory(dir=out, prefix=".preview.") as trial:
             cost = measured(renderer, trajectory, options, Path(trial), seen)
-        tell(cost)
+        report(cost)
         return write_preview(out, renderer, seen, cost)

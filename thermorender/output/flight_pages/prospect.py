@@ -94,10 +94,6 @@ class Prospect:
             f"{_range(self.motion_px, 'px')}",
         ]
 
-    @property
-    def warning(self) -> None:
-        """None: the sentences hold all; a flight past the terrain is refused or reported when its log is read."""
-
     def _off(self) -> str:
         off = int(np.isnan(self.above_ground_m).sum())
         return f"; off the terrain in {off} of {len(self.index)} frames" if off else ""
@@ -122,6 +118,11 @@ class Prospect:
         return f"; the orthophoto is coarser, with texels of {self.texel_m:.3g} m, {pixels:.3g} pixels wide"
 
 
+def chosen(count: int, most: int) -> NDArray[np.int64]:
+    """Return the numbers of up to `most` evenly chosen frames of `count`, with the first and the last."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
+
+
 def prospect(renderer: "Renderer", trajectory: Trajectory, times_s: Floats, rate_hz: float) -> Prospect:
     """Return the Prospect of a flight.
 
@@ -135,7 +136,7 @@ def prospect(renderer: "Renderer", trajectory: Trajectory, times_s: Floats, rate
         Frames per second.
     """
     scene, camera = renderer.scene, renderer.scene.camera
-    index = np.unique(np.linspace(0, len(times_s) - 1, min(len(times_s), MOST_FRAMES)).round().astype(np.int64))
+    index = chosen(len(times_s), MOST_FRAMES)
     time_s = times_s[index]
     pose = trajectory.sampled(time_s).poses()
     slope = _slopes(camera)

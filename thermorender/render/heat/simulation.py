@@ -29,11 +29,12 @@ from thermorender.render.arrays import Jit, aligned
 from thermorender.render.geometry import Geometry
 from thermorender.render.heat.places import sun_cosine, texel_points
 from thermorender.render.light import cache
+from thermorender.render.light.exchange import threads
 from thermorender.render.variant import activate
 from thermorender.scene import open_ground
 from thermorender.scene.deviations import Deviations
 from thermorender.scene.scene import Scene
-from thermorender.scene.state.weathered_ground import in_weather, lying_snow
+from thermorender.scene.state.weathered_ground import covered, in_weather, lying_snow
 from thermorender.scene.surface import fill, nearest_valid
 from thermorender.units import ZERO_CELSIUS_K, utc_text
 
@@ -173,7 +174,7 @@ class _Simulation:
         # Change of the ground over the last day of settling [K], the largest of all runs.
         self.settled_k = 0.0
         transport, _ = cache.traced(geometry, _RAYS)
-        self.operator = transport.operator.astype(np.float32)
+        self.operator, self.threads = transport.operator.astype(np.float32), threads()
         self.sky = transport.sky.sum(axis=1).astype(np.float32)
         self.background = transport.background.astype(np.float32)
         self.reflectance, self.emissivity = self._of_faces()
@@ -183,8 +184,7 @@ class _Simulation:
         geometry = self.geometry
         found = next(iter(geometry.points_in_faces([(1.0 / 3.0, 1.0 / 3.0)])))
         number = np.array(geometry.nearest(*found))
-        # Not those of the geometry, which may be that of a scene before an edit.
-        surfaces = self.scene.surfaces
+        surfaces = self.scene.surfaces  # the geometry may be that of a scene before an edit
         material = np.concatenate([surface.material.ravel() for surface in surfaces])[number]
         temperature = np.concatenate([surface.temperature.ravel() for surface in surfaces])[number]
         self.face_material, self.face_kelvin = material, temperature.astype(np.float32)
@@ -197,7 +197,7 @@ class _Simulation:
     def _shown(self, material: Material) -> Material:
         """A material, or the snow on its parts."""
         parts = [part for part, _ in parts_of(material) if part.thermal and part.thermal.texture]
-        return in_weather(parts[:1], self.weather, self.asked[0], self.snow_m)[0] if self.snow_m and parts else material
+        return covered(parts[0], self.snow_m) if self.snow_m and parts else material
 
     def run(
         self, materials: dict[int, Material], wanted: NDArray[np.bool_], progress: Callable[[float], object]
@@ -389,14 +389,15 @@ class _Simulation:
         sky = self.sky * np.float32(found.longwave_w_m2)
         for _ in range(1 if self.arrives is not None else _REFLECTIONS):
             before = np.zeros((len(sky), 2), np.float32) if self.arrives is None else self.arrives
-            leaves = np.column_stack([
-                self.reflectance * (own + before[:, 0]), emitted + (1.0 - self.emissivity) * (sky + before[:, 1])
-            ])  # fmt: skip
-            beyond = np.array([self.mean(leaves[:, 0]), self.mean(leaves[:, 1])], np.float32)
-            self.arrives = self.operator @ leaves + self.background[:, None] * beyond
+            leaves = (self.reflectance * (own + before[:, 0]), emitted + (1.0 - self.emissivity) * (sky + before[:, 1]))
+            self.arrives = np.column_stack(list(self.threads.map(self._arriving, leaves)))
         upload = lambda values: mi.Float(aligned(values[: self.faces]))  # noqa: E731
         until = _LIGHT_S * (np.floor(at_s / _LIGHT_S + 1e-9) + 1.0)
         return _Light(until, upload(self.sky), upload(self.arrives[:, 0]), upload(self.arrives[:, 1]))
+
+    def _arriving(self, leaves: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Light from other faces and from beyond the terrain; a product with one vector is faster than with two."""
+        return self.operator @ leaves + self.background * np.float32(self.mean(leaves))
 
     def mean(self, values: NDArray[Any]) -> Any:
         """Mean over the terrain's area."""

@@ -151,7 +151,8 @@ def cover_of(
         known = dict.fromkeys(part.name for each in materials.used for part, _ in parts_of(each))
         raise ThermorenderError(
             f"{where}: with_material was given {_key_words(key)}, which this scene does not have; give one of its "
-            f"materials {', '.join(known)}, a class number or the name of an object or of a mesh's surface"
+            f"materials {', '.join(known)}, a class number or the name of an object or of a mesh's surface "
+            "(an object or group of an OBJ once a [[surface]] of scene.toml names it)"
         )
     return Cover(tuple(materials.used), tuple(ground), numbers, report)
 

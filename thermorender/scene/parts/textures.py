@@ -56,6 +56,7 @@ def named(textures: Sequence[Texture], names: Sequence[str], where: str, what: s
             raise ThermorenderError(
                 f"{where}: {what} {shortened(repr(name))} is not a node, group, material or texture of the mesh; "
                 f"{did_you_mean(name, known)}it has {shortened(', '.join(known), 300) or 'none'}"
+                "; edits may name an object or group of an OBJ once a [[surface]] of scene.toml does"
             )
         for k, texture in enumerate(textures):
             has = [name in piece for piece in texture.names]

@@ -1,8 +1,8 @@
 """The stated broadband albedo of a terrain: it sets how much sunlight the bare materials absorb.
 
 Station, satellite product or a calibrated orthophoto give the mean reflectance of the ground for sunlight. One common
-factor on the reflectance of the bare materials makes the mean over the terrain's texels equal to it. Leaves, water and
-snow keep their tables.
+factor on the reflectance of the terrain's bare materials makes the mean over its area equal to it. Leaves, water and
+snow keep their tables, and so do materials of objects only.
 """
 
 from collections.abc import Sequence
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import Mixture, parts_of
-from thermorender.scene import open_ground
-from thermorender.scene.surface import FILLED
+from thermorender.scene.parts.textures import areas, used_texels
+from thermorender.scene.surface import FILLED, Surface
 from thermorender.units import ZERO_CELSIUS_K
 
 if TYPE_CHECKING:
@@ -29,17 +29,33 @@ ASSUMED_STD = 0.03
 _MOST = 0.95
 
 
-def shares(terrain: Sequence[Any], count: int) -> NDArray[np.float64]:
-    """Return the share of each of `count` materials in the known texels of a terrain's surfaces, (count,)."""
+def shares(ground: Sequence[Surface], covers: Sequence[Any], count: int, mesh: bool) -> NDArray[np.float64]:
+    """Return the share of each of `count` materials in the area of a terrain, (count,).
+
+    Parameters
+    ----------
+    ground : sequence of Surface
+    covers : sequence
+        Material numbers and flags of the texels of each surface; texels with unknown materials do not count.
+    count : int
+    mesh : bool
+        The surfaces of a mesh have texels of different sizes, of which faces use a part. The used ones share the area
+        of their surface evenly.
+    """
     found = np.zeros(count)
-    for surface in terrain:
-        known = (surface.flags & FILLED) == 0
-        found += np.bincount(surface.material[known], minlength=count)
-    return np.asarray(found / max(found.sum(), 1.0))
+    for surface, cover in zip(ground, covers, strict=True):
+        known, area = (cover.flags & FILLED) == 0, 1.0
+        if mesh:
+            known, area = known & used_texels(surface), float(areas(surface).sum())
+        texels = np.bincount(cover.material[known], minlength=count)
+        found += area / max(texels.sum(), 1) * texels
+    return np.asarray(found / max(found.sum(), 1e-300))
 
 
 def with_albedo(materials: Sequence[Material], share: NDArray[np.float64], albedo: float, where: str) -> list[Material]:
     """Return the materials, the bare ones with another solar absorptance, so that their mean reflectance is `albedo`.
+
+    Materials without a share keep theirs.
 
     Parameters
     ----------
@@ -56,6 +72,8 @@ def with_albedo(materials: Sequence[Material], share: NDArray[np.float64], albed
     ThermorenderError
         The terrain has no bare material, or no factor gives that mean.
     """
+    from thermorender.scene import open_ground
+
     bare, rest, brightest = 0.0, 0.0, 0.0
     for material, area in zip(materials, share, strict=True):
         for part, of in parts_of(material):
@@ -67,7 +85,8 @@ def with_albedo(materials: Sequence[Material], share: NDArray[np.float64], albed
                 rest += area * of * reflected
     if bare == 0.0:
         raise ThermorenderError(
-            f"{where}: weather.albedo={albedo:g} sets bare materials, and the terrain has none; leave it out"
+            f"{where}: weather.albedo={albedo:g} sets bare materials that reflect sunlight, and the "
+            "terrain has none; leave it out"
         )
     most = rest + bare * _MOST / brightest
     if not rest < albedo <= most:
@@ -76,7 +95,9 @@ def with_albedo(materials: Sequence[Material], share: NDArray[np.float64], albed
             f"{rest:.2f} and up to {most:.2f}, or other materials"
         )
     factor = (albedo - rest) / bare
-    return [_brighter(material, factor) for material in materials]
+    return [
+        _brighter(material, factor) if area > 0.0 else material for material, area in zip(materials, share, strict=True)
+    ]
 
 
 def _brighter(material: Material, factor: float) -> Material:
@@ -85,9 +106,13 @@ def _brighter(material: Material, factor: float) -> Material:
         parts = tuple((_brighter(part, factor), share) for part, share in material.parts)
         mean = sum(share * part.solar_absorptance for part, share in parts)
         return replace(material, parts=parts, solar_absorptance=float(mean))
+    from thermorender.scene import open_ground
+
     if not open_ground.bare(material):
         return material
-    return replace(material, solar_absorptance=float(max(1.0 - factor * (1.0 - material.solar_absorptance), 0.0)))
+    return replace(
+        material, solar_absorptance=float(np.clip(1.0 - factor * (1.0 - material.solar_absorptance), 0.0, 1.0))
+    )
 
 
 def notes(scene: "Scene") -> tuple[str, ...]:
@@ -99,8 +124,11 @@ def notes(scene: "Scene") -> tuple[str, ...]:
     spec = scene.spec.weather
     if spec is None or spec.albedo is None or scene.time is None:
         return ()
+    from thermorender.scene import open_ground
+
     std = ASSUMED_STD if spec.albedo_std is None else spec.albedo_std
-    share = shares(scene.surfaces[: scene.terrain_count], len(scene.materials))
+    ground = scene.surfaces[: scene.terrain_count]
+    share = shares(ground, ground, len(scene.materials), scene.spec.terrain.mesh is not None)
     used = [(part, area * of) for material, area in zip(scene.materials, share, strict=True) if area > 0.0
             for part, of in parts_of(material) if open_ground.bare(part)]  # fmt: skip
     weight = np.array([area for _, area in used])

@@ -243,7 +243,7 @@ def _cover(parts: Parts | None, now: Declared) -> Cover:
     cover = cover_of(parts, spec.emissivity, spec.objects, spec.surfaces, now.replaced, now.painted, band, now.where)
     if albedo is None:
         return cover
-    share = shares(cover.ground, len(cover.materials))
+    share = shares(parts.ground, cover.ground, len(cover.materials), spec.terrain.mesh is not None)
     return replace(cover, materials=tuple(with_albedo(cover.materials, share, albedo, now.where)))
 
 

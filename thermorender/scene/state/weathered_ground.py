@@ -69,7 +69,7 @@ def in_weather(
         if thermal.texture and weather.knows_rain:
             days = days or _days(weather, at)
             material = replace(material, thermal=_moist(thermal, days))
-        found.append(_covered(material, snow_m) if thermal.texture and snow_m else material)
+        found.append(covered(material, snow_m) if thermal.texture and snow_m else material)
     return found
 
 
@@ -151,8 +151,8 @@ def _wetted(thermal: Thermal, texture: Texture, water: float) -> Thermal:
     )  # fmt: skip
 
 
-def _covered(material: Material, snow_m: float) -> Material:
-    """Ground under this much snow; it keeps its name."""
+def covered(material: Material, snow_m: float) -> Material:
+    """Return a ground with thermal properties under this much snow [m]; it keeps its name."""
     snow = find(load_library(None), "snow_medium", "snow on the ground")
     thermal = material.known_thermal()
     # Leaves are bent down or covered.

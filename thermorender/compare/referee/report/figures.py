@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.compare.referee.methods import CALIBRATED, REFITTED
 from thermorender.compare.referee.views import View
 from thermorender.units import ZERO_CELSIUS_K
@@ -80,7 +80,7 @@ def error_images(path: Path, view: View, seen: Mapping[str, NDArray[np.floating]
             axis.imshow(photograph)
         else:
             shown = axis.imshow(np.where(view.known, image - ZERO_CELSIUS_K, np.nan), cmap=warmth, vmin=low, vmax=high)
-        axis.set_title(textwrap.fill(label, _TITLE), fontsize=9)
+        axis.set_title(formats.label(textwrap.fill(label, _TITLE)), fontsize=9)
         if errors:
             below = axes[number // columns * step + 1, number % columns]
             if label == "reference":
@@ -114,7 +114,7 @@ def against_time(summary: Summary) -> bytes | None:
     for own, error in scored:
         ends = (error.get("interval_95") or {}).get("mae_k")
         bars = None if ends is None else [[max(error["mae_k"] - ends[0], 0.0)], [max(ends[1] - error["mae_k"], 0.0)]]
-        label = own["map"] if own["map"] not in used else None
+        label = formats.label(own["map"]) if own["map"] not in used else None
         used.add(own["map"])
         axis.errorbar(1e3 * own["seconds_per_frame"], error["mae_k"], yerr=bars, marker=_LETTER[own["letter"]], ls="",
                       color=colours[own["map"]], label=label, capsize=2,
@@ -183,8 +183,9 @@ def differences(summary: Summary) -> bytes | None:
         if np.isfinite(kelvin):
             words = f"{kelvin:.1f}" if kelvin < 9.95 else f"{kelvin:.0f}"
             axis.text(j, k, words, ha="center", va="center", fontsize=9, color="white" if kelvin < dark else "black")
-    axis.set_xticks(range(len(labels)), labels, rotation=90, fontsize=9)
-    axis.set_yticks(range(len(labels)), labels, fontsize=9)
+    shown = [formats.label(label) for label in labels]
+    axis.set_xticks(range(len(labels)), shown, rotation=90, fontsize=9)
+    axis.set_yticks(range(len(labels)), shown, fontsize=9)
     drawing.colorbar(image, ax=axis, label="mean absolute difference [K]", shrink=0.6)
     return _png(drawing, pyplot)
 
@@ -208,7 +209,7 @@ def terms(summary: Summary, names: Sequence[str]) -> bytes | None:
         place = np.arange(len(total)) + (number - len(names) / 2.0) * 0.13
         values = [own[term][0] / own[term][1] if term in own else 0.0 for own in total.values()]
         axis.barh(place, values, height=0.12, color=_COLOURS[number % 8] if term != "whole" else "black", label=term)
-    axis.set_yticks(range(len(total)), list(total), fontsize=_WORDS_PT)
+    axis.set_yticks(range(len(total)), [formats.label(name) for name in total], fontsize=_WORDS_PT)
     axis.invert_yaxis()
     axis.set(xlabel="mean absolute size [K]")
     _beside(axis, axis.get_legend_handles_labels()[0])
@@ -269,7 +270,7 @@ def _legend(
     letters = [letter for letter in _STYLE if any(own["letter"] == letter for own in methods)]
     entries: list[tuple[str, _Look]] = [*first, *((name, {"color": colour}) for name, colour in colours.items())]
     entries += [(letter, {"color": "grey", "ls": _STYLE[letter]}) for letter in letters]
-    handles = [pyplot.Line2D([], [], label=name, **look) for name, look in entries]
+    handles = [pyplot.Line2D([], [], label=formats.label(name), **look) for name, look in entries]
     _beside(axis, handles)
 
 
