@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity import MOST_MATERIALS, EmissivityMap
 from thermorender.learned.emissivity_training import Labelled, train
@@ -18,6 +19,8 @@ from thermorender.scene.spec import read_scene
 # Seeds of the shipped map's training scenes.
 PROCEDURAL_SEEDS = (101, 102, 103, 104, 105)
 DEFAULT_TEXEL_M = 0.5
+# Versions of each scene, and towns, that the shipped map is trained on besides.
+_VERSIONS, _TOWNS = 2, 24
 
 
 def train_on(
@@ -38,7 +41,7 @@ def train_on(
     texel_m : float, optional
         Ground sampling distance of the training [m]; default: 0.5, or the coarsest orthophoto's.
     augmentations : int, optional
-        See `emissivity_training.train`; default: 0 for given scenes, 2 for procedural ones.
+        See `emissivity_training.train`; default: 0 for given scenes, 1 for procedural ones.
     seed, progress
         See `emissivity_training.train`.
 
@@ -60,11 +63,52 @@ def train_on(
         texel_m = texel_m or max(DEFAULT_TEXEL_M, *(item.texel_m for item in labelled))
         augmentations = 0 if augmentations is None else augmentations
     else:
-        labelled = procedural(PROCEDURAL_SEEDS)
-        texel_m, augmentations = texel_m or DEFAULT_TEXEL_M, 2 if augmentations is None else augmentations
+        labelled = varied(PROCEDURAL_SEEDS, seed)
+        texel_m, augmentations = texel_m or DEFAULT_TEXEL_M, 1 if augmentations is None else augmentations
     if not 0 <= augmentations <= 20:
         raise ThermorenderError(f"--augmentations={augmentations} is not allowed; give 0…20")
-    return train(labelled, texel_m, name, augmentations, seed, progress)
+    return train(labelled, texel_m, name, band_emissivity_of(folders), augmentations, seed, progress)
+
+
+def band_emissivity_of(folders: Sequence[str | Path] = ()) -> Callable[[str], float]:
+    """Return a function (material) → its emissivity at 300 K over what is measured of 7.5–13.5 µm.
+
+    Materials are those of the library and of the scenes' own tables.
+    """
+    own = [Path(folder) / "materials" for folder in folders]
+    library = material_tables.load_library()
+    for folder in own:
+        library = library | (material_tables.load_library(folder) if folder.is_dir() else {})
+
+    def found(name: str) -> float:
+        material = material_tables.find(library, name, "the labels")
+        low, high = (limit(pair) for limit, pair in zip((max, min), zip(BAND_UM, material.valid_range_um, strict=True),
+                                                        strict=True))  # fmt: skip
+        return float(material.band_emissivity(low, high, 300.0))
+
+    return found
+
+
+def adapted_to(
+    folder: str | Path, model: str | Path, polygons: str | Path | None = None, name: str = "map", seed: int = 0
+) -> EmissivityMap:
+    """Return an EmissivityMap for a scene, updated by its class raster or polygons; see `emissivity_adaptation`.
+
+    Parameters
+    ----------
+    folder : path
+        Scene folder; see `labelled_scene`.
+    model : str or path
+        Name or file of the map to update.
+    polygons, name, seed
+        See `train_on`.
+    """
+    from thermorender.learned.emissivity import load_map
+    from thermorender.learned.emissivity_adaptation import adapted
+    from thermorender.scene.load import scene_folder
+
+    own = scene_folder(folder)
+    return adapted(load_map(model), labelled_scene(own, polygons), name, band_emissivity_of([own]), seed)
 
 
 def labelled_scene(folder: str | Path, polygons: str | Path | None = None) -> Labelled:
@@ -122,6 +166,18 @@ def procedural(seeds: Iterable[int]) -> Iterator[Labelled]:
                 f"procedural {kind} seed {seed}",
                 kind,
             )
+
+
+def varied(seeds: Iterable[int], seed: int) -> Iterator[Labelled]:
+    """Yield the procedural scenes, versions of each with other colours and cover, and made towns."""
+    from thermorender.campaign.varied_land import town, versions
+
+    generator = np.random.Generator(np.random.Philox(seed))
+    for item in procedural(seeds):
+        yield item
+        yield from versions(item, _VERSIONS, generator)
+    for number in range(_TOWNS):
+        yield town(number)
 
 
 def read_polygons(path: Path, grid: Grid) -> tuple[NDArray[np.uint8], dict[int, str]]:

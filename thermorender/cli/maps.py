@@ -199,13 +199,16 @@ def train(
         Path | None, typer.Option(help="Emissivity: GeoJSON polygons with a property 'material', in place of the "
                                   "classes of a scene."),
     ] = None,
+    base: Annotated[
+        str | None, typer.Option("--from", help="Emissivity: map to update with the labels of one scene.")
+    ] = None,
     texel_m: Annotated[
         float | None, typer.Option(help="Emissivity: ground sampling distance to train at [m].")
     ] = None,
     augmentations: Annotated[
         int | None,
         typer.Option(help="Emissivity: additional copies of each orthophoto with random exposure, balance, contrast "
-                     "and saturation; default 0, procedural 2."),
+                     "and saturation; default 0, procedural 1."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the training.", min=0)] = 0,
     run: Annotated[
@@ -221,11 +224,15 @@ def train(
             raise ThermorenderError(
                 "--split, --set, --oracle, --run and --resume belong to maps of temperature; leave them out"
             )
+        if base is not None:
+            _update_emissivity(sources, output, labels, base, seed, (texel_m, augmentations) == (None, None))
+            return
         _train_emissivity(sources, output, labels, texel_m, augmentations, seed)
         return
-    if labels is not None or texel_m is not None or augmentations is not None:
+    if (labels, base, texel_m, augmentations) != (None,) * 4:
         raise ThermorenderError(
-            f"--labels, --texel-m and --augmentations belong to `train emissivity`, not to {method!r}; leave them out"
+            f"--labels, --from, --texel-m and --augmentations belong to `train emissivity`, not to {method!r}; leave "
+            "them out"
         )
     _train_temperature(method, sources or [], output, of, setting or [], oracle, seed, run, resume)
 
@@ -285,6 +292,23 @@ def _train_emissivity(
     table(("material", "texels held out", "right"), rows)
     if "not_tested" in model.about:
         typer.echo(f"warning: not tested: {model.about['not_tested']}; label more of it to know", err=True)
+    typer.echo(str(output))
+
+
+def _update_emissivity(
+    scenes: list[str] | None, output: Path, labels: Path | None, base: str, seed: int, alone: bool
+) -> None:
+    """Update a map from colour and texture to materials with the labels of one scene."""
+    from thermorender.campaign.material_training import adapted_to
+    from thermorender.learned.emissivity import save_map
+
+    if not alone or len(scenes or ()) != 1:
+        raise ThermorenderError("--from updates a map with the labels of one scene, without --texel-m or "
+                                "--augmentations; give one scene and leave those out")  # fmt: skip
+    assert scenes is not None
+    model = adapted_to(scenes[0], base, labels, output.stem, seed)
+    save_map(model, output)
+    typer.echo(str(model))
     typer.echo(str(output))
 
 

@@ -117,6 +117,11 @@ class SceneOptions:
                 f"{report['model']}: {report['share_unknown']:.1%} of the texels are of unknown material and taken for "
                 f"{report['fallback']}"
             )
+            if "mean_std" in report:
+                typer.echo(
+                    f"{report['model']}: emissivity ± {report['mean_std']:.3f} on average; "
+                    f"{report['share_uncertain']:.1%} of the texels are flagged, beyond emissivity.most_std"
+                )
         return scene
 
 

@@ -231,7 +231,9 @@ class Frame:
         channels over the same spectra. "mirrors": largest error of reflections up to 80°, and of the third mirror in a
         chain, which is left out. "total". "image": the total over all pixels; sky and surroundings only have an error
         of sampling. These are upper estimates; only that of the solution is a bound. An object that no ray hits is not
-        in them. None for a frame of the reference engine, whose error is its noise.
+        in them. With a learned emissivity, "emissivity" is its standard deviation under the unobstructed sky; it is a
+        property of the scene, so the total leaves it out. None for a frame of the reference engine, whose error is its
+        noise.
         """
         return self._view.budget_mk(self.radiance, self._sampling)
 

@@ -22,11 +22,13 @@ BLOCK_TEXELS = 24
 _HELD_OUT_ONE_IN = 5
 _HIDDEN = (96, 64)
 _MOST_SAMPLES = 360_000
-_MOST_PER_IMAGE = 400_000
+_MOST_PER_IMAGE = 150_000
 _EPOCHS = 20
 _CENTRES = 160
 # Calibration: networks, texels each is fitted to and tested on, epochs.
 _FOLDS, _CALIBRATION_SAMPLES, _CALIBRATION_TESTS, _CALIBRATION_EPOCHS = 4, 90_000, 30_000, 8
+# Spread of a material's emissivity between samples.
+_SAMPLE_STD = 0.01
 # Texels tested at a time.
 _AT_ONCE = 200_000
 # Novelty threshold: this quantile of the training texels' distances from their centres, times this margin.
@@ -62,7 +64,8 @@ class Labelled:
 
 
 def train(
-    labelled: Iterable[Labelled], texel_m: float, name: str, augmentations: int = 0, seed: int = 0,
+    labelled: Iterable[Labelled], texel_m: float, name: str, emissivity: Callable[[str], float], augmentations: int = 0,
+    seed: int = 0,
     progress: Callable[[str, float], object] | None = None,
 ) -> tuple[EmissivityMap, np.ndarray]:  # fmt: skip
     """Return (EmissivityMap, confusion (C, C) int) trained on labelled orthophotos.
@@ -74,6 +77,8 @@ def train(
         Ground sampling distance to train at [m].
     name : str
         Name of the map.
+    emissivity : callable (material) → float
+        Band emissivity of each material that the labels name; the probabilities are calibrated for it.
     augmentations : int
         Number of extra versions of each orthophoto, with random exposure, white balance, contrast and saturation. Use
         it if the map is meant for other orthophotos.
@@ -111,7 +116,8 @@ def train(
     described, truth, held_out = map(np.concatenate, zip(*parts, strict=True))
     count = np.bincount(truth[~held_out], minlength=len(names))
     _check_labels(sources, names, count)
-    softening, prior = _calibration(described, truth, np.concatenate(domains), held_out, seed, report)
+    values = np.array([emissivity(name) for name in names])
+    softening, prior = _calibration(described, truth, np.concatenate(domains), held_out, values, seed, report)
     drawn = _drawn(truth, np.flatnonzero(~held_out), count, generator)
     mean, scale = described[drawn].mean(axis=0), described[drawn].std(axis=0) + 1e-3
     standard = (described[drawn] - mean) / scale
@@ -126,7 +132,7 @@ def train(
     confusion = _confusion(model, described[held_out], truth[held_out])
     accuracy = round(float(np.trace(confusion) / confusion.sum()), 4) if confusion.any() else None
     model.about.update(
-        trained_on="; ".join(sources),
+        trained_on="; ".join(dict.fromkeys(sources)),
         split=f"one block of {BLOCK_TEXELS * texel_m:g} m in {_HELD_OUT_ONE_IN} held out",
         calibrated_on=f"{len(known)} kinds of land, each unseen" if len(known) > 1 else "held-out blocks",
         augmentations=augmentations, seed=seed, texels=len(drawn), held_out_texels=int(held_out.sum()),
@@ -163,7 +169,7 @@ def _check_labels(sources, names, count):
         )
 
 
-def _calibration(described, truth, domain, held_out, seed, report):
+def _calibration(described, truth, domain, held_out, emissivity, seed, report):
     """(softening, prior) of the posterior, fitted on domains that a network did not see; each domain counts the same.
 
     With one domain, it is fitted on the held-out blocks, whose ground resembles the ground of the training.
@@ -193,7 +199,7 @@ def _calibration(described, truth, domain, held_out, seed, report):
         score[:, inside] = _scores(layers, np.float32((described[test] - mean) / scale))
         scores.append(score)
         truths.append(truth[test])
-    return fitted_posterior(scores, truths) if scores else (1.0, 0.0)
+    return fitted_posterior(scores, truths, emissivity) if scores else (1.0, 0.0)
 
 
 def _quiet(what, share):
@@ -208,23 +214,33 @@ def _scores(layers, standard):
     return standard @ np.float32(weight) + np.float32(bias)
 
 
-def fitted_posterior(scores, truths):
-    """Return (softening, prior) with the largest likelihood of labels (N,) given scores (N, C), per domain.
+def fitted_posterior(scores, truths, emissivity):
+    """Return (softening, prior) with the largest likelihood of the emissivity of labels (N,) by scores (N, C).
 
-    A material whose score is minus infinity was not known to that domain's network; the prior alone covers it. The
-    softening is 0.5…20, the prior 0.001…0.95. Domains have equal weight.
+    The emissivity of a texel is taken as normal with the mean and standard deviation of the posterior over materials,
+    whose own are `emissivity` (C,). A material whose score is minus infinity was not known to that domain's network;
+    the prior alone covers it. The softening is 0.5…20, the prior 0.001…0.95. Domains have equal weight.
     """
     from scipy.optimize import minimize
 
     def loss(free):
         softening, prior = np.exp(free[0]), 1.0 / (1.0 + np.exp(-free[1]))
-        parts = [posterior(np.float64(score), softening, prior)[np.arange(len(label)), label]
-                 for score, label in zip(scores, truths, strict=True)]  # fmt: skip
-        return -np.mean([np.log(part).mean() for part in parts])
+        return emissivity_loss(scores, truths, emissivity, softening, prior)
 
     bounds = [(np.log(0.5), np.log(20.0)), (np.log(0.001 / 0.999), np.log(0.95 / 0.05))]
     found = minimize(loss, [np.log(2.0), 0.0], bounds=bounds, method="L-BFGS-B")
     return float(np.exp(found.x[0])), float(1.0 / (1.0 + np.exp(-found.x[1])))
+
+
+def emissivity_loss(scores, truths, emissivity, softening, prior):
+    """Return the mean negative log-likelihood of the labels' emissivity, as in `fitted_posterior`."""
+    parts = []
+    for score, label in zip(scores, truths, strict=True):
+        probability = posterior(np.float64(score), softening, prior)
+        mean = probability @ emissivity
+        variance = np.maximum(probability @ emissivity**2 - mean**2, 0.0) + _SAMPLE_STD**2
+        parts.append(0.5 * np.mean(np.log(variance) + (emissivity[label] - mean) ** 2 / variance))
+    return float(np.mean(parts))
 
 
 def _layers(standard, truth, count, seed, epochs, report):

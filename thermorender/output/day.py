@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from thermorender import files, formats
 from thermorender.errors import ThermorenderError
 from thermorender.frame.record import record
+from thermorender.materials.mixture import parts_of
 from thermorender.output import products as product_files
 from thermorender.output.day_figure import figure
 from thermorender.output.record import made_by, weather_of
@@ -29,12 +30,15 @@ from thermorender.units import instant, utc_text
 
 if TYPE_CHECKING:
     from thermorender.frame import Frame
+    from thermorender.materials.material import Material
     from thermorender.scene.load import Scene
 
 DEFAULT = ("exr", "truth", "counts", "display", "video")
 # Frames of the video per second.
 RATE_HZ = 8.0
 _DAY_MIN = 24 * 60
+# Materials with columns of their own.
+_MOST_MATERIALS = 8
 
 
 def solar_midnight(time: np.datetime64, longitude_deg: float) -> np.datetime64:
@@ -88,7 +92,8 @@ def day(
     -------
     list of dict
         The rows of `day.csv`: solar_hour [h], time_utc, sun_elevation_deg, air_k, apparent_mean_k of the frame, and
-        for each material of the terrain NAME_mean_k, NAME_min_k, NAME_max_k over its texels, visible or not.
+        for the eight materials with the most texels of the terrain NAME_mean_k, NAME_min_k, NAME_max_k over them,
+        visible or not. A mix of materials counts as its largest part, and the remaining materials are "others".
 
     Raises
     ------
@@ -189,11 +194,24 @@ def _row(scene: "Scene", frame: "Frame") -> dict[str, Any]:
     known = [(surface.flags & FILLED) == 0 for surface in terrain]
     material = np.concatenate([one.material[here] for one, here in zip(terrain, known, strict=True)])
     kelvin = np.concatenate([one.temperature[here] for one, here in zip(terrain, known, strict=True)])
-    for number in np.unique(material):
-        own, name = kelvin[material == number], scene.materials[number].name
+    for name, numbers in _largest(scene.materials, material).items():
+        own = kelvin[np.isin(material, numbers)]
         row[f"{name}_mean_k"] = float(own.mean(dtype=np.float64))
         row[f"{name}_min_k"], row[f"{name}_max_k"] = float(own.min()), float(own.max())
     return row
+
+
+def _largest(materials: "Sequence[Material]", texels: NDArray[np.uint8]) -> dict[str, list[int]]:
+    """{name: numbers} of the materials with the most texels, and of the others; a mix counts as its largest part."""
+    count = np.bincount(texels, minlength=len(materials))
+    groups: dict[str, list[int]] = {}
+    for number in np.flatnonzero(count):
+        main, _ = max(parts_of(materials[number]), key=lambda part: part[1])
+        groups.setdefault(main.name, []).append(int(number))
+    ordered = sorted(groups, key=lambda name: -int(count[groups[name]].sum()))
+    found = {name: groups[name] for name in ordered[:_MOST_MATERIALS]}
+    others = [number for name in ordered[_MOST_MATERIALS:] for number in groups[name]]
+    return {**found, "others": others} if others else found
 
 
 def _show(folder: Path, display: DisplaySettings, counts: NDArray[np.uint16], video: bool) -> None:

@@ -27,6 +27,8 @@ from thermorender.scene.surface import fill, nearest_valid
 _MOST_MIXES = 200
 # Class number that `map-materials` writes for unknown texels.
 UNKNOWN_CLASS = 255
+# Temperature for which band means are taken [K].
+_REFERENCE_K = 300.0
 _UNKNOWN_COLOUR = (255, 0, 255)
 _Colour = tuple[int, ...]
 # Distance in CIELAB from which colours of a legend are easy to distinguish.
@@ -72,9 +74,11 @@ def learned_materials(
     Returns
     -------
     unknown : list of (h, w) bool
-        Where the fallback is used, the last of the materials returned.
+        Where the fallback is used, the last of the materials returned, or the emissivity's standard deviation is larger
+        than `source.most_std`.
     report : dict
-        Share of unknown texels, mean confidence, errors of the palette and the coarsest texel.
+        Shares of texels with the fallback and with a large standard deviation, mean confidence and standard deviation,
+        errors of the palette and the coarsest texel.
     """
     assert source.model is not None and source.fallback is not None
     model = load_map(source.model).without(source.without)
@@ -91,11 +95,16 @@ def learned_materials(
     unknown = valid & (confidence < source.confidence)
     number, used, error = palette(index, share, probability, own, band_um, _MOST_MIXES)
     number[unknown] = len(used)
+    # The fallback is not learned.
+    std = np.array([*(one.band_emissivity_std(*band_um, _REFERENCE_K) for one in used), 0.0])[number]
+    doubtful = valid & (std > source.most_std)
     report = {
         "model": model.name,
         "fallback": fallback.name,
         "share_unknown": float(unknown.sum() / valid.sum()),
+        "share_uncertain": float(doubtful.sum() / valid.sum()),
         "mean_confidence": float(confidence[valid].mean()),
+        "mean_std": float(np.nanmean(std[valid & ~unknown])) if (valid & ~unknown).any() else float("nan"),
         "palette_mean": error["mean"],
         "palette_largest": error["largest"],
         "texel_m": max(one.texel_m for one in pictures),
@@ -106,7 +115,7 @@ def learned_materials(
     def apart(values: NDArray[Any]) -> list[NDArray[Any]]:
         return [part.reshape(one.valid.shape) for part, one in zip(np.split(values, ends), pictures, strict=True)]
 
-    return apart(number), [*used, fallback], apart(unknown), report
+    return apart(number), [*used, fallback], apart(unknown | doubtful), report
 
 
 def orthophoto_of(spec: SceneSpec) -> tuple[NDArray[np.uint8], NDArray[np.bool_], Grid, float]:

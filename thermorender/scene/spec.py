@@ -40,6 +40,8 @@ from thermorender.schema import (
 # Where a learned emissivity map's most probable material is less probable than this, the texel is unknown.
 # Below the probability of any most probable material: only texels unlike the training data are unknown.
 DEFAULT_CONFIDENCE = 0.003
+# Texels whose learned emissivity has a larger standard deviation are flagged.
+DEFAULT_MOST_STD = 0.05
 # No scene's coldest temperature is above this [°C], so a range that begins there is one of kelvin.
 _WARMEST_COLD_C = 150.0
 # The [atmosphere] that follows [weather].
@@ -196,6 +198,7 @@ class EmissivitySpec:
     model: str | None = key(emissivity_map, None)
     fallback: str | None = key(text, None)
     confidence: float = key(share, DEFAULT_CONFIDENCE)
+    most_std: float = key(share, DEFAULT_MOST_STD)
     without: tuple[str, ...] = key(texts, ())
 
     def check(self, where: Where, given: Mapping[str, Any]) -> None:

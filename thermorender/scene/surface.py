@@ -15,7 +15,7 @@ FILLED = 2  # colour, material or height is unknown: filled from the nearest val
 FALLBACK = 4  # the source has no temperature: the nearest one, or the material's own where a learned map fails
 SATURATED = 8  # the sensor's range is exceeded
 BACKGROUND = 16  # no surface is hit below the horizon: the black background beyond the terrain
-UNKNOWN = 32  # a learned emissivity map or a class raster does not know it: the scene's fallback material
+UNKNOWN = 32  # a class raster or a learned map does not know it (fallback material), or emissivity beyond most_std
 UNMOVED = 64  # a map could not be moved to this instant, or is uninformative: the heat balance is used
 BEHIND = 128  # a surface's back, with the front's light: a camera below ground or in a body, or flipped normals
 

@@ -15,6 +15,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.files import atomic
 from thermorender.learned.emissivity import load_map, map_materials
 from thermorender.learned.features import lab
+from thermorender.materials.extended import within_band
 from thermorender.materials.library import find, load_library
 from thermorender.physics.band import RadianceTable, quadrature
 from thermorender.physics.planck import spectral_radiance
@@ -50,9 +51,11 @@ def evaluate(model="procedural", seeds=(201, 202), fallback="soil_loam", confide
     """
     report = progress or (lambda step, share: None)
     model, library = load_map(model), load_library()
-    # The other materials have no data in this band.
+    # The others have no data in this band, unless the map names them: scenes assume their missing part.
     low, high = BAND_UM
-    library = {n: m for n, m in library.items() if m.valid_range_um[0] <= low and m.valid_range_um[1] >= high}
+    whole = {n: m for n, m in library.items() if m.valid_range_um[0] <= low and m.valid_range_um[1] >= high}
+    named = {n: within_band(m, BAND_UM, library, model.name) for n, m in library.items() if n in model.materials}
+    library = whole | named
     names = list(library)
     own = [find(library, name, f"emissivity map {model.name!r}").name for name in model.materials]
     own = np.array([names.index(name) for name in own])

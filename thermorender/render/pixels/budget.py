@@ -5,19 +5,22 @@ the prediction is scaled to the errors measured there. It is thus valid at any d
 not for details that no ray has hit and no neighbour indicates.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.materials.mixture import Mixture
+from thermorender.physics.planck import band_radiance
 from thermorender.render.arrays import Floats, view_ray
 from thermorender.render.dynamic import Placement
 from thermorender.render.pixels.sampling import STAGES, CameraRays, contrast, edge_estimate, texture_estimate
 from thermorender.render.pixels.tracer import Sampling, Tracer
 from thermorender.render.plan import Plan
 from thermorender.render.reflection import mirrors
+from thermorender.render.truth import truth
 
 if TYPE_CHECKING:
     from thermorender.render.baked import BakedScene
@@ -45,6 +48,7 @@ def budget_mk(
     """Return {cause: estimated root mean square error [mK]} of a frame over the pixels that show a surface.
 
     "image" is the total over all pixels; of those that show sky or surroundings only the sampling is in it.
+    "emissivity", which the total leaves out, is in it if the scene has a learned emissivity.
     """
     errors, shown = sampling_error(baked.plan, tracer, radiance, sampling) / baked.plan.radiance_per_mk, sampling.shown
     parts = _everywhere(baked)
@@ -54,7 +58,11 @@ def budget_mk(
         parts["mirrors"] = float(np.hypot(parts["mirrors"], _rms(mirrored)))
     parts["sampling"] = _rms(errors[shown])
     total = float(np.sqrt(sum(value**2 for value in parts.values())))
-    return {**parts, "total": total, "image": _rms(np.where(shown, total, errors))}
+    found = {**parts, "total": total, "image": _rms(np.where(shown, total, errors))}
+    if any(isinstance(material, Mixture) for material in baked.scene.materials):
+        seen = truth(baked, tracer.rays, pose, placements)
+        found["emissivity"] = _rms(emissivity_mk(baked, seen))
+    return found
 
 
 def error_mk(
@@ -69,6 +77,20 @@ def error_mk(
     square = light.reshape(radiance.shape) ** 2 + np.square(errors / baked.plan.radiance_per_mk, dtype=np.float64)
     square += sum(value**2 for value in _everywhere(baked).values())
     return np.sqrt(square).astype(np.float32)
+
+
+def emissivity_mk(baked: "BakedScene", images: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
+    """Return the standard deviation of each pixel due to a learned emissivity, (H, W) [mK at 300 K]; NaN where none.
+
+    `images` are those of `Frame.truth`. The surface is taken to reflect the unobstructed sky without air before it,
+    which is an upper estimate: warmer surroundings and air both lower the effect of emissivity.
+    """
+    scene, band = baked.scene, baked.scene.camera.band_um
+    known = np.isfinite(images["kinetic_temperature"])
+    contrast = np.full(known.shape, np.nan)
+    contrast[known] = band_radiance(images["kinetic_temperature"][known], *band)
+    contrast = np.abs(contrast - band_radiance(scene.sky_temperature, *band))
+    return np.asarray(images["emissivity_std"] * contrast / baked.plan.radiance_per_mk, dtype=np.float64)
 
 
 def _everywhere(baked: "BakedScene") -> dict[str, float]:

@@ -92,6 +92,8 @@ def _materials(derived: Derived) -> str:
             f"; read from colour by {report['model']!r}, {report['share_unknown']:.1%} unknown and taken for "
             f"{report['fallback']}"
         )
+        if "mean_std" in report:
+            words += f"; emissivity ± {report['mean_std']:.3f} on average, {report['share_uncertain']:.1%} flagged"
     return words
 
 

@@ -1,0 +1,202 @@
+"""Learned emissivity on labelled aerial pictures: five groups of ground, whose mean emissivity is the truth.
+
+The labels say water, bare land, road, building or vegetation, not the material. A texel's true emissivity is therefore
+taken as the mean of the library's materials of its group, and the texel's own is unknown to about the spread within the
+group. A constant for the whole set, chosen with the labels, is the strictest rival.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from thermorender.compare.evaluation.figures import pyplot, save
+from thermorender.defaults import BAND_UM
+from thermorender.errors import ThermorenderError
+from thermorender.formats import decoded
+from thermorender.learned.emissivity import load_map, map_materials
+from thermorender.materials.extended import within_band
+from thermorender.materials.library import load_library
+from thermorender.physics.planck import band_radiance, brightness_temperature
+
+GROUPS = {
+    "water": ("water",),
+    "bare land": ("soil_loam", "soil_dark", "soil_arid", "sand_quartz", "granite", "limestone", "leaf_litter"),
+    "road": ("asphalt", "concrete"),
+    "building": ("roof_shingle", "roof_slate", "roof_rubber", "roof_tile_clay", "roof_felt", "metal_painted", "glass",
+                 "wood", "concrete"),
+    "vegetation": ("grass_green", "grass_dry", "heath_shrub", "conifer", "broadleaf"),
+}  # fmt: skip
+# A map's further materials count to these groups; those of the table above to the first that names them.
+_FURTHER = {"steel_galvanised_oxidised": "building", "snow": "water", "concrete_urban": "road"}
+# Apparent temperatures are of ground of this temperature under these skies [K].
+_GROUND_K, SKIES_K = 300.0, {"clear": 250.0, "cloudy": 285.0}
+HEADER = ("set", "tiles", "accuracy", "balanced", "mean |Δε|", "constant 0.95", "best constant", "÷ best constant",
+          "clear [K]", "cloudy [K]", "1 σ", "2 σ", "σ")  # fmt: skip
+_PER_TILE = 20_000
+
+
+def run(folders, texel_m, model="procedural", seed=0, progress=None):
+    """Return {model, sets: {name: record}} of labelled folders.
+
+    Parameters
+    ----------
+    folders : sequence of path
+        Each holds NAME.jpg with NAME_label.png, the number of the group in the order of GROUPS, 255 for none.
+    texel_m : sequence of float
+        Ground sampling distance of each folder [m].
+    model : str
+        Name or file of the emissivity map.
+    seed : int
+        Seed of the texels that are judged.
+    progress : callable, optional
+        Called with (step, share done).
+
+    Raises
+    ------
+    ThermorenderError
+        A folder without labelled pictures, or one distance too few.
+    """
+    if len(folders) != len(texel_m):
+        raise ThermorenderError(f"{len(folders)} folders have {len(texel_m)} ground sampling distances; give one each")
+    model = load_map(model)
+    emissivity, group, truth = _tables(model)
+    sets = {}
+    for folder, metres in zip(map(Path, folders), texel_m, strict=True):
+        labels = sorted(folder.glob("*_label.png"))
+        if not labels:
+            raise ThermorenderError(f"{folder} has no NAME_label.png; give a folder of labelled pictures")
+        random = np.random.Generator(np.random.Philox(seed))
+        parts = []
+        for number, path in enumerate(labels):
+            if progress:
+                progress(f"{folder.name}, {path.stem}", number / len(labels))
+            mapped, label, _ = _mapped(model, path, metres)
+            known = np.flatnonzero(label.ravel() < len(GROUPS))
+            known = random.choice(known, min(_PER_TILE, known.size), replace=False)
+            probability = mapped.probability.reshape(-1, len(model.materials))[known] / 255.0
+            probability /= probability.sum(axis=1, keepdims=True)
+            parts.append((probability, label.ravel()[known]))
+        probability, label = map(np.concatenate, zip(*parts, strict=True))
+        sets[folder.name] = {"tiles": len(labels), "texel_m": metres,
+                             **_scores(probability, label, emissivity, group, truth)}  # fmt: skip
+    groups = dict(zip(GROUPS, truth.round(4).tolist(), strict=True))
+    return {"model": model.name, "about": model.about, "groups": groups, "sets": sets}
+
+
+def rows(result):
+    """Return table rows of text under HEADER."""
+    return [
+        (name, str(one["tiles"]), f"{one['accuracy']:.2f}", f"{one['balanced']:.2f}", f"{one['error']:.4f}",
+         f"{one['constant_095']:.4f}", f"{one['best_constant']:.4f}", f"{one['error'] / one['best_constant']:.2f}",
+         f"{one['kelvin']['clear']:.2f}", f"{one['kelvin']['cloudy']:.2f}", f"{one['within'][0]:.0%}",
+         f"{one['within'][1]:.0%}", f"{one['std']:.3f}")
+        for name, one in result["sets"].items()
+    ]  # fmt: skip
+
+
+def figure(path, result):
+    """Draw the calibration: the share of texels whose error is below a multiple of σ, for each set."""
+    drawing, axis = pyplot().subplots(figsize=(5.6, 4.6), layout="constrained")
+    at = np.array(_MULTIPLES)
+    for name, one in result["sets"].items():
+        axis.plot(at, one["calibration"], label=name)
+    from scipy.special import erf
+
+    axis.plot(at, erf(at / np.sqrt(2.0)), color="0.5", linestyle="--", label="normal distribution")
+    axis.set(xlabel="multiple of the stated standard deviation", ylabel="share of texels with a smaller error",
+             xlim=(0, at[-1]), ylim=(0, 1))  # fmt: skip
+    axis.legend(fontsize=8)
+    axis.grid(lw=0.3, color="0.85")
+    save(drawing, path)
+
+
+def pictures(path, labels, texel_m, model="procedural"):
+    """Draw labelled pictures beside their labels, learned emissivity and its standard deviation, one row each."""
+    model = load_map(model)
+    emissivity, _, truth = _tables(model)
+    drawing, axes = pyplot().subplots(
+        len(labels), 4, figsize=(14.0, 3.4 * len(labels)), layout="constrained", squeeze=False
+    )
+    for row, (label_path, metres) in enumerate(zip(labels, texel_m, strict=True)):
+        mapped, label, rgb = _mapped(model, Path(label_path), metres)
+        probability = mapped.probability / mapped.probability.sum(axis=-1, keepdims=True, dtype=np.float32)
+        mean = probability @ np.float32(emissivity)
+        std = np.sqrt(np.maximum(probability @ np.float32(emissivity**2) - mean**2, 0.0))
+        true = np.append(truth, np.full(256 - len(truth), np.nan))[label]
+        axes[row, 0].imshow(rgb)
+        for axis, image, (low, high), title in (
+            (axes[row, 1], true, (0.9, 0.99), "mean of the labelled group"),
+            (axes[row, 2], mean, (0.9, 0.99), "learned emissivity"),
+            (axes[row, 3], std, (0.0, 0.08), "its standard deviation"),
+        ):
+            drawing.colorbar(axis.imshow(image, vmin=low, vmax=high, cmap="viridis"), ax=axis, shrink=0.8)
+            axis.set_title(title, fontsize=9)
+        axes[row, 0].set_title(Path(label_path).stem.removesuffix("_label"), fontsize=9)
+        for axis in axes[row]:
+            axis.set_axis_off()
+    save(drawing, path)
+
+
+def first(folders, texel_m, count=2):
+    """Return (paths, distances) of the first labelled pictures of each folder."""
+    found = [(path, metres) for folder, metres in zip(folders, texel_m, strict=True)
+             for path in sorted(Path(folder).glob("*_label.png"))[:count]]  # fmt: skip
+    return tuple(zip(*found, strict=True))
+
+
+_MULTIPLES = np.linspace(0.0, 3.0, 31).tolist()
+
+
+def _tables(model):
+    """(emissivity (C,) and group (C,) of a map's materials, true emissivity of each group)."""
+    library = load_library()
+    named = {*model.materials, *(name for group in GROUPS.values() for name in group)} & set(library)
+    mean = {name: float(within_band(library[name], BAND_UM, library, name).band_emissivity(*BAND_UM, _GROUND_K))
+            for name in named}  # fmt: skip
+    names = list(GROUPS)
+    of = {name: names.index(_FURTHER[name]) for name in _FURTHER}
+    for number, group in reversed(list(enumerate(GROUPS.values()))):
+        of |= dict.fromkeys(group, number)
+    truth = np.array([np.mean([mean[name] for name in group]) for group in GROUPS.values()])
+    unknown = [name for name in model.materials if name not in of or name not in mean]
+    if unknown:
+        raise ThermorenderError(f"map {model.name!r} has {', '.join(unknown)}, which belong to no group; add them")
+    return np.array([mean[n] for n in model.materials]), np.array([of[n] for n in model.materials]), truth
+
+
+def _mapped(model, label_path, texel_m):
+    import cv2
+
+    picture = label_path.with_name(label_path.name.replace("_label.png", ".jpg"))
+    rgb, label = decoded(picture.read_bytes(), cv2.IMREAD_COLOR), decoded(label_path.read_bytes(), cv2.IMREAD_GRAYSCALE)
+    if rgb is None or label is None or rgb.shape[:2] != label.shape:
+        raise ThermorenderError(f"{picture} and {label_path} are not pictures of one size; give them as JPEG and PNG")
+    rgb = np.ascontiguousarray(rgb[..., ::-1])
+    return map_materials(model, rgb, texel_m), label, rgb
+
+
+def _scores(probability, label, emissivity, group, truth):
+    likely = np.stack([probability[:, group == number].sum(axis=1) for number in range(len(GROUPS))], axis=1).argmax(1)
+    mean = probability @ emissivity
+    std = np.sqrt(np.maximum(probability @ emissivity**2 - mean**2, 1e-12))
+    error, true = np.abs(mean - truth[label]), truth[label]
+    present = np.unique(label)
+    constants = [float(np.abs(value - true).mean()) for value in np.arange(0.85, 1.0, 0.001)]
+    ratio = error / std
+    return {
+        "texels": int(label.size), "accuracy": float((likely == label).mean()),
+        "balanced": float(np.mean([(likely == label)[label == number].mean() for number in present])),
+        "recall": {name: float((likely == label)[label == number].mean())
+                   for number, name in enumerate(GROUPS) if number in present},
+        "error": float(error.mean()), "constant_095": float(np.abs(0.95 - true).mean()),
+        "best_constant": min(constants), "std": float(std.mean()),
+        "kelvin": {name: float(np.abs(_apparent(mean, sky) - _apparent(true, sky)).mean())
+                   for name, sky in SKIES_K.items()},
+        "within": [float((ratio < times).mean()) for times in (1.0, 2.0)],
+        "calibration": [float((ratio < times).mean()) for times in _MULTIPLES],
+    }  # fmt: skip
+
+
+def _apparent(emissivity, sky_k):
+    own, sky = (float(band_radiance(value, *BAND_UM)) for value in (_GROUND_K, sky_k))
+    return brightness_temperature(emissivity * own + (1.0 - emissivity) * sky, *BAND_UM)
