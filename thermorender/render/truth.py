@@ -57,7 +57,7 @@ def truth(
         share = spectral_radiance(wavelength, REFERENCE_K) * weight / band_radiance(REFERENCE_K, *band_um)
         table = scene.materials[one].emissivity_at_angle(wavelength, COSINES[:, None]) @ share
         emissivity[here] = np.interp(np.abs(cosine[here]), COSINES, table)
-    found = {
+    found: dict[str, NDArray[Any]] = {
         "kinetic_temperature": np.where(valid, temperature, np.nan).astype(np.float32),
         "emissivity": np.where(valid, emissivity, np.nan).astype(np.float32),
         "material": np.where(valid, material, NO_MATERIAL).astype(np.uint8),
