@@ -179,6 +179,6 @@ def recipe_of(method, architecture=None):
 
 
 def method_of_file(header):
-    """Return the method that a map's file was trained by; before 0.2.0, `unet-gan` named what is now `unet-gan-keras`."""
+    """Return the method of a map's file by its header; before 0.2.0, `unet-gan-keras` was called `unet-gan`."""
     old = header["method"] == "unet-gan" and header.get("architecture") in (None, "keras_unet")
     return "unet-gan-keras" if old else header["method"]
