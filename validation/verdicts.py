@@ -168,6 +168,7 @@ STUDIES = (
           ("convergence/convergence_*.png",), _convergence, continues=True),
     Study("budget", "validation.budget", "Stated against true sampling error", "budget/budget.json",
           ("budget/budget.png",), _budget, continues=True),
+    Study("targets", "validation.targets", "Small and far targets", "targets/targets.json"),
     Study("air", "validation.air", "Spectral channels of the air", "air/air.json", ("air/*.png",), _air),
     Study("soundings", "validation.soundings", "The air of the weather against whole soundings",
           "soundings/soundings.json", runs=False),
