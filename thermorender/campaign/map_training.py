@@ -13,12 +13,13 @@ from thermorender.campaign.cut import Cut, moved
 from thermorender.campaign.dataset import Dataset
 from thermorender.campaign.map_inputs import depth_of, ground_of, inputs_of
 from thermorender.errors import ThermorenderError
+from thermorender.learned.fingerprints import fingerprints_of, stored_numbers
 from thermorender.learned.temperature_map import ASSUMED_SKY_K, Inputs, TemperatureMap
 from thermorender.learned.training import Example, Task
 from thermorender.learned.training_methods import METHODS, method
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.units import ZERO_CELSIUS_K
-from thermorender.versions import versions
+from thermorender.versions import version_of, versions
 
 # Lowest temperature of intensity 0 [K], below any sky's in the band. Chosen.
 _COLDEST_K = 150.0
@@ -103,13 +104,25 @@ def train_map(
         name=name, method=method_name, predictor=predictor, range_k=range_k, band_um=scale.band_um,
         texel_m=texel_m, texel_range_m=texel_range_m, camera=dataset.card.get("camera", "unknown"),
         sky_temperature=float(np.mean(skies)) if skies else ASSUMED_SKY_K,
-        source=f"{method_name} on {_name_of(dataset, len(pairs))}",
+        source=f"{method_name} on {_name_of(dataset, len(pairs))}", fingerprints=_fingerprints(pairs),
     )  # fmt: skip
     about = _about(dataset, pairs, parts, bounds, {"shift_px": shift_px, "share": share}) | {
         "options": options, "seed": seed, "training_s": round(seconds, 2),
-        "training": getattr(predictor, "trained", {}), "versions": versions(),
+        "training": getattr(predictor, "trained", {}), "versions": versions() | _library(method_name),
     }  # fmt: skip
     return _with_error(made, about, dataset, material)
+
+
+def _fingerprints(pairs):
+    """Fingerprints of the training pictures, or of as many as a map stores."""
+    some = [pairs.entries[k] for k in stored_numbers(len(pairs))]
+    return fingerprints_of((pairs.pair(entry, truth=False).visible for entry in some), len(pairs))
+
+
+def _library(method_name):
+    """{name: version} of the library that fitted a method, beside NumPy."""
+    name = "torch" if method(method_name).long else "lightgbm" if method_name.startswith("trees") else None
+    return {} if name is None else {name: version_of(name)}
 
 
 def _sampling(entries):

@@ -301,18 +301,27 @@ def translate(
         bool, typer.Option("--inner", help="Leave out the border, as published, instead of repeating edge pixels.")
     ] = False,
     frames: Annotated[bool, typer.Option("--frames", help="Write the frames of videos too.")] = False,
+    audit: Annotated[
+        bool, typer.Option("--audit", help="Search the pictures, and the first frames of videos, for those that the map "
+                           "was trained on.")
+    ] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a stopped run.")] = False,
-) -> None:
+) -> None:  # fmt: skip
     """Translate photographs and videos into thermal ones with a learned map; temperatures are in kelvin."""
     from thermorender.learned.temperature_map import load_model
+    from thermorender.learned.training_pictures import search_in_files
     from thermorender.learned.translate import translate as run
     from thermorender.trajectory import parse_numbers
 
     limits = parse_numbers("--range-c", range_c, ("COLD", "WARM")) if range_c else None
     with progress() as report:
-        summary = run(load_model(model, limits), images, output, texel_m, palette, inner, frames, resume, report)
+        chosen = load_model(model, limits)
+        summary = run(chosen, images, output, texel_m, palette, inner, frames, resume, report)
+        seen = search_in_files(chosen, images, lambda share: report("audit", share)) if audit else None
     if summary["warning"]:
         typer.echo(f"warning: {summary['warning']}", err=True)
+    if seen is not None:
+        typer.echo(seen.line)
     for sentence in summary["failed"].values():
         typer.echo(f"error: {sentence}", err=True)
     counted = [f"{summary['done']} translated"]

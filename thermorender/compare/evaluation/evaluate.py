@@ -35,6 +35,7 @@ from thermorender.compare.machine import machine
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
 from thermorender.learned.temperature_map import TemperatureMap, load_model
+from thermorender.learned.training_pictures import Search, search_in
 from thermorender.versions import versions
 
 # The pairs at these quantiles of the first map's mean absolute error are drawn.
@@ -97,6 +98,7 @@ def evaluate(
     leaks = _audit(dataset.of("train"), scored) if part != "train" and train.entries else None
     training = read_training_part(train, levels, lambda share: report_progress("reading the training part", share))
     bounds = training.bounds_k or maps[0].model.range_k
+    seen = [_training_pictures(each.model, scored, report_progress) for each in maps]
     others = [Foreign(name, place, scored.entries) for name, place in (foreign or {}).items()]
     others = [other.fitted(views) for other in others]
     drawn: list[LearnedMap | Foreign] = [*maps, *others]
@@ -110,6 +112,7 @@ def evaluate(
         "part": part, "split": "given" if split is not None else "the data set's own", "limit": limit, "seed": seed,
         "training_pairs": training.pairs, "bounds_k": list(bounds),
         "audit": None if leaks is None else {"lines": leaks.lines(), **leaks.summary()},
+        "training_pictures": {each.label: own.summary() for each, own in zip(maps, seen, strict=True)},
         **_result(dataset, scored, maps, texts, tallies, seed),
     }  # fmt: skip
     with files.atomic_folder(folder) as draft:
@@ -272,6 +275,17 @@ def _audit(train: Dataset, scored: Dataset) -> Audit:
     return audit(train.having([*train.entries, *(replace(entry, part="test") for entry in scored.entries)]))
 
 
+def _training_pictures(model: TemperatureMap, scored: Dataset, report: Callable[[str, float], object]) -> Search:
+    """Return the Search for a map's training pictures in the scored ones."""
+    entries = scored.entries
+
+    def read(number: int) -> NDArray[np.uint8]:
+        return scored.pair(entries[number], truth=False).visible
+
+    step = f"searching training pictures of {model.name}"
+    return search_in(model, [entry.key for entry in entries], read, lambda share: report(step, share))
+
+
 def _notes(scale: ThermalScale, maps: list[LearnedMap], entries: Sequence[Entry]) -> list[str]:
     """Return sentences that a reader should know before the numbers."""
     notes = []
@@ -304,7 +318,9 @@ def _brief(row: NDArray[np.float64]) -> dict[str, Any]:
 
 def _header(model: TemperatureMap, text: str | Path) -> dict[str, Any]:
     """Return the header of a map's file, and its digest where `text` is a file."""
-    header = {each.name: getattr(model, each.name) for each in fields(model) if each.name != "predictor"}
+    header = {
+        each.name: getattr(model, each.name) for each in fields(model) if each.name not in ("predictor", "fingerprints")
+    }
     return header | {"sha256": _digest(text) if str(text).endswith(".npz") else None}
 
 

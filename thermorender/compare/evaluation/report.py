@@ -58,9 +58,10 @@ def published_rows() -> list[tuple[str, ...]]:
 
 
 def lines_before(result: dict[str, Any]) -> list[str]:
-    """Return the lines to read before the numbers: notes and the verdict of the audit."""
+    """Return the lines to read before the numbers: notes, what the maps were trained on, and the audit of the split."""
     audit = result["audit"]["lines"] if result["audit"] else ["the parts were not audited for leaks"]
-    return [*(f"note: {note}" for note in result["notes"]), *audit]
+    maps = [each["line"] for each in result["training_pictures"].values()]
+    return [*(f"note: {note}" for note in result["notes"]), *maps, *(f"split: {line}" for line in audit)]
 
 
 def cost_rows(result: dict[str, Any]) -> list[tuple[str, ...]]:

@@ -314,6 +314,7 @@ def _origins(
     found = {}
     for model in models:
         own = provenance.provenance_of(model)
+        provenance.search_fingerprints(own, model, photographs)
         pictures = provenance.matched(known, model)
         if pictures is not None:
             pictures.audit(own, photographs)
