@@ -52,7 +52,7 @@ def train_map(
     parts : sequence of str
         The published correlations were fitted on training and validation.
     material : bool
-        Give the method the true material of each pixel: an oracle, not a map.
+        Give the method the true material of each pixel: a privileged map.
     shift_px : float
         Shift each thermal picture by a random vector of this length, to train on misaligned pairs [px].
     share : float
@@ -75,7 +75,7 @@ def train_map(
     how, report_progress = method(method_name), progress or (lambda task, fraction: None)
     options = checked_options(method_name, how.options, options or {})
     if material:
-        _refuse_oracle(method_name)
+        _refuse_privileged(method_name)
     pairs, cut = _some(dataset.of(*parts), share), Cut(shift_px=shift_px, seed=seed)
     if not len(pairs):
         raise ThermorenderError(f"{dataset.folder} has no pairs in {' or '.join(parts)}; give a split that has some")
@@ -203,13 +203,13 @@ def refuse_missing_conditions(method_name: str, dataset: Dataset) -> None:
         )
 
 
-def _refuse_oracle(method_name):
+def _refuse_privileged(method_name):
     """Refuse a method that does not use materials."""
     if not method(method_name).classes:
         known = ", ".join(name for name, each in METHODS.items() if each.classes)
         raise ThermorenderError(
-            f"method {method_name!r} does not use materials, so it cannot be an oracle; take {known}, or leave out "
-            "--oracle"
+            f"method {method_name!r} does not use materials, so its map cannot be privileged; take {known}, or leave "
+            "out --privileged"
         )
 
 
