@@ -1,5 +1,6 @@
 """Fingerprints of training pictures: copies and parts are found, other pictures are not, and maps carry them."""
 
+import json
 from functools import cache
 
 import cv2
@@ -9,9 +10,11 @@ from typer.testing import CliRunner
 
 from thermorender.cli.app import app
 from thermorender.compare.referee import provenance
+from thermorender.defaults import TRAINED_MAPS
+from thermorender.errors import ThermorenderError
 from thermorender.learned import fingerprints, training_pictures
 from thermorender.learned.fingerprints import BYTES, Fingerprints, fingerprints_of, search, stored_numbers
-from thermorender.learned.temperature_map import load_map, load_model, save_map
+from thermorender.learned.temperature_map import SHIPPED, load_map, load_model, save_map
 from thermorender.learned.training_pictures import search_in
 
 
@@ -86,6 +89,26 @@ def test_the_file_of_a_map_keeps_its_fingerprints(tmp_path):
     assert load_map(tmp_path / "none.npz").fingerprints is None
 
 
+def test_a_file_whose_contents_were_changed_is_refused(tmp_path):
+    save_map(with_prints(), tmp_path / "m.npz")
+    with np.load(tmp_path / "m.npz") as file:
+        arrays = dict(file)
+    for changed in ({"fingerprints": arrays["fingerprints"][::-1]}, {"kernel": arrays["kernel"] + 1e-9}):
+        np.savez_compressed(tmp_path / "changed.npz", **(arrays | changed))
+        with pytest.raises(ThermorenderError, match="its contents differ from its digest"):
+            load_map(tmp_path / "changed.npz")
+
+
+@pytest.mark.parametrize("name", TRAINED_MAPS)
+def test_shipped_maps_state_a_digest_and_the_libraries_that_fitted_them(name):
+    """The digest is checked as a map is read; networks need their library to be read."""
+    with np.load(SHIPPED[name]) as file:
+        header = json.loads(str(file["header"]))
+    assert len(header["digest"]) == 32 and header["about"]["versions"]["numpy"]
+    library = {"network": "torch", "trees": "lightgbm"}.get(header["predictor"])
+    assert library is None or header["about"]["versions"][library]
+
+
 @pytest.mark.parametrize(
     "rows, pictures",
     [(np.zeros((0, BYTES), np.uint8), 1), (np.ones((2, BYTES), np.uint8), 1), (np.ones((1, 9), np.uint8), 1),
@@ -110,7 +133,9 @@ def test_a_search_says_what_it_found_what_it_left_out_and_what_is_unknown(monkey
         "training pictures)"
     )
     unknown = search_in(load_model("fok-1to1"), names, pictures.__getitem__)
-    assert unknown.line.startswith("what map 'fok-1to1' was trained on is unknown: its file has no fingerprints")
+    assert unknown.line.startswith("what this map was trained on is unknown: the file of 'fok-1to1' has no finger")
+    shipped = search_in(load_model("procedural-trees"), names, pictures.__getitem__)
+    assert "states only 'procedural pictures of `thermorender dataset` 0.1.0" in shipped.line
     monkeypatch.setattr(training_pictures, "MOST_SEARCHED", 2)
     many = search_in(with_prints(), names, pictures.__getitem__)
     assert not many.found and "(2 of 3 pictures searched)" in many.line

@@ -40,9 +40,10 @@ class Search:
         """The result as one sentence."""
         model, prints = self.model, self.model.fingerprints
         if prints is None:
+            stated = model.about.get("training_pictures", model.source)
             return (
-                f"what map {model.name!r} was trained on is unknown: its file has no fingerprints of training "
-                f"pictures and states only {model.source!r}"
+                f"what this map was trained on is unknown: the file of {model.name!r} has no fingerprints of training "
+                f"pictures and states only {stated!r}"
             )
         limits = [f"{self.searched} of {self.given} pictures searched"] if self.searched < self.given else []
         if len(prints) < prints.pictures:

@@ -15,16 +15,16 @@ from thermorender.compare.machine import machine
 from thermorender.errors import ThermorenderError
 from thermorender.learned import fingerprints
 from thermorender.learned.translate import PICTURES, read_picture
-from thermorender.synthetic.procedural_scene import KINDS, make
+from thermorender.synthetic.procedural_scene import make
 from thermorender.versions import versions
 
 # Numbers of procedural pictures that a map was trained on, and of innocent ones.
-TRAINING, INNOCENT = 60, 200
+TRAINING, INNOCENT = 40, 200
 # Leaks of each kind.
 PLANTED = 20
 # Share of the area of a crop, and the range of its scales.
 CROP, SCALES = 0.2, (0.6, 1.7)
-_SIZE_M, _TEXEL_M = 96.0, 0.4
+_KINDS, _SIZE_M, _TEXEL_M = ("heath", "village"), 64.0, 0.4
 HEADER = ("pictures", "kind", "number", "found by fingerprints", "lowest agreement", "found by features")
 
 
@@ -105,10 +105,10 @@ def rows(result):
 
 def _procedural(report):
     """{name: picture} of training and of innocent procedural pictures."""
-    pictures, kinds = {}, list(KINDS)
+    pictures = {}
     for number in range(TRAINING + INNOCENT):
         report("making procedural pictures", number / (TRAINING + INNOCENT))
-        kind = kinds[number % len(kinds)]
+        kind = _KINDS[number % len(_KINDS)]
         made = make(kind, 1000 + number, size_m=_SIZE_M, texel_m=_TEXEL_M, post_m=_TEXEL_M)
         pictures[f"{kind} {number}"] = made.orthophoto
     names = list(pictures)
