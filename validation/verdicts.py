@@ -184,6 +184,7 @@ STUDIES = (
     Study("maps", "validation.maps", "Learned maps on land, hours and weathers not trained on", "maps/maps.json",
           ("maps/*.png",)),
     Study("leaks", "validation.leaks", "Training pictures found in other pictures", "leaks/leaks.json", runs=False),
+    Study("real_pairs", "validation.real_pairs", "Learned maps on real pairs", "real_pairs/real_pairs.json", runs=False),
     Study("trainings", "validation.trainings", "Trainings of networks", "networks/campaign/trainings.json",
           ("networks/campaign/*.png",), runs=False),
     Study("landing", "examples.landing", "Landings by rendered and by translated frames", "landing/landing.json",
