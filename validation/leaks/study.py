@@ -19,7 +19,7 @@ from thermorender.synthetic.procedural_scene import make
 from thermorender.versions import versions
 
 # Numbers of procedural pictures that a map was trained on, and of innocent ones.
-TRAINING, INNOCENT = 40, 200
+TRAINING, INNOCENT = 20, 200
 # Leaks of each kind.
 PLANTED = 20
 # Share of the area of a crop, and the range of its scales.
@@ -68,7 +68,7 @@ def run(folders, seed=0, progress=None):
     Parameters
     ----------
     folders : sequence of path
-        Folders of pictures beside the procedural ones. In order of their names, the first third is trained on, and the
+        Folders of pictures beside the procedural ones. In order of names, the first `PLANTED` are trained on, and the
         rest is innocent: frames of one drive stay together as far as names allow.
     seed : int
     progress : callable, optional
@@ -122,8 +122,7 @@ def _pictures(folder):
         raise ThermorenderError(
             f"{folder} has {len(paths)} pictures; give a folder of at least {3 * PLANTED // 2}, in it or below it"
         )
-    count = max(len(paths) // 3, PLANTED)
-    return tuple({path.stem: read_picture(path)[0] for path in some} for some in (paths[:count], paths[count:]))
+    return tuple({path.stem: read_picture(path)[0] for path in some} for some in (paths[:PLANTED], paths[PLANTED:]))
 
 
 def _counted(known, innocent, seed):

@@ -36,7 +36,7 @@ METHODS = {
 _MOST_SEARCHED = 50
 CONSTANT, OWN_MEAN = "constant: mean of the training part", "the frame's own mean"
 HEADER = ("set", "method", "pairs", "MAE [K]", "95 %", "correlation", "slope", "MAE without means [K]",
-          "MAE after 16 px [K]")  # fmt: skip
+          "MAE growth by 16 px [K]")  # fmt: skip
 
 
 def run(folder, names=None, methods=None, seed=0, progress=None):

@@ -51,7 +51,7 @@ def rows(result: dict[str, Any]) -> list[tuple[str, ...]]:
 
 
 STRUCTURE = ("method", "correlation", "95 %", "slope", "95 %", "MAE without means [K]", "95 %",
-             f"MAE after {SHIFT_PX} px [K]", "95 %", "correlation after it")  # fmt: skip
+             f"MAE growth by {SHIFT_PX} px [K]", "95 %", "correlation after it")  # fmt: skip
 ABOUT_STRUCTURE = (
     "Correlation with the truth within a picture, and slope against it (1 for the right contrast, 0 for a constant): "
     "medians over pictures. MAE without means: after each picture's mean error is subtracted. The last columns are a "
@@ -63,7 +63,7 @@ ABOUT_STRUCTURE = (
 
 def structure_rows(result: dict[str, Any]) -> list[tuple[str, ...]]:
     """Return the methods' scores of structure as table rows of text under `STRUCTURE`."""
-    found = []
+    found: list[tuple[str, ...]] = []
     for label, each in result["methods"].items():
         own, ends = each["structure"], each["structure"]["interval_95"]
         if own["mae_without_mean_k"] is not None:

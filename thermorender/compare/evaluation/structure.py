@@ -43,7 +43,7 @@ def row(guess: NDArray[np.floating], true: NDArray[np.floating], known: NDArray[
     return found
 
 
-def _agreement(guess, true):
+def _agreement(guess: NDArray[np.floating], true: NDArray[np.floating]) -> tuple[float, float]:
     """(correlation, slope of guess against true); NaN where either is constant."""
     if true.size < 2:
         return np.nan, np.nan
@@ -53,7 +53,7 @@ def _agreement(guess, true):
         # A constant method has a slope, of 0, but no correlation.
         return np.nan, 0.0 if xx >= _LEAST_K**2 else np.nan
     xy = (x * y).mean()
-    return xy / np.sqrt(xx * yy), xy / xx
+    return float(xy / np.sqrt(xx * yy)), float(xy / xx)
 
 
 def summary(rows: ArrayLike, cluster: ArrayLike, seed: int = 0) -> dict[str, Any]:
@@ -73,19 +73,19 @@ def summary(rows: ArrayLike, cluster: ArrayLike, seed: int = 0) -> dict[str, Any
         `shift_more_k`, by which the MAE grows by the shift, on the same pixels; each with its 95 % interval under
         `interval_95`.
     """
-    rows, number = np.asarray(rows, np.float64), np.asarray(cluster)
-    some = np.nan_to_num(rows[:, 3]) > 0
-    rows, number = rows[some], number[some]
+    table, number = np.asarray(rows, np.float64), np.asarray(cluster)
+    some = np.nan_to_num(table[:, 3]) > 0
+    table, number = table[some], number[some]
     names = ("correlation", "slope", "mae_without_mean_k", "shift_more_k", "correlation_shifted")
-    if not len(rows):
+    if not len(table):
         return {**dict.fromkeys(names), "interval_95": dict.fromkeys(names)}
     members = [np.flatnonzero(number == each) for each in np.unique(number)]
-    found = dict(zip(names, _scores(rows), strict=True))
+    found = dict(zip(names, _scores(table), strict=True))
     ends: dict[str, Interval | None] = dict.fromkeys(names)
     if len(members) > 1:
         generator = np.random.default_rng(seed)
         drawn = np.array([
-            _scores(rows[np.concatenate([members[k] for k in generator.integers(len(members), size=len(members))])])
+            _scores(table[np.concatenate([members[k] for k in generator.integers(len(members), size=len(members))])])
             for _ in range(DRAWS)
         ])  # fmt: skip
         for name, values in zip(names, drawn.T, strict=True):
@@ -95,10 +95,10 @@ def summary(rows: ArrayLike, cluster: ArrayLike, seed: int = 0) -> dict[str, Any
     return {**{name: value if np.isfinite(value) else None for name, value in found.items()}, "interval_95": ends}
 
 
-def _scores(rows):
+def _scores(rows: NDArray[np.float64]) -> tuple[float, float, float, float, float]:
     """(correlation, slope, MAE without the means, growth of MAE by the shift, correlation after the shift) of rows."""
     medians = [float(np.median(own)) if (own := column[np.isfinite(column)]).size else np.nan
                for column in rows.T[[0, 1, 7]]]  # fmt: skip
     without, pixels, here, aside, both = rows[:, 2:7].sum(axis=0)
-    more = (aside - here) / both if both else np.nan
-    return medians[0], medians[1], without / pixels, more, medians[2]
+    more = float((aside - here) / both) if both else np.nan
+    return medians[0], medians[1], float(without / pixels), more, medians[2]
