@@ -12,10 +12,10 @@ from thermorender.cli.app import app
 from thermorender.compare.referee import provenance
 from thermorender.defaults import TRAINED_MAPS
 from thermorender.errors import ThermorenderError
-from thermorender.learned import fingerprints, training_pictures
-from thermorender.learned.fingerprints import BYTES, Fingerprints, fingerprints_of, search, stored_numbers
+from thermorender.learned.audit import fingerprints, training_pictures
+from thermorender.learned.audit.fingerprints import BYTES, Fingerprints, fingerprints_of, search, stored_numbers
+from thermorender.learned.audit.training_pictures import search_in
 from thermorender.learned.temperature_map import SHIPPED, load_map, load_model, save_map
-from thermorender.learned.training_pictures import search_in
 
 
 @cache

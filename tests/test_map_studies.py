@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from thermorender.errors import ThermorenderError
-from thermorender.learned import fingerprints
+from thermorender.learned.audit import fingerprints
 from validation.leaks import study as leaks
 from validation.real_pairs import study as real_pairs
 

@@ -13,7 +13,7 @@ from thermorender.campaign.cut import Cut, moved
 from thermorender.campaign.dataset import Dataset
 from thermorender.campaign.map_inputs import depth_of, ground_of, inputs_of
 from thermorender.errors import ThermorenderError
-from thermorender.learned.fingerprints import fingerprints_of, stored_numbers
+from thermorender.learned.audit.fingerprints import fingerprints_of, stored_numbers
 from thermorender.learned.temperature_map import ASSUMED_SKY_K, Inputs, TemperatureMap
 from thermorender.learned.training import Example, Task
 from thermorender.learned.training_methods import METHODS, method

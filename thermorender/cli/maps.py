@@ -311,8 +311,8 @@ def translate(
     resume: Annotated[bool, typer.Option("--resume", help="Continue a stopped run.")] = False,
 ) -> None:  # fmt: skip
     """Translate photographs and videos into thermal ones with a learned map; temperatures are in kelvin."""
+    from thermorender.learned.audit.training_pictures import search_in_files
     from thermorender.learned.temperature_map import load_model
-    from thermorender.learned.training_pictures import search_in_files
     from thermorender.learned.translate import translate as run
     from thermorender.trajectory import parse_numbers
 

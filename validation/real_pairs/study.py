@@ -19,7 +19,7 @@ from thermorender.compare.evaluation.training_part import Levels, read_training_
 from thermorender.compare.machine import machine
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
-from thermorender.learned.training_pictures import search_in
+from thermorender.learned.audit.training_pictures import search_in
 from thermorender.schema import read_toml
 from thermorender.versions import versions
 

@@ -34,8 +34,8 @@ from thermorender.compare.evaluation.training_part import Levels, read_training_
 from thermorender.compare.machine import machine
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
+from thermorender.learned.audit.training_pictures import Search, search_in
 from thermorender.learned.temperature_map import TemperatureMap, load_model
-from thermorender.learned.training_pictures import Search, search_in
 from thermorender.versions import versions
 
 # The pairs at these quantiles of the first map's mean absolute error are drawn.

@@ -11,8 +11,8 @@ from thermorender.campaign import duplicates
 from thermorender.campaign.dataset import Dataset
 from thermorender.compare.words import counted
 from thermorender.errors import ThermorenderError
+from thermorender.learned.audit.training_pictures import search_in
 from thermorender.learned.temperature_map import TemperatureMap
-from thermorender.learned.training_pictures import search_in
 from thermorender.scene.scene import Scene
 
 # A map made the reference if their kinetic temperatures agree to this mean difference [K]; the errors of other maps are

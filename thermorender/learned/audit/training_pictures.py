@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.files import PathLike
-from thermorender.learned.fingerprints import Seen, search
+from thermorender.learned.audit.fingerprints import Seen, search
 from thermorender.learned.temperature_map import TemperatureMap
 from thermorender.learned.translate import VIDEOS, UnreadableError, read_picture, sources_of
 
