@@ -60,6 +60,9 @@ def test_planted_copy_is_found_and_named_and_no_other_picture(tmp_path):
         "none of the 2 test pairs has a leak from training: results on this split measure new pictures, "
         "as far as can be checked without places and labels and conditions"
     )
+    mirrored = pictures | {("test", "planted"): lands()["heath2"][:, ::-1]}
+    [(test, train, _)] = audits.audit(dataset(tmp_path / "mirrored", mirrored)).leaks["duplicate"].worst
+    assert (test, train) == ("planted", "heath2")
     leaky = pictures | {("test", "planted"): copied(lands()["heath2"])}
     found = audits.audit(dataset(tmp_path / "leaky", leaky))
     [(test, train, overlap)] = found.leaks["duplicate"].worst

@@ -13,7 +13,7 @@ import pytest
 from thermorender.campaign.dataset import Entry, ThermalScale, read_dataset
 from thermorender.campaign.dataset_writer import Writer, packed
 from thermorender.campaign.map_inputs import inputs_of
-from thermorender.compare.evaluation import classes, figures, paired, report, similarity, sums
+from thermorender.compare.evaluation import classes, figures, paired, report, similarity, structure, sums
 from thermorender.compare.evaluation.estimators import LearnedMap
 from thermorender.compare.evaluation.evaluate import evaluate
 from thermorender.defaults import BAND_UM
@@ -172,18 +172,74 @@ def test_maps_that_differ_only_in_their_seed_are_grouped():
         {"seed": 1, "options": {"depth": True}}, {}, {},
     )]  # fmt: skip
     assert paired.kin([LearnedMap("m", each) for each in maps]) == [[0, 2], [1], [3], [4]]
-    # An oracle counts as another method, and one seed twice as two trainings.
-    assert paired.kin([LearnedMap("m", maps[0]), LearnedMap("o", maps[2], oracle=True)]) == [[0], [1]]
+    # A privileged map counts as another method, and one seed twice as two trainings.
+    assert paired.kin([LearnedMap("m", maps[0]), LearnedMap("o", maps[2], privileged=True)]) == [[0], [1]]
     assert paired.kin([LearnedMap("m", maps[0]), LearnedMap("n", maps[0])]) == [[0], [1]]
 
 
-def test_parents_are_resampled_where_sequences_are_few():
+def test_whole_sequences_are_resampled_however_few_they_are():
     entries = [Entry(f"k{n}", "test", f"parent{n // 4}", f"flight{n % 2}", 0, SHAPE) for n in range(12)]
     number, what = sums.clusters(entries)
-    assert what == "parents" and number.tolist() == [0] * 4 + [1] * 4 + [2] * 4
-    many = [Entry(f"k{n}", "test", f"k{n}", f"flight{n // 2:02d}", 0, SHAPE) for n in range(24)]
-    number, what = sums.clusters(many)
-    assert what == "sequences" and number.tolist() == [n // 2 for n in range(24)]
+    assert what == "2 sequences" and number.tolist() == [0, 1] * 6
+    assert sums.clusters(entries[:1])[1] == "1 sequence"
+
+
+# --- structure --------------------------------------------------------------------------------------------------
+
+
+def smooth(seed, side=96):
+    """A picture whose structure is some 10 px large, of standard deviation 1 [K]."""
+    image = cv2.GaussianBlur(np.random.default_rng(seed).normal(size=(side, side)), (0, 0), 4.0)
+    return 290.0 + (image - image.mean()) / image.std()
+
+
+def test_structure_scores_follow_a_known_relation_to_the_truth():
+    """A guess 5 + 0.5 (T − mean) + noise of standard deviation 0.5 K."""
+    true, known = smooth(0), np.ones((96, 96), bool)
+    noise = 0.5 * (smooth(1) - 290.0)
+    across = noise - (noise * (true - 290.0)).mean() * (true - 290.0)
+    across *= 0.5 / across.std()
+    guess = 295.0 + 0.5 * (true - 290.0) + across
+    found = structure.summary([structure.row(guess, true, known)], [0])
+    assert found["correlation"] == pytest.approx(np.sqrt(0.5), abs=1e-6)
+    assert found["slope"] == pytest.approx(0.5, abs=1e-6)
+    error = across - 0.5 * (true - 290.0)
+    assert found["mae_without_mean_k"] == pytest.approx(np.abs(error).mean(), abs=1e-6)
+    # A hidden pixel counts nowhere.
+    known[40, 40], guess[40, 40] = False, 1e4
+    assert structure.summary([structure.row(guess, true, known)], [0])["slope"] == pytest.approx(0.5, abs=0.01)
+
+
+def test_the_shift_shows_structure_that_a_constant_lacks():
+    true, known = smooth(2), np.ones((96, 96), bool)
+    exact = structure.summary([structure.row(true, true, known)], [0])
+    # Of two independent pictures of standard deviation 1, the mean absolute difference is 2 / √π.
+    assert exact["shift_more_k"] == pytest.approx(2.0 / np.sqrt(np.pi), abs=0.25)
+    assert exact["correlation"] == pytest.approx(1.0) and abs(exact["correlation_shifted"]) < 0.35
+    flat = structure.summary([structure.row(np.full_like(true, 290.0), true, known)], [0])
+    assert flat["correlation"] is None and flat["slope"] == 0.0 and abs(flat["shift_more_k"]) < 0.1
+    assert flat["mae_without_mean_k"] == pytest.approx(np.abs(true - 290.0).mean(), abs=1e-6)
+
+
+def test_structure_intervals_are_those_of_sequences():
+    """Equal pictures of two sequences: a draw by picture would give a narrow interval, one by sequence both ends."""
+    rows = np.ones((40, structure.WIDTH))
+    rows[20:, 0] = 0.0
+    number = np.repeat([0, 1], 20)
+    assert structure.summary(rows, number)["interval_95"]["correlation"] == (0.0, 1.0)
+    low, high = structure.summary(rows, np.arange(40))["interval_95"]["slope"]
+    assert low == high == 1.0
+    assert structure.summary(rows, np.zeros(40, int))["interval_95"]["correlation"] is None
+    assert structure.summary(np.full((3, structure.WIDTH), np.nan), [0, 1, 2])["slope"] is None
+
+
+def test_pictures_without_the_method_or_too_narrow_to_shift_are_left_out():
+    true, known = smooth(3)[:12, :12], np.ones((12, 12), bool)
+    narrow = structure.row(true + 1.0, true, known)
+    none = structure.row(np.full_like(true, np.nan), true, known)
+    found = structure.summary([narrow, none], [0, 1])
+    assert found["correlation"] == pytest.approx(1.0) and found["shift_more_k"] is None
+    assert found["mae_without_mean_k"] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_structural_similarity_equals_a_direct_sum():
@@ -263,7 +319,7 @@ def test_known_errors_are_reproduced(scored):
     assert groups["surface"]["sky, not scored"]["pixels"] == sky.size
     assert groups["surface"]["sky, not scored"]["me_k"] == pytest.approx(sky.mean(), abs=3e-3)
     low, high = found["interval_95"]["mae_k"]
-    assert low < found["mae_k"] < high and result["drawn"] == "parents"
+    assert low < found["mae_k"] < high and result["drawn"].endswith("sequences")
 
 
 def test_baselines_have_the_expected_errors(scored):
@@ -341,7 +397,7 @@ def test_pictures_without_truth_use_an_assumed_range(undrawn, tmp_path):
     assert "not available" in (tmp_path / "o/evaluation.md").read_text()
 
 
-def test_maps_get_the_inputs_on_the_card_and_only_the_oracle_the_material(undrawn, tmp_path, monkeypatch):
+def test_maps_get_the_inputs_on_the_card_and_only_the_privileged_the_material(undrawn, tmp_path, monkeypatch):
     seen = {}
 
     def predict(self, inputs, texel_m):
@@ -352,12 +408,12 @@ def test_maps_get_the_inputs_on_the_card_and_only_the_oracle_the_material(undraw
     for name, intercept in (("a", 1.0), ("b", 2.0)):
         save_map(linear_map(name, intercept), tmp_path / f"{name}.npz")
     monkeypatch.setattr(Correlation, "predict", predict)
-    result = evaluate(dataset, [tmp_path / "a.npz"], tmp_path / "o", oracle=tmp_path / "b.npz")
+    result = evaluate(dataset, [tmp_path / "a.npz"], tmp_path / "o", privileged=tmp_path / "b.npz")
     assert set(seen[1.0][0]) == {"sun"} and set(seen[2.0][0]) == {"sun", "material"}
     assert seen[1.0][1]["air_k"] == 290.0
     assert np.isnan(seen[2.0][0]["material"][:2]).all() and set(np.unique(seen[2.0][0]["material"][2:])) == {0, 1, 2}
-    assert result["methods"]["oracle b"]["kind"] == "oracle"
-    assert result["methods"]["oracle b"]["knows"] == "the material"
+    assert result["methods"]["privileged b"]["kind"] == "privileged"
+    assert result["methods"]["privileged b"]["knows"] == "the material"
 
 
 def test_only_pictures_without_a_scale_are_fitted(undrawn, tmp_path):

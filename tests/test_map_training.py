@@ -181,7 +181,7 @@ def test_wrong_settings_are_refused(tmp_path, name, options, words):
         train_map("m", name, write(tmp_path / "d"), options)
 
 
-def test_oracle_needs_a_method_and_a_data_set_with_materials(tmp_path, monkeypatch):
+def test_privileged_needs_a_method_and_a_data_set_with_materials(tmp_path, monkeypatch):
     class Enough(Exception):
         pass
 
@@ -191,7 +191,7 @@ def test_oracle_needs_a_method_and_a_data_set_with_materials(tmp_path, monkeypat
     monkeypatch.setitem(METHODS, "trees+", replace(METHODS["trees+"], fit=look))
     plain = write(tmp_path / "plain", extra=True)
     for name in ("trees", "palette", "correlation-9to1", "correlation+"):
-        with pytest.raises(ThermorenderError, match="does not use materials, so it cannot be an oracle; take trees"):
+        with pytest.raises(ThermorenderError, match="so its map cannot be privileged; take trees"):
             train_map("m", name, plain, material=True)
     with pytest.raises(ThermorenderError, match=r"pair 's\d-0' has no plane 'material'"):
         train_map("m", "trees+", plain, material=True)
@@ -247,13 +247,13 @@ def test_command_trains_and_writes_a_map(tmp_path, call):
         (("correlation-1to1", "{d}", "--set", "penalty"), "--set='penalty' is not allowed; give OPTION=VALUE"),
         (("correlation-1to1", "{d}", "--set", "=3"), "--set='=3' is not allowed; give OPTION=VALUE"),
         (("correlation-1to1", "{d}", "--set", "penalty=a"), "option penalty='a' of 'correlation-1to1' is not allowed"),
-        (("correlation-1to1", "{d}", "--oracle"), "does not use materials, so it cannot be an oracle"),
+        (("correlation-1to1", "{d}", "--privileged"), "does not use materials, so its map cannot be privileged"),
         (("trees+", "{d}"), "needs the terrain's relief, hour and weather"),
         (("trees", "{d}", "--texel-m", "0.2"), "belong to `train emissivity`, not to 'trees'; leave them out"),
         (("trees", "{d}", "--labels", "x.geojson"), "belong to `train emissivity`, not to 'trees'; leave them out"),
         (("trees", "{d}", "--augmentations", "0"), "belong to `train emissivity`, not to 'trees'; leave them out"),
-        (("emissivity", "--oracle"), "--oracle, --run and --resume belong to maps"),
-        (("emissivity", "--set", "a=b"), "--oracle, --run and --resume belong to maps"),
+        (("emissivity", "--privileged"), "--privileged, --run and --resume belong to maps"),
+        (("emissivity", "--set", "a=b"), "--privileged, --run and --resume belong to maps"),
         (("correlation-1to1", "{d}", "--split", "{d}/card.json"), "card.json"),
         (("correlation-1to1", "{d}", "--split", "{d}/none.json"), "none.json"),
     ],

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import slow
+from safetensors.torch import load_file
 from test_map_training import write
 from test_networks import example, kelvin, picture, task_of
 
@@ -186,7 +187,7 @@ def test_depth_as_an_input_reduces_the_error(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "at"),
-    [("compact", 5), *slow(("pix2pix", 5), ("compact", 1), ("compact", 9), ("unet-gan", 3), ("compact+", 5))],
+    [("compact", 5), *slow(("pix2pix", 5), ("compact", 1), ("compact", 9), ("unet-gan-keras", 3), ("compact+", 5))],
 )
 def test_a_stopped_and_resumed_training_is_the_same(tmp_path, name, at):
     """The losses and the network are the same as those of an uninterrupted training."""
@@ -306,6 +307,29 @@ def test_a_training_that_explodes_at_once_is_refused(tmp_path):
         train_network(task, "unet")
 
 
+def test_published_keeps_the_last_epoch_and_else_the_best_is_kept(tmp_path, monkeypatch):
+    """The validation error rises after the first epoch here."""
+    errors = iter([1.0, 2.0, 3.0] * 2)
+    monkeypatch.setattr(loop._Run, "_guessed", lambda run, net, half=False: _of_error(run, next(errors, 1.0)))
+    crops = {}
+    for published in (False, True):
+        options = {"width": 4, "crops": 3, "every": 1, "published": published, "jitter": 256}
+        folder = tmp_path / str(published)
+        found = train_network(task_of("pix2pix", examples(), folder, **options), "pix2pix")
+        crops[published] = found.trained["best_crops"]
+        kept = load_file(folder / ("last.safetensors" if published else "best.safetensors"))
+        assert found.published == published
+        name = "down.0.0.weight"
+        assert np.array_equal(found.state[name], kept[f"net/net/{name}"])
+    assert crops == {False: 1, True: 3}
+
+
+def _of_error(run, error):
+    (crop,) = run.validated[:1]
+    true, _ = run.kelvin(crop, crop.target)
+    yield crop, true, true + error
+
+
 def test_colourless_and_invalid_pictures_do_not_stop_a_training(tmp_path):
     """The pictures include black, white, grey and wholly invalid ones."""
     odd = examples(14)
@@ -313,7 +337,9 @@ def test_colourless_and_invalid_pictures_do_not_stop_a_training(tmp_path):
         odd[number] = replace(odd[number], inputs=Inputs(np.full((96, 128, 3), level, np.uint8), 0.2))
     for number in (4, 8):
         odd[number] = replace(odd[number], valid=np.zeros((96, 128), bool))
-    found = train_network(task_of("unet-gan", odd, tmp_path / "r", width=4, batch=2, crops=16, every=8), "unet-gan")
+    found = train_network(
+        task_of("unet-gan-keras", odd, tmp_path / "r", width=4, batch=2, crops=16, every=8), "unet-gan-keras"
+    )
     assert found.trained["stopped"] is None and np.isfinite(read_log(tmp_path / "r")[-1]["validation_mae_k"])
 
 
@@ -324,6 +350,7 @@ def test_colourless_and_invalid_pictures_do_not_stop_a_training(tmp_path):
         ("unet", {"batch": 0}, "batch=0 of crops=.* is not allowed"),
         ("unet", {"crops": 1}, "batch=8 of crops=1 is not allowed"),
         ("unet", {"width": 0}, "width=0 is not allowed"),
+        ("pix2pix", {"jitter": 200}, r"jitter=200 is not allowed for 'pix2pix'; give 256 \(no jitter\) to 4096 pixels"),
         ("unet", {"side": 0}, "side=0 is not allowed for 'unet'; give a multiple of 16 up to 4096 pixels"),
         ("compact", {"side": 100}, "side=100 is not allowed"),
         ("unet", {"width": 10**6}, "width=1000000 is not allowed"),

@@ -86,6 +86,51 @@ def test_sizes_equal_the_published_architectures():
         assert sum(each.numel() for name, each in keras.named_buffers() if "running" in name) == 3_776
 
 
+def test_the_satellite_program_is_a_unet_of_seven_levels_with_skips():
+    """Nhu's program has 41.83 million parameters with three output channels; it has no biases."""
+    recipe = recipe_of("unet-gan")
+    with torch.device("meta"):
+        net = net_of(recipe, Encoding(), 64)
+        judge = learner_of(recipe, Encoding(), 64, 2e-4).parts["discriminator"]
+    widths = [3, 64, 128, 256, 512, 512, 512, 512]
+    down = sum(16 * a * b for a, b in zip(widths[:-1], widths[1:], strict=True)) + 2 * sum(widths[2:7])
+    inside = [2 * n for n in widths[1:7]] + [512]
+    up = sum(16 * a * b for a, b in zip(inside, [1, *widths[1:7]], strict=True)) + 2 * sum(widths[1:7])
+    assert size(net) == down + up
+    assert size(judge) == 16 * (4 * 64 + 64 * 128 + 128 * 256 + 256 * 512 + 512) + 2 * (128 + 256 + 512)
+    assert not any(each.bias is not None for part in (net, judge) for each in part.modules()
+                   if isinstance(each, nn.Conv2d | nn.ConvTranspose2d))  # fmt: skip
+    dropped = [any(isinstance(each, nn.Dropout) for each in level) for level in net.up]
+    assert dropped == [False] * 4 + [True] * 3
+
+
+def test_skips_of_the_satellite_program_and_none_in_the_keras_variant():
+    """A change of the picture finer than the bottleneck is still in the translation, or is not."""
+    seen = {}
+    for name in ("unet-gan", "unet-gan-keras"):
+        torch.manual_seed(0)
+        net = net_of(recipe_of(name), Encoding(), WIDTH).eval()
+        innermost = net.down[-1]
+        innermost.register_forward_hook(lambda module, given, found: torch.zeros_like(found))
+        one, other = (net(torch.randn(1, 3, 128, 128)) for _ in range(2))
+        seen[name] = float((one - other).detach().abs().max())
+    assert seen["unet-gan"] > 1e-4 and seen["unet-gan-keras"] == 0.0
+
+
+def test_training_settings_are_those_of_their_sources():
+    nhu, keras, pix2pix = (recipe_of(name) for name in ("unet-gan", "unet-gan-keras", "pix2pix"))
+    for recipe in (nhu, keras, pix2pix):
+        assert (recipe.optimiser, recipe.rate, recipe.betas, recipe.weight) == ("adam", 2e-4, (0.5, 0.999), 100.0)
+        assert recipe.target == (0.5, 0.5)
+    assert (nhu.batch, nhu.schedule, nhu.learner, nhu.side) == (1, "constant", "summed", 256)
+    assert (keras.batch, keras.schedule, keras.learner, keras.net) == (4, "halfway", "adversarial", "keras_unet")
+    assert (pix2pix.batch, pix2pix.schedule, pix2pix.all_options["jitter"]) == (1, "halfway", 286)
+    assert "jitter" not in nhu.all_options and "jitter" not in RECIPES["pix2pixhd"].all_options
+    # 98 000 epochs of 4000 pairs, or as many steps.
+    assert (nhu.published_crops, nhu.published_steps, nhu.crops) == (392_000_000, 98_000, 98_000)
+    assert pix2pix.published_steps is None
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_every_network_returns_a_picture_of_the_input_size(name):
     recipe = recipe_of(*name.split(":"))
@@ -188,7 +233,7 @@ def test_a_step_of_classes():
     assert_same(learner.net, wanted)
 
 
-@pytest.mark.parametrize("name", ["pix2pix", "unet-gan"])
+@pytest.mark.parametrize("name", ["pix2pix", "unet-gan-keras"])
 def test_a_step_of_pix2pix(name):
     learner, twin, batch = learner_and_twin(name)
     net, judge = twin["net"], twin["discriminator"]
@@ -208,6 +253,33 @@ def test_a_step_of_pix2pix(name):
     assert_same(learner.parts["discriminator"], wanted)
     assert_same(learner.net, wanted_net)
     assert float(found["discriminator"].detach()) == pytest.approx(float(loss.detach()), rel=1e-5)
+
+
+def test_a_step_of_the_satellite_program():
+    """One step of the discriminator, then two of the generator, each with its own dropout and the sum of errors."""
+    learner, twin, batch = learner_and_twin("unet-gan")
+    net, judge = twin["net"], twin["discriminator"]
+    # So that two steps of plain descent on a sum stay small.
+    learner.weight = 1e-4
+    torch.manual_seed(7)
+    with torch.no_grad():
+        made = net(batch.planes)
+    real = torch.where(batch.valid.bool(), batch.target, made)
+    yes, no = (judge(torch.cat([batch.planes, each], 1)) for each in (real, made))
+    loss = -0.5 * (torch.log(torch.sigmoid(yes)).mean() + torch.log(1.0 - torch.sigmoid(no)).mean())
+    wanted = by_hand(judge, loss)
+    judge.load_state_dict(wanted, strict=False)
+    for _ in range(2):
+        made = net(batch.planes)
+        fooled = -torch.log(torch.sigmoid(judge(torch.cat([batch.planes, made], 1)))).mean()
+        error = ((made - batch.target).abs() * batch.valid).sum()
+        net.load_state_dict(by_hand(net, fooled + 1e-4 * error), strict=False)
+    torch.manual_seed(7)
+    found = learner.step(batch)
+    assert_same(learner.parts["discriminator"], wanted)
+    assert_same(learner.net, dict(net.named_parameters()))
+    # The log has the mean, as that of the other networks.
+    assert float(found["l1"].detach()) == pytest.approx(float(error.detach() / batch.valid.sum()), rel=1e-4)
 
 
 def test_a_step_of_pix2pixhd():
@@ -363,6 +435,29 @@ def test_crops_of_both_pictures_show_the_same_and_are_mirrored():
         mirrored += not any(_holds(each.inputs.rgb, crop.inputs.rgb) for each in examples)
     # One half, within four standard deviations of 256 draws.
     assert abs(mirrored - 128) < 32
+
+
+def test_jitter_cuts_a_square_from_an_enlarged_crop():
+    """The same of both pictures, at 286 : 256, and nothing of it in validation."""
+    valid = np.ones((96, 128), bool)
+    valid[:, :30] = False
+    examples = [example(seed, valid) for seed in range(12)]
+    whole, some = (Crops(task_of("pix2pix", examples), 64, False, jitter) for jitter in (64, 72))
+    places = set()
+    for before, after in zip(whole.batch(0, 64), some.batch(0, 64), strict=True):
+        assert after.inputs.rgb.shape == (64, 64, 3) and after.inputs.texel_m == pytest.approx(0.2 * 64 / 72)
+        # The picture varies by a few levels per pixel, the target is linear in it.
+        off = np.abs(280.0 + 20.0 * after.target - kelvin(after.inputs.rgb))[after.valid]
+        assert off.max() < 0.1 and after.valid.mean() > 0.2 and (after.target[~after.valid] == 0.0).all()
+        larger = np.kron(before.inputs.rgb.astype(float), np.ones((9, 9, 1)))[4::8, 4::8]
+        errors = {(top, left): np.abs(larger[top : top + 64, left : left + 64] - after.inputs.rgb).mean()
+                  for top in range(9) for left in range(9)}  # fmt: skip
+        places.add(min(errors, key=errors.get))
+        assert min(errors.values()) < 4.0
+    # 81 places are equally likely.
+    assert len(places) > 30
+    plain, jittered = whole.validation()[0], some.validation()[0]
+    assert np.array_equal(plain.inputs.rgb, jittered.inputs.rgb)
 
 
 def _holds(whole, part):
@@ -535,6 +630,19 @@ def test_published_networks_normalise_each_square_separately():
     # The statistics of the training do not depend on the picture.
     twice = np.concatenate([rgb, 255 - rgb], axis=1)
     assert np.allclose(safe.predict(Inputs(twice, 0.2), 0.2)[:, :100], one[:, :100], atol=0.2)
+
+
+@pytest.mark.parametrize("written", [{}, {"architecture": "keras_unet"}, {"architecture": None}])
+def test_a_file_of_the_former_unet_gan_is_the_keras_variant(written):
+    torch.manual_seed(0)
+    now = network("unet-gan-keras")
+    header = {name: value for name, value in now.header().items() if name != "architecture"}
+    again = Network.of(header | {"method": "unet-gan"} | written, now.arrays())
+    assert again.method == "unet-gan-keras" and again.recipe == recipe_of("unet-gan-keras")
+    inputs = Inputs(picture(1, 64, 64), 0.2)
+    assert np.array_equal(*(each.predict(inputs, 0.2) for each in (again, Network.of(now.header(), now.arrays()))))
+    new = network("unet-gan")
+    assert Network.of(new.header(), new.arrays()).recipe == recipe_of("unet-gan")
 
 
 def test_a_texel_outside_the_trained_range_is_resampled_to_its_end():

@@ -292,6 +292,53 @@ def test_trees_with_relief_give_kelvin_above_the_air(tmp_path):
         model.predict(replace(other.inputs, terrain={"material": other.inputs.terrain["material"]}), None)
 
 
+@pytest.mark.parametrize("missing", [False, True], ids=["all known in training", "some unknown in training"])
+def test_trees_are_evaluated_as_lightgbm_does(missing, monkeypatch):
+    """To rounding, also on a threshold, on planes with NaN, in blocks, and where every pixel has the same leaf."""
+    generator = np.random.default_rng(3)
+
+    def conditional(seed):
+        terrain = {"slope": generator.normal(size=(48, 64)).astype(np.float32).round(1),
+                   "view": generator.random((48, 64)).astype(np.float32)}  # fmt: skip
+        if missing:
+            terrain["slope"][generator.random((48, 64)) < 0.2] = np.nan
+        return Inputs(picture(seed), None, terrain, {"wind_m_s": float(seed)})
+
+    monkeypatch.setattr(trees, "_MOST_TREES", 20)
+    made = [conditional(seed) for seed in range(9)]
+    true = [290.0 + np.nan_to_num(one.terrain["slope"], nan=4.0) + one.rgb[..., 0] / 50.0 for one in made]
+    model = trees.fit_trees(task_of("trees+", [example(*one) for one in zip(made, true, strict=True)]))
+    slope = model.extra.columns.index("slope")
+    splits = (split for columns, limits, *_ in model._forest._trees for split in zip(columns, limits, strict=True))
+    # LightGBM takes numbers below 1e-35 as 0.
+    thresholds = np.float32([limit for column, limit in splits if column == slope and abs(limit) > 1e-30][:99])
+    assert thresholds.size > 9
+    other = conditional(20)
+    # Thresholds themselves, and their neighbours in single precision.
+    flat = other.terrain["slope"].ravel()
+    beside = [np.nextafter(thresholds, np.float32(to)) for to in (-9, 9)]
+    flat[: 3 * len(thresholds)] = np.concatenate([thresholds, *beside])
+    other.terrain["slope"][20:22, :32] = np.nan
+    other.terrain["view"][:, :40] = 0.5
+    ((_, table),) = model.extra.tiles(other)
+    wanted = model._booster.predict(table.reshape(len(table), -1).T).reshape(48, 64)
+    for side in (256, 20):
+        monkeypatch.setattr(trees, "_BLOCK", side)
+        np.testing.assert_allclose(model.predict(other, None), wanted, rtol=0.0, atol=1e-12)
+
+
+def test_trees_of_other_kinds_are_left_to_lightgbm(monkeypatch):
+    """Splits by class, another treatment of missing values, and texts that this package does not write."""
+    monkeypatch.setattr(trees, "_MOST_TREES", 2)
+    plain = trees.fit_trees(task_of("trees", [example(Inputs(picture(0)), 280.0 + picture(0)[..., 0] / 20.0)]))
+    assert plain._forest is not None
+    changes = {"objective=regression_l1": "objective=binary sigmoid:1", "\nis_linear=0": "\nis_linear=1",
+               "tree\nversion": "tree\naverage_output\nversion", "num_class=1\n": "num_class=2\n",
+               "decision_type=2": "decision_type=1", "\ndecision_type=2": "\ndecision_type=6"}  # fmt: skip
+    for before, after in changes.items():
+        assert before in plain.text and replace(plain, text=plain.text.replace(before, after))._forest is None
+
+
 def test_whole_runs_are_held_out():
     held = trees.held_out(1600)
     assert held.sum() == 200

@@ -302,8 +302,8 @@ def test_a_map_that_has_seen_the_scene_is_found(tmp_path):
     (text,) = {each["says"] for each in found["findings"] if each["kind"] == "leak"}
     assert text.startswith("training has seen seen: 3 of 3 photographs") and "'p3'" in text
     assert "leak" in kinds(found, "B leaky") and "leak" not in kinds(found, "B fair")
-    assert "not audited" in found["methods"]["B unknown"]["training"]["audited"]
-    assert found["methods"]["B larger"]["training"]["audited"].startswith("not audited: it was trained on 40 pairs")
+    assert "what this map was trained on is unknown" in found["methods"]["B unknown"]["training"]["audited"]
+    assert found["methods"]["B larger"]["training"]["audited"].count("not audited: it was trained on 40 pairs")
     assert "3 photographs" in found["methods"]["B fair"]["training"]["audited"]
 
 

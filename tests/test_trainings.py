@@ -42,6 +42,21 @@ def test_curves_best_errors_and_plateaus_are_read_from_logs(tmp_path):
     assert not trainings.sentences(result)
 
 
+def test_only_a_falling_curve_is_extrapolated_by_its_power_law(tmp_path):
+    falling = write(tmp_path / "falling.run", [8.0 * n**-0.5 for n in range(1, 11)], core_s=360.0, method="unet-gan")
+    flat = write(tmp_path / "flat.run", [3.0, 2.0, 2.5, 2.2, 1.99])
+    result = trainings.run([flat, falling])
+    flat, falling = result["runs"]
+    assert flat["extrapolated"] is None
+    best = 8.0 / 10.0**0.5
+    assert falling["extrapolated"] == pytest.approx({"core_s": 7200.0, "mae_k": best / 2.0**0.5, "exponent": -0.5})
+    assert trainings.extrapolations(result) == [
+        "falling: 2.53 K after 1.00 core hours; extrapolated, not measured: 1.79 K after 2.00"
+    ]
+    # Both readings of the study's epochs.
+    assert [row[5] for row in trainings.rows(result)] == [702_200, "392000000 or 98000"]
+
+
 def test_a_method_is_ahead_with_less_error_in_a_tenth_of_the_time(tmp_path):
     slow = write(tmp_path / "slow.run", [3.0, 2.0], core_s=100.0)
     # Within 20 core seconds 1.5 K; the slower one's best, 2 K, took 200.

@@ -23,7 +23,7 @@ COLOURS = {"black": (0, 0, 0), "white": (255, 255, 255), "grey": (128, 128, 128)
 # Thermal values are hundredths of a kelvin; intensities 0…1 have a range of 280 K to 300 K.
 _KELVIN = np.arange(40000) / 100.0
 _COLD, _WARM = 280.0, 300.0
-_NETWORKS = ("unet-classes", "unet", "unet-gan", "pix2pix", "pix2pixhd", "cyclegan", "compact")
+_NETWORKS = ("unet-classes", "unet", "unet-gan-keras", "pix2pix", "pix2pixhd", "cyclegan", "compact")
 _SETTINGS = {"width": 4, "batch": 2, "crops": 8, "every": 4}
 
 
@@ -110,7 +110,7 @@ def grey_fit(size):
 
 
 @case("maps", "{}: black, white, grey and wholly invalid pictures in a training: numbers that are not finite",
-      ("unet-gan", "compact"))  # fmt: skip
+      ("unet-gan-keras", "compact"))  # fmt: skip
 def odd_pictures(method):
     from thermorender.learned.networks.loop import train_network
 

@@ -166,19 +166,23 @@ def audit(dataset: Dataset, near_m: float = NEAR_M, progress: Callable[[str, flo
             raise ThermorenderError(
                 f"{dataset.folder} has no pairs in part {part!r}; split it so that training and test both have some"
             )
-    sketches = {}
+    known, wanted, mirrored = [], [], []
     for number, entry in enumerate((*test, *train), 1):
-        sketches[entry.key] = duplicates.sketch(dataset.pair(entry, truth=False).visible)
+        rgb = dataset.pair(entry, truth=False).visible
+        if number > len(test):
+            known.append(duplicates.sketch(rgb))
+        else:
+            wanted.append(duplicates.sketch(rgb))
+            mirrored.append(duplicates.sketch(rgb[:, ::-1]))
         report_progress("reading pictures", number / (len(test) + len(train)))
     matches = duplicates.find(
-        [sketches[entry.key] for entry in test], [sketches[entry.key] for entry in train],
-        lambda fraction: report_progress("comparing pictures", fraction),
-    )  # fmt: skip
-    duplicated = {
-        entry.key: (train[match.index].key, match.overlap)
-        for entry, match in zip(test, matches, strict=True)
-        if match is not None
-    }
+        [*wanted, *mirrored], known, lambda fraction: report_progress("comparing pictures", fraction)
+    )
+    duplicated = {}
+    for entry, *both in zip(test, matches[: len(test)], matches[len(test) :], strict=True):
+        best = max(filter(None, both), key=lambda match: match.overlap * match.correlation, default=None)
+        if best is not None:
+            duplicated[entry.key] = train[best.index].key, best.overlap
     leaks = {
         "sibling": siblings(test, train),
         "duplicate": _leak("duplicate", duplicated, len(test), worst=max),

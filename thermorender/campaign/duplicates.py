@@ -4,7 +4,8 @@ Every picture is reduced to a small grey one and described by ORB features (Rubl
 doi:10.1109/ICCV.2011.6126544), each 256 comparisons of brightness. Features that agree in 16 consecutive comparisons
 vote for each other's pictures, which avoids comparing all pairs. The pictures with most votes are aligned by the
 similarity transform that most features agree on. They are duplicates if their fine structure then correlates. Matches
-survive changes of brightness, compression, shifts, crops, scale and rotation; mirrored copies are not found.
+survive changes of brightness, compression, shifts, crops, scale and rotation. Mirrored copies are found only by the
+sketch of the mirrored picture, and few crops of a fifth of the area: `learned.audit.fingerprints` finds those.
 
 Measured on 42 photographs of roads and 30 procedural orthophotos: all copies that were compressed, darkened, blurred,
 reduced to a third, or shifted and cropped by 15 % are found; 96 % of crops that share at least 40 % of their area;

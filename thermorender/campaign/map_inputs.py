@@ -32,8 +32,8 @@ def inputs_of(pair: Pair, card: dict[str, Any], material: bool = False) -> Input
     card : dict
         Card of its data set; `card["terrain"]` names the truth planes that follow from the terrain alone.
     material : bool
-        Add the plane "material": indices into `card["materials"]`, NaN for sky. For oracles only, as no map knows the
-        true material.
+        Add the plane "material": indices into `card["materials"]`, NaN for sky. For privileged maps only, as no
+        other map knows the true material.
 
     Raises
     ------

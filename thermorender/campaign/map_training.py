@@ -13,12 +13,13 @@ from thermorender.campaign.cut import Cut, moved
 from thermorender.campaign.dataset import Dataset
 from thermorender.campaign.map_inputs import depth_of, ground_of, inputs_of
 from thermorender.errors import ThermorenderError
+from thermorender.learned.audit.fingerprints import fingerprints_of, stored_numbers
 from thermorender.learned.temperature_map import ASSUMED_SKY_K, Inputs, TemperatureMap
 from thermorender.learned.training import Example, Task
 from thermorender.learned.training_methods import METHODS, method
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.units import ZERO_CELSIUS_K
-from thermorender.versions import versions
+from thermorender.versions import version_of, versions
 
 # Lowest temperature of intensity 0 [K], below any sky's in the band. Chosen.
 _COLDEST_K = 150.0
@@ -51,7 +52,7 @@ def train_map(
     parts : sequence of str
         The published correlations were fitted on training and validation.
     material : bool
-        Give the method the true material of each pixel: an oracle, not a map.
+        Give the method the true material of each pixel: a privileged map.
     shift_px : float
         Shift each thermal picture by a random vector of this length, to train on misaligned pairs [px].
     share : float
@@ -74,7 +75,7 @@ def train_map(
     how, report_progress = method(method_name), progress or (lambda task, fraction: None)
     options = checked_options(method_name, how.options, options or {})
     if material:
-        _refuse_oracle(method_name)
+        _refuse_privileged(method_name)
     pairs, cut = _some(dataset.of(*parts), share), Cut(shift_px=shift_px, seed=seed)
     if not len(pairs):
         raise ThermorenderError(f"{dataset.folder} has no pairs in {' or '.join(parts)}; give a split that has some")
@@ -103,13 +104,25 @@ def train_map(
         name=name, method=method_name, predictor=predictor, range_k=range_k, band_um=scale.band_um,
         texel_m=texel_m, texel_range_m=texel_range_m, camera=dataset.card.get("camera", "unknown"),
         sky_temperature=float(np.mean(skies)) if skies else ASSUMED_SKY_K,
-        source=f"{method_name} on {_name_of(dataset, len(pairs))}",
+        source=f"{method_name} on {_name_of(dataset, len(pairs))}", fingerprints=_fingerprints(pairs),
     )  # fmt: skip
     about = _about(dataset, pairs, parts, bounds, {"shift_px": shift_px, "share": share}) | {
         "options": options, "seed": seed, "training_s": round(seconds, 2),
-        "training": getattr(predictor, "trained", {}), "versions": versions(),
+        "training": getattr(predictor, "trained", {}), "versions": versions() | _library(method_name),
     }  # fmt: skip
     return _with_error(made, about, dataset, material)
+
+
+def _fingerprints(pairs):
+    """Fingerprints of the training pictures, or of as many as a map stores."""
+    some = [pairs.entries[k] for k in stored_numbers(len(pairs))]
+    return fingerprints_of((pairs.pair(entry, truth=False).visible for entry in some), len(pairs))
+
+
+def _library(method_name):
+    """{name: version} of the library that fitted a method, beside NumPy."""
+    name = "torch" if method(method_name).long else "lightgbm" if method_name.startswith("trees") else None
+    return {} if name is None else {name: version_of(name)}
 
 
 def _sampling(entries):
@@ -190,13 +203,13 @@ def refuse_missing_conditions(method_name: str, dataset: Dataset) -> None:
         )
 
 
-def _refuse_oracle(method_name):
+def _refuse_privileged(method_name):
     """Refuse a method that does not use materials."""
     if not method(method_name).classes:
         known = ", ".join(name for name, each in METHODS.items() if each.classes)
         raise ThermorenderError(
-            f"method {method_name!r} does not use materials, so it cannot be an oracle; take {known}, or leave out "
-            "--oracle"
+            f"method {method_name!r} does not use materials, so its map cannot be privileged; take {known}, or leave "
+            "out --privileged"
         )
 
 

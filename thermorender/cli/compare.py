@@ -32,7 +32,7 @@ def compare(
     models: Annotated[str, typer.Option(help="Comma-separated learned maps: names, or .npz files.")] = ",".join(
         defaults.TEMPERATURE_MAPS
     ),
-    oracle: Annotated[
+    privileged: Annotated[
         str | None, typer.Option(help="A map (.npz) that takes the true material as extra input.")
     ] = None,
     foreign: Annotated[
@@ -77,7 +77,7 @@ def compare(
             loaded = situation.load(name)
             flights.append(Flight.of(loaded, log.read(loaded, rate_hz), rate_hz, log.start_s, log.stop_s))
         options = run.Options(
-            letters, oracle, folders, [read_dataset(one) for one in dataset or ()],
+            letters, privileged, folders, [read_dataset(one) for one in dataset or ()],
             learned_materials(emissivity, fallback), arrays, seed, {"device": device, **sampling.settings()},
         )  # fmt: skip
         summary = run.compare(flights, output, split(models), options, report)

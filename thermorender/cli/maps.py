@@ -192,8 +192,9 @@ def train(
         list[str] | None,
         typer.Option("--set", help="OPTION=VALUE of the method, such as intercept=true or penalty=1e-6; repeat."),
     ] = None,
-    oracle: Annotated[
-        bool, typer.Option("--oracle", help="Add the true material of each pixel as input: for evaluate --oracle only.")
+    privileged: Annotated[
+        bool, typer.Option("--privileged", help="Add the true material of each pixel as input: for evaluate and "
+                           "compare --privileged only.")
     ] = False,
     labels: Annotated[
         Path | None, typer.Option(help="Emissivity: GeoJSON polygons with a property 'material', in place of the "
@@ -220,9 +221,9 @@ def train(
 ) -> None:  # fmt: skip
     """Train a learned map: from colour to temperature on a data set, or to materials on scenes."""
     if method == "emissivity":
-        if of or setting or oracle or run or resume:
+        if of or setting or privileged or run or resume:
             raise ThermorenderError(
-                "--split, --set, --oracle, --run and --resume belong to maps of temperature; leave them out"
+                "--split, --set, --privileged, --run and --resume belong to maps of temperature; leave them out"
             )
         if base is not None:
             _update_emissivity(sources, output, labels, base, seed, (texel_m, augmentations) == (None, None))
@@ -234,11 +235,11 @@ def train(
             f"--labels, --from, --texel-m and --augmentations belong to `train emissivity`, not to {method!r}; leave "
             "them out"
         )
-    _train_temperature(method, sources or [], output, of, setting or [], oracle, seed, run, resume)
+    _train_temperature(method, sources or [], output, of, setting or [], privileged, seed, run, resume)
 
 
 def _train_temperature(
-    method: str, sources: list[str], output: Path, of: Path | None, setting: list[str], oracle: bool, seed: int,
+    method: str, sources: list[str], output: Path, of: Path | None, setting: list[str], privileged: bool, seed: int,
     run: Path | None, resume: bool,
 ) -> None:  # fmt: skip
     """Train a map from colour to temperature, and print its error."""
@@ -258,7 +259,9 @@ def _train_temperature(
     options = dict(named(text, "--set", "OPTION=VALUE") for text in setting)
     with progress() as report:
         folder = (run or output.with_suffix(".run")) if known(method).long else None
-        model = train_map(output.stem, method, pairs, options, seed, report, material=oracle, run=folder, resume=resume)
+        model = train_map(
+            output.stem, method, pairs, options, seed, report, material=privileged, run=folder, resume=resume
+        )
         # Only one process of a data-parallel training writes.
         if os.environ.get("RANK", "0") != "0":
             return
@@ -325,18 +328,27 @@ def translate(
         bool, typer.Option("--inner", help="Leave out the border, as published, instead of repeating edge pixels.")
     ] = False,
     frames: Annotated[bool, typer.Option("--frames", help="Write the frames of videos too.")] = False,
+    audit: Annotated[
+        bool, typer.Option("--audit", help="Search the pictures, and first frames of videos, for those that the map "
+                           "was trained on.")
+    ] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a stopped run.")] = False,
-) -> None:
+) -> None:  # fmt: skip
     """Translate photographs and videos into thermal ones with a learned map; temperatures are in kelvin."""
+    from thermorender.learned.audit.training_pictures import search_in_files
     from thermorender.learned.temperature_map import load_model
     from thermorender.learned.translate import translate as run
     from thermorender.trajectory import parse_numbers
 
     limits = parse_numbers("--range-c", range_c, ("COLD", "WARM")) if range_c else None
     with progress() as report:
-        summary = run(load_model(model, limits), images, output, texel_m, palette, inner, frames, resume, report)
+        chosen = load_model(model, limits)
+        summary = run(chosen, images, output, texel_m, palette, inner, frames, resume, report)
+        seen = search_in_files(chosen, images, lambda share: report("audit", share)) if audit else None
     if summary["warning"]:
         typer.echo(f"warning: {summary['warning']}", err=True)
+    if seen is not None:
+        typer.echo(seen.line)
     for sentence in summary["failed"].values():
         typer.echo(f"error: {sentence}", err=True)
     counted = [f"{summary['done']} translated"]
@@ -353,8 +365,9 @@ def evaluate(
     output: Annotated[
         Path, output_option("-o", "--output", help="New folder for the results.", check=files.check_new_folder)
     ],
-    oracle: Annotated[
-        str | None, typer.Option(help="File of a map that takes the true material as extra input, as a lower limit.")
+    privileged: Annotated[
+        str | None,
+        typer.Option(help="File of a map that takes the true material as extra input. Its error is not a lower limit."),
     ] = None,
     foreign: Annotated[
         list[str] | None,
@@ -380,9 +393,11 @@ def evaluate(
         parts = read_split(of)
     with progress() as advance:
         data = read_dataset(dataset)
-        result = study.evaluate(data, models, output, oracle, folders, parts, part, limit, seed, advance)
+        result = study.evaluate(data, models, output, privileged, folders, parts, part, limit, seed, advance)
     for line in report.lines_before(result):
         typer.echo(line)
     table(report.HEADER, [*report.rows(result), *report.published_rows()])
     typer.echo(report.CAVEAT)
+    table(report.STRUCTURE, report.structure_rows(result))
+    typer.echo(report.ABOUT_STRUCTURE)
     typer.echo(f"tables, numbers and pictures in {output}")

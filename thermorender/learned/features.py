@@ -83,7 +83,15 @@ def whole_picture(rgb: np.ndarray) -> np.ndarray:
 
 
 def features(rgb: np.ndarray, whole: np.ndarray) -> np.ndarray:
-    """Return the features of each pixel, (len(NAMES), h, w) float32.
+    """Return the features of each pixel, (len(NAMES), h, w) float32, from arguments as of `feature_planes`."""
+    found = np.empty((len(NAMES), *rgb.shape[:2]), np.float32)
+    for number, plane in enumerate(feature_planes(rgb, whole)):
+        found[number] = plane
+    return found
+
+
+def feature_planes(rgb: np.ndarray, whole: np.ndarray) -> list[np.ndarray]:
+    """Return the features of each pixel, one (h, w) float32 each, and one number for each of the whole picture.
 
     Parameters
     ----------
@@ -95,13 +103,12 @@ def features(rgb: np.ndarray, whole: np.ndarray) -> np.ndarray:
     # Centred, because the variance is a difference of squares in single precision.
     centre = np.float32((50.0, 0.0, 0.0))
     image = lab(rgb) - centre
-    found = np.empty((len(NAMES), *rgb.shape[:2]), np.float32)
     means, spreads = {}, []
     for window in WINDOWS:
         means[window] = blurred(image, window)
         variance = np.maximum(blurred(image * image, window) - means[window] ** 2, 0.0)
         spreads += [variance[..., 0], variance[..., 1] + variance[..., 2]]
-    planes = [
+    return [
         *np.moveaxis(image + centre, -1, 0),
         *np.moveaxis(image + centre - whole[:3], -1, 0),
         *(plane for window in WINDOWS for plane in np.moveaxis(means[window] + centre, -1, 0)),
@@ -110,6 +117,3 @@ def features(rgb: np.ndarray, whole: np.ndarray) -> np.ndarray:
         *(plane for window in _GRADIENT_WINDOWS for plane in structure(image[..., 0], window)),
         *whole,
     ]
-    for number, plane in enumerate(planes):
-        found[number] = plane
-    return found

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.learned.features import HALO, NAMES, features, whole_picture
+from thermorender.learned.features import HALO, NAMES, feature_planes, whole_picture
 from thermorender.learned.temperature_map import Inputs
 from thermorender.learned.training import Task
 
@@ -109,7 +109,19 @@ class ExtraInputs:
     def tiles(
         self, inputs: Inputs, window: tuple[int, int, int, int] | None = None
     ) -> Iterator[tuple[tuple[slice, slice], np.ndarray]]:
-        """Yield ((rows, columns) slices, (len(columns), h, w) float32) of a picture, tile by tile.
+        """Yield ((rows, columns) slices, (len(columns), h, w) float32) of a picture, as `planes` does."""
+        for here, columns in self.planes(inputs, window):
+            table = np.empty((len(columns), *(part.stop - part.start for part in here)), np.float32)
+            for number, column in enumerate(columns):
+                table[number] = column
+            yield here, table
+
+    def planes(
+        self, inputs: Inputs, window: tuple[int, int, int, int] | None = None
+    ) -> Iterator[tuple[tuple[slice, slice], list[np.ndarray]]]:
+        """Yield ((rows, columns) slices, values of each column) of a picture, tile by tile.
+
+        The values of a column are (h, w) float32, or one number if it is the same for all pixels of the picture.
 
         Parameters
         ----------
@@ -120,22 +132,24 @@ class ExtraInputs:
         """
         self.check(inputs)
         whole = whole_picture(inputs.rgb)
+        conditions = [np.float32(inputs.conditions[name]) for name in self.conditions]
         height, width = inputs.rgb.shape[:2]
         first_row, last_row, first_column, last_column = window or (0, height, 0, width)
         for top in range(first_row, last_row, _TILE):
             for left in range(first_column, last_column, _TILE):
                 bottom, right = min(top + _TILE, last_row), min(left + _TILE, last_column)
                 up, before = max(top - HALO, 0), max(left - HALO, 0)
-                part = features(inputs.rgb[up : bottom + HALO, before : right + HALO], whole)
-                part = part[:, top - up : bottom - up, left - before : right - before]
+                part = feature_planes(inputs.rgb[up : bottom + HALO, before : right + HALO], whole)
+                inner = np.s_[top - up : bottom - up, left - before : right - before]
                 here = slice(top, bottom), slice(left, right)
-                table = np.empty((len(self.columns), *part.shape[1:]), np.float32)
-                table[: len(part)] = part
-                for number, name in enumerate(self.terrain, len(part)):
-                    table[number] = inputs.terrain[name][here]
-                for number, name in enumerate(self.conditions, len(part) + len(self.terrain)):
-                    table[number] = inputs.conditions[name]
-                yield here, table
+                yield (
+                    here,
+                    [
+                        *(plane[inner] if plane.ndim else plane for plane in part),
+                        *(np.asarray(inputs.terrain[name][here], np.float32) for name in self.terrain),
+                        *conditions,
+                    ],
+                )
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ from thermorender import files, formats
 from thermorender.defaults import BAND_UM, CAMERA, TRAINED_MAPS
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.learned import correlation
+from thermorender.learned.audit.fingerprints import Fingerprints
 from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance, kelvin_per_radiance
 from thermorender.schema import did_you_mean
@@ -105,6 +106,8 @@ class TemperatureMap:
         Standard deviation of its error [K]; None: unknown.
     about : dict
         Data set and its split, conditions, settings, versions.
+    fingerprints : Fingerprints or None
+        Of its training pictures; None: what it was trained on is unknown.
     """
 
     name: str
@@ -120,6 +123,7 @@ class TemperatureMap:
     trained: dict[str, Any] | None = None
     error_k: float | None = None
     about: dict[str, Any] = field(default_factory=dict)
+    fingerprints: Fingerprints | None = None
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -249,13 +253,26 @@ _PLAIN = ("name", "method", "range_k", "band_um", "texel_m", "texel_range_m", "c
 
 
 def save_map(model: TemperatureMap, path: files.PathLike) -> None:
-    """Write a TemperatureMap as one .npz file."""
+    """Write a TemperatureMap as one .npz file, with a digest of its contents."""
     predictor = model.predictor
     kind = next(kind for kind, (_, name) in PREDICTORS.items() if type(predictor).__name__ == name)
     header = {"format": FORMAT, "predictor": kind, **{name: getattr(model, name) for name in _PLAIN}}
-    header["of_predictor"] = predictor.header()
+    header["of_predictor"], arrays = predictor.header(), predictor.arrays()
+    if model.fingerprints is not None:
+        header["training_pictures"] = model.fingerprints.pictures
+        arrays = {**arrays, "fingerprints": model.fingerprints.rows}
+    header = json.loads(json.dumps(header))
+    header["digest"] = _digest(header, arrays)
     with files.atomic(path) as part:
-        np.savez_compressed(part, header=np.array(json.dumps(header)), **predictor.arrays())
+        np.savez_compressed(part, header=np.array(json.dumps(header)), **arrays)
+
+
+def _digest(header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
+    """Checksum (hex) of everything in a map's file."""
+    state = hashlib.blake2b(json.dumps(header, sort_keys=True).encode(), digest_size=16)
+    for name, values in sorted(arrays.items()):
+        state.update(f"{name} {values.dtype} {values.shape} ".encode() + np.ascontiguousarray(values).tobytes())
+    return state.hexdigest()
 
 
 def load_map(path: files.PathLike) -> TemperatureMap:
@@ -273,12 +290,18 @@ def load_map(path: files.PathLike) -> TemperatureMap:
         with open(path, "rb") as file:
             arrays = _arrays(file)
         header = formats.finite_json(str(arrays.pop("header")))
+        # Maps of earlier versions have no digest.
+        stated = header.pop("digest", None)
+        if stated is not None and stated != _digest(header, arrays):
+            raise ValueError("its contents differ from its digest")
         if header.pop("format") != FORMAT:
             raise ValueError("its format has another number")
+        pictures = header.pop("training_pictures", None)
+        prints = None if pictures is None else Fingerprints(arrays.pop("fingerprints"), int(pictures))
         module, name = PREDICTORS[header.pop("predictor")]
         predictor = getattr(importlib.import_module(module), name).of(header.pop("of_predictor"), arrays)
         header = {key: tuple(value) if isinstance(value, list) else value for key, value in header.items()}
-        return _usable(TemperatureMap(predictor=predictor, **header))
+        return _usable(TemperatureMap(predictor=predictor, fingerprints=prints, **header))
     except ThermorenderError:
         raise
     except ModuleNotFoundError as error:

@@ -23,7 +23,7 @@ class Method:
     options : dict of str to value
         Its options with their defaults.
     classes : bool
-        Whether it can use class numbers, such as an oracle's materials, as input.
+        Whether it can use class numbers, such as a privileged map's materials, as input.
     long : bool
         Whether it is trained step by step, in a folder from which it can be resumed.
     """

@@ -182,7 +182,7 @@ def translate(
     """
     report = progress or (lambda what, share: None)
     how = Translation(model, texel_m, palette, inner)
-    sources = _sources(paths)
+    sources = sources_of(paths)
     outputs = {source: _outputs(source, Path(output), frames) for source in sources}
     _refuse_clashes(outputs, resume)
     settings = {
@@ -344,8 +344,8 @@ def _write_counts(how, counts, tiff, png):
 # --- files and record -------------------------------------------------------------------------------------------
 
 
-def _sources(paths):
-    """The pictures and videos of paths and folders, each once."""
+def sources_of(paths: Sequence[files.PathLike]) -> list[Path]:
+    """Return the pictures and videos of paths and folders, each once; raise ThermorenderError if there are none."""
     known = (*PICTURES, *VIDEOS)
     found = []
     for path in map(Path, paths):

@@ -23,7 +23,7 @@ def main(
     with files.output_folder(output) as folder:
         formats.write_json(folder / "trainings.json", result)
         write(folder, result, runs)
-    for line in study.sentences(result):
+    for line in study.sentences(result) + study.extrapolations(result):
         typer.echo(line)
     conclude("trainings", output, study.HEADER, study.rows(result), "numbers and figures")
 

@@ -14,6 +14,8 @@ _EPOCHS = 4
 def curves(path, result):
     """Draw validation error against core hours of every training, with a mark at its best.
 
+    Extrapolations are thin and dash-dotted, and end in a hollow mark.
+
     Parameters
     ----------
     path : path
@@ -28,6 +30,12 @@ def curves(path, result):
         style = {"color": f"C{number % 10}", "ls": ("-", "--", ":")[number // 10 % 3]}
         axis.plot(np.array(seconds) / 3600.0, errors, lw=1.2, label=each["name"], **style)
         axis.plot(each["best_core_s"] / 3600.0, each["best_mae_k"], "o", ms=5, color=style["color"])
+        if each["extrapolated"]:
+            ends = np.array([each["core_s"], each["extrapolated"]["core_s"]]) / 3600.0
+            axis.plot(ends, [each["best_mae_k"], each["extrapolated"]["mae_k"]], "-.", lw=0.7, color=style["color"],
+                      marker="o", mfc="none", markevery=[1])  # fmt: skip
+    if any(each["extrapolated"] for each in result["runs"]):
+        axis.plot([], [], "-.", lw=0.7, color="grey", marker="o", mfc="none", label="extrapolated, not measured")
     axis.set(xscale="log", xlabel="training [hours of one core]", ylabel="mean absolute error on validation crops [K]")
     axis.set_ylim(0.0, 1.6 * max(each["curve"][-1][2] for each in result["runs"]))
     axis.grid(alpha=0.3, which="both")

@@ -4,6 +4,9 @@ All trainings validate on crops of the same pictures, so their errors are compar
 threads of a process, so other load does not matter. A training has reached its plateau if its best error fell by less
 than 1 % over the last fifth of its crops. A method is ahead of another if its error is smaller within a tenth of the
 time.
+
+A training that has not reached its plateau is extrapolated: a power law of core time is fitted to the best errors so
+far over the later half of the crops, and extended to twice the core time. The result is not a measurement.
 """
 
 import numpy as np
@@ -19,6 +22,8 @@ PLATEAU = 0.01
 _EPOCHS = 4
 # Factor of time by which a training must be sooner to be ahead.
 SOONER = 10.0
+# Factor of core time up to which a curve is extrapolated, and the share of the crops that is fitted.
+FURTHER, _LATER = 2.0, 0.5
 # Smallest difference of errors for a training to be ahead [K].
 _LEAST_K = 0.01
 
@@ -36,7 +41,7 @@ def run(folders):
     dict
         Its "runs" have name, method, options, seed, pairs of the data set, published_crops, curve [(crops, core
         seconds, validation error [K])], best_mae_k, best_crops, best_core_s, core_s, crops and last_fifth, the share by
-        which the best error fell over the last fifth of the crops.
+        which the best error fell over the last fifth of the crops, and extrapolated, of that function.
 
     Raises
     ------
@@ -69,24 +74,52 @@ def _read(folder):
     best = int(errors.argmin())
     early = errors[crops <= 0.8 * crops[-1]]
     recipe = RECIPES.get(settings["method"])
+    last_fifth = float(1.0 - errors.min() / early.min()) if early.size >= _EPOCHS and early.min() > 0.0 else None
     return {
         "name": folder.resolve().name.removesuffix(".run"), "method": settings["method"],
         "options": settings["options"], "seed": settings["seed"], "pairs": settings["examples"][0],
-        "published_crops": recipe.published_crops if recipe else None, "curve": curve,
+        "published_crops": recipe.published_crops if recipe else None,
+        "published_steps": recipe.published_steps if recipe else None, "curve": curve,
         "best_mae_k": float(errors[best]), "best_crops": int(crops[best]), "best_core_s": float(seconds[best]),
         "core_s": float(seconds[-1]), "crops": int(crops[-1]),
-        "last_fifth": float(1.0 - errors.min() / early.min()) if early.size >= _EPOCHS and early.min() > 0.0 else None,
+        "last_fifth": last_fifth, "extrapolated": extrapolated(curve, last_fifth),
     }  # fmt: skip
+
+
+def extrapolated(curve, last_fifth):
+    """Return {"core_s", "mae_k", "exponent"} of a curve extended `FURTHER` times as far, by a power law of core time.
+
+    None for a training that is on its plateau or too short.
+
+    Parameters
+    ----------
+    curve : sequence of (crops, core seconds, validation error [K])
+    last_fifth : float or None
+        As in `run`.
+    """
+    if last_fifth is None or last_fifth < PLATEAU:
+        return None
+    crops, seconds, errors = np.array(curve, np.float64).T
+    later = crops > (1.0 - _LATER) * crops[-1]
+    exponent, _ = np.polyfit(np.log(seconds[later]), np.log(np.minimum.accumulate(errors)[later]), 1)
+    return {"core_s": float(FURTHER * seconds[-1]), "mae_k": float(errors.min() * FURTHER**exponent),
+            "exponent": float(exponent)}  # fmt: skip
 
 
 def rows(result):
     """Return the result as table rows under HEADER."""
     return [
         (each["name"], each["method"], each["options"]["width"], each["options"]["batch"], each["crops"],
-         each["published_crops"] or "–", f"{each['core_s'] / 3600.0:.2f}", f"{each['best_mae_k']:.2f}",
+         _published(each), f"{each['core_s'] / 3600.0:.2f}", f"{each['best_mae_k']:.2f}",
          each["best_crops"], f"{each['best_core_s'] / 3600.0:.3f}", _last_fifth(each["last_fifth"]))
         for each in result["runs"]
     ]  # fmt: skip
+
+
+def _published(each):
+    """Training crops of the study, with both readings of its epochs where there are two."""
+    epochs, steps = each["published_crops"], each["published_steps"]
+    return f"{epochs} or {steps}" if steps else epochs or "–"
 
 
 def sentences(result):
@@ -107,6 +140,15 @@ def sentences(result):
                 found.append(f"{winner} is ahead of {loser} by at least {margin:.2f} K, within 1/{SOONER:g} of the "
                              "core time of its best error")  # fmt: skip
     return found
+
+
+def extrapolations(result):
+    """Return one sentence for each extrapolated curve."""
+    return [
+        f"{each['name']}: {each['best_mae_k']:.2f} K after {each['core_s'] / 3600.0:.2f} core hours; extrapolated, not "
+        f"measured: {each['extrapolated']['mae_k']:.2f} K after {each['extrapolated']['core_s'] / 3600.0:.2f}"
+        for each in result["runs"] if each["extrapolated"]
+    ]  # fmt: skip
 
 
 def _before(runs, seconds):

@@ -239,5 +239,5 @@ USES = {
         for name in ("picture", *(f"photograph{kind}" for kind in ("", " webp", " tif", " bmp", " jpg")))
     },
     "map compact": _by_network,
-    "map unet-gan": _by_network,
+    "map unet-gan-keras": _by_network,
 }

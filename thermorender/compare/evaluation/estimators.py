@@ -63,7 +63,7 @@ class LearnedMap:
     ----------
     label : str
     model : TemperatureMap
-    oracle : bool
+    privileged : bool
         Whether it takes the material as input.
     seconds_per_mpixel : list of float
         Run time of each prediction.
@@ -78,7 +78,7 @@ class LearnedMap:
 
     label: str
     model: TemperatureMap
-    oracle: bool = False
+    privileged: bool = False
     seconds_per_mpixel: list[float] = field(default_factory=list)
     peak_mib: float | None = None
     covered: NDArray[np.float64] = field(default_factory=lambda: np.zeros(5))
@@ -86,17 +86,17 @@ class LearnedMap:
 
     @property
     def kind(self) -> str:
-        """What the report calls it: "oracle" or "map"."""
-        return "oracle" if self.oracle else "map"
+        """What the report calls it: "privileged" or "map"."""
+        return "privileged" if self.privileged else "map"
 
     @property
     def knows(self) -> str:
         """Its inputs beside the picture."""
-        return "the material" if self.oracle else ", ".join(self.model.needs)
+        return "the material" if self.privileged else ", ".join(self.model.needs)
 
     def guess(self, view: View) -> NDArray[np.float32]:
         """Return its apparent temperature, (H, W) float32 [K]."""
-        inputs = inputs_of(view.pair, view.card, material=self.oracle)
+        inputs = inputs_of(view.pair, view.card, material=self.privileged)
         forget_peak_memory()
         began = time.perf_counter()
         radiance, spread = self.model.translated(inputs)

@@ -27,13 +27,14 @@ from thermorender import files, formats
 from thermorender.campaign.audit import Audit, audit
 from thermorender.campaign.dataset import Dataset, Entry, ThermalScale
 from thermorender.campaign.map_inputs import NO_MATERIAL, ground_of
-from thermorender.compare.evaluation import figures, paired, report, similarity, sums
+from thermorender.compare.evaluation import figures, paired, report, similarity, structure, sums
 from thermorender.compare.evaluation.classes import EDGES, edge_class, material_groups, picture_classes
 from thermorender.compare.evaluation.estimators import Foreign, LearnedMap, Simple, View, baselines
 from thermorender.compare.evaluation.training_part import Levels, read_training_part
 from thermorender.compare.machine import machine
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
+from thermorender.learned.audit.training_pictures import Search, search_in
 from thermorender.learned.temperature_map import TemperatureMap, load_model
 from thermorender.versions import versions
 
@@ -45,7 +46,7 @@ def evaluate(
     dataset: Dataset,
     models: Sequence[str | Path],
     folder: str | PathLike[str],
-    oracle: str | Path | None = None,
+    privileged: str | Path | None = None,
     foreign: Mapping[str, str | PathLike[str]] | None = None,
     split: Mapping[str, str] | None = None,
     part: str = "test",
@@ -62,7 +63,7 @@ def evaluate(
         Names or files of learned maps.
     folder : path
         New folder: `evaluation.json`, `evaluation.md` and figures. It is written whole or not at all.
-    oracle : str, optional
+    privileged : str, optional
         File of a map that also takes the material as input.
     foreign : dict of str to path, optional
         Folders of other programs' pictures, by name.
@@ -90,13 +91,14 @@ def evaluate(
     scored, train = (_limited(dataset.of(each), limit) for each in (part, "train"))
     if not scored.entries:
         raise ThermorenderError(f"{dataset.folder} has no pairs of part {part!r}; give another --part, or a --split")
-    maps = _maps(models, oracle)
+    maps = _maps(models, privileged)
     began, levels = time.perf_counter(), Levels(dataset.scale)
     views = _Views(scored, levels)
     # The maps were trained on the pairs that `limit` leaves out, too.
     leaks = _audit(dataset.of("train"), scored) if part != "train" and train.entries else None
     training = read_training_part(train, levels, lambda share: report_progress("reading the training part", share))
     bounds = training.bounds_k or maps[0].model.range_k
+    seen = [_training_pictures(each.model, scored, report_progress) for each in maps]
     others = [Foreign(name, place, scored.entries) for name, place in (foreign or {}).items()]
     others = [other.fitted(views) for other in others]
     drawn: list[LearnedMap | Foreign] = [*maps, *others]
@@ -105,11 +107,12 @@ def evaluate(
     for number, view in enumerate(views):
         report_progress("scoring", number / len(scored))
         _score(view, number, tallies, bounds)
-    texts = [*models, *([oracle] if oracle else [])]
+    texts = [*models, *([privileged] if privileged else [])]
     result = {
         "part": part, "split": "given" if split is not None else "the data set's own", "limit": limit, "seed": seed,
         "training_pairs": training.pairs, "bounds_k": list(bounds),
         "audit": None if leaks is None else {"lines": leaks.lines(), **leaks.summary()},
+        "training_pictures": {each.label: own.summary() for each, own in zip(maps, seen, strict=True)},
         **_result(dataset, scored, maps, texts, tallies, seed),
     }  # fmt: skip
     with files.atomic_folder(folder) as draft:
@@ -185,6 +188,7 @@ class _Tally:
         self.edges = np.zeros((len(EDGES), sums.WIDTH))
         self.sky = np.zeros(sums.WIDTH)
         self.alike = np.zeros(4)
+        self.structure = np.full((pairs, structure.WIDTH), np.nan)
         self.pairs = 0
 
     def summary(
@@ -204,6 +208,7 @@ class _Tally:
             "kind": self.method.kind, "knows": self.method.knows, "pairs": self.pairs,
             **sums.summary(self.rows.sum(axis=0)),
             "interval_95": sums.intervals(self.rows, cluster, seed),
+            "structure": structure.summary(self.structure, cluster, seed),
             **similarity.summary(self.alike), **self.method.cost(),
             "groups": {grouping: {name: sums.summary(own[name]) for name in sorted(own)}
                        for grouping, own in groups.items() if own},
@@ -232,10 +237,11 @@ def _score(view: View, number: int, tallies: list[_Tally], bounds: tuple[float, 
         tally.pairs += 1
         # The floor is an error estimate, not a picture to compare.
         if tally.method.kind != "floor":
+            tally.structure[number] = structure.row(guess, view.true, known)
             tally.alike += alike.row(similarity.eight_bit(guess, bounds))
 
 
-def _maps(models: Sequence[str | Path], oracle: str | Path | None) -> list[LearnedMap]:
+def _maps(models: Sequence[str | Path], privileged: str | Path | None) -> list[LearnedMap]:
     """Return the LearnedMaps of names and files, with unique labels."""
     loaded = [load_model(model) for model in models]
     names = [model.name for model in loaded]
@@ -243,9 +249,9 @@ def _maps(models: Sequence[str | Path], oracle: str | Path | None) -> list[Learn
     if len(set(labels)) < len(labels):
         raise ThermorenderError(f"models {', '.join(map(str, models))} name one map twice; give each once")
     found = [LearnedMap(label, model) for label, model in zip(labels, loaded, strict=True)]
-    if oracle:
-        model = load_model(oracle)
-        found.append(LearnedMap(f"oracle {model.name}", model, oracle=True))
+    if privileged:
+        model = load_model(privileged)
+        found.append(LearnedMap(f"privileged {model.name}", model, privileged=True))
     return found
 
 
@@ -272,6 +278,17 @@ def _audit(train: Dataset, scored: Dataset) -> Audit:
     return audit(train.having([*train.entries, *(replace(entry, part="test") for entry in scored.entries)]))
 
 
+def _training_pictures(model: TemperatureMap, scored: Dataset, report: Callable[[str, float], object]) -> Search:
+    """Return the Search for a map's training pictures in the scored ones."""
+    entries = scored.entries
+
+    def read(number: int) -> NDArray[np.uint8]:
+        return scored.pair(entries[number], truth=False).visible
+
+    step = f"searching training pictures of {model.name}"
+    return search_in(model, [entry.key for entry in entries], read, lambda share: report(step, share))
+
+
 def _notes(scale: ThermalScale, maps: list[LearnedMap], entries: Sequence[Entry]) -> list[str]:
     """Return sentences that a reader should know before the numbers."""
     notes = []
@@ -280,6 +297,11 @@ def _notes(scale: ThermalScale, maps: list[LearnedMap], entries: Sequence[Entry]
         notes.append(
             f"the scale of the thermal pictures is unknown: temperatures assume {low:g}…{high:g} °C for intensity 0…1"
         )
+    drives = len({entry.sequence for entry in entries})
+    if drives == 1:
+        notes.append("all scored pairs are of one sequence, so that errors have no intervals")
+    elif drives < sums.FEWEST_SEQUENCES:
+        notes.append(f"the scored pairs are of {drives} sequences only: intervals are too narrow")
     sizes = [entry.texel_m for entry in entries if entry.texel_m is not None]
     for each in maps:
         found = [each.model.texel_warning(size) for size in (min(sizes), max(sizes))] if sizes else []
@@ -304,7 +326,9 @@ def _brief(row: NDArray[np.float64]) -> dict[str, Any]:
 
 def _header(model: TemperatureMap, text: str | Path) -> dict[str, Any]:
     """Return the header of a map's file, and its digest where `text` is a file."""
-    header = {each.name: getattr(model, each.name) for each in fields(model) if each.name != "predictor"}
+    header = {
+        each.name: getattr(model, each.name) for each in fields(model) if each.name not in ("predictor", "fingerprints")
+    }
     return header | {"sha256": _digest(text) if str(text).endswith(".npz") else None}
 
 

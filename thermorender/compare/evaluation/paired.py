@@ -25,7 +25,7 @@ def kin(maps: Sequence["LearnedMap"]) -> list[list[int]]:
     seeds = set()
     for number, each in enumerate(maps):
         model = each.model
-        training = [model.method, each.oracle, *(model.about.get(name) for name in _KEYS)]
+        training = [model.method, each.privileged, *(model.about.get(name) for name in _KEYS)]
         alike, seed = json.dumps(training, sort_keys=True), model.about.get("seed")
         # Two maps of the same seed must differ in something that their files do not record.
         alone = number if seed is None or (alike, seed) in seeds else None

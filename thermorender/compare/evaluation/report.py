@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from thermorender import formats
+from thermorender.compare.evaluation.structure import SHIFT_PX
 
 # Mean error, mean absolute error and standard deviation [K], and training, of the published methods: "Generation of
 # artificial infrared camera images for visual navigation simulation", tables 7 and 2.
@@ -49,6 +50,31 @@ def rows(result: dict[str, Any]) -> list[tuple[str, ...]]:
     ]  # fmt: skip
 
 
+STRUCTURE = ("method", "correlation", "95 %", "slope", "95 %", "MAE without means [K]", "95 %",
+             f"MAE growth by {SHIFT_PX} px [K]", "95 %", "correlation after it")  # fmt: skip
+ABOUT_STRUCTURE = (
+    "Correlation with the truth within a picture, and slope against it (1 for the right contrast, 0 for a constant): "
+    "medians over pictures. MAE without means: after each picture's mean error is subtracted. The last columns are a "
+    f"control: the true pictures are shifted by {SHIFT_PX} px, and the MAE changes by so much on the same pixels. A "
+    "method that reproduces structure loses by the shift; where the change is near 0, the MAE does not show whether "
+    "it does."
+)
+
+
+def structure_rows(result: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Return the methods' scores of structure as table rows of text under `STRUCTURE`."""
+    found: list[tuple[str, ...]] = []
+    for label, each in result["methods"].items():
+        own, ends = each["structure"], each["structure"]["interval_95"]
+        if own["mae_without_mean_k"] is not None:
+            found.append((
+                label, _number(own["correlation"]), _interval(ends["correlation"]), _number(own["slope"]),
+                _interval(ends["slope"]), _number(own["mae_without_mean_k"]), _interval(ends["mae_without_mean_k"]),
+                _signed(own["shift_more_k"]), _interval(ends["shift_more_k"]), _number(own["correlation_shifted"]),
+            ))  # fmt: skip
+    return found
+
+
 def published_rows() -> list[tuple[str, ...]]:
     """Return the published methods as table rows of text under `HEADER`."""
     return [
@@ -58,9 +84,10 @@ def published_rows() -> list[tuple[str, ...]]:
 
 
 def lines_before(result: dict[str, Any]) -> list[str]:
-    """Return the lines to read before the numbers: notes and the verdict of the audit."""
+    """Return the lines to read before the numbers: notes, what the maps were trained on, and the audit of the split."""
     audit = result["audit"]["lines"] if result["audit"] else ["the parts were not audited for leaks"]
-    return [*(f"note: {note}" for note in result["notes"]), *audit]
+    maps = [each["line"] for each in result["training_pictures"].values()]
+    return [*(f"note: {note}" for note in result["notes"]), *maps, *(f"split: {line}" for line in audit)]
 
 
 def cost_rows(result: dict[str, Any]) -> list[tuple[str, ...]]:
@@ -89,6 +116,7 @@ def write(path: Path, result: dict[str, Any]) -> None:
         *(f"- {line}" for line in lines_before(result)), "",
         *_table(HEADER, [*rows(result), *published_rows()], 2), "",
         CAVEAT, "", FLOOR, "",
+        "## Structure", "", *_table(STRUCTURE, structure_rows(result)), "", ABOUT_STRUCTURE, "",
         "## Cost", "",
         *_table(("map", "inference [s/megapixel]", "training [s]", "peak memory [MiB]", "MAE [K]"), cost_rows(result)),
         "", "Peak memory is that of the whole process. Published training: "

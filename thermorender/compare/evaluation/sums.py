@@ -18,7 +18,7 @@ WIDTH = 5
 # Bootstrap.
 DRAWS = 1000
 CONFIDENCE = 0.95
-# The bootstrap draws sequences where there are at least this many, otherwise parents.
+# With fewer sequences, percentile intervals are too narrow.
 FEWEST_SEQUENCES = 10
 
 
@@ -65,14 +65,12 @@ def summary(total: ArrayLike) -> dict[str, Any]:
 
 
 def clusters(entries: Sequence[Entry]) -> tuple[NDArray[np.intp], str]:
-    """Return (cluster number of each Entry, kind of cluster): "sequences", or "parents" where sequences are few.
+    """Return (number of each Entry's sequence, the clusters in words).
 
-    Errors of one flight or landscape are correlated; drawing single pictures would make intervals too narrow.
+    Errors of one drive, flight or landscape are correlated: drawing single pictures would make intervals too narrow.
     """
-    sequences = [entry.sequence for entry in entries]
-    few = len(set(sequences)) < FEWEST_SEQUENCES
-    names = [entry.parent for entry in entries] if few else sequences
-    return np.unique(names, return_inverse=True)[1], "parents" if few else "sequences"
+    names, number = np.unique([entry.sequence for entry in entries], return_inverse=True)
+    return number, f"{len(names)} sequence{'s' if len(names) != 1 else ''}"
 
 
 def intervals(rows: ArrayLike, cluster: ArrayLike, seed: int = 0) -> dict[str, Interval | None]:

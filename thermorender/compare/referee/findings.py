@@ -151,7 +151,7 @@ def _beaten(summary: dict[str, Any]) -> list[Finding]:
     worse, limit = [], 0.0
     for label, own in summary["methods"].items():
         more = own["more_than_constant"]
-        hour = own["bounds"] != "own" and own["letter"] in ("B", "C1", "C2", "O")
+        hour = own["bounds"] != "own" and own["letter"] in ("B", "C1", "C2", "P")
         if not more or not hour or own["true_objects"] or not more["interval_95"] or not more["interval_95"][0] > 0.0:
             continue
         low, high = more["interval_95"]

@@ -3,10 +3,10 @@
 By letter: *B*, a learned map applied to the photograph of the pose, as in the published 2D methods. *C*, the same map
 applied to the orthophoto, its apparent temperatures converted to kinetic ones, and that scene rendered: *C1* with true
 materials, *C2* with learned ones. *D*, one constant, and *E*, one temperature per material, both from thermal frames
-of other lands in the same hour and weather. *F*, the heat balance with table properties and the scene's weather. *O*,
-an oracle: a map that takes the true material as input. Frames of another program go under that program's name.
+of other lands in the same hour and weather. *F*, the heat balance with table properties and the scene's weather. *P*,
+a privileged map: one that takes the true material as input. Frames of another program go under that program's name.
 
-B to O do not know the objects' true temperatures: these come from the map, by colour, or from the table of the
+B to P do not know the objects' true temperatures: these come from the map, by colour, or from the table of the
 material. `knows` lists what a method knows beyond a photograph.
 
 A map of intensities is used three times: with its own bounds, with bounds refitted to the campaign, and with a
@@ -59,7 +59,7 @@ class Method:
     Attributes
     ----------
     letter : str
-        "B", "C1", "C2", "D", "E", "F", "O", "foreign".
+        "B", "C1", "C2", "D", "E", "F", "P", "foreign".
     name : str
         Name of the map, or of the method where there is no map.
     bounds : str or None
@@ -230,10 +230,10 @@ def balanced(scene: Scene, reference: Renderer, settings: Settings | None = None
                   kelvin=kelvin)  # fmt: skip
 
 
-def oracle(
+def privileged(
     scene: Scene, text: str, model: TemperatureMap, reference: Renderer, settings: Settings | None = None
 ) -> Method:
-    """Return the method O of a scene: a map that also takes the material of each texel as input."""
+    """Return the method P of a scene: a map that also takes the material of each texel as input."""
     kelvin, time = _table_temperatures(scene), scene.time
     assert time is not None  # the caller has a scene with [weather]
 
@@ -243,7 +243,7 @@ def oracle(
         return Renderer(solved, like=reference, **(settings or {}))
 
     knows = _knows(None, "the materials", *(_WORDS[name] for name in model.needs))
-    return Method("O", model.name, None, knows, model=model, build=build, kelvin=kelvin)
+    return Method("P", model.name, None, knows, model=model, build=build, kelvin=kelvin)
 
 
 def painted(training: Training | None, band_um: tuple[float, float]) -> list[Method]:

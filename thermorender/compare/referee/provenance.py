@@ -11,6 +11,7 @@ from thermorender.campaign import duplicates
 from thermorender.campaign.dataset import Dataset
 from thermorender.compare.words import counted
 from thermorender.errors import ThermorenderError
+from thermorender.learned.audit.training_pictures import search_in
 from thermorender.learned.temperature_map import TemperatureMap
 from thermorender.scene.scene import Scene
 
@@ -36,7 +37,7 @@ class Provenance:
     """
 
     header: dict[str, Any]
-    audited: str = "not audited: its training pictures are not available"
+    audited: str = "not audited"
     leaks: list[str] = field(default_factory=list)
 
 
@@ -50,6 +51,17 @@ def provenance_of(model: TemperatureMap) -> Provenance:
         "training_s": about.get("training_s"), "texel_m": list(model.texel_range_m),
     }  # fmt: skip
     return Provenance(header)
+
+
+def search_fingerprints(
+    provenance: Provenance, model: TemperatureMap, scenes: Mapping[str, Sequence[NDArray[np.uint8]]]
+) -> None:
+    """Search photographs {scene: sequence of (H, W, 3)} for a map's training pictures, by its fingerprints."""
+    named = [(f"{scene} {number}", rgb) for scene, own in scenes.items() for number, rgb in enumerate(own, 1)]
+    found = search_in(model, [name for name, _ in named], lambda number: named[number][1])
+    provenance.audited = found.line
+    if found.found:
+        provenance.leaks.append(found.line)
 
 
 class TrainingPictures:
@@ -77,13 +89,13 @@ class TrainingPictures:
         """Search photographs {scene: sequence of (H, W, 3)} among the pictures, and add leaks to a Provenance."""
         pairs = sum((provenance.header["pairs"] or {}).values())
         if pairs > self.of_all:
-            provenance.audited = (
-                f"not audited: it was trained on {pairs} pairs of a data set called {self.name!r}, and the one given "
-                f"has {self.of_all}"
+            provenance.audited += (
+                f"; not audited: it was trained on {pairs} pairs of a data set called {self.name!r}, and the one "
+                f"given has {self.of_all}"
             )
             return
-        provenance.audited = (
-            f"{counted(sum(map(len, scenes.values())), 'photograph')} of the test compared by content with "
+        provenance.audited += (
+            f"; {counted(sum(map(len, scenes.values())), 'photograph')} of the test compared by content with "
             f"{len(self.entries)} of {self.of_all} pictures of {self.name!r}"
         )
         for scene, pictures in scenes.items():

@@ -49,7 +49,7 @@ class Options:
     ----------
     letters : sequence of str
         Methods to compare with the reference, some of `methods.LETTERS`.
-    oracle : str or None
+    privileged : str or None
         File of a map that also takes the material as input.
     foreign : dict of str to path
         Folders of other programs' frames, by name.
@@ -66,7 +66,7 @@ class Options:
     """
 
     letters: Collection[str] = methods.LETTERS
-    oracle: str | None = None
+    privileged: str | None = None
     foreign: Mapping[str, str | PathLike[str]] = field(default_factory=dict)
     datasets: Sequence[Dataset] = ()
     emissivity: EmissivitySpec = field(default_factory=methods.learned_materials)
@@ -77,16 +77,16 @@ class Options:
 
 @dataclass(frozen=True)
 class _Contestants:
-    """The loaded maps and oracle, (name or file, map) each, and the foreign frames."""
+    """The loaded maps and privileged map, (name or file, map) each, and the foreign frames."""
 
     maps: list[tuple[str, TemperatureMap]]
-    oracle: tuple[str, TemperatureMap] | None
+    privileged: tuple[str, TemperatureMap] | None
     others: list[methods.Foreign]
 
     @property
     def models(self) -> list[TemperatureMap]:
-        """All maps, the oracle last."""
-        return [model for _, model in (*self.maps, *([self.oracle] if self.oracle else []))]
+        """All maps, the privileged one last."""
+        return [model for _, model in (*self.maps, *([self.privileged] if self.privileged else []))]
 
 
 def compare(
@@ -160,12 +160,12 @@ def compare(
 
 
 def _contestants(flights: Sequence[Flight], models: Sequence[str], options: Options) -> _Contestants:
-    """Load the maps, the oracle and the foreign frames; refuse equal names and pictures that do not fit together."""
+    """Load the maps, privileged or not, and foreign frames; refuse equal names and sizes that differ."""
     names = [flight.scene.name for flight in flights]
     for name in names:
         if names.count(name) > 1:
             raise ThermorenderError(f"two scenes are called {name!r}; give folders of different names")
-    oracle = (options.oracle, load_model(options.oracle)) if options.oracle else None
+    privileged = (options.privileged, load_model(options.privileged)) if options.privileged else None
     shapes = {(flight.scene.camera.height, flight.scene.camera.width): flight.scene.name for flight in flights}
     if len(shapes) > 1:
         sizes = "; ".join(f"{name!r} {width}×{height}" for (height, width), name in shapes.items())
@@ -174,12 +174,12 @@ def _contestants(flights: Sequence[Flight], models: Sequence[str], options: Opti
     others = [methods.Foreign(name, Path(place)) for name, place in options.foreign.items()]
     if not maps and not others:
         raise ThermorenderError("models is empty; give at least one learned map, or foreign frames")
-    found = _Contestants(maps, oracle, others)
+    found = _Contestants(maps, privileged, others)
     called = [*(model.name for model in found.models), *(other.name for other in others)]
     for name in called:
         if called.count(name) > 1:
             raise ThermorenderError(
-                f"two methods are called {name!r}; give maps, the oracle and foreign frames different names"
+                f"two methods are called {name!r}; give maps, the privileged map and foreign frames different names"
             )
     for other in others:
         for flight in flights:
@@ -263,8 +263,8 @@ def _methods(
         if {"C1", "C2"} & letters:
             true = "C1" in letters
             found += methods.rendered(scene, text, model, reference, campaign, true, learned, settings)
-    if contestants.oracle is not None and weathered:
-        found.append(methods.oracle(scene, *contestants.oracle, reference, settings))
+    if contestants.privileged is not None and weathered:
+        found.append(methods.privileged(scene, *contestants.privileged, reference, settings))
     if setup.has_truth:
         painted = methods.painted(campaign, scene.camera.band_um)
         found += [each for each in painted if each.letter in letters]
@@ -314,6 +314,7 @@ def _origins(
     found = {}
     for model in models:
         own = provenance.provenance_of(model)
+        provenance.search_fingerprints(own, model, photographs)
         pictures = provenance.matched(known, model)
         if pictures is not None:
             pictures.audit(own, photographs)

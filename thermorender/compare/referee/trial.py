@@ -354,7 +354,7 @@ class Trial:
         scene = method.renderer.scene
         facts: dict[str, Any] = {"circular": [], "emissivities": {}, "report": dict(scene.temperature_state.report)}
         if self._setup.has_truth and method.letter != "F":
-            text = provenance.circular(scene, self.scene) if method.letter != "O" else None
+            text = provenance.circular(scene, self.scene) if method.letter != "P" else None
             facts["circular"] += [text] if text else []
             rows = emissivities.of_scenes(scene, self.scene)
             facts["emissivities"] = {name: row.tolist() for name, row in rows.items()}

@@ -29,6 +29,7 @@ _NETS = {
     "keras_unet": lambda encoding, width: KerasUNet(encoding.channels, width),
     "keras_unet_classes": lambda encoding, width: KerasUNet(encoding.channels, width, learners.LEVELS),
     "unet256": lambda encoding, width: UNet256(encoding.channels, width),
+    "unet256_seven": lambda encoding, width: UNet256(encoding.channels, width, levels=7, biased=False),
     "pix2pixhd": lambda encoding, width: ResidualGenerator(encoding.channels, width),
     "cyclegan": lambda encoding, width: ResidualGenerator(encoding.channels, width, _CYCLE_HALVINGS),
     "compact": lambda encoding, width: Compact(encoding.channels, width, encoding.mixed),
@@ -36,7 +37,7 @@ _NETS = {
 _OPTIMISERS = {"adam": torch.optim.Adam, "nadam": torch.optim.NAdam, "adamw": torch.optim.AdamW}
 _KINDS = {
     "regression": learners.Regression, "classes": learners.Classes, "adversarial": learners.Adversarial,
-    "scales": learners.Scaled, "cycle": learners.Cycle, "robust": learners.Robust,
+    "summed": learners.Summed, "scales": learners.Scaled, "cycle": learners.Cycle, "robust": learners.Robust,
 }  # fmt: skip
 
 
@@ -56,8 +57,8 @@ def learner_of(recipe: Recipe, encoding: Encoding, width: int, rate: float) -> l
     kind, others = kind_of(recipe), {}
     # 64 with a generator of full width, and proportionally narrower with a narrower one.
     beside = max(8, _JUDGE * width // recipe.width)
-    if kind is learners.Adversarial:
-        others = {"discriminator": PatchDiscriminator(seen + 1, beside)}
+    if issubclass(kind, learners.Adversarial):
+        others = {"discriminator": PatchDiscriminator(seen + 1, beside, biased=kind is not learners.Summed)}
     elif kind is learners.Scaled:
         others = {"discriminator": ScaledDiscriminators(seen + 1, beside)}
     elif kind is learners.Cycle:

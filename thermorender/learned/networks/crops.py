@@ -49,10 +49,12 @@ class Crops:
         [pixels]
     above_air : bool
         Whether the target is kelvin above the air, instead of intensity.
+    jitter : int, optional
+        Side that training crops are enlarged to, before a square of `side` is cut from them [pixels].
     """
 
-    def __init__(self, task, side, above_air):
-        self.task, self.side, self.above_air = task, side, above_air
+    def __init__(self, task, side, above_air, jitter=None):
+        self.task, self.side, self.above_air, self.jitter = task, side, above_air, jitter or side
         count = len(task.examples)
         held = task.held_out if task.held_out is not None else np.arange(count) % 10 == 9
         self.train, self.held = np.flatnonzero(~held), np.flatnonzero(held)
@@ -96,7 +98,7 @@ class Crops:
         order, pictures = self._blocks[block]
         picture, cut = divmod(int(order[within]), self._cuts)
         generator = np.random.default_rng([self.task.seed, 3, block * self._mixed + picture, cut])
-        return self._cut(pictures[picture].result(), generator, mirrored=True)
+        return self._jittered(self._cut(pictures[picture].result(), generator, mirrored=True), generator)
 
     def _read_at(self, place):
         """`read` the picture at a place of the endless order, in which each picture comes once per epoch."""
@@ -122,6 +124,28 @@ class Crops:
         # Values without a temperature (radiance below zero) are not learned from.
         valid = example.valid & np.isfinite(target)
         return example.inputs, np.where(valid, target, 0.0).astype(np.float32), valid
+
+    def _jittered(self, crop, generator):
+        """A square of `side` at a random place of an enlarged Crop."""
+        if self.jitter == self.side:
+            return crop
+        import cv2
+
+        top, left = (int(place) for place in generator.integers(self.jitter - self.side + 1, size=2))
+        inputs, size = crop.inputs, (self.jitter, self.jitter)
+
+        def part(plane, how=cv2.INTER_NEAREST_EXACT):
+            whole = cv2.resize(plane, size, interpolation=how)
+            return np.ascontiguousarray(whole[top : top + self.side, left : left + self.side])
+
+        # A pixel is valid if all four by four pixels that it is interpolated from are.
+        sure = part(cv2.erode(crop.valid.astype(np.uint8), np.ones((5, 5), np.uint8))).astype(bool)
+        target = np.where(sure, part(crop.target, cv2.INTER_CUBIC), np.float32(0.0))
+        terrain = {name: part(np.float32(plane)).astype(np.float16) for name, plane in inputs.terrain.items()}
+        texel_m = None if inputs.texel_m is None else inputs.texel_m * self.side / self.jitter
+        depth = None if inputs.depth is None else part(np.float32(inputs.depth))
+        cut = Inputs(part(inputs.rgb, cv2.INTER_CUBIC), texel_m, terrain, inputs.conditions, depth)
+        return Crop(cut, target, sure)
 
     def _cut(self, read, generator, mirrored=False):
         inputs, target, valid = read

@@ -130,22 +130,47 @@ class Adversarial(Learner):
     def step(self, batch: Batch) -> dict[str, torch.Tensor]:
         """Take a step of the discriminator, then of the generator; return {name: loss}."""
         made = self.forward(batch)
-        real = torch.where(batch.valid > 0.0, batch.target, made.detach())
+        against = self.judge(batch, made.detach())
+        return {**self.fool(batch, made, 1.0), "discriminator": against}
+
+    def judge(self, batch: Batch, made: torch.Tensor) -> torch.Tensor:
+        """Take a step of the discriminator on translations of a Batch; return its loss."""
+        real = torch.where(batch.valid > 0.0, batch.target, made)
         judged = self.parts["discriminator"]
-        against = 0.5 * (self.against(judged, batch, real, 1.0) + self.against(judged, batch, made.detach(), 0.0))
+        against = 0.5 * (self.against(judged, batch, real, 1.0) + self.against(judged, batch, made, 0.0))
         self.descend("discriminator", against)
-        judged.requires_grad_(False)
+        return against
+
+    def fool(self, batch: Batch, made: torch.Tensor, count: torch.Tensor | float) -> dict[str, torch.Tensor]:
+        """Take a step of the generator, whose absolute error counts as `count` times its mean; return {name: loss}."""
+        judged = self.parts["discriminator"].requires_grad_(False)
         error = batch.mean((made - batch.target).abs())
         fooled = self.against(judged, batch, made, 1.0)
-        self.descend("net", fooled + self.weight * error)
+        self.descend("net", fooled + self.weight * count * error)
         judged.requires_grad_(True)
-        return {"l1": error, "gan": fooled, "discriminator": against}
+        return {"l1": error, "gan": fooled}
 
     @staticmethod
     def against(discriminator: nn.Module, batch: Batch, thermal: torch.Tensor, real: float) -> torch.Tensor:
         """Return the cross-entropy of the discriminator's judgement for the label `real`, 0 or 1."""
         judged = discriminator(torch.cat([batch.planes, thermal], dim=1)).float()
         return functional.binary_cross_entropy_with_logits(judged, torch.full_like(judged, real))
+
+
+class Summed(Adversarial):
+    """As Nhu's program: two steps of the generator for one of the discriminator, and the sum of absolute errors.
+
+    The sum over a square of 256² pixels outweighs the discriminator by far.
+    """
+
+    def step(self, batch: Batch) -> dict[str, torch.Tensor]:
+        """Take a step of the discriminator, then two of the generator; return {name: loss}."""
+        with torch.no_grad():
+            made = self.forward(batch)
+        against, fooled = self.judge(batch, made), {}
+        for _ in range(2):
+            fooled = self.fool(batch, self.forward(batch), batch.valid.sum())
+        return {**fooled, "discriminator": against}
 
 
 class Scaled(Learner):

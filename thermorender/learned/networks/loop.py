@@ -65,7 +65,8 @@ def train_network(task: Task, method: str) -> Network:
     Options: `width`; `batch`; `crops`, their total number; `side` of the crops [pixels]; `rate`, the learning rate;
     `every`, crops between validations (0: as many as there are training pictures); `bf16`, compute convolutions in
     bfloat16 if the machine can; `tensorboard`, also log for it; `depth`, take depth as input; `published`, see
-    `Network`; `vgg`, file of the perceptual loss's weights; `architecture` of `unet`, see `recipes`; `tolerance_mk`,
+    `Network`; `jitter`, side that a crop is enlarged to before a square is cut from it (that of the crop: not at all)
+    [pixels]; `vgg`, file of the perceptual loss's weights; `architecture` of `unet`, see `recipes`; `tolerance_mk`,
     mean change of the output on validation crops that coarser weights in the file may cause (0: half precision) [mK].
 
     Raises
@@ -82,7 +83,8 @@ def train_network(task: Task, method: str) -> Network:
         if first:
             stack.enter_context(files.in_use(folder))
         above_air = recipe.plus and "air_k" in task.examples[0].inputs.conditions
-        crops = Crops(task, int(options.get("side", recipe.side)), above_air)
+        side = int(options.get("side", recipe.side))
+        crops = Crops(task, side, above_air, int(options.get("jitter", side)))
         began = time.perf_counter(), _core_seconds()
         target = (None, None) if recipe.target is None else recipe.target
         base = _base(task, crops) if above_air else None
@@ -117,6 +119,11 @@ def _refuse(method, recipe, options):
     if not 0 < side <= _MOST_SIDE or side % recipe.multiple:
         raise ThermorenderError(
             f"side={side} is not allowed for {method!r}; give a multiple of {recipe.multiple} up to {_MOST_SIDE} pixels"
+        )
+    jitter = options.get("jitter", side)
+    if not side <= jitter <= _MOST_SIDE:
+        raise ThermorenderError(
+            f"jitter={jitter} is not allowed for {method!r}; give {side} (no jitter) to {_MOST_SIDE} pixels"
         )
     if not 0.0 <= options["tolerance_mk"] < math.inf:
         raise ThermorenderError(
@@ -190,24 +197,27 @@ class _Run:
                 losses, began = {}, None
 
     def found(self) -> Network:
-        """Return the Network of the best state."""
-        best = self.folder / BEST
+        """Return the Network of the best state, or of the last epoch with the option `published`."""
+        best, published = self.folder / BEST, bool(self.task.options.get("published"))
         if not best.exists():
             raise ThermorenderError(f"{self.method}: {self.stopped}; take a smaller --set rate")
-        net = net_of(self.recipe, self.encoding, int(self.task.options["width"]))
-        facts = checkpoint.load(best, _Applied(net))
+        if published:
+            facts, net = checkpoint.load(self.folder / LAST, self.learner), self.learner.applied
+        else:
+            net = net_of(self.recipe, self.encoding, int(self.task.options["width"]))
+            facts = checkpoint.load(best, _Applied(net))
         curve = [{name: line[name] for name in ("crops", "seconds", "core_seconds", "validation_mae_k")}
                  for line in runs.read_log(self.folder)]  # fmt: skip
         trained = {
             "crops": self.done, "best_crops": facts["crops"], "published_crops": self.recipe.published_crops,
+            "published_steps": self.recipe.published_steps,
             "seconds": self.seconds, "core_seconds": self.core_seconds, "threads": torch.get_num_threads(),
             "device": device(), "bf16": bool(self.half), "torch": str(torch.__version__),
             "stopped": self.stopped, "curve": curve,
         }  # fmt: skip
         found = Network(
             self.method, int(self.task.options["width"]), self.encoding, self.task.texel_range_m,
-            state_of(net), self.crops.above_air, bool(self.task.options.get("published")), trained,
-            self.recipe.net,
+            state_of(net), self.crops.above_air, published, trained, self.recipe.net,
         )  # fmt: skip
         if self.task.options["tolerance_mk"]:
             found = self._coarse(found)

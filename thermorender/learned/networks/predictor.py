@@ -10,7 +10,7 @@ from thermorender.learned.networks import tiles
 from thermorender.learned.networks.building import kind_of, net_of
 from thermorender.learned.networks.encoding import Encoding
 from thermorender.learned.networks.packing import coarsest_steps, packed, unpacked
-from thermorender.learned.networks.recipes import RECIPES, recipe_of
+from thermorender.learned.networks.recipes import RECIPES, method_of_file, recipe_of
 from thermorender.learned.rows import at_shape
 
 # Pictures are given whole up to this side, else in tiles of it, of whose overlap no more than the middle is taken: what
@@ -41,8 +41,9 @@ class Network:
     above_air : bool
         Whether it gives kelvin above the air instead of intensity.
     published : bool
-        Apply it as pix2pix was: with the statistics of each square and dropout, drawn from a fixed seed. Else with the
-        statistics of the training and no dropout, so that neighbouring squares agree.
+        Apply it as pix2pix was: the state of the last epoch, with the statistics of each square and dropout, drawn from
+        a fixed seed. Else the state of least validation error, with the statistics of the training and no dropout, so
+        that neighbouring squares agree.
     trained : dict
         What its training was: crops, seconds, curve; empty for one of a file.
     architecture : str or None
@@ -178,7 +179,8 @@ class Network:
         table = header.get("packed", [])
         if table:
             arrays = unpacked(arrays["packed"], table) | {name: arrays[name] for name in arrays if name != "packed"}
-        if header["method"] not in RECIPES or type(header["width"]) is not int:
+        method = method_of_file(header)
+        if method not in RECIPES or type(header["width"]) is not int:
             raise ValueError("it is of an unknown method or width")
         if not 1 <= header["width"] <= MOST_WIDTH or not all(type(header[name]) is bool for name in _FLAGS):
             raise ValueError("it is of an unknown method or width, or its flags are neither true nor false")
@@ -192,7 +194,7 @@ class Network:
         state = {name: values for name, values in arrays.items() if name not in encoding.arrays()}
         if any(values.min(initial=0.0) < 0.0 for name, values in state.items() if name.endswith("running_var")):
             raise ValueError("it has a variance below 0")
-        found = cls(header["method"], header["width"], encoding, limits, state, header["above_air"],
+        found = cls(method, header["width"], encoding, limits, state, header["above_air"],
                     header["published"], architecture=header.get("architecture"),
                     steps={name: step for name, _, _, step in table})  # fmt: skip
         _ = found.net

@@ -8,6 +8,21 @@ Infrared Sensor Images using Deep Learning Neural Networks, which names networks
 leaves open (batch, rate, width) is Keras' default or is marked as chosen. CycleGAN: Zhu et al. (arXiv:1703.10593).
 `compact` and `compact+` are this project's, their numbers chosen on validation pairs.
 
+DLR says of its final network both that it is the U-Net of its previous trial, which is the Keras U-Net, and that it
+follows Nhu's satellite-to-map program (github.com/anh-nn01/Satellite-Imagery-to-Map-Translation-using-Pix2Pix-GAN-
+framework). `unet-gan` is Nhu's: its page states a U-Net-256 with skip connections, batch 1, Adam of 2e-4 and β 0.5,
+0.999, and λ 100. Copies of its program, which agree with each other, add seven halvings, no biases, a constant rate,
+two steps of the generator after each of the discriminator, and an L1 that is summed instead of averaged. They apply
+the network of the last epoch with dropout and the statistics of each batch: `published=true`. They scale whole pictures
+to 256², flipped up and down at random; here squares are cut, flipped left and right. `unet-gan-keras` is the other
+reading, the Keras U-Net with pix2pix' losses and rates. Which figures belong to which: `validation/networks`.
+
+DLR's 98 000 epochs of this network are probably steps of one pair. 98 000 epochs of 4000 pairs would be 392 million
+crops, more than a year at 10 crops a second; its figures show epochs 100, 9700, 15 000 and 98 000.
+
+pix2pixHD's default includes a perceptual loss by VGG-19 with ImageNet's weights. They are not shipped, so `pix2pixhd`
+trains without this loss unless the option `vgg` names their file.
+
 No network is imported here.
 """
 
@@ -17,7 +32,11 @@ from thermorender.errors import ThermorenderError
 
 # Crops of FOK's Table 2: 3511 pictures times epochs. DLR states "over 4000" pairs.
 _FOK, _DLR = 3511, 4000
+# Epochs, or rather steps, of DLR's network with a discriminator.
+_DLR_STEPS = 98_000
 _PIX2PIX_RATE, _PIX2PIX_BETAS = 2e-4, (0.5, 0.999)
+# Side that the programs of pix2pix and CycleGAN enlarge a picture to, before they cut a square [pixels].
+_JITTER = 286
 
 
 @dataclass(frozen=True)
@@ -41,7 +60,9 @@ class Recipe:
         to 0.
     batch : int
     published_crops : int or None
-        Training crops of the study; None: not published.
+        Training crops of the study, its epochs times its pairs; None: not published.
+    published_steps : int or None
+        Its training crops if its epochs are steps; None: they are not.
     crops : int
         Default number of training crops.
     target : (offset, scale), or None
@@ -56,6 +77,8 @@ class Recipe:
         Whether it takes relief, hour and weather as input.
     weight : float
         Weight of the second loss, λ in the papers; the first has 1.
+    options : dict
+        Options that not all recipes have, with their defaults.
     """
 
     net: str
@@ -67,6 +90,7 @@ class Recipe:
     batch: int
     crops: int
     published_crops: int | None = None
+    published_steps: int | None = None
     betas: tuple = (0.9, 0.999)
     target: tuple | None = (0.0, 1.0)
     side: int = 256
@@ -106,18 +130,23 @@ RECIPES = {
                            whole=True, multiple=16),
     "unet": Recipe("keras_unet", 32, "regression", "nadam", 1e-3, "constant", 8, 100_000, _DLR * 400, whole=True,
                    multiple=16, options={"architecture": "keras_unet"}),
-    # 98 000 epochs of 4000 pairs; discriminator and losses are those of pix2pix, as DLR says, the batch is chosen.
-    "unet-gan": Recipe("keras_unet", 32, "adversarial", "adam", _PIX2PIX_RATE, "halfway", 4, 100_000, _DLR * 98_000,
-                       _PIX2PIX_BETAS, (0.5, 0.5), whole=True, multiple=16, weight=100.0),
-    # FOK's other training, over 300 epochs: --set batch=25 --set crops=1053300.
-    "pix2pix": Recipe("unet256", 64, "adversarial", "adam", _PIX2PIX_RATE, "halfway", 1, _FOK * 200, _FOK * 200,
-                      _PIX2PIX_BETAS, (0.5, 0.5), weight=100.0, options={"published": False}),
+    "unet-gan": Recipe("unet256_seven", 64, "summed", "adam", _PIX2PIX_RATE, "constant", 1, _DLR_STEPS,
+                       _DLR * _DLR_STEPS, _DLR_STEPS, _PIX2PIX_BETAS, (0.5, 0.5), weight=100.0,
+                       options={"published": False}),
+    # Discriminator, losses and rates of pix2pix; the batch is chosen.
+    "unet-gan-keras": Recipe("keras_unet", 32, "adversarial", "adam", _PIX2PIX_RATE, "halfway", 4, 100_000,
+                             _DLR * _DLR_STEPS, _DLR_STEPS, _PIX2PIX_BETAS, (0.5, 0.5), whole=True, multiple=16,
+                             weight=100.0),
+    # FOK's other training, over 300 epochs: --set batch=25 --set crops=1053300. Its program enlarges a picture of 256²
+    # to 286² and takes a square of 256² of that.
+    "pix2pix": Recipe("unet256", 64, "adversarial", "adam", _PIX2PIX_RATE, "halfway", 1, _FOK * 200, _FOK * 200, None,
+                      _PIX2PIX_BETAS, (0.5, 0.5), weight=100.0, options={"published": False, "jitter": _JITTER}),
     # λ 10 of feature matching, and of VGG's where its weights are given.
-    "pix2pixhd": Recipe("pix2pixhd", 64, "scales", "adam", _PIX2PIX_RATE, "halfway", 1, _FOK * 200, _FOK * 200,
+    "pix2pixhd": Recipe("pix2pixhd", 64, "scales", "adam", _PIX2PIX_RATE, "halfway", 1, _FOK * 200, _FOK * 200, None,
                         _PIX2PIX_BETAS, (0.5, 0.5), weight=10.0, options={"vgg": ""}),
     # λ 10 of the cycle; two crops make a batch of one unpaired photograph and thermal picture.
-    "cyclegan": Recipe("cyclegan", 64, "cycle", "adam", _PIX2PIX_RATE, "halfway", 2, _FOK * 200, None, _PIX2PIX_BETAS,
-                       (0.5, 0.5), weight=10.0),
+    "cyclegan": Recipe("cyclegan", 64, "cycle", "adam", _PIX2PIX_RATE, "halfway", 2, _FOK * 200, None, None,
+                       _PIX2PIX_BETAS, (0.5, 0.5), weight=10.0, options={"jitter": _JITTER}),
     "compact": _compact(False),
     "compact+": _compact(True),
 }  # fmt: skip
@@ -147,3 +176,9 @@ def recipe_of(method, architecture=None):
         known = ", ".join(_ARCHITECTURES) if "architecture" in recipe.options else recipe.net
         raise ThermorenderError(f"architecture={architecture!r} does not belong to {method!r}; give {known}")
     return replace(recipe, published_crops=None, **_ARCHITECTURES[architecture])
+
+
+def method_of_file(header):
+    """Return the method of a map's file by its header; before 0.2.0, `unet-gan-keras` was called `unet-gan`."""
+    old = header["method"] == "unet-gan" and header.get("architecture") in (None, "keras_unet")
+    return "unet-gan-keras" if old else header["method"]

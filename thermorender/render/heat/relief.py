@@ -181,7 +181,8 @@ def mapped(
     geometry, progress
         As of `reliefs`.
     material : bool
-        Adds the input "material", numbers into the names of the shipped library in their order: for oracles only.
+        Adds the input "material", numbers into the names of the shipped library in their order: for privileged
+        maps only.
 
     Returns
     -------

@@ -33,8 +33,9 @@ _PIXELS = 16
 _AUDITED = ((768, STAGES[0]), (256, STAGES[0]), (256, STAGES[-1]), (256, STAGES[-1]), (256, STAGES[0]))
 # Close to refined pixels: within this many [px]. Edges end there, and errors are seldom as small as elsewhere.
 _CLOSE = 2
-# Standard errors added to the measured error: the few pixels with the largest errors are seldom drawn.
-_SURE = 3.0
+# Standard errors added to the measured error: the few pixels with the largest errors are seldom drawn, and one view in
+# thousands may be stated too low.
+_SURE = 3.5
 # Largest share of light assumed to be passed on between mirrors.
 _MOST_PASSED = 0.98
 # Smallest predicted error [mK].

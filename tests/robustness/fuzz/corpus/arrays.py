@@ -72,7 +72,7 @@ def _write_network(method, path):
     save_map(trained(method), path)
 
 
-for _name in ("compact", "unet-gan"):
+for _name in ("compact", "unet-gan-keras"):
     reader(f"map {_name}", "map.npz", partial(_write_network, _name))(_of_map)
 
 

@@ -28,7 +28,7 @@ _DPI, _WORDS_PT = 100, 10
 _ENTRIES, _TITLE = 18, 26
 _STYLE = {"B": "-", "C1": "--", "C2": ":"}
 _MARKS = {"B": "○ 2D translation", "C1": "□ rendered", "C2": "◇ learned materials"}
-_LETTER = {"B": "o", "C1": "s", "C2": "D", "D": "x", "E": "+", "F": "^", "O": "*", "foreign": "P"}
+_LETTER = {"B": "o", "C1": "s", "C2": "D", "D": "x", "E": "+", "F": "^", "P": "*", "foreign": "P"}
 
 
 def colour_tables() -> dict[str, list[list[int]]]:

@@ -18,7 +18,7 @@ _KINDS = {
     OWN_MEAN: "one temperature per frame, the mean of the reference on ground",
     "E": f"one temperature per material, from {_OTHERS}",
     "F": "the heat balance with properties from tables, under the scene's weather",
-    "O": "an oracle, a map that takes the material as input",
+    "P": "a privileged map, one that takes the material as input",
     "foreign": "frames of another program",
 }
 _BOUNDS = {

@@ -4,6 +4,9 @@ Isola et al., Image-to-Image Translation with Conditional Adversarial Networks, 
 6.1. Encoder C64-C128-C256-C512-C512-C512-C512-C512, decoder CD512-CD512-CD512-C512-C256-C128-C64. C is convolution,
 batch norm and ReLU; CD also has 50 % dropout. All convolutions are 4×4 with stride 2, with skip connections at each
 level. The discriminator C64-C128-C256-C512 has a receptive field of 70×70 pixels.
+
+With seven levels and without biases, they are the networks of Nhu's program (`recipes`): encoder
+C64-C128-C256-C512-C512-C512-C512, down to four pixels, and decoder CD512-CD512-CD512-C256-C128-C64.
 """
 
 import torch
@@ -11,8 +14,8 @@ from torch import nn
 
 # 256 = 2⁸ pixels shrink to one.
 LEVELS = 8
-# Number of decoder levels with dropout, from the second innermost outwards.
-_DROPPED = 3
+# Decoder levels with dropout, from the outermost, which is 0.
+_DROPPED = (4, 5, 6)
 _DROPOUT = 0.5
 _SLOPE = 0.2
 # Standard deviation of initial weights, and of batch norm's initial scales around 1.
@@ -32,7 +35,7 @@ def initialised(net: nn.Module) -> nn.Module:
 
 
 class UNet256(nn.Module):
-    """The generator, for pictures whose sides are multiples of 256 pixels.
+    """The generator, for pictures whose sides are multiples of 2**levels pixels.
 
     Parameters
     ----------
@@ -40,14 +43,18 @@ class UNet256(nn.Module):
         Channels of the input; the output has one, from −1 to 1.
     width : int
         Channels of the outermost level; 64 as published, with 54.41 million parameters.
+    levels : int
+        Number of halvings.
+    biased : bool
+        Whether its last convolution has a bias.
     """
 
-    def __init__(self, channels: int = 3, width: int = 64) -> None:
+    def __init__(self, channels: int = 3, width: int = 64, levels: int = LEVELS, biased: bool = True) -> None:
         super().__init__()
-        widths = [width * min(2**level, 8) for level in range(LEVELS)]
+        widths = [width * min(2**level, 8) for level in range(levels)]
         self.down, self.up = nn.ModuleList(), nn.ModuleList()
         for level, out in enumerate(widths):
-            outermost, innermost = level == 0, level == LEVELS - 1
+            outermost, innermost = level == 0, level == levels - 1
             before = channels if outermost else widths[level - 1]
             inside = out if innermost else 2 * out
             # The innermost level's single pixel has no statistics in a batch of one.
@@ -59,9 +66,9 @@ class UNet256(nn.Module):
             ))  # fmt: skip
             self.up.append(nn.Sequential(
                 nn.ReLU(),
-                nn.ConvTranspose2d(inside, 1 if outermost else before, 4, 2, 1, bias=outermost),
+                nn.ConvTranspose2d(inside, 1 if outermost else before, 4, 2, 1, bias=outermost and biased),
                 *([] if outermost else [nn.BatchNorm2d(before)]),
-                *([nn.Dropout(_DROPOUT)] if LEVELS - 1 - _DROPPED <= level < LEVELS - 1 else []),
+                *([nn.Dropout(_DROPOUT)] if level in _DROPPED else []),
             ))  # fmt: skip
         initialised(self)
 
@@ -90,19 +97,24 @@ class PatchDiscriminator(nn.Module):
         nn.BatchNorm2d in pix2pix, nn.InstanceNorm2d in its successors.
     padding : int
         Padding of every convolution: 1, or 2 in pix2pixHD.
+    biased : bool
+        Whether convolutions without a batch norm behind them have a bias.
     """
 
     def __init__(
-        self, channels: int = 4, width: int = 64, norm: type[nn.Module] = nn.BatchNorm2d, padding: int = 1
-    ) -> None:
+        self, channels: int = 4, width: int = 64, norm: type[nn.Module] = nn.BatchNorm2d, padding: int = 1,
+        biased: bool = True,
+    ) -> None:  # fmt: skip
         super().__init__()
         widths = [channels, width, 2 * width, 4 * width, 8 * width, 1]
         # Instance norm has no offset here.
-        biased = norm is not nn.BatchNorm2d
+        plain = norm is not nn.BatchNorm2d
         self.layers = nn.ModuleList()
         for number, (before, after) in enumerate(zip(widths[:-1], widths[1:], strict=True)):
             first, last = number == 0, after == 1
-            conv = nn.Conv2d(before, after, 4, 2 if number < 3 else 1, padding, bias=biased or first or last)
+            conv = nn.Conv2d(
+                before, after, 4, 2 if number < 3 else 1, padding, bias=biased and (plain or first or last)
+            )
             between = [] if first or last else [norm(after)]
             self.layers.append(nn.Sequential(conv, *between, *([] if last else [nn.LeakyReLU(_SLOPE)])))
         initialised(self)

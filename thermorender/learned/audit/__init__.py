@@ -1,0 +1,1 @@
+"""What a map was trained on: fingerprints of its training pictures, and their search in others."""

@@ -1,0 +1,1 @@
+"""Training pictures found in other pictures: planted leaks of six kinds, and pictures found by mistake."""

@@ -1,0 +1,1 @@
+"""Small and far targets against a long lens: `python -m validation.targets`."""
