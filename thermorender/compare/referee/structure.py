@@ -21,6 +21,8 @@ Transform = NDArray[np.complexfloating]
 _SIDE, _MOST_SHIFT = 512, 48
 # Number of groups of poses of the jackknife.
 _GROUPS = 16
+# Pictures that correlate at least this well after a shift show the same.
+ALIKE = 0.5
 # Structure broader than this is filtered out before the shift is measured [px].
 _FINE_PX = 6.0
 # Spacing of the ground points that are followed from frame to frame [px], and the relative difference of depth up to
@@ -99,8 +101,8 @@ class Registration:
     scales: list[float] = field(default_factory=list)
     poses: int = 0
 
-    def add(self, found: Transform, reference: Transform) -> None:
-        """Add the transforms of a pose's two pictures."""
+    def add(self, found: Transform, reference: Transform) -> tuple[float, float, float, float] | None:
+        """Add the transforms of a pose's two pictures; return the pose's `peak`."""
         surface, scale = correlation(found, reference)
         if self.poses < _GROUPS:
             self.surfaces.append(surface)
@@ -109,6 +111,7 @@ class Registration:
             self.surfaces[self.poses % _GROUPS] += surface
             self.scales[self.poses % _GROUPS] += scale
         self.poses += 1
+        return peak(surface, scale)
 
     def summary(self) -> dict[str, Any] | None:
         """Return {"right_px", "down_px", "error_px", "correlation", "unshifted"}, or None without a peak.
@@ -131,6 +134,16 @@ class Registration:
         return {"right_px": right, "down_px": down, "error_px": error, "correlation": height, "unshifted": unshifted}
 
 
+# Mirrored pictures by name: the axes that are reversed.
+MIRRORED: dict[str, tuple[int, ...]] = {"upside down": (0,), "left to right": (1,), "by half a turn": (0, 1)}
+
+
+def mirrored(found: Transform, name: str) -> Transform:
+    """Return the transform of the mirrored picture, up to a shift by a pixel."""
+    axes = MIRRORED[name]
+    return np.roll(np.flip(found, axes), (1,) * len(axes), axes)
+
+
 @dataclass
 class Structure:
     """Spectrum and shift of a method, over all poses.
@@ -149,12 +162,12 @@ class Structure:
     poses: int = 0
     registration: Registration = field(default_factory=Registration)
 
-    def add(self, found: Transform, reference: Transform) -> None:
-        """Add the transform of a pose, and its correlation with that of the reference."""
+    def add(self, found: Transform, reference: Transform) -> tuple[float, float, float, float] | None:
+        """Add the transform of a pose, and its correlation with that of the reference; return the pose's `peak`."""
         self.frequency, density = power(found)
         self.power = density if self.power is None else self.power + density
         self.poses += 1
-        self.registration.add(found, reference)
+        return self.registration.add(found, reference)
 
     def summary(self) -> dict[str, Any]:
         """Return {"shift", "spectrum"} as plain numbers, the spectrum in 24 steps."""
