@@ -103,14 +103,19 @@ class _Pooled:
         self._penalty = -np.log1p(-causes.share)
         self._cells = np.concatenate([each.cells for each in fits])
         self._pose = np.repeat(np.arange(len(fits)), [len(each.cells) for each in fits])
-        # An offset of single poses is not an offset of all: it is removed from each.
-        self._drift = np.zeros(len(fits))
-        best = self._solved([(name, "") for name in BASE])
-        offsets, weight = self._pose_offsets(best)
-        mean = float(weight @ offsets / weight.sum())
-        self._drift = offsets - mean
-        self._drift_k2 = float(weight @ self._drift**2 / weight.sum())
-        self.__dict__.pop("_sums", None)
+        # An offset of single poses is not an offset of all: it is removed from each. The first guess, of medians, hardly
+        # depends on a material with a large error.
+        middle = np.array([each.middle_k for each in fits])
+        self._remove(middle - np.median(middle))
+        self._remove(self._drift + self._pose_offsets(self._best_set()))
+
+    def _remove(self, drift: NDArray[np.float64]) -> None:
+        """Set the offset that is removed from each pose, with a mean of zero."""
+        count = np.array([each.equations[True, True].matrix[:, 0, 0].sum() for each in self._causes.fits])
+        self._drift = drift - count @ drift / count.sum()
+        self._drift_k2 = float(count @ self._drift**2 / count.sum())
+        for name in ("_sums", "_totals"):
+            self.__dict__.pop(name, None)
 
     @cached_property
     def _sums(self) -> dict[tuple[bool, bool], tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]]:
@@ -138,13 +143,12 @@ class _Pooled:
     def _pixels(self) -> float:
         return float(self._sums[True, True][0][:, 0, 0].sum())
 
-    def _pose_offsets(self, best: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return (offset of each pose [K], its pixels) for coefficients of all base columns."""
-        matrix, right, _ = self._sums[True, True]
-        poses = len(self._causes.fits)
-        count = np.bincount(self._pose, matrix[:, 0, 0], poses)
-        rest = right[:, 0] - matrix[:, 0, 1:WIDTH] @ best[1:]
-        return np.bincount(self._pose, rest, poses) / count, count
+    def _pose_offsets(self, chosen: Sequence[Cause]) -> NDArray[np.float64]:
+        """Return the mean error of each pose that causes leave [K]."""
+        matrix, right, _ = self._sums[self._key(chosen)]
+        at, poses = self._columns(chosen), len(self._causes.fits)
+        rest = right[:, 0] - matrix[:, 0][:, at] @ self._solved(chosen)
+        return np.bincount(self._pose, rest, poses) / np.bincount(self._pose, matrix[:, 0, 0], poses)
 
     def _columns(self, chosen: Sequence[Cause]) -> list[int]:
         found: list[int] = []
@@ -167,8 +171,8 @@ class _Pooled:
     def _solved(self, chosen: Sequence[Cause]) -> NDArray[np.float64]:
         """Return the coefficients of the columns of causes."""
         at = self._columns(chosen)
-        matrix, right, _ = self._sums[self._key(chosen)]
-        return _solution(matrix.sum(axis=0)[np.ix_(at, at)], right.sum(axis=0)[at])
+        matrix, right, _ = self._totals[self._key(chosen)]
+        return _solution(matrix[np.ix_(at, at)], right[at]) if at else np.zeros(0)
 
     def _residual(self, chosen: Sequence[Cause]) -> float:
         """Return the mean square residual with causes, plus the floor [K²]."""

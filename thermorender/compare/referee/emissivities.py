@@ -14,8 +14,9 @@ from thermorender.physics.planck import band_radiance
 from thermorender.render.spectrum import REFERENCE_K
 from thermorender.scene.scene import Scene
 
-# Least Δε at which the change of temperature is taken.
-_STEP = 0.01
+# Least Δε at which the change of temperature is taken, least emissivity that a radiance is divided by, and range of
+# temperatures beyond those of the reference [K].
+_STEP, _LEAST, _BEYOND_K = 0.01, 0.1, 60.0
 
 
 def band_emissivities(scene: Scene) -> NDArray[np.float64]:
@@ -43,18 +44,10 @@ def of_scenes(own: Scene, true: Scene) -> dict[str, NDArray[np.float64]]:
     return {name: row + [0.0, 0.0, 0.0, total] for name, row in found.items()}
 
 
-def contrast(view: View, sky_k: float, band_um: tuple[float, float]) -> NDArray[np.float64]:
-    """Return B(T) − E/π of a View's pixels, (H, W) [W m⁻² sr⁻¹], from a table; 0 at unknown pixels."""
-    kinetic = np.where(view.known, view.kinetic, np.float32(sky_k)).astype(np.float64)
-    grid = RadianceTable.grid(kinetic.min(), kinetic.max())
-    emitted: NDArray[np.float64] = RadianceTable(grid, band_radiance(grid, *band_um))(kinetic)
-    return emitted - band_radiance(sky_k, *band_um)
-
-
 def change_k(
-    view: View, contrast: NDArray[np.float64], image: NDArray[np.floating], band_um: tuple[float, float]
+    view: View, emissivity: NDArray[np.float64], image: NDArray[np.floating], sky_k: float, band_um: tuple[float, float]
 ) -> NDArray[np.float64]:
-    """Return the change of apparent temperature by a unit of emissivity, (H, W) [K].
+    """Return the change of apparent temperature by a unit of emissivity, (H, W) [K]; 0 outside known ground.
 
     Temperature is not linear in radiance. The change is therefore that of each material's best fit to the error of
     radiance, divided by its Δε.
@@ -63,30 +56,32 @@ def change_k(
     ----------
     view : View
         With a reference.
-    contrast : (H, W) array
-        As the function `contrast` returns it.
+    emissivity : (M,) array
+        True emissivities of the view's materials, as `band_emissivities` returns them.
     image : (H, W) array
         Apparent temperature of a method [K].
+    sky_k : float
+        Sky temperature [K].
     band_um : (lower, upper)
+
+    Notes
+    -----
+    B(T) − E/π is (L − E/π) / ε of the reference's radiance L. The kinetic temperature is not used: it is that of one
+    texel, where the radiance is interpolated between several.
     """
     assert view.truth is not None
     here = view.known & (view.object < 0) & np.isfinite(image)
-    material, x = view.material[here], contrast[here]
-    kelvin = RadianceTable.grid(*_limits(view.truth[here], 60.0))
+    found = np.zeros(view.known.shape)
+    if not here.any():
+        return found
+    material = view.material[here]
+    kelvin = RadianceTable.grid(float(view.truth[here].min()) - _BEYOND_K, float(view.truth[here].max()) + _BEYOND_K)
     radiance = band_radiance(kelvin, *band_um)
     true, seen = (np.interp(values[here], kelvin, radiance) for values in (view.truth, image))
-    off = seen - true
-    both, own = (np.bincount(material, weights, 256) for weights in (x * off, x * x))
+    known = np.append(np.maximum(emissivity, _LEAST), np.ones(256 - len(emissivity)))
+    x = (true - band_radiance(sky_k, *band_um)) / known[material]
+    both, own = (np.bincount(material, weights, 256) for weights in (x * (seen - true), x * x))
     best = np.clip(both / np.maximum(own, 1e-12), -1.0, 1.0)
-    # A small step in place of none.
     best = np.where(np.abs(best) < _STEP, np.where(best < 0.0, -_STEP, _STEP), best)
-    found = np.zeros(view.known.shape)
     found[here] = (np.interp(true + best[material] * x, radiance, kelvin) - view.truth[here]) / best[material]
     return found
-
-
-def _limits(kelvin: NDArray[np.floating], beyond: float) -> tuple[float, float]:
-    """Return the lowest and highest temperature, and this much more on both sides [K]."""
-    if not kelvin.size:
-        return 250.0, 350.0
-    return max(float(kelvin.min()) - beyond, 100.0), float(kelvin.max()) + beyond

@@ -16,6 +16,8 @@ from thermorender.scene.scene import Scene
 _POSES, _ALL = 4, 12
 # Pieces of ground along a picture's larger side.
 _PIECES = 7
+# Largest distance to another material at which a pixel may show both [px].
+_MOST_REACH_PX = 30
 
 
 class Fitting:
@@ -34,12 +36,12 @@ class Fitting:
     def __init__(self, scene: Scene, land: str, poses: int, scenes: int) -> None:
         self._scene, self._land = scene, zlib.crc32(land.encode()) & 0xFFFF
         self._chosen = set(evenly(poses, min(_POSES, max(1, _ALL // scenes))))
-        self._known = dict(zip((each.name for each in scene.materials), emissivities.band_emissivities(scene).tolist(),
-                               strict=True))  # fmt: skip
+        self._emissivity = emissivities.band_emissivities(scene)
+        self._known = {each.name: float(e) for each, e in zip(scene.materials, self._emissivity, strict=True)}
         self._side_m: float | None = None
         self._index = -1
-        self._contrast: NDArray[np.float64] = np.zeros((0, 0))
         self._cell: NDArray[np.int64] = np.zeros((0, 0), np.int64)
+        self._pure: NDArray[np.bool_] = np.zeros((0, 0), np.bool_)
 
     def add(
         self, causes: Causes, view: View, image: NDArray[np.floating], at: tuple[float, float, float, float] | None
@@ -60,15 +62,25 @@ class Fitting:
             return
         band_um = self._scene.camera.band_um
         if self._index != view.index:
-            self._index, self._cell = view.index, self._cells(view)
-            self._contrast = emissivities.contrast(view, self._scene.sky_temperature, band_um)
+            self._index, self._cell, self._pure = view.index, self._cells(view), self._of_one_material(view)
         ground = view.known & (view.object < 0)
-        change = emissivities.change_k(view, self._contrast, image, band_um)
-        pair = Pair(image, view.truth, ground, view.known, view.material, view.material_names, change, self._cell)
+        change = emissivities.change_k(view, self._emissivity, image, self._scene.sky_temperature, band_um)
+        pair = Pair(image, view.truth, ground, view.known, view.material, view.material_names, change, self._cell,
+                    self._pure)  # fmt: skip
         found = fit(pair, at[:2] if at is not None and abs(at[2]) >= ALIKE else (0.0, 0.0))
         if found is not None:
             causes.fits.append(found)
             causes.emissivity |= self._known
+
+    def _of_one_material(self, view: View) -> NDArray[np.bool_]:
+        """Return the pixels that show a single material, (H, W): colours are interpolated between texels."""
+        import cv2
+
+        texel_m = self._scene.surfaces[0].texel_m or 0.0
+        reach = int(np.clip(np.ceil(texel_m / view.texel_m if view.texel_m else 1.0), 1, _MOST_REACH_PX))
+        sides = np.ones((2 * reach + 1,) * 2, np.uint8)
+        found: NDArray[np.bool_] = cv2.erode(view.material, sides) == cv2.dilate(view.material, sides)
+        return found
 
     def _cells(self, view: View) -> NDArray[np.int64]:
         """Return the number of the piece of ground of each pixel, (H, W)."""

@@ -28,6 +28,8 @@ _VARIANCE = (-0.3, 25.0)
 _SMALL_PX, _SMALL_PX2 = 0.2, 0.3
 # Residuals beyond this many robust standard deviations count less. Ridge relative to the reference's variance.
 _ROBUST, _RIDGE = 3.0, 1e-6
+# Least share of pixels of a single material at which the others are left out.
+_PURE = 0.3
 # Least number of pixels of a fit.
 _FEWEST = 200
 
@@ -51,6 +53,8 @@ class Pair:
         Change of apparent temperature by a unit of emissivity [K].
     cell : (H, W) int
         Number of the piece of ground that a pixel shows.
+    pure : (H, W) bool
+        Pixels that show a single material.
     """
 
     seen: NDArray[np.floating]
@@ -61,6 +65,7 @@ class Pair:
     names: Sequence[str]
     emissivity_k: NDArray[np.floating]
     cell: NDArray[np.integer]
+    pure: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -94,14 +99,14 @@ class PoseFit:
         Materials with columns, in their order.
     equations : dict of (bool, bool) to Equations
         By whether shift and blur are free; a missing one equals that of (True, True).
-    variance_k2 : float
-        Variance of the reference over the ground [K²].
+    middle_k : float
+        Median error [K].
     """
 
     cells: NDArray[np.intp]
     materials: tuple[str, ...]
     equations: dict[tuple[bool, bool], Equations]
-    variance_k2: float
+    middle_k: float
 
     def at(self, shift: bool, blur: bool) -> Equations:
         """Return the Equations for models with or without shift and blur."""
@@ -133,7 +138,7 @@ def fit(pair: Pair, start: tuple[float, float] = (0.0, 0.0), least_share: float 
     cells, order, edges = picture.sorted_cells()
     equations = {free: picture.equations(at, materials, order, edges) for free, at in found.items()}
     names = tuple(pair.names[number] for number in materials)
-    return PoseFit(cells, names, equations, picture.variance_k2)
+    return PoseFit(cells, names, equations, picture.middle_k)
 
 
 class _Picture:
@@ -149,6 +154,9 @@ class _Picture:
         # Pixels must be known before and after the shift, so that all models are fitted to the same ones.
         whole = tuple(round(value) for value in start)
         used = inside & ground & _rolled(inside, whole) & np.isfinite(pair.seen)
+        # Pixels of several materials have errors that none of the materials has, but fine mosaics have no others.
+        if (used & pair.pure).sum() >= _PURE * used.sum():
+            used &= pair.pure
         step = max(1, round(np.sqrt(used.sum() / _MOST_PIXELS)))
         grid = np.zeros(used.shape, bool)
         grid[step // 2 :: step, step // 2 :: step] = True
@@ -158,9 +166,10 @@ class _Picture:
             return
         truth = np.asarray(pair.truth, np.float32)
         self._mean = float(truth[self._used].mean(dtype=np.float64))
-        self.variance_k2 = float(truth[self._used].var(dtype=np.float64))
+        self._variance_k2 = float(truth[self._used].var(dtype=np.float64))
         self._truth = np.where(known, truth - np.float32(self._mean), np.float32(0.0))
         self._seen = np.asarray(pair.seen, np.float64)[self._used] - self._mean
+        self.middle_k = float(np.median(self._seen - self._truth[self._used]))
         self._material = pair.material[self._used]
         self._emissivity = np.asarray(pair.emissivity_k, np.float64)[self._used]
         self._cell = pair.cell[self._used]
@@ -210,7 +219,7 @@ class _Picture:
             weighted = part * weight[:, None]
             matrix = weighted.T @ part
             # A flat picture has no derivatives; its shift remains zero.
-            matrix[np.diag_indices_from(matrix)] += _RIDGE * self.count * max(self.variance_k2, 1e-6)
+            matrix[np.diag_indices_from(matrix)] += _RIDGE * self.count * max(self._variance_k2, 1e-6)
             step = np.zeros(WIDTH)
             step[kept] = np.linalg.solve(matrix, weighted.T @ residual)
             after = at + np.clip(step[2:], -limits, limits)
