@@ -103,8 +103,8 @@ class _Pooled:
         self._penalty = -np.log1p(-causes.share)
         self._cells = np.concatenate([each.cells for each in fits])
         self._pose = np.repeat(np.arange(len(fits)), [len(each.cells) for each in fits])
-        # An offset of single poses is not an offset of all: it is removed from each. The first guess, of medians, hardly
-        # depends on a material with a large error.
+        # An offset of single poses is not an offset of all: it is removed from each. The first guess, of medians,
+        # hardly depends on a material with a large error.
         middle = np.array([each.middle_k for each in fits])
         self._remove(middle - np.median(middle))
         self._remove(self._drift + self._pose_offsets(self._best_set()))
@@ -240,8 +240,9 @@ class _Pooled:
         materials: list[Cause] = []
         best, chosen = self._best_of(subsets, materials)
         while len(materials) < _MOST_MATERIALS:
+            taken = {name for _, name in materials}
             tried = [(*self._best_of(subsets, [*materials, each]), each) for each in candidates
-                     if self._possible(each, base, materials) and each[1] not in {name for _, name in materials}]  # fmt: skip
+                     if each[1] not in taken and self._possible(each, materials)]  # fmt: skip
             if not tried:
                 break
             score, more, each = min(tried, key=lambda entry: entry[0])
@@ -257,7 +258,7 @@ class _Pooled:
         score, each = min(scored, key=lambda entry: entry[0])
         return float(score), [*each, *materials]
 
-    def _possible(self, cause: Cause, base: list[Cause], materials: list[Cause]) -> bool:
+    def _possible(self, cause: Cause, materials: list[Cause]) -> bool:
         """Return whether an emissivity would stay within 0…1."""
         if cause[0] != "emissivity":
             return True
@@ -274,16 +275,35 @@ class _Pooled:
             return float(size**2 / (size**2 + self._residual(chosen) + self._drift_k2))
         return 1.0 - self._residual(chosen) / without
 
-    def _holds(
-        self, cause: Cause, size: tuple[float, ...], error: tuple[float, ...], chosen: Sequence[Cause]
-    ) -> bool:
+    def _holds(self, cause: Cause, size: tuple[float, ...], error: tuple[float, ...], chosen: Sequence[Cause]) -> bool:
         if cause[0] == "blur":
             # A picture sharper than the reference is not blurred.
             large = size[0] >= LEAST["blur"] ** 2
         else:
             large = max(abs(value) for value in size) >= LEAST[cause[0]]
+        if cause[0] == "contrast" and not self._rescaled(size[0], error[0], chosen):
+            return False
         sure = any(abs(value) > self._quantile() * own for value, own in zip(size, error, strict=True))
         return large and sure and self._share(cause, chosen) >= self._causes.share
+
+    def _rescaled(self, size: float, error: float, chosen: Sequence[Cause]) -> bool:
+        """Return whether the contrast is wrong by the regression of the reference on the picture, too.
+
+        A picture with errors of its own has a slope below 1 on the reference, however right its scale is. Its true gain
+        is between that slope and the inverse of the slope of the reference on the picture.
+        """
+        matrix, right, square = self._totals[self._key(chosen)]
+        others = self._columns([each for each in chosen if each[0] != "contrast"])
+        # The picture itself, without the reference: a contrast of 0.
+        column = BASE["contrast"][0]
+        flat, own = right + matrix[:, column], square + 2.0 * right[column] + matrix[column, column]
+        own -= float(flat[others] @ _solution(matrix[np.ix_(others, others)], flat[others])) if others else 0.0
+        left = (self._residual(chosen) - _FLOOR_K**2) * self._pixels
+        known = 1.0 - left / own if own > 0.0 else 0.0
+        if known <= 0.0:
+            return False
+        other, wide = (1.0 + size) / known, error / known
+        return size > 0.0 or other < 1.0 - max(LEAST["contrast"], self._quantile() * wide)
 
     def _said(self, cause: Cause, chosen: Sequence[Cause]) -> Cause:
         """Return the cause, or an offset on the material where its emissivity does not explain more than that.

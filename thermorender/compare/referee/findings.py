@@ -13,6 +13,8 @@ _SURE = 3.0
 # A shift against another picture of the same map is reported from this size on [px] (second value: a single pose,
 # without a standard error).
 _SHIFT_PX, _SINGLE_PX = 0.5, 1.0
+# Edges that coincide by this many standard deviations show the same pose.
+_SAME_EDGES = 6.0
 # A gain below this counts as no contrast.
 _FLAT = 0.2
 _TITLES = {
@@ -82,16 +84,16 @@ def _elsewhere(label: str, own: dict[str, Any]) -> list[Finding]:
     shift = own["structure"]["shift"]
     if own["letter"] != "foreign" or own["gain"] is None or (shift and abs(shift["correlation"]) >= ALIKE):
         return []
-    height = {name: each["correlation"] for name, each in own["mirrored"].items() if each}
+    height = own["likeness"]["mirrored"]
     name = max(height, key=lambda each: height[each], default=None)
     if name is not None and height[name] >= ALIKE:
         return [_finding(label, "mirrored", f"its pictures are mirrored {name}: mirrored back, they correlate with the "
                          f"reference by {height[name]:.2f}, as they are by {shift['correlation'] if shift else 0.0:.2f}"
                          )]  # fmt: skip
-    if own["causes"]["resembles"]:
+    if own["causes"]["resembles"] or (own["likeness"]["edges"] or 0.0) >= _SAME_EDGES:
         return []
-    return [_finding(label, "unlike", "its pictures do not look like the reference at any shift tried, nor mirrored: they "
-                     "show other poses, are shifted too far, or have too little contrast")]  # fmt: skip
+    return [_finding(label, "unlike", "its pictures do not look like the reference at any shift tried, nor mirrored: "
+                     "they show other poses, are shifted too far, or have too little contrast")]  # fmt: skip
 
 
 def _offset_k(own: dict[str, Any], size: float, error: float) -> float | None:
@@ -118,8 +120,10 @@ def _constant_offset(label: str, own: dict[str, Any]) -> list[Finding]:
     if mean is None or abs(mean) < LEAST["offset"] or mean**2 < SHARE * ground["rmse_k"] ** 2:
         return []
     both = _offset_k(own, mean, 0.0)
-    return [] if both is None else [_finding(label, "offset", f"an offset of {mean:+.2f} K (standard error {both:.2f} K); "
-                                             f"errors scatter about it by {ground['sd_k']:.2f} K")]  # fmt: skip
+    if both is None:
+        return []
+    return [_finding(label, "offset", f"an offset of {mean:+.2f} K (standard error {both:.2f} K); errors scatter about "
+                     f"it by {ground['sd_k']:.2f} K")]  # fmt: skip
 
 
 def _shift(label: str, own: dict[str, Any], cause: dict[str, Any]) -> list[Finding]:
@@ -127,8 +131,8 @@ def _shift(label: str, own: dict[str, Any], cause: dict[str, Any]) -> list[Findi
     if own["letter"] != "foreign":
         return []
     (right, down), error = cause["size"], max(cause["error"])
-    return [_finding(label, "shift", f"its pictures are shifted by {right:+.1f} px to the right and {down:+.1f} px down "
-                     f"against the reference (standard error {error:.2f} px); {_share(cause)}")]  # fmt: skip
+    return [_finding(label, "shift", f"its pictures are shifted by {right:+.1f} px to the right and {down:+.1f} px "
+                     f"down against the reference (standard error {error:.2f} px); {_share(cause)}")]  # fmt: skip
 
 
 def _registered(label: str, own: dict[str, Any]) -> list[Finding]:

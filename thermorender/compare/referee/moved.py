@@ -44,7 +44,9 @@ def moved(image: NDArray[np.float32], right: float, down: float, variance: float
     )
 
 
-def _filtered(image: NDArray[np.float32], across: NDArray[np.float64], along: NDArray[np.float64]) -> NDArray[np.float32]:
+def _filtered(
+    image: NDArray[np.float32], across: NDArray[np.float64], along: NDArray[np.float64]
+) -> NDArray[np.float32]:
     import cv2
 
     found: NDArray[np.float32] = cv2.sepFilter2D(image, cv2.CV_32F, across, along, borderType=cv2.BORDER_REFLECT)  # type: ignore[assignment]

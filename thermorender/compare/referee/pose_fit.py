@@ -8,11 +8,14 @@ ground, because errors of neighbouring pixels are correlated.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.compare.referee.moved import moved
+
+_Value = TypeVar("_Value", bound=np.generic)
 
 # Columns of the normal equations before those of the materials: their number, and the place of each cause.
 BASE = {"offset": (0,), "contrast": (1,), "shift": (2, 3), "blur": (4,)}
@@ -187,7 +190,7 @@ class _Picture:
         return cells, order, np.append(first, self.count)
 
     def columns(self, at: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return (base columns (n, 5), residual of the best offset and gain (n,), weights (n,)) at a shift and variance.
+        """Return (base columns (n, 5), residual of the best offset and gain (n,), weights (n,)) of a moved picture.
 
         The weights are Huber's: a material with a large error does not move the shift.
         """
@@ -252,7 +255,7 @@ class _Picture:
         return Equations(matrix, right, square)
 
 
-def _rolled(image: NDArray[np.generic], whole: tuple[int, ...]) -> NDArray[np.generic]:
+def _rolled(image: NDArray[_Value], whole: tuple[int, ...]) -> NDArray[_Value]:
     """Return a picture moved by whole pixels (right, down); what enters is zero."""
     right, down = whole
     if not right and not down:

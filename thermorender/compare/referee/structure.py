@@ -4,6 +4,7 @@ A mean error does not show these. A translation that blurs has too little power 
 one is shifted. One that is not stable makes the same ground warmer and colder as the camera moves.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
@@ -142,6 +143,74 @@ def mirrored(found: Transform, name: str) -> Transform:
     """Return the transform of the mirrored picture, up to a shift by a pixel."""
     axes = MIRRORED[name]
     return np.roll(np.flip(found, axes), (1,) * len(axes), axes)
+
+
+def _edges(image: NDArray[np.floating], known: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return the gradient's magnitude of a picture, (H, W) float32; 0 at unknown pixels and beside them.
+
+    It is limited, so that no single edge dominates.
+    """
+    import cv2
+
+    here = known & np.isfinite(image)
+    filled = np.where(here, image, np.float32(np.median(image[here]) if here.any() else 0.0)).astype(np.float32)
+    across, down = (cv2.Sobel(filled, cv2.CV_32F, dx, 1 - dx) for dx in (1, 0))
+    inside = cv2.erode(here.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool)
+    found: NDArray[np.float32] = np.where(inside, np.hypot(across, down), np.float32(0.0))
+    most = np.percentile(found[inside], 95) if inside.any() else 0.0
+    return np.minimum(found, np.float32(most))
+
+
+def same_edges(image: NDArray[np.floating], others: Sequence[NDArray[np.floating]], known: NDArray[np.bool_]) -> float:
+    """Return how far the edges of a picture coincide with those of the best of other pictures of the same pose.
+
+    The value is the largest correlation at all shifts searched, in standard deviations of those at other shifts: a
+    picture of another pose has a few, whatever the contrast of the same edges.
+    """
+    own = transform(_edges(image, known), known)
+    found = []
+    for other in others:
+        surface, _ = correlation(own, transform(_edges(other, known), known))
+        row, column = np.unravel_index(np.argmax(surface), surface.shape)
+        apart = np.hypot(*np.ogrid[-row : len(surface) - row, -column : len(surface) - column]) > _FINE_PX
+        spread = float(surface[apart].std())
+        found.append(float(surface[row, column]) / spread if spread > 0.0 else 0.0)
+    return max(found, default=0.0)
+
+
+@dataclass
+class Likeness:
+    """Whether pictures that do not correlate with the reference are mirrored, or show the same edges.
+
+    Attributes
+    ----------
+    mirrored : dict of str to Registration
+        Shifts of the mirrored pictures against the reference, by `MIRRORED`.
+    edges : list of float
+        `same_edges` of each pose.
+    """
+
+    mirrored: dict[str, Registration] = field(default_factory=dict)
+    edges: list[float] = field(default_factory=list)
+
+    def add(
+        self,
+        found: Transform,
+        reference: Transform,
+        image: NDArray[np.floating],
+        others: Sequence[NDArray[np.floating]],
+        known: NDArray[np.bool_],
+    ) -> None:
+        """Add a pose: the transforms of its two pictures, its picture, and others of the same pose."""
+        for name in MIRRORED:
+            self.mirrored.setdefault(name, Registration()).add(mirrored(found, name), reference)
+        self.edges.append(same_edges(image, others, known))
+
+    def summary(self) -> dict[str, Any]:
+        """Return {"mirrored": {name: correlation}, "edges": median or None}."""
+        heights = {name: each.summary() for name, each in self.mirrored.items()}
+        return {"mirrored": {name: each["correlation"] for name, each in heights.items() if each},
+                "edges": float(np.median(self.edges)) if self.edges else None}  # fmt: skip
 
 
 @dataclass

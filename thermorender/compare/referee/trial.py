@@ -15,15 +15,7 @@ from thermorender.compare.referee.fitting import Fitting
 from thermorender.compare.referee.frames import Frames
 from thermorender.compare.referee.methods import OWN, Method
 from thermorender.compare.referee.report.pictures import Pictures
-from thermorender.compare.referee.structure import (
-    ALIKE,
-    MIRRORED,
-    Registration,
-    Structure,
-    Track,
-    mirrored,
-    transform,
-)
+from thermorender.compare.referee.structure import ALIKE, Likeness, Registration, Structure, Track, transform
 from thermorender.compare.referee.targets import Targets
 from thermorender.compare.referee.terms import NAMES, terms_of
 from thermorender.compare.referee.training import Training
@@ -63,8 +55,8 @@ class Found:
         Sums over all poses.
     causes : Causes
         Fits of some poses.
-    mirrored : dict of str to Registration
-        Shifts of its mirrored pictures against the reference, by `structure.MIRRORED`, of the poses that look unlike it.
+    likeness : Likeness
+        Of the poses of another program that look unlike the reference.
     gain : Gain
     scene_emissivities : dict of str to (4,) array
         For a rendered method, as `emissivities.of_scenes` returns them.
@@ -86,7 +78,7 @@ class Found:
     targets: Targets = field(default_factory=Targets)
     structure: Structure = field(default_factory=Structure)
     causes: Causes = field(default_factory=Causes)
-    mirrored: dict[str, Registration] = field(default_factory=dict)
+    likeness: Likeness = field(default_factory=Likeness)
     gain: scores.Gain = field(default_factory=scores.Gain)
     scene_emissivities: dict[str, NDArray[np.float64]] = field(default_factory=dict)
     registered: Registration = field(default_factory=Registration)
@@ -122,7 +114,7 @@ class Found:
             "targets": self.targets.summary(), "structure": self.structure.summary(), "gain": self.gain.summary(),
             "registered": self.registered.summary(),
             "causes": self.causes.summary(), "emissivities": {"scene": wrong},
-            "mirrored": {name: each.summary() for name, each in self.mirrored.items()},
+            "likeness": self.likeness.summary(),
             "steadiness_k": _deviation(self.changes),
             "seconds_per_frame": float(np.median(self.seconds)) if self.seconds else None,
             "training_s": None if origin is None else origin.header["training_s"],
@@ -317,8 +309,7 @@ class Trial:
             spectrum = transform(image, view.known)
             found = own.structure.add(spectrum, reference)
             if own.method.letter == "foreign" and (found is None or abs(found[2]) < ALIKE):
-                for name in MIRRORED:
-                    own.mirrored.setdefault(name, Registration()).add(mirrored(spectrum, name), reference)
+                own.likeness.add(spectrum, reference, image, (truth, view.visible.mean(axis=-1)), view.known)
             if self._fitting is not None and not own.method.true_objects and own.method.letter not in ("D", "E"):
                 self._fitting.add(own.causes, view, image, found)
             own.targets.add(scene, view, self._objects, image, counts[label])

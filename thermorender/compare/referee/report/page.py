@@ -10,6 +10,7 @@ from thermorender.compare.referee import findings
 from thermorender.compare.referee.methods import THERMAL
 from thermorender.compare.referee.report import figures
 from thermorender.compare.referee.report.introduction import introduction
+from thermorender.compare.referee.structure import ALIKE
 from thermorender.compare.referee.terms import NAMES
 from thermorender.output.flight_pages.html import document, figure, table, text
 
@@ -178,7 +179,7 @@ def _structure(summary: Summary) -> str:
     for label, own in summary["methods"].items():
         shift = own["structure"]["shift"] if own["letter"] == "foreign" else own["registered"]
         # Pictures that do not correlate have no shift.
-        shift = None if shift is None or abs(shift["correlation"]) < findings.ALIKE else shift
+        shift = None if shift is None or abs(shift["correlation"]) < ALIKE else shift
         steady, gain = own["steadiness_k"], own["gain"] or {"gain": None, "correlation": None}
         if shift is None and steady is None and gain["gain"] is None:
             continue
