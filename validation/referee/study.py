@@ -22,20 +22,23 @@ from thermorender.trajectory.path import Trajectory
 from thermorender.versions import versions
 from validation.referee import plants
 
-HEADER = ("frames", "comparisons", "named rightly", "size within", "wrongly named too")
+HEADER = ("planted", "comparisons", "named", "nothing named")
+_RATES = {
+    "accused": "innocent frames accused", "right": "visible faults all named", "faint_right": "faint faults all named",
+    "also_wrong": "faults with another cause named too",
+}  # fmt: skip
+# Least root mean square effect of a visible fault [K]: about twice the noise of its frame.
+VISIBLE_K = 0.2
 # Seeds of the lands of the stated rates, and of those that the referee's thresholds were chosen on.
 SEEDS, CHOSEN_ON = (7301, 7302, 7303, 7304), (7201, 7202)
 # Side and texel of a land [m], its camera's pixels against the full camera, and rays.
 _LAND, _COARSER, _SETTINGS = (80.0, 0.25, 1.0), 2, {"rays": 4}
 # Heights above the ground [m] and turns about the horizontal axis [rad], by seed.
 _HEIGHTS_M, _TURNS = (55.0, 65.0, 50.0, 60.0), (0.0, 0.2)
-# A kind that another kind includes: an offset on a material is an honest name for a wrong emissivity.
-_ALSO = {"emissivity": {"material"}, "material": {"emissivity"}}
-KINDS_NAMED = ("offset", "contrast", "shift", "blur", "material", "emissivity", "mirrored", "unlike")
 
 
 def run(kinds=tuple(KINDS), seeds=SEEDS, progress=None):
-    """Return {"comparisons": [{"land", "frame", "planted", "named", ...}], "rates"} as plain values.
+    """Return {"rates", "confusion", "comparisons": [{"land", "frame", "planted", "named", "sizes", …}]}.
 
     Parameters
     ----------
@@ -59,7 +62,8 @@ def run(kinds=tuple(KINDS), seeds=SEEDS, progress=None):
         if progress:
             progress(f"{kind} {seed}", number / len(lands))
         found += of_land(kind, seed)
-    return {"seeds": list(seeds), "kinds": list(kinds), "comparisons": found, "rates": rates(found),
+    return {"seeds": list(seeds), "kinds": list(kinds), "rates": rates(found),
+            "confusion": confusion(found), "comparisons": found,
             "machine": machine(), "versions": versions()}  # fmt: skip
 
 
@@ -119,35 +123,75 @@ def _case(land, name, frame, summary):
 
 
 def rates(found):
-    """Return rates of right and of wrong names, with 95 % binomial intervals (Clopper & Pearson 1934)."""
+    """Return rates of right and of wrong names, with 95 % intervals; a fault is visible from an effect of VISIBLE_K."""
     innocent = [each for each in found if not each["planted"]]
-    planted = [each for each in found if each["planted"]]
-    false = sum(bool(each["named"]) for each in innocent)
-    wrong = sum(bool(wrongly(each)) for each in planted)
-    right = sum(rightly(each) for each in planted)
-    return {
-        "innocent": len(innocent), "accused": false, "accused_95": interval(false, len(innocent)),
-        "planted": len(planted), "right": right, "right_95": interval(right, len(planted)),
-        "also_wrong": wrong, "also_wrong_95": interval(wrong, len(planted)),
+    visible = [each for each in found if each["planted"] and each["effect_k"] >= VISIBLE_K]
+    faint = [each for each in found if each["planted"] and each["effect_k"] < VISIBLE_K]
+    counts = {
+        "accused": (innocent, lambda each: bool(each["named"])),
+        "right": (visible, rightly), "faint_right": (faint, rightly),
+        "also_wrong": ([*visible, *faint], lambda each: bool(wrongly(each))),
     }  # fmt: skip
+    rated = {name: (sum(map(of, cases)), len(cases)) for name, (cases, of) in counts.items()}
+    return {name: {"count": count, "of": of, "interval_95": interval(count, of)} for name, (count, of) in rated.items()}
+
+
+def named(case):
+    """Return the kinds that are named; almost no contrast is a wrong contrast."""
+    return {"contrast" if kind == "flat" else kind for kind in case["named"]}
 
 
 def wrongly(case):
-    """Return the kinds that are named but not planted."""
-    allowed = set(case["planted"])
-    for kind in case["planted"]:
-        allowed |= _ALSO.get(kind, set()) if kind == "emissivity" else set()
-    return sorted({"contrast" if kind == "flat" else kind for kind in case["named"]} - allowed)
+    """Return the kinds that are named but not planted; an offset on the material is right for a wrong emissivity."""
+    allowed = set(case["planted"]) | ({"material"} if "emissivity" in case["planted"] else set())
+    return sorted(named(case) - allowed)
 
 
 def rightly(case):
-    """Return whether all planted kinds are named; an offset on the material counts for a wrong emissivity."""
-    return all(kind in case["named"] or (_ALSO.get(kind, set()) & set(case["named"]) and kind == "emissivity")
-               for kind in case["planted"])  # fmt: skip
+    """Return whether all planted kinds are named; an offset on the material is right for a wrong emissivity."""
+    kinds = named(case)
+    return all(kind in kinds or (kind == "emissivity" and "material" in kinds) for kind in case["planted"])
+
+
+def confusion(found):
+    """Return {planted kinds or "none": {"comparisons", named kind: number}} of visible faults and innocent frames."""
+    table = {}
+    for case in found:
+        if case["planted"] and case["effect_k"] < VISIBLE_K:
+            continue
+        row = table.setdefault(" + ".join(case["planted"]) or "none", {"comparisons": 0, "nothing": 0})
+        row["comparisons"] += 1
+        row["nothing"] += not case["named"]
+        for kind in named(case):
+            row[kind] = row.get(kind, 0) + 1
+    return table
+
+
+def sizes(found):
+    """Return {kind: (n, 2) planted and found sizes} of visible faults with sizes that are named by their own kind."""
+    pairs = {}
+    for case in found:
+        for kind, size in case["planted"].items():
+            if kind in case["sizes"] and kind in case["named"] and case["effect_k"] >= VISIBLE_K:
+                pairs.setdefault(kind, []).append((size, case["sizes"][kind]))
+    return {kind: np.array(values) for kind, values in pairs.items()}
+
+
+def rows(result):
+    """Return the result as table rows under HEADER."""
+    found = []
+    for kind, row in result["confusion"].items():
+        words = ", ".join(f"{name} {count}" for name, count in row.items() if name not in ("comparisons", "nothing"))
+        found.append((kind, str(row["comparisons"]), words, str(row["nothing"])))
+    for name, each in result["rates"].items():
+        low, high = each["interval_95"]
+        share = each["count"] / max(each["of"], 1)
+        found.append((_RATES[name], str(each["of"]), f"{share:.1%} ({low:.1%}…{high:.1%})", ""))
+    return found
 
 
 def interval(count, of, confidence=0.95):
-    """Return the Clopper–Pearson interval of a rate."""
+    """Return the exact interval of a rate, Clopper & Pearson 1934, doi:10.1093/biomet/26.4.404."""
     from scipy.stats import beta
 
     tail = 0.5 * (1.0 - confidence)

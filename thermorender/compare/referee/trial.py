@@ -198,6 +198,9 @@ class Trial:
             self._found[method.label] = totals.methods.setdefault(method.label, Found(plain))
             self._found[method.label].in_scenes += 1
         self._fitting: Fitting | None = None
+        # A heat balance as the reference has errors of its own.
+        self._computed = setup.has_truth and self.scene.balanced
+        self._reference = "reference, computed" if self._computed else "reference"
         self._objects = [item.name for item in self.scene.spec.objects]
         vertices = np.concatenate([s.vertices[:, :2] for s in self.scene.surfaces[: self.scene.terrain_count]])
         self._corners = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
@@ -245,7 +248,7 @@ class Trial:
             self._split(view, seen, read)
             if before is not None:
                 self._follow(Track(before, view, camera), seen_before, seen, before, view)
-            pictures.add(self.scene.name, view, seen, index, len(flight.times))
+            pictures.add(self.scene.name, view, seen, index, len(flight.times), self._reference)
             if self._arrays is not None:
                 self._keep(self._arrays / "arrays", view, seen)
             before, seen_before = view, seen
@@ -385,6 +388,7 @@ class Trial:
             "time": None if scene.time is None else utc_text(scene.time), **weather_of(scene),
             "sun_elevation_deg": _sun_elevation(scene),
             "digest": scene.digest(), "poses": len(setup.flight.times), "reference": setup.has_truth,
+            "computed": self._computed,
             "assumed_materials": not setup.has_truth or scene.spec.emissivity.source in _ASSUMED,
             "campaign": None if setup.campaign is None else vars(setup.campaign),
             "plan": setup.reference.plan.as_dict(),
