@@ -10,11 +10,13 @@ import numpy as np
 
 from thermorender.campaign.procedural_truth import write
 from thermorender.compare.machine import machine
-from thermorender.compare.referee import emissivities, views
+from thermorender.compare.referee import emissivities, findings, views
 from thermorender.compare.referee.flight import Flight
-from thermorender.compare.referee.run import Options, compare
+from thermorender.compare.referee.frames import Frames
+from thermorender.compare.referee.methods import Method
+from thermorender.compare.referee.trial import Setup, Totals, Trial
 from thermorender.errors import ThermorenderError
-from thermorender.footage.radiometric_files import write_tlinear
+from thermorender.physics.planck import band_radiance
 from thermorender.render.renderer import Renderer
 from thermorender.scene.load import load_scene
 from thermorender.synthetic.procedural_scene import KINDS, make, weather_of
@@ -32,9 +34,9 @@ VISIBLE_K = 0.2
 # Seeds of the lands of the stated rates, and of those that the referee's thresholds were chosen on.
 SEEDS, CHOSEN_ON = (7301, 7302, 7303, 7304), (7201, 7202)
 # Side and texel of a land [m], its camera's pixels against the full camera, and rays.
-_LAND, _COARSER, _SETTINGS = (80.0, 0.25, 1.0), 2, {"rays": 4}
+_LAND, _COARSER, _SETTINGS = (48.0, 0.25, 1.0), 4, {"rays": 4}
 # Heights above the ground [m] and turns about the horizontal axis [rad], by seed.
-_HEIGHTS_M, _TURNS = (55.0, 65.0, 50.0, 60.0), (0.0, 0.2)
+_HEIGHTS_M, _TURNS = (28.0, 32.0, 25.0, 30.0), (0.0, 0.2)
 
 
 def run(kinds=tuple(KINDS), seeds=SEEDS, progress=None):
@@ -76,40 +78,53 @@ def of_land(kind, seed):
         weather = weather_of(kind, weather_seed=None if seed % 2 else seed)
         scene = load_scene(write(make(kind, seed, *_LAND, weather=weather), folder / f"{kind}_{seed}"))
         scene = scene.with_camera(scene.camera.coarser(_COARSER))
-        flights = [_flight(scene, seed, aside) for aside in (0.0, 10.0)]
+        flights = [_flight(scene, seed, *place) for place in ((0.0, 0.0), (5.0, 2.0))]
         reference = Renderer(scene.with_temperature(scene.truth_temperature_spec), **_SETTINGS)
         view, other = (views.view_of(reference, each.poses[0], 0.0, 0, True) for each in flights)
         band_um = scene.camera.band_um
         known = emissivities.band_emissivities(scene)
         frames = {**plants.planted(view, other.truth, scene.sky_temperature, known, band_um, rng),
                   **plants.innocent(view, band_um, rng)}  # fmt: skip
-        foreign = {}
-        for number, (name, frame) in enumerate(frames.items()):
-            foreign[name] = folder / f"f{number}"
-            foreign[name].mkdir()
-            write_tlinear(foreign[name] / "pose_0000.tif", frame.kelvin.astype(np.float32))
-        summary = compare([flights[0]], folder / "out", [], Options(letters=(), foreign=foreign, settings=_SETTINGS))
-    return [_case(f"{kind} {seed}", name, frame, summary) for name, frame in frames.items()]
+        found = scored(flights[0], f"{kind} {seed}", reference, frames, folder)
+    return [_case(f"{kind} {seed}", name, frame, found) for name, frame in frames.items()]
 
 
-def _flight(scene, seed, aside_m):
-    """Return the Flight of one pose above a land's middle, or beside it."""
+def scored(flight, land, reference, frames, folder):
+    """Return {name: results} of frames that are compared as frames of another program; nothing is drawn."""
+
+    class Undrawn:
+        scenes = 1
+
+        def add(self, *args):
+            pass
+
+    def method(name, kelvin):
+        radiance = band_radiance(kelvin, *reference.scene.camera.band_um).astype(np.float32)
+        return Method("foreign", name, paint=lambda view: radiance)
+
+    setup = Setup(flight, land, reference, True, None, Frames(folder, flight, reference.scene, None, {}),
+                  [method(name, frame.kelvin) for name, frame in frames.items()])  # fmt: skip
+    totals = Totals()
+    Trial(setup, totals, 0, None).run(Undrawn(), lambda step, share: None)
+    return {own.method.name: own for own in totals.methods.values()}
+
+
+def _flight(scene, seed, aside_m, yaw):
+    """Return the Flight of one pose above a land's middle, or beside it and turned about the vertical."""
     height, turn = _HEIGHTS_M[seed % len(_HEIGHTS_M)], _TURNS[seed % len(_TURNS)]
     # Looking straight down, then turned about the camera's horizontal axis.
     half = np.pi / 2.0 - 0.5 * turn
-    look = [float(np.cos(half)), float(np.sin(half)), 0.0, 0.0]
+    cosine, sine, c, s = np.cos(half), np.sin(half), np.cos(0.5 * yaw), np.sin(0.5 * yaw)
+    # The quaternion of the turn about the vertical times that of the look down, (w, x, y, z).
+    look = [float(each) for each in (c * cosine, c * sine, s * sine, s * cosine)]
     place = [[aside_m, aside_m, float(np.nanmax(scene.surfaces[0].vertices[:, 2])) + height]]
     return Flight.of(scene, Trajectory(np.zeros(1), np.array(place), np.array([look])), 1.0)
 
 
-def _case(land, name, frame, summary):
+def _case(land, name, frame, found):
     """Return a comparison as plain values."""
-    label = f"foreign {name}"
-    own = summary["methods"][label]
-    named = {}
-    for each in summary["findings"]:
-        if each["method"] == label:
-            named[each["kind"]] = named.get(each["kind"], 0) + 1
+    own = found[name].summary(None, 0)
+    named = {each["kind"] for each in findings.of_method(name, own)}
     sizes = {}
     for each in own["causes"]["named"] if own["causes"] else []:
         size = each["size"]

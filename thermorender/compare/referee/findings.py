@@ -14,7 +14,7 @@ _SURE = 3.0
 # without a standard error).
 _SHIFT_PX, _SINGLE_PX = 0.5, 1.0
 # Edges that coincide by this many standard deviations show the same pose.
-_SAME_EDGES = 6.0
+_SAME_EDGES = 4.0
 # A gain below this counts as no contrast.
 _FLAT = 0.2
 _TITLES = {
@@ -33,14 +33,18 @@ def of(summary: dict[str, Any]) -> list[Finding]:
     """
     found = []
     for label, own in summary["methods"].items():
-        found += [_finding(label, "leak", leak, grave=True) for leak in own["leaks"]]
-        found += [_finding(label, "circular", text, grave=True) for text in own["circular"]]
-        if not own["errors"] or own["true_objects"]:
-            continue
-        found += _causes(label, own)
-        found += _rendered_with(label, own["emissivities"]["scene"])
+        found += of_method(label, own)
     found += _beaten(summary)
     return sorted(found, key=lambda each: not each["grave"])
+
+
+def of_method(label: str, own: dict[str, Any]) -> list[Finding]:
+    """Return the findings of one method's summary."""
+    found = [_finding(label, "leak", leak, grave=True) for leak in own["leaks"]]
+    found += [_finding(label, "circular", text, grave=True) for text in own["circular"]]
+    if not own["errors"] or own["true_objects"]:
+        return found
+    return [*found, *_causes(label, own), *_rendered_with(label, own["emissivities"]["scene"])]
 
 
 def grouped(found: list[Finding]) -> list[tuple[str, bool, list[str]]]:

@@ -21,7 +21,7 @@ _Value = TypeVar("_Value", bound=np.generic)
 BASE = {"offset": (0,), "contrast": (1,), "shift": (2, 3), "blur": (4,)}
 WIDTH = 5
 # Largest number of pixels in the normal equations; more are thinned out to a grid.
-_MOST_PIXELS = 60_000
+_MOST_PIXELS = 40_000
 # Pixels this near to unknown ones or to objects are left out [px].
 _BORDER_PX = 3
 # Gauss–Newton: most steps, largest step of shift [px] and variance [px²], convergence [px], range of the variance.

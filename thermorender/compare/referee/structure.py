@@ -26,6 +26,8 @@ _GROUPS = 16
 ALIKE = 0.5
 # Structure broader than this is filtered out before the shift is measured [px].
 _FINE_PX = 6.0
+# Edges this near coincide [px].
+_NEAR_PX = 2.0
 # Spacing of the ground points that are followed from frame to frame [px], and the relative difference of depth up to
 # which a point counts as the same.
 _EVERY, _SAME_DEPTH = 2, 0.02
@@ -164,17 +166,17 @@ def _edges(image: NDArray[np.floating], known: NDArray[np.bool_]) -> NDArray[np.
 def same_edges(image: NDArray[np.floating], others: Sequence[NDArray[np.floating]], known: NDArray[np.bool_]) -> float:
     """Return how far the edges of a picture coincide with those of the best of other pictures of the same pose.
 
-    The value is the largest correlation at all shifts searched, in standard deviations of those at other shifts: a
-    picture of another pose has a few, whatever the contrast of the same edges.
+    The value is the largest correlation of edges within 2 px, in standard deviations of those at other shifts. For a
+    picture of another pose, it is that of chance; for a map of the same pose, it is high whatever the map's contrast.
     """
     own = transform(_edges(image, known), known)
     found = []
     for other in others:
         surface, _ = correlation(own, transform(_edges(other, known), known))
-        row, column = np.unravel_index(np.argmax(surface), surface.shape)
-        apart = np.hypot(*np.ogrid[-row : len(surface) - row, -column : len(surface) - column]) > _FINE_PX
-        spread = float(surface[apart].std())
-        found.append(float(surface[row, column]) / spread if spread > 0.0 else 0.0)
+        most = len(surface) // 2
+        shift = np.hypot(*np.ogrid[-most : most + 1, -most : most + 1])
+        spread = float(surface[shift > _FINE_PX].std())
+        found.append(float(surface[shift <= _NEAR_PX].max()) / spread if spread > 0.0 else 0.0)
     return max(found, default=0.0)
 
 
