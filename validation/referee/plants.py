@@ -53,29 +53,33 @@ def planted(view, other, sky_k, emissivity, band_um, rng):
     mean = float(true[_ground(view)].mean())
     found = {}
 
+    def about(size):
+        # Sizes vary from land to land.
+        return size * float(rng.uniform(0.8, 1.25))
+
     def plant(name, kelvin, **faults):
         effect = float(np.sqrt(np.mean((kelvin - true)[_ground(view)] ** 2)))
         noise = _NOISE_K * rng.normal(size=kelvin.shape) + smooth(rng, kelvin.shape, _LENGTH_PX, _SMOOTH_K)
         found[name] = Frame(kelvin + noise, faults, effect)
 
-    for size in (-2.0, -0.5, 0.5):
-        plant(f"offset {size:+g} K", true + size, offset=size)
-    for gain in (0.7, 0.9, 1.2):
-        plant(f"contrast {gain:g}", mean + gain * (true - mean), contrast=gain - 1.0)
-    for right, down in ((0.5, 0.0), (2.0, 0.0), (-3.0, 1.0)):
-        plant(f"shift {right:g} {down:g} px", moved(true, right, down), shift=float(np.hypot(right, down)))
-    for sigma in (1.0, 1.5, 2.5):
-        plant(f"blur {sigma:g} px", gaussian_filter(true, sigma), blur=sigma)
+    for size in map(about, (-2.0, -0.5, 0.5)):
+        plant(f"offset {size:+.2f} K", true + size, offset=size)
+    for change in map(about, (-0.3, -0.1, 0.2)):
+        plant(f"contrast {1.0 + change:.2f}", mean + (1.0 + change) * (true - mean), contrast=change)
+    for right, down in ((about(0.5), 0.0), (about(2.0), 0.0), (about(-3.0), about(1.0))):
+        plant(f"shift {right:.1f} {down:.1f} px", moved(true, right, down), shift=float(np.hypot(right, down)))
+    for sigma in map(about, (1.0, 1.5, 2.5)):
+        plant(f"blur {sigma:.1f} px", gaussian_filter(true, sigma), blur=sigma)
     number = _material(view, rng)
     if number is not None:
         here = view.material == number
-        for size in (-2.0, 1.5):
-            plant(f"material {size:+g} K", true + size * here, material=size)
-        for change in (-0.15, -0.06):
+        for size in map(about, (-2.0, 1.5)):
+            plant(f"material {size:+.2f} K", true + size * here, material=size)
+        for change in map(about, (-0.15, -0.06)):
             radiance = band_radiance(true, *band_um)
             contrast = (radiance - band_radiance(sky_k, *band_um)) / max(emissivity[number], 0.1)
             kelvin = brightness_temperature(radiance + change * here * contrast, *band_um)
-            plant(f"emissivity {change:+g}", kelvin, emissivity=change)
+            plant(f"emissivity {change:+.3f}", kelvin, emissivity=change)
     plant("upside down", true[::-1], mirrored=1.0)
     plant("left to right", true[:, ::-1], mirrored=1.0)
     plant("another pose", other, unlike=1.0)
@@ -97,12 +101,15 @@ def innocent(view, band_um, rng):
             found[f"smooth {length:g} px, {size:g} K"] = true + smooth(rng, true.shape, length, size)
     # Noise of another strength on each material, as textures cause it.
     found["by texture"] = true + rng.uniform(0.0, 1.0, 256)[view.material] * smooth(rng, true.shape, 3.0, 1.0)
-    grey = cv2.cvtColor(view.visible, cv2.COLOR_RGB2GRAY).astype(float)
+    # The camera's tone and noise differ from land to land.
+    toned = 255.0 * (view.visible / 255.0) ** rng.uniform(0.7, 1.4) + 2.0 * rng.normal(size=view.visible.shape)
+    visible = np.clip(toned, 0.0, 255.0).astype(np.uint8)
+    grey = cv2.cvtColor(visible, cv2.COLOR_RGB2GRAY).astype(float)
     for name, image in (("grey", grey), ("grey, softened", gaussian_filter(grey, 1.5))):
         found[f"{name}, matched"] = _matched(image, true, ground, rng)
     for name in _MAPS:
         model = load_model(name)
-        image = apparent_temperature(model.radiance(Inputs(view.visible, view.texel_m)), model.band_um)
+        image = apparent_temperature(model.radiance(Inputs(visible, view.texel_m)), model.band_um)
         image = np.where(np.isfinite(image), image, np.nanmedian(image)).astype(float)
         slope, zero = _line(image[ground], true[ground])
         found[f"{name}, calibrated"] = zero + slope * image

@@ -21,7 +21,7 @@ from thermorender.compare.referee.pose_fit import BASE, WIDTH, PoseFit
 
 # A cause explains at least this share of the square error that is left without it, and its size differs from zero at
 # this level of significance, divided by the number of causes tested.
-SHARE, LEVEL = 0.4, 0.01
+SHARE, LEVEL = 2.0 / 3.0, 0.01
 # Errors below this are sampling noise of the renders [K].
 _FLOOR_K = 0.02
 # Least sizes that are reported: offset [K], gain, shift [px], standard deviation of the blur [px], offset of a
