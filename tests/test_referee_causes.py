@@ -120,17 +120,18 @@ def test_a_grey_map_with_the_temperatures_of_the_ground_is_not_accused(land):
 def test_a_calibrated_map_of_little_correlation_has_no_wrong_contrast(land):
     """Its slope on the reference is the square of the correlation, but no other scale would be better."""
     truth, _ = land
-    guess = (truth - truth.mean()) / truth.std() + 1.2 * field(41, 2.0)
+    guess = (truth - truth.mean()) / truth.std() + 2.5 * field(41, 2.0)
     slope, zero = np.polyfit(guess.ravel(), truth.ravel(), 1)
     found = causes_of(land, zero + slope * guess)
-    assert 1.0 + found["fit"]["contrast"]["size"][0] < 0.6 and not named(found)
+    assert 1.0 + found["fit"]["contrast"]["size"][0] < 0.3 and not named(found)
 
 
 def test_an_error_on_a_material_without_the_pattern_of_emissivity_is_an_offset(land):
     truth, material = land
     here = material == 1
-    # The same mean as by an emissivity, but more where that changes less.
-    pattern = -4.0 + 0.3 * (truth - truth[here].mean())
+    # The same mean as by an emissivity, but a change with temperature of another size: an emissivity fits better than
+    # an offset, yet not beside one.
+    pattern = -4.0 - 0.4 * (truth - truth[here].mean())
     assert set(named(causes_of(land, truth + here * pattern))) == {("material", "asphalt")}
 
 
