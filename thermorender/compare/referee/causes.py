@@ -30,8 +30,8 @@ LEAST = {"offset": 0.1, "contrast": 0.03, "shift": 0.25, "blur": 0.5, "material"
 # If the emissivity would leave 0…1 by more than this, the error has another cause.
 _BEYOND = 0.02
 # An emissivity fitted beside an offset on the material differs from that fitted alone by less than this many standard
-# errors.
-_APART = 2.0
+# errors, or by less than this share of it: the sky's occlusion and the air are not in the model.
+_APART, _APART_SHARE = 2.0, 0.25
 # Most materials that are named.
 _MOST_MATERIALS = 3
 
@@ -317,7 +317,9 @@ class _Pooled:
         rival = ("material", name)
         (alone,), _ = self.sizes(chosen)[cause]
         (beside,), (error,) = self.sizes([*chosen, rival])[cause]
-        steady = abs(beside) > self._quantile() * error and abs(beside - alone) < _APART * error
+        steady = abs(beside) > self._quantile() * error and abs(beside - alone) < max(
+            _APART * error, _APART_SHARE * abs(alone)
+        )
         return cause if steady and -_BEYOND <= self._causes.emissivity[name] + alone <= 1.0 + _BEYOND else rival
 
 
