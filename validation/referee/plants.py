@@ -26,7 +26,7 @@ class Frame:
     faults : dict of str to float
         Size of each planted kind; empty for an innocent frame.
     effect_k : float
-        Root mean square change of the ground by all faults [K].
+        Root mean square change of the ground by all faults, away from objects [K].
     """
 
     kelvin: np.ndarray
@@ -51,6 +51,9 @@ def planted(view, other, sky_k, emissivity, band_um, rng):
     """
     true = _filled(view)
     mean = float(true[_ground(view)].mean())
+    # Not beside objects and the border, where a hot object may be moved onto the ground.
+    away = cv2.erode(_ground(view).astype(np.uint8), np.ones((15, 15), np.uint8), borderValue=0).astype(bool)
+    away = away if away.any() else _ground(view)
     found = {}
 
     def about(size):
@@ -58,7 +61,7 @@ def planted(view, other, sky_k, emissivity, band_um, rng):
         return size * float(rng.uniform(0.8, 1.25))
 
     def plant(name, kelvin, **faults):
-        effect = float(np.sqrt(np.mean((kelvin - true)[_ground(view)] ** 2)))
+        effect = float(np.sqrt(np.mean((kelvin - true)[away] ** 2)))
         noise = _NOISE_K * rng.normal(size=kelvin.shape) + smooth(rng, kelvin.shape, _LENGTH_PX, _SMOOTH_K)
         found[name] = Frame(kelvin + noise, faults, effect)
 
@@ -125,7 +128,7 @@ def innocent(view, band_um, rng):
 def smooth(rng, shape, length_px, size):
     """Return a smooth random field of a correlation length and standard deviation, (H, W)."""
     found = gaussian_filter(rng.normal(size=shape), length_px, mode="wrap")
-    return size * found / found.std()
+    return size * (found - found.mean()) / found.std()
 
 
 def moved(image, right, down):

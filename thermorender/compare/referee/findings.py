@@ -14,7 +14,7 @@ _SURE = 3.0
 # without a standard error).
 _SHIFT_PX, _SINGLE_PX = 0.5, 1.0
 # Edges that coincide by this many standard deviations show the same pose.
-_SAME_EDGES = 4.0
+_SAME_EDGES = 3.0
 # A gain below this counts as no contrast.
 _FLAT = 0.2
 _TITLES = {
