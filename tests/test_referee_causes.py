@@ -7,9 +7,9 @@ import pytest
 from scipy.ndimage import gaussian_filter, shift
 
 from thermorender.compare.referee import emissivities, structure
-from thermorender.compare.referee.causes import Causes
-from thermorender.compare.referee.moved import moved
-from thermorender.compare.referee.pose_fit import Pair, fit
+from thermorender.compare.referee.causes.moved import moved
+from thermorender.compare.referee.causes.pooled import Causes
+from thermorender.compare.referee.causes.pose_fit import Pair, fit
 from thermorender.physics.planck import band_radiance, brightness_temperature
 
 BAND, SKY_K = (7.5, 13.5), 250.0

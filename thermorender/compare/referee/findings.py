@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from thermorender.compare.referee.causes import LEAST, SHARE
+from thermorender.compare.referee.causes.pooled import LEAST, SHARE
 from thermorender.compare.referee.structure import ALIKE
 
 Finding = dict[str, Any]

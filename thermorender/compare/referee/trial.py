@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from thermorender.compare.evaluation import sums
 from thermorender.compare.referee import emissivities, provenance, scores, views
-from thermorender.compare.referee.causes import Causes
-from thermorender.compare.referee.fitting import Fitting
+from thermorender.compare.referee.causes.fitting import Fitting
+from thermorender.compare.referee.causes.pooled import Causes
 from thermorender.compare.referee.frames import Frames
 from thermorender.compare.referee.methods import OWN, Method
 from thermorender.compare.referee.report.pictures import Pictures

@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.compare.referee.moved import moved
+from thermorender.compare.referee.causes.moved import moved
 
 _Value = TypeVar("_Value", bound=np.generic)
 

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.compare.referee import emissivities
-from thermorender.compare.referee.causes import Causes
-from thermorender.compare.referee.pose_fit import Pair, fit
+from thermorender.compare.referee.causes.pooled import Causes
+from thermorender.compare.referee.causes.pose_fit import Pair, fit
 from thermorender.compare.referee.structure import ALIKE
 from thermorender.compare.referee.views import View, evenly
 from thermorender.scene.scene import Scene

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.compare.referee.pose_fit import BASE, WIDTH, PoseFit
+from thermorender.compare.referee.causes.pose_fit import BASE, WIDTH, PoseFit
 
 # A cause explains at least this share of the square error that is left without it, and its size differs from zero at
 # this level of significance, divided by the number of causes tested.
