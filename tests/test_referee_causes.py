@@ -11,6 +11,7 @@ from thermorender.compare.referee.causes.moved import moved
 from thermorender.compare.referee.causes.pooled import Causes
 from thermorender.compare.referee.causes.pose_fit import Pair, fit
 from thermorender.physics.planck import band_radiance, brightness_temperature
+from validation.referee import study
 
 BAND, SKY_K = (7.5, 13.5), 250.0
 SHAPE = (128, 160)
@@ -186,3 +187,19 @@ def test_mirrored_pictures_and_pictures_of_the_same_edges_are_recognised(land):
             assert max(found["mirrored"], key=found["mirrored"].get) == name and found["mirrored"][name] > 0.9
         else:
             assert max(found["mirrored"].values(), default=0.0) < 0.5 and (found["edges"] > 6.0) == same, name
+
+
+def test_rates_of_the_study_count_what_is_named_rightly_and_wrongly():
+    def case(planted, named, effect_k=1.0):
+        return {"planted": planted, "named": named, "effect_k": effect_k}
+
+    found = [case({}, []), case({}, ["flat"]), case({"shift": 2.0}, ["shift"]), case({"shift": 2.0}, ["shift", "blur"]),
+             case({"emissivity": 0.1}, ["material"]), case({"offset": 0.1}, [], 0.1),
+             case({"material": 1.0}, ["emissivity"])]  # fmt: skip
+    rates = study.rates(found)
+    assert {name: (each["count"], each["of"]) for name, each in rates.items()} == {
+        "accused": (1, 2), "right": (3, 4), "faint_right": (0, 1), "also_wrong": (2, 5),
+    }  # fmt: skip
+    # Without a case, the exact interval ends at 1 − 0.025^(1/n).
+    assert study.interval(0, 200) == pytest.approx((0.0, 1.0 - 0.025 ** (1 / 200)))
+    assert study.confusion(found)["none"] == {"comparisons": 2, "nothing": 1, "contrast": 1}
