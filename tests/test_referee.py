@@ -7,6 +7,7 @@ import shutil
 import time
 from collections import defaultdict
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -23,6 +24,7 @@ from thermorender.compare.referee import (
     methods,
     predictors,
     provenance,
+    run,
     scores,
     structure,
     targets,
@@ -43,6 +45,7 @@ from thermorender.scene.spec import TemperatureSpec
 from thermorender.sensor.camera import load_camera, model_path
 from thermorender.sensor.readout import radiance_from_counts
 
+ROOT = Path(__file__).resolve().parents[1]
 DOWN = [0.0, 1.0, 0.0, 0.0]
 BAND = (7.5, 13.5)
 
@@ -206,7 +209,7 @@ def test_findings_are_grouped_by_kind_and_methods_with_the_same_finding_share_a_
     reported = [dict(zip(("grave", "method", "kind", "says"), each, strict=True)) for each in said]
     assert findings.grouped(reported) == [
         ("Seen in training", True, ["B m: seen"]),
-        ("An offset is most of the error", False, ["C1 m: of 1 K", "B m: of 2 K"]),
+        ("Offset", False, ["C1 m: of 1 K", "B m: of 2 K"]),
         ("Wrong emissivity", False, ["C2 m, C2 n: too high"]),
     ]
 
@@ -534,12 +537,13 @@ def test_a_scene_without_truth_prints_differences_and_that_nothing_was_checked(g
     assert "<option value=error>" not in page and "<li>C1" not in page and "<li>D the frame" not in page
 
 
-def summary_of(methods=(), references=(True,), assumed=False):
+def summary_of(methods=(), references=(True,), assumed=False, computed=False):
     """A comparison's summary with its methods, (label, letter, bounds) each, and scenes with or without reference."""
     return {
         "methods": {label: {"letter": letter, "bounds": bounds, "true_objects": label.endswith("true objects")}
                     for label, letter, bounds in methods},
-        "scenes": [{"reference": known, "poses": 1, "assumed_materials": assumed} for known in references],
+        "scenes": [{"reference": known, "poses": 1, "assumed_materials": assumed, "computed": computed}
+                   for known in references],
         "findings": [], "notes": [],
     }  # fmt: skip
 
@@ -556,6 +560,45 @@ def test_the_introduction_explains_the_methods_of_the_run_only():
     page = introduction.introduction(more)
     assert "1 scene, 1 pose, 3 methods." in page and "true temperatures and the scene&#x27;s materials" in page
     assert "Errors are" not in introduction.introduction(summary_of(references=(False, False)))
+
+
+def test_a_computed_reference_is_not_called_true():
+    assert "a render from the computed temperatures" in introduction.introduction(summary_of(computed=True))
+    # The stated errors of the heat balance are those of its validation.
+    sites = json.loads((ROOT / "validation/heat/heat.json").read_text())["sites"].values()
+    for part, stated in (("day", run.BALANCE_DAY_K), ("night", run.BALANCE_NIGHT_K)):
+        own = [site["scores"]["balance"].get(part, {}).get("mae", np.nan) for site in sites]
+        assert stated == (round(np.nanmin(own), 1), round(np.nanmax(own), 1)), part
+
+
+@pytest.mark.slow
+def test_a_heat_balance_as_reference_is_labelled_with_its_error_and_left_out_methods_say_why(tmp_path):
+    folder = write_balance(tmp_path / "solved", WEATHER, height=np.zeros((32, 32)))
+    options = Options(letters=("B", "F"), settings={"rays": 2})
+    found = compare([flight(folder, poses=1)], tmp_path / "c", ["procedural-trees+"], options)
+    notes = " ".join(found["notes"])
+    assert "The reference of solved is computed by the heat balance, not measured." in notes
+    assert "0.3 to 3 K by day and 0.3 to 1.7 K by night" in notes
+    assert "F, the heat balance of tables, is left out of solved: the reference is that heat balance." in notes
+    assert "B procedural-trees+ is left out: the map also takes " in notes
+    page = (tmp_path / "c/report.html").read_text()
+    assert "computed by the heat balance</td>" in page and "reference, computed" in page
+
+
+def test_each_frame_has_its_own_scale_beside_the_common_one(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(figures, "_figure", lambda figure=figures._figure: (
+        lambda **options: drawn.append(figure()[0](**options)) or drawn[-1], figure()[1]))  # fmt: skip
+    truth = np.linspace(290.0, 300.0, 64 * 80).reshape(64, 80).astype(np.float32)
+    view = SimpleNamespace(truth=truth, known=np.ones(truth.shape, bool), visible=np.zeros((64, 80, 3), np.uint8))
+    figures.error_images(tmp_path / "a.png", view, {"cold": truth - 40.0}, "reference, computed")
+    axes = [axis for axis in drawn[0].axes if axis.images]
+    titles = {axis.get_title(): axis.images[0].get_clim() for axis in axes}
+    (name,) = [title for title in titles if title.startswith("own scale, ")]
+    common, own = titles["cold"], titles[name]
+    assert name == f"own scale, {own[0]:.1f}…{own[1]:.1f} °C"
+    assert titles["reference, computed"] == common == pytest.approx((16.95, 26.75), abs=0.01)
+    assert own == pytest.approx((common[0] - 40.0, common[1] - 40.0), abs=0.01) and "error" in titles
 
 
 def test_only_scenes_with_a_truth_count_as_checked():
@@ -765,29 +808,6 @@ def test_warm_and_cold_targets_are_found_but_not_a_misplaced_one():
     assert reported["cold"]["offset_px"] < 2.0
 
 
-def test_the_emissivity_that_explains_an_error_is_found():
-    """Pixels at two temperatures under a cold sky, ε 0.05 too low on one of two materials."""
-    from types import SimpleNamespace
-
-    kinetic = np.linspace(280.0, 320.0, 20000).reshape(100, 200).astype(np.float32)
-    material = (np.arange(20000).reshape(100, 200) % 2).astype(np.uint8)
-    known = np.ones(kinetic.shape, bool)
-    view = SimpleNamespace(
-        known=known, object=np.full(kinetic.shape, -1), material=material, kinetic=kinetic,
-        material_names=("right", "wrong"), truth_radiance=band_radiance(kinetic.astype(float), *BAND),
-    )  # fmt: skip
-    contrast = emissivities.contrast(view, 240.0, BAND)
-    assert contrast == pytest.approx(view.truth_radiance - band_radiance(240.0, *BAND), rel=1e-5)
-    radiance = view.truth_radiance - 0.05 * np.where(material == 1, contrast, 0.0)
-    error = brightness_temperature(radiance, *BAND) - kinetic
-    found = emissivities.Emissivities()
-    found.add("here", view, contrast, radiance, error, np.array([0.95, 0.95]))
-    reported = found.summary()
-    assert reported["wrong"]["others_k"] == pytest.approx(0.0, abs=1e-6)
-    assert set(reported) == {"wrong"} and reported["wrong"]["change"] == pytest.approx(-0.05, abs=1e-4)
-    assert reported["wrong"]["share"] == pytest.approx(0.5) and reported["wrong"]["explained"] > 0.99
-
-
 def test_the_registered_photograph_matches_that_of_the_visible_camera(ground, tmp_path, call):
     camera = load_camera("zenmuse-xt2").visible_camera
     assert camera.field_of_view_deg == pytest.approx((57.12, 42.44), abs=0.01) and camera.width == 4000
@@ -892,36 +912,6 @@ def test_pictures_with_almost_no_or_inverted_contrast_are_found(ground, tmp_path
     for name, gain in (("grey", "0.10"), ("turned", "-1.00")):
         (reported,) = [each["says"] for each in found["findings"] if each["method"] == f"foreign {name}"]
         assert reported.startswith(f"it shows {gain} of the reference's contrast")
-
-
-def test_a_material_is_compared_with_others_of_its_own_scenes():
-    """Snow occurs in winter, where every error is 20 K: snow is not unusual."""
-    found = emissivities.Emissivities()
-    winter = {"snow": (100.0, 2000.0), "soil": (100.0, 2100.0), "grass": (100.0, 1900.0)}
-    summer = {"soil": (300.0, -2200.0), "grass": (300.0, -1850.0), "sand": (100.0, 30.0)}
-    found.scenes = {"w": {name: np.array(row) for name, row in winter.items()},
-                    "s": {name: np.array(row) for name, row in summer.items()}}  # fmt: skip
-    for name in ("snow", "soil", "grass", "sand"):
-        count, error = sum(own.get(name, np.zeros(2)) for own in found.scenes.values())
-        found.rows[name] = np.array([count, 1e-3, 1.0, 1.0, error, 0.95 * count])
-    reported = found.summary()
-    assert reported["snow"]["error_k"] == 20.0 and reported["snow"]["others_k"] == pytest.approx(20.0)
-    method = {"letter": "B", "emissivities": {"explained": reported}}
-    assert "snow" not in " ".join(each["says"] for each in findings._materials("B m", method))
-    found.scenes["w"]["snow"][1] = found.rows["snow"][4] = 8000.0
-    (snow,) = findings._materials("B m", {"letter": "B", "emissivities": {"explained": found.summary()}})
-    assert snow["says"].startswith("the error of snow (")
-    assert "is +80.00 K; the median of the others in its scenes is 20.00 K" in snow["says"]
-
-
-def test_an_impossible_emissivity_is_not_reported():
-    found = emissivities.Emissivities()
-    # Over a sky nearly as warm as the ground 1 K looks like an emissivity of several.
-    rows = {"soil": (100.0, 3.0 * 1e-2, 1e-2, 0.095, 100.0, 95.0), "grass": (100.0, 0.0, 1e-2, 0.1, 0.0, 98.0)}
-    found.rows = {name: np.array(row) for name, row in rows.items()}
-    assert found.summary()["soil"]["change"] is None
-    found.rows["soil"][[1, 3]] = -0.5e-2, 0.3e-2
-    assert found.summary()["soil"]["change"] == pytest.approx(-0.5)
 
 
 def test_kept_frames_have_unique_names():

@@ -15,6 +15,8 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 
 _MK = 1e-3
+# Largest rate of wrong names that the comparison states.
+_STATED_RATE = 0.05
 
 
 @dataclass(frozen=True)
@@ -161,6 +163,20 @@ def _fuzz(found):
     return verdicts
 
 
+def _referee(found):
+    """Rates of wrong names, whose tolerance is the stated rate; and sizes of named offsets [K], the 90th percentile."""
+    what = {"accused": "innocent frames that are accused, share", "also_wrong": "faults with a wrong name too, share"}
+    verdicts = [Verdict(words, "planted faults and innocent frames on unseen lands", 0.0,
+                        found["rates"][name]["count"] / found["rates"][name]["of"], _STATED_RATE, None)
+                for name, words in what.items()]  # fmt: skip
+    off = [abs(case["sizes"][kind] - size) for case in found["comparisons"] for kind, size in case["planted"].items()
+           if kind in ("offset", "material") and kind in case["named"] and kind in case["sizes"]]  # fmt: skip
+    if off:
+        verdicts.append(Verdict("named offsets, 90 % of errors below", "the planted offset", 0.0,
+                                float(np.percentile(off, 90)), 0.1, None))  # fmt: skip
+    return verdicts
+
+
 STUDIES = (
     Study("stability", "tests.robustness", "Cases at the edge", "stability/stability.json", (), _stability),
     Study("fuzz", "tests.robustness", "Damaged files", "fuzz/fuzz.json", (), _fuzz, runs=False),
@@ -187,6 +203,8 @@ STUDIES = (
     Study("leaks", "validation.leaks", "Training pictures found in other pictures", "leaks/leaks.json", runs=False),
     Study("real_pairs", "validation.real_pairs", "Learned maps on real pairs", "real_pairs/real_pairs.json",
           runs=False),
+    Study("referee", "validation.referee", "What a comparison names: planted faults and innocent frames",
+          "referee/referee.json", ("referee/referee.png",), _referee, runs=False),
     Study("trainings", "validation.trainings", "Trainings of networks", "networks/campaign/trainings.json",
           ("networks/campaign/*.png",), runs=False),
     Study("landing", "examples.landing", "Landings by rendered and by translated frames", "landing/landing.json",

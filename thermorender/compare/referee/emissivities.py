@@ -1,12 +1,9 @@
-"""Emissivity errors: the change of each material's emissivity that best explains an error of radiance.
+"""Emissivity errors: what a change of a material's emissivity does to radiance and to apparent temperature.
 
 A surface at temperature T under irradiance E emits and reflects ε B(T) + (1 − ε) E/π. An emissivity error Δε changes
-this by Δε (B(T) − E/π): much under a cold sky, nothing in an enclosure of the same temperature. Δε is a least-squares
-fit over the pixels of a material, with the sky's irradiance alone and without air.
+this by Δε (B(T) − E/π): much under a cold sky, nothing in an enclosure of the same temperature. Here E is the sky's
+irradiance alone, and there is no air.
 """
-
-from collections.abc import Iterable
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +14,9 @@ from thermorender.physics.planck import band_radiance
 from thermorender.render.spectrum import REFERENCE_K
 from thermorender.scene.scene import Scene
 
-# A material is reported if it covers this share of the ground and its error is at least this large [K]; its Δε, if that
-# explains at least this share of the mean square error.
-LEAST_SHARE, LEAST_K, LEAST_EXPLAINED = 0.005, 0.3, 0.5
-# If the emissivity would leave 0…1 by more than this, the error has another cause.
-_BEYOND = 0.02
+# Least Δε at which the change of temperature is taken, least emissivity that a radiance is divided by, and range of
+# temperatures beyond those of the reference [K].
+_STEP, _LEAST, _BEYOND_K = 0.01, 0.1, 60.0
 
 
 def band_emissivities(scene: Scene) -> NDArray[np.float64]:
@@ -49,90 +44,44 @@ def of_scenes(own: Scene, true: Scene) -> dict[str, NDArray[np.float64]]:
     return {name: row + [0.0, 0.0, 0.0, total] for name, row in found.items()}
 
 
-def contrast(view: View, sky_k: float, band_um: tuple[float, float]) -> NDArray[np.float64]:
-    """Return B(T) − E/π of a View's pixels, (H, W) [W m⁻² sr⁻¹], from a table; 0 at unknown pixels."""
-    kinetic = np.where(view.known, view.kinetic, np.float32(sky_k)).astype(np.float64)
-    grid = RadianceTable.grid(kinetic.min(), kinetic.max())
-    emitted: NDArray[np.float64] = RadianceTable(grid, band_radiance(grid, *band_um))(kinetic)
-    return emitted - band_radiance(sky_k, *band_um)
+def change_k(
+    view: View, emissivity: NDArray[np.float64], image: NDArray[np.floating], sky_k: float, band_um: tuple[float, float]
+) -> NDArray[np.float64]:
+    """Return the change of apparent temperature by a unit of emissivity, (H, W) [K]; 0 outside known ground.
 
+    Temperature is not linear in radiance. The change is therefore that of each material's best fit to the error of
+    radiance, divided by its Δε.
 
-@dataclass
-class Emissivities:
-    """Sums per material: n, Σxδ, Σx², Σδ², Σ error in kelvin, Σε; x is B(T) − E/π, δ is the error of radiance.
-
-    Attributes
+    Parameters
     ----------
-    rows : dict of str to (6,) array
-    scenes : dict of str to {str: (2,) array}
-        For each scene, per material: n, Σ error in kelvin.
+    view : View
+        With a reference.
+    emissivity : (M,) array
+        True emissivities of the view's materials, as `band_emissivities` returns them.
+    image : (H, W) array
+        Apparent temperature of a method [K].
+    sky_k : float
+        Sky temperature [K].
+    band_um : (lower, upper)
+
+    Notes
+    -----
+    B(T) − E/π is (L − E/π) / ε of the reference's radiance L. The kinetic temperature is not used: it is that of one
+    texel, where the radiance is interpolated between several.
     """
-
-    rows: dict[str, NDArray[np.float64]] = field(default_factory=dict)
-    scenes: dict[str, dict[str, NDArray[np.float64]]] = field(default_factory=dict)
-
-    def add(
-        self,
-        scene: str,
-        view: View,
-        contrast: NDArray[np.float64],
-        radiance: NDArray[np.floating],
-        error_k: NDArray[np.floating],
-        emissivity: NDArray[np.float64],
-    ) -> None:
-        """Add the ground of a View.
-
-        Parameters
-        ----------
-        scene : str
-        view : View
-            With a reference.
-        contrast : (H, W) array
-            As the function `contrast` returns it.
-        radiance, error_k : (H, W) arrays
-            Band radiance of a method [W m⁻² sr⁻¹], and its error [K].
-        emissivity : (M,) array
-            True emissivities of the view's materials, as `band_emissivities` returns them.
-        """
-        assert view.truth_radiance is not None
-        here = view.known & (view.object < 0) & np.isfinite(error_k)
-        material, x = view.material[here], contrast[here]
-        off = radiance[here].astype(np.float64) - view.truth_radiance[here]
-        columns = [np.bincount(material, weights, 256) for weights in (None, x * off, x * x, off * off, error_k[here])]
-        for number in np.flatnonzero(columns[0]):
-            name = view.material_names[number]
-            row = np.array([*(column[number] for column in columns), columns[0][number] * emissivity[number]])
-            self.rows[name] = self.rows.get(name, 0.0) + row
-            own = self.scenes.setdefault(scene, {})
-            own[name] = own.get(name, 0.0) + row[[0, 4]]
-
-    def _others(self, name: str) -> float | None:
-        """Return the median absolute mean error of the other materials in the scenes with this one [K], or None."""
-        together: dict[str, NDArray[np.float64]] = {}
-        for own in self.scenes.values():
-            entries: Iterable[tuple[str, NDArray[np.float64]]] = own.items() if name in own else ()
-            for other, row in entries:
-                together[other] = together.get(other, 0.0) + row
-        together.pop(name, None)
-        return float(np.median([abs(error / count) for count, error in together.values()])) if together else None
-
-    def summary(self) -> dict[str, dict[str, float | None]]:
-        """Return {material: {share, error_k, others_k, change, explained}} of materials with a large error.
-
-        `others_k` is the median absolute mean error of the other materials in the same scenes, None without others.
-        `change` is Δε. It is None where it does not explain the error or the emissivity would leave 0…1: then the error
-        has another cause, such as the temperature.
-        """
-        total = sum(row[0] for row in self.rows.values())
-        reported: dict[str, dict[str, float | None]] = {}
-        for name, (count, xoff, xx, offoff, kelvin, emissivity) in self.rows.items():
-            if not xx > 0.0 or not offoff > 0.0:
-                continue
-            change, explained = xoff / xx, xoff * xoff / (xx * offoff)
-            error = kelvin / count
-            if count >= LEAST_SHARE * total and abs(error) >= LEAST_K:
-                possible = -_BEYOND <= emissivity / count + change <= 1.0 + _BEYOND
-                reported[name] = {"share": count / total, "error_k": error, "others_k": self._others(name),
-                                  "change": change if possible and explained >= LEAST_EXPLAINED else None,
-                                  "explained": explained}  # fmt: skip
-        return reported
+    assert view.truth is not None
+    here = view.known & (view.object < 0) & np.isfinite(image)
+    found = np.zeros(view.known.shape)
+    if not here.any():
+        return found
+    material = view.material[here]
+    kelvin = RadianceTable.grid(float(view.truth[here].min()) - _BEYOND_K, float(view.truth[here].max()) + _BEYOND_K)
+    radiance = band_radiance(kelvin, *band_um)
+    true, seen = (np.interp(values[here], kelvin, radiance) for values in (view.truth, image))
+    known = np.append(np.maximum(emissivity, _LEAST), np.ones(256 - len(emissivity)))
+    x = (true - band_radiance(sky_k, *band_um)) / known[material]
+    both, own = (np.bincount(material, weights, 256) for weights in (x * (seen - true), x * x))
+    best = np.clip(both / np.maximum(own, 1e-12), -1.0, 1.0)
+    best = np.where(np.abs(best) < _STEP, np.where(best < 0.0, -_STEP, _STEP), best)
+    found[here] = (np.interp(true + best[material] * x, radiance, kelvin) - view.truth[here]) / best[material]
+    return found

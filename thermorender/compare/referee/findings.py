@@ -1,23 +1,27 @@
 """Findings of a comparison, in sentences: offsets, wrong contrast, shifts, emissivities, leaks, better baselines."""
 
+from collections.abc import Callable
 from typing import Any
+
+from thermorender.compare.referee.causes.pooled import LEAST, SHARE
+from thermorender.compare.referee.structure import ALIKE
 
 Finding = dict[str, Any]
 
-# An offset is reported from this size on [K], if it is at least this many standard errors.
-_OFFSET_K, _SURE = 0.1, 3.0
-# A shift is reported from this size on [px] (second value: a single pose, without a standard error), if the pictures
-# correlate at least this well.
-_SHIFT_PX, _SINGLE_PX, ALIKE = 0.5, 1.0, 0.5
-# A wrong contrast is reported if the gain differs from 1 by this much, the correlation is at least this high, and it
-# explains at least this share of the square error; a gain below the last value counts as no contrast.
-_GAIN, _PATTERN, _MOST, _FLAT = 0.1, 0.8, 0.5, 0.2
-# A material is reported if its error is this many times the median error of the others in the same scenes.
-_APART = 3.0
+# An offset is reported if it is at least this many standard errors.
+_SURE = 3.0
+# A shift against another picture of the same map is reported from this size on [px] (second value: a single pose,
+# without a standard error).
+_SHIFT_PX, _SINGLE_PX = 0.5, 1.0
+# Edges that coincide by this many standard deviations show the same pose.
+_SAME_EDGES = 3.0
+# A gain below this counts as no contrast.
+_FLAT = 0.2
 _TITLES = {
-    "leak": "Seen in training", "circular": "Circular", "offset": "An offset is most of the error",
-    "shift": "Shifted", "unlike": "Frames unlike the scene", "contrast": "Wrong contrast",
-    "flat": "Almost no contrast, or inverted contrast", "material": "Materials with unusually large errors",
+    "leak": "Seen in training", "circular": "Circular", "offset": "Offset",
+    "shift": "Shifted", "mirrored": "Mirrored", "unlike": "Frames unlike the scene", "contrast": "Wrong contrast",
+    "blur": "Blurred",
+    "flat": "Almost no contrast, or inverted contrast", "material": "An offset on a material",
     "emissivity": "Wrong emissivity", "constant": "Worse than a constant",
 }  # fmt: skip
 
@@ -29,18 +33,18 @@ def of(summary: dict[str, Any]) -> list[Finding]:
     """
     found = []
     for label, own in summary["methods"].items():
-        found += [_finding(label, "leak", leak, grave=True) for leak in own["leaks"]]
-        found += [_finding(label, "circular", text, grave=True) for text in own["circular"]]
-        if not own["errors"] or own["true_objects"]:
-            continue
-        ground = own["errors"]["radiometric"]["ground"]
-        found += _offset(label, ground)
-        found += _shift(label, own)
-        # An error that a wrong contrast explains needs no other cause.
-        found += _contrast(label, own) or _materials(label, own)
-        found += _rendered_with(label, own["emissivities"]["scene"])
+        found += of_method(label, own)
     found += _beaten(summary)
     return sorted(found, key=lambda each: not each["grave"])
+
+
+def of_method(label: str, own: dict[str, Any]) -> list[Finding]:
+    """Return the findings of one method's summary."""
+    found = [_finding(label, "leak", leak, grave=True) for leak in own["leaks"]]
+    found += [_finding(label, "circular", text, grave=True) for text in own["circular"]]
+    if not own["errors"] or own["true_objects"]:
+        return found
+    return [*found, *_causes(label, own), *_rendered_with(label, own["emissivities"]["scene"])]
 
 
 def grouped(found: list[Finding]) -> list[tuple[str, bool, list[str]]]:
@@ -66,75 +70,127 @@ def _finding(label: str, kind: str, says: str, grave: bool = False) -> Finding:
     return {"grave": grave, "method": label, "kind": kind, "says": says}
 
 
-def _offset(label: str, ground: dict[str, Any]) -> list[Finding]:
-    ends = ground["interval_95"]["me_k"] if ground.get("interval_95") else None
+def _causes(label: str, own: dict[str, Any]) -> list[Finding]:
+    """Return what explains a method's error; pictures that show something else have no other cause."""
+    if own["causes"] is None:
+        return [*_constant_offset(label, own), *_registered(label, own)]
+    elsewhere = _elsewhere(label, own)
+    if elsewhere:
+        return elsewhere
+    found = _registered(label, own)
+    for cause in own["causes"]["named"]:
+        found += _SAYS[cause["kind"]](label, own, cause)
+    return found
+
+
+def _elsewhere(label: str, own: dict[str, Any]) -> list[Finding]:
+    """Return whether the pictures of another program are mirrored or show other poses."""
+    shift = own["structure"]["shift"]
+    if own["letter"] != "foreign" or own["gain"] is None or (shift and abs(shift["correlation"]) >= ALIKE):
+        return []
+    height = own["likeness"]["mirrored"]
+    name = max(height, key=lambda each: height[each], default=None)
+    if name is not None and height[name] >= ALIKE:
+        return [_finding(label, "mirrored", f"its pictures are mirrored {name}: mirrored back, they correlate with the "
+                         f"reference by {height[name]:.2f}, as they are by {shift['correlation'] if shift else 0.0:.2f}"
+                         )]  # fmt: skip
+    if own["causes"]["resembles"] or (own["likeness"]["edges"] or 0.0) >= _SAME_EDGES:
+        return []
+    return [_finding(label, "unlike", "its pictures do not look like the reference at any shift tried, nor mirrored: "
+                     "they show other poses, are shifted too far, or have too little contrast")]  # fmt: skip
+
+
+def _offset_k(own: dict[str, Any], size: float, error: float) -> float | None:
+    """Return the standard error of an offset [K] by the fit or by the bootstrap, the larger; None if it is unknown."""
+    ends = (own["errors"]["radiometric"]["ground"].get("interval_95") or {"me_k": None})["me_k"]
+    if ends is None:
+        return None
+    both = max(error, (ends[1] - ends[0]) / 3.92)
+    return both if abs(size) >= _SURE * both else None
+
+
+def _offset(label: str, own: dict[str, Any], cause: dict[str, Any]) -> list[Finding]:
+    (size,), (error,) = cause["size"], cause["error"]
+    both = _offset_k(own, size, error)
+    if both is None:
+        return []
+    return [_finding(label, "offset", f"an offset of {size:+.2f} K (standard error {both:.2f} K); {_share(cause)}")]
+
+
+def _constant_offset(label: str, own: dict[str, Any]) -> list[Finding]:
+    """Return the offset of a method without contrast, which has no rivals."""
+    ground = own["errors"]["radiometric"]["ground"]
     mean = ground["me_k"]
-    if mean is None or ends is None or abs(mean) < _OFFSET_K:
+    if mean is None or abs(mean) < LEAST["offset"] or mean**2 < SHARE * ground["rmse_k"] ** 2:
         return []
-    error = (ends[1] - ends[0]) / 3.92
-    if abs(mean) < _SURE * error or mean**2 < _MOST * ground["rmse_k"] ** 2:
+    both = _offset_k(own, mean, 0.0)
+    if both is None:
         return []
-    return [_finding(label, "offset", f"an offset of {mean:+.2f} K ({ends[0]:+.2f}…{ends[1]:+.2f}) is most of its "
-                     f"square error; errors scatter about it by {ground['sd_k']:.2f} K")]  # fmt: skip
+    return [_finding(label, "offset", f"an offset of {mean:+.2f} K (standard error {both:.2f} K); errors scatter about "
+                     f"it by {ground['sd_k']:.2f} K")]  # fmt: skip
 
 
-def _shift(label: str, own: dict[str, Any]) -> list[Finding]:
-    """Return the shift of a method's pictures: of translated photographs against the same map rendered, of another
-    program's frames against the reference. Frames rendered here cannot be shifted."""
-    if own["letter"] == "foreign":
-        shift, against = own["structure"]["shift"], "the reference"
-    else:
-        shift, against = own["registered"], f"C1 {own['map']}"
+def _shift(label: str, own: dict[str, Any], cause: dict[str, Any]) -> list[Finding]:
+    """Return the shift of another program's frames; frames rendered here cannot be shifted."""
+    if own["letter"] != "foreign":
+        return []
+    (right, down), error = cause["size"], max(cause["error"])
+    return [_finding(label, "shift", f"its pictures are shifted by {right:+.1f} px to the right and {down:+.1f} px "
+                     f"down against the reference (standard error {error:.2f} px); {_share(cause)}")]  # fmt: skip
+
+
+def _registered(label: str, own: dict[str, Any]) -> list[Finding]:
+    """Return the shift of translated photographs against the same map rendered, however large its error."""
+    shift = own["registered"]
     if shift is None or abs(shift["correlation"]) < ALIKE:
-        # A map may show anything, but frames of the same pose must look like the reference. Flat frames show no shift.
-        return [] if own["letter"] != "foreign" or own["gain"] is None else [_finding(
-            label, "unlike", f"its pictures do not look like {against} at any shift tried: they show other poses, are "
-                             "shifted too far, or have too little contrast")]  # fmt: skip
+        return []
     errors = shift["error_px"] or (None, None)
     moved = [(shift[name], error) for name, error in zip(("right_px", "down_px"), errors, strict=True)]
     if not any(abs(value) >= (_SINGLE_PX if error is None else max(_SHIFT_PX, _SURE * error))
                for value, error in moved):  # fmt: skip
         return []
     (right, _), (down, _) = moved
-    text = f"its pictures are shifted by {right:+.1f} px to the right and {down:+.1f} px down against {against}"
+    text = f"its pictures are shifted by {right:+.1f} px to the right and {down:+.1f} px down against C1 {own['map']}"
     text += "" if shift["error_px"] else " (a single pose, so without a standard error)"
     return [_finding(label, "shift", text)]
 
 
-def _contrast(label: str, own: dict[str, Any]) -> list[Finding]:
+def _contrast(label: str, own: dict[str, Any], cause: dict[str, Any]) -> list[Finding]:
     """Return whether a method shows the pattern of the ground with too much, too little or almost no contrast."""
-    found = own["gain"]
-    if found is None or own["letter"] in ("D", "E"):
-        return []
-    if found["gain"] < _FLAT:
-        return [_finding(label, "flat", f"it shows {found['gain']:.2f} of the reference's contrast (correlation "
-                         f"{found['correlation']:.2f})")]  # fmt: skip
-    if found["correlation"] < _PATTERN:
-        return []
-    if abs(found["gain"] - 1.0) < _GAIN or found["explained"] < _MOST:
-        return []
-    text = (
-        f"it shows {found['gain']:.2f} of the reference's contrast, which is {found['explained']:.0%} of its square "
-        f"error about each pose's mean (correlation {found['correlation']:.2f})"
-    )
-    return [_finding(label, "contrast", text)]
+    gain, error = 1.0 + cause["size"][0], cause["error"][0]
+    text = f"it shows {gain:.2f} of the reference's contrast (standard error {error:.2f}); {_share(cause)}"
+    return [_finding(label, "flat" if gain < _FLAT else "contrast", text)]
 
 
-def _materials(label: str, method: dict[str, Any]) -> list[Finding]:
-    """Return materials with unusually large errors, and the emissivity error that explains it in foreign frames."""
-    found = []
-    for name, own in method["emissivities"]["explained"].items():
-        # A single material cannot be compared with others.
-        if own["others_k"] is None or abs(own["error_k"]) < _APART * own["others_k"]:
-            continue
-        text = f"the error of {name} ({own['share']:.1%} of the ground's pixels) is {own['error_k']:+.2f} K"
-        if method["letter"] == "foreign" and own["change"] is not None:
-            text += f"; an emissivity wrong by {own['change']:+.3f} explains {own['explained']:.0%} of the square error"
-            found.append(_finding(label, "emissivity", text))
-        else:
-            text += f"; the median of the others in its scenes is {own['others_k']:.2f} K"
-            found.append(_finding(label, "material", text))
-    return found
+def _blur(label: str, own: dict[str, Any], cause: dict[str, Any]) -> list[Finding]:
+    variance, error = cause["size"][0], cause["error"][0]
+    sigma = float(variance**0.5)
+    return [_finding(label, "blur", f"its pictures are blurred by a Gaussian of {sigma:.1f} px (standard error "
+                     f"{0.5 * error / sigma:.2f} px); {_share(cause)}")]  # fmt: skip
+
+
+def _material(label: str, own: dict[str, Any], cause: dict[str, Any]) -> list[Finding]:
+    """Return an error on one material: by its emissivity, or an offset from whatever cause."""
+    name, (size,), (error,) = cause["material"], cause["size"], cause["error"]
+    materials = own["groups"]["radiometric"]["material"]
+    ground = sum(each["pixels"] for each in materials.values())
+    text = f"the error of {name} ({materials[name]['pixels'] / max(ground, 1):.1%} of the pixels) is "
+    text += f"{materials[name]['me_k']:+.2f} K; "
+    if cause["kind"] == "emissivity":
+        text += f"an emissivity wrong by {size:+.3f} (standard error {error:.3f}) explains it better than an offset; "
+    else:
+        text += f"an offset of {size:+.2f} K on this material (standard error {error:.2f} K), of unknown cause; "
+    return [_finding(label, cause["kind"], text + _share(cause))]
+
+
+def _share(cause: dict[str, Any]) -> str:
+    return f"explains {cause['share']:.0%} of the square error left without it"
+
+
+_SAYS: dict[str, Callable[[str, dict[str, Any], dict[str, Any]], list[Finding]]] = {
+    "offset": _offset, "contrast": _contrast, "shift": _shift, "blur": _blur, "material": _material,
+    "emissivity": _material,
+}  # fmt: skip
 
 
 def _rendered_with(label: str, emissivities: dict[str, Any]) -> list[Finding]:

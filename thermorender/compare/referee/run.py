@@ -41,6 +41,10 @@ COLUMNS = (
 )  # fmt: skip
 
 
+# Lowest and highest mean absolute error of the heat balance over the sites of `validation.heat`, by day and night [K].
+BALANCE_DAY_K, BALANCE_NIGHT_K = (0.3, 3.0), (0.3, 1.7)
+
+
 @dataclass(frozen=True)
 class Options:
     """Options of a comparison.
@@ -258,17 +262,27 @@ def _methods(
                 f"{scene.where}: learned map {model.name!r} takes hour and weather as input, but this scene has none; "
                 "add [weather], or leave the map out"
             )
-        if "B" in letters and not model.needs:
+        if "B" in letters and model.needs:
+            left_out.append(f"B {model.name} is left out: the map also takes {' and '.join(model.needs)} as input, "
+                            "which a photograph does not give.")  # fmt: skip
+        elif "B" in letters:
             found += methods.translated(model, campaign, scene.sky_temperature)
         if {"C1", "C2"} & letters:
             true = "C1" in letters
             found += methods.rendered(scene, text, model, reference, campaign, true, learned, settings)
+    if "C2" in letters and contestants.maps and learned is None:
+        left_out.append(f"C2 is left out of {scene.name}: without an orthophoto, materials cannot be learned.")
     if contestants.privileged is not None and weathered:
         found.append(methods.privileged(scene, *contestants.privileged, reference, settings))
+    elif contestants.privileged is not None:
+        left_out.append(f"P {contestants.privileged[1].name} is left out of {scene.name}: the scene has no [weather].")
     if setup.has_truth:
         painted = methods.painted(campaign, scene.camera.band_um)
         found += [each for each in painted if each.letter in letters]
-    if "F" in letters and setup.has_truth and weathered and not scene.balanced:
+    if "F" in letters and setup.has_truth and not (weathered and not scene.balanced):
+        why = "the reference is that heat balance" if scene.balanced else "the scene has no [weather]"
+        left_out.append(f"F, the heat balance of tables, is left out of {scene.name}: {why}.")
+    elif "F" in letters and setup.has_truth:
         report("solving the heat balance of tables", 0.0)
         try:
             balance = methods.balanced(scene, reference, settings)
@@ -290,7 +304,7 @@ def _summary(
     """Return the summary of a comparison, as plain numbers."""
     constant, seed = totals.methods.get("D constant"), options.seed
     summary: dict[str, Any] = {
-        "scenes": scenes, "notes": [*_notes(scenes, totals, options.letters), *left_out],
+        "scenes": scenes, "notes": [*_notes(scenes, totals, options.letters), *dict.fromkeys(left_out)],
         "targets": totals.targets.summary(), "methods": {},
         "seed": seed, "machine": machine(),
         "settings": {key: str(value) for key, value in options.settings.items()}, "versions": versions(),
@@ -327,8 +341,16 @@ def _notes(scenes: Sequence[dict[str, Any]], totals: Totals, letters: Collection
     notes = []
     without = [each["name"] for each in scenes if not each["reference"]]
     if without:
+        absent = [letter for letter in ("D", "E", "F") if letter in letters]
+        rest = f" {' and '.join(absent)}, which need a truth, are left out there." if absent else ""
         notes.append(f"The true temperature of {', '.join(without)} is unknown: only differences between methods are "
-                     "reported there, not errors.")  # fmt: skip
+                     f"reported there, not errors.{rest}")  # fmt: skip
+    computed = [each["name"] for each in scenes if each["computed"]]
+    if computed:
+        notes.append(f"The reference of {', '.join(computed)} is computed by the heat balance, not measured. Its mean "
+                     f"absolute error at measured sites is {BALANCE_DAY_K[0]:g} to {BALANCE_DAY_K[1]:g} K by day and "
+                     f"{BALANCE_NIGHT_K[0]:g} to {BALANCE_NIGHT_K[1]:g} K by night. A difference below that may be the "
+                     "reference's error.")  # fmt: skip
     alone = [each["name"] for each in scenes if each["reference"] and each["campaign"] is None]
     if alone:
         absent = [name for name in ("D constant", "E mean per material") if name[0] in letters]

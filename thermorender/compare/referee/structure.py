@@ -4,6 +4,7 @@ A mean error does not show these. A translation that blurs has too little power 
 one is shifted. One that is not stable makes the same ground warmer and colder as the camera moves.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
@@ -21,8 +22,12 @@ Transform = NDArray[np.complexfloating]
 _SIDE, _MOST_SHIFT = 512, 48
 # Number of groups of poses of the jackknife.
 _GROUPS = 16
+# Pictures that correlate at least this well after a shift show the same.
+ALIKE = 0.5
 # Structure broader than this is filtered out before the shift is measured [px].
 _FINE_PX = 6.0
+# Edges this near coincide [px].
+_NEAR_PX = 2.0
 # Spacing of the ground points that are followed from frame to frame [px], and the relative difference of depth up to
 # which a point counts as the same.
 _EVERY, _SAME_DEPTH = 2, 0.02
@@ -99,8 +104,8 @@ class Registration:
     scales: list[float] = field(default_factory=list)
     poses: int = 0
 
-    def add(self, found: Transform, reference: Transform) -> None:
-        """Add the transforms of a pose's two pictures."""
+    def add(self, found: Transform, reference: Transform) -> tuple[float, float, float, float] | None:
+        """Add the transforms of a pose's two pictures; return the pose's `peak`."""
         surface, scale = correlation(found, reference)
         if self.poses < _GROUPS:
             self.surfaces.append(surface)
@@ -109,6 +114,7 @@ class Registration:
             self.surfaces[self.poses % _GROUPS] += surface
             self.scales[self.poses % _GROUPS] += scale
         self.poses += 1
+        return peak(surface, scale)
 
     def summary(self) -> dict[str, Any] | None:
         """Return {"right_px", "down_px", "error_px", "correlation", "unshifted"}, or None without a peak.
@@ -131,6 +137,84 @@ class Registration:
         return {"right_px": right, "down_px": down, "error_px": error, "correlation": height, "unshifted": unshifted}
 
 
+# Mirrored pictures by name: the axes that are reversed.
+MIRRORED: dict[str, tuple[int, ...]] = {"upside down": (0,), "left to right": (1,), "by half a turn": (0, 1)}
+
+
+def mirrored(found: Transform, name: str) -> Transform:
+    """Return the transform of the mirrored picture, up to a shift by a pixel."""
+    axes = MIRRORED[name]
+    return np.roll(np.flip(found, axes), (1,) * len(axes), axes)
+
+
+def _edges(image: NDArray[np.floating], known: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return the gradient's magnitude of a picture, (H, W) float32; 0 at unknown pixels and beside them.
+
+    It is limited, so that no single edge dominates.
+    """
+    import cv2
+
+    here = known & np.isfinite(image)
+    filled = np.where(here, image, np.float32(np.median(image[here]) if here.any() else 0.0)).astype(np.float32)
+    across, down = (cv2.Sobel(filled, cv2.CV_32F, dx, 1 - dx) for dx in (1, 0))
+    inside = cv2.erode(here.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool)
+    found: NDArray[np.float32] = np.where(inside, np.hypot(across, down), np.float32(0.0))
+    most = np.percentile(found[inside], 95) if inside.any() else 0.0
+    return np.minimum(found, np.float32(most))
+
+
+def same_edges(image: NDArray[np.floating], others: Sequence[NDArray[np.floating]], known: NDArray[np.bool_]) -> float:
+    """Return how far the edges of a picture coincide with those of the best of other pictures of the same pose.
+
+    The value is the largest correlation of edges within 2 px, in standard deviations of those at other shifts. For a
+    picture of another pose, it is that of chance; for a map of the same pose, it is high whatever the map's contrast.
+    """
+    own = transform(_edges(image, known), known)
+    found = []
+    for other in others:
+        surface, _ = correlation(own, transform(_edges(other, known), known))
+        most = len(surface) // 2
+        shift = np.hypot(*np.ogrid[-most : most + 1, -most : most + 1])
+        spread = float(surface[shift > _FINE_PX].std())
+        found.append(float(surface[shift <= _NEAR_PX].max()) / spread if spread > 0.0 else 0.0)
+    return max(found, default=0.0)
+
+
+@dataclass
+class Likeness:
+    """Whether pictures that do not correlate with the reference are mirrored, or show the same edges.
+
+    Attributes
+    ----------
+    mirrored : dict of str to Registration
+        Shifts of the mirrored pictures against the reference, by `MIRRORED`.
+    edges : list of float
+        `same_edges` of each pose.
+    """
+
+    mirrored: dict[str, Registration] = field(default_factory=dict)
+    edges: list[float] = field(default_factory=list)
+
+    def add(
+        self,
+        found: Transform,
+        reference: Transform,
+        image: NDArray[np.floating],
+        others: Sequence[NDArray[np.floating]],
+        known: NDArray[np.bool_],
+    ) -> None:
+        """Add a pose: the transforms of its two pictures, its picture, and others of the same pose."""
+        for name in MIRRORED:
+            self.mirrored.setdefault(name, Registration()).add(mirrored(found, name), reference)
+        self.edges.append(same_edges(image, others, known))
+
+    def summary(self) -> dict[str, Any]:
+        """Return {"mirrored": {name: correlation}, "edges": median or None}."""
+        heights = {name: each.summary() for name, each in self.mirrored.items()}
+        return {"mirrored": {name: each["correlation"] for name, each in heights.items() if each},
+                "edges": float(np.median(self.edges)) if self.edges else None}  # fmt: skip
+
+
 @dataclass
 class Structure:
     """Spectrum and shift of a method, over all poses.
@@ -149,12 +233,12 @@ class Structure:
     poses: int = 0
     registration: Registration = field(default_factory=Registration)
 
-    def add(self, found: Transform, reference: Transform) -> None:
-        """Add the transform of a pose, and its correlation with that of the reference."""
+    def add(self, found: Transform, reference: Transform) -> tuple[float, float, float, float] | None:
+        """Add the transform of a pose, and its correlation with that of the reference; return the pose's `peak`."""
         self.frequency, density = power(found)
         self.power = density if self.power is None else self.power + density
         self.poses += 1
-        self.registration.add(found, reference)
+        return self.registration.add(found, reference)
 
     def summary(self) -> dict[str, Any]:
         """Return {"shift", "spectrum"} as plain numbers, the spectrum in 24 steps."""

@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 
 from thermorender.compare.evaluation import sums
 from thermorender.compare.referee import emissivities, provenance, scores, views
+from thermorender.compare.referee.causes.fitting import Fitting
+from thermorender.compare.referee.causes.pooled import Causes
 from thermorender.compare.referee.frames import Frames
 from thermorender.compare.referee.methods import OWN, Method
 from thermorender.compare.referee.report.pictures import Pictures
-from thermorender.compare.referee.structure import Registration, Structure, Track, transform
+from thermorender.compare.referee.structure import ALIKE, Likeness, Registration, Structure, Track, transform
 from thermorender.compare.referee.targets import Targets
 from thermorender.compare.referee.terms import NAMES, terms_of
 from thermorender.compare.referee.training import Training
@@ -49,8 +51,12 @@ class Found:
     ----------
     method : Method
         Without renderer: the fields that the summary uses are equal in all scenes.
-    tally, targets, structure, explained
+    tally, targets, structure
         Sums over all poses.
+    causes : Causes
+        Fits of some poses.
+    likeness : Likeness
+        Of the poses of another program that look unlike the reference.
     gain : Gain
     scene_emissivities : dict of str to (4,) array
         For a rendered method, as `emissivities.of_scenes` returns them.
@@ -71,7 +77,8 @@ class Found:
     tally: scores.Tally = field(default_factory=scores.Tally)
     targets: Targets = field(default_factory=Targets)
     structure: Structure = field(default_factory=Structure)
-    explained: emissivities.Emissivities = field(default_factory=emissivities.Emissivities)
+    causes: Causes = field(default_factory=Causes)
+    likeness: Likeness = field(default_factory=Likeness)
     gain: scores.Gain = field(default_factory=scores.Gain)
     scene_emissivities: dict[str, NDArray[np.float64]] = field(default_factory=dict)
     registered: Registration = field(default_factory=Registration)
@@ -106,7 +113,8 @@ class Found:
             "groups": self.tally.grouped() if scored else {},
             "targets": self.targets.summary(), "structure": self.structure.summary(), "gain": self.gain.summary(),
             "registered": self.registered.summary(),
-            "emissivities": {"explained": self.explained.summary(), "scene": wrong},
+            "causes": self.causes.summary(), "emissivities": {"scene": wrong},
+            "likeness": self.likeness.summary(),
             "steadiness_k": _deviation(self.changes),
             "seconds_per_frame": float(np.median(self.seconds)) if self.seconds else None,
             "training_s": None if origin is None else origin.header["training_s"],
@@ -189,7 +197,10 @@ class Trial:
             plain = replace(method, build=None, paint=None)
             self._found[method.label] = totals.methods.setdefault(method.label, Found(plain))
             self._found[method.label].in_scenes += 1
-        self._emissivity = emissivities.band_emissivities(self.scene)
+        self._fitting: Fitting | None = None
+        # A heat balance as the reference has errors of its own.
+        self._computed = setup.has_truth and self.scene.balanced
+        self._reference = "reference, computed" if self._computed else "reference"
         self._objects = [item.name for item in self.scene.spec.objects]
         vertices = np.concatenate([s.vertices[:, :2] for s in self.scene.surfaces[: self.scene.terrain_count]])
         self._corners = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
@@ -220,6 +231,7 @@ class Trial:
         seen_before: Images = {}
         chosen = views.evenly(len(flight.times), provenance.PHOTOGRAPHS)
         self._render(report)
+        self._fitting = Fitting(self.scene, self._setup.land, len(flight.times), pictures.scenes)
         for index, (time_s, pose) in enumerate(zip(flight.times, flight.poses, strict=True)):
             report("comparing", index / len(flight.times))
             view = views.view_of(self._setup.reference, pose, time_s, index, self._setup.has_truth)
@@ -236,7 +248,7 @@ class Trial:
             self._split(view, seen, read)
             if before is not None:
                 self._follow(Track(before, view, camera), seen_before, seen, before, view)
-            pictures.add(self.scene.name, view, seen, index, len(flight.times))
+            pictures.add(self.scene.name, view, seen, index, len(flight.times), self._reference)
             if self._arrays is not None:
                 self._keep(self._arrays / "arrays", view, seen)
             before, seen_before = view, seen
@@ -246,9 +258,7 @@ class Trial:
         seen: Images = {}
         read: Images = {}
         counts: dict[str, NDArray[Any]] = {}
-        camera, contrast = self.scene.camera, None
-        if view.truth is not None:
-            contrast = emissivities.contrast(view, self.scene.sky_temperature, camera.band_um)
+        camera = self.scene.camera
         for method in self._setup.methods:
             own = self._found[method.label]
             radiance: Image
@@ -260,9 +270,8 @@ class Trial:
                 own.seconds.append(method.clock() - began)
             image = seen[method.label] = apparent_temperature(radiance, camera.band_um)
             counts[method.label], read[method.label] = _read(radiance, sensor, camera, view.index)
-            if view.truth is not None and contrast is not None and method.letter not in ("D", "E"):
+            if view.truth is not None and method.letter not in ("D", "E"):
                 ground = view.known & (view.object < 0)
-                own.explained.add(self.scene.name, view, contrast, radiance, image - view.truth, self._emissivity)
                 own.gain.add(image[ground], view.truth[ground])
         return seen, read, counts
 
@@ -300,7 +309,12 @@ class Trial:
                         scene, land, view.index, view.time_s, label, stage, surface, material, errors["pixels"],
                         errors["pixels_without_temperature"], errors["me_k"], errors["mae_k"], errors["rmse_k"],
                     ))  # fmt: skip
-            own.structure.add(transform(image, view.known), reference)
+            spectrum = transform(image, view.known)
+            found = own.structure.add(spectrum, reference)
+            if own.method.letter == "foreign" and (found is None or abs(found[2]) < ALIKE):
+                own.likeness.add(spectrum, reference, image, (truth, view.visible.mean(axis=-1)), view.known)
+            if self._fitting is not None and not own.method.true_objects and own.method.letter not in ("D", "E"):
+                self._fitting.add(own.causes, view, image, found)
             own.targets.add(scene, view, self._objects, image, counts[label])
 
     def _split(self, view: views.View, seen: Images, read: Images) -> None:
@@ -374,6 +388,7 @@ class Trial:
             "time": None if scene.time is None else utc_text(scene.time), **weather_of(scene),
             "sun_elevation_deg": _sun_elevation(scene),
             "digest": scene.digest(), "poses": len(setup.flight.times), "reference": setup.has_truth,
+            "computed": self._computed,
             "assumed_materials": not setup.has_truth or scene.spec.emissivity.source in _ASSUMED,
             "campaign": None if setup.campaign is None else vars(setup.campaign),
             "plan": setup.reference.plan.as_dict(),

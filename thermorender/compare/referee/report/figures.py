@@ -47,56 +47,80 @@ def shown_photograph(view: View) -> NDArray[np.uint8]:
     return image
 
 
-def error_images(path: Path, view: View, seen: Mapping[str, NDArray[np.floating]]) -> None:
-    """Write the reference and the frames of a pose, each with its error image below, as PNG; without a reference the
-    frames only."""
+def error_images(
+    path: Path, view: View, seen: Mapping[str, NDArray[np.floating]], reference: str = "reference"
+) -> None:
+    """Write the frames of a pose as PNG: on the reference's scale, on their own scale, and their errors.
+
+    Without a reference, the first frame gives the common scale, and there are no errors.
+
+    Parameters
+    ----------
+    path : Path
+    view : View
+    seen : dict of str to (H, W) array
+        Apparent temperature of each method [K].
+    reference : str
+        Name of the reference.
+    """
     from matplotlib import colormaps
 
     figure, pyplot = _figure()
     labels = list(seen)
     columns = min(6, len(labels) + 1)
     bands = -(-(len(labels) + 1) // columns)
-    rows = bands * (2 if view.truth is not None else 1)
+    step = 3 if view.truth is not None else 2
+    rows = bands * step
     height, width = view.known.shape
-    size = 2.4 * columns, 2.4 * rows * height / width + 0.25 * bands + 0.7
+    size = 2.4 * columns, 2.4 * rows * height / width + 0.5 * bands + 0.7
     drawing = figure(figsize=size, layout="constrained")
     axes = drawing.subplots(rows, columns, squeeze=False)
     base = view.truth if view.truth is not None else seen[labels[0]]
-    warm = base[view.known & np.isfinite(base)] - ZERO_CELSIUS_K
-    low, high = np.percentile(warm, [1, 99]) if warm.size else (0.0, 1.0)
+    low, high = _scale(base, view.known)
     errors: dict[str, NDArray[np.floating]] = {}
     if view.truth is not None:
         errors = {label: np.where(view.known, image - view.truth, np.nan) for label, image in seen.items()}
     off = np.concatenate([np.zeros(0), *(np.abs(error[np.isfinite(error)][::17]) for error in errors.values())])
     limit = float(np.percentile(off, 95)) if off.size else 1.0
-    step = 2 if errors else 1
     photograph = shown_photograph(view)
     warmth, fault = (colormaps[name].with_extremes(bad=(GREY / 255.0,) * 3) for name in ("inferno", "RdBu_r"))
     shown = drawn = None
-    for number, label in enumerate(["reference" if view.truth is not None else "photograph", *labels]):
-        axis = axes[number // columns * step, number % columns]
-        image = base if label == "reference" else seen.get(label)
+    first = reference if view.truth is not None else "photograph"
+    for number, label in enumerate([first, *labels]):
+        axis, own, *below = axes[number // columns * step : (number // columns + 1) * step, number % columns]
+        image = view.truth if number == 0 else seen[label]
         if image is None:
             axis.imshow(photograph)
         else:
-            shown = axis.imshow(np.where(view.known, image - ZERO_CELSIUS_K, np.nan), cmap=warmth, vmin=low, vmax=high)
+            celsius = np.where(view.known, image - ZERO_CELSIUS_K, np.nan)
+            shown = axis.imshow(celsius, cmap=warmth, vmin=low, vmax=high)
+        if number:
+            cold, warm = _scale(seen[label], view.known)
+            own.imshow(np.where(view.known, seen[label] - ZERO_CELSIUS_K, np.nan), cmap=warmth, vmin=cold, vmax=warm)
+            own.set_title(f"own scale, {cold:.1f}…{warm:.1f} °C", fontsize=8)
+        elif view.truth is not None:
+            own.imshow(photograph)
         axis.set_title(formats.label(textwrap.fill(label, _TITLE)), fontsize=9)
-        if errors:
-            below = axes[number // columns * step + 1, number % columns]
-            if label == "reference":
-                below.imshow(photograph)
-            else:
-                drawn = below.imshow(errors[label], cmap=fault, vmin=-limit, vmax=limit)
+        if number and below:
+            drawn = below[0].imshow(errors[label], cmap=fault, vmin=-limit, vmax=limit)
+            below[0].set_title("error", fontsize=8)
     for axis in axes.ravel():
         axis.set_axis_off()
     below = axes[-1, : columns // 2].tolist(), axes[-1, columns // 2 :].tolist()
-    scales = (shown, below[0], "apparent temperature [°C]; grey: no terrain"), (drawn, below[1], "error [K]")
+    scales = (shown, below[0], "common scale [°C]; grey: no terrain"), (drawn, below[1], "error [K]")
     for image, place, words in scales:
         if image is not None and place:
             drawing.colorbar(image, ax=place, label=words, location="bottom", aspect=30, shrink=0.8)
     with files.atomic(path) as part:
         drawing.savefig(part, dpi=_DPI, format="png")
     pyplot.close(drawing)
+
+
+def _scale(image: NDArray[np.floating], known: NDArray[np.bool_]) -> tuple[float, float]:
+    """Return the 1st and 99th percentile of a frame's scored pixels [°C]."""
+    warm = image[known & np.isfinite(image)] - ZERO_CELSIUS_K
+    low, high = np.percentile(warm, [1, 99]).tolist() if warm.size else (0.0, 1.0)
+    return low, high
 
 
 def against_time(summary: Summary) -> bytes | None:

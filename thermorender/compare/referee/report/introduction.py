@@ -54,8 +54,9 @@ def _opening(summary: Summary) -> list[str]:
               counted(len(summary["methods"]), "method"))  # fmt: skip
     found = [f"{', '.join(counts)}. All methods get the same poses, camera and photographs."]
     if any(scene["reference"] for scene in scenes):
-        found.append("Errors are apparent temperature minus that of the reference, a render from the true temperatures "
-                     f"and {_materials(summary)}.")  # fmt: skip
+        computed = any(scene["computed"] for scene in scenes)
+        found.append("Errors are apparent temperature minus that of the reference, a render from the "
+                     f"{'computed' if computed else 'true'} temperatures and {_materials(summary)}.")  # fmt: skip
     return found
 
 

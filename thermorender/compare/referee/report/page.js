@@ -43,7 +43,7 @@ function paint(each, valueAt, from, to, table) {
 
 function draw() {
   const truth = shown.find((each) => each.reference);
-  const error = mode.value === "error" && truth !== undefined;
+  const error = mode.value === "error" && truth !== undefined, own = mode.value === "own";
   // Without a reference, all pictures share one scale.
   const ends = (truth ? [truth] : shown).map((each) => range(each.picture.values, each.picture.known, 0.01));
   const cold = Math.min(...ends.map((each) => each[0])), warm = Math.max(...ends.map((each) => each[1]));
@@ -61,15 +61,19 @@ function draw() {
     most = off.length ? off[Math.floor(0.95 * (off.length - 1))] : 1;
   }
   for (const each of shown) {
-    const { values } = each.picture;
+    const { values, known } = each.picture;
+    const [least, greatest] = own ? range(values, known, 0.01) : [cold, warm];
+    const limits = `, ${(least - 273.15).toFixed(1)}…${(greatest - 273.15).toFixed(1)} °C`;
+    each.caption.textContent = each.label + (own ? limits : "");
     if (error && !each.reference) paint(each, (k) => values[k] - truth.picture.values[k], -most, most, maps.error);
-    else paint(each, (k) => values[k], cold, warm, maps.temperature);
+    else paint(each, (k) => values[k], least, greatest, maps.temperature);
   }
   const table = error ? maps.error : maps.temperature;
   const stops = [0, 64, 128, 192, 255].map((k) => `rgb(${table[k]})`).join(",");
   document.getElementById("scale").style.background = `linear-gradient(to right, ${stops})`;
-  document.getElementById("low").textContent = error ? `−${most.toFixed(1)} K` : `${(cold - 273.15).toFixed(1)} °C`;
-  document.getElementById("high").textContent = error ? `+${most.toFixed(1)} K` : `${(warm - 273.15).toFixed(1)} °C`;
+  const limitWords = [cold, warm].map((kelvin) => (own ? "" : `${(kelvin - 273.15).toFixed(1)} °C`));
+  document.getElementById("low").textContent = error ? `−${most.toFixed(1)} K` : limitWords[0];
+  document.getElementById("high").textContent = error ? `+${most.toFixed(1)} K` : limitWords[1];
 }
 
 async function show() {
@@ -85,9 +89,11 @@ async function show() {
   if (view !== views[chooser.value]) return;
   shown = view.pictures.map((each, k) => {
     const frame = document.createElement("div"), canvas = document.createElement("canvas");
-    frame.append(canvas, each.label);
+    const caption = document.createElement("span");
+    caption.textContent = each.label;
+    frame.append(canvas, caption);
     viewer.append(frame);
-    return { ...each, canvas, picture: pictures[k] };
+    return { ...each, canvas, caption, picture: pictures[k] };
   });
   for (const each of shown) {
     each.canvas.addEventListener("mousemove", (event) => {

@@ -10,6 +10,7 @@ from thermorender.compare.referee import findings
 from thermorender.compare.referee.methods import THERMAL
 from thermorender.compare.referee.report import figures
 from thermorender.compare.referee.report.introduction import introduction
+from thermorender.compare.referee.structure import ALIKE
 from thermorender.compare.referee.terms import NAMES
 from thermorender.output.flight_pages.html import document, figure, table, text
 
@@ -103,7 +104,8 @@ def _pictures(views: Sequence[dict[str, Any]]) -> str:
     return ("<h2>Frames</h2><p class=note>Point at a picture to read kelvin. These pictures have half the camera's "
             "resolution; full ones are in the folder pictures. Grey: no terrain, or terrain of unknown colour or "
             "temperature.</p><div id=controls><label>pose <select id=pose>"
-            f"{options}</select></label><label>show <select id=mode><option value=frame>frames</option>{errors}"
+            f"{options}</select></label><label>show <select id=mode><option value=frame>frames, common scale</option>"
+            f"<option value=own>frames, own scales</option>{errors}"
             "</select></label><span><span id=low></span> <span id=scale></span> <span id=high></span></span>"
             "<output id=kelvin></output></div><div class=viewer></div>")  # fmt: skip
 
@@ -178,7 +180,7 @@ def _structure(summary: Summary) -> str:
     for label, own in summary["methods"].items():
         shift = own["structure"]["shift"] if own["letter"] == "foreign" else own["registered"]
         # Pictures that do not correlate have no shift.
-        shift = None if shift is None or abs(shift["correlation"]) < findings.ALIKE else shift
+        shift = None if shift is None or abs(shift["correlation"]) < ALIKE else shift
         steady, gain = own["steadiness_k"], own["gain"] or {"gain": None, "correlation": None}
         if shift is None and steady is None and gain["gain"] is None:
             continue
@@ -243,7 +245,7 @@ def _scenes(summary: Summary) -> str:
         campaign = scene["campaign"]
         bounds = "" if campaign is None else f"{campaign['bounds_c'][0]:.1f}…{campaign['bounds_c'][1]:.1f}"
         rows.append(((scene["name"], scene["title"], scene["time"] or "", str(scene["poses"]),
-                      "true temperatures" if scene["reference"] else "none", bounds,
+                      _reference(scene), bounds,
                       str(campaign["lands"]) if campaign else ""), False))  # fmt: skip
     head = ("scene", "title", "time", "poses", "reference", "refitted bounds [°C]", "from lands")
     machine = ", ".join(f"{key} {value}" for key, value in summary["machine"].items())
@@ -252,6 +254,12 @@ def _scenes(summary: Summary) -> str:
     words = (f"Seed {summary['seed']}; settings: {settings}. Machine: {machine}. Versions: {versions}. "
              f"{summary['seconds']:.0f} s in all.")  # fmt: skip
     return "<h2>Scenes</h2>" + table(head, rows, words=(1,)) + f"<p class=note>{text(words)}</p>"
+
+
+def _reference(scene: Summary) -> str:
+    if not scene["reference"]:
+        return "none"
+    return "computed by the heat balance" if scene["computed"] else "true temperatures"
 
 
 def _legend(summary: Summary) -> str:

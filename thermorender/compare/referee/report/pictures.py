@@ -39,16 +39,17 @@ class Pictures:
     views: list[dict[str, Any]] = field(default_factory=list)
     _bytes: int = 0
 
-    def add(self, scene: str, view: View, seen: Mapping[str, NDArray[np.floating]], index: int, count: int) -> None:
+    def add(self, scene: str, view: View, seen: Mapping[str, NDArray[np.floating]], index: int, count: int,
+            reference: str = "reference") -> None:  # fmt: skip
         """Add the pictures of View `index` of `count` if it is drawn: `seen` is {label: (H, W) kelvin}."""
         if index not in evenly(count, min(_POSES, max(1, _ALL // self.scenes))):
             return
         place = self.folder / "pictures"
         place.mkdir(exist_ok=True)
-        error_images(place / f"{scene}_{index:04d}.png", view, seen)
-        shown = [] if view.truth is None else [("reference", view.truth)]
+        error_images(place / f"{scene}_{index:04d}.png", view, seen, reference)
+        shown = [] if view.truth is None else [(reference, view.truth)]
         pictures: list[dict[str, Any]] = [
-            {"label": label, "source": encoded(image, view.known), "reference": label == "reference"}
+            {"label": label, "source": encoded(image, view.known), "reference": label == reference}
             for label, image in (*shown, *seen.items())
         ]
         size = sum(len(each["source"]) for each in pictures)

@@ -1,0 +1,1 @@
+"""What the referee names: planted faults and innocent frames on unseen lands."""
