@@ -5,7 +5,7 @@ import pytest
 
 from thermorender.campaign import varied_land
 from thermorender.campaign.varied_land import CLIMATES, COLOURS, ROOFS, town, versions
-from thermorender.learned.emissivity_training import Labelled
+from thermorender.learned.emissivity.training import Labelled
 from thermorender.materials.library import load_library
 from thermorender.physics.srgb import linear_from_bytes
 

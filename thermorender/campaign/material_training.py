@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
-from thermorender.learned.emissivity import MOST_MATERIALS, EmissivityMap
-from thermorender.learned.emissivity_training import Labelled, train
+from thermorender.learned.emissivity.mapping import MOST_MATERIALS, EmissivityMap
+from thermorender.learned.emissivity.training import Labelled, train
 from thermorender.materials import library as material_tables
 from thermorender.scene.material_map import UNKNOWN_CLASS, orthophoto_of
 from thermorender.scene.parts.patch import read_features
@@ -103,8 +103,8 @@ def adapted_to(
     polygons, name, seed
         See `train_on`.
     """
-    from thermorender.learned.emissivity import load_map
-    from thermorender.learned.emissivity_adaptation import adapted
+    from thermorender.learned.emissivity.adaptation import adapted
+    from thermorender.learned.emissivity.mapping import load_map
     from thermorender.scene.load import scene_folder
 
     own = scene_folder(folder)

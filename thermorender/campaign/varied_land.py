@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from thermorender.learned.emissivity_training import Labelled
+from thermorender.learned.emissivity.training import Labelled
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
 
 # Linear sRGB of measured samples; a material that is not listed keeps its colours.

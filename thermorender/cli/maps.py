@@ -282,7 +282,7 @@ def _train_emissivity(
 ) -> None:  # fmt: skip
     """Train a map from colour and texture to materials, and print its accuracy."""
     from thermorender.campaign.material_training import train_on
-    from thermorender.learned.emissivity import save_map
+    from thermorender.learned.emissivity.mapping import save_map
 
     with progress() as report:
         model, confusion = train_on(scenes or (), labels, output.stem, texel_m, augmentations, seed, report)
@@ -303,7 +303,7 @@ def _update_emissivity(
 ) -> None:
     """Update a map from colour and texture to materials with the labels of one scene."""
     from thermorender.campaign.material_training import adapted_to
-    from thermorender.learned.emissivity import save_map
+    from thermorender.learned.emissivity.mapping import save_map
 
     if not alone or len(scenes or ()) != 1:
         raise ThermorenderError("--from updates a map with the labels of one scene, without --texel-m or "

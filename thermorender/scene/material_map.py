@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from thermorender import files, formats
 from thermorender.defaults import EMISSIVITY_MAP, FALLBACK_MATERIAL
 from thermorender.errors import ThermorenderError
-from thermorender.learned.emissivity import load_map, map_materials
+from thermorender.learned.emissivity.mapping import load_map, map_materials
 from thermorender.learned.features import lab
 from thermorender.materials import library as material_tables
 from thermorender.materials.material import Material

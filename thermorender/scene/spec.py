@@ -106,7 +106,7 @@ def temperature_map(value: Any, where: Where) -> str:
 
 def emissivity_map(value: Any, where: Where) -> str:
     """Read the name of a shipped map of materials, or a file of one."""
-    from thermorender.learned.emissivity import SHIPPED
+    from thermorender.learned.emissivity.mapping import SHIPPED
 
     return str(value if text(value, where) in SHIPPED else file_inside(value, where))
 

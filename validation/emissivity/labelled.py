@@ -13,7 +13,7 @@ from thermorender.compare.evaluation.figures import pyplot, save
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.formats import decoded
-from thermorender.learned.emissivity import load_map, map_materials
+from thermorender.learned.emissivity.mapping import load_map, map_materials
 from thermorender.materials.extended import within_band
 from thermorender.materials.library import load_library
 from thermorender.physics.planck import band_radiance, brightness_temperature

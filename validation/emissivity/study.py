@@ -13,7 +13,7 @@ import numpy as np
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic
-from thermorender.learned.emissivity import load_map, map_materials
+from thermorender.learned.emissivity.mapping import load_map, map_materials
 from thermorender.learned.features import lab
 from thermorender.materials.extended import within_band
 from thermorender.materials.library import find, load_library
@@ -22,7 +22,7 @@ from thermorender.physics.planck import spectral_radiance
 from thermorender.scene.spec import DEFAULT_CONFIDENCE
 from thermorender.synthetic.procedural_scene import KINDS, make
 
-METHODS = ("learned, mix of three", "learned, most probable", "nearest colour", "commonest material", "fallback")
+METHODS = ("learned, mean of all", "learned, most probable", "nearest colour", "commonest material", "fallback")
 
 
 def evaluate(model="procedural", seeds=(201, 202), fallback="soil_loam", confidence=DEFAULT_CONFIDENCE,
@@ -77,11 +77,12 @@ def evaluate(model="procedural", seeds=(201, 202), fallback="soil_loam", confide
         mapped = map_materials(model, scene.orthophoto, scene.texel_m)
         seconds = time.perf_counter() - began
         unknown = mapped.confidence < confidence
-        index, share = own[mapped.index], mapped.share.copy()
-        np.add.at(confusion, (truth, np.where(unknown, len(names), index[..., 0])), 1)
-        index[unknown, 0], share[unknown] = stand_in, (1.0, 0.0, 0.0)
+        best = own[mapped.index[..., 0]]
+        np.add.at(confusion, (truth, np.where(unknown, len(names), best)), 1)
+        best[unknown] = stand_in
+        index, share = _mixture(best, unknown, mapped.probability, own)
         simple = (
-            index[..., 0], _nearest_colour(scene.orthophoto, truth),
+            best, _nearest_colour(scene.orthophoto, truth),
             np.full(truth.shape, np.bincount(truth.ravel()).argmax()), np.full(truth.shape, stand_in),
         )  # fmt: skip
         guesses = dict(zip(METHODS, ((index, share), *map(_pure, simple)), strict=True))
@@ -154,6 +155,15 @@ class _Errors:
                 radiance[here] += share[here][:, rank] * seen
                 emissivity[here] += share[here][:, rank] * self.emissivity[material]
         return radiance, emissivity
+
+
+def _mixture(best, unknown, probability, own):
+    """(index, share), both (h, w, C): all materials of a map with the most probable first; unknown texels have it only."""
+    order = np.argsort(-probability.astype(np.int16), axis=-1, kind="stable")
+    index, share = own[order], np.take_along_axis(probability, order, axis=-1).astype(np.float32)
+    share /= share.sum(axis=-1, keepdims=True)
+    index[unknown, 0], share[unknown] = best[unknown], np.eye(1, share.shape[-1], dtype=np.float32)
+    return index, share
 
 
 def _pure(index):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.learned.emissivity import load_map
+from thermorender.learned.emissivity.mapping import load_map
 from thermorender.materials import library as material_tables
 from thermorender.materials.extended import within_band
 from thermorender.materials.material import Material, grey

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.learned.emissivity import MOST_MATERIALS, EmissivityMap, posterior, to_grid
-from thermorender.learned.emissivity_features import NEAR, features
+from thermorender.learned.emissivity.features import NEAR, features
+from thermorender.learned.emissivity.mapping import MOST_MATERIALS, EmissivityMap, posterior, to_grid
 
 # Side of the blocks of ground that are trained on or held out as a whole [texels]: neighbours look alike, so holding
 # out single texels would test nothing.

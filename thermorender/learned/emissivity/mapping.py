@@ -18,9 +18,9 @@ import numpy as np
 
 from thermorender import files, formats
 from thermorender.errors import ThermorenderError
-from thermorender.learned.emissivity_features import HALO_TEXELS, NAMES, NEAR, features
+from thermorender.learned.emissivity.features import HALO_TEXELS, NAMES, NEAR, features
 
-SHIPPED = {"procedural": Path(__file__).with_name("emissivity_procedural.npz")}
+SHIPPED = {"procedural": Path(__file__).with_name("procedural.npz")}
 # Materials are bytes in rasters, where 0 means no picture and 255 an unknown material.
 MOST_MATERIALS = 254
 # An orthophoto may be this many times coarser than the map's grid; beyond, texture looks different.

@@ -11,9 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.learned.emissivity import MOST_MATERIALS, EmissivityMap, to_grid
-from thermorender.learned.emissivity_features import NEAR, features
-from thermorender.learned.emissivity_training import Labelled, emissivity_loss, fitted_posterior
+from thermorender.learned.emissivity.features import NEAR, features
+from thermorender.learned.emissivity.mapping import MOST_MATERIALS, EmissivityMap, to_grid
+from thermorender.learned.emissivity.training import Labelled, emissivity_loss, fitted_posterior
 
 # Penalties tried, from almost free to almost fixed weights.
 _PENALTIES = (1e-3, 1e-2, 1e-1)
