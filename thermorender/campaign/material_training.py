@@ -41,9 +41,9 @@ def train_on(
     texel_m : float, optional
         Ground sampling distance of the training [m]; default: 0.5, or the coarsest orthophoto's.
     augmentations : int, optional
-        See `emissivity_training.train`; default: 0 for given scenes, 1 for procedural ones.
+        See `emissivity.training.train`; default: 0 for given scenes, 1 for procedural ones.
     seed, progress
-        See `emissivity_training.train`.
+        See `emissivity.training.train`.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def band_emissivity_of(folders: Sequence[str | Path] = ()) -> Callable[[str], fl
 def adapted_to(
     folder: str | Path, model: str | Path, polygons: str | Path | None = None, name: str = "map", seed: int = 0
 ) -> EmissivityMap:
-    """Return an EmissivityMap for a scene, updated by its class raster or polygons; see `emissivity_adaptation`.
+    """Return an EmissivityMap for a scene, updated by its class raster or polygons; see `emissivity.adaptation`.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """RGB → emissivity: the likely materials of each texel of an orthophoto, from its colour and texture.
 
-A small fully connected network (trained in `emissivity_training`) scores each material. The scores become calibrated
+A small fully connected network (trained in `training`) scores each material. The scores become calibrated
 probabilities: they are softened by a temperature (Guo et al. 2017, "On calibration of modern neural networks") and
 mixed with a uniform prior. Both numbers are fitted on landscapes that the network did not see. A texel's emissivity is
 the mean over all materials with these probabilities, and its uncertainty their standard deviation. Confidence is the
