@@ -402,6 +402,7 @@ def test_four_polygons_adapt_a_map_to_other_colours(model):
 
 
 def test_uncertain_emissivity_is_in_the_budget_and_flagged(scene):
+    save_map(replace(load_map(scene / "own.npz"), softening=3.0, prior=0.3), scene / "own.npz")
     learned_source(scene, 'model = "own.npz"\nfallback = "granite"\nmost_std = 1e-6\n')
     loaded = tr.load_scene(scene)
     report = loaded.emissivity_report
@@ -683,11 +684,13 @@ def test_shipped_map_is_better_than_simpler_methods_on_unseen_land(monkeypatch):
     monkeypatch.setattr(validation, "make", lambda kind, seed: make(kind, seed, *SMALL[kind]))
     result = validation.evaluate("procedural", (11,), kinds=("village",))
     methods = result["all"]
-    learned = methods["learned, mean of all"]
-    assert learned["accuracy"] > 0.5
+    learned, likely = methods["learned, mean of all"], methods["learned, most probable"]
+    assert learned["accuracy"] > methods["nearest colour"]["accuracy"] + 0.1
+    # The mean over materials has the smallest square error, the most probable material the smallest absolute one.
     for other in ("nearest colour", "commonest material", "fallback"):
-        assert learned["mk_mean"] < 0.7 * methods[other]["mk_mean"], other
-        assert learned["emissivity_mean"] < 0.7 * methods[other]["emissivity_mean"], other
+        assert learned["emissivity_rms"] < methods[other]["emissivity_rms"], other
+        assert likely["emissivity_mean"] < methods[other]["emissivity_mean"], other
+        assert likely["mk_mean"] < methods[other]["mk_mean"], other
     table = np.array(result["confusion"])
     assert table.sum() == 440 * 440 and len(result["materials"]) == table.shape[0] == table.shape[1] - 1
     right = sum(table[k, k] for k in range(len(table))) / table.sum()

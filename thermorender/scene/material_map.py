@@ -14,6 +14,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity.mapping import load_map, map_materials
 from thermorender.learned.features import lab
 from thermorender.materials import library as material_tables
+from thermorender.materials.extended import within_band
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import palette
 from thermorender.physics.geodesy import LocalFrame
@@ -82,7 +83,8 @@ def learned_materials(
     """
     assert source.model is not None and source.fallback is not None
     model = load_map(source.model).without(source.without)
-    own = [material_tables.find(library, name, f"emissivity map {model.name!r}") for name in model.materials]
+    of = f"emissivity map {model.name!r}"
+    own = [within_band(material_tables.find(library, name, of), band_um, library, where) for name in model.materials]
     fallback = material_tables.find(library, source.fallback, f"{where}: emissivity.fallback")
     mapped = [map_materials(model, one.colour, one.texel_m) for one in pictures]
     together = [np.concatenate([a.reshape(-1, *a.shape[2:]) for a in arrays]) for arrays in (

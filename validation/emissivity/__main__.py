@@ -33,10 +33,12 @@ def main(
         study.write_confusion(result, folder / "emissivity_confusion.csv")
         if pictures:
             judged = labelled.run(pictures, texel_m or [], model, progress=report)
+            judged["updated"] = labelled.updated(pictures, texel_m or [], model=model, progress=report)
             formats.write_json(folder / "labelled.json", judged)
             labelled.figure(folder / "calibration.png", judged)
             labelled.pictures(folder / "labelled.png", *labelled.first(pictures, texel_m or []), model)
             table(labelled.HEADER, labelled.rows(judged))
+            table(labelled.UPDATED_HEADER, labelled.updated_rows(judged["updated"]))
     conclude("emissivity", output, study.HEADER, study.rows(result), "numbers and confusion table")
 
 

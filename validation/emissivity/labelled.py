@@ -9,11 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
+from thermorender.campaign.material_training import band_emissivity_of
 from thermorender.compare.evaluation.figures import pyplot, save
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.formats import decoded
+from thermorender.learned.emissivity.adaptation import adapted
 from thermorender.learned.emissivity.mapping import load_map, map_materials
+from thermorender.learned.emissivity.training import Labelled
 from thermorender.materials.extended import within_band
 from thermorender.materials.library import load_library
 from thermorender.physics.planck import band_radiance, brightness_temperature
@@ -32,7 +35,10 @@ _FURTHER = {"steel_galvanised_oxidised": "building", "snow": "water", "concrete_
 _GROUND_K, SKIES_K = 300.0, {"clear": 250.0, "cloudy": 285.0}
 HEADER = ("set", "tiles", "accuracy", "balanced", "mean |Δε|", "constant 0.95", "best constant", "÷ best constant",
           "clear [K]", "cloudy [K]", "1 σ", "2 σ", "σ")  # fmt: skip
+UPDATED_HEADER = ("set", "pictures", "|Δε| before", "after", "balanced before", "after", "1 σ", "2 σ")
 _PER_TILE = 20_000
+# The material that labelled squares of each group name, and their side [m].
+_NAMED, _SQUARE_M = ("water", "soil_loam", "asphalt", "roof_shingle", "grass_green"), 10.0
 
 
 def run(folders, texel_m, model="procedural", seed=0, progress=None):
@@ -81,6 +87,63 @@ def run(folders, texel_m, model="procedural", seed=0, progress=None):
                              **_scores(probability, label, emissivity, group, truth)}  # fmt: skip
     groups = dict(zip(GROUPS, truth.round(4).tolist(), strict=True))
     return {"model": model.name, "about": model.about, "groups": groups, "sets": sets}
+
+
+def updated(folders, texel_m, squares=10, tiles=5, model="procedural", seed=0, progress=None):
+    """Return {set: record} of maps that squares of each picture update, scored on the rest of the picture.
+
+    Parameters
+    ----------
+    folders, texel_m, model, seed, progress
+        As for `run`.
+    squares : int
+        Labelled squares of 10 m, as many of each group as there are.
+    tiles : int
+        Pictures of each folder, evenly spaced.
+
+    Notes
+    -----
+    A square's label names one material of the group, which then stands for the group's mean emissivity.
+    """
+    import cv2
+
+    model, found = load_map(model), {}
+    for folder, metres in zip(map(Path, folders), texel_m, strict=True):
+        random = np.random.Generator(np.random.Philox(seed))
+        labels = sorted(folder.glob("*_label.png"))
+        records = []
+        for number, path in enumerate(labels[:: max(1, len(labels) // tiles)][:tiles]):
+            if progress:
+                progress(f"{folder.name}, {path.stem}, {squares} squares", number / tiles)
+            before, label, rgb = _mapped(model, path, metres)
+            drawn = _squares(label, round(_SQUARE_M / metres), squares, random)
+            names = dict(enumerate(_NAMED, 1))
+            new = adapted(model, Labelled(rgb, drawn, names, metres, path.stem), "updated", band_emissivity_of())
+            rest = np.flatnonzero((label.ravel() < len(GROUPS)) & (drawn.ravel() == 0))
+            rest = random.choice(rest, min(_PER_TILE, rest.size), replace=False)
+            pair = []
+            for each, mapped in ((model, before), (new, map_materials(new, rgb, metres))):
+                emissivity, group, truth = _tables(each)
+                if each is new:
+                    for value, name in enumerate(_NAMED):
+                        emissivity[each.materials.index(name)] = truth[value]
+                probability = mapped.probability.reshape(-1, len(each.materials))[rest] / 255.0
+                probability /= probability.sum(axis=1, keepdims=True)
+                pair.append(_scores(probability, label.ravel()[rest], emissivity, group, truth))
+            count = cv2.connectedComponents((drawn > 0).astype(np.uint8))[0] - 1
+            records.append({"picture": path.stem, "squares": count, "before": pair[0], "after": pair[1]})
+        found[folder.name] = records
+    return found
+
+
+def updated_rows(result):
+    """Return table rows of text under UPDATED_HEADER: means over the pictures of each set."""
+    return [
+        (name, str(len(records)), *(f"{np.mean([one[when][key] for one in records]):.{digits}f}"
+                                    for key, digits in (("error", 4), ("balanced", 2)) for when in ("before", "after")),
+         *(f"{np.mean([one['after']['within'][times] for one in records]):.0%}" for times in (0, 1)))
+        for name, records in result.items()
+    ]  # fmt: skip
 
 
 def rows(result):
@@ -173,6 +236,26 @@ def _mapped(model, label_path, texel_m):
         raise ThermorenderError(f"{picture} and {label_path} are not pictures of one size; give them as JPEG and PNG")
     rgb = np.ascontiguousarray(rgb[..., ::-1])
     return map_materials(model, rgb, texel_m), label, rgb
+
+
+def _squares(label, side, count, random):
+    """Numbers 1… of the groups (h, w) uint8 in squares of one label, 0 elsewhere; the groups take turns."""
+    drawn = np.zeros(label.shape, np.uint8)
+    groups = [value for value in range(len(GROUPS)) if (label == value).mean() > 0.02]
+    made = 0
+    for attempt in range(300 * count):
+        value = groups[attempt % len(groups)]
+        rows, columns = np.nonzero(label == value)
+        pick = random.integers(rows.size)
+        top, left = rows[pick], columns[pick]
+        part = (slice(top, top + side), slice(left, left + side))
+        around = drawn[max(top - 2, 0) : top + side + 2, max(left - 2, 0) : left + side + 2]
+        if label[part].shape == (side, side) and (label[part] == value).mean() > 0.97 and not around.any():
+            drawn[part] = value + 1
+            made += 1
+        if made == count:
+            break
+    return drawn
 
 
 def _scores(probability, label, emissivity, group, truth):

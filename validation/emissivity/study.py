@@ -158,7 +158,7 @@ class _Errors:
 
 
 def _mixture(best, unknown, probability, own):
-    """(index, share), both (h, w, C): all materials of a map with the most probable first; unknown texels have it only."""
+    """(index, share), both (h, w, C): a map's materials by probability; unknown texels have the first only."""
     order = np.argsort(-probability.astype(np.int16), axis=-1, kind="stable")
     index, share = own[order], np.take_along_axis(probability, order, axis=-1).astype(np.float32)
     share /= share.sum(axis=-1, keepdims=True)
