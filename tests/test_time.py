@@ -21,7 +21,9 @@ from scenes import coarse, write_balance, write_mesh, write_terrain
 from thermorender.compare.referee.flight import Flight
 from thermorender.compare.referee.run import Options, compare
 from thermorender.errors import ThermorenderError
-from thermorender.output.day import day, instant_of, solar_midnight
+from thermorender.materials.library import load_library
+from thermorender.materials.mixture import mix
+from thermorender.output.day import _largest, day, instant_of, solar_midnight
 from thermorender.output.flight import FlightOptions, fly
 from thermorender.render import reference
 from thermorender.render.flight import timed
@@ -433,6 +435,17 @@ def test_the_local_solar_day():
         (180.0, "28T12:00:00"),
     ):
         assert solar_midnight(NOON, longitude) == np.datetime64(f"2018-07-{begins}")
+
+
+def test_a_day_has_columns_for_the_eight_largest_materials():
+    library = load_library()
+    pure = [library[name] for name in list(library)[:10]]
+    mixed = mix([(pure[0], 0.6), (pure[9], 0.4)])
+    texels = np.repeat(np.arange(11, dtype=np.uint8), [1, 20, 19, 18, 17, 16, 15, 14, 13, 12, 30])
+    groups = _largest([*pure, mixed], texels)
+    # The mix counts as its first part, which is thereby the largest of all.
+    assert list(groups) == [pure[k].name for k in (0, 1, 2, 3, 4, 5, 6, 7)] + ["others"]
+    assert groups[pure[0].name] == [0, 10] and groups["others"] == [8, 9]
 
 
 def test_a_day_of_one_view(scene, simulations, tmp_path):
