@@ -34,7 +34,7 @@ for _name in ("correlation+", "palette", "trees"):
     reader(f"map {_name}", "map.npz", _PACKAGE / "learned" / "maps" / f"procedural-{_name}.npz")(_of_map)
 
 
-@reader("emissivity map", "map.npz", _PACKAGE / "learned" / "procedural.npz")
+@reader("emissivity map", "map.npz", _PACKAGE / "learned" / "emissivity" / "procedural.npz")
 def _emissivity_map(path):
     from thermorender.learned.emissivity.mapping import load_map
 
