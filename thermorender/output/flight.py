@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender import files, formats
+from thermorender import defaults, files, formats
 from thermorender.frame import Frame
 from thermorender.frame.record import record
 from thermorender.output import products as product_files
@@ -66,6 +66,9 @@ class FlightOptions:
         How counts become display images. Its tails are replaced by the camera's.
     thermography : ThermographySettings or None
         Settings of the thermography software whose reading goes into the EXR and the product radiometric.
+    audit : int
+        The error budget is measured in frames whose number is a multiple of this; frames between carry it. With the
+        product error it is measured in every frame.
     """
 
     rate_hz: float | None = None
@@ -74,6 +77,7 @@ class FlightOptions:
     products: Sequence[str] = product_files.DEFAULT
     display: DisplaySettings = DisplaySettings()
     thermography: ThermographySettings | None = None
+    audit: int = defaults.AUDIT
 
 
 def fly(
@@ -182,7 +186,10 @@ class _Flight:
         self.renderer, self.thermography = renderer, options.thermography
         self.products = product_files.check(options.products, options.thermography, camera, flight=True)
         self.display = replace(options.display, tails_percent=camera.agc_tails_percent)
-        self.flown = FlightFrames(renderer, trajectory, options.rate_hz, options.start_s, options.stop_s, heat_progress)
+        self.audit = 1 if "error" in self.products else options.audit
+        self.flown = FlightFrames(
+            renderer, trajectory, options.rate_hz, options.start_s, options.stop_s, heat_progress, self.audit
+        )
         self.times = self.flown.times
         self.prospect = prospect or prospect_of(renderer, trajectory, self.times, self.flown.rate_hz)
         self.settings = self._settings(trajectory)
@@ -213,6 +220,7 @@ class _Flight:
             # The path between frames too, since the sensor remembers it.
             "path_digest": _digest(self.flown.poses, trajectory.time_s, trajectory.position, trajectory.quaternion),
             "products": list(self.products),
+            "audit": self.audit,
             "display": asdict(self.display) | {"tails_percent": list(self.display.tails_percent)},
             "thermography": self.thermography and asdict(self.thermography),
             **made_by(),
