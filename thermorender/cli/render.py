@@ -135,6 +135,13 @@ def fly(
     audit: Annotated[
         int, typer.Option(help="Frames from one measurement of the error budget to the next; 1: every frame.")
     ] = defaults.AUDIT,
+    exr_compression: Annotated[
+        str,
+        typer.Option(
+            help="zip; htj2k32: 40 % smaller in half the time, for programs with OpenEXR 3.4 or later; rle or "
+            "none: fast and large. All are lossless."
+        ),
+    ] = "zip",
     source: TemperatureOptions,
     preview: Annotated[
         bool,
@@ -162,7 +169,7 @@ def fly(
     options = FlightOptions(
         rate_hz=rate_hz, start_s=log.start_s, stop_s=log.stop_s, display=look.settings(agc_memory_s),
         products=frame_files.check(split(products), settings, flight=True), thermography=settings,
-        audit=audit,
+        audit=audit, exr_compression=exr_compression,
     )  # fmt: skip
     with progress() as report:
         loaded = situation.load(scene, source.source())
