@@ -91,6 +91,18 @@ def test_kinetic_temperature_outside_the_allowed_range_is_nan():
     assert np.isnan(kinetic[:4]).all() and kinetic[4] == pytest.approx(300.0, abs=1e-4)
 
 
+@pytest.mark.parametrize("band_um", [BAND, (3.0, 5.0)])
+def test_apparent_temperatures_by_table_are_those_of_the_inverse(band_um):
+    """From a cold sky to far above the camera's range; outside the table the inverse itself is used."""
+    kelvin = np.concatenate([np.geomspace(15.0, 60.0, 200), np.geomspace(60.0, 1000.0, 20000), [4990.0, 6000.0]])
+    radiance = band_radiance(kelvin, *band_um).astype(np.float32)
+    off = apparent_temperature(radiance, band_um) - brightness_temperature(radiance, *band_um)
+    assert np.abs(off[:-2]).max() < 1e-4 and np.abs(off[-2:]).max() < 5e-4
+    np.testing.assert_array_equal(
+        apparent_temperature(radiance.astype(np.float64), band_um), apparent_temperature(radiance, band_um)
+    )
+
+
 def test_apparent_temperature_of_any_radiance():
     """Radiances outside any table are inverted directly and leave their neighbours unchanged."""
     odd = np.array([0.0, -1.0, np.nan, np.inf, 5e-324, 1e-300, 1e10, 1e300, 40.0])

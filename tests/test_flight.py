@@ -1,6 +1,7 @@
 """Flights: products, records, and resuming to the same bytes."""
 
 import json
+import pickle
 import shutil
 from dataclasses import replace
 
@@ -48,6 +49,10 @@ def setting(tmp_path_factory):
 
 def contents(folder):
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+def records(folder):
+    return [json.loads(line) for line in (folder / "frames.jsonl").read_text().splitlines()]
 
 
 def test_products_and_records(setting, tmp_path):
@@ -128,6 +133,39 @@ def test_resume_gives_the_same_bytes(setting, tmp_path):
     assert summary["rendered"] == 4
     assert contents(tmp_path / "part") == contents(tmp_path / "whole")
     assert fly(renderer, path, tmp_path / "part", FlightOptions(rate_hz=4.0), resume=True)["rendered"] == 0
+
+
+def test_frames_carry_the_budget_of_the_last_audit(setting, tmp_path):
+    renderer, path = setting
+    flight = FlightOptions(rate_hz=4.0, products=("exr",), audit=2)
+    fly(renderer, path, tmp_path / "whole", flight)
+    lines = records(tmp_path / "whole")
+    assert [line["budget_frame"] for line in lines] == [0, 0, 2, 2, 4]
+    own = [renderer.frame(path.pose(line["time_s"]), line["time_s"], index=line["index"]).budget_mk for line in lines]
+    stated = [line["budget_mk"] for line in lines]
+    assert stated == [{cause: round(value, 2) for cause, value in own[k].items()} for k in (0, 0, 2, 2, 4)]
+    assert stated[1] != own[1]
+    header = read_exr(tmp_path / "whole/frame_000003.exr")[1]
+    assert (header["budget_mk"], header["budget_frame"]) == (stated[2], 2)
+
+    def stop(done, total):
+        if done == 3:
+            raise KeyboardInterrupt
+
+    # The part that follows starts between two audits.
+    with pytest.raises(KeyboardInterrupt):
+        fly(renderer, path, tmp_path / "part", flight, progress=stop)
+    fly(renderer, path, tmp_path / "part", flight, resume=True)
+    assert contents(tmp_path / "part") == contents(tmp_path / "whole")
+    with pytest.raises(ThermorenderError, match="was flown with audit=2, now audit=3"):
+        fly(renderer, path, tmp_path / "part", replace(flight, audit=3), resume=True)
+    with pytest.raises(ThermorenderError, match="audit=0 is not allowed; give 1 for every frame, or more"):
+        fly(renderer, path, tmp_path / "none", replace(flight, audit=0))
+    carried = list(renderer.frames(path, rate_hz=4.0, audit=2))[3]
+    again = pickle.loads(pickle.dumps(carried))
+    assert (again.budget_frame, again.budget_mk) == (carried.budget_frame, carried.budget_mk) == (2, own[2])
+    fly(renderer, path, tmp_path / "error", replace(flight, rate_hz=1.0, products=("exr", "error")))
+    assert [line["budget_frame"] for line in records(tmp_path / "error")] == [0, 1]
 
 
 @pytest.mark.parametrize("fault", ["removed", "moved", "replaced"])

@@ -5,6 +5,8 @@ BAND_UM = (7.5, 13.5)
 CAMERA = "zenmuse-xt2"
 SCENES = ("heath", "village", "ridge")
 SCENE = SCENES[0]
+# A flight measures its sampling error in each n-th frame.
+AUDIT = 10
 TEMPERATURE_MAPS = ("fok-1to1", "fok-9to1")
 TEMPERATURE_MAP = TEMPERATURE_MAPS[0]
 # Shipped as files; trained on rendered pictures of procedural scenes.

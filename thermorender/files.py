@@ -48,6 +48,43 @@ def atomic(path: PathLike) -> Iterator[Path]:
 
 
 @contextmanager
+def reported(path: PathLike) -> Iterator[None]:
+    """Raise the errors of a block that writes `path` as one sentence."""
+    try:
+        yield
+    except (OSError, RuntimeError) as error:
+        # Writers of images and videos raise RuntimeError.
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ThermorenderError(
+            f"{path} cannot be written: {reason}; check the folder, its permissions and the disk"
+        ) from error
+
+
+def write_aside(path: PathLike, data: bytes) -> Path:
+    """Write bytes to a temporary file in the folder of `path`, which must exist, and return it for `put_in_place`.
+
+    Raises
+    ------
+    ThermorenderError
+        The file cannot be written; nothing is left behind.
+    """
+    part = _part(Path(path))
+    try:
+        with reported(path):
+            part.write_bytes(data)
+    except BaseException:
+        _remove(part)
+        raise
+    return part
+
+
+def put_in_place(part: Path, path: PathLike) -> None:
+    """Rename a file of `write_aside` to `path`; raise ThermorenderError if that fails."""
+    with reported(path):
+        os.replace(part, path)
+
+
+@contextmanager
 def atomic_folder(path: PathLike, overwrite: bool = False) -> Iterator[Path]:
     """Yield a temporary folder; rename it to `path` if the block ends without error.
 
@@ -101,7 +138,7 @@ def _exchange(part, path, old):
 @contextmanager
 def _beside(path):
     """Yield a temporary path in the folder of `path`, made if missing; remove it afterwards."""
-    part = path.with_name(f".{path.stem[:_REPEATED]}.{secrets.token_hex(4)}.part{path.suffix}")
+    part = _part(path)
     with _parents(path):
         try:
             yield part
@@ -110,22 +147,22 @@ def _beside(path):
             _remove(part)
 
 
+def _part(path):
+    """A temporary name beside `path`, which `remove_parts` knows."""
+    return path.with_name(f".{path.stem[:_REPEATED]}.{secrets.token_hex(4)}.part{path.suffix}")
+
+
 @contextmanager
 def _parents(path):
     """Make the folders above `path` for a block, then remove those still empty; raise OS errors as one sentence."""
     made = _missing(path.parent)
     try:
-        if len(os.fsencode(path.name)) > _MOST_BYTES:
-            raise OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG))
-        if made:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        yield
-    except (OSError, RuntimeError) as error:
-        # Writers of images and videos raise RuntimeError.
-        reason = getattr(error, "strerror", None) or str(error)
-        raise ThermorenderError(
-            f"{path} cannot be written: {reason}; check the folder, its permissions and the disk"
-        ) from error
+        with reported(path):
+            if len(os.fsencode(path.name)) > _MOST_BYTES:
+                raise OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG))
+            if made:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            yield
     finally:
         _remove_empty(made)
 

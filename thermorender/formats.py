@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 from collections.abc import Iterator, Mapping
@@ -63,12 +64,15 @@ def write_json(path: PathLike, value: Any) -> None:
     write_text(path, json.dumps(value, indent=2) + "\n")
 
 
-def checksum(path: PathLike) -> str:
-    """Return the BLAKE2b checksum of a file's bytes, 32 hexadecimal digits."""
+def checksum(source: PathLike | bytes) -> str:
+    """Return the BLAKE2b checksum of a file's bytes, or of bytes, 32 hexadecimal digits."""
     import hashlib
 
     state = hashlib.blake2b(digest_size=16)
-    with open(path, "rb") as file:
+    if isinstance(source, bytes):
+        state.update(source)
+        return state.hexdigest()
+    with open(source, "rb") as file:
         for block in iter(lambda: file.read(1 << 20), b""):
             state.update(block)
     return state.hexdigest()
@@ -153,15 +157,20 @@ def label(text: object) -> str:
 
 def write_image(path: PathLike, image: np.ndarray) -> None:
     """Write (H, W) uint8 or uint16, or (H, W, 3) uint8 RGB, as PNG or TIFF by the path's suffix."""
+    with atomic(path) as part:
+        part.write_bytes(encoded_image(Path(path).suffix, image))
+
+
+def encoded_image(suffix: str, image: np.ndarray) -> bytes:
+    """Return the bytes of a file that `write_image` writes."""
     import cv2
     import numpy as np
 
     ordered = image[..., ::-1] if image.ndim == 3 else image
-    with atomic(path) as part:
-        encoded, data = cv2.imencode(Path(path).suffix, np.ascontiguousarray(ordered))
-        if not encoded:
-            raise OSError(f"OpenCV cannot encode a {image.dtype} image")
-        part.write_bytes(data)
+    encoded, data = cv2.imencode(suffix, np.ascontiguousarray(ordered))
+    if not encoded:
+        raise OSError(f"OpenCV cannot encode a {image.dtype} image")
+    return data.tobytes()
 
 
 def decoded(data: bytes, flags: int) -> np.ndarray | None:
@@ -196,10 +205,17 @@ def atomic_raster(path: PathLike) -> Iterator[str]:
 
 def write_arrays(path: PathLike, what: object, arrays: Mapping[str, np.ndarray]) -> None:
     """Write {name: array} for `read_arrays`; `what` identifies what they belong to."""
+    with atomic(path) as part:
+        part.write_bytes(encoded_arrays(what, arrays))
+
+
+def encoded_arrays(what: object, arrays: Mapping[str, np.ndarray]) -> bytes:
+    """Return the bytes of a file that `write_arrays` writes."""
     import numpy as np
 
-    with atomic(path) as part:
-        np.savez(part, **arrays, checksum=digest(what, arrays))
+    memory = io.BytesIO()
+    np.savez(memory, **arrays, checksum=digest(what, arrays))
+    return memory.getvalue()
 
 
 def read_arrays(path: PathLike, what: object) -> dict[str, np.ndarray] | None:

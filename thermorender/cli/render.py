@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from thermorender import files, formats
+from thermorender import defaults, files, formats
 from thermorender.cli.options import (
     Air,
     Device,
@@ -132,6 +132,16 @@ def fly(
     look: DisplayOptions,
     agc_memory_s: Annotated[float, typer.Option(help="Time constant of the gain control; 0: none [s].")] = 0.0,
     thermography: Thermography = None,
+    audit: Annotated[
+        int, typer.Option(help="Frames from one measurement of the error budget to the next; 1: every frame.")
+    ] = defaults.AUDIT,
+    exr_compression: Annotated[
+        str,
+        typer.Option(
+            help="zip; htj2k32: 40 % smaller in half the time, for programs with OpenEXR 3.4 or later; rle or "
+            "none: fast and large. All are lossless."
+        ),
+    ] = "zip",
     source: TemperatureOptions,
     preview: Annotated[
         bool,
@@ -159,6 +169,7 @@ def fly(
     options = FlightOptions(
         rate_hz=rate_hz, start_s=log.start_s, stop_s=log.stop_s, display=look.settings(agc_memory_s),
         products=frame_files.check(split(products), settings, flight=True), thermography=settings,
+        audit=audit, exr_compression=exr_compression,
     )  # fmt: skip
     with progress() as report:
         loaded = situation.load(scene, source.source())

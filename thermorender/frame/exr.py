@@ -1,6 +1,8 @@
 """A frame as one multi-channel EXR, written and read."""
 
+import io
 import json
+from collections.abc import Callable
 from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
@@ -18,6 +20,10 @@ if TYPE_CHECKING:
     from thermorender.frame.frame import Frame
 
 
+# {name: OpenEXR's}; all are lossless.
+COMPRESSIONS = {"zip": "ZIP", "htj2k32": "HTJ2K32", "rle": "RLE", "none": "NO"}
+
+
 def write_exr(
     path: str | PathLike[str], frame: "Frame", truth: bool, thermography: ThermographySettings | None = None,
     error: bool = False,
@@ -27,6 +33,21 @@ def write_exr(
     `truth` adds the frame's truth, `error` the estimated error of each pixel, and `thermography` the reading of
     thermography software with these settings. The header's `thermorender` attribute holds time, pose, seed, plan,
     versions, device, units and, with the truth, the entries of `truth_header` as JSON.
+    """
+    with atomic(path) as part:
+        part.write_bytes(exr_encoder(frame, truth, thermography, error)())
+
+
+def exr_encoder(
+    frame: "Frame", truth: bool, thermography: ThermographySettings | None = None, error: bool = False,
+    compression: str = "zip",
+) -> Callable[[], bytes]:  # fmt: skip
+    """Return a function that returns the bytes of `write_exr`; it may run in another thread.
+
+    Raises
+    ------
+    ThermorenderError
+        A compression that is not in `COMPRESSIONS`.
     """
     import OpenEXR  # type: ignore[import-not-found, unused-ignore]
 
@@ -47,13 +68,24 @@ def write_exr(
     about = header(frame, thermography=thermography and asdict(thermography))
     about |= truth_header(frame) if truth else {}
     attributes = {
-        "compression": OpenEXR.ZIP_COMPRESSION,
+        "compression": getattr(OpenEXR, f"{COMPRESSIONS[check_compression(compression)]}_COMPRESSION"),
         "type": OpenEXR.scanlineimage,
         "thermorender": json.dumps(about),
     }
-    # A file opened here, since OpenEXR's own file does not report a full disk at its last bytes.
-    with atomic(path) as part, open(part, "wb") as file:
-        OpenEXR.File(attributes, channels).write(file)
+
+    def encode() -> bytes:
+        memory = io.BytesIO()
+        OpenEXR.File(attributes, dict(channels)).write(memory)
+        return memory.getvalue()
+
+    return encode
+
+
+def check_compression(name: str) -> str:
+    """Return the name of a compression of EXR; raise ThermorenderError if it is unknown."""
+    if name not in COMPRESSIONS:
+        raise ThermorenderError(f"exr_compression={name!r} is unknown; give one of {', '.join(COMPRESSIONS)}")
+    return name
 
 
 def read_exr(path: str | PathLike[str]) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:

@@ -15,17 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from thermorender.frame.orthoimage import Orthoimage, orthorectified
 from thermorender.frame.picture import html, show, span
-from thermorender.physics.band import RadianceTable
-from thermorender.physics.planck import band_radiance, brightness_temperature
+from thermorender.physics.band import kelvin_table
+from thermorender.physics.planck import brightness_temperature
 from thermorender.scene.georeference import Place
 from thermorender.scene.surface import SATURATED
 from thermorender.sensor import readout
 from thermorender.sensor.camera import Camera
 from thermorender.sensor.chain import sensor_of
 from thermorender.sensor.display import DisplaySettings
-
-# Range of temperatures that are looked up in a table [K]; others are computed one by one.
-_TABLE_K = (10.0, 10000.0)
 
 
 @dataclass(frozen=True)
@@ -73,6 +70,14 @@ class Found:
         return self.error
 
 
+@dataclass(frozen=True)
+class Audited:
+    """The audited frame of a pickled frame: its number and its error budget."""
+
+    index: int
+    budget_mk: dict[str, float] | None
+
+
 # Frames are compared by identity, since arrays cannot be compared to one truth value.
 @dataclass(frozen=True, eq=False)
 class Frame:
@@ -118,6 +123,7 @@ class Frame:
     _view: Any = field(repr=False, default=None)
     _sampling: Any = field(repr=False, default=None)
     _reading: NDArray[np.uint16] | None = field(repr=False, default=None)
+    _audited: "Frame | Audited | None" = field(repr=False, default=None)
 
     def __repr__(self) -> str:
         height, width = self.radiance.shape
@@ -214,11 +220,21 @@ class Frame:
         images = state.pop("truth", None) or self._view.truth()
         images = {**images, "mask": images["mask"] & ~np.uint8(SATURATED)}
         found = Found(images, self.targets, self.labels, self.budget_mk, self.error_mk)
-        return {**state, "_view": found, "_sampling": None}
+        audited = self._audited and Audited(self._audited.index, self.budget_mk)
+        return {**state, "_view": found, "_sampling": None, "_audited": audited}
 
     def with_reading(self, counts: NDArray[np.uint16], how: dict[str, Any]) -> "Frame":
         """Return the frame with the reading of a flight's sensor: counts (H, W) uint16, and `how` for the plan."""
         return replace(self, _reading=counts, plan={**self.plan, "sensor": how})
+
+    def with_audit(self, audited: "Frame") -> "Frame":
+        """Return the frame with the error budget of an earlier frame of its flight."""
+        return replace(self, _audited=audited)
+
+    @property
+    def budget_frame(self) -> int:
+        """Number of the frame that `budget_mk` was measured in: its own, or that of an earlier frame of its flight."""
+        return self.index if self._audited is None else self._audited.index
 
     @cached_property
     def budget_mk(self) -> dict[str, float] | None:
@@ -233,16 +249,18 @@ class Frame:
         of sampling. These are upper estimates; only that of the solution is a bound. An object that no ray hits is not
         in them. With a learned emissivity, "emissivity" is its standard deviation under the unobstructed sky; it is a
         property of the scene, so the total leaves it out. None for a frame of the reference engine, whose error is its
-        noise.
+        noise. Most frames of a flight have the budget of the frame `budget_frame`.
         """
+        if self._audited is not None:
+            return self._audited.budget_mk
         return self._view.budget_mk(self.radiance, self._sampling)
 
     @cached_property
     def error_mk(self) -> NDArray[np.float32] | None:
         """Estimated error of each pixel by all causes of `budget_mk`, (H, W) float32 [mK at 300 K].
 
-        Its root mean square is the total of that budget, except that the budget evaluates the light in one sixteenth
-        of the pixels. NaN where no surface is visible; None for a frame of the reference engine.
+        Its root mean square is the total of this frame's own budget, except that the budget evaluates the light in one
+        sixteenth of the pixels. NaN where no surface is visible; None for a frame of the reference engine.
         """
         return self._view.error_mk(self.radiance, self._sampling)
 
@@ -307,20 +325,16 @@ def _band(camera: Camera) -> str:
 
 
 def apparent_temperature(radiance: ArrayLike, band_um: Sequence[float]) -> NDArray[np.float32]:
-    """Return the blackbody temperature of band radiances, (…) float32 [K], by table (error below 0.1 mK).
+    """Return the blackbody temperature of band radiances, (…) float32 [K], by table.
 
-    Zero gives 0 K; negative values, infinities and NaN give NaN, since no blackbody has them.
+    The error is below 0.1 mK up to 1000 K. Zero gives 0 K; negative values, infinities and NaN give NaN, since no
+    blackbody has them.
     """
-    radiance = np.asarray(radiance, dtype=np.float64)
-    least, most = band_radiance(np.array(_TABLE_K), *band_um)
-    usual = (radiance >= least) & (radiance <= most)
-    result = np.empty(radiance.shape)
-    # Outside the range a table would be too long.
-    result[~usual] = brightness_temperature(radiance[~usual], *band_um)
-    if usual.any():
-        known = radiance[usual]
-        coldest, warmest = brightness_temperature(np.array([known.min(), known.max()]), *band_um)
-        grid = RadianceTable.grid(coldest, warmest)
-        result[usual] = RadianceTable(grid, band_radiance(grid, *band_um)).inverse(known)
-    with np.errstate(over="ignore"):
-        return result.astype(np.float32)
+    radiance = np.asarray(radiance)
+    with np.errstate(over="ignore", under="ignore"):
+        single = radiance.astype(np.float32)
+    result, known = kelvin_table(*band_um).kelvin(single.ravel())
+    if not known.all():
+        with np.errstate(over="ignore"):
+            result[~known] = brightness_temperature(radiance.ravel()[~known].astype(np.float64), *band_um)
+    return result.reshape(radiance.shape)

@@ -37,6 +37,7 @@ def record(frame: "Frame") -> dict[str, Any]:
         "camera": frame.camera.name,
         "plan": frame.plan,
         "budget_mk": frame.budget_mk and {cause: round(value, 2) for cause, value in frame.budget_mk.items()},
+        "budget_frame": frame.budget_frame,
         "targets": frame.targets,
     }
 

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,8 +20,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender import files, formats
+from thermorender import defaults, files, formats
 from thermorender.frame import Frame
+from thermorender.frame.exr import check_compression
 from thermorender.frame.record import record
 from thermorender.output import products as product_files
 from thermorender.output.flight_pages.cost import MEASURED, Cost
@@ -28,10 +30,12 @@ from thermorender.output.flight_pages.flight_figures import SHEET, thumbnail
 from thermorender.output.flight_pages.flight_page import Pictured, write_page
 from thermorender.output.flight_pages.prospect import Prospect, chosen
 from thermorender.output.flight_pages.prospect import prospect as prospect_of
+from thermorender.output.frame_files import Prepared, prepare, put_in_place
 from thermorender.output.photograph import photograph
 from thermorender.output.record import made_by, weather_of
-from thermorender.output.resume import finished, load_state, refuse_moved, remove_state, save_state
+from thermorender.output.resume import finished, load_state, refuse_moved, remove_state, state_file
 from thermorender.output.video import write_video
+from thermorender.output.writer import WORKERS, OrderedWriter
 from thermorender.progress import interactive
 from thermorender.render.flight.frames import FlightFrames
 from thermorender.render.flight.timed import STEP_S
@@ -66,6 +70,12 @@ class FlightOptions:
         How counts become display images. Its tails are replaced by the camera's.
     thermography : ThermographySettings or None
         Settings of the thermography software whose reading goes into the EXR and the product radiometric.
+    audit : int
+        The error budget is measured in frames whose number is a multiple of this; frames between carry it. With the
+        product error it is measured in every frame.
+    exr_compression : str
+        zip, which every program reads; htj2k32, smaller in half the time, for programs with OpenEXR 3.4 or later; rle
+        and none, fast and large. All are lossless.
     """
 
     rate_hz: float | None = None
@@ -74,6 +84,11 @@ class FlightOptions:
     products: Sequence[str] = product_files.DEFAULT
     display: DisplaySettings = DisplaySettings()
     thermography: ThermographySettings | None = None
+    audit: int = defaults.AUDIT
+    exr_compression: str = "zip"
+
+    def __post_init__(self) -> None:
+        check_compression(self.exr_compression)
 
 
 def fly(
@@ -145,8 +160,7 @@ def measured(
 ) -> Cost:
     """Return the Cost of a flight from its first frames, which are written into an empty folder."""
     flight = _Flight(renderer, trajectory, options, None, prospect)
-    for index in range(min(MEASURED, len(flight.times))):
-        flight.write_frame(folder, index)
+    flight.write_frames(folder, range(min(MEASURED, len(flight.times))))
     return flight.cost(folder, len(flight.times))
 
 
@@ -182,7 +196,11 @@ class _Flight:
         self.renderer, self.thermography = renderer, options.thermography
         self.products = product_files.check(options.products, options.thermography, camera, flight=True)
         self.display = replace(options.display, tails_percent=camera.agc_tails_percent)
-        self.flown = FlightFrames(renderer, trajectory, options.rate_hz, options.start_s, options.stop_s, heat_progress)
+        self.compression = options.exr_compression
+        self.audit = 1 if "error" in self.products else options.audit
+        self.flown = FlightFrames(
+            renderer, trajectory, options.rate_hz, options.start_s, options.stop_s, heat_progress, self.audit
+        )
         self.times = self.flown.times
         self.prospect = prospect or prospect_of(renderer, trajectory, self.times, self.flown.rate_hz)
         self.settings = self._settings(trajectory)
@@ -213,6 +231,8 @@ class _Flight:
             # The path between frames too, since the sensor remembers it.
             "path_digest": _digest(self.flown.poses, trajectory.time_s, trajectory.position, trajectory.quaternion),
             "products": list(self.products),
+            "audit": self.audit,
+            "exr_compression": self.compression,
             "display": asdict(self.display) | {"tails_percent": list(self.display.tails_percent)},
             "thermography": self.thermography and asdict(self.thermography),
             **made_by(),
@@ -233,12 +253,7 @@ class _Flight:
         if outlook and done < total:
             outlook(self.prospect)
         self._agc = self._restored(folder, done) if 0 < done < total else None
-        for index in range(done, total):
-            self.write_frame(folder, index, place)
-            if progress:
-                progress(index + 1, total)
-            if outlook and index + 1 == min(done + MEASURED, total):
-                outlook(self.cost(folder, total - done))
+        self.write_frames(folder, range(done, total), progress, outlook)
         refuse_moved(folder, place)
         remove_state(folder)
         if "video" in self.products:
@@ -258,34 +273,57 @@ class _Flight:
         sizes = {name: sum(each[name] for _, each in some) / len(some) for name in some[0][1]}
         return Cost.of(folder, frames, some[-1][0], sizes)
 
-    def write_frame(self, folder: Path, index: int, place: os.stat_result | None = None) -> None:
-        """Take a frame and write its files and its line, unless the folder is no longer at its `place`."""
-        start = time.perf_counter()
+    def write_frames(
+        self, folder: Path, frames: range, progress: Callable[[int, int], object] | None = None,
+        outlook: Callable[[Prospect | Cost], object] | None = None,
+    ) -> None:  # fmt: skip
+        """Take frames and write their files and lines, while the next frames are rendered."""
+        place, measured = os.stat(folder), frames[:MEASURED]
+
+        def report(frame: Prepared) -> None:
+            self.terrain.append(frame.line["shows_terrain"])
+            if progress:
+                progress(frame.line["index"] + 1, len(self.times))
+
+        finish = partial(put_in_place, folder, place, lambda: self.described)
+        with OrderedWriter(finish, report, Prepared.discard) as writer:
+            for index in frames:
+                clock, core = time.perf_counter(), time.process_time()
+                job = self._job(folder, index, place)
+                rendered = time.perf_counter()
+                writer.put(job)
+                if index in measured:
+                    writer.drain()
+                    written, core = time.perf_counter() - rendered, time.process_time() - core
+                    # What takes longest side by side: rendering, writing, or the work of both on all cores.
+                    spent = max(rendered - clock, written / WORKERS, core / (os.cpu_count() or 1))
+                    sizes = {name: path.stat().st_size for name, path in self._paths(folder, index).items()}
+                    self._spent.append((spent, sizes))
+                    if outlook and index == measured[-1]:
+                        outlook(self.cost(folder, len(frames)))
+
+    def _paths(self, folder: Path, index: int) -> dict[str, Path]:
+        return product_files.paths(folder, index, self.products)
+
+    def _job(self, folder: Path, index: int, place: os.stat_result) -> Callable[[], Prepared]:
+        """Render a frame; return the rest of the work on it, which needs no renderer and may run in another thread."""
         frame, self._agc, image = self._take(index, self._agc)
-        if place is not None:
-            refuse_moved(folder, place)
-        # Not earlier, so that an error in the first frame leaves no files.
-        if not (folder / "flight.json").exists():
-            formats.write_json(folder / "flight.json", self.described)
-        written = self._write_files(folder, frame, image)
+        refuse_moved(folder, place)
+        encoders = product_files.encoders(
+            frame, self.products, image, self.thermography,
+            lambda camera: photograph(self.renderer, frame.pose, frame.time_s, camera=camera)[0], self.compression,
+        )  # fmt: skip
+        line = record(frame) | self.flown.timed.temperature_record(frame.time_s)
+        line["shows_terrain"] = _shows_terrain(self.renderer.scene, frame)
         if index in self.sheet:
             self._picture(frame)
-        self._spent.append((time.perf_counter() - start, {name: path.stat().st_size for name, path in written.items()}))
-
-    def _write_files(self, folder: Path, frame: Frame, image: Any) -> dict[str, Path]:
-        """Write the files of a frame, then its line; return the files by product."""
-        written = product_files.write(
-            folder, frame, self.products, image, self.thermography,
-            lambda camera: photograph(self.renderer, frame.pose, frame.time_s, camera=camera)[0],
-        )  # fmt: skip
         state = self.flown.exposure.state() | ({} if self._agc is None else {"agc": self._agc})
-        files.on_disk(*written.values(), save_state(folder, frame.index, state))
-        self.terrain.append(_shows_terrain(self.renderer.scene, frame))
-        line = record(frame) | self.flown.timed.temperature_record(frame.time_s) | {"shows_terrain": self.terrain[-1]}
-        line["apparent_k"] = _apparent_k(frame)
-        line["files"] = {path.name: [path.stat().st_size, formats.checksum(path)] for path in written.values()}
-        formats.append_json(folder / "frames.jsonl", formats.sealed(line))
-        return written
+        paths, radiance = self._paths(folder, index), frame.radiance
+        return partial(
+            prepare, folder, place, lambda: line | {"apparent_k": _apparent_k(radiance, frame.kelvin_of)},
+            {paths[name]: encode for name, encode in encoders.items()},
+            (state_file(folder, index), partial(formats.encoded_arrays, index, state)),
+        )  # fmt: skip
 
     def _picture(self, frame: Frame) -> None:
         """Keep a frame for the contact sheet."""
@@ -331,12 +369,11 @@ def _shows_terrain(scene: Scene, frame: Frame) -> bool:
     return bool(np.isfinite(frame.truth["depth"]).any())
 
 
-def _apparent_k(frame: Frame) -> list[float]:
+def _apparent_k(radiance: NDArray[np.float32], kelvin_of: Callable[[Any], NDArray[np.float32]]) -> list[float]:
     """Least, median and greatest apparent temperature of a frame [K]."""
-    radiance = frame.radiance
     # Between the two middle pixels: the median's radiance, as temperatures rise with radiance.
     three = np.array([radiance.min(), np.median(radiance), radiance.max()], np.float32)
-    return [round(float(value), 3) for value in frame.kelvin_of(three)]
+    return [round(float(value), 3) for value in kelvin_of(three)]
 
 
 def _digest(*arrays: NDArray[Any]) -> str:

@@ -1,7 +1,8 @@
-"""The products of a frame: their names, files and writers."""
+"""The products of a frame: their names, files and encoders."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
+from thermorender.files import atomic
 from thermorender.footage.radiometric_files import write_tlinear
-from thermorender.formats import atomic_raster, write_image
-from thermorender.frame.exr import write_exr
+from thermorender.formats import encoded_image
+from thermorender.frame.exr import exr_encoder
 from thermorender.sensor.camera import Camera
 from thermorender.sensor.radiometry import ThermographySettings, thermography_reading
 
@@ -24,39 +26,51 @@ DEFAULT = ("exr", "truth", "counts", "display", "video", "report")
 _PARTS = ("truth", "error", "video", "report")
 
 
-def write_radiometric(path: Path, frame: "Frame", thermography: ThermographySettings | None) -> None:
-    """Write the reading of thermography software as a 16-bit TIFF of 0.04 K per count."""
+def _radiometric(frame: "Frame", thermography: ThermographySettings | None) -> bytes:
+    """The reading of thermography software as a 16-bit TIFF of 0.04 K per count."""
+    from rasterio.io import MemoryFile
+
     reading = thermography_reading(frame.counts, frame.camera, thermography or ThermographySettings())
-    with atomic_raster(path) as part:
-        write_tlinear(part, reading)
+    with MemoryFile(ext=".tif") as memory:
+        write_tlinear(memory.name, reading)
+        return bytes(memory.getbuffer())
 
 
 @dataclass(frozen=True)
 class _Extras:
-    """Inputs of the writers in addition to the frame; see `write`."""
+    """Inputs of the encoders in addition to the frame; see `encoders`."""
 
     truth: bool
     error: bool
     image: Any
     thermography: Any
     photograph: Any
+    compression: str
 
 
-# {product: (end of the file name, writer(path, frame, extras))}
-WRITERS = {
-    "exr": (".exr", lambda path, frame, extras: write_exr(
-        path, frame, extras.truth, extras.thermography, extras.error
+def _image(suffix: str, image: NDArray[Any]) -> "Encoder":
+    return partial(encoded_image, suffix, image)
+
+
+def _radiometric_encoder(frame: "Frame", extras: _Extras) -> "Encoder":
+    # Encoded at once, since GDAL's warnings are silenced for the whole process.
+    data = _radiometric(frame, extras.thermography)
+    return lambda: data
+
+
+Encoder = Callable[[], bytes]
+# {product: (end of the file name, returns the encoder of (frame, extras))}
+WRITERS: dict[str, tuple[str, Callable[["Frame", _Extras], Encoder]]] = {
+    "exr": (".exr", lambda frame, extras: exr_encoder(
+        frame, extras.truth, extras.thermography, extras.error, extras.compression
     )),
-    "counts": ("_counts.png", lambda path, frame, extras: write_image(path, frame.counts)),
-    "counts-tiff": ("_counts.tif", lambda path, frame, extras: write_image(path, frame.counts)),
-    "radiometric": (
-        "_radiometric.tif", lambda path, frame, extras: write_radiometric(path, frame, extras.thermography)
-    ),
-    "display": (".png", lambda path, frame, extras: write_image(path, extras.image)),
-    "visible": ("_visible.png", lambda path, frame, extras: write_image(path, extras.photograph(frame.camera))),
+    "counts": ("_counts.png", lambda frame, extras: _image(".png", frame.counts)),
+    "counts-tiff": ("_counts.tif", lambda frame, extras: _image(".tif", frame.counts)),
+    "radiometric": ("_radiometric.tif", _radiometric_encoder),
+    "display": (".png", lambda frame, extras: _image(".png", frame.display if extras.image is None else extras.image)),
+    "visible": ("_visible.png", lambda frame, extras: _image(".png", extras.photograph(frame.camera))),
     "visible-camera": (
-        "_visible_camera.png",
-        lambda path, frame, extras: write_image(path, extras.photograph(frame.camera.visible_camera)),
+        "_visible_camera.png", lambda frame, extras: _image(".png", extras.photograph(frame.camera.visible_camera))
     ),
 }  # fmt: skip
 
@@ -101,16 +115,17 @@ def paths(folder: str | PathLike[str], index: int, products: Iterable[str]) -> d
     return {name: Path(folder) / f"frame_{index:06d}{WRITERS[name][0]}" for name in products if name in WRITERS}
 
 
-def write(
-    folder: str | PathLike[str], frame: "Frame", products: Iterable[str], image: NDArray[np.uint8] | None = None,
+def encoders(
+    frame: "Frame", products: Iterable[str], image: NDArray[np.uint8] | None = None,
     thermography: ThermographySettings | None = None,
-    photograph: Callable[[Camera], NDArray[np.uint8]] | None = None,
-) -> dict[str, Path]:  # fmt: skip
-    """Write a frame's files and return their paths.
+    photograph: Callable[[Camera], NDArray[np.uint8]] | None = None, compression: str = "zip",
+) -> dict[str, Encoder]:  # fmt: skip
+    """Return {product: function that returns the bytes of its file}, to be called in any thread.
+
+    Everything that needs the renderer is computed before this returns.
 
     Parameters
     ----------
-    folder : path
     frame : Frame
     products : sequence of str
     image : (H, W) or (H, W, 3) uint8, optional
@@ -119,11 +134,21 @@ def write(
         Settings of the thermography software whose reading goes into `radiometric` and the EXR.
     photograph : callable, optional
         (camera) → (H, W, 3) uint8, for `visible`.
+    compression : str
+        Of the EXR, one of `thermorender.frame.exr.COMPRESSIONS`.
     """
-    extras = _Extras("truth" in products, "error" in products, image, thermography, photograph)
+    extras = _Extras("truth" in products, "error" in products, image, thermography, photograph, compression)
+    return {name: WRITERS[name][1](frame, extras) for name in products if name in WRITERS}
+
+
+def write(
+    folder: str | PathLike[str], frame: "Frame", products: Iterable[str], image: NDArray[np.uint8] | None = None,
+    thermography: ThermographySettings | None = None,
+    photograph: Callable[[Camera], NDArray[np.uint8]] | None = None,
+) -> dict[str, Path]:  # fmt: skip
+    """Write a frame's files and return their paths; the arguments are those of `encoders`."""
     files = paths(folder, frame.index, products)
-    if image is None and "display" in files:
-        extras = replace(extras, image=frame.display)
-    for name, path in files.items():
-        WRITERS[name][1](path, frame, extras)
+    for name, encode in encoders(frame, products, image, thermography, photograph).items():
+        with atomic(files[name]) as part:
+            part.write_bytes(encode())
     return files

@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -123,16 +123,14 @@ def refuse_moved(folder: Path, before: os.stat_result) -> None:
         )
 
 
-def save_state(folder: Path, index: int, state: Mapping[str, NDArray[Any]]) -> Path:
-    """Write the state after a frame and return its path: two files in turn, so that one is always whole."""
-    path = _state_files(folder)[index % 2]
-    formats.write_arrays(path, index, state)
-    return path
+def state_file(folder: Path, index: int) -> Path:
+    """Return the file of the state after a frame: one of two in turn, so that the state before is kept."""
+    return _state_files(folder)[index % 2]
 
 
 def load_state(folder: Path, index: int) -> dict[str, NDArray[Any]] | None:
     """Return the state after a frame, {name: array}; None if it is lost or damaged."""
-    return formats.read_arrays(_state_files(folder)[index % 2], index)
+    return formats.read_arrays(state_file(folder, index), index)
 
 
 def remove_state(folder: Path) -> None:

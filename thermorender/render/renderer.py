@@ -9,6 +9,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from thermorender import defaults
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.frame import Frame
 from thermorender.physics.planck import band_radiance
@@ -180,7 +181,7 @@ class Renderer:
 
     def frames(
         self, trajectory: Trajectory, rate_hz: float | None = None, start_s: float | None = None,
-        stop_s: float | None = None,
+        stop_s: float | None = None, audit: int = defaults.AUDIT,
     ) -> "FlightFrames":  # fmt: skip
         """Return the frames of a flight, to loop over: those that `thermorender.fly` writes, to the same bytes.
 
@@ -194,16 +195,18 @@ class Renderer:
             Frames per second; by default the camera's.
         start_s, stop_s : float, optional
             Part of the trajectory's time [s]; the whole by default.
+        audit : int
+            Frames from one measurement of the error budget to the next; 1 measures it in every frame.
 
         Raises
         ------
         ThermorenderError
-            Times outside the trajectory, weather that ends before it, or a camera above the range of the air or above
-            its clouds.
+            Times outside the trajectory, weather that ends before it, a camera above the range of the air or above its
+            clouds, or an `audit` below 1.
         """
         from thermorender.render.flight.frames import FlightFrames
 
-        return FlightFrames(self, trajectory, rate_hz, start_s, stop_s)
+        return FlightFrames(self, trajectory, rate_hz, start_s, stop_s, audit=audit)
 
     def radiance(
         self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None, through_air: bool = True,

@@ -18,7 +18,7 @@ class Cost:
     frames : int
         Still to be written.
     seconds : float
-        For the frame that was measured last, with its files.
+        For the frame that was measured last, with its files, which are written while the next frame is rendered.
     sizes : dict
         {product: bytes of a frame}, the mean of the frames measured.
     free : int

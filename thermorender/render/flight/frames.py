@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender import defaults
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.frame import Frame
 from thermorender.render.flight.timed import TimedRenderer
@@ -36,6 +37,8 @@ class FlightFrames:
         Part of the trajectory's time [s]; None: from its start, to its end.
     progress : callable, optional
         Called with (what, share done) while a heat balance is solved.
+    audit : int
+        The error budget is measured in frames whose number is a multiple of this; frames between carry it.
 
     Attributes
     ----------
@@ -49,15 +52,17 @@ class FlightFrames:
     Raises
     ------
     ThermorenderError
-        Times outside the trajectory, weather that ends before it, or a camera above the range of the air or above its
-        clouds.
+        Times outside the trajectory, weather that ends before it, a camera above the range of the air or above its
+        clouds, or an `audit` below 1.
     """
 
     def __init__(
         self, renderer: "Renderer", trajectory: Trajectory, rate_hz: float | None = None,
         start_s: float | None = None, stop_s: float | None = None,
-        progress: Callable[[str, float], object] | None = None,
+        progress: Callable[[str, float], object] | None = None, audit: int = defaults.AUDIT,
     ) -> None:  # fmt: skip
+        if audit < 1:
+            raise ThermorenderError(f"audit={audit} is not allowed; give 1 for every frame, or more")
         if not isinstance(trajectory, Trajectory):
             raise ThermorenderError(
                 f"trajectory={shortened(repr(trajectory))} is not a Trajectory; give what load_trajectory returns"
@@ -69,6 +74,9 @@ class FlightFrames:
         renderer.refuse_camera(self.poses[:, :3, 3])
         self.timed = TimedRenderer(renderer, *trajectory.span_s, progress)
         self.exposure = self._exposure()
+        self._audit = audit
+        # The frame that was audited last.
+        self._audited: Frame | None = None
 
     def __len__(self) -> int:
         return len(self.times)
@@ -87,7 +95,15 @@ class FlightFrames:
         """Return one frame with the sensor's reading; frames come in order."""
         time_s = float(self.times[index])
         frame = self.still(index)
-        return frame.with_reading(*self.exposure.read(index, time_s, frame.radiance))
+        frame = frame.with_reading(*self.exposure.read(index, time_s, frame.radiance))
+        first = index - index % self._audit
+        if index == first:
+            self._audited = frame
+            return frame
+        # A flight may be continued between two audits.
+        if self._audited is None or self._audited.index != first:
+            self._audited = self.still(first)
+        return frame.with_audit(self._audited)
 
     def still(self, index: int) -> Frame:
         """Return one frame, in any order, with the reading of a camera at rest."""

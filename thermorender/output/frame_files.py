@@ -1,0 +1,93 @@
+"""The files of a flight's frame: written under temporary names, then put in place with the frame's line."""
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from thermorender import files, formats
+from thermorender.errors import ThermorenderError
+from thermorender.output.resume import refuse_moved
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A frame whose files are on the disk under temporary names.
+
+    Attributes
+    ----------
+    line : dict
+        The frame's line in `frames.jsonl`.
+    parts : dict
+        {path: temporary file}.
+    """
+
+    line: dict[str, Any]
+    parts: dict[Path, Path]
+
+    def discard(self) -> None:
+        """Remove the temporary files."""
+        for part in self.parts.values():
+            part.unlink(missing_ok=True)
+
+
+def prepare(
+    folder: Path, place: os.stat_result, line: Callable[[], dict[str, Any]],
+    encoders: Mapping[Path, Callable[[], bytes]], state: tuple[Path, Callable[[], bytes]],
+) -> Prepared:  # fmt: skip
+    """Write the files of a frame under temporary names.
+
+    Parameters
+    ----------
+    folder : Path
+    place : os.stat_result
+        Of the folder at the start of the flight.
+    line : callable
+        Returns the frame's line in `frames.jsonl` without its files.
+    encoders : dict
+        {path: returns the bytes of the file}.
+    state : tuple
+        (path, returns the bytes) of the sensor's state, which is not in the line.
+
+    Raises
+    ------
+    ThermorenderError
+        A file that cannot be written, or a folder that was moved meanwhile; no temporary file is left behind.
+    """
+    frame, known = Prepared({}, {}), {}
+    try:
+        refuse_moved(folder, place)
+        for path, encode in (*encoders.items(), state):
+            with files.reported(path):
+                data = encode()
+            frame.parts[path] = files.write_aside(path, data)
+            if path in encoders:
+                known[path.name] = [len(data), formats.checksum(data)]
+        files.on_disk(*frame.parts.values())
+        return Prepared(line() | {"files": known}, frame.parts)
+    except BaseException as error:
+        frame.discard()
+        if isinstance(error, ThermorenderError):
+            # A folder that is gone has a sentence of its own.
+            refuse_moved(folder, place)
+        raise
+
+
+def put_in_place(folder: Path, place: os.stat_result, described: Callable[[], dict[str, Any]], frame: Prepared) -> None:
+    """Give the files of a frame their names, then append its line to `frames.jsonl`.
+
+    The first frame also writes `flight.json`, the value of `described`: an error before it leaves no files.
+
+    Raises
+    ------
+    ThermorenderError
+        A file that cannot be written, or a folder that was moved meanwhile.
+    """
+    refuse_moved(folder, place)
+    if not (folder / "flight.json").exists():
+        formats.write_json(folder / "flight.json", described())
+    for path, part in frame.parts.items():
+        files.put_in_place(part, path)
+    files.on_disk(folder)
+    formats.append_json(folder / "frames.jsonl", formats.sealed(frame.line))
