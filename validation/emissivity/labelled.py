@@ -241,13 +241,12 @@ def _mapped(model, label_path, texel_m):
 def _squares(label, side, count, random):
     """Numbers 1… of the groups (h, w) uint8 in squares of one label, 0 elsewhere; the groups take turns."""
     drawn = np.zeros(label.shape, np.uint8)
-    groups = [value for value in range(len(GROUPS)) if (label == value).mean() > 0.02]
+    texels = {value: np.flatnonzero(label == value) for value in range(len(GROUPS))}
+    groups = [value for value, where in texels.items() if where.size > 0.02 * label.size]
     made = 0
     for attempt in range(300 * count):
         value = groups[attempt % len(groups)]
-        rows, columns = np.nonzero(label == value)
-        pick = random.integers(rows.size)
-        top, left = rows[pick], columns[pick]
+        top, left = divmod(int(random.choice(texels[value])), label.shape[1])
         part = (slice(top, top + side), slice(left, left + side))
         around = drawn[max(top - 2, 0) : top + side + 2, max(left - 2, 0) : left + side + 2]
         if label[part].shape == (side, side) and (label[part] == value).mean() > 0.97 and not around.any():
