@@ -353,10 +353,26 @@ def test_mixture_of_possible_materials_has_their_mean_and_spread():
     spectra = np.array([material.emissivity_at(wavelength) for material, _ in pairs])
     mean = np.array([0.2, 0.5, 0.3]) @ spectra
     assert mixed.emissivity_at(wavelength) == pytest.approx(mean, abs=1e-6)
-    between = np.sqrt(np.array([0.2, 0.5, 0.3]) @ (spectra - mean) ** 2).mean()
+    between = np.sqrt(np.array([0.2, 0.5, 0.3]) @ (spectra.mean(axis=1) - mean.mean()) ** 2)
     # Their own spread is below 0.02; Planck's weights differ little from equal ones.
     assert between - 0.001 <= mixed.band_emissivity_std(7.5, 13.5, 300.0) < between + 0.02
     assert mixed.parts == ((library["snow"], 1.0),)
+
+
+def test_spectra_that_cross_do_not_make_the_band_emissivity_uncertain():
+    """Two materials of about the same band emissivity: the deviation is that of the band's mean, not of each wavelength."""
+    edges = np.array([7.0, 10.4999, 10.5001, 14.0])
+    base = load_library()["snow"]
+    one, other = (
+        replace(base, name=name, wavelength_um=edges, emissivity=np.array(values), emissivity_std=np.full(4, 0.003))
+        for name, values in (("falls", [0.98, 0.98, 0.78, 0.78]), ("rises", [0.78, 0.78, 0.98, 0.98]))
+    )
+    pairs = [(one, 0.5), (other, 0.5)]
+    mixed = mix(pairs[:1], pairs)
+    values = [float(each.band_emissivity(7.5, 13.5, 300.0)) for each, _ in pairs]
+    expected = np.hypot(0.5 * (values[0] - values[1]), 0.003)
+    assert mixed.band_emissivity_std(7.5, 13.5, 300.0) == pytest.approx(expected, abs=1e-5)
+    assert expected < 0.01
 
 
 def test_posterior_is_fitted_to_scores_that_are_too_sure():
@@ -418,7 +434,7 @@ def test_uncertain_emissivity_is_in_the_budget_and_flagged(scene):
     shown = np.isfinite(std)
     # Central difference of the seen radiance in emissivity, in mK at 300 K.
     band = loaded.camera.band_um
-    per_mk = (band_radiance(300.0005, *band) - band_radiance(299.9995, *band)).item()
+    per_mk = float(band_radiance(300.0005, *band) - band_radiance(299.9995, *band))
     contrast = np.abs(band_radiance(kelvin[shown], *band) - band_radiance(loaded.sky_temperature, *band))
     expected = np.sqrt(np.mean((std[shown] * contrast / per_mk) ** 2))
     assert frame.budget_mk["emissivity"] == pytest.approx(expected, rel=1e-3) and expected > 1.0
