@@ -46,8 +46,8 @@ def of_method(label: str, own: dict[str, Any]) -> list[Finding]:
         return found
     ground = own["errors"]["radiometric"]["ground"]
     if not ground["pixels"] and ground["pixels_without_temperature"]:
-        return [*found, _finding(label, "empty", "none of its pixels on the ground has a temperature, so its error could "
-                                 "not be checked", grave=True)]  # fmt: skip
+        return [*found, _finding(label, "empty", "none of its pixels on the ground has a temperature, so its error "
+                                 "could not be checked", grave=True)]  # fmt: skip
     return [*found, *_causes(label, own), *_rendered_with(label, own["emissivities"]["scene"])]
 
 
