@@ -160,3 +160,11 @@ def test_translate_names_the_pictures_that_the_map_was_trained_on(tmp_path):
     assert "was trained on 1 of these 2 pictures or parts of them: old.png" in said.output
     said = CliRunner().invoke(app, [*words, "-o", str(tmp_path / "quiet")], catch_exceptions=False)
     assert "trained on" not in said.output
+
+
+@pytest.mark.parametrize("size", [(0, 5), (5, 0), (255, 255)])
+def test_grid_without_cells_or_with_too_many_is_refused(size):
+    rows = np.zeros((1, BYTES), np.uint8)
+    rows[0, :2] = size
+    with pytest.raises(ValueError, match="do not fit their number of pictures or cells"):
+        Fingerprints(rows, 1)

@@ -1,6 +1,7 @@
 """Materials from RGB: features, the network's arithmetic, tiles, unknown texels, palettes, training, scenes, files."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,17 +13,19 @@ import thermorender as tr
 from scenes import write_mesh, write_raster, write_terrain
 from thermorender.campaign.material_training import band_emissivity_of, labelled_scene, train_on
 from thermorender.errors import ThermorenderError
+from thermorender.learned.emissivity import adaptation
 from thermorender.learned.emissivity import mapping as learned
 from thermorender.learned.emissivity.adaptation import adapted
 from thermorender.learned.emissivity.features import NAMES, NEAR, features
-from thermorender.learned.emissivity.mapping import EmissivityMap, load_map, map_materials, posterior, save_map
+from thermorender.learned.emissivity.mapping import EmissivityMap, load_map, map_materials, posterior, save_map, to_grid
 from thermorender.learned.emissivity.training import Labelled, fitted_posterior, train
 from thermorender.learned.features import lab
 from thermorender.materials.library import load_library
 from thermorender.materials.material import grey
 from thermorender.materials.mixture import Mixture, mix, palette, parts_of
 from thermorender.physics.planck import band_radiance, brightness_temperature
-from thermorender.scene.material_map import UNKNOWN_CLASS, write_map
+from thermorender.scene.material_map import UNKNOWN_CLASS, Picture, learned_materials, write_map
+from thermorender.scene.spec import EmissivitySpec
 from thermorender.scene.surface import FILLED, UNKNOWN
 from thermorender.synthetic.procedural_scene import make
 from validation.emissivity import study as validation
@@ -223,6 +226,35 @@ def test_too_coarse_orthophoto_is_refused(model):
         map_materials(model, np.zeros((8, 8, 3), np.uint8), 6.0)
 
 
+def test_coarsest_nominal_texels_are_taken(model):
+    """Texels of 1.25 m are 1.2505 m on the ground at the middle of a UTM zone."""
+    assert to_grid(np.zeros((4, 4, 3), np.uint8), 1.2505, model).shape == (10, 10, 3)
+
+
+def test_materials_without_data_in_the_band_are_named_at_once():
+    library = load_library()
+    picture = Picture(np.zeros((2, 2, 3), np.uint8), np.ones((2, 2), bool), 0.5)
+    source = EmissivitySpec("learned", model="procedural", fallback="soil_loam")
+    with pytest.raises(
+        ThermorenderError, match=r"of the 25 materials .* do not cover .* 8–14 µm; leave them"
+    ) as caught:
+        learned_materials(source, library, [picture], (8.0, 14.0), "scene.toml")
+    found = json.loads(re.search(r"emissivity.without = (\[.*?\])", str(caught.value)).group(1))
+    fewer = replace(source, without=tuple(found))
+    assert learned_materials(fewer, library, [picture], (8.0, 14.0), "scene.toml")[3]["share_unknown"] <= 1.0
+    with pytest.raises(
+        ThermorenderError, match=r"3–5 µm; give the scene tables that cover it, or another emissivity.s"
+    ):
+        learned_materials(source, library, [picture], (3.0, 5.0), "scene.toml")
+
+
+def test_scene_of_the_fallback_alone_states_no_deviation():
+    picture = Picture(np.zeros((2, 2, 3), np.uint8), np.ones((2, 2), bool), 0.5)
+    source = EmissivitySpec("learned", model="procedural", fallback="soil_loam", confidence=1.0)
+    report = learned_materials(source, load_library(), [picture], (7.5, 13.5), "scene.toml")[3]
+    assert report["share_unknown"] == 1.0 and "mean_std" not in report
+
+
 def test_unseen_colours_are_unknown(model):
     rgb, _ = striped(11)
     rgb[30:60, 60:90] = (255, 0, 255)
@@ -353,10 +385,26 @@ def test_mixture_of_possible_materials_has_their_mean_and_spread():
     spectra = np.array([material.emissivity_at(wavelength) for material, _ in pairs])
     mean = np.array([0.2, 0.5, 0.3]) @ spectra
     assert mixed.emissivity_at(wavelength) == pytest.approx(mean, abs=1e-6)
-    between = np.sqrt(np.array([0.2, 0.5, 0.3]) @ (spectra - mean) ** 2).mean()
+    between = np.sqrt(np.array([0.2, 0.5, 0.3]) @ (spectra.mean(axis=1) - mean.mean()) ** 2)
     # Their own spread is below 0.02; Planck's weights differ little from equal ones.
     assert between - 0.001 <= mixed.band_emissivity_std(7.5, 13.5, 300.0) < between + 0.02
     assert mixed.parts == ((library["snow"], 1.0),)
+
+
+def test_spectra_that_cross_do_not_make_the_band_emissivity_uncertain():
+    """Two materials of about the same band emissivity: the deviation is that of the band's mean."""
+    edges = np.array([7.0, 10.4999, 10.5001, 14.0])
+    base = load_library()["snow"]
+    one, other = (
+        replace(base, name=name, wavelength_um=edges, emissivity=np.array(values), emissivity_std=np.full(4, 0.003))
+        for name, values in (("falls", [0.98, 0.98, 0.78, 0.78]), ("rises", [0.78, 0.78, 0.98, 0.98]))
+    )
+    pairs = [(one, 0.5), (other, 0.5)]
+    mixed = mix(pairs[:1], pairs)
+    values = [float(each.band_emissivity(7.5, 13.5, 300.0)) for each, _ in pairs]
+    expected = np.hypot(0.5 * (values[0] - values[1]), 0.003)
+    assert mixed.band_emissivity_std(7.5, 13.5, 300.0) == pytest.approx(expected, abs=1e-5)
+    assert expected < 0.01
 
 
 def test_posterior_is_fitted_to_scores_that_are_too_sure():
@@ -399,6 +447,22 @@ def test_four_polygons_adapt_a_map_to_other_colours(model):
     few = np.where(np.arange(96)[:, None] < 40, squares, 0).astype(np.uint8)
     with pytest.raises(ThermorenderError, match="has 3 polygons, but 4 or more can update a map; add some"):
         adapted(model, replace(picture, material=few), "few", EMISSIVITY)
+    one = np.uint8(squares > 0)
+    with pytest.raises(ThermorenderError, match=r"has polygons of .* only, but a map is updated by those of two"):
+        adapted(model, replace(picture, material=one), "one", EMISSIVITY)
+
+
+def test_many_polygons_share_the_texels_of_an_update(model, monkeypatch):
+    rgb, number = striped(5)
+    rows, columns = np.indices(number.shape)
+    squares = np.where((rows % 8 < 6) & (columns % 8 < 6), number, 0).astype(np.uint8)
+    picture = Labelled(rgb, squares, dict(enumerate(STRIPES, 1)), 0.5, "many")
+    used = []
+    fitted = adaptation._fitted
+    monkeypatch.setattr(adaptation, "_MOST_TEXELS", 600)
+    monkeypatch.setattr(adaptation, "_fitted", lambda *given: used.append(len(given[1])) or fitted(*given))
+    new = adapted(model, picture, "new", EMISSIVITY)
+    assert max(used) <= 600 and len(new.centres) > len(model.centres) + 200
 
 
 def test_uncertain_emissivity_is_in_the_budget_and_flagged(scene):

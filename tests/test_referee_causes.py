@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, shift
 
-from thermorender.compare.referee import emissivities, structure
+from thermorender.compare.referee import emissivities, findings, structure
 from thermorender.compare.referee.causes.moved import moved
 from thermorender.compare.referee.causes.pooled import Causes
 from thermorender.compare.referee.causes.pose_fit import Pair, fit
@@ -203,3 +203,12 @@ def test_rates_of_the_study_count_what_is_named_rightly_and_wrongly():
     # Without a case, the exact interval ends at 1 − 0.025^(1/n).
     assert study.interval(0, 200) == pytest.approx((0.0, 1.0 - 0.025 ** (1 / 200)))
     assert study.confusion(found)["none"] == {"comparisons": 2, "nothing": 1, "contrast": 1}
+
+
+def test_method_without_any_temperature_is_named():
+    ground = {"me_k": None, "mae_k": None, "sd_k": None, "rmse_k": None, "pixels": 0, "pixels_without_temperature": 9}
+    own = {"leaks": [], "circular": [], "true_objects": False, "causes": None, "registered": None,
+           "errors": {"radiometric": {"ground": ground}}, "emissivities": {"scene": {}}}  # fmt: skip
+    (found,) = findings.of_method("foreign empty", own)
+    assert (found["kind"], found["grave"]) == ("empty", True)
+    assert findings.grouped([found])[0][0] == "Without temperatures"

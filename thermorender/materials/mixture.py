@@ -7,6 +7,7 @@ is the uncertainty.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,24 @@ class Mixture(Material):
 
     parts: tuple[tuple[Material, float], ...] = ()
     possible: tuple[tuple[Material, float], ...] = ()
+
+    def band_emissivity_std(self, lower_um: float, upper_um: float, temperature: float) -> float:
+        """Return the standard deviation of the band emissivity [1] over the possible materials, NaN without these.
+
+        It is smaller than the band mean of the spectrum's standard deviation, because spectra cross within the band.
+        """
+        if not self.possible:
+            return super().band_emissivity_std(lower_um, upper_um, temperature)
+        share = np.array([part for _, part in self.possible])
+        band = lower_um, upper_um, temperature
+        value, own = np.array([_band_values(material, band) for material, _ in self.possible]).T
+        return float(np.sqrt(share @ ((value - share @ value) ** 2 + np.square(own))))
+
+
+@lru_cache(maxsize=512)
+def _band_values(material: Material, band: tuple[float, float, float]) -> tuple[float, float]:
+    """(band emissivity, its standard deviation or 0) of a material; each of many mixtures asks for it."""
+    return float(material.band_emissivity(*band)), float(np.nan_to_num(material.band_emissivity_std(*band)))
 
 
 def parts_of(material: Material) -> tuple[tuple[Material, float], ...]:

@@ -1,5 +1,6 @@
 """Materials of a scene from its orthophoto: a learned emissivity map applied, or written as files for correction."""
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -78,13 +79,18 @@ def learned_materials(
         Where the fallback is used, the last of the materials returned, or the emissivity's standard deviation is larger
         than `source.most_std`.
     report : dict
-        Shares of texels with the fallback and with a large standard deviation, mean confidence and standard deviation,
-        errors of the palette and the coarsest texel.
+        Shares of texels with the fallback and with a large standard deviation, mean confidence and standard deviation
+        (left out if all have the fallback), errors of the palette and the coarsest texel.
+
+    Raises
+    ------
+    ThermorenderError
+        The map cannot be used, or materials of it were not measured over the band.
     """
     assert source.model is not None and source.fallback is not None
     model = load_map(source.model).without(source.without)
     of = f"emissivity map {model.name!r}"
-    own = [within_band(material_tables.find(library, name, of), band_um, library, where) for name in model.materials]
+    own = _in_band([material_tables.find(library, name, of) for name in model.materials], library, band_um, of, where)
     fallback = material_tables.find(library, source.fallback, f"{where}: emissivity.fallback")
     mapped = [map_materials(model, one.colour, one.texel_m) for one in pictures]
     together = [np.concatenate([a.reshape(-1, *a.shape[2:]) for a in arrays]) for arrays in (
@@ -106,18 +112,43 @@ def learned_materials(
         "share_unknown": float(unknown.sum() / valid.sum()),
         "share_uncertain": float(doubtful.sum() / valid.sum()),
         "mean_confidence": float(confidence[valid].mean()),
-        "mean_std": float(np.nanmean(std[valid & ~unknown])) if (valid & ~unknown).any() else float("nan"),
         "palette_mean": error["mean"],
         "palette_largest": error["largest"],
         "texel_m": max(one.texel_m for one in pictures),
         "trained_texel_m": model.texel_m,
     }
+    if (valid & ~unknown).any():
+        report["mean_std"] = float(np.nanmean(std[valid & ~unknown]))
     ends = np.cumsum([one.valid.size for one in pictures])[:-1]
 
     def apart(values: NDArray[Any]) -> list[NDArray[Any]]:
         return [part.reshape(one.valid.shape) for part, one in zip(np.split(values, ends), pictures, strict=True)]
 
     return apart(number), [*used, fallback], apart(unknown | doubtful), report
+
+
+def _in_band(
+    materials: Sequence[Material], library: Mapping[str, Material], band_um: tuple[float, float], of: str, where: str
+) -> list[Material]:
+    """Materials of a map that cover a band; ThermorenderError names all those that do not."""
+    found, missing = [], []
+    for material in materials:
+        try:
+            found.append(within_band(material, band_um, library, where))
+        except ThermorenderError:
+            missing.append(material.name)
+    if missing:
+        advice = (
+            f"leave them out with emissivity.without = {json.dumps(missing, ensure_ascii=False)}, or give the scene "
+            "tables that cover it"
+            if len(found) >= 2
+            else "give the scene tables that cover it, or another emissivity.source"
+        )
+        raise ThermorenderError(
+            f"{where}: the tables of {len(missing)} of the {len(materials)} materials of {of} do not cover the "
+            f"camera's band {band_um[0]:g}–{band_um[1]:g} µm; {advice}"
+        )
+    return found
 
 
 def orthophoto_of(spec: SceneSpec) -> tuple[NDArray[np.uint8], NDArray[np.bool_], Grid, float]:

@@ -18,7 +18,7 @@ _SAME_EDGES = 3.0
 # A gain below this counts as no contrast.
 _FLAT = 0.2
 _TITLES = {
-    "leak": "Seen in training", "circular": "Circular", "offset": "Offset",
+    "leak": "Seen in training", "empty": "Without temperatures", "circular": "Circular", "offset": "Offset",
     "shift": "Shifted", "mirrored": "Mirrored", "unlike": "Frames unlike the scene", "contrast": "Wrong contrast",
     "blur": "Blurred",
     "flat": "Almost no contrast, or inverted contrast", "material": "An offset on a material",
@@ -44,6 +44,10 @@ def of_method(label: str, own: dict[str, Any]) -> list[Finding]:
     found += [_finding(label, "circular", text, grave=True) for text in own["circular"]]
     if not own["errors"] or own["true_objects"]:
         return found
+    ground = own["errors"]["radiometric"]["ground"]
+    if not ground["pixels"] and ground["pixels_without_temperature"]:
+        return [*found, _finding(label, "empty", "none of its pixels on the ground has a temperature, so its error "
+                                 "could not be checked", grave=True)]  # fmt: skip
     return [*found, *_causes(label, own), *_rendered_with(label, own["emissivities"]["scene"])]
 
 

@@ -55,7 +55,8 @@ class Fingerprints:
         rows = self.rows
         if rows.dtype != np.uint8 or rows.ndim != 2 or rows.shape[1] != BYTES or not len(rows):
             raise ValueError(f"fingerprints are not rows of {BYTES} bytes")
-        if not 0 < len(rows) <= self.pictures or not (rows[:, 0].astype(int) * rows[:, 1] <= _CELLS).all():
+        cells = rows[:, 0].astype(int) * rows[:, 1]
+        if len(rows) > self.pictures or not ((cells > 0) & (cells <= _CELLS)).all():
             raise ValueError("fingerprints do not fit their number of pictures or cells")
 
     def __len__(self) -> int:

@@ -11,15 +11,15 @@ from dataclasses import replace
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.learned.emissivity.features import NEAR, features
+from thermorender.learned.emissivity.features import NAMES, NEAR, features
 from thermorender.learned.emissivity.mapping import MOST_MATERIALS, EmissivityMap, to_grid
 from thermorender.learned.emissivity.training import Labelled, emissivity_loss, fitted_posterior
 
 # Penalties tried, from almost free to almost fixed weights.
 _PENALTIES = (1e-3, 1e-2, 1e-1)
 _FOLDS = 5
-# Texels used of each polygon, and the fewest polygons.
-_MOST_PER_POLYGON, _FEWEST_POLYGONS = 150, 4
+# Texels used of each polygon and of all, and the fewest polygons.
+_MOST_PER_POLYGON, _MOST_TEXELS, _FEWEST_POLYGONS = 150, 60_000, 4
 # Score of a material that the map does not know yet, below the largest of the others.
 _NEW = -4.0
 
@@ -43,7 +43,7 @@ def adapted(
     Raises
     ------
     ThermorenderError
-        The orthophoto is too coarse, there are fewer than four polygons, or too many materials.
+        The orthophoto is too coarse, there are fewer than four polygons or two materials, or too many materials.
     """
     import cv2
 
@@ -57,19 +57,23 @@ def adapted(
             f"{item.source} and map {model.name!r} name {len(materials)} materials together; label fewer, at most "
             f"{MOST_MATERIALS} in all"
         )
-    described = features(rgb)
-    texels, truth, polygon = [], [], []
-    for value in present:
-        number, part = cv2.connectedComponents((labels == value).astype(np.uint8))
-        for one in range(1, number):
-            inside = described[part == one]
-            texels.append(inside[generator.permutation(len(inside))[:_MOST_PER_POLYGON]])
-            truth.append(np.full(len(texels[-1]), materials.index(item.names[value])))
-            polygon.append(np.full(len(texels[-1]), len(polygon)))
-    if len(polygon) < _FEWEST_POLYGONS:
+    polygons = [(value, inside) for value in present for inside in _connected(labels == value)]
+    if len(polygons) < _FEWEST_POLYGONS:
         raise ThermorenderError(
-            f"{item.source} has {len(polygon)} polygons, but {_FEWEST_POLYGONS} or more can update a map; add some"
+            f"{item.source} has {len(polygons)} polygons, but {_FEWEST_POLYGONS} or more can update a map; add some"
         )
+    if len(present) < 2:
+        raise ThermorenderError(
+            f"{item.source} has polygons of {item.names[present[0]]} only, but a map is updated by those of two "
+            "or more materials; label another material too"
+        )
+    described = features(rgb).reshape(-1, len(NAMES))
+    most = min(_MOST_PER_POLYGON, max(1, _MOST_TEXELS // len(polygons)))
+    texels, truth, polygon = [], [], []
+    for number, (value, inside) in enumerate(polygons):
+        texels.append(described[inside[generator.permutation(len(inside))[:most]]])
+        truth.append(np.full(len(texels[-1]), materials.index(item.names[value])))
+        polygon.append(np.full(len(texels[-1]), number))
     found, label, of = map(np.concatenate, (texels, truth, polygon))
     standard = (found - model.mean) / model.scale
     hidden = standard
@@ -89,6 +93,15 @@ def adapted(
         model, name=name, materials=tuple(materials), layers=(*model.layers[:-1], (weight, bias)), about=about,
         centres=np.concatenate([model.centres, np.float32(near)]), softening=softening, prior=prior,
     )  # fmt: skip
+
+
+def _connected(mask):
+    """Texel numbers of each connected area of a mask, (h, w) bool, in a list."""
+    import cv2
+
+    number, part = cv2.connectedComponents(mask.astype(np.uint8))
+    order = np.argsort(part, axis=None, kind="stable")
+    return np.split(order, np.searchsorted(part.ravel()[order], np.arange(1, number)))[1:]
 
 
 def _start(model, hidden, count):

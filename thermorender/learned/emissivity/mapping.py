@@ -25,6 +25,8 @@ SHIPPED = {"procedural": Path(__file__).with_name("procedural.npz")}
 MOST_MATERIALS = 254
 # An orthophoto may be this many times coarser than the map's grid; beyond, texture looks different.
 COARSEST_RATIO = 2.5
+# Largest deviation of a map projection's scale from 1 that texels of nominal size are allowed.
+_PROJECTION = 0.005
 _TILE_TEXELS = 512  # on the map's grid
 _CHUNK_TEXELS = 8192
 _FORMAT = 3
@@ -229,7 +231,8 @@ def to_grid(rgb: np.ndarray, texel_m: float, model: EmissivityMap) -> np.ndarray
     """Return an orthophoto, (h, w, 3) uint8, resampled to the ground sampling distance of an EmissivityMap."""
     import cv2
 
-    if not texel_m <= COARSEST_RATIO * model.texel_m:
+    # A nominal texel differs from its size on the ground by the scale of the map projection.
+    if not texel_m <= (1.0 + _PROJECTION) * COARSEST_RATIO * model.texel_m:
         raise ThermorenderError(
             f"the picture has texels of {texel_m:.3g} m, but emissivity map {model.name!r} was trained at "
             f"{model.texel_m:g} m and takes at most {COARSEST_RATIO * model.texel_m:g} m; give a finer one, or "
