@@ -57,6 +57,15 @@ def test_only_a_falling_curve_is_extrapolated_by_its_power_law(tmp_path):
     assert [row[5] for row in trainings.rows(result)] == [702_200, "392000000 or 98000"]
 
 
+@pytest.mark.parametrize(
+    "seconds",
+    [[1.0, 2.0, 3.0, 3.0, 5.0], [5.0, 4.0, 3.0, 2.0, 1.0], [0.0] * 5, [1.0, 1.0 + 1e-9, 1.0 + 2e-9, 1.1, 1.2]],
+)
+def test_a_curve_without_a_power_law_is_not_extrapolated(seconds):
+    curve = [(100 * (k + 1), second, 8.0 * 0.5**k) for k, second in enumerate(seconds)]
+    assert trainings.extrapolated(curve, 0.5) is None
+
+
 def test_a_method_is_ahead_with_less_error_in_a_tenth_of_the_time(tmp_path):
     slow = write(tmp_path / "slow.run", [3.0, 2.0], core_s=100.0)
     # Within 20 core seconds 1.5 K; the slower one's best, 2 K, took 200.

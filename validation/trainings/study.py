@@ -24,6 +24,8 @@ _EPOCHS = 4
 SOONER = 10.0
 # Factor of core time up to which a curve is extrapolated, and the share of the crops that is fitted.
 FURTHER, _LATER = 2.0, 0.5
+# Exponent beyond which a curve is not taken for a power law: the error falls to a hundredth in twice the time.
+_STEEPEST = 6.6
 # Smallest difference of errors for a training to be ahead [K].
 _LEAST_K = 0.01
 
@@ -89,7 +91,7 @@ def _read(folder):
 def extrapolated(curve, last_fifth):
     """Return {"core_s", "mae_k", "exponent"} of a curve extended `FURTHER` times as far, by a power law of core time.
 
-    None for a training that is on its plateau or too short.
+    None for a training that is on its plateau or too short, or whose times or errors have no power law.
 
     Parameters
     ----------
@@ -101,7 +103,13 @@ def extrapolated(curve, last_fifth):
         return None
     crops, seconds, errors = np.array(curve, np.float64).T
     later = crops > (1.0 - _LATER) * crops[-1]
-    exponent, _ = np.polyfit(np.log(seconds[later]), np.log(np.minimum.accumulate(errors)[later]), 1)
+    seconds, best = seconds[later], np.minimum.accumulate(errors)[later]
+    # A log of a clock that stood or ran backwards, or with an error of zero, has no power law.
+    if (np.diff(seconds) <= 0.0).any() or seconds[0] <= 0.0 or best[-1] <= 0.0:
+        return None
+    exponent, _ = np.polyfit(np.log(seconds), np.log(best), 1)
+    if not -_STEEPEST <= exponent <= 0.0:
+        return None
     return {"core_s": float(FURTHER * seconds[-1]), "mae_k": float(errors.min() * FURTHER**exponent),
             "exponent": float(exponent)}  # fmt: skip
 
