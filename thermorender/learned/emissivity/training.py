@@ -219,7 +219,8 @@ def fitted_posterior(scores, truths, emissivity):
 
     The emissivity of a texel is taken as normal with the mean and standard deviation of the posterior over materials,
     whose own are `emissivity` (C,). A material whose score is minus infinity was not known to that domain's network;
-    the prior alone covers it. The softening is 0.5…20, the prior 0.001…0.95. Domains have equal weight.
+    the prior alone covers it. The softening is 1…20, so that no network is made surer; the prior is 0.001…0.95. Domains
+    have equal weight.
     """
     from scipy.optimize import minimize
 
@@ -227,7 +228,7 @@ def fitted_posterior(scores, truths, emissivity):
         softening, prior = np.exp(free[0]), 1.0 / (1.0 + np.exp(-free[1]))
         return emissivity_loss(scores, truths, emissivity, softening, prior)
 
-    bounds = [(np.log(0.5), np.log(20.0)), (np.log(0.001 / 0.999), np.log(0.95 / 0.05))]
+    bounds = [(0.0, np.log(20.0)), (np.log(0.001 / 0.999), np.log(0.95 / 0.05))]
     found = minimize(loss, [np.log(2.0), 0.0], bounds=bounds, method="L-BFGS-B")
     return float(np.exp(found.x[0])), float(1.0 / (1.0 + np.exp(-found.x[1])))
 
