@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+import trimesh
 
 import thermorender as tr
 from scenes import write_mesh, write_raster, write_terrain
@@ -24,6 +25,7 @@ from thermorender.materials.library import load_library
 from thermorender.materials.material import grey
 from thermorender.materials.mixture import Mixture, mix, palette, parts_of
 from thermorender.physics.planck import band_radiance, brightness_temperature
+from thermorender.render.pixels.budget import emissivity_mk
 from thermorender.scene.material_map import UNKNOWN_CLASS, Picture, learned_materials, write_map
 from thermorender.scene.spec import EmissivitySpec
 from thermorender.scene.surface import FILLED, UNKNOWN
@@ -488,6 +490,24 @@ def test_uncertain_emissivity_is_in_the_budget_and_flagged(scene):
     assert frame.budget_mk["emissivity"] == pytest.approx(expected, rel=1e-3) and expected > 1.0
     parts = [value for cause, value in frame.budget_mk.items() if cause not in ("total", "image", "emissivity")]
     assert frame.budget_mk["total"] == pytest.approx(np.sqrt(np.sum(np.square(parts))))
+
+
+@pytest.mark.parametrize("kelvin", [250.0, 300.0, 400.0])
+def test_the_effect_of_an_uncertain_emissivity_is_that_of_rendering_another(tmp_path, kelvin):
+    """Level ground under a uniform sky, rendered with an emissivity of 0.9 and of 0.93, without air."""
+    radiance = []
+    ground = trimesh.Trimesh(20.0 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]), [[0, 1, 2], [0, 2, 3]])
+    for value in (0.9, 0.93):
+        path = write_mesh(tmp_path / f"ground {value}", ground, kelvin, value, sky=260.0)
+        renderer = tr.Renderer(tr.load_scene(path), rays=64)
+        frame = renderer.frame(tr.pose(0, 0, 10, pitch_deg=-90))
+        radiance.append(frame.radiance.astype(np.float64))
+    images = {**frame.truth, "emissivity_std": np.full(frame.radiance.shape, 0.03)}
+    stated = emissivity_mk(renderer.baked, images)
+    seen = np.abs(radiance[1] - radiance[0]) / renderer.plan.radiance_per_mk
+    assert seen.mean() > 100.0
+    # Rounding of float32 radiance, 6e-8 of 100 K and more, is below 0.05 mK.
+    assert np.abs(stated - seen)[np.isfinite(stated)].max() < 0.05 + 1e-4 * seen.mean()
 
 
 def test_scene_takes_its_materials_from_its_orthophoto(scene):

@@ -157,7 +157,7 @@ class KelvinTable:
 
 @lru_cache(maxsize=4)
 def kelvin_table(lower_um: float, upper_um: float) -> KelvinTable:
-    """Return the table of a band for 20 to 5000 K, as far as float32 holds their radiances."""
+    """Return the KelvinTable of a band [µm] for 20 to 5000 [K], as far as float32 holds their radiances."""
     knot = np.geomspace(*_RANGE_K, _KNOTS)
     radiance = band_radiance(knot, lower_um, upper_um)
     # 1/T is nearly straight over ln L.

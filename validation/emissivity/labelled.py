@@ -30,7 +30,7 @@ GROUPS = {
     "vegetation": ("grass_green", "grass_dry", "heath_shrub", "conifer", "broadleaf"),
 }  # fmt: skip
 # A map's further materials count to these groups; those of the table above to the first that names them.
-_FURTHER = {"steel_galvanised_oxidised": "building", "snow": "water", "concrete_urban": "road"}
+_FURTHER = {"steel_galvanised_oxidised": "building", "snow": "water"}
 # Apparent temperatures are of ground of this temperature under these skies [K].
 _GROUND_K, SKIES_K = 300.0, {"clear": 250.0, "cloudy": 285.0}
 HEADER = ("set", "tiles", "accuracy", "balanced", "mean |Δε|", "constant 0.95", "best constant", "÷ best constant",

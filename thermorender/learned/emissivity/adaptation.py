@@ -12,7 +12,7 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity.features import NAMES, NEAR, features
-from thermorender.learned.emissivity.mapping import MOST_MATERIALS, EmissivityMap, to_grid
+from thermorender.learned.emissivity.mapping import MOST_MATERIALS, EmissivityMap, hidden, to_grid
 from thermorender.learned.emissivity.training import Labelled, emissivity_loss, fitted_posterior
 
 # Penalties tried, from almost free to almost fixed weights.
@@ -76,16 +76,14 @@ def adapted(
         polygon.append(np.full(len(texels[-1]), number))
     found, label, of = map(np.concatenate, (texels, truth, polygon))
     standard = (found - model.mean) / model.scale
-    hidden = standard
-    for weight, bias in model.layers[:-1]:
-        hidden = np.maximum(hidden @ weight + bias, 0.0)
-    start = _start(model, hidden, len(materials))
+    before = hidden(model.layers, standard)
+    start = _start(model, before, len(materials))
     folds = np.array_split(generator.permutation(len(polygon)), min(_FOLDS, len(polygon)))
-    scored = {penalty: _left_out(start, hidden, label, of, folds, penalty) for penalty in _PENALTIES}
+    scored = {penalty: _left_out(start, before, label, of, folds, penalty) for penalty in _PENALTIES}
     values = np.array([emissivity(each) for each in materials])
     posteriors = {penalty: fitted_posterior(*scores, values) for penalty, scores in scored.items()}
     best = min(_PENALTIES, key=lambda penalty: emissivity_loss(*scored[penalty], values, *posteriors[penalty]))
-    weight, bias = _fitted(start, hidden, label, of, best)
+    weight, bias = _fitted(start, before, label, of, best)
     softening, prior = posteriors[best]
     near = np.stack([standard[of == one][:, NEAR].mean(axis=0) for one in range(len(polygon))])
     about = {**model.about, "adapted_to": f"{len(polygon)} polygons: {item.source}", "adapted_from": model.name}
@@ -104,22 +102,22 @@ def _connected(mask):
     return np.split(order, np.searchsorted(part.ravel()[order], np.arange(1, number)))[1:]
 
 
-def _start(model, hidden, count):
+def _start(model, before, count):
     """The last layer (weight, bias) with columns for `count` materials; the new ones are improbable."""
     weight, bias = model.layers[-1]
     new = count - len(bias)
-    lowest = np.float32((hidden @ weight + bias).max(axis=1).mean() + _NEW)
+    lowest = np.float32((before @ weight + bias).max(axis=1).mean() + _NEW)
     return np.hstack([weight, np.zeros((len(weight), new), np.float32)]), np.append(bias, np.full(new, lowest))
 
 
-def _fitted(start, hidden, label, polygon, penalty):
+def _fitted(start, before, label, polygon, penalty):
     """The last layer fitted to texels; each polygon counts the same."""
     from scipy.optimize import minimize
 
     weight, bias = start
-    scale = hidden.std(axis=0) + 1e-3
+    scale = before.std(axis=0) + 1e-3
     first = np.vstack([weight * scale[:, None], bias]).astype(np.float64)
-    entry = np.hstack([hidden / scale, np.ones((len(hidden), 1))]).astype(np.float64)
+    entry = np.hstack([before / scale, np.ones((len(before), 1))]).astype(np.float64)
     share = 1.0 / np.bincount(polygon)[polygon]
     share /= share.sum()
     hot = np.zeros((len(label), len(bias)))
@@ -140,13 +138,13 @@ def _fitted(start, hidden, label, polygon, penalty):
     return np.float32(last[:-1] / scale[:, None]), np.float32(last[-1])
 
 
-def _left_out(start, hidden, label, polygon, folds, penalty):
+def _left_out(start, before, label, polygon, folds, penalty):
     """(scores, labels) of polygons left out of the fit, a pair of lists with an array per fold."""
     scores, labels = [], []
     for fold in folds:
         out = np.isin(polygon, fold)
         _, own = np.unique(polygon[~out], return_inverse=True)
-        weight, bias = _fitted(start, hidden[~out], label[~out], own, penalty)
-        scores.append(hidden[out] @ weight + bias)
+        weight, bias = _fitted(start, before[~out], label[~out], own, penalty)
+        scores.append(before[out] @ weight + bias)
         labels.append(label[out])
     return scores, labels

@@ -77,12 +77,7 @@ class EmissivityMap:
         Novelty is the distance from the nearest centre over `threshold`; above 1, a texel is unlike the training data.
         """
         standard = (described - self.mean) / self.scale
-        value = standard
-        for weight, bias in self.layers[:-1]:
-            value = np.maximum(value @ weight + bias, 0.0)
-        weight, bias = self.layers[-1]
-        value = value @ weight + bias
-        value = posterior(value, self.softening, self.prior)
+        value = posterior(outputs(self.layers, standard), self.softening, self.prior)
         near = standard[:, NEAR]
         squared = (self.centres**2).sum(axis=-1) - 2.0 * (near @ self.centres.T)
         distance = np.sqrt(np.maximum(squared.min(axis=-1) + (near**2).sum(axis=-1), 0.0))
@@ -144,6 +139,19 @@ class Mapped:
     share: np.ndarray
     probability: np.ndarray
     confidence: np.ndarray
+
+
+def hidden(layers: Sequence[tuple[np.ndarray, np.ndarray]], standard: np.ndarray) -> np.ndarray:
+    """Return the values before a network's last layer, (N, H), of standardised features (N, F)."""
+    for weight, bias in layers[:-1]:
+        standard = np.maximum(standard @ weight + bias, 0.0)
+    return standard
+
+
+def outputs(layers: Sequence[tuple[np.ndarray, np.ndarray]], standard: np.ndarray) -> np.ndarray:
+    """Return a network's outputs before the softmax, (N, C), of standardised features (N, F)."""
+    weight, bias = layers[-1]
+    return hidden(layers, standard) @ weight + bias
 
 
 def posterior(score: np.ndarray, softening: float, prior: float) -> np.ndarray:

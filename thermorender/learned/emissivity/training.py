@@ -14,7 +14,7 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity.features import NEAR, features
-from thermorender.learned.emissivity.mapping import MOST_MATERIALS, EmissivityMap, posterior, to_grid
+from thermorender.learned.emissivity.mapping import MOST_MATERIALS, EmissivityMap, outputs, posterior, to_grid
 
 # Side of the blocks of ground that are trained on or held out as a whole [texels]: neighbours look alike, so holding
 # out single texels would test nothing.
@@ -179,7 +179,7 @@ def _calibration(described, truth, domain, held_out, emissivity, seed, report):
     folds = np.array_split(generator.permutation(domains), min(len(domains), _FOLDS))
     if len(domains) == 1:
         folds, domain = [np.array([1])], held_out.astype(np.int64)
-    scores, truths = [], []
+    found, truths = [], []
     for number, fold in enumerate(folds):
         tested = np.isin(domain, fold)
         report("calibrating", number / len(folds))
@@ -196,22 +196,14 @@ def _calibration(described, truth, domain, held_out, emissivity, seed, report):
         layers = _layers((described[drawn] - mean) / scale, own, len(inside), seed, _CALIBRATION_EPOCHS, _quiet)
         test = generator.choice(np.flatnonzero(tested), min(_CALIBRATION_TESTS, int(tested.sum())), replace=False)
         score = np.full((test.size, int(truth.max()) + 1), -np.inf, dtype=np.float32)
-        score[:, inside] = _scores(layers, np.float32((described[test] - mean) / scale))
-        scores.append(score)
+        score[:, inside] = outputs(layers, (described[test] - mean) / scale)
+        found.append(score)
         truths.append(truth[test])
-    return fitted_posterior(scores, truths, emissivity) if scores else (1.0, 0.0)
+    return fitted_posterior(found, truths, emissivity) if found else (1.0, 0.0)
 
 
 def _quiet(what, share):
     """Report nothing."""
-
-
-def _scores(layers, standard):
-    """The network's outputs before the softmax, (N, C) float32, of standardised features (N, F)."""
-    for weight, bias in layers[:-1]:
-        standard = np.maximum(standard @ np.float32(weight) + np.float32(bias), 0.0)
-    weight, bias = layers[-1]
-    return standard @ np.float32(weight) + np.float32(bias)
 
 
 def fitted_posterior(scores, truths, emissivity):
