@@ -99,7 +99,7 @@ def updated(folders, texel_m, squares=10, tiles=5, model="procedural", seed=0, p
     squares : int
         Labelled squares of 10 m, as many of each group as there are.
     tiles : int
-        Pictures of each folder, evenly spaced.
+        Pictures of each folder, evenly spaced; those with squares of a single group are left out.
 
     Notes
     -----
@@ -117,6 +117,8 @@ def updated(folders, texel_m, squares=10, tiles=5, model="procedural", seed=0, p
                 progress(f"{folder.name}, {path.stem}, {squares} squares", number / tiles)
             before, label, rgb = _mapped(model, path, metres)
             drawn = _squares(label, round(_SQUARE_M / metres), squares, random)
+            if len(np.unique(drawn[drawn > 0])) < 2:
+                continue  # one group cannot update a map
             names = dict(enumerate(_NAMED, 1))
             new = adapted(model, Labelled(rgb, drawn, names, metres, path.stem), "updated", band_emissivity_of())
             rest = np.flatnonzero((label.ravel() < len(GROUPS)) & (drawn.ravel() == 0))
