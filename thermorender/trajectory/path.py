@@ -27,6 +27,8 @@ GroundHeight = Callable[[NDArray[np.float64], NDArray[np.float64]], ArrayLike]
 
 # Largest deviation of a quaternion's length from 1, by digits lost in a log.
 QUATERNION_TOLERANCE = 1e-3
+# Deviation that normalising leaves.
+_ROUNDING = 1e-15
 
 # Frame numbers have six digits.
 MOST_FRAMES = 1_000_000
@@ -106,7 +108,9 @@ class Trajectory:
         if (np.abs(length - 1.0) > QUATERNION_TOLERANCE).any():
             k = int(np.argmax(np.abs(length - 1.0) > QUATERNION_TOLERANCE))
             raise ThermorenderError(f"quaternion: sample {k} has length {length[k]:.6g}; unit quaternions are needed")
-        quaternion /= length[:, None]
+        # Rounded unit quaternions stay as they are, so that a trajectory of another's samples is the same.
+        off = np.abs(length - 1.0) > _ROUNDING
+        quaternion[off] /= length[off, None]
         for name, array in (("time_s", time_s), ("position", position), ("quaternion", quaternion)):
             array.flags.writeable = False
             object.__setattr__(self, name, array)
