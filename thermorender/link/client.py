@@ -6,6 +6,7 @@ Only NumPy is imported, so that a simulator's process stays light.
 import json
 import socket
 import struct
+import time
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
@@ -23,7 +24,7 @@ from thermorender.link.wire import DEFAULT_PORT, HEADER, Head, LinkError, Produc
 
 def connect(
     host: str = "127.0.0.1", port: int = DEFAULT_PORT, token: str | None = None,
-    token_path: str | PathLike[str] | None = None, timeout_s: float = 120.0,
+    token_path: str | PathLike[str] | None = None, timeout_s: float = 120.0, wait_s: float = 0.0,
 ) -> "Client":  # fmt: skip
     """Return a connection to a running `thermorender serve`.
 
@@ -37,13 +38,28 @@ def connect(
         The server's token file; by default that of a server of the same user and port on this machine.
     timeout_s : float
         Longest wait for a reply [s].
+    wait_s : float
+        How long to wait for a server that is being started [s].
 
     Raises
     ------
     ThermorenderError
         Nothing listens there, or the token cannot be read. LinkError: the server refuses the token.
     """
-    text = read_token(token_path or token_file(port)) if token is None else checked_token(token)
+    end = time.monotonic() + wait_s
+    while True:
+        try:
+            text = read_token(token_path or token_file(port)) if token is None else checked_token(token)
+            return _connected(host, port, text, timeout_s)
+        except LinkError:
+            raise
+        except ThermorenderError:
+            if time.monotonic() >= end:
+                raise
+        time.sleep(0.1)
+
+
+def _connected(host: str, port: int, token: str, timeout_s: float) -> "Client":
     try:
         connection = socket.create_connection((host, port), timeout_s)
     except OSError as error:
@@ -52,7 +68,7 @@ def connect(
             "port that it printed"
         ) from None
     try:
-        return Client(connection, text)
+        return Client(connection, token)
     except BaseException:
         connection.close()
         raise

@@ -189,6 +189,11 @@ class Server:
                 self._loop.call_soon_threadsafe(self._ended.set)
             self._thread.join(10.0)
 
+    @property
+    def in_hand(self) -> tuple[int, int, int]:
+        """Connections, sessions, and bytes of requests and replies that are kept now."""
+        return len(self._clients), self._sessions, self._held
+
     def stop(self) -> None:
         """Let `run` return after the frame that it renders; any thread may call this."""
         self._jobs.put(None)
