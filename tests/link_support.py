@@ -2,27 +2,32 @@
 
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import numpy as np
 
 from thermorender import link
 from thermorender.errors import ThermorenderError
-from thermorender.link.messages import Opened, reply_head
-from thermorender.link.server import Limits, Server
-from thermorender.link.wire import IMAGES
+from thermorender.link.connections import Limits
+from thermorender.link.messages import Opened, reply_bytes, reply_head
+from thermorender.link.server import Server
+from thermorender.link.wire import HEADER, IMAGES, Type
 
+# Time at which a session of `Stills` fails.
+FAULT_S = -13.25
 TOKEN = "0123456789abcdef" * 4
 
 
 class Still:
     """A session whose images hold the number of the frame; `gate` lets frames wait."""
 
-    def __init__(self, settings, gate=None):
-        self.opened = Opened(4, 3, 30.0, 0.01, 0.01, 0.01, (7.5, 13.5), 14, (280.0, 300.0))
+    def __init__(self, settings, gate=None, size=(4, 3)):
+        self.opened = Opened(*size, 30.0, 0.01, 0.01, 0.01, (7.5, 13.5), 14, (280.0, 300.0))
         self.settings, self.gate, self.index, self.time_s, self.path = settings, gate, -1, -np.inf, []
 
-    most_bytes = 1000
+    @property
+    def most_bytes(self):
+        return reply_bytes(0x1FF, self.opened.width, self.opened.height)
 
     def answer(self, requests, arrived_s):
         if self.gate is not None:
@@ -30,7 +35,7 @@ class Still:
         request = requests[-1]
         if request.time_s <= self.time_s:
             raise ThermorenderError("time runs backwards")
-        if request.time_s == 13.0:
+        if request.time_s == FAULT_S:
             raise ZeroDivisionError("a fault of the server")
         self.time_s, self.index = request.time_s, self.index + 1
         self.path += [row[0] for each in requests for row in each.poses]
@@ -52,8 +57,8 @@ class Still:
 class Stills:
     """A stage of such sessions."""
 
-    def __init__(self, gate=None):
-        self.gate, self.opened = gate, []
+    def __init__(self, gate=None, size=(4, 3)):
+        self.gate, self.size, self.opened = gate, size, []
 
     def describe(self):
         return {"scene": "stills", "cameras": {"still": {}}}
@@ -61,7 +66,7 @@ class Stills:
     def open(self, settings):
         if settings.camera not in ("", "still"):
             raise ThermorenderError(f"camera {settings.camera!r} is not served; give still")
-        self.opened.append(Still(settings, self.gate))
+        self.opened.append(Still(settings, self.gate, self.size))
         return self.opened[-1]
 
 
@@ -82,3 +87,32 @@ def serving(stage=None, **limits):
 
 def connected(server, **options):
     return link.connect(port=server.port, token=TOKEN, timeout_s=20.0, **options)
+
+
+def read(own):
+    """(type, session, id, payload) of the next message; None at the end of the connection."""
+
+    def exactly(count):
+        data = b""
+        while len(data) < count:
+            with suppress(ConnectionResetError):
+                got = own.recv(count - len(data))
+                data += got
+                if got:
+                    continue
+            return None
+        return data
+
+    head = exactly(HEADER.size)
+    if head is None:
+        return None
+    _, _, kind, length, session, number = HEADER.unpack(head)
+    return Type(kind), session, number, exactly(length)
+
+
+def settled(server):
+    """Nothing of closed connections is kept."""
+    end = time.monotonic() + 10.0
+    while server.in_hand != (0, 0, 0) and time.monotonic() < end:
+        time.sleep(0.01)
+    assert server.in_hand == (0, 0, 0)

@@ -15,13 +15,13 @@ import sys
 import threading
 import time
 import traceback
-from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from dataclasses import replace
+from typing import Any
 
 from thermorender.errors import ThermorenderError
-from thermorender.link.messages import Open, Opened, Request, refuse_length
+from thermorender.link.connections import DEFAULT_LIMITS, Job, Limits, Peer, Seat, Stages
+from thermorender.link.messages import Open, Request, refuse_length
 from thermorender.link.wire import (
     DEFAULT_PORT,
     HEADER,
@@ -34,105 +34,6 @@ from thermorender.link.wire import (
     head_of,
     message,
 )
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Limits of a server.
-
-    Attributes
-    ----------
-    connections : int
-        At once.
-    sessions : int
-        Open at once, of all connections.
-    waiting : int
-        Requests of one connection that are not answered yet; the server reads no more before.
-    memory_bytes : int
-        Of requests and replies in hand.
-    hello_s, message_s, reply_s : float
-        Time for the first message, for a message once it has begun, and for a client to take a reply [s].
-    samples : int
-        Of the requests that one later request may replace: poses, values of objects, and one for each.
-    """
-
-    connections: int = 256
-    sessions: int = 64
-    waiting: int = 8
-    memory_bytes: int = 512 << 20
-    hello_s: float = 5.0
-    message_s: float = 10.0
-    reply_s: float = 30.0
-    samples: int = 16_384
-
-
-class Shown(Protocol):
-    """A session, as the server needs it: `thermorender.link.session.Session`."""
-
-    opened: Opened
-
-    @property
-    def most_bytes(self) -> int:
-        """Length of the longest reply."""
-
-    def answer(self, requests: list[Request], arrived_s: float) -> list[Any]:
-        """Return the payload of a reply to the last request."""
-
-
-class Stages(Protocol):
-    """What the server shows: `thermorender.link.stage.Stage`."""
-
-    def describe(self) -> dict[str, Any]:
-        """Return plain values for WELCOME."""
-
-    def open(self, settings: Open) -> Shown:
-        """Return a new session."""
-
-
-@dataclass(eq=False)
-class _Client:
-    """One connection."""
-
-    reader: asyncio.StreamReader
-    writer: asyncio.StreamWriter
-    sessions: dict[int, "_Session"] = field(default_factory=dict)
-    outbox: deque[tuple[list[Any], int, int]] = field(default_factory=deque)
-    wake: asyncio.Event = field(default_factory=asyncio.Event)
-    # Set when a request is answered.
-    room: asyncio.Event = field(default_factory=asyncio.Event)
-    waiting: int = 0
-    # When the client must have done its next step; None if it need not do anything.
-    deadline_s: float | None = None
-    closed: bool = False
-    task: "asyncio.Task[None] | None" = None
-
-
-@dataclass(eq=False)
-class _Session:
-    """A session of a connection: empty until the thread that renders has opened it."""
-
-    shown: Shown | None = None
-    reply_bytes: int = 0
-    # The newest request, if it may be replaced and waits.
-    latest: "_Job | None" = None
-
-
-@dataclass(eq=False)
-class _Job:
-    """Work for the thread that renders."""
-
-    client: _Client
-    head: Head
-    session: _Session
-    settings: Open | None = None
-    requests: list[Request] = field(default_factory=list)
-    arrived_s: float = 0.0
-    held: int = 0
-
-    @property
-    def samples(self) -> int:
-        """Of all its requests."""
-        return sum(each.samples for each in self.requests)
 
 
 class Server:
@@ -158,13 +59,13 @@ class Server:
     """
 
     def __init__(
-        self, stage: Stages, host: str = "127.0.0.1", port: int = DEFAULT_PORT, limits: Limits = Limits()
+        self, stage: Stages, host: str = "127.0.0.1", port: int = DEFAULT_PORT, limits: Limits = DEFAULT_LIMITS
     ) -> None:
         self._stage, self.token, self._limits = stage, "", limits
         self._welcome = json.dumps(stage.describe()).encode()
-        self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
+        self._jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
         self._lock = threading.Lock()
-        self._clients: set[_Client] = set()
+        self._clients: set[Peer] = set()
         self._sessions = self._held = self.answered = 0
         try:
             family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -200,7 +101,7 @@ class Server:
 
     # In the thread that renders.
 
-    def _work(self, job: _Job) -> None:
+    def _work(self, job: Job) -> None:
         """Do one job and send its reply; no error of a job ends the server."""
         head = job.head
         try:
@@ -220,7 +121,7 @@ class Server:
             parts = error_message(Code.INTERNAL, what, job.head.session, job.head.id)
         self._later(self._deliver, job, parts)
 
-    def _frame(self, job: _Job) -> list[Any]:
+    def _frame(self, job: Job) -> list[Any]:
         with self._lock:
             if job.session.latest is job:
                 job.session.latest = None
@@ -267,7 +168,7 @@ class Server:
                     client.writer.transport.abort()
 
     async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        client = _Client(reader, writer)
+        client = Peer(reader, writer)
         transport = writer.transport
         transport.set_write_buffer_limits(0)
         own = writer.get_extra_info("socket")
@@ -279,29 +180,35 @@ class Server:
             self._last(client, Code.BUSY, f"{self._limits.connections} connections are open; close one, or wait")
             return
         self._clients.add(client)
-        client.task, sender = asyncio.current_task(), asyncio.ensure_future(self._send(client))
+        sender = asyncio.ensure_future(self._send(client))
         try:
-            await self._hello(client)
-            while True:
-                await self._message(client)
+            with contextlib.suppress(asyncio.IncompleteReadError):
+                await self._hello(client)
+                while True:
+                    await self._message(client)
+            # The client has sent all it will send, and may still read.
+            client.deadline_s = None
+            while client.waiting or client.outbox:
+                await client.made_room()
+            client.writer.close()
         except MalformedError as error:
             self._last(client, Code.MALFORMED, str(error))
         except PermissionError as error:
             self._last(client, Code.ACCESS, str(error))
-        except (asyncio.IncompleteReadError, OSError):
+        except (OSError, asyncio.CancelledError):
             transport.abort()
         finally:
             sender.cancel()
             self._forget(client)
 
-    def _last(self, client: _Client, code: Code, text: str) -> None:
+    def _last(self, client: Peer, code: Code, text: str) -> None:
         """Send an error and end the connection."""
         client.writer.write(b"".join(error_message(code, text)))
         client.writer.close()
         # A client that does not read is not waited for.
         self._loop.call_later(self._limits.hello_s, client.writer.transport.abort)
 
-    def _forget(self, client: _Client) -> None:
+    def _forget(self, client: Peer) -> None:
         client.closed = True
         self._clients.discard(client)
         self._sessions -= len(client.sessions)
@@ -310,7 +217,7 @@ class Server:
             self._release(held)
         client.outbox.clear()
 
-    async def _hello(self, client: _Client) -> None:
+    async def _hello(self, client: Peer) -> None:
         client.deadline_s = self._loop.time() + self._limits.hello_s
         head = head_of(await client.reader.readexactly(HEADER.size))
         if head.type != Type.HELLO or head.length != TOKEN_BYTES:
@@ -321,7 +228,7 @@ class Server:
         client.deadline_s = None
         self._reply(client, message(Type.WELCOME, 0, head.id, [self._welcome]))
 
-    async def _message(self, client: _Client) -> None:
+    async def _message(self, client: Peer) -> None:
         """Read one message and pass it on."""
         first = await client.reader.readexactly(1)
         client.deadline_s = self._loop.time() + self._limits.message_s
@@ -332,8 +239,7 @@ class Server:
         # While the server makes the client wait, the client is not late.
         client.deadline_s = None
         while client.waiting >= self._limits.waiting:
-            client.room.clear()
-            await client.room.wait()
+            await client.made_room()
         while self._held and self._held + held > self._limits.memory_bytes:
             self._space.clear()
             await self._space.wait()
@@ -349,7 +255,7 @@ class Server:
         if not kept:
             self._release(held)
 
-    def _take(self, client: _Client, head: Head, payload: bytes, held: int) -> bool:
+    def _take(self, client: Peer, head: Head, payload: bytes, held: int) -> bool:
         """Pass a message on; return whether it stays in hand until it is answered."""
         try:
             if head.type == Type.OPEN:
@@ -369,17 +275,17 @@ class Server:
             self._reply(client, error_message(Code.REFUSED, str(error), head.session, head.id))
         return False
 
-    def _open(self, client: _Client, head: Head, settings: Open, held: int) -> bool:
+    def _open(self, client: Peer, head: Head, settings: Open, held: int) -> bool:
         if head.session in client.sessions:
             raise ThermorenderError(f"session {head.session} is open; give another number, or close it first")
         if self._sessions >= self._limits.sessions:
             raise _BusyError(f"{self._limits.sessions} sessions are open; close one, or wait")
         self._sessions += 1
-        session = client.sessions[head.session] = _Session()
-        self._put(_Job(client, head, session, settings, held=held))
+        session = client.sessions[head.session] = Seat()
+        self._put(Job(client, head, session, settings, held=held))
         return True
 
-    def _request(self, client: _Client, head: Head, request: Request, held: int) -> bool:
+    def _request(self, client: Peer, head: Head, request: Request, held: int) -> bool:
         session, now = self._known(client, head), time.perf_counter()
         with self._lock:
             waits = session.latest
@@ -391,25 +297,25 @@ class Server:
                 held, waits.held = waits.held, held
                 self._release(held)
                 return True
-            job = _Job(client, head, session, None, [request], now, held)
+            job = Job(client, head, session, None, [request], now, held)
             session.latest = job if request.latest else None
         self._put(job)
         return True
 
-    def _known(self, client: _Client, head: Head) -> _Session:
+    def _known(self, client: Peer, head: Head) -> Seat:
         if head.session not in client.sessions:
             raise ThermorenderError(f"session {head.session} is not open; send OPEN first")
         return client.sessions[head.session]
 
-    def _put(self, job: _Job) -> None:
+    def _put(self, job: Job) -> None:
         job.client.waiting += 1
         self._jobs.put(job)
 
-    def _reply(self, client: _Client, parts: list[Any], held: int = 0, answers: int = 0) -> None:
+    def _reply(self, client: Peer, parts: list[Any], held: int = 0, answers: int = 0) -> None:
         client.outbox.append((parts, held, answers))
         client.wake.set()
 
-    def _deliver(self, job: _Job, parts: list[Any] | None) -> None:
+    def _deliver(self, job: Job, parts: list[Any] | None) -> None:
         """Take the reply of a job."""
         client, session = job.client, job.session
         if job.settings is not None and session.shown is None:
@@ -422,7 +328,7 @@ class Server:
         else:
             self._reply(client, parts, job.held, 1)
 
-    async def _send(self, client: _Client) -> None:
+    async def _send(self, client: Peer) -> None:
         """Send replies in their order."""
         while True:
             while client.outbox:
@@ -433,8 +339,8 @@ class Server:
                     await client.writer.drain()
                 except OSError:
                     # The reader may wait for room that this reply would have made.
-                    if client.task:
-                        client.task.cancel()
+                    client.lost = True
+                    client.room.set()
                     return
                 finally:
                     late.cancel()

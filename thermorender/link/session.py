@@ -26,6 +26,8 @@ from thermorender.trajectory.rotations import rotation_from_angles
 
 # The time of an object's value that holds until the client gives another [s].
 _ALWAYS_S = -1e300
+# Highest place whose distance from the scene is worth computing [m].
+_HIGHEST_M = 1e6
 
 
 class Session:
@@ -193,11 +195,12 @@ def _local(scene: Scene, position: NDArray[np.float64]) -> NDArray[np.float64]:
     if scene.frame is None:
         raise ThermorenderError(f"{scene.where} has no place on Earth; give positions of the kind enu, or add [frame]")
     latitude, longitude, height = position.T
-    wrong = (np.abs(latitude) > 90.0) | (longitude < -180.0) | (longitude > 360.0)
+    wrong = (np.abs(latitude) > 90.0) | (longitude < -180.0) | (longitude > 360.0) | (np.abs(height) > _HIGHEST_M)
     if wrong.any():
+        given = "{:g}°, longitude {:g}°, height {:g} m".format(*position[wrong][0])
         raise ThermorenderError(
-            f"latitude {latitude[wrong][0]:g}°, longitude {longitude[wrong][0]:g}° is not a place; latitudes are "
-            "−90…90, longitudes −180…180 or 0…360"
+            f"latitude {given} is not a place; latitudes are −90…90, longitudes −180…180 or 0…360, heights up to "
+            f"{_HIGHEST_M:g}"
         )
     return scene.frame.enu_from_geodetic(latitude, longitude, height)
 

@@ -104,7 +104,8 @@ class Trajectory:
                 f"time_s: sample {k + 1} at {time_s[k + 1]:.9g} s follows {time_s[k]:.9g} s: time is running "
                 f"backwards or standing still, and must strictly increase"
             )
-        length = np.linalg.norm(quaternion, axis=1)
+        with np.errstate(over="ignore"):
+            length = np.linalg.norm(quaternion, axis=1)
         if (np.abs(length - 1.0) > QUATERNION_TOLERANCE).any():
             k = int(np.argmax(np.abs(length - 1.0) > QUATERNION_TOLERANCE))
             raise ThermorenderError(f"quaternion: sample {k} has length {length[k]:.6g}; unit quaternions are needed")
