@@ -1,12 +1,14 @@
 """The server of the link: access, bounds, and clients that break the protocol, vanish or hurry."""
 
 import contextlib
+import re
 import socket
 import struct
 import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +16,8 @@ from link_support import FAULT_S, TOKEN, Stills, connected, read, serving, settl
 
 from thermorender import link
 from thermorender.errors import ThermorenderError
-from thermorender.link import Code, LinkError, access
+from thermorender.link import Code, LinkError, Product, access, messages
+from thermorender.link.connections import DEFAULT_LIMITS
 from thermorender.link.messages import Open, Request
 from thermorender.link.wire import HEADER, IMAGES, Type, message
 
@@ -273,3 +276,54 @@ def test_client_imports_no_heavy_library():
     )
     run = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
+
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "link.md"
+LAYOUTS = {
+    "HEADER": HEADER.format, "OPEN": messages._OPEN.format, "OPENED": messages._OPENED.format,
+    "REQUEST": messages._REQUEST.format, "POSE": "<8d", "OBJECT": messages._OBJECT.format,
+    "REPLY": messages._REPLY.format, "TARGET": "<64sdddBB6s",
+}  # fmt: skip
+LETTERS = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q", "f32": "f", "f64": "d", "c": "c"}
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_the_page_states_the_layout(name):
+    """Offsets and types of a table of the page are those of the code."""
+    table = PAGE.read_text(encoding="utf-8").split(f"<!-- {name} -->\n")[1].split("\n\n")[0]
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines()[2:]]
+    kinds = [re.fullmatch(r"(?:(\d+) )?(.+)", kind).groups() for _, kind, _, _ in rows]
+    stated = "<" + "".join(int(count or 1) * LETTERS.get(kind, f"[{kind}]") for count, kind in kinds)
+
+    def spelled(layout):
+        """One letter for each value."""
+        parts = re.findall(r"\[(\d+s)\]|(\d+s)|(\d*)([a-zA-Z])", layout)
+        return [text or single or int(count or 1) * letter for text, single, count, letter in parts]
+
+    assert "".join(spelled(stated)) == "".join(spelled(LAYOUTS[name]))
+    at = 0
+    for (offset, *_), (count, kind) in zip(rows, kinds, strict=True):
+        assert int(offset) == at, (name, offset)
+        at += int(count or 1) * struct.calcsize("<" + LETTERS.get(kind, kind))
+    assert at == struct.calcsize(LAYOUTS[name])
+    stated = re.search(rf"^\| \d \| {name} \| \w+ \| (\d+) bytes", PAGE.read_text(encoding="utf-8"), flags=re.M)
+    assert stated is None or int(stated[1]) == at
+
+
+def test_the_page_states_numbers_and_limits():
+    text = PAGE.read_text(encoding="utf-8")
+    for kind in Type:
+        assert f"| {int(kind)} | {kind.name} | " in text
+    for product in Product:
+        assert f"| {int(product)} | {str(product.name).lower()} | " in text
+    limits = DEFAULT_LIMITS
+    assert f"serves {limits.connections} connections and {limits.sessions} sessions" in text
+    assert (
+        f"up to {limits.memory_bytes >> 20} MiB of messages" in text
+        and f"up to {limits.waiting} requests ahead" in text
+    )
+    assert (
+        f"within {limits.hello_s:g} s" in text and f"{limits.message_s:g} s" in text and f"{limits.reply_s:g} s" in text
+    )
+    assert f"up to {messages.MOST_POSES}" in text and f"up to {messages.MOST_OBJECTS}" in text
+    assert len(Code) == len(re.findall(r"^\| \d \| .*\|$", text.split("## Errors")[1], flags=re.M))

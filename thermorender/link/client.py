@@ -4,6 +4,7 @@ Only NumPy is imported, so that a simulator's process stays light.
 """
 
 import json
+import select
 import socket
 import struct
 import time
@@ -169,6 +170,12 @@ class Client:
         if isinstance(found, LinkError):
             raise found
         return found
+
+    def poll(self, wait_s: float = 0.0) -> Reply | None:
+        """Return the next reply of any session, or None if none begins within a time [s]."""
+        if not self._early and not select.select([self._socket], [], [], wait_s)[0]:
+            return None
+        return self.receive()
 
     def reply_to(self, number: int) -> Reply:
         """Return the reply to the request of an id; other replies are kept for `receive`."""

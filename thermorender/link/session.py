@@ -49,13 +49,13 @@ class Session:
         kelvin: Mapping[str, float] | None = None,
     ) -> None:  # fmt: skip
         self.settings, self.renderer, self.model = settings, renderer, model
-        rate = settings.rate_hz or None
-        kinds = {"audit": settings.audit, "allow_below_ground": settings.below_ground}
+        how = settings.rate_hz or None, settings.audit, settings.below_ground
+        self.frames: LiveFrames
         if settings.method == "B":
             assert model is not None
-            self.frames: LiveFrames = TranslatedFrames(renderer, model, rate, **kinds)
+            self.frames = TranslatedFrames(renderer, model, *how)
         else:
-            self.frames = LiveFrames(renderer, rate, **kinds)
+            self.frames = LiveFrames(renderer, *how)
         tracked = {each.name for each in renderer.scene.tracked_objects}
         self._first: list[Any] = [
             (name, _ALWAYS_S, {"temperature_k": value}) for name, value in (kelvin or {}).items() if name in tracked
@@ -97,7 +97,7 @@ class Session:
         products = [
             np.ascontiguousarray(image(self, frame)) for product, image in _IMAGES.items() if request.products & product
         ]
-        rows = target_rows(frame.targets) if request.products & Product.TARGETS else []
+        rows = target_rows(frame.targets if request.products & Product.TARGETS else {})
         budget = frame.budget_mk or {}
         errors = budget.get("total", float("nan")), budget.get("image", float("nan"))
         frozen = bool(frame.plan.get("sensor", {}).get("frozen"))
@@ -106,7 +106,7 @@ class Session:
             frame.time_s, frame.seed, frame.index, errors, done - arrived_s, done - start, request.products,
             frame.radiance.shape, len(requests) - 1, frozen, len(rows),
         )  # fmt: skip
-        return [head, *products, *([rows.tobytes()] if len(rows) else [])]
+        return [head, *products, rows.tobytes()]
 
     def _frame(self, requests: Sequence[Request]) -> Frame:
         request = requests[-1]
@@ -175,7 +175,9 @@ class TranslatedFrames(LiveFrames):
         if model.needs:
             # This raises the error that names the missing inputs.
             model.radiance(Inputs(np.zeros((1, 1, 3), np.uint8)))
-        self.model, self.picture, self.texel_m = model, None, None
+        self.model = model
+        self.picture: NDArray[np.uint8] | None = None
+        self.texel_m: float | None = None
 
     def made(self, timed: TimedRenderer, time_s: float, pose: NDArray[np.float64], index: int, reading: bool) -> Frame:
         """Return the translated frame; a camera at rest reads it."""
