@@ -9,7 +9,7 @@ from link_support import connected, serving
 from scipy.spatial.transform import Rotation
 
 import thermorender as tr
-from scenes import coarse, write_terrain
+from scenes import WEATHER, coarse, write_balance, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.frame.exr import read_exr
 from thermorender.learned.temperature_map import Inputs, load_model
@@ -17,6 +17,7 @@ from thermorender.link import Code, LinkError
 from thermorender.link.stage import Stage
 from thermorender.output.flight import FlightOptions, fly
 from thermorender.output.photograph import photograph
+from thermorender.render.flight.live import LiveFrames
 from thermorender.trajectory.rotations import rotation_from_wxyz, wxyz
 
 DOWN = (0.0, 1.0, 0.0, 0.0)
@@ -187,6 +188,21 @@ def test_map_on_the_orthophoto_is_that_of_compare(client, renderer):
     wanted = method.renderer.radiance(pose, 0.0, method.objects)
     assert reply.radiance.tobytes() == wanted.tobytes()
     assert np.abs(wanted - renderer.radiance(pose)).mean() > 0.01
+
+
+def test_temperatures_follow_the_weather_as_in_a_flight(tmp_path):
+    scene = coarse(tr.load_scene(write_balance(tmp_path / "tiny", WEATHER)), 16)
+    renderer = tr.Renderer(scene, rays=4, samples=1)
+    path = tr.Trajectory([0.0, 200.0], [[-1.0, 0.0, 12.0], [1.0, 0.0, 12.0]], [DOWN, DOWN])
+    frames, live = list(renderer.frames(path, rate_hz=1 / 50.0)), LiveFrames(renderer, rate_hz=1 / 50.0)
+    taken = [live.take(frame.time_s, path if frame.index == 0 else None) for frame in frames]
+    for frame, one in zip(frames, taken, strict=True):
+        assert one.counts.tobytes() == frame.counts.tobytes() and one.time == frame.time
+    assert (taken[-1].radiance != taken[0].radiance).mean() > 0.9
+    end = scene.weather.time[-1] - scene.time
+    late = end / np.timedelta64(1, "s") + 60.0
+    with pytest.raises(ThermorenderError, match=r"is after the weather of the scene, which ends at .*; stop there, or"):
+        live.take(late, tr.Trajectory([late], [[0.0, 0.0, 12.0]], [DOWN]))
 
 
 HIGH = (0.0, 0.0, 12.0, *DOWN)
