@@ -18,9 +18,11 @@ from thermorender.link.stage import Stage
 from thermorender.output.flight import FlightOptions, fly
 from thermorender.output.photograph import photograph
 from thermorender.render.flight.live import LiveFrames
+from thermorender.sensor.schedule import SUBPIXEL_PX
 from thermorender.trajectory.rotations import rotation_from_wxyz, wxyz
 
 DOWN = (0.0, 1.0, 0.0, 0.0)
+PRODUCTS = ("exr", "truth", "counts", "display")
 OBJECTS = """
 [[object]]
 name = "plate"
@@ -55,7 +57,7 @@ def path():
 @pytest.fixture(scope="module")
 def flown(renderer, path, tmp_path_factory):
     folder = tmp_path_factory.mktemp("flown") / "f"
-    fly(renderer, path, folder, FlightOptions(rate_hz=9.0, products=("exr", "truth", "counts", "display"), audit=4))
+    fly(renderer, path, folder, FlightOptions(rate_hz=9.0, stop_s=0.7, products=PRODUCTS, audit=4))
     return folder
 
 
@@ -93,8 +95,8 @@ def test_same_bytes_as_a_flight(client, path, flown):
     session = client.open(seed=11, rate_hz=9.0, audit=4)
     names = ("counts", "display", "radiance", "temperature", "depth", "segmentation", "material", "targets")
     lines = [json.loads(line) for line in (flown / "frames.jsonl").read_text().splitlines()]
-    assert len(lines) == 10
-    assert max(line["plan"]["sensor"]["motion_px"] for line in lines) > 1.0  # the pixels' past matters
+    assert len(lines) == 7
+    assert max(line["plan"]["sensor"]["motion_px"] for line in lines) > SUBPIXEL_PX  # the pixels' past matters
     for line, reply in zip(
         lines, flight(session, path, [line["time_s"] for line in lines], products=names), strict=True
     ):
@@ -118,7 +120,7 @@ def test_same_bytes_as_a_flight(client, path, flown):
 
 
 def test_sessions_have_their_own_sensor(client, path, flown):
-    times = np.arange(4) / 9.0
+    times = np.arange(2) / 9.0
     first, other = client.open(seed=11, rate_hz=9.0), client.open(seed=12, rate_hz=9.0)
     pairs = list(zip(flight(first, path, times), flight(other, path, times), strict=True))
     for index, (one, two) in enumerate(pairs):
@@ -190,6 +192,7 @@ def test_map_on_the_orthophoto_is_that_of_compare(client, renderer):
     assert np.abs(wanted - renderer.radiance(pose)).mean() > 0.01
 
 
+@pytest.mark.slow
 def test_temperatures_follow_the_weather_as_in_a_flight(tmp_path):
     scene = coarse(tr.load_scene(write_balance(tmp_path / "tiny", WEATHER)), 16)
     renderer = tr.Renderer(scene, rays=4, samples=1)
