@@ -165,6 +165,23 @@ def test_a_client_that_does_not_read_is_closed():
         alive(server, (200, 200))
 
 
+def test_errors_to_a_client_that_does_not_read_are_bounded():
+    with serving(reply_s=30.0, sent_bytes=1 << 14) as server:
+        own = opened(server)
+        data, sent = b"".join(message(Type.CLOSE, 9, 5)) * 500, 0
+        own.settimeout(0.5)
+        with contextlib.suppress(OSError):
+            while sent < 100:
+                own.sendall(data)
+                sent += 1
+        time.sleep(0.3)
+        (peer,) = server._clients
+        assert len(peer.outbox) <= 8
+        own.close()
+        settled(server)
+        alive(server)
+
+
 def test_waiting_requests_are_bounded():
     gate = threading.Event()
     with serving(Stills(gate), waiting=3) as server:

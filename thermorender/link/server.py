@@ -175,7 +175,7 @@ class Server:
         with contextlib.suppress(OSError):
             own.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             own.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-            own.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4 << 20)
+            own.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, self._limits.sent_bytes)
         if len(self._clients) >= self._limits.connections:
             self._last(client, Code.BUSY, f"{self._limits.connections} connections are open; close one, or wait")
             return
@@ -238,7 +238,7 @@ class Server:
         held = head.length + (session.reply_bytes if session else 0)
         # While the server makes the client wait, the client is not late.
         client.deadline_s = None
-        while client.waiting >= self._limits.waiting:
+        while max(client.waiting, len(client.outbox)) >= self._limits.waiting:
             await client.made_room()
         while self._held and self._held + held > self._limits.memory_bytes:
             self._space.clear()
@@ -293,11 +293,12 @@ class Server:
                 # The older request only gives its part of the path.
                 waits.requests[-1] = replace(waits.requests[-1], picture=None)
                 waits.requests.append(request)
+                waits.samples += request.samples
                 waits.head, waits.arrived_s = head, now
                 held, waits.held = waits.held, held
                 self._release(held)
                 return True
-            job = Job(client, head, session, None, [request], now, held)
+            job = Job(client, head, session, None, [request], request.samples, now, held)
             session.latest = job if request.latest else None
         self._put(job)
         return True
