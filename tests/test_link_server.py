@@ -19,6 +19,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.link import Code, LinkError, Product, access, messages
 from thermorender.link.connections import DEFAULT_LIMITS
 from thermorender.link.messages import Open, Request
+from thermorender.link.server import Server
 from thermorender.link.wire import HEADER, IMAGES, Type, message
 
 POSE = (0.0, 0.0, 100.0, 0.0, 1.0, 0.0, 0.0)
@@ -275,14 +276,16 @@ def test_stop_ends_open_connections():
         connected(server)
 
 
-def test_a_port_in_use_is_refused():
+def test_addresses_that_cannot_be_used_are_refused():
     with serving() as server:
-        with pytest.raises(
-            ThermorenderError, match=rf"port {server.port} cannot be listened on .*; give another --port"
+        for host, port, why in (
+            ("127.0.0.1", server.port, "Address already in use"),
+            ("192.0.2.1", 0, "Cannot assign"),
         ):
-            from thermorender.link.server import Server
-
-            Server(Stills(), port=server.port)
+            with pytest.raises(
+                ThermorenderError, match=rf"{host} port {port} cannot be listened on \({why}.*another --port"
+            ):
+                Server(Stills(), host, port)
 
 
 def test_client_imports_no_heavy_library():

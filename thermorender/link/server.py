@@ -72,8 +72,8 @@ class Server:
             self._socket = socket.create_server((host, port), family=family, backlog=256)
         except OSError as error:
             raise ThermorenderError(
-                f"address {host} port {port} cannot be listened on ({error.strerror or error}); give another --port, "
-                "or stop the server that uses it"
+                f"address {host} port {port} cannot be listened on ({str(error.strerror).partition(' (')[0]}); give an "
+                "address of this machine as --host, another --port, or stop the server that uses it"
             ) from None
         self.port = int(self._socket.getsockname()[1])
         self._loop, self._space, self._ended = asyncio.new_event_loop(), asyncio.Event(), asyncio.Event()
