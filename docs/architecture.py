@@ -27,6 +27,7 @@ ROOMS = {
     "output": "images, video, records, flights",
     "campaign": "data sets for learned maps",
     "compare": "learned translation against the render, maps on a data set, the cost of a frame, the self-test",
+    "link": "frames to a simulator over a socket: protocol, server, sessions, client",
     "cli": "every command, and code that commands share",
 }
 GROUND = {name.strip() for name in ROOMS["ground"].split(",")}

@@ -209,6 +209,7 @@ STUDIES = (
           "referee/referee.json", ("referee/referee.png",), _referee, runs=False),
     Study("trainings", "validation.trainings", "Trainings of networks", "networks/campaign/trainings.json",
           ("networks/campaign/*.png",), runs=False),
+    Study("link", "validation.link", "The cost of the link to a simulator", "link/link.json", runs=False),
     Study("landing", "examples.landing", "Landings by rendered and by translated frames", "landing/landing.json",
           ("landing/landing.png",), continues=True),
 )  # fmt: skip
