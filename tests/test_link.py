@@ -63,7 +63,8 @@ def flown(renderer, path, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def server(renderer):
-    with serving(Stage(renderer, maps=("fok-1to1",), settings={"rays": 4, "samples": 1})) as made:
+    cameras = {"half": renderer.scene.camera.coarser(2)}
+    with serving(Stage(renderer, cameras, ("fok-1to1",), {"rays": 4, "samples": 1})) as made:
         yield made
 
 
@@ -127,6 +128,15 @@ def test_sessions_have_their_own_sensor(client, path, flown):
         counts = cv2.imread(str(flown / f"frame_{index:06d}_counts.png"), cv2.IMREAD_UNCHANGED)
         np.testing.assert_array_equal(one.counts, counts)
         assert (two.counts != counts).mean() > 0.5
+
+
+def test_cameras_of_one_vehicle(client, renderer):
+    pose, other = tr.pose(0.0, 0.0, 14.0, pitch_deg=-90.0), renderer.scene.camera.coarser(2)
+    wanted = tr.Renderer(renderer.scene.with_camera(other), rays=4, samples=1, like=renderer).frame(pose)
+    one, two = client.open(), client.open("half")
+    first, second = (session.frame(0.0, pose, products=("temperature",)) for session in (one, two))
+    assert first.temperature.tobytes() == renderer.frame(pose).apparent_temperature.tobytes()
+    assert second.temperature.tobytes() == wanted.apparent_temperature.tobytes()
 
 
 def test_given_objects_replace_their_tracks(client, path, flown):
@@ -250,7 +260,10 @@ def test_impossible_requests_are_refused_in_one_sentence(client, request_, sente
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
-        ({"camera": "x"}, r"camera 'x' is not served; give one of zenmuse-xt2, or start the server with --camera x"),
+        (
+            {"camera": "x"},
+            r"camera 'x' is not served; give one of zenmuse-xt2, half, or start the server with --camera x",
+        ),
         ({"method": "B"}, r"map '' is not served; give one of fok-1to1"),
         ({"method": "C", "map": "/etc/passwd"}, r"map '/etc/passwd' is not served"),
         ({"map": "fok-1to1"}, r"map 'fok-1to1' has no use in method A"),
