@@ -630,7 +630,7 @@ def test_learned_materials_need_an_orthophoto(scene, tmp_path):
 def test_map_materials_output_can_be_used_in_a_scene(scene, tmp_path, model):
     output = tmp_path / "out"
     output.mkdir()
-    written, shares = write_map(scene, output, scene / "own.npz", "granite")
+    written, shares, _ = write_map(scene, output, scene / "own.npz", "granite")
     with rasterio.open(written["classes"]) as file:
         classes, colours = file.read(1), file.colormap(1)
     assert colours[UNKNOWN_CLASS][:3] == (255, 0, 255)

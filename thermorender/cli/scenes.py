@@ -157,10 +157,12 @@ def map_materials(
     from thermorender.scene.material_map import write_map
 
     with progress() as report, files.output_folder(output) as folder:
-        written, shares = write_map(
+        written, shares, notes = write_map(
             scene_folder(scene), folder, model, fallback, confidence, split(without),
             lambda share: report("mapping the materials", share),
         )  # fmt: skip
+    for note in notes:
+        typer.echo(note)
     table(("material", "share"), [(name, f"{share:.1%}") for name, share in shares.items()])
     for path in written.values():
         typer.echo(str(path))

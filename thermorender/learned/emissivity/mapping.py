@@ -166,9 +166,9 @@ class Evidence:
     ----------
     number : (h, w) uint8
         Number of each texel's case.
-    factor : (N, C) float32
+    factor : (N, M) float32
         Factors on the probabilities of the materials in each of N cases. A factor of 0 excludes a material; each case
-        leaves one or more.
+        leaves one or more. Materials beyond the map's C occur only where all of the map's are excluded.
     """
 
     number: np.ndarray
@@ -213,7 +213,7 @@ def map_materials(
     keep : callable (rows, columns, probabilities (C, h', w')), optional
         Called with each tile's probabilities.
     evidence : sequence of Evidence
-        Each multiplies the probabilities, which are then scaled to a sum of one.
+        Each multiplies the probabilities, which are then scaled to a sum of one; all have the same materials.
 
     Raises
     ------
@@ -229,7 +229,8 @@ def map_materials(
     on_grid = to_grid(rgb, texel_m, model)
     shape, grid_shape = rgb.shape[:2], on_grid.shape[:2]
     ratio = [of_grid / of_texels for of_grid, of_texels in zip(grid_shape, shape, strict=True)]
-    result = Mapped(np.zeros((*shape, len(model.materials)), np.uint8), np.zeros(shape, np.float32))
+    materials = evidence[0].factor.shape[1] if evidence else len(model.materials)
+    result = Mapped(np.zeros((*shape, materials), np.uint8), np.zeros(shape, np.float32))
     # Whole blocks of tiled rasters, for callers that write what `keep` receives.
     tile = int(np.clip(_TILE_TEXELS / max(ratio) // 256, 1, 6)) * 256
     starts = [(top, left) for top in range(0, shape[0], tile) for left in range(0, shape[1], tile)]
@@ -265,13 +266,17 @@ def _with_evidence(probabilities, known, here, evidence):
     Where evidence excludes materials of a texel unlike the training data, the others are equally probable.
     """
     for each in evidence:
-        number = each.number[here]
+        number, materials = each.number[here], each.factor.shape[1]
         excludes = ~known & (each.factor == 0.0).any(axis=1)[number]
+        planes = np.zeros((materials, *known.shape), np.float32)
+        planes[: len(probabilities)] = probabilities
         # What is left may be below the smallest number.
-        probabilities = np.where(excludes, np.float32(1.0), probabilities + np.float32(_LEAST))
-        probabilities *= np.moveaxis(each.factor[number], -1, 0)
-        probabilities /= probabilities.sum(axis=0)
-        known = known | excludes
+        planes += np.float32(_LEAST)
+        planes[:, excludes] = 1.0
+        for plane, factor in zip(planes, each.factor.T, strict=True):
+            plane *= factor[number]
+        planes /= planes.sum(axis=0)
+        probabilities, known = planes, known | excludes
     return probabilities, known
 
 

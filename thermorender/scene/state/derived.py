@@ -47,6 +47,8 @@ class Derived:
         The terrain's first, then those of objects without a track.
     tracked_objects : tuple of TrackedObject
     temperature_state : Known or Pending
+    no_snow : str
+        Why a learned emissivity map found no snow; "" if it may.
     """
 
     shape: Shape
@@ -56,6 +58,7 @@ class Derived:
     tracked_objects: tuple[TrackedObject, ...]
     temperature_state: TemperatureState
     weather: "Weather | None" = None
+    no_snow: str = ""
 
 
 def derived(parts: Parts | None, now: Declared, old: tuple[Declared, Derived] | None = None) -> Derived:
@@ -76,10 +79,18 @@ def derived(parts: Parts | None, now: Declared, old: tuple[Declared, Derived] | 
     """
     before, had = old or (None, None)
     shape = had.shape if had and before and _shape_key(before) == _shape_key(now) else _shape(parts, now)
-    if had and before and _cover_key(before) == _cover_key(now) and not _to_extend(had.cover, parts, before, now):
-        cover = had.cover
+    no_snow = _no_snow(now, shape, old)
+    same_snow = had is not None and bool(had.no_snow) == bool(no_snow)
+    if (
+        had
+        and before
+        and same_snow
+        and _cover_key(before) == _cover_key(now)
+        and not _to_extend(had.cover, parts, before, now)
+    ):
+        cover, no_snow = had.cover, had.no_snow
     else:
-        cover = _cover(parts, now)
+        cover = _cover(parts, now, no_snow)
     if before and before.camera.band_um != now.camera.band_um:
         for material in cover.materials:
             refuse_band(material, now.camera.band_um, now.where)
@@ -89,10 +100,10 @@ def derived(parts: Parts | None, now: Declared, old: tuple[Declared, Derived] | 
         air.refuse_above_clouds(f"{now.where}: the highest surface", altitude_m)
     if parts is None and before and _objects_key(before) != _objects_key(now):
         raise _in_memory(now, "an object")
-    made = Derived(shape, cover, air, (), (), Known(), weather)
+    made = Derived(shape, cover, air, (), (), Known(), weather, no_snow)
     if had and before and _temperature_key(before, had) == _temperature_key(now, made):
         if cover is had.cover and shape is had.shape and _objects_key(before) == _objects_key(now):
-            return replace(had, air=air, weather=weather)
+            return replace(had, air=air, weather=weather, no_snow=no_snow)
         ground = had.surfaces[: len(shape.ground)]
         kelvin = [surface.temperature for surface in ground]
         flags = [surface.flags & np.uint8(FALLBACK | UNMOVED) for surface in ground]
@@ -235,12 +246,28 @@ def _shape(parts: Parts | None, now: Declared) -> Shape:
     return shape_of(parts, now.spec.objects, now.held, now.where)
 
 
-def _cover(parts: Parts | None, now: Declared) -> Cover:
+def _no_snow(now: Declared, shape: Shape, old: tuple[Declared, Derived] | None) -> str:
+    """Why no snow lies on the ground by the weather; "" if it may, or where no learned map would need to know."""
+    if now.spec.emissivity.source != "learned" or now.spec.weather is None:
+        return ""
+    if now.weather is None and shape.frame is None:
+        return ""
+    before, had = old or (None, None)
+    if had and before and before.spec.emissivity.source == "learned" and before.time == now.time:
+        if _weather_key(before, had.shape) == _weather_key(now, shape):
+            return had.no_snow
+    assert now.time is not None
+    return weather_of(now, shape).why_no_snow(now.time)
+
+
+def _cover(parts: Parts | None, now: Declared, no_snow: str) -> Cover:
     band = now.camera.band_um
     if parts is None:
         raise _in_memory(now, "its materials")
     spec, albedo = now.spec, _albedo(now)
-    cover = cover_of(parts, spec.emissivity, spec.objects, spec.surfaces, now.replaced, now.painted, band, now.where)
+    cover = cover_of(
+        parts, spec.emissivity, spec.objects, spec.surfaces, now.replaced, now.painted, band, now.where, no_snow
+    )
     if albedo is None:
         return cover
     share = shares(parts.ground, cover.ground, len(cover.materials), spec.terrain.mesh is not None)
