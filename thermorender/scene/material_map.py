@@ -77,12 +77,15 @@ class Picture:
     texel_m : float
     context : Context, optional
         Of an orthophoto.
+    name : str
+        For messages.
     """
 
     colour: NDArray[np.uint8]
     valid: NDArray[np.bool_]
     texel_m: float
     context: Context | None = None
+    name: str = "the picture"
 
 
 def context_of(
@@ -90,28 +93,18 @@ def context_of(
 ) -> Context:
     """Return the Context of an orthophoto: of heights (h, w) [m] on a Grid of the same CRS, and of `source.known`."""
     known = read_known(source.known, texels, texel_m) if source.known else None
-    case, note = None, "heights are not used: emissivity.heights is false"
+    case, why = None, "emissivity.heights is false"
     if source.heights:
         post_m = texel_m * float(np.sqrt(abs(height_grid.transform.determinant / texels.transform.determinant)))
-        case, note = _relief(height, height_grid, texels, post_m)
+        above, slope, why = relief.seen(height, post_m)
+    note = f"heights are not used: {why}"
+    if not why:
+        case = relief.case_of(*(onto(each, height_grid, texels, "bilinear") for each in (above, slope)))
+        note = (
+            f"heights above the ground and slopes weigh the materials; {(above > relief.HEIGHTS_M[1]).mean():.0%} of "
+            f"the surface stands more than {relief.HEIGHTS_M[1]:g} m above it"
+        )
     return Context(case, known, (note, *(known.notes if known else ())))
-
-
-def _relief(
-    height: NDArray[np.float64], grid: Grid, texels: Grid, post_m: float
-) -> tuple[NDArray[np.uint8] | None, str]:
-    """(case of each texel or None, a sentence on it) of heights."""
-    if post_m > relief.WIDEST_POST_M:
-        why = f"posts of {post_m:.3g} m are wider than {relief.WIDEST_POST_M:g} m and do not show roofs and trees"
-        return None, f"heights are not used: {why}"
-    above, slope = relief.above_ground(height, post_m)
-    if why := relief.why_not(height, above):
-        return None, f"heights are not used: {why}"
-    stands = float((above > relief.HEIGHTS_M[1]).mean())
-    return relief.case_of(*(onto(each, grid, texels, "bilinear") for each in (above, slope))), (
-        f"heights above the ground and slopes weigh the materials; {stands:.0%} of the surface stands more than "
-        f"{relief.HEIGHTS_M[1]:g} m above it"
-    )
 
 
 def model_of(
@@ -182,9 +175,10 @@ def learned_materials(
     own = _in_band([material_tables.find(library, name, of) for name in names], library, band_um, of, where)
     fallback = material_tables.find(library, source.fallback, f"{where}: emissivity.fallback")
     mapped = [
-        map_materials(model, one.colour, one.texel_m, evidence=one.context.evidence(names) if one.context else ())
+        map_materials(model, one.colour, one.texel_m, name=one.name,
+                      evidence=one.context.evidence(names) if one.context else ())
         for one in pictures
-    ]
+    ]  # fmt: skip
     together = [np.concatenate([a.reshape(-1, *a.shape[2:]) for a in arrays]) for arrays in (
         [one.index for one in mapped], [one.share for one in mapped], [one.probability for one in mapped],
         [one.confidence for one in mapped], [one.valid for one in pictures],
@@ -193,7 +187,9 @@ def learned_materials(
     del mapped
     index, share, probability, confidence, valid = together
     unknown = valid & (confidence < source.confidence)
-    number, used, error = palette(index, share, probability, own, band_um, _MOST_MIXES)
+    known = [one.context.known for one in pictures if one.context and one.context.known]
+    group = known[0].number.ravel() if known else None
+    number, used, error = palette(index, share, probability, own, band_um, _MOST_MIXES, group)
     number[unknown] = len(used)
     # The fallback is not learned.
     std = np.array([*(one.band_emissivity_std(*band_um, _REFERENCE_K) for one in used), 0.0])[number]

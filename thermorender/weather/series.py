@@ -144,7 +144,7 @@ class Weather:
         In the 30 days before, or what the series has of them, no snow was on the ground, the air was too warm for
         precipitation to be snow, and by the degree days of `moisture` it melts a metre of old snow in 30 days.
         """
-        days = (np.datetime64(time, "s") - self.time) / np.timedelta64(1, "D")
+        days = (time - self.time) / np.timedelta64(1, "D")
         past = (days >= 0.0) & (days <= _PATCHES_D)
         length = float(np.ptp(days[past])) if past.sum() > 1 else 0.0
         if length < _SHORTEST_D or self.snow_m[past].any():

@@ -11,8 +11,9 @@ KINDS: dict[str, tuple[str, ...]] = {
     ),
     "paved": (
         "asphalt", "asphalt_stone", "road_asphalt", "tarmac", "tar", "concrete", "concrete_urban", "pavement_concrete",
-        "cement", "granite_paving", "brick_clay", "brick_cement", "wood",
+        "cement", "granite_paving", "brick_clay", "brick_cement",
     ),
+    "timber": ("wood",),
     "soil": ("soil_loam", "soil_dark", "soil_arid"),
     "sand": ("sand_quartz", "sand_gypsum"),
     "rock": ("granite", "granite_powder", "limestone", "basalt", "sandstone", "marble", "quartzite"),

@@ -199,6 +199,7 @@ def posterior(score: np.ndarray, softening: float, prior: float) -> np.ndarray:
 def map_materials(
     model: EmissivityMap, rgb: np.ndarray, texel_m: float, progress: Callable[[float], object] | None = None,
     keep: Callable[[slice, slice, np.ndarray], object] | None = None, evidence: Sequence[Evidence] = (),
+    name: str = "the picture",
 ) -> Mapped:  # fmt: skip
     """Return the Mapped of an orthophoto.
 
@@ -214,6 +215,8 @@ def map_materials(
         Called with each tile's probabilities.
     evidence : sequence of Evidence
         Each multiplies the probabilities, which are then scaled to a sum of one; all have the same materials.
+    name : str
+        Of the orthophoto, for messages.
 
     Raises
     ------
@@ -226,7 +229,7 @@ def map_materials(
     """
     import cv2
 
-    on_grid = to_grid(rgb, texel_m, model)
+    on_grid = to_grid(rgb, texel_m, model, name)
     shape, grid_shape = rgb.shape[:2], on_grid.shape[:2]
     ratio = [of_grid / of_texels for of_grid, of_texels in zip(grid_shape, shape, strict=True)]
     materials = evidence[0].factor.shape[1] if evidence else len(model.materials)
@@ -280,14 +283,14 @@ def _with_evidence(probabilities, known, here, evidence):
     return probabilities, known
 
 
-def to_grid(rgb: np.ndarray, texel_m: float, model: EmissivityMap) -> np.ndarray:
+def to_grid(rgb: np.ndarray, texel_m: float, model: EmissivityMap, name: str = "the picture") -> np.ndarray:
     """Return an orthophoto, (h, w, 3) uint8, resampled to the ground sampling distance of an EmissivityMap."""
     import cv2
 
     # A nominal texel differs from its size on the ground by the scale of the map projection.
     if not texel_m <= (1.0 + _PROJECTION) * COARSEST_RATIO * model.texel_m:
         raise ThermorenderError(
-            f"the picture has texels of {texel_m:.3g} m, but emissivity map {model.name!r} was trained at "
+            f"{name} has texels of {texel_m:.3g} m, but emissivity map {model.name!r} was trained at "
             f"{model.texel_m:g} m and takes at most {COARSEST_RATIO * model.texel_m:g} m; give a finer one, or "
             "train a map on it with `thermorender train emissivity`"
         )

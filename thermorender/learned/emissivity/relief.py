@@ -25,14 +25,14 @@ HEIGHTS_M, SLOPES_DEG = (0.7, 2.0), (12.0, 35.0)
 CASES = (len(HEIGHTS_M) + 1) * (len(SLOPES_DEG) + 1)
 # Share of each case, by height and then slope, of the surface of procedural land.
 LIKELIHOOD = {
-    "ground": (0.8634, 0.0784, 0.0429, 0.0006, 0.0007, 0.0099, 0.0000, 0.0001, 0.0042),
-    "roof": (0.0001, 0.0032, 0.0061, 0.0008, 0.0092, 0.0487, 0.1306, 0.2339, 0.5674),
-    "tree": (0.0045, 0.0171, 0.0089, 0.0103, 0.0615, 0.0511, 0.0053, 0.1410, 0.7004),
+    "ground": (0.8634, 0.0784, 0.0430, 0.0005, 0.0007, 0.0098, 0.0000, 0.0001, 0.0042),
+    "roof": (0.0001, 0.0033, 0.0068, 0.0009, 0.0090, 0.0507, 0.1306, 0.2340, 0.5647),
+    "tree": (0.0048, 0.0184, 0.0096, 0.0099, 0.0598, 0.0520, 0.0053, 0.1414, 0.6987),
     "water": (0.9592, 0.0408, 0.0000, 0.0000, 0.0000, 0.0000, 0.0000, 0.0000, 0.0000),
 }
 # What the surface of each kind of material is; materials of other kinds may be any.
 SURFACES = {"roof": "roof", "tree": "tree", "water": "water"} | dict.fromkeys(
-    ("paved", "soil", "sand", "rock", "low"), "ground"
+    ("paved", "timber", "soil", "sand", "rock", "low"), "ground"
 )
 # Share of texels whose case is not that of their surface: heights of another day, or shifted against the picture.
 _WRONG = 0.1
@@ -98,15 +98,20 @@ def _slope_deg(height, smooth, post_m):
     return np.degrees(np.arctan(np.hypot(down, right)))
 
 
-def why_not(height: NDArray[np.float64], above_m: Floats) -> str:
-    """Return why a surface model and its heights above the ground, (h, w) each, are no evidence; "" if they are."""
-    count = max(int(np.isfinite(height).sum()), 1)
-    steep = 1.0 - np.isfinite(above_m).sum() / count
+def seen(height: NDArray[np.float64], post_m: float) -> tuple[Floats, Floats, str]:
+    """Return what `above_ground` returns, and why it is no evidence on materials; "" if it is."""
+    if post_m > WIDEST_POST_M:
+        nothing = np.full(height.shape, np.nan, np.float32)
+        why = f"posts of {post_m:.3g} m are wider than {WIDEST_POST_M:g} m and do not show roofs and trees"
+        return nothing, nothing, why
+    above, slope = above_ground(height, post_m)
+    count, why = max(int(np.isfinite(height).sum()), 1), ""
+    steep = 1.0 - np.isfinite(above).sum() / count
     if steep > _MOUNTAINS:
-        return f"{steep:.0%} of the ground is steeper than {_STEEPEST_DEG:g}°, where rocks stand out as roofs do"
-    if (above_m > HEIGHTS_M[1]).sum() < LEAST_SHARE * count:
-        return f"nothing stands more than {HEIGHTS_M[1]:g} m above the ground, as in a model of the bare ground"
-    return ""
+        why = f"{steep:.0%} of the ground is steeper than {_STEEPEST_DEG:g}°, where rocks stand out as roofs do"
+    elif (above > HEIGHTS_M[1]).sum() < LEAST_SHARE * count:
+        why = f"nothing stands more than {HEIGHTS_M[1]:g} m above the ground, as in a model of the bare ground"
+    return above, slope, why
 
 
 def case_of(above_m: Floats, slope_deg: Floats) -> NDArray[np.uint8]:

@@ -304,7 +304,9 @@ def _learned_mesh(
         surface = parts.ground[k]
         used = used_texels(surface)
         colour = surface.colour if used.all() else fill(surface.colour, nearest_valid(used))
-        pictures.append(Picture(colour, used, surface.texel_m))
+        pictures.append(
+            Picture(colour, used, surface.texel_m, name=f"{materials.where}: the texture of surface {surface.name!r}")
+        )
     number, unknown = _learned(pictures, emissivity, materials, report, no_snow)
     assert emissivity.fallback is not None
     rest = materials.index(emissivity.fallback, "emissivity.fallback")

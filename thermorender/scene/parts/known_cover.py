@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity.kinds import KINDS, kinds_of
 from thermorender.learned.emissivity.mapping import Evidence
-from thermorender.scene.parts.patch import part_of, pixels_of, read_features, texels_of
+from thermorender.scene.parts.patch import burnt, part_of, pixels_of, read_features, texels_of
 from thermorender.scene.raster import Grid
 
 _FIELDS, _LOOSE = ("low", "soil", "tree"), ("paved", "soil", "sand", "rock", "low", "tree")
@@ -133,7 +133,9 @@ def read_known(path: Path, grid: Grid, texel_m: float) -> KnownCover:
     return _burnt(path, crs, grid, shapes, left_out, silent)
 
 
-def _burnt(path, crs, grid, shapes, left_out, silent):
+def _burnt(
+    path: Path, crs: Any, grid: Grid, shapes: Sequence[Any], left_out: Counter[str], silent: Counter[str]
+) -> KnownCover:
     """The KnownCover of shapes [(order, number, geometry, case, name, width [texels] or None)]."""
     number = np.zeros((grid.height, grid.width), np.uint8)
     cases: dict[tuple[str, ...] | str, int] = {}
@@ -172,7 +174,8 @@ def _parts(feature: Any, path: Path, number: int) -> tuple[dict[str, Any], dict[
     """(geometry, tags) of a feature."""
     try:
         geometry, about = feature["geometry"], feature.get("properties") or {}
-        tags = about.get("tags") if isinstance(about.get("tags"), Mapping) else about
+        nested = about.get("tags")
+        tags = nested if isinstance(nested, Mapping) else about
         if not isinstance(geometry, dict):
             raise ValueError
         return geometry, {str(key): str(value) for key, value in tags.items() if value not in (None, "")}
@@ -219,21 +222,31 @@ def _width_m(tags: Mapping[str, str]) -> float | None:
     return usual
 
 
-def _line_texels(geometry, crs, grid, width_px, where):
-    """(part of a grid, which of its texels are within a line of a width) as `texels_of`."""
-    import cv2
+def _line_texels(
+    geometry: Any, crs: Any, grid: Grid, width_px: float, where: str
+) -> tuple[tuple[slice, slice], NDArray[np.bool_]]:
+    """(part of a grid, which of its texels have their middle within a line of a width) as `texels_of`."""
+    try:
+        lines = [geometry["coordinates"]] if geometry["type"] == "LineString" else list(geometry["coordinates"])
+        made = [pixels_of(line, crs, grid, where) for line in lines]
+        every = np.concatenate(made)
+    except ThermorenderError:
+        raise
+    except (KeyError, TypeError, ValueError):
+        raise ThermorenderError(f"{where} is not a line with corners; export it again") from None
+    part = part_of(grid, every.min(axis=0) - 0.5 * width_px, every.max(axis=0) + 0.5 * width_px)
+    return part, burnt([ring for line in made for ring in _ribbon(line, 0.5 * width_px)], part)
 
-    lines = [geometry["coordinates"]] if geometry["type"] == "LineString" else geometry["coordinates"]
-    made = [pixels_of(line, crs, grid, where) for line in lines]
-    every, margin = np.concatenate(made), 0.5 * width_px + 1.0
-    part = part_of(grid, every.min(axis=0) - margin, every.max(axis=0) + margin)
-    corner = (part[1].start, part[0].start)
-    inside = np.zeros([each.stop - each.start for each in part], np.uint8)
-    if inside.size:
-        # OpenCV counts from the middle of the first pixel, here with 4 fractional bits.
-        points = [np.rint(16.0 * (line - corner - 0.5)).astype(np.int32) for line in made]
-        cv2.polylines(inside, points, False, 1, max(1, round(width_px)), cv2.LINE_8, 4)
-    return part, inside > 0
+
+def _ribbon(line: NDArray[np.float64], half: float) -> list[NDArray[np.float64]]:
+    """Polygons that cover a line of a half width: a rectangle for each step, and a disc at each bend."""
+    step = np.diff(line, axis=0)
+    length = np.hypot(*step.T)
+    across = half * step[:, ::-1] * (-1.0, 1.0) / np.maximum(length, 1e-9)[:, None]
+    found = [np.stack([a + n, b + n, b - n, a - n]) for a, b, n in zip(line[:-1], line[1:], across, strict=True)]
+    angle = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+    disc = half * np.column_stack([np.cos(angle), np.sin(angle)])
+    return [*found, *(corner + disc for corner in line[1:-1])]
 
 
 def _counted(counts: Counter[str]) -> str:

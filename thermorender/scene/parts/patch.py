@@ -1,6 +1,6 @@
 """Areas of the terrain whose material an edit names: polygons of a map or of the local frame, on the texels."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -125,9 +125,6 @@ def texels_of(geometry: Any, crs: Any, grid: Grid, where: str) -> tuple[tuple[sl
     ThermorenderError
         It is not a polygon, or not in the CRS; the message begins with `where`.
     """
-    from rasterio import Affine
-    from rasterio.features import rasterize
-
     try:
         polygons = [geometry["coordinates"]] if geometry["type"] == "Polygon" else list(geometry["coordinates"])
         rings = [[pixels_of(ring, crs, grid, where) for ring in polygon] for polygon in polygons]
@@ -137,12 +134,26 @@ def texels_of(geometry: Any, crs: Any, grid: Grid, where: str) -> tuple[tuple[sl
     except (KeyError, IndexError, TypeError, ValueError):
         raise ThermorenderError(f"{where} is not a polygon with corners; export polygons from a GIS") from None
     part = part_of(grid, outer.min(axis=0), outer.max(axis=0))
-    shape = tuple(each.stop - each.start for each in part)
-    if not min(shape) > 0:
-        return part, np.zeros((0, 0), bool)
-    shown = {"type": "MultiPolygon", "coordinates": [[ring.tolist() for ring in polygon] for polygon in rings]}
+    return part, burnt(rings, part)
+
+
+def burnt(polygons: Sequence[Any], part: tuple[slice, slice]) -> NDArray[np.bool_]:
+    """Return which texels of a part of a grid have their middle in polygons, each a ring (N, 2) or rings with holes.
+
+    Rings are (column, row) of the grid.
+    """
+    from rasterio import Affine
+    from rasterio.features import rasterize
+
+    rows, columns = (each.stop - each.start for each in part)
+    if not min(rows, columns) > 0:
+        return np.zeros((0, 0), bool)
+    shapes = [
+        {"type": "Polygon", "coordinates": [ring.tolist() for ring in ([one] if isinstance(one, np.ndarray) else one)]}
+        for one in polygons
+    ]
     corner = Affine.translation(part[1].start, part[0].start)
-    return part, rasterize([(shown, 1)], out_shape=shape, transform=corner, dtype="uint8") > 0
+    return np.asarray(rasterize(shapes, out_shape=(rows, columns), transform=corner, dtype="uint8") > 0)
 
 
 def texels_in(geometry: Any, grid: Grid, name: str) -> NDArray[np.bool_]:

@@ -23,6 +23,7 @@ from thermorender.scene.parts.tracks import TrackedObject
 from thermorender.scene.spec import WEATHER, TemperatureSpec
 from thermorender.scene.state.albedo import shares, with_albedo
 from thermorender.scene.state.declared import Declared
+from thermorender.scene.state.own_weather import no_snow_of, weather_of
 from thermorender.scene.surface import FALLBACK, UNMOVED, Surface, fill, nearest_valid, scene_kelvin
 from thermorender.scene.temperature import Texels, map_error_k, resolve, trained
 from thermorender.scene.temperature_state import Balance, Conditional, Known, Moved, Pending, TemperatureState
@@ -79,13 +80,13 @@ def derived(parts: Parts | None, now: Declared, old: tuple[Declared, Derived] | 
     """
     before, had = old or (None, None)
     shape = had.shape if had and before and _shape_key(before) == _shape_key(now) else _shape(parts, now)
-    no_snow = _no_snow(now, shape, old)
-    same_snow = had is not None and bool(had.no_snow) == bool(no_snow)
+    same = had and before and _weather_key(before, had.shape) == _weather_key(now, shape)
+    # The cover of surfaces made in memory stays.
+    no_snow = had.no_snow if had and parts is None else no_snow_of(now, shape, had.weather if had and same else None)
     if (
         had
         and before
-        and same_snow
-        and _cover_key(before) == _cover_key(now)
+        and _cover_key(before, had.no_snow) == _cover_key(now, no_snow)
         and not _to_extend(had.cover, parts, before, now)
     ):
         cover, no_snow = had.cover, had.no_snow
@@ -168,11 +169,11 @@ def _shape_key(of: Declared) -> tuple[Any, ...]:
     return tuple((item.position, item.yaw_deg) for item in of.spec.objects), of.held
 
 
-def _cover_key(of: Declared) -> tuple[Any, ...]:
+def _cover_key(of: Declared, no_snow: str) -> tuple[Any, ...]:
     band = of.camera.band_um if of.spec.emissivity.source == "learned" else None
     covered = tuple((one.name, one.material, one.classes) for one in of.spec.surfaces)
     objects = tuple(item.material for item in of.spec.objects)
-    return of.spec.emissivity, objects, covered, of.replaced, of.painted, band, _albedo(of)
+    return of.spec.emissivity, objects, covered, of.replaced, of.painted, band, _albedo(of), bool(no_snow)
 
 
 def _albedo(of: Declared) -> float | None:
@@ -246,20 +247,6 @@ def _shape(parts: Parts | None, now: Declared) -> Shape:
     return shape_of(parts, now.spec.objects, now.held, now.where)
 
 
-def _no_snow(now: Declared, shape: Shape, old: tuple[Declared, Derived] | None) -> str:
-    """Why no snow lies on the ground by the weather; "" if it may, or where no learned map would need to know."""
-    if now.spec.emissivity.source != "learned" or now.spec.weather is None:
-        return ""
-    if now.weather is None and shape.frame is None:
-        return ""
-    before, had = old or (None, None)
-    if had and before and before.spec.emissivity.source == "learned" and before.time == now.time:
-        if _weather_key(before, had.shape) == _weather_key(now, shape):
-            return had.no_snow
-    assert now.time is not None
-    return weather_of(now, shape).why_no_snow(now.time)
-
-
 def _cover(parts: Parts | None, now: Declared, no_snow: str) -> Cover:
     band = now.camera.band_um
     if parts is None:
@@ -279,28 +266,6 @@ def _in_memory(now: Declared, what: str) -> ThermorenderError:
         f"{now.where}: {what} cannot be edited, because its surfaces were made in memory; edit the scene before "
         "with_surfaces, or give with_surfaces other ones"
     )
-
-
-def weather_of(now: Declared, shape: Shape) -> "Weather":
-    """Return the Weather that a scene declares, at its own place."""
-    if now.spec.weather is None or now.time is None:
-        raise ThermorenderError(f"{now.where} has no [weather]; add it")
-    if now.weather is not None:
-        given: Weather = now.weather
-        return given
-    if shape.frame is None:
-        raise ThermorenderError(
-            f"{now.where}: [weather] needs a place, which a mesh does not have; add [frame] with latitude_deg, "
-            "longitude_deg and height_m"
-        )
-    from thermorender.weather.declared import declared_weather
-
-    try:
-        return declared_weather(
-            now.spec.weather, shape.frame.latitude_deg, shape.frame.longitude_deg, now.height_m(shape.frame)
-        )
-    except ThermorenderError as error:
-        raise ThermorenderError(f"{now.where}: {error}") from None
 
 
 def air_of(weather: "Weather", time: Any, **keys: Any) -> Atmosphere:
