@@ -117,6 +117,8 @@ class SceneOptions:
                 f"{report['model']}: {report['share_unknown']:.1%} of the texels are of unknown material and taken for "
                 f"{report['fallback']}"
             )
+            for note in report.get("context", ()):
+                typer.echo(f"{report['model']}: {note}")
             if "mean_std" in report:
                 typer.echo(
                     f"{report['model']}: emissivity ± {report['mean_std']:.3f} on average; "
