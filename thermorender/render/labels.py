@@ -30,17 +30,24 @@ def object_names(scene: Scene) -> tuple[str, ...]:
     return tuple(dict.fromkeys(_owners(scene)[scene.terrain_count :]))
 
 
+def objects_of_surfaces(scene: Scene) -> NDArray[np.uint32]:
+    """Return the number of the object that each surface belongs to, those of moving objects last.
+
+    Objects count from 1 in the order of `object_names`; terrain is 0.
+    """
+    owner, number = _owners(scene), {name: k for k, name in enumerate(object_names(scene), start=1)}
+    return np.array([0 if k < scene.terrain_count else number[name] for k, name in enumerate(owner)], np.uint32)
+
+
 def object_numbers(scene: Scene, valid: NDArray[np.bool_], texel: NDArray[Any]) -> NDArray[np.uint32]:
-    """Return the number of the object that each pixel shows, from 1 in the order of `object_names`; 0 for none.
+    """Return the number of the object that each pixel shows, as `objects_of_surfaces`; 0 for none.
 
     `valid` and `texel` are those of `thermorender.render.truth.pixel_middles`.
     """
-    owner, number = _owners(scene), {name: k for k, name in enumerate(object_names(scene), start=1)}
-    of = np.array([0 if k < scene.terrain_count else number[name] for k, name in enumerate(owner)], np.uint32)
     moving = [surface for tracked in scene.tracked_objects for surface in tracked.surfaces]
     ends = np.cumsum([surface.material.size for surface in (*scene.surfaces, *moving)])
     surface = np.minimum(np.searchsorted(ends, texel, side="right"), len(ends) - 1)
-    return np.where(valid, of[surface], np.uint32(0))
+    return np.where(valid, objects_of_surfaces(scene)[surface], np.uint32(0))
 
 
 def labels(
@@ -48,7 +55,7 @@ def labels(
 ) -> dict[str, dict[str, Any]]:
     """Return {object: {…}} of the objects whose extent meets the image, as `Frame.labels`.
 
-    `seen` is the image of `object_numbers`.
+    `seen` is the truth's image of objects.
     """
     found = {}
     for number, name in enumerate(object_names(baked.scene), start=1):

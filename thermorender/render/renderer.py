@@ -281,7 +281,7 @@ class Renderer:
         `camera` as of `visible`.
         """
         at_rest = Shape(self._geometry, opaque_view(self._geometry.mi, checked_pose(pose)))
-        return np.asarray(truth.pixel_middles([at_rest], self._camera_rays(camera))[4], np.float32)
+        return np.asarray(truth.pixel_middles([at_rest], self._camera_rays(camera))[3], np.float32)
 
     def hits(self, origin: ArrayLike, direction: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
         """Return (distance [m], infinite for a miss; number of the texel, −1 for a miss) of rays into the static scene.

@@ -46,9 +46,13 @@ class View:
         image, sampling = self.tracer(through_air).image(limit)
         return image[0], sampling
 
-    def truth(self) -> dict[str, NDArray[Any]]:
-        """Return the ground truth, as `Frame.truth`, without the sensor's flags."""
-        return truth.truth(self.baked, self.rays, self.pose, self.placements)
+    def truth(self, sampling: Sampling | None) -> dict[str, NDArray[Any]]:
+        """Return the ground truth, as `Frame.truth`, without the sensor's flags.
+
+        Rays that the image with this Sampling cast are not cast again.
+        """
+        middles = None if sampling is None else sampling.middles
+        return truth.truth(self.baked, self.rays, self.pose, self.placements, middles)
 
     def targets(self) -> dict[str, dict[str, Any]]:
         """Return the positions of objects, as `Frame.targets`."""
