@@ -60,7 +60,7 @@ class View:
 
     def labels(self, seen: NDArray[np.uint32]) -> dict[str, dict[str, Any]]:
         """Return the extents of objects, as `Frame.labels`; `seen` is the truth's image of objects."""
-        return labels.labels(self.baked, self.rays.camera, self.pose, self.placements, seen)
+        return labels.labels(self.baked, self.rays, self.pose, self.placements, seen)
 
     def budget_mk(self, radiance: NDArray[np.float32], sampling: Sampling | None) -> dict[str, float] | None:
         """Return the error budget of a radiance image, as `Frame.budget_mk`; None without its Sampling."""
