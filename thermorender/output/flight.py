@@ -42,6 +42,7 @@ from thermorender.render.flight.timed import STEP_S
 from thermorender.scene.scene import Scene
 from thermorender.sensor.display import DisplaySettings
 from thermorender.sensor.radiometry import ThermographySettings
+from thermorender.timing import phase, profile_entry
 from thermorender.trajectory.path import Trajectory
 from thermorender.units import utc_text
 
@@ -85,7 +86,7 @@ class FlightOptions:
     display: DisplaySettings = DisplaySettings()
     thermography: ThermographySettings | None = None
     audit: int = defaults.AUDIT
-    exr_compression: str = "rle"
+    exr_compression: str = defaults.EXR_COMPRESSION
 
     def __post_init__(self) -> None:
         check_compression(self.exr_compression)
@@ -139,12 +140,14 @@ def fly(
         resume with other settings, weather that ends before the flight, or a camera above the range of the air or above
         its clouds.
     """
-    flight = _Flight(renderer, trajectory, options, heat_progress)
+    with phase("outlook and settings"):
+        flight = _Flight(renderer, trajectory, options, heat_progress)
     with files.output_folder(folder) as out, files.in_use(out):
         with _bar(progress) as report:
             done = flight.write(out, resume or verify, verify, report, outlook)
         without = flight.terrain.count(False)
-        formats.write_json(out / "flight.json", flight.described | {"frames_without_terrain": without})
+        about = flight.described | {"frames_without_terrain": without} | profile_entry()
+        formats.write_json(out / "flight.json", about)
     return {
         "frames": len(flight.times),
         "rendered": len(flight.times) - done,
@@ -211,8 +214,8 @@ class _Flight:
         # Of the frames written now: seconds, and {product: bytes}.
         self._spent: list[tuple[float, dict[str, int]]] = []
         self._agc: _Memory = None
-        # Frames in the video.
-        self._encoded = 0
+        # Frames in the video; name of the frames in a profile.
+        self._encoded, self._kind = 0, "first frame"
 
     def _settings(self, trajectory: Trajectory) -> dict[str, Any]:
         scene, start = self.renderer.scene, self.flown.timed.time(trajectory.span_s[0])
@@ -263,12 +266,17 @@ class _Flight:
             if video and done == total:
                 self._encode(video, folder, total)
         if "report" in self.products:
-            for index in self.sheet:
-                if index not in self.pictured:
-                    self._picture(self.flown.still(index))
-            pictured = {index: self.pictured[index] for index in self.sheet}
-            write_page(folder, self.renderer, self.settings, self.prospect, pictured)
+            self._report(folder)
         return done
+
+    @phase("report")
+    def _report(self, folder: Path) -> None:
+        """Write the page of the flight."""
+        for index in self.sheet:
+            if index not in self.pictured:
+                self._picture(self.flown.still(index))
+        pictured = {index: self.pictured[index] for index in self.sheet}
+        write_page(folder, self.renderer, self.settings, self.prospect, pictured)
 
     def cost(self, folder: Path, frames: int) -> Cost:
         """Return the Cost of a number of frames, by those that were written now."""
@@ -292,18 +300,23 @@ class _Flight:
             put_in_place(folder, place, lambda: self.described, frame)
             if video and frame.image is not None:
                 # The video begins with the frames of the flight before it was stopped.
-                self._encode(video, folder, frame.line["index"])
-                video.write(frame.image)
-                self._encoded += 1
+                with phase("writer: video"):
+                    self._encode(video, folder, frame.line["index"])
+                    video.write(frame.image)
+                    self._encoded += 1
 
         with OrderedWriter(finish, report, Prepared.discard) as writer:
             for index in frames:
                 clock, core = time.perf_counter(), time.process_time()
-                job = self._job(folder, index, place)
+                with phase(f"{self._kind}: truth, labels and record"):
+                    job = self._job(folder, index, place)
+                self._kind = "frames"
                 rendered = time.perf_counter()
-                writer.put(job)
+                with phase("waiting for the writer"):
+                    writer.put(job)
+                    if index in measured or index == frames[-1]:
+                        writer.drain()
                 if index in measured:
-                    writer.drain()
                     written, core = time.perf_counter() - rendered, time.process_time() - core
                     # What takes longest side by side: rendering, writing, or the work of both on all cores.
                     spent = max(rendered - clock, written / WORKERS, core / (os.cpu_count() or 1))
@@ -352,10 +365,12 @@ class _Flight:
 
     def _take(self, index: int, agc: _Memory) -> tuple[Frame, _Memory, Any]:
         """One frame with its sensor's reading, the state of the display after it, and the display image."""
-        frame = self.flown.take(index)
+        with phase(f"{self._kind}: radiance and sensor"):
+            frame = self.flown.take(index)
         if "display" not in self.products:
             return frame, None, None
-        return frame, *self.display.image(frame.counts, agc, 1.0 / self.flown.rate_hz)
+        with phase(f"{self._kind}: display"):
+            return frame, *self.display.image(frame.counts, agc, 1.0 / self.flown.rate_hz)
 
     def _restored(self, folder: Path, done: int) -> _Memory:
         """Restore the sensor's state after `done` frames, or render them again; return the display's state."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from thermorender import files, formats
 from thermorender.errors import ThermorenderError
 from thermorender.output.resume import refuse_moved
+from thermorender.timing import phase
 
 
 @dataclass(frozen=True)
@@ -69,12 +70,15 @@ def prepare(
     try:
         refuse_moved(folder, place)
         for path, encode in (*encoders.items(), state):
-            with files.reported(path):
+            with files.reported(path), phase(f"writer: {path.suffix} encoded"):
                 data = encode()
-            frame.parts[path] = files.write_aside(path, data)
+            with phase("writer: files written"):
+                frame.parts[path] = files.write_aside(path, data)
             if path in encoders:
-                known[path.name] = [len(data), formats.checksum(data)]
-        files.on_disk(*(frame.parts[path] for path in encoders))
+                with phase("writer: checksums"):
+                    known[path.name] = [len(data), formats.checksum(data)]
+        with phase("writer: files on the disk"):
+            files.on_disk(*(frame.parts[path] for path in encoders))
         return Prepared(line() | {"files": known}, frame.parts, image)
     except BaseException as error:
         frame.discard()
@@ -84,6 +88,7 @@ def prepare(
         raise
 
 
+@phase("writer: names and lines")
 def put_in_place(folder: Path, place: os.stat_result, described: Callable[[], dict[str, Any]], frame: Prepared) -> None:
     """Give the files of a frame their names, then append its line to `frames.jsonl`.
 

@@ -34,6 +34,7 @@ from thermorender.scene.georeference import place_of
 from thermorender.scene.scene import Scene
 from thermorender.scene.surface import FILLED, Surface
 from thermorender.sensor.camera import Camera
+from thermorender.timing import phase
 from thermorender.trajectory.path import Trajectory
 
 if TYPE_CHECKING:
@@ -150,7 +151,7 @@ class Renderer:
     def baked(self) -> BakedScene:
         """The BakedScene; light between surfaces is traced and solved on first use."""
         if self._baked is None:
-            with interactive(self._progress) as report:
+            with interactive(self._progress) as report, phase("light solved"):
                 self._baked = bake(self.scene, self.plan, self._geometry, self._like, report)
             self._like = None
         return self._baked
