@@ -63,8 +63,7 @@ def labels(
     for number, name in enumerate(object_names(baked.scene), start=1):
         geometry, own_pose = baked.device.alone(name, placements)
         view = np.linalg.inv(own_pose) @ pose
-        vertices = np.concatenate([surface.vertices for surface in geometry.surfaces])
-        local = (vertices - view[:3, 3]) @ view[:3, :3]
+        local = (geometry.vertices - view[:3, 3]) @ view[:3, :3]
         front = local[:, 2] > 0.0
         if not front.any():
             continue
