@@ -325,6 +325,14 @@ def test_tags_name_kinds_of_material(tmp_path, tags, kinds):
     assert known.cases == (kinds,)
 
 
+def test_snow_and_materials_of_unknown_kind_stay_possible_in_every_shape(tmp_path):
+    path = write_raster(tmp_path / "o.tif", np.zeros((3, 64, 64), np.uint8), 0.5)
+    known = read_known(shapes(tmp_path / "a.geojson", HOUSE), grid_of(path), 0.5)
+    names = ["roof_slate", "snow", "brass", "asphalt", "water"]
+    assert known.evidence(names).factor.tolist() == [[1, 1, 1, 1, 1], [1, 1, 1, 0, 0]]
+    assert known.beyond(["asphalt", "water"]) == ["roof_shingle"] and known.beyond(names) == []
+
+
 def test_every_rule_names_materials_of_the_library():
     from thermorender.learned.emissivity.kinds import KINDS
 

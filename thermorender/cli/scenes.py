@@ -153,7 +153,7 @@ def map_materials(
     fallback: Annotated[str, typer.Option(help="Material of unknown texels.")] = defaults.FALLBACK_MATERIAL,
     confidence: Annotated[
         float | None, typer.Option(help="Texels whose best material is less probable are unknown; default: as in "
-                                   "scene files, 0.35.")
+                                   "scene files.")
     ] = None,
     without: Annotated[str, typer.Option(help="Comma-separated materials that do not occur in the scene.")] = "",
 ) -> None:  # fmt: skip

@@ -253,7 +253,8 @@ def map_materials(
             found = np.stack(planes)
         else:
             found = found[:, : here[0].stop - top, : here[1].stop - left]
-        probabilities, known = _with_evidence(found[:-1], found[-1] <= 1.0, here, evidence)
+        novelty = found[-1]
+        probabilities, known = _with_evidence(found[:-1], novelty <= 1.0, here, evidence)
         if keep:
             keep(*here, probabilities)
         result.probability[here] = np.moveaxis(np.rint(255.0 * probabilities), 0, -1)

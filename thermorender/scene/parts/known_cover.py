@@ -27,26 +27,27 @@ HIGHWAYS = {
 _TRACKS = {"track": 3.0, "path": 1.0, "bridleway": 2.0}
 _WATERWAYS = {"river": 10.0, "canal": 8.0, "stream": 2.0, "ditch": 1.0, "drain": 1.0}
 _LANE_M = 3.0
-# (tag, values, kinds of material inside); any value if none is listed. A later rule covers an earlier one.
-RULES: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...] = (
-    ("landuse", ("farmland", "orchard", "vineyard", "allotments", "plant_nursery", "grass", "meadow", "village_green",
-                 "recreation_ground"), _FIELDS),
-    ("natural", ("grassland", "heath", "scrub", "fell"), (*_FIELDS, "sand")),
-    ("landuse", ("forest",), ("tree", "low", "soil")),
-    ("natural", ("wood",), ("tree", "low", "soil")),
-    ("natural", ("sand", "dune"), ("sand",)),
-    ("natural", ("beach", "shoal"), ("sand", "rock", "soil")),
-    ("natural", ("bare_rock", "scree", "shingle", "cliff"), ("rock",)),
-    ("natural", ("glacier",), ("snow",)),
-    ("amenity", ("parking",), _PAVED),
-    ("aeroway", ("runway", "taxiway", "apron"), ("paved",)),
-    ("landuse", ("reservoir", "basin"), _WATER),
-    ("natural", ("water",), _WATER),
-    ("waterway", ("riverbank", "dock", *_WATERWAYS), _WATER),
-    ("leisure", ("swimming_pool",), _WATER),
-    ("highway", tuple(_TRACKS), _LOOSE),
-    ("highway", tuple(HIGHWAYS), _PAVED),
-    ("building", (), ("roof",)),
+# (tag, values with blanks between, kinds of material inside); any value if none is listed. A later rule covers an
+# earlier one.
+RULES: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+    ("landuse", "farmland orchard vineyard allotments plant_nursery grass meadow village_green recreation_ground",
+     _FIELDS),
+    ("natural", "grassland heath scrub fell", (*_FIELDS, "sand")),
+    ("landuse", "forest", ("tree", "low", "soil")),
+    ("natural", "wood", ("tree", "low", "soil")),
+    ("natural", "sand dune", ("sand",)),
+    ("natural", "beach shoal", ("sand", "rock", "soil")),
+    ("natural", "bare_rock scree shingle cliff", ("rock",)),
+    ("natural", "glacier", ("snow",)),
+    ("amenity", "parking", _PAVED),
+    ("aeroway", "runway taxiway apron", ("paved",)),
+    ("landuse", "reservoir basin", _WATER),
+    ("natural", "water", _WATER),
+    ("waterway", " ".join(("riverbank", "dock", *_WATERWAYS)), _WATER),
+    ("leisure", "swimming_pool", _WATER),
+    ("highway", " ".join(_TRACKS), _LOOSE),
+    ("highway", " ".join(HIGHWAYS), _PAVED),
+    ("building", "", ("roof",)),
 )  # fmt: skip
 _UNPAVED = ("unpaved", "compacted", "fine_gravel", "gravel", "pebblestone", "ground", "dirt", "earth", "grass", "mud",
             "sand", "rock")  # fmt: skip
@@ -191,7 +192,7 @@ def _ruled(tags: Mapping[str, str]) -> tuple[int, tuple[str, ...] | str, str] | 
         return len(RULES), tags["material"], f"material={tags['material']}"
     for order, (key, values, kinds) in reversed(list(enumerate(RULES))):
         value = tags.get(key, "no")
-        if value == "no" or (values and value not in values):
+        if value == "no" or (values and value not in values.split()):
             continue
         if key == "highway" and "surface" in tags:
             kinds = _LOOSE if tags["surface"] in _UNPAVED else _PAVED
