@@ -1,8 +1,8 @@
 """A rocket in RocketPy whose canards follow the seeker: the descent, from after the burn to the ground.
 
-RocketPy has no guided flight. Its `GenericSurface` takes coefficients as functions, which its equations of motion call at
-each step. Here they read the deflections of two pairs of canards, and RocketPy's controller sets these at the rate of
-the camera. All forces and the motion in six degrees of freedom are RocketPy's.
+RocketPy has no guided flight. Its `GenericSurface` takes coefficients as functions, which its equations of motion call
+at each step. Here they read the deflections of two pairs of canards, which
+RocketPy's controller sets between steps. All forces and the motion in six degrees of freedom are RocketPy's.
 """
 
 import numpy as np
@@ -57,8 +57,8 @@ def fly(session, focal_px, target, position, heading_deg, ground_m=0.0):
     Parameters
     ----------
     session : thermorender.link.Session or None
-        With attitude "camera": RocketPy's body axes are those of a camera that looks along the rocket. None: the canards
-        stay in the middle.
+        With attitude "camera": RocketPy's body axes are those of a camera that looks along the rocket. None: the
+        canards stay in the middle.
     focal_px : float
     target : (3,) array
         For the miss distance only [m].

@@ -1,7 +1,7 @@
 """A seeker: the centroid of a hot spot in the counts, the filtered line of sight, and proportional navigation.
 
-The seeker has a camera fixed to the vehicle, the attitude of the camera and the velocity. It knows no range, no position
-of the target and nothing of the scene.
+The seeker has a camera fixed to the vehicle, the attitude of the camera and the velocity. It knows no range, no
+position of the target and nothing of the scene.
 """
 
 from dataclasses import dataclass, field

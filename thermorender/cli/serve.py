@@ -2,7 +2,7 @@
 
 import signal
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,6 +17,9 @@ from thermorender.cli.options import (
     print_cache_note,
 )
 from thermorender.cli.terminal import output_option, progress
+
+if TYPE_CHECKING:
+    from thermorender.link.server import Server
 
 
 @flat
@@ -40,6 +43,11 @@ def serve(
     map: Annotated[
         list[str] | None, typer.Option(help="Learned map for methods B and C, name or file; repeat for more.")
     ] = None,
+    airsim: Annotated[
+        int | None,
+        typer.Option(help="Also answer calls of AirSim's Python clients, on this port of this machine; 41451 is "
+                     "AirSim's. Its calls have no token: any program of this machine can make them.", min=0, max=65535),
+    ] = None,
     situation: SceneOptions,
     source: TemperatureOptions,
     sampling: SamplingOptions,
@@ -62,6 +70,7 @@ def serve(
     server = Server(stage, host, port)
     kept = token_file or default_file(server.port)
     server.token = new_token(kept)
+    bridges = _bridges(server, airsim)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         typer.echo(f"serving {loaded.name} on {host} port {server.port}; the token is in {kept}; stop with Ctrl-C")
@@ -69,5 +78,20 @@ def serve(
     except KeyboardInterrupt:
         pass
     finally:
+        for bridge in bridges:
+            bridge.stop()
         kept.unlink(missing_ok=True)
         typer.echo(f"stopped after {server.answered} frames")
+
+
+def _bridges(server: "Server", airsim: int | None) -> list[Any]:
+    """The bridges that are asked for, started."""
+    made: list[Any] = []
+    if airsim is not None:
+        from thermorender.link.bridges.airsim import Bridge
+
+        made.append(Bridge(airsim, server.port, server.token))
+        typer.echo(f"AirSim's calls are answered on 127.0.0.1 port {made[-1].port}, without a token")
+    for bridge in made:
+        bridge.start()
+    return made
