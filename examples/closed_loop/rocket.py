@@ -1,8 +1,8 @@
 """A rocket in RocketPy whose canards follow the seeker: the descent, from after the burn to the ground.
 
 RocketPy has no guided flight. Its `GenericSurface` takes coefficients as functions, which its equations of motion call
-at each step. Here they read the deflections of two pairs of canards, which
-RocketPy's controller sets between steps. All forces and the motion in six degrees of freedom are RocketPy's.
+at each step. Here they read the deflections of two pairs of canards, which RocketPy's controller sets between steps.
+All forces and the motion in six degrees of freedom are RocketPy's.
 """
 
 import numpy as np

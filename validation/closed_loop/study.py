@@ -71,9 +71,9 @@ def run(runs, progress=None, device="auto"):
                         flown = aircraft.fly(session, scene.frame, focal_px, target, start, heading)
                     if session is not None:
                         session.close()
+                    way = (flown["path"][:: 1 + len(flown["path"]) // 60] - target).round(1)
                     flights.append({"vehicle": vehicle, "method": method, "flight": number, "miss_m": flown["miss_m"],
-                                    "seen": flown["seen"],
-                                    "path": (flown["path"][::12] - target).round(1).tolist()})  # fmt: skip
+                                    "seen": flown["seen"], "path": way.tolist()})  # fmt: skip
     return {"machine": machine(), "versions": versions(), "map": MAP, "rate_hz": RATE_HZ, "flights": flights}
 
 

@@ -6,8 +6,8 @@ listens on this machine only.
 
 AirSim's world is north, east, down from the scene's origin: x is the scene's north, y its east, z the negative of its
 up. A quaternion rotates the vehicle's axes (x forward, y right, z down) to these. The camera looks along the vehicle's
-x axis. The calls carry no time: a frame is taken 0.1 s after the one before, by a camera that stood still since then, so
-that pixels do not remember an earlier pose.
+x axis. The calls carry no time: a frame is taken 0.1 s after the one before, by a camera that stood still since then:
+pixels do not remember an earlier pose.
 """
 
 import contextlib
