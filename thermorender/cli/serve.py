@@ -48,6 +48,15 @@ def serve(
         typer.Option(help="Also answer calls of AirSim's Python clients, on this port of this machine; 41451 is "
                      "AirSim's. Its calls have no token: any program of this machine can make them.", min=0, max=65535),
     ] = None,
+    view: Annotated[
+        int | None,
+        typer.Option(help="Also show the frames to a browser or player, on this port of this machine; 0: a free one. "
+                     "The printed address holds a token.", min=0, max=65535),
+    ] = None,
+    mavlink: Annotated[
+        str | None,
+        typer.Option(help="Also send the thermal range of each frame as MAVLink, e.g. to udpout:127.0.0.1:14550."),
+    ] = None,
     situation: SceneOptions,
     source: TemperatureOptions,
     sampling: SamplingOptions,
@@ -70,7 +79,7 @@ def serve(
     server = Server(stage, host, port)
     kept = token_file or default_file(server.port)
     server.token = new_token(kept)
-    bridges = _bridges(server, airsim)
+    bridges = _bridges(server, airsim, view, mavlink)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         typer.echo(f"serving {loaded.name} on {host} port {server.port}; the token is in {kept}; stop with Ctrl-C")
@@ -84,7 +93,7 @@ def serve(
         typer.echo(f"stopped after {server.answered} frames")
 
 
-def _bridges(server: "Server", airsim: int | None) -> list[Any]:
+def _bridges(server: "Server", airsim: int | None, view: int | None, mavlink: str | None) -> list[Any]:
     """The bridges that are asked for, started."""
     made: list[Any] = []
     if airsim is not None:
@@ -92,6 +101,17 @@ def _bridges(server: "Server", airsim: int | None) -> list[Any]:
 
         made.append(Bridge(airsim, server.port, server.token))
         typer.echo(f"AirSim's calls are answered on 127.0.0.1 port {made[-1].port}, without a token")
+    if view is not None:
+        from thermorender.link.bridges.view import View
+
+        made.append(View(view))
+        server.watchers.append(made[-1].show)
+        typer.echo(f"look at {made[-1].address}")
+    if mavlink is not None:
+        from thermorender.link.bridges.mavlink import ThermalRange
+
+        made.append(ThermalRange(mavlink))
+        server.watchers.append(made[-1].show)
     for bridge in made:
         bridge.start()
     return made

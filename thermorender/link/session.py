@@ -42,6 +42,11 @@ class Session:
         Of methods B and C.
     kelvin : dict, optional
         {dynamic object: temperature} of method C, until the client gives another [K].
+
+    Attributes
+    ----------
+    last : Frame or None
+        The frame that was answered last.
     """
 
     def __init__(
@@ -49,6 +54,7 @@ class Session:
         kelvin: Mapping[str, float] | None = None,
     ) -> None:  # fmt: skip
         self.settings, self.renderer, self.model = settings, renderer, model
+        self.last: Frame | None = None
         how = settings.rate_hz or None, settings.audit, settings.below_ground
         self.frames: LiveFrames
         if settings.method == "B":
@@ -119,7 +125,7 @@ class Session:
         if isinstance(self.frames, TranslatedFrames):
             self.frames.picture, self.frames.texel_m = request.picture, request.texel_m or None
         frame = self.frames.take(request.time_s, path, objects, reading)
-        self._first = []
+        self._first, self.last = [], frame
         return frame
 
     def _check_picture(self, picture: NDArray[np.uint8]) -> None:

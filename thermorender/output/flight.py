@@ -250,7 +250,7 @@ class _Flight:
         self, folder: Path, resume: bool, verify: bool, progress: Callable[[int, int], object] | None,
         outlook: Callable[[Prospect | Cost], object] | None,
     ) -> int:  # fmt: skip
-        """Write the frames that are missing, then video, MCAP and report; return the number of frames finished before."""
+        """Write the frames that are missing, then video, MCAP and report; return how many were finished before."""
         self.terrain = finished(folder, self.settings, self.products, resume, verify)
         done, total, place = len(self.terrain), len(self.times), os.stat(folder)
         if outlook and done < total:
