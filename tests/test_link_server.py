@@ -19,6 +19,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.link import Code, LinkError, Product, access, messages
 from thermorender.link.connections import DEFAULT_LIMITS
 from thermorender.link.messages import Open, Request
+from thermorender.link.server import Server
 from thermorender.link.wire import HEADER, IMAGES, Type, message
 
 POSE = (0.0, 0.0, 100.0, 0.0, 1.0, 0.0, 0.0)
@@ -165,6 +166,23 @@ def test_a_client_that_does_not_read_is_closed():
         alive(server, (200, 200))
 
 
+def test_errors_to_a_client_that_does_not_read_are_bounded():
+    with serving(reply_s=30.0, sent_bytes=1 << 14) as server:
+        own = opened(server)
+        data, sent = b"".join(message(Type.CLOSE, 9, 5)) * 500, 0
+        own.settimeout(0.5)
+        with contextlib.suppress(OSError):
+            while sent < 100:
+                own.sendall(data)
+                sent += 1
+        time.sleep(0.3)
+        (peer,) = server._clients
+        assert len(peer.outbox) <= 8
+        own.close()
+        settled(server)
+        alive(server)
+
+
 def test_waiting_requests_are_bounded():
     gate = threading.Event()
     with serving(Stills(gate), waiting=3) as server:
@@ -258,14 +276,16 @@ def test_stop_ends_open_connections():
         connected(server)
 
 
-def test_a_port_in_use_is_refused():
+def test_addresses_that_cannot_be_used_are_refused():
     with serving() as server:
-        with pytest.raises(
-            ThermorenderError, match=rf"port {server.port} cannot be listened on .*; give another --port"
+        for host, port, why in (
+            ("127.0.0.1", server.port, "Address already in use"),
+            ("192.0.2.1", 0, "Cannot assign"),
         ):
-            from thermorender.link.server import Server
-
-            Server(Stills(), port=server.port)
+            with pytest.raises(
+                ThermorenderError, match=rf"{host} port {port} cannot be listened on \({why}.*another --port"
+            ):
+                Server(Stills(), host, port)
 
 
 def test_client_imports_no_heavy_library():

@@ -169,7 +169,7 @@ while True:
 """
 
 
-@pytest.mark.parametrize("kills", [5, *slow(200)])
+@pytest.mark.parametrize("kills", [3, *slow(200)])
 def test_killed_clients_leave_nothing_behind(kills, capfd):
     rng = np.random.default_rng(kills)
     with connected_to(Stills()) as (server, frame):
@@ -233,8 +233,7 @@ def test_the_command_serves_and_stops_cleanly(tmp_path, number):
         assert token.stat().st_mode & 0o777 == 0o600 and len(read_token(token)) == 64
         with link.connect(port=port) as client:
             assert client.server["cameras"].keys() == {"zenmuse-xt2", "boson-640"}
-            first = client.open("boson-640").frame(0.0, DOWN)
-            assert first.counts.shape == (512, 640)
+            assert client.open("boson-640").opened.width == 640
             waiting = client.open(method="B", map="fok-1to1").send(0.0, DOWN)
             assert waiting
             process.send_signal(number)
@@ -243,5 +242,5 @@ def test_the_command_serves_and_stops_cleanly(tmp_path, number):
         process.kill()
         process.wait()
     assert (process.returncode, error) == (0, "")
-    assert re.fullmatch(r"stopped after [12] frames\n", out)
+    assert re.fullmatch(r"stopped after [01] frames\n", out)
     assert not token.exists()

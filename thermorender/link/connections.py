@@ -20,9 +20,11 @@ class Limits:
     sessions : int
         Open at once, of all connections.
     waiting : int
-        Requests of one connection that are not answered yet; the server reads no more before.
+        Messages of one connection that are not answered yet; the server reads no more before.
     memory_bytes : int
         Of requests and replies in hand.
+    sent_bytes : int
+        Of a connection's replies that the system keeps until the client takes them.
     hello_s, message_s, reply_s : float
         Time for the first message, for a message once it has begun, and for a client to take a reply [s].
     samples : int
@@ -33,6 +35,7 @@ class Limits:
     sessions: int = 64
     waiting: int = 8
     memory_bytes: int = 512 << 20
+    sent_bytes: int = 4 << 20
     hello_s: float = 5.0
     message_s: float = 10.0
     reply_s: float = 30.0
@@ -116,10 +119,6 @@ class Job:
     session: Seat
     settings: Open | None = None
     requests: list[Request] = field(default_factory=list)
+    samples: int = 0
     arrived_s: float = 0.0
     held: int = 0
-
-    @property
-    def samples(self) -> int:
-        """Of all its requests."""
-        return sum(each.samples for each in self.requests)

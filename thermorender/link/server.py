@@ -75,8 +75,8 @@ class Server:
             self._socket = socket.create_server((host, port), family=family, backlog=256)
         except OSError as error:
             raise ThermorenderError(
-                f"address {host} port {port} cannot be listened on ({error.strerror or error}); give another --port, "
-                "or stop the server that uses it"
+                f"address {host} port {port} cannot be listened on ({str(error.strerror).partition(' (')[0]}); give an "
+                "address of this machine as --host, another --port, or stop the server that uses it"
             ) from None
         self.port = int(self._socket.getsockname()[1])
         self._loop, self._space, self._ended = asyncio.new_event_loop(), asyncio.Event(), asyncio.Event()
@@ -187,7 +187,7 @@ class Server:
         with contextlib.suppress(OSError):
             own.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             own.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-            own.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4 << 20)
+            own.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, self._limits.sent_bytes)
         if len(self._clients) >= self._limits.connections:
             self._last(client, Code.BUSY, f"{self._limits.connections} connections are open; close one, or wait")
             return
@@ -250,7 +250,7 @@ class Server:
         held = head.length + (session.reply_bytes if session else 0)
         # While the server makes the client wait, the client is not late.
         client.deadline_s = None
-        while client.waiting >= self._limits.waiting:
+        while max(client.waiting, len(client.outbox)) >= self._limits.waiting:
             await client.made_room()
         while self._held and self._held + held > self._limits.memory_bytes:
             self._space.clear()
@@ -305,11 +305,12 @@ class Server:
                 # The older request only gives its part of the path.
                 waits.requests[-1] = replace(waits.requests[-1], picture=None)
                 waits.requests.append(request)
+                waits.samples += request.samples
                 waits.head, waits.arrived_s = head, now
                 held, waits.held = waits.held, held
                 self._release(held)
                 return True
-            job = Job(client, head, session, None, [request], now, held)
+            job = Job(client, head, session, None, [request], request.samples, now, held)
             session.latest = job if request.latest else None
         self._put(job)
         return True

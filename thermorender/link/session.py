@@ -4,7 +4,7 @@ It holds no physics: frames come from `LiveFrames`, as a flight takes them, and 
 """
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -24,8 +24,6 @@ from thermorender.trajectory.path import Trajectory
 from thermorender.trajectory.readers import enu_from_ned_at, of_vehicle
 from thermorender.trajectory.rotations import rotation_from_angles
 
-# The time of an object's value that holds until the client gives another [s].
-_ALWAYS_S = -1e300
 # Highest place whose distance from the scene is worth computing [m].
 _HIGHEST_M = 1e6
 
@@ -40,8 +38,6 @@ class Session:
         With the session's camera, temperatures and seed.
     model : TemperatureMap, optional
         Of methods B and C.
-    kelvin : dict, optional
-        {dynamic object: temperature} of method C, until the client gives another [K].
 
     Attributes
     ----------
@@ -49,10 +45,7 @@ class Session:
         The frame that was answered last.
     """
 
-    def __init__(
-        self, settings: Open, renderer: Renderer, model: TemperatureMap | None = None,
-        kelvin: Mapping[str, float] | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, settings: Open, renderer: Renderer, model: TemperatureMap | None = None) -> None:
         self.settings, self.renderer, self.model = settings, renderer, model
         self.last: Frame | None = None
         how = settings.rate_hz or None, settings.audit, settings.below_ground
@@ -62,10 +55,6 @@ class Session:
             self.frames = TranslatedFrames(renderer, model, *how)
         else:
             self.frames = LiveFrames(renderer, *how)
-        tracked = {each.name for each in renderer.scene.tracked_objects}
-        self._first: list[Any] = [
-            (name, _ALWAYS_S, {"temperature_k": value}) for name, value in (kelvin or {}).items() if name in tracked
-        ]
         camera = renderer.scene.camera
         unknown = (float("nan"), float("nan"))
         self.opened = Opened(
@@ -120,13 +109,12 @@ class Session:
             self._check_picture(request.picture)
         poses = np.concatenate([each.poses for each in requests])
         path = self._path(poses) if len(poses) else None
-        objects = [*self._first, *(each for one in requests for each in one.objects)]
+        objects = [each for one in requests for each in one.objects]
         reading = bool(request.products & (Product.COUNTS | Product.DISPLAY))
         if isinstance(self.frames, TranslatedFrames):
             self.frames.picture, self.frames.texel_m = request.picture, request.texel_m or None
-        frame = self.frames.take(request.time_s, path, objects, reading)
-        self._first, self.last = [], frame
-        return frame
+        self.last = self.frames.take(request.time_s, path, objects, reading)
+        return self.last
 
     def _check_picture(self, picture: NDArray[np.uint8]) -> None:
         if self.settings.method != "B":

@@ -48,9 +48,7 @@ class Stage:
         for text in self.maps:
             model = load_model(text)
             self._models[model.name] = text, model
-        self._made: dict[tuple[str, str], tuple[Renderer, dict[str, float]]] = {
-            (own.name, ""): (self.renderer, {}),
-        }
+        self._made: dict[tuple[str, str], Renderer] = {(own.name, ""): self.renderer}
 
     def describe(self) -> dict[str, Any]:
         """Return what a client may want to know, as plain values."""
@@ -108,28 +106,29 @@ class Stage:
             raise ThermorenderError(
                 f"{self.renderer.scene.where} has no place on Earth; give positions of the kind enu"
             )
-        renderer, kelvin = self._renderer(name, settings.map if settings.method == "C" else "")
+        renderer = self._renderer(name, settings.map if settings.method == "C" else "")
         model = self._models[settings.map][1] if settings.map else None
-        return Session(settings, Renderer.of(renderer.baked, settings.seed), model, kelvin)
+        return Session(settings, Renderer.of(renderer.baked, settings.seed), model)
 
-    def _renderer(self, camera: str, model: str) -> tuple[Renderer, dict[str, float]]:
-        """The Renderer of a camera and of the map that gives the temperatures, with its dynamic objects' [K]."""
+    def _renderer(self, camera: str, model: str) -> Renderer:
+        """The Renderer of a camera and of the map that gives the temperatures."""
         key = camera, model
         if key not in self._made:
             if len(self._made) >= MOST_RENDERERS:
                 raise ThermorenderError(
                     f"{MOST_RENDERERS} combinations of camera and map are in use; use those, or start another server"
                 )
-            self._made[key] = self._made_now(camera, model)
+            self._made[key] = self._translated(camera, model) if model else self._seen_by(camera)
         return self._made[key]
 
-    def _made_now(self, camera: str, model: str) -> tuple[Renderer, dict[str, float]]:
-        if not model:
-            scene = self.renderer.scene.with_camera(self.cameras[camera])
-            return Renderer(scene, like=self.renderer, **self.settings), {}
+    def _seen_by(self, camera: str) -> Renderer:
+        scene = self.renderer.scene.with_camera(self.cameras[camera])
+        return Renderer(scene, like=self.renderer, **self.settings)
+
+    def _translated(self, camera: str, model: str) -> Renderer:
+        """The Renderer of method C, with the temperatures of the map also in objects."""
         from thermorender.compare.referee.methods import rendered
 
-        reference, _ = self._renderer(camera, "")
+        reference = self._renderer(camera, "")
         text, loaded = self._models[model]
-        method = rendered(reference.scene, text, loaded, reference, settings=self.settings)[0]
-        return method.renderer, {name: values["temperature_k"] for name, values in method.objects.items()}
+        return rendered(reference.scene, text, loaded, reference, settings=self.settings)[0].renderer
