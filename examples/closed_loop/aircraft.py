@@ -4,6 +4,8 @@ The aircraft is JSBSim's own model c172x. JSBSim flies on the WGS 84 ellipsoid; 
 longitude and height, attitudes as a quaternion of the vehicle.
 """
 
+import os
+
 import jsbsim
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -28,6 +30,8 @@ def started(frame, position, heading_deg):
     jsb = jsbsim.FGFDMExec(None)
     jsb.set_debug_level(0)
     jsb.load_model("c172x")
+    # The model would write a table into the working folder.
+    jsb.set_output_filename(0, os.devnull)
     jsb.set_dt(1.0 / STEP_HZ)
     latitude, longitude, height = frame.geodetic_from_enu(np.asarray(position, float))
     jsb["ic/lat-geod-deg"], jsb["ic/long-gc-deg"] = float(latitude), float(longitude)
