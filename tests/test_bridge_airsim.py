@@ -2,9 +2,11 @@
 
 import contextlib
 import json
+import re
 import socket
 import subprocess
 import sys
+import urllib.request
 from pathlib import Path
 
 import cv2
@@ -15,6 +17,7 @@ from link_support import TOKEN, connected, serving
 
 import thermorender as tr
 from scenes import coarse, write_terrain
+from thermorender.link import connect
 from thermorender.link.bridges import airsim
 from thermorender.link.stage import Stage
 from thermorender.trajectory.rotations import rotation_from_angles, wxyz
@@ -149,3 +152,58 @@ def test_wrong_arguments_are_answered_in_a_sentence(bridge, method, arguments):
 
 def test_it_listens_on_this_machine_only(bridge):
     assert bridge._listener.server_address[0] == "127.0.0.1"
+
+
+def test_serve_starts_the_bridges_that_are_asked_for(tmp_path):
+    folder = write_terrain(tmp_path / "tiny")
+    command = [
+        sys.executable,
+        "-m",
+        "thermorender",
+        "serve",
+        folder,
+        "--port",
+        "0",
+        "--quality",
+        "fast",
+        "--token-file",
+    ]
+    command += [tmp_path / "token", "--airsim", "0", "--view", "0", "--mavlink", "udpout:127.0.0.1:9"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        calls, view, line = (process.stdout.readline() for _ in range(3))
+        assert line.startswith("serving ")
+        port = int(re.search(r"127\.0\.0\.1 port (\d+), without a token", calls)[1])
+        with socket.create_connection(("127.0.0.1", port), 20.0) as own:
+            own.sendall(msgpack.packb([0, 1, "getServerVersion", []]))
+            assert msgpack.unpackb(own.recv(100)) == [1, 1, None, 4]
+        address = re.fullmatch(r"look at (http://127\.0\.0\.1:\d+/[\w-]{32}/live\.mjpg)\n", view)[1]
+        with connect(port=int(re.search(r"port (\d+)", line)[1]), token_path=tmp_path / "token") as client:
+            client.open().frame(0.0, (0.0, 0.0, 12.0, 0.0, 1.0, 0.0, 0.0))
+            with urllib.request.urlopen(address, timeout=20.0) as stream:
+                assert stream.read(7) == b"--frame"
+    finally:
+        process.terminate()
+        rest, errors = process.communicate(timeout=60)
+    assert rest == "stopped after 1 frames\n" and "Traceback" not in errors
+    assert not (tmp_path / "token").exists()
+
+
+def test_serve_with_a_bridge_that_cannot_start_is_one_sentence(tmp_path):
+    folder = write_terrain(tmp_path / "tiny")
+    command = [
+        sys.executable,
+        "-m",
+        "thermorender",
+        "serve",
+        folder,
+        "--port",
+        "0",
+        "--quality",
+        "fast",
+        "--token-file",
+    ]
+    command += [tmp_path / "token", "--mavlink", "tcp:127.0.0.1:9"]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert run.returncode == 2 and "give udpout:HOST:PORT" in run.stderr and "Traceback" not in run.stderr
+    assert not (tmp_path / "token").exists()

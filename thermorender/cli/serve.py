@@ -79,9 +79,10 @@ def serve(
     server = Server(stage, host, port)
     kept = token_file or default_file(server.port)
     server.token = new_token(kept)
-    bridges = _bridges(server, airsim, view, mavlink)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    bridges: list[Any] = []
     try:
+        _bridge(bridges, server, host, airsim, view, mavlink)
         typer.echo(f"serving {loaded.name} on {host} port {server.port}; the token is in {kept}; stop with Ctrl-C")
         server.run()
     except KeyboardInterrupt:
@@ -93,18 +94,22 @@ def serve(
         typer.echo(f"stopped after {server.answered} frames")
 
 
-def _bridges(server: "Server", airsim: int | None, view: int | None, mavlink: str | None) -> list[Any]:
-    """The bridges that are asked for, started."""
-    made: list[Any] = []
+def _bridge(
+    made: list[Any], server: "Server", host: str, airsim: int | None, view: int | None, mavlink: str | None
+) -> None:
+    """Start the bridges that are asked for, and put them into a list."""
     if airsim is not None:
         from thermorender.link.bridges.airsim import Bridge
 
-        made.append(Bridge(airsim, server.port, server.token))
+        reached = "127.0.0.1" if host in ("0.0.0.0", "::") else host
+        made.append(Bridge(airsim, server.port, server.token, reached))
+        made[-1].start()
         typer.echo(f"AirSim's calls are answered on 127.0.0.1 port {made[-1].port}, without a token")
     if view is not None:
         from thermorender.link.bridges.view import View
 
         made.append(View(view))
+        made[-1].start()
         server.watchers.append(made[-1].show)
         typer.echo(f"look at {made[-1].address}")
     if mavlink is not None:
@@ -112,6 +117,3 @@ def _bridges(server: "Server", airsim: int | None, view: int | None, mavlink: st
 
         made.append(ThermalRange(mavlink))
         server.watchers.append(made[-1].show)
-    for bridge in made:
-        bridge.start()
-    return made

@@ -45,17 +45,17 @@ class Bridge:
     ----------
     port : int
         To listen on; 0 chooses a free one.
-    link_port, token : int, str
-        Of the server, on this machine.
+    link_port, token, link_host : int, str, str
+        Of the server.
 
     Attributes
     ----------
     port : int
     """
 
-    def __init__(self, port: int, link_port: int, token: str) -> None:
+    def __init__(self, port: int, link_port: int, token: str, link_host: str = HOST) -> None:
         _ = _msgpack()
-        self._link_port, self._token = link_port, token
+        self._link = link_host, link_port, token
         self._poses: dict[str, NDArray[np.float64]] = {}
         self._lock, self._room = threading.Lock(), threading.BoundedSemaphore(_MOST_CONNECTIONS)
         bridge = self
@@ -119,7 +119,7 @@ class Bridge:
         """Answer the calls of one connection until it ends, or sends something else."""
         msgpack = _msgpack()
         unpacker = msgpack.Unpacker(raw=False, max_buffer_size=_MOST_BYTES, strict_map_key=False)
-        with connect(HOST, self._link_port, self._token) as client:
+        with connect(*self._link) as client:
             calls = Calls(self, client)
             while data := connection.recv(1 << 16):
                 try:

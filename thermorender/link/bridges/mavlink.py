@@ -51,9 +51,6 @@ class ThermalRange:
         self._common, self._beat_s = common, -np.inf
         self._mavlink: Any = common.MAVLink(self, srcSystem=SYSTEM, srcComponent=COMPONENT)
 
-    def start(self) -> None:
-        """Do nothing: the socket is open."""
-
     def stop(self) -> None:
         """Close the socket."""
         self._socket.close()
