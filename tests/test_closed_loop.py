@@ -5,7 +5,7 @@ import pytest
 from closed_loop_support import FIRE, MAP, field
 from link_support import connected, serving
 
-from examples.closed_loop.seeker import Seeker, closest
+from examples.closed_loop.seeker import MISSING, Seeker, closest
 
 # RocketPy and its libraries may warn.
 pytestmark = pytest.mark.filterwarnings("default")
@@ -63,16 +63,26 @@ def test_seeker_finds_a_spot_and_no_edge():
     seeker = Seeker(100.0)
     seeker.look(0.0, image, north, np.zeros(3))
     assert seeker.at is None and not seeker.acceleration(np.array([0.0, 50.0, 0.0])).any()
+    land = image.copy()
     image += 800.0 * np.exp(-((columns - 51.5) ** 2 + (rows - 40.0) ** 2) / 2.0)
     seeker.look(0.1, image, north, np.zeros(3))
     assert seeker.at == pytest.approx([51.5, 40.0], abs=0.2)
     # The camera looks north: east of the middle, and below it.
     ray = np.array([12.0, 100.0, -8.5]) / np.linalg.norm([12.0, 100.0, -8.5])
     assert seeker.sight == pytest.approx(ray, abs=2e-3)
+    # One frame with a spot does not steer; three in a row do, until it is missing for long.
+    assert not seeker.acceleration(np.array([0.0, 50.0, 0.0])).any()
+    for step in (2, 3):
+        seeker.look(0.1 * step, image, north, np.zeros(3))
+    assert seeker.acceleration(np.array([0.0, 50.0, 0.0])).any()
+    for step in range(4, 4 + MISSING):
+        assert seeker.locked
+        seeker.look(0.1 * step, land, north, np.zeros(3))
+    assert not seeker.locked and seeker.at is None
 
 
 def test_navigation_turns_towards_a_sight_that_moves_and_carries_the_weight():
-    seeker = Seeker(100.0, sight=np.array([0.0, 1.0, 0.0]), rate=np.array([0.1, 0.0, 0.0]))
+    seeker = Seeker(100.0, locked=True, sight=np.array([0.0, 1.0, 0.0]), rate=np.array([0.1, 0.0, 0.0]))
     assert seeker.acceleration(np.array([0.0, 50.0, 0.0])) == pytest.approx([15.0, 0.0, 9.80665])
 
 

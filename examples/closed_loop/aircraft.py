@@ -76,7 +76,7 @@ def fly(session, frame, focal_px, target, position, heading_deg, most_s=30.0):
             reply = session.frame(step / STEP_HZ, [*place, *wxyz(ned)], products=("counts",))
             camera = Rotation.from_matrix(ENU_FROM_NED) * ned * Rotation.from_matrix(BODY_FROM_CAMERA)
             seeker.look(step / STEP_HZ, reply.counts, wxyz(camera), rates[[1, 2, 0]])
-            seen.append(seeker.at is not None)
+            seen.append(seeker.run > 0)
         total = steer(jsb, seeker, np.array([east, north, -down]), rates, total)
         jsb.run()
     return {"miss_m": closest(np.array(path), target), "path": np.array(path), "seen": float(np.mean(seen or [0.0]))}

@@ -80,7 +80,7 @@ def fly(session, focal_px, target, position, heading_deg, ground_m=0.0):
         if step % STEPS == 0:
             reply = session.frame(time_s, [*state[:3], *state[6:10]], products=("counts",))
             seeker.look(time_s, reply.counts, state[6:10], state[10:13])
-            seen.append(seeker.at is not None)
+            seen.append(seeker.run > 0)
         body = rotation_from_wxyz(state[6:10]).apply(seeker.acceleration(velocity), inverse=True)
         speed = np.linalg.norm(velocity)
         gain = GAIN * (100.0 / speed) ** 2

@@ -16,6 +16,8 @@ from thermorender.trajectory.rotations import rotation_from_wxyz
 SEEN, FOLLOWED = 8.0, 5.0
 # Width of the first detector, its limits, and the smallest radius of the search around the last position [px].
 _FIRST_PX, _SIZES_PX, _GATE_PX = 2.0, (1.5, 30.0), 12.0
+# Frames in a row with the spot until it steers, and without it until the whole picture is searched again.
+AGREEING, MISSING = 3, 6
 # Gains of the filter of the line of sight: share of the new direction, and of its change in the rate.
 _DIRECTION, _RATE = 0.5, 0.2
 # A spot from this width on was seen before as a small one: it is not searched for edges [px].
@@ -35,19 +37,25 @@ class Seeker:
     lag_s : float
         Age of what the pixels show: their time constant [s].
     at : (2,) array or None
-        Column and row of the spot; None before it is found.
+        Column and row where the spot was seen last; None while the whole picture is searched.
+    run : int
+        Frames in a row with the spot; negative: without it.
     size_px : float
         Width of the spot.
     sight, rate : (3,) arrays or None
         Unit vector to the spot in the scene's axes, and its change [1/s].
+    locked : bool
+        Whether the spot steers.
     """
 
     focal_px: float
     lag_s: float = 0.0
     at: np.ndarray | None = None
+    run: int = 0
     size_px: float = _FIRST_PX
     sight: np.ndarray | None = None
     rate: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    locked: bool = False
     _time_s: float = 0.0
 
     @classmethod
@@ -68,9 +76,11 @@ class Seeker:
         rates : (3,) array
             Angular rates about the camera's axes, as a gyroscope gives them [rad/s].
         """
-        self.at = self._spot(np.asarray(counts, np.float32))
-        if self.at is None:
+        spot = self._spot(np.asarray(counts, np.float32))
+        if spot is None:
+            self._missed()
             return
+        self.at, self.run = spot, max(self.run, 0) + 1
         height, width = counts.shape
         column, row = self.at - ((width - 1) / 2.0, (height - 1) / 2.0)
         then = rotation_from_wxyz(attitude) * Rotation.from_rotvec(-self.lag_s * np.asarray(rates))
@@ -82,12 +92,19 @@ class Seeker:
 
         It is zero until the spot was found.
         """
-        if self.sight is None:
+        if self.sight is None or not self.locked:
             return np.zeros(3)
         forward = velocity / np.linalg.norm(velocity)
         across = self.rate - self.sight * (self.rate @ self.sight)
         wanted = NAVIGATION * max(velocity @ self.sight, 0.0) * across - GRAVITY
         return wanted - forward * (wanted @ forward)
+
+    def _missed(self):
+        self.run = min(self.run, 0) - 1
+        # Before it steers, a spot must be in every frame.
+        if not self.locked or self.run <= -MISSING:
+            self.at, self.sight, self.locked = None, None, False
+            self.size_px, self.rate = _FIRST_PX, np.zeros(3)
 
     def _spot(self, counts):
         """Column and row of the spot's centroid, (2,); None without a spot."""
@@ -118,6 +135,7 @@ class Seeker:
         step, self._time_s = time_s - self._time_s, time_s
         ahead = self.sight + step * self.rate
         self.rate = self.rate + _RATE / step * (seen - ahead)
+        self.locked = self.locked or self.run >= AGREEING
         sight = ahead + _DIRECTION * (seen - ahead)
         self.sight = sight / np.linalg.norm(sight)
 

@@ -25,7 +25,7 @@ from thermorender.versions import versions
 
 MAP, METHODS, RATE_HZ, SAMPLING = "fok-1to1", ("A", "B", "C"), 15.0, {"rays": 4, "samples": 1}
 VEHICLES = ("rocket", "aircraft")
-HEADER = ("vehicle", "frames", "flights", "median miss [m]", "largest [m]", "spot in view of the seeker")
+HEADER = ("vehicle", "frames", "flights", "median miss [m]", "largest [m]", "frames with the spot")
 # Side and height of the fire [m], its place, east and north [m], and its temperature [K].
 SIDE_M, HIGH_M, PLACE, KELVIN = 4.0, 3.0, (30.0, 60.0), 390.0
 _OBJECT = """
