@@ -6,6 +6,7 @@ from closed_loop_support import FIRE, MAP, field
 from link_support import connected, serving
 
 from examples.closed_loop.seeker import MISSING, Seeker, closest
+from validation.closed_loop import study
 
 # RocketPy and its libraries may warn.
 pytestmark = pytest.mark.filterwarnings("default")
@@ -89,3 +90,20 @@ def test_navigation_turns_towards_a_sight_that_moves_and_carries_the_weight():
 def test_closest_is_between_samples():
     path = np.array([[0.0, -10.0, 0.0], [0.0, 10.0, 0.0], [0.0, 30.0, 0.0]])
     assert closest(path, np.array([3.0, 4.0, 0.0])) == pytest.approx(3.0)
+
+
+def test_study_tabulates_and_draws_its_flights(tmp_path):
+    path = [[0.0, -200.0, 250.0], [1.0, -1.0, 0.0]]
+    flights = [
+        {"vehicle": vehicle, "method": method, "flight": 0, "miss_m": miss, "seen": 0.5, "path": path}
+        for vehicle in study.VEHICLES
+        for method, miss in (("", 30.0), ("A", 1.25), ("B", 2.0), ("C", 3.0))
+    ]
+    result = {"flights": flights}
+    assert study.rows(result)[1] == ("rocket", "A", 1, "1.2", "1.2", "50%")
+    study.figure(tmp_path / "f.png", result)
+    assert (tmp_path / "f.png").stat().st_size > 10_000
+    (start, heading), again = (study.start_of("rocket", 3, FIRE) for _ in range(2))
+    assert again[1] == heading and 15.0 < np.hypot(*(start - FIRE)[:2]) < 240.0
+    forward = np.array([np.sin(np.deg2rad(heading)), np.cos(np.deg2rad(heading))])
+    assert (FIRE - start)[:2] @ forward == pytest.approx(225.0)
