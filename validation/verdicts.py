@@ -196,6 +196,8 @@ STUDIES = (
           runs=False),
     Study("moved", "validation.moved", "Learned maps at another hour", "moved/moved.json", ("moved/moved.png",),
           _moved),
+    Study("heights", "validation.heights", "Error against run time by height", "heights/heights.json",
+          ("heights/heights.png",), continues=True),
     Study("growth", "validation.growth", "Cost against size", "growth/growth.json", ("growth/growth.png",),
           continues=True),
     Study("maps", "validation.maps", "Learned maps on land, hours and weathers not trained on", "maps/maps.json",
