@@ -237,9 +237,7 @@ def read_classes(path: Path) -> NDArray[np.int16]:
     return numbers.astype(np.int16)
 
 
-def onto(
-    values: NDArray[Any], source: Grid, target: Grid, resampling: str, opacity: bool = False
-) -> NDArray[Any]:
+def onto(values: NDArray[Any], source: Grid, target: Grid, resampling: str, opacity: bool = False) -> NDArray[Any]:
     """Return a raster on another grid, (h, w) or (h, w, c), with NaN (0 for integers) where it has no data.
 
     Parameters
