@@ -210,6 +210,8 @@ STUDIES = (
     Study("trainings", "validation.trainings", "Trainings of networks", "networks/campaign/trainings.json",
           ("networks/campaign/*.png",), runs=False),
     Study("link", "validation.link", "The cost of the link to a simulator", "link/link.json", runs=False),
+    Study("closed_loop", "validation.closed_loop", "What guided vehicles miss, by rendered and translated frames",
+          "closed_loop/closed_loop.json", ("closed_loop/closed_loop.png",), runs=False),
     Study("landing", "examples.landing", "Landings by rendered and by translated frames", "landing/landing.json",
           ("landing/landing.png",), continues=True),
 )  # fmt: skip

@@ -27,7 +27,7 @@ Seed = Annotated[int, typer.Option(help="Seed of the sensor's noise.")]
 Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
 Products = Annotated[
     str, typer.Option(help="Comma-separated: exr, truth, error, counts, counts-tiff, radiometric, display, video, "
-                           "visible; of a flight also report: index.html and contact.png.")
+                           "visible; of a flight also report: index.html and contact.png, and mcap: one file of ROS 2.")
 ]  # fmt: skip
 Thermography = Annotated[
     str | None,

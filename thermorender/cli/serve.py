@@ -2,7 +2,7 @@
 
 import signal
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,6 +17,9 @@ from thermorender.cli.options import (
     print_cache_note,
 )
 from thermorender.cli.terminal import output_option, progress
+
+if TYPE_CHECKING:
+    from thermorender.link.server import Server
 
 
 @flat
@@ -39,6 +42,20 @@ def serve(
     ] = None,
     map: Annotated[
         list[str] | None, typer.Option(help="Learned map for methods B and C, name or file; repeat for more.")
+    ] = None,
+    airsim: Annotated[
+        int | None,
+        typer.Option(help="Also answer calls of AirSim's Python clients, on this port of this machine; 41451 is "
+                     "AirSim's. Its calls have no token: any program of this machine can make them.", min=0, max=65535),
+    ] = None,
+    view: Annotated[
+        int | None,
+        typer.Option(help="Also show the frames to a browser or player, on this port of this machine; 0: a free one. "
+                     "The printed address holds a token.", min=0, max=65535),
+    ] = None,
+    mavlink: Annotated[
+        str | None,
+        typer.Option(help="Also send the thermal range of each frame as MAVLink, e.g. to udpout:127.0.0.1:14550."),
     ] = None,
     situation: SceneOptions,
     source: TemperatureOptions,
@@ -63,11 +80,40 @@ def serve(
     kept = token_file or default_file(server.port)
     server.token = new_token(kept)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    bridges: list[Any] = []
     try:
+        _bridge(bridges, server, host, airsim, view, mavlink)
         typer.echo(f"serving {loaded.name} on {host} port {server.port}; the token is in {kept}; stop with Ctrl-C")
         server.run()
     except KeyboardInterrupt:
         pass
     finally:
+        for bridge in bridges:
+            bridge.stop()
         kept.unlink(missing_ok=True)
         typer.echo(f"stopped after {server.answered} frames")
+
+
+def _bridge(
+    made: list[Any], server: "Server", host: str, airsim: int | None, view: int | None, mavlink: str | None
+) -> None:
+    """Start the bridges that are asked for, and put them into a list."""
+    if airsim is not None:
+        from thermorender.link.bridges.airsim import Bridge
+
+        reached = "127.0.0.1" if host in ("0.0.0.0", "::") else host
+        made.append(Bridge(airsim, server.port, server.token, reached))
+        made[-1].start()
+        typer.echo(f"AirSim's calls are answered on 127.0.0.1 port {made[-1].port}, without a token")
+    if view is not None:
+        from thermorender.link.bridges.view import View
+
+        made.append(View(view))
+        made[-1].start()
+        server.watchers.append(made[-1].show)
+        typer.echo(f"look at {made[-1].address}")
+    if mavlink is not None:
+        from thermorender.link.bridges.mavlink import ThermalRange
+
+        made.append(ThermalRange(mavlink))
+        server.watchers.append(made[-1].show)

@@ -56,12 +56,15 @@ class Server:
         The port it listens on.
     answered : int
         Requests answered with a frame.
+    watchers : list of callables
+        Called with (number of the session, its Session) after each frame was answered, in the thread that renders.
     """
 
     def __init__(
         self, stage: Stages, host: str = "127.0.0.1", port: int = DEFAULT_PORT, limits: Limits = DEFAULT_LIMITS
     ) -> None:
         self._stage, self.token, self._limits = stage, "", limits
+        self.watchers: list[Callable[[int, Any], object]] = []
         self._welcome = json.dumps(stage.describe()).encode()
         self._jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
         self._lock = threading.Lock()
@@ -103,7 +106,7 @@ class Server:
 
     def _work(self, job: Job) -> None:
         """Do one job and send its reply; no error of a job ends the server."""
-        head = job.head
+        head, framed = job.head, False
         try:
             if job.client.closed:
                 parts = None
@@ -112,7 +115,7 @@ class Server:
                 job.session.shown, job.session.reply_bytes = shown, shown.most_bytes
                 parts = message(Type.OPENED, head.session, head.id, [shown.opened.packed()])
             else:
-                parts = self._frame(job)
+                parts, framed = self._frame(job), True
         except ThermorenderError as error:
             parts = error_message(Code.REFUSED, str(error), job.head.session, job.head.id)
         except Exception as error:
@@ -120,6 +123,15 @@ class Server:
             what = f"the server failed at this message ({type(error).__name__}); its log says where"
             parts = error_message(Code.INTERNAL, what, job.head.session, job.head.id)
         self._later(self._deliver, job, parts)
+        if framed:
+            self._watched(job)
+
+    def _watched(self, job: Job) -> None:
+        for watch in self.watchers:
+            try:
+                watch(job.head.session, job.session.shown)
+            except Exception:
+                traceback.print_exc(file=sys.stderr)
 
     def _frame(self, job: Job) -> list[Any]:
         with self._lock:

@@ -38,10 +38,16 @@ class Session:
         With the session's camera, temperatures and seed.
     model : TemperatureMap, optional
         Of methods B and C.
+
+    Attributes
+    ----------
+    last : Frame or None
+        The frame that was answered last.
     """
 
     def __init__(self, settings: Open, renderer: Renderer, model: TemperatureMap | None = None) -> None:
         self.settings, self.renderer, self.model = settings, renderer, model
+        self.last: Frame | None = None
         how = settings.rate_hz or None, settings.audit, settings.below_ground
         self.frames: LiveFrames
         if settings.method == "B":
@@ -107,7 +113,8 @@ class Session:
         reading = bool(request.products & (Product.COUNTS | Product.DISPLAY))
         if isinstance(self.frames, TranslatedFrames):
             self.frames.picture, self.frames.texel_m = request.picture, request.texel_m or None
-        return self.frames.take(request.time_s, path, objects, reading)
+        self.last = self.frames.take(request.time_s, path, objects, reading)
+        return self.last
 
     def _check_picture(self, picture: NDArray[np.uint8]) -> None:
         if self.settings.method != "B":

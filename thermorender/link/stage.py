@@ -58,7 +58,12 @@ class Stage:
             "scene": scene.name,
             "camera": scene.camera.name,
             "cameras": {
-                name: {"width": each.width, "height": each.height, "frame_rate_hz": each.frame_rate_hz}
+                name: {
+                    "width": each.width,
+                    "height": each.height,
+                    "frame_rate_hz": each.frame_rate_hz,
+                    "focal_length_px": each.focal_length_px,
+                }
                 for name, each in self.cameras.items()
             },
             "maps": list(self._models),
