@@ -2,11 +2,12 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from thermorender import defaults, files, formats
+from thermorender.cli.cluster import ClusterOptions
 from thermorender.cli.options import (
     Air,
     Device,
@@ -151,6 +152,7 @@ def fly(
     verify: Annotated[
         bool, typer.Option("--verify", help="Continue from the first frame whose files differ from those written.")
     ] = False,
+    cluster: ClusterOptions,
     seed: Seed = 0,
     sampling: SamplingOptions,
     device: Device = "auto",
@@ -165,6 +167,7 @@ def fly(
         raise ThermorenderError("-o is missing; give the folder for the flight, or --preview to see what it will show")
     if preview and (resume or verify):
         raise ThermorenderError("--preview writes no frames; leave --resume and --verify out")
+    cluster.refuse_with(preview, resume or verify)
     settings = parse_thermography(thermography)
     options = FlightOptions(
         rate_hz=rate_hz, start_s=log.start_s, stop_s=log.stop_s, display=look.settings(agc_memory_s),
@@ -179,10 +182,15 @@ def fly(
             for written in foresee(renderer, path, options, output, _print_outlook):
                 typer.echo(str(written))
             return
-        summary = run(
-            renderer, path, output, options, resume=resume, verify=verify, heat_progress=report, outlook=_print_outlook,
-            progress=lambda done, total: report(f"frame {done} of {total}", done / total),
-        )  # fmt: skip
+        if cluster.frames:
+            typer.echo(cluster.part(renderer, path, output, options))
+            return
+        counted: Any = {"progress": lambda done, total: report(f"frame {done} of {total}", done / total)}
+        if cluster.cluster:
+            summary = cluster.run(renderer, path, output, options, resume=resume, verify=verify, **counted)
+        else:
+            counted |= {"heat_progress": report, "outlook": _print_outlook}
+            summary = run(renderer, path, output, options, resume=resume, verify=verify, **counted)
     print_cache_note(renderer)
     typer.echo(f"{summary['frames']} frames, {summary['rendered']} rendered now, in {summary['folder']}")
     if "report" in options.products:

@@ -25,6 +25,7 @@ from thermorender.frame import Frame
 from thermorender.frame.exr import check_compression
 from thermorender.frame.record import record
 from thermorender.output import products as product_files
+from thermorender.output.blocks import gaps, remove_blocks, state_before
 from thermorender.output.flight_pages.cost import MEASURED, Cost
 from thermorender.output.flight_pages.flight_figures import SHEET, thumbnail
 from thermorender.output.flight_pages.flight_page import Pictured, write_page
@@ -33,7 +34,7 @@ from thermorender.output.flight_pages.prospect import prospect as prospect_of
 from thermorender.output.frame_files import Prepared, prepare, put_in_place
 from thermorender.output.photograph import photograph
 from thermorender.output.record import made_by, weather_of
-from thermorender.output.resume import finished, load_state, refuse_moved, remove_state, state_file
+from thermorender.output.resume import finished, refuse_moved, remove_state, state_file
 from thermorender.output.video import write_video
 from thermorender.output.writer import WORKERS, OrderedWriter
 from thermorender.progress import interactive
@@ -139,7 +140,7 @@ def fly(
         resume with other settings, weather that ends before the flight, or a camera above the range of the air or above
         its clouds.
     """
-    flight = _Flight(renderer, trajectory, options, heat_progress)
+    flight = Flight(renderer, trajectory, options, heat_progress)
     with files.output_folder(folder) as out, files.in_use(out):
         with _bar(progress) as report:
             done = flight.write(out, resume or verify, verify, report, outlook)
@@ -159,7 +160,7 @@ def measured(
     renderer: "Renderer", trajectory: Trajectory, options: FlightOptions, folder: Path, prospect: Prospect | None = None
 ) -> Cost:
     """Return the Cost of a flight from its first frames, which are written into an empty folder."""
-    flight = _Flight(renderer, trajectory, options, None, prospect)
+    flight = Flight(renderer, trajectory, options, None, prospect)
     flight.write_frames(folder, range(min(MEASURED, len(flight.times))))
     return flight.cost(folder, len(flight.times))
 
@@ -174,7 +175,7 @@ def _bar(given: Callable[[int, int], object] | None) -> Iterator[Callable[[int, 
         yield None if report is None else lambda done, total: report(f"frame {done} of {total}", done / total)
 
 
-class _Flight:
+class Flight:
     """A flight while it is rendered: frames in order, each with the sensor's state after the one before.
 
     Attributes
@@ -252,10 +253,11 @@ class _Flight:
         done, total, place = len(self.terrain), len(self.times), os.stat(folder)
         if outlook and done < total:
             outlook(self.prospect)
-        self._agc = self._restored(folder, done) if 0 < done < total else None
-        self.write_frames(folder, range(done, total), progress, outlook)
+        for frames in gaps(self, folder, verify):
+            self.write_frames(folder, frames, progress, outlook)
         refuse_moved(folder, place)
         remove_state(folder)
+        remove_blocks(folder)
         if "video" in self.products:
             images = [product_files.paths(folder, index, ("display",))["display"] for index in range(total)]
             write_video(folder / "flight.mp4", images, self.flown.rate_hz)
@@ -342,17 +344,16 @@ class _Flight:
             return frame, None, None
         return frame, *self.display.image(frame.counts, agc, 1.0 / self.flown.rate_hz)
 
-    def _restored(self, folder: Path, done: int) -> _Memory:
-        """Restore the sensor's state after `done` frames, or render them again; return the display's state."""
-        arrays = load_state(folder, done - 1)
+    def restore(self, folder: Path, done: int) -> None:
+        """Restore the state of sensor and display after `done` frames, or render them again."""
+        arrays, self._agc = state_before(folder, done), None
         if arrays is not None:
-            agc = arrays.pop("agc", None)
+            self._agc = arrays.pop("agc", None)
             self.flown.exposure.restore(arrays)
-            return agc
-        agc = None
+            return
+        self.flown.start(0)
         for index in range(done):
-            _, agc, _ = self._take(index, agc)
-        return agc
+            _, self._agc, _ = self._take(index, self._agc)
 
 
 def _shows_terrain(scene: Scene, frame: Frame) -> bool:
