@@ -9,7 +9,7 @@ from conftest import slow
 import thermorender as tr
 from scenes import coarse, write_terrain
 from thermorender.errors import ThermorenderError
-from thermorender.output.blocks import FOLDER, finished_blocks, join, usual_length, write_block
+from thermorender.output.blocks import FOLDER, usual_length
 from thermorender.output.flight import Flight, FlightOptions, fly
 from thermorender.output.parts import fly_part
 from thermorender.sensor.display import DisplaySettings

@@ -14,6 +14,11 @@ if TYPE_CHECKING:
     from thermorender.render.renderer import Renderer
     from thermorender.trajectory import Trajectory
 
+Cluster = Annotated[
+    str | None,
+    typer.Option(help="Render by the workers of Dask: local:N for N processes on this machine, tcp://SCHEDULER:8786, "
+                 "or the file of a Dask configuration. The folder must be on a disk that all share."),
+]  # fmt: skip
 # Columns of a worker's time.
 _SPENT = ("loading [s]", "warm-up [s]", "frames [s]", "moving [s]")
 
@@ -22,12 +27,7 @@ _SPENT = ("loading [s]", "warm-up [s]", "frames [s]", "moving [s]")
 class ClusterOptions:
     """Where the frames of a flight are rendered."""
 
-    cluster: Annotated[
-        str | None,
-        typer.Option(help="Render by the workers of Dask: local:N for N processes on this machine, "
-                     "tcp://SCHEDULER:8786, or the file of a Dask configuration. The folder must be on a disk that all "
-                     "share."),
-    ] = None  # fmt: skip
+    cluster: Cluster = None
     frames: Annotated[
         str | None,
         typer.Option(help="FIRST:STOP: render only these frames, beside other processes that render others; "

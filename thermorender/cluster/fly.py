@@ -1,13 +1,15 @@
 """A flight whose blocks are rendered by the workers of a Dask cluster."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 from thermorender import files
 from thermorender.cluster.connect import Address, connected
-from thermorender.cluster.work import Job, do_block, store
+from thermorender.cluster.dispatch import Report, results, sentence
+from thermorender.cluster.work import do_block, store
 from thermorender.errors import ThermorenderError
 from thermorender.output.blocks import finished_blocks, gaps, join, refuse_display_memory, uncovered, usual_length
 from thermorender.output.flight import Flight, FlightOptions
@@ -15,15 +17,8 @@ from thermorender.output.flight import fly as fly_here
 from thermorender.output.resume import finished
 
 if TYPE_CHECKING:
-    from distributed import Client
-
     from thermorender.render.renderer import Renderer
     from thermorender.trajectory.path import Trajectory
-
-# Blocks in the scheduler's hands: for each worker, and at least, for workers that join.
-_AHEAD, _LEAST = 2, 64
-
-Report = Callable[[str], object]
 
 
 @dataclass
@@ -45,13 +40,13 @@ class Tally:
     frames_s: float = 0.0
     moving_s: float = 0.0
 
-    def add(self, found: dict[str, Any]) -> None:
+    def add(self, found: dict[str, Any], frames: int) -> None:
         """Add the result of a block."""
         if "error" in found:
             self.failed += 1
             return
         self.blocks += 1
-        self.frames += found["stop"] - found["first"]
+        self.frames += frames
         for name in ("bytes", "loading_s", "warm_up_s", "frames_s", "moving_s"):
             setattr(self, name, getattr(self, name) + found[name])
 
@@ -108,13 +103,13 @@ def fly(
                 job = store(flight, out, address.local)
                 done = total - sum(map(len, work))
                 with connected(address) as client:
-                    for found in _results(client, job, work, report):
-                        tallies.setdefault(found["worker"], Tally()).add(found)
+                    for frames, found in results(client, partial(do_block, job), work, report):
+                        tallies.setdefault(found["worker"], Tally()).add(found, len(frames))
                         if "error" in found:
-                            failures.append(_failed(found))
+                            failures.append(f"frames {frames.start} to {frames.stop - 1} on {sentence(found)}")
                             report(failures[-1])
                             continue
-                        done += found["stop"] - found["first"]
+                        done += len(frames)
                         if progress:
                             progress(done, total)
             if failures:
@@ -138,58 +133,3 @@ def _cut(ranges: list[range], length: int) -> list[range]:
             found.append(range(first, stop))
             first = stop
     return found
-
-
-def _failed(found: dict[str, Any]) -> str:
-    return f"frames {found['first']} to {found['stop'] - 1} on {found['worker']}: {found['error']}"
-
-
-def _results(client: "Client", job: Job, work: list[range], report: Report) -> Iterator[dict[str, Any]]:
-    """Yield the results of blocks as they come; few are in hand, and more if workers join."""
-    from distributed import CancelledError, KilledWorker, as_completed
-
-    waiting, of = list(reversed(work)), {}
-    seen: dict[str, str] = {}
-    running = as_completed(loop=client.loop)
-
-    def more() -> None:
-        while waiting and len(of) < max(_AHEAD * len(seen), _LEAST):
-            frames = waiting.pop()
-            future = client.submit(do_block, job, frames.start, frames.stop, pure=False)
-            of[future] = frames
-            running.add(future)
-
-    try:
-        _watch(client, seen, report)
-        more()
-        for future in running:
-            frames = of.pop(future)
-            about = {"first": frames.start, "stop": frames.stop, "worker": "a worker"}
-            try:
-                yield future.result()
-            except (CancelledError, OSError):
-                raise
-            except KilledWorker as error:
-                what = f"{error.allowed_failures + 1} workers were lost with it; look for a crash or too little memory"
-                yield about | {"worker": str(error.last_worker.address), "error": what}
-            except Exception as error:
-                # A worker without this package, for example.
-                yield about | {"error": f"{type(error).__name__}: {error}"}
-            _watch(client, seen, report)
-            more()
-    except (CancelledError, OSError) as error:
-        raise ThermorenderError(
-            f"the scheduler was lost ({type(error).__name__}); start it again and continue with --resume"
-        ) from None
-
-
-def _watch(client: "Client", seen: dict[str, str], report: Report) -> None:
-    """Report workers that joined or were lost since the last time."""
-    workers = client.scheduler_info(n_workers=-1)["workers"]
-    now = {address: str(about["name"]) for address, about in workers.items()}
-    for address in sorted(now.keys() - seen.keys()):
-        report(f"worker {now[address]} at {address} joined")
-    for address in sorted(seen.keys() - now.keys()):
-        report(f"worker {seen[address]} at {address} was lost; its block is done again")
-    seen.clear()
-    seen.update(now)

@@ -4,15 +4,18 @@ import os
 import pickle
 import socket
 import threading
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from thermorender import files, formats
+from thermorender.cluster.dispatch import attempted, worker_name
 from thermorender.errors import ThermorenderError
 from thermorender.output.blocks import FOLDER, write_block
-from thermorender.output.record import made_by
 from thermorender.output.resume import refuse_other_settings
+from thermorender.render.variant import activate, active_device
+from thermorender.versions import versions
 
 if TYPE_CHECKING:
     from thermorender.output.flight import Flight
@@ -56,7 +59,7 @@ def store(flight: "Flight", folder: Path, processes: int) -> Job:
         baked = replace(baked, transport=None, incident=None)
     parts = {name: value for name, value in vars(flight).items() if name not in ("renderer", "flown")}
     value = {"baked": baked, "seed": flight.renderer.seed, "flight": parts | {"sheet": [], "terrain": []},
-             "frames": flight.flown.arguments, "made_by": made_by()}  # fmt: skip
+             "frames": flight.flown.arguments, "versions": versions(), "device": active_device()}  # fmt: skip
     data = pickle.dumps(value, protocol=pickle.HIGHEST_PROTOCOL)
     path = file_of(folder)
     path.parent.mkdir(exist_ok=True)
@@ -64,31 +67,19 @@ def store(flight: "Flight", folder: Path, processes: int) -> Job:
     return Job(os.path.abspath(folder), formats.checksum(data), processes)
 
 
-def do_block(job: Job, first: int, stop: int) -> dict[str, Any]:
-    """Render a block in this process.
+def do_block(job: Job, frames: range) -> dict[str, Any]:
+    """Render a block in this process; return worker, and error or what `write_block` returns with loading_s."""
 
-    Returns
-    -------
-    dict
-        first, stop and worker; error, one sentence, or what `write_block` returns with loading_s.
-    """
-    import time
-
-    about = {"first": first, "stop": stop, "worker": _worker_name()}
-    with _ONE:
+    def do() -> dict[str, Any]:
         clock = time.perf_counter()
-        try:
-            folder = Path(job.folder)
-            flight = _flight(job, folder)
-            loading_s = time.perf_counter() - clock
-            refuse_other_settings(folder / "flight.json", flight.settings)
-            return about | {"loading_s": loading_s} | write_block(flight, folder, first, stop)
-        except MemoryError:
-            return about | {"error": "this machine does not have enough memory"}
-        except Exception as error:
-            return about | {
-                "error": f"{'' if isinstance(error, ThermorenderError) else type(error).__name__ + ': '}{error}"
-            }
+        folder = Path(job.folder)
+        flight = _flight(job, folder)
+        loading_s = time.perf_counter() - clock
+        refuse_other_settings(folder / "flight.json", flight.settings)
+        return {"loading_s": loading_s} | write_block(flight, folder, frames.start, frames.stop)
+
+    with _ONE:
+        return attempted(do)
 
 
 def _flight(job: Job, folder: Path) -> "Flight":
@@ -111,16 +102,18 @@ def _loaded(job: Job, folder: Path) -> "Flight":
         ) from None
     if formats.checksum(data) != job.checksum:
         raise ThermorenderError(f"{path} is not the file of this flight; stop other flights into this folder")
-    _take_cores(job.processes)
+    value = pickle.loads(data)
+    ready(value["versions"], job.processes)
     from thermorender.output.flight import Flight
     from thermorender.render.flight.frames import FlightFrames
     from thermorender.render.renderer import Renderer
-    from thermorender.render.variant import activate
 
-    value = pickle.loads(data)
-    here = value["made_by"]
-    activate("cuda" if "cuda" in str(here["device"]) else "cpu")
-    _refuse_other_versions(here, made_by())
+    activate("cuda" if "cuda" in value["device"] else "cpu")
+    if active_device() != value["device"]:
+        raise ThermorenderError(
+            f"worker {worker_name()} has the device {active_device()}, the flight was started with {value['device']}; "
+            "install the same version of its library"
+        )
     flight = Flight.__new__(Flight)
     vars(flight).update(value["flight"])
     flight.renderer = Renderer.of(value["baked"], value["seed"])
@@ -128,15 +121,16 @@ def _loaded(job: Job, folder: Path) -> "Flight":
     return flight
 
 
-def _refuse_other_versions(wanted: dict[str, Any], own: dict[str, Any]) -> None:
-    """Refuse a worker whose results would have other bytes."""
-    pairs = [("device", wanted["device"], own["device"])]
-    pairs += [(name, version, own["versions"].get(name)) for name, version in wanted["versions"].items()]
-    for name, expected, found in pairs:
-        if expected != found:
+def ready(wanted: dict[str, str], processes: int) -> None:
+    """Refuse a worker whose results would have other bytes; bind it to its share of the machine's cores."""
+    own = versions()
+    for name, expected in wanted.items():
+        if own.get(name) != expected:
             raise ThermorenderError(
-                f"worker {_worker_name()} has {name} {found}, the flight was started with {expected}; install the same"
+                f"worker {worker_name()} has {name} {own.get(name)}, the work was started with {expected}; install the "
+                "same version"
             )
+    _take_cores(processes)
 
 
 def _take_cores(processes: int) -> None:
@@ -152,13 +146,3 @@ def _take_cores(processes: int) -> None:
     cores = sorted(os.sched_getaffinity(0))
     own = {core for k, core in enumerate(cores) if k % processes == number % processes}
     os.sched_setaffinity(0, own or {cores[number % len(cores)]})
-
-
-def _worker_name() -> str:
-    """The name of this worker on its machine."""
-    from distributed import get_worker
-
-    try:
-        return f"{get_worker().name}@{socket.gethostname()}"
-    except ValueError:
-        return f"{os.getpid()}@{socket.gethostname()}"

@@ -12,7 +12,7 @@ import secrets
 import shutil
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,7 +43,7 @@ class Block:
     before, after : str
         Checksum of the sensor's state before the first frame, "" at the start of a flight, and after the last.
     lines : list of dict
-        Of the frames, as in `frames.jsonl`.
+        Of the frames, as in `frames.jsonl`; left out by `finished_blocks`, since those of a campaign fill the memory.
     settings : str
         Checksum of the flight's settings.
     """
@@ -128,16 +128,22 @@ def finished_blocks(folder: Path, settings: dict[str, Any], verify: bool) -> dic
     found: dict[int, Block] = {}
     digest = settings_digest(settings)
     for path in sorted((folder / FOLDER).glob("*.json")):
-        try:
-            block = Block(**formats.unsealed(json.loads(path.read_text(encoding="utf-8"))))
-            intact = block.settings == digest and all(
-                whole(folder / name, known, verify) for line in block.lines for name, known in line["files"].items()
-            )
-        except (OSError, ValueError, TypeError, KeyError):
+        block = _read(path)
+        if block is None or block.settings != digest:
             continue
-        if intact and (block.first not in found or found[block.first].stop < block.stop):
-            found[block.first] = block
+        known = [(folder / name, each) for line in block.lines for name, each in line["files"].items()]
+        if all(whole(file, each, verify) for file, each in known):
+            if block.first not in found or found[block.first].stop < block.stop:
+                found[block.first] = replace(block, lines=[])
     return found
+
+
+def _read(path: Path) -> Block | None:
+    """The Block of a file; None if it is missing or damaged."""
+    try:
+        return Block(**formats.unsealed(json.loads(path.read_text(encoding="utf-8"))))
+    except (OSError, ValueError, TypeError):
+        return None
 
 
 def uncovered(kept: dict[int, Block], done: int, total: int) -> list[range]:
@@ -158,28 +164,32 @@ def gaps(flight: "Flight", folder: Path, verify: bool = False) -> Iterator[range
 
     The sensor is in its state before the range; its frames are written when the next range is asked for.
     """
-    total, kept = len(flight.times), finished_blocks(folder, flight.settings, verify)
+    total, kept, after = len(flight.times), finished_blocks(folder, flight.settings, verify), None
     while (done := len(flight.terrain)) < total:
-        if done in kept and _taken_over(flight, folder, kept.pop(done)):
-            continue
-        stop = min((first for first in kept if first > done), default=total)
+        if done in kept:
+            block = kept.pop(done)
+            if (after or _state_checksum(folder, done)) == block.before and _taken_over(flight, folder, block):
+                after = block.after
+                continue
+        stop, after = min((first for first in kept if first > done), default=total), None
         if done:
             flight.restore(folder, done)
         yield range(done, stop)
 
 
+def _state_checksum(folder: Path, first: int) -> str | None:
+    """The checksum of the sensor's state before a frame, as in a Block; None if the state is lost."""
+    state = state_before(folder, first) if first else None
+    return _checksum(state) if state is not None else None if first else ""
+
+
 def _taken_over(flight: "Flight", folder: Path, block: Block) -> bool:
-    """Append the lines of a block to `frames.jsonl`, if its sensor began in the state after the frame before."""
-    if block.first:
-        state = state_before(folder, block.first)
-        if state is None or _checksum(state) != block.before:
-            return False
-    formats.append_json(folder / "frames.jsonl", *map(formats.sealed, block.lines))
-    state = formats.read_arrays(_state_of(folder, block), block.stop - 1)
-    if state is not None:
-        data = formats.encoded_arrays(block.stop - 1, state)
-        files.put_in_place(files.write_aside(state_file(folder, 0), data), state_file(folder, block.stop - 1))
-    flight.terrain += [line["shows_terrain"] for line in block.lines]
+    """Append the lines of a block to `frames.jsonl`, unless its record was lost. The state stays beside the record."""
+    read = _read(folder / FOLDER / f"{block.first:09d}-{block.stop:09d}.json")
+    if read is None:
+        return False
+    formats.append_json(folder / "frames.jsonl", *map(formats.sealed, read.lines))
+    flight.terrain += [line["shows_terrain"] for line in read.lines]
     return True
 
 
@@ -195,10 +205,6 @@ def state_before(folder: Path, first: int) -> dict[str, NDArray[Any]] | None:
 def remove_blocks(folder: Path) -> None:
     """Remove the records of blocks of a finished flight."""
     shutil.rmtree(folder / FOLDER, ignore_errors=True)
-
-
-def _state_of(folder: Path, block: Block) -> Path:
-    return folder / FOLDER / f"{block.first:09d}-{block.stop:09d}.npz"
 
 
 def _checksum(state: dict[str, NDArray[Any]]) -> str:
