@@ -115,9 +115,17 @@ def test_parts_of_another_flight_are_refused(renderer, tmp_path):
     (tmp_path / "other/frame_000000.exr").touch()
     with pytest.raises(ThermorenderError, match=r"already holds frame_000000.exr"):
         fly_part(renderer, path, tmp_path / "other", options, 0, 2)
-    remembering = FlightOptions(rate_hz=4.0, products=("counts", "display"), display=DisplaySettings(memory_s=2.0))
-    with pytest.raises(ThermorenderError, match="memory of 2 s links all frames of a flight; leave --agc-memory-s out"):
-        fly_part(renderer, path, tmp_path / "new", remembering, 0, 2)
+
+
+@pytest.mark.parametrize("products", [("counts", "display"), *slow(("display",))])
+def test_display_that_remembers_is_made_in_order(renderer, tmp_path, products):
+    display = DisplaySettings(mode="plateau", palette="ironbow", memory_s=0.5)
+    path, options = path_of(6.0, 0.4), FlightOptions(rate_hz=30.0, products=products, display=display)
+    fly(renderer, path, tmp_path / "whole", options)
+    for first, stop in ((9, 99), (0, 4)):
+        fly_part(renderer, path, tmp_path / "parts", options, first, stop)
+    fly(renderer, path, tmp_path / "parts", options, resume=True)
+    assert contents(tmp_path / "parts") == contents(tmp_path / "whole")
 
 
 def test_blocks_are_much_longer_than_their_warm_up(renderer):

@@ -11,7 +11,7 @@ from thermorender.cluster.connect import Address, connected
 from thermorender.cluster.dispatch import Report, results, sentence
 from thermorender.cluster.work import do_block, store
 from thermorender.errors import ThermorenderError
-from thermorender.output.blocks import finished_blocks, gaps, join, refuse_display_memory, uncovered, usual_length
+from thermorender.output.blocks import finished_blocks, gaps, join, uncovered, usual_length
 from thermorender.output.flight import Flight, FlightOptions
 from thermorender.output.flight import fly as fly_here
 from thermorender.output.resume import finished
@@ -86,7 +86,6 @@ def fly(
         was lost.
     """
     flight = Flight(renderer, trajectory, options, None)
-    refuse_display_memory(flight)
     total = len(flight.times)
     if block is not None and block < 1:
         raise ThermorenderError(f"block={block} is not allowed; give a number of frames from 1 up")

@@ -12,6 +12,7 @@ import secrets
 import shutil
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from thermorender import files, formats
 from thermorender.errors import ThermorenderError
+from thermorender.output import products as product_files
 from thermorender.output.resume import load_state, refuse_other_settings, refuse_used, state_file, whole
 
 if TYPE_CHECKING:
@@ -68,15 +70,6 @@ def usual_length(flight: "Flight") -> int:
     return -(-least // flight.audit) * flight.audit
 
 
-def refuse_display_memory(flight: "Flight") -> None:
-    """Raise ThermorenderError for display images that depend on all frames before."""
-    if flight.display.memory_s and "display" in flight.products:
-        raise ThermorenderError(
-            f"the gain control's memory of {flight.display.memory_s:g} s links all frames of a flight; leave "
-            "--agc-memory-s out, or fly without --cluster and --frames"
-        )
-
-
 def join(folder: Path, flight: "Flight") -> None:
     """Write `flight.json` into a folder without flight; refuse one with another flight."""
     described = folder / "flight.json"
@@ -104,7 +97,8 @@ def write_block(flight: "Flight", folder: Path, first: int, stop: int) -> dict[s
         flight.flown.start(first)
         before = _checksum(flight.flown.exposure.state()) if first else ""
         clock.append(time.perf_counter())
-        flight.write_frames(place, range(first, stop))
+        with _without_display(flight):
+            flight.write_frames(place, range(first, stop))
         after = _checksum(flight.flown.exposure.state())
         clock.append(time.perf_counter())
         written = (place / "frames.jsonl").read_text(encoding="utf-8").splitlines()
@@ -121,6 +115,19 @@ def write_block(flight: "Flight", folder: Path, first: int, stop: int) -> dict[s
         shutil.rmtree(place, ignore_errors=True)
     spent = dict(zip(("warm_up_s", "frames_s", "moving_s"), np.diff(clock).tolist(), strict=True))
     return spent | {"bytes": sum(size for line in lines for size, _ in line["files"].values())}
+
+
+@contextmanager
+def _without_display(flight: "Flight") -> Iterator[None]:
+    """Let a flight write counts in place of display images that depend on the frames before; see `_shown`."""
+    asked = flight.products
+    if flight.remembers_display:
+        others = (name for name in asked if name not in ("display", "video", "counts"))
+        flight.products = (*others, "counts")
+    try:
+        yield
+    finally:
+        flight.products = asked
 
 
 def finished_blocks(folder: Path, settings: dict[str, Any], verify: bool) -> dict[int, Block]:
@@ -168,7 +175,7 @@ def gaps(flight: "Flight", folder: Path, verify: bool = False) -> Iterator[range
     while (done := len(flight.terrain)) < total:
         if done in kept:
             block = kept.pop(done)
-            if (after or _state_checksum(folder, done)) == block.before and _taken_over(flight, folder, block):
+            if (after or _resumed(flight, folder, done)) == block.before and _taken_over(flight, folder, block):
                 after = block.after
                 continue
         stop, after = min((first for first in kept if first > done), default=total), None
@@ -177,33 +184,63 @@ def gaps(flight: "Flight", folder: Path, verify: bool = False) -> Iterator[range
         yield range(done, stop)
 
 
-def _state_checksum(folder: Path, first: int) -> str | None:
-    """The checksum of the sensor's state before a frame, as in a Block; None if the state is lost."""
-    state = state_before(folder, first) if first else None
-    return _checksum(state) if state is not None else None if first else ""
+def _resumed(flight: "Flight", folder: Path, first: int) -> str | None:
+    """Take the state of the display before a frame, and return the checksum of the sensor's; None if it is lost."""
+    if not first:
+        return ""
+    state = state_before(folder, first, flight.remembers_display)
+    if state is None:
+        return None
+    flight.agc = state.get("agc")
+    return _checksum(state)
 
 
 def _taken_over(flight: "Flight", folder: Path, block: Block) -> bool:
     """Append the lines of a block to `frames.jsonl`, unless its record was lost. The state stays beside the record."""
-    read = _read(folder / FOLDER / f"{block.first:09d}-{block.stop:09d}.json")
-    if read is None:
+    record = folder / FOLDER / f"{block.first:09d}-{block.stop:09d}.json"
+    read, kept = _read(record), record.with_suffix(".npz")
+    state = formats.read_arrays(kept, block.stop - 1)
+    if read is None or state is None:
         return False
-    formats.append_json(folder / "frames.jsonl", *map(formats.sealed, read.lines))
-    flight.terrain += [line["shows_terrain"] for line in read.lines]
+    lines = read.lines
+    if flight.remembers_display:
+        lines = [_shown(flight, folder, line) for line in lines]
+        data = formats.encoded_arrays(block.stop - 1, state | {"agc": flight.agc})
+        files.put_in_place(files.write_aside(kept, data), kept)
+    formats.append_json(folder / "frames.jsonl", *map(formats.sealed, lines))
+    flight.terrain += [line["shows_terrain"] for line in lines]
     return True
 
 
-def state_before(folder: Path, first: int) -> dict[str, NDArray[Any]] | None:
-    """Return the state of sensor and display before a frame, kept by the flight or by a block; None if it is lost."""
-    state = load_state(folder, first - 1)
-    if state is None:
-        for path in (folder / FOLDER).glob(f"*-{first:09d}.npz"):
-            state = formats.read_arrays(path, first - 1)
-    return state
+def _shown(flight: "Flight", folder: Path, line: dict[str, Any]) -> dict[str, Any]:
+    """Write the display image of a frame from its counts, and return its line with that file."""
+    paths = product_files.paths(folder, line["index"], (*flight.products, "counts"))
+    counts = formats.decoded(paths["counts"].read_bytes(), -1)
+    if counts is None:
+        raise ThermorenderError(f"{paths['counts']} is damaged; remove it and continue with --resume")
+    flight.agc, image = flight.display.image(counts, flight.agc, 1.0 / flight.flown.rate_hz)
+    data, path = formats.encoded_image(".png", image), paths["display"]
+    files.put_in_place(files.write_aside(path, data), path)
+    known = line["files"] | {path.name: [len(data), formats.checksum(data)]}
+    own = product_files.paths(folder, line["index"], flight.products).values()
+    return line | {"files": {path.name: known[path.name] for path in own}}
 
 
-def remove_blocks(folder: Path) -> None:
-    """Remove the records of blocks of a finished flight."""
+def state_before(folder: Path, first: int, display: bool = False) -> dict[str, NDArray[Any]] | None:
+    """Return the state before a frame, kept by the flight or by a block; None if it is lost.
+
+    `display` asks for a state that includes the display's.
+    """
+    kept = [load_state(folder, first - 1)]
+    kept += [formats.read_arrays(path, first - 1) for path in (folder / FOLDER).glob(f"*-{first:09d}.npz")]
+    return next((state for state in kept if state is not None and ("agc" in state or not display)), None)
+
+
+def remove_blocks(flight: "Flight", folder: Path) -> None:
+    """Remove what only the blocks of a finished flight needed."""
+    if (folder / FOLDER).exists() and flight.remembers_display and "counts" not in flight.products:
+        for index in range(len(flight.times)):
+            product_files.paths(folder, index, ("counts",))["counts"].unlink(missing_ok=True)
     shutil.rmtree(folder / FOLDER, ignore_errors=True)
 
 

@@ -187,6 +187,8 @@ class Flight:
         Of `flight.json`; a flight is continued with the same.
     terrain : list of bool
         Whether each finished frame shows terrain.
+    agc : array or None
+        State of the display's gain control after the frame before.
     """
 
     def __init__(
@@ -211,7 +213,7 @@ class Flight:
         self.pictured: dict[int, Pictured] = {}
         # Of the frames written now: seconds, and {product: bytes}.
         self._spent: list[tuple[float, dict[str, int]]] = []
-        self._agc: _Memory = None
+        self.agc: _Memory = None
 
     def _settings(self, trajectory: Trajectory) -> dict[str, Any]:
         scene, start = self.renderer.scene, self.flown.timed.time(trajectory.span_s[0])
@@ -244,6 +246,11 @@ class Flight:
         """The content of `flight.json`: settings, and what the flight was expected to show."""
         return self.settings | {"prospect": self.prospect.as_dict()}
 
+    @property
+    def remembers_display(self) -> bool:
+        """Whether the display images depend on the frames before."""
+        return self.display.memory_s > 0.0 and "display" in self.products
+
     def write(
         self, folder: Path, resume: bool, verify: bool, progress: Callable[[int, int], object] | None,
         outlook: Callable[[Prospect | Cost], object] | None,
@@ -257,7 +264,7 @@ class Flight:
             self.write_frames(folder, frames, progress, outlook)
         refuse_moved(folder, place)
         remove_state(folder)
-        remove_blocks(folder)
+        remove_blocks(self, folder)
         if "video" in self.products:
             images = [product_files.paths(folder, index, ("display",))["display"] for index in range(total)]
             write_video(folder / "flight.mp4", images, self.flown.rate_hz)
@@ -309,7 +316,7 @@ class Flight:
 
     def _job(self, folder: Path, index: int, place: os.stat_result) -> Callable[[], Prepared]:
         """Render a frame; return the rest of the work on it, which needs no renderer and may run in another thread."""
-        frame, self._agc, image = self._take(index, self._agc)
+        frame, self.agc, image = self._take(index, self.agc)
         refuse_moved(folder, place)
         encoders = product_files.encoders(
             frame, self.products, image, self.thermography,
@@ -319,7 +326,7 @@ class Flight:
         line["shows_terrain"] = _shows_terrain(self.renderer.scene, frame)
         if index in self.sheet:
             self._picture(frame)
-        state = self.flown.exposure.state() | ({} if self._agc is None else {"agc": self._agc})
+        state = self.flown.exposure.state() | ({} if self.agc is None else {"agc": self.agc})
         paths, radiance = self._paths(folder, index), frame.radiance
         return partial(
             prepare, folder, place, lambda: line | {"apparent_k": _apparent_k(radiance, frame.kelvin_of)},
@@ -346,14 +353,14 @@ class Flight:
 
     def restore(self, folder: Path, done: int) -> None:
         """Restore the state of sensor and display after `done` frames, or render them again."""
-        arrays, self._agc = state_before(folder, done), None
+        arrays, self.agc = state_before(folder, done, self.remembers_display), None
         if arrays is not None:
-            self._agc = arrays.pop("agc", None)
+            self.agc = arrays.pop("agc", None)
             self.flown.exposure.restore(arrays)
             return
         self.flown.start(0)
         for index in range(done):
-            _, self._agc, _ = self._take(index, self._agc)
+            _, self.agc, _ = self._take(index, self.agc)
 
 
 def _shows_terrain(scene: Scene, frame: Frame) -> bool:

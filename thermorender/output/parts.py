@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from thermorender import files
 from thermorender.errors import ThermorenderError
-from thermorender.output.blocks import finished_blocks, join, refuse_display_memory, write_block
+from thermorender.output.blocks import finished_blocks, join, write_block
 from thermorender.output.flight import Flight, FlightOptions
 
 if TYPE_CHECKING:
@@ -34,7 +34,6 @@ def fly_part(
             f"--frames={first}:{stop} holds no frame of this flight; give numbers between 0 and {frames}"
         )
     stop = min(stop, frames)
-    refuse_display_memory(flight)
     with files.output_folder(folder) as out:
         join(out, flight)
         kept = finished_blocks(out, flight.settings, verify=False).get(first)
