@@ -193,3 +193,59 @@ def test_poison_is_reported_once_and_the_rest_is_finished(setting, tmp_path, sta
     (folder / "frame_000012_counts.png").rmdir()
     assert here.fly(renderer, path, folder, OPTIONS, resume=True)["frames"] == 30
     assert contents(folder) == contents(whole)
+
+
+@pytest.fixture
+def worlds_in_process(monkeypatch):
+    """Worlds of two tiny pairs each, rendered in this process where workers would."""
+    from contextlib import nullcontext
+
+    from thermorender.campaign import rendered
+    from thermorender.campaign.dataset import Entry
+    from thermorender.campaign.dataset_writer import packed
+    from thermorender.cluster import dataset
+
+    def pairs(world, hours, views, camera, materials, report):
+        if world.name == getattr(pairs, "poison", None):
+            raise ValueError("a poisoned land")
+        for number in range(2):
+            key, value = f"{world.name}-{number}", np.full((2, 3), world.seed % 200 + number, np.uint16)
+            entry = Entry(key, world.part, key, world.name, number, (2, 3))
+            yield entry, packed(np.zeros((2, 3, 3), np.uint8), value)
+
+    monkeypatch.setattr(rendered, "_pairs", pairs)
+    monkeypatch.setattr(dataset, "connected", lambda address: nullcontext())
+    # In another order than that of the campaign.
+    monkeypatch.setattr(dataset, "results", lambda client, do, units, report: ((k, do(k)) for k in reversed(units)))
+    return pairs
+
+
+def test_worlds_by_workers_have_the_bytes_of_one_machine(worlds_in_process, tmp_path):
+    from thermorender.campaign.rendered import render_campaign, worlds
+    from thermorender.cluster.dataset import render_campaign_by
+
+    of, address, lines = worlds(2, 1, 1, 0), Address(local=2), []
+    one = render_campaign(tmp_path / "one" / "set", of, 1, 2)
+    worlds_in_process.poison = of[1].name
+    sentence = f"1 of 4 worlds failed, the first: {of[1].name} on .*: ValueError: a poisoned land; the others are"
+    with pytest.raises(ThermorenderError, match=sentence):
+        render_campaign_by(tmp_path / "two" / "set", of, 1, 2, address, report=lines.append)
+    assert len(lines) == 1 and len(list((tmp_path / "two/set/shards").glob("*.tar"))) == 3
+    del worlds_in_process.poison
+    with pytest.raises(ThermorenderError, match="already holds a data set; give a new folder, or --resume"):
+        render_campaign_by(tmp_path / "two" / "set", of, 1, 2, address)
+    two = render_campaign_by(tmp_path / "two" / "set", of, 1, 2, address, resume=True)
+    assert {entry.key: entry for entry in two.entries} == {entry.key: entry for entry in one.entries}
+    for path in (tmp_path / "one/set/shards").glob("*.tar"):
+        assert (tmp_path / "two/set/shards" / path.name).read_bytes() == path.read_bytes()
+
+
+def test_workers_of_another_version_are_refused(monkeypatch):
+    from thermorender.cluster.work import ready
+    from thermorender.versions import versions
+
+    ready(versions(), 0)
+    with pytest.raises(
+        ThermorenderError, match=r"has numpy \S+, the work was started with 0.1; install the same version"
+    ):
+        ready(versions() | {"numpy": "0.1"}, 0)

@@ -4,6 +4,7 @@ The simulation takes the seconds of one core measured here, and disks of stated 
 """
 
 import json
+import os
 import pickle
 import time
 from functools import partial
@@ -17,9 +18,12 @@ from thermorender.versions import versions
 from validation.cluster.figure import figure
 from validation.cluster.simulation import Costs, simulate
 
-HEADER = ("workers", "wall [s]", "loading [s]", "warm-up [s]", "frames [s]", "moving [s]", "blocks", "same bytes")
+HEADER = (
+    "workers", "wall [s]", "cores [s]", "loading [s]", "warm-up [s]", "frames [s]", "moving [s]", "blocks",
+    "same bytes",
+)  # fmt: skip
 WORKERS = (1, 2, 4)
-RATE_HZ, FRAMES, BLOCK = 30.0, 64, 16
+RATE_HZ, FRAMES, BLOCK = 30.0, 48, 12
 # Shared disks [bytes/s, files/s]: a network disk of one server, a parallel file system.
 DISKS = {"1 GB/s, 5 000 files/s": (1e9, 5e3), "10 GB/s, 50 000 files/s": (1e10, 5e4)}
 BLOCKS = (10, 20, 40, 80, 110, 160, 320, 640, 1280, 2560, 5120, 10240)
@@ -81,7 +85,7 @@ def run(folder, workers=WORKERS, progress=None, hosts=True):
 
 def rows(record):
     """Return the scaling as table rows under HEADER."""
-    keys = ("wall_s", "loading_s", "warm_up_s", "frames_s", "moving_s")
+    keys = ("wall_s", "core_s", "loading_s", "warm_up_s", "frames_s", "moving_s")
     return [(one["workers"], *(f"{one[key]:.2f}" for key in keys), one["blocks"], one["same"])
             for one in record["workers"]]  # fmt: skip
 
@@ -161,20 +165,27 @@ def scaling(folder, workers):
 
     renderer, path, options = setting()
     _remove(folder)
-    clock = time.perf_counter()
+    clock, core = time.perf_counter(), _core_s()
     here.fly(renderer, path, folder / "whole", options)
-    alone_s = time.perf_counter() - clock
+    alone_s, alone_core_s = time.perf_counter() - clock, _core_s() - core
     found = []
     for count in workers:
-        clock = time.perf_counter()
+        clock, core = time.perf_counter(), _core_s()
         summary = fly(renderer, path, folder / str(count), Address(local=count), options, block=BLOCK)
-        wall_s = time.perf_counter() - clock
+        wall_s, core_s = time.perf_counter() - clock, _core_s() - core
         parts = list(summary["workers"].values())
         total = {key: sum(part[key] for part in parts) for key in parts[0]}
-        found.append({"workers": count, "wall_s": wall_s, "alone_s": alone_s, **total,
-                      "same": same(folder / "whole", folder / str(count))})  # fmt: skip
+        found.append({
+            "workers": count, "wall_s": wall_s, "core_s": core_s, "alone_s": alone_s, "alone_core_s": alone_core_s,
+            **total, "same": same(folder / "whole", folder / str(count)),
+        })  # fmt: skip
         _remove(folder / str(count))
     return found
+
+
+def _core_s():
+    """Seconds of cores that this process and its ended children took."""
+    return sum(os.times()[:4])
 
 
 def same(one, other):
