@@ -11,7 +11,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "thermorender"
 DRAWING = Path(__file__).with_name("architecture.svg")
 # From the ground up, with what each room holds: a room imports only from itself and from those before it.
 ROOMS = {
-    "ground": "errors, units, defaults, paths, versions, files, formats, cache, schema, progress",
+    "ground": "errors, units, defaults, paths, versions, files, formats, cache, schema, progress, timing",
     "physics": "Planck's law, bands, emission, Fresnel, surfaces, sun, heat, geodesy: NumPy only",
     "atmosphere": "air: model, rays, profile, standard table, MODTRAN, LOWTRAN7's aerosols",
     "weather": "a station's, a typical year's or a named day's: missing values are modelled, wrong ones refused",

@@ -223,3 +223,17 @@ def test_only_mirror_may_be_a_tracked_object(tmp_path):
     target = frame.truth["kinetic_temperature"] == 340.0
     # It is at 340 K, but nearly all of its radiance is reflected sky at 260 K.
     assert frame.plan["specular"] and abs(np.median(frame.apparent_temperature[target]) - 260.0) < 15.0
+
+
+def test_the_truth_of_rays_cast_before_is_that_of_rays_cast_again(tmp_path):
+    track = "time_s,east_m\n0,-3\n1,3\n"
+    scene = scene_with(tmp_path, track)
+    frame = tr.Renderer(scene, "fast", rays=4).frame(tr.pose(0, -12, 6, pitch_deg=-20), 0.6)
+    assert frame._sampling.middles is not None
+    before, again = (frame._view.truth(sampling) for sampling in (frame._sampling, None))
+    assert list(before) == list(again) and {0, 1} == set(np.unique(before["object"]))
+    assert 0.2 < np.isfinite(before["depth"]).mean() < 0.9
+    for name, image in before.items():
+        np.testing.assert_array_equal(image, again[name], err_msg=name)
+    # With several rays per pixel none goes through the middle.
+    assert tr.Renderer(scene, samples=4, rays=4).frame(tr.pose(0, -12, 6, pitch_deg=-20))._sampling.middles is None

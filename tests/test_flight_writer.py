@@ -1,6 +1,7 @@
 """Frames written beside the rendering: order, bounded memory, and errors in the threads that write."""
 
 import errno
+import hashlib
 import json
 import os
 import threading
@@ -8,14 +9,15 @@ import time
 from dataclasses import replace
 from functools import partial
 
+import cv2
 import numpy as np
 import pytest
 
 from tests.robustness import crash_targets
-from thermorender import files
+from thermorender import files, timing
 from thermorender.errors import ThermorenderError
 from thermorender.frame.exr import COMPRESSIONS, read_exr
-from thermorender.output import writer
+from thermorender.output import video, writer
 from thermorender.output.flight import FlightOptions, fly
 
 
@@ -174,6 +176,61 @@ def test_an_error_while_a_frame_is_written_stops_the_flight(scene, tmp_path, mon
     assert contents(tmp_path / "b/work/out") == contents(tmp_path / "a/work/out")
 
 
+# --- video --------------------------------------------------------------------------------------------------------
+
+
+def images_of(path):
+    video = cv2.VideoCapture(str(path))
+    return int(video.get(cv2.CAP_PROP_FRAME_COUNT))
+
+
+def test_the_video_is_encoded_from_the_frames_as_they_are_finished(scene, tmp_path, monkeypatch):
+    products, read = ("counts", "display", "video"), []
+    of_file = video.VideoWriter.write_file
+
+    def noted(self, path):
+        read.append(path.name)
+        of_file(self, path)
+
+    monkeypatch.setattr(video.VideoWriter, "write_file", noted)
+    (tmp_path / "whole").mkdir()
+    flown(scene, tmp_path / "whole", products=products)
+    assert not read and images_of(tmp_path / "whole/work/out/flight.mp4") == crash_targets.FRAMES
+    (tmp_path / "part").mkdir()
+
+    def stop(done, total):
+        if done == 5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        flown(scene, tmp_path / "part", products=products, progress=stop)
+    left = contents(tmp_path / "part/work/out")
+    assert not [name for name in left if name.endswith(".mp4")], "half a video is removed"
+    # Only the images before the stop are read again.
+    crash_targets.flight(tmp_path / "part/work", products=products)
+    assert read == [f"frame_{number:06d}.png" for number in range(len(left["frames.jsonl"].splitlines()))]
+    assert contents(tmp_path / "part/work/out") == contents(tmp_path / "whole/work/out")
+
+
+def test_an_encoder_that_is_killed_leaves_all_frames(scene, tmp_path, monkeypatch):
+    products, write = ("counts", "display", "video"), video.VideoWriter.write
+
+    def kills(self, image):
+        write(self, image)
+        self._encoder.kill()
+
+    (tmp_path / "f").mkdir()
+    with monkeypatch.context() as patch:
+        patch.setattr(video.VideoWriter, "write", kills)
+        with pytest.raises(ThermorenderError, match=r"flight.mp4 cannot be written: the encoder ended with status -9"):
+            flown(scene, tmp_path / "f", products=products)
+    left = contents(tmp_path / "f/work/out")
+    assert len(left["frames.jsonl"].splitlines()) == crash_targets.FRAMES
+    assert not [name for name in left if name.endswith(".mp4")]
+    assert crash_targets.flight(tmp_path / "f/work", products=products)["rendered"] == 0
+    assert images_of(tmp_path / "f/work/out/flight.mp4") == crash_targets.FRAMES
+
+
 # --- compression ------------------------------------------------------------------------------------------------
 
 
@@ -192,6 +249,9 @@ def test_every_compression_keeps_all_bits(scene):
         assert record["budget_frame"] == 0
         with OpenEXR.File(str(path)) as file:
             assert file.header()["compression"].name == f"{COMPRESSIONS[name]}_COMPRESSION"
+    (scene.parent / "usual.exr").write_bytes(exr_encoder(frame, True)())
+    with OpenEXR.File(str(scene.parent / "usual.exr")) as file:
+        assert file.header()["compression"].name == "RLE_COMPRESSION"
     assert len(sizes) == 4 and sizes["none"] > sizes["rle"] > sizes["zip"]
     for channels in found.values():
         for name, values in found["none"].items():
@@ -213,3 +273,58 @@ def test_the_compression_of_a_flight_is_recorded(scene, tmp_path):
         ThermorenderError, match="exr_compression='piz' is unknown; give one of zip, htj2k32, rle, none"
     ):
         FlightOptions(exr_compression="piz")
+
+
+def test_checksums_are_those_of_sha256sum(scene, tmp_path):
+    (tmp_path / "f").mkdir()
+    flown(scene, tmp_path / "f", products=("counts",))
+    out = tmp_path / "f/work/out"
+    line = json.loads((out / "frames.jsonl").read_text().splitlines()[2])
+    data = (out / "frame_000002_counts.png").read_bytes()
+    assert line["files"] == {"frame_000002_counts.png": [len(data), hashlib.sha256(data).hexdigest()]}
+
+
+# --- profile ------------------------------------------------------------------------------------------------------
+
+
+def test_phases_count_without_those_within_them(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(timing.time, "perf_counter", lambda: now[0])
+    with timing.profiled() as profile:
+        for _ in range(2):
+            with timing.phase("outer"):
+                now[0] += 2.0
+                with timing.phase("inner"):
+                    now[0] += 5.0
+                now[0] += 1.0
+        now[0] += 1.0
+    found = profile.as_dict()
+    assert found["wall_s"] == 17.0 and found["phases"]["inner"] == {"seconds": 10.0, "times": 2}
+    assert found["phases"]["outer"] == {"seconds": 6.0, "times": 2}
+    assert any(line.split() == ["outer", "6.000", "2", "3000.0"] for line in profile.lines())
+    assert timing.profile_entry() == {}
+    with timing.phase("none is taken"):
+        pass
+    assert "none is taken" not in profile.as_dict()["phases"]
+
+
+def test_profiles_are_printed_and_recorded(scene, tmp_path, call):
+    log = tmp_path / "log.csv"
+    log.write_text("time_s,east_m,north_m,up_m,yaw_deg,pitch_deg,roll_deg\n0,-3,0,20,0,-90,0\n1,3,0,20,0,-90,0\n")
+    arguments = ("--profile", "--rays", 4, "--quality", "fast", "--products", "counts,display")
+    for verb, more, record in (
+        ("fly", ("--trajectory", log, "--rate-hz", 2), "flight.json"), ("render", (), "frame_000000.json"),
+    ):  # fmt: skip
+        status, _, errors = call(verb, scene, "-o", tmp_path / verb, *arguments, *more)
+        assert status == 0
+        found = json.loads((tmp_path / verb / record).read_text())["profile"]
+        assert {"start of the program", "imports", "scene", "renderer", "light solved"} <= set(found["phases"])
+        own = {name: each for name, each in found["phases"].items() if not name.startswith(("writer", "start"))}
+        assert 0.0 < sum(each["seconds"] for each in own.values()) <= found["wall_s"]
+        # A row of the table for each phase.
+        assert all(any(line.startswith(f"{name} ") for line in errors.splitlines()) for name in own)
+    phases = json.loads((tmp_path / "fly/flight.json").read_text())["profile"]["phases"]
+    assert phases["first frame: radiance and sensor"]["times"] == 1 and phases["frames: display"]["times"] == 2
+    assert {"writer: .png encoded", "writer: checksums", "waiting for the writer"} <= set(phases)
+    assert call("render", scene, "-o", tmp_path / "quiet", "--rays", 4, "--quality", "fast")[0] == 0
+    assert "profile" not in json.loads((tmp_path / "quiet/frame_000000.json").read_text())

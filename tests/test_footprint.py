@@ -7,7 +7,15 @@ from conftest import slow
 import thermorender as tr
 from scenes import narrow, write_terrain
 from thermorender.compare.sampling_error import converged
+from thermorender.render.pixels import sampling
 from thermorender.render.pixels.pyramid import sizes, squares
+
+
+def test_the_net_of_rays_is_the_sobol_sequence_of_scipy():
+    from scipy.stats import qmc
+
+    number = (qmc.Sobol(2, scramble=False).random(64) * 64).astype(int)
+    np.testing.assert_array_equal(sampling._net(), ((number ^ 0b001010) + 0.5) / 64)
 
 
 def test_squares_are_means_of_texels():

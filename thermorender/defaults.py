@@ -16,3 +16,5 @@ TRAINED_MAPS = (
 )  # fmt: skip
 # The map that finds materials in the orthophoto, and the material of what it does not recognise.
 EMISSIVITY_MAP, FALLBACK_MATERIAL = "procedural", "soil_loam"
+# Compression of EXR files, one of `thermorender.frame.exr.COMPRESSIONS`.
+EXR_COMPRESSION = "rle"

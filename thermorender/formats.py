@@ -65,10 +65,13 @@ def write_json(path: PathLike, value: Any) -> None:
 
 
 def checksum(source: PathLike | bytes) -> str:
-    """Return the BLAKE2b checksum of a file's bytes, or of bytes, 32 hexadecimal digits."""
+    """Return the SHA-256 checksum of a file's bytes, or of bytes, 64 hexadecimal digits, as `sha256sum` prints it.
+
+    Processors compute it themselves, twice as fast as BLAKE2b.
+    """
     import hashlib
 
-    state = hashlib.blake2b(digest_size=16)
+    state = hashlib.sha256()
     if isinstance(source, bytes):
         state.update(source)
         return state.hexdigest()

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from thermorender import defaults
+from thermorender import defaults, timing
 from thermorender.cli.terminal import Progress, ReadTime, Time, at_time, named, read_instant, split, warn
 from thermorender.errors import ThermorenderError
+from thermorender.timing import phase
 
 if TYPE_CHECKING:
     from thermorender.render.renderer import Renderer
@@ -70,6 +71,31 @@ def flat(verb: Callable[..., Any]) -> Callable[..., Any]:
     return run
 
 
+def profiled(verb: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a verb with the option --profile, which prints the Profile of its run to the error stream."""
+    given = inspect.signature(verb)
+    says = "Print the seconds of each phase to the error stream, and add them to the record."
+    option = inspect.Parameter(
+        "profile", inspect.Parameter.KEYWORD_ONLY, default=False,
+        annotation=Annotated[bool, typer.Option("--profile", help=says)],
+    )  # fmt: skip
+
+    def run(*arguments: Any, profile: bool = False, **options: Any) -> Any:
+        if not profile:
+            return verb(*arguments, **options)
+        with timing.profiled() as taken:
+            verb(*arguments, **options)
+        for line in taken.lines():
+            typer.echo(line, err=True)
+
+    run.__name__, run.__doc__ = verb.__name__, verb.__doc__
+    run.__signature__ = given.replace(  # type: ignore[attr-defined]  # read by typer
+        parameters=[*given.parameters.values(), option]
+    )
+    run.__annotations__ = {**verb.__annotations__, "profile": option.annotation}
+    return run
+
+
 @dataclass(frozen=True)
 class SceneOptions:
     """The instant of a scene, and its air."""
@@ -93,6 +119,7 @@ class SceneOptions:
         ),
     ] = None
 
+    @phase("scene")
     def load(
         self, name: str, temperature: "TemperatureSpec | None" = None, read_time: ReadTime = read_instant
     ) -> "Scene":
@@ -235,9 +262,11 @@ class SamplingOptions:
         """Return the keywords of Renderer."""
         return asdict(self)
 
+    @phase("renderer")
     def renderer(self, scene: "Scene", seed: int, device: str, progress: Progress) -> "Renderer":
         """Return the Renderer of a scene; print the reports of learned maps that ran only now."""
-        from thermorender.render.renderer import Renderer
+        with phase("imports"):
+            from thermorender.render.renderer import Renderer
 
         settings = self.settings() | {"seed": seed, "device": device, "progress": progress}
         made = Renderer(scene, **settings)
@@ -296,6 +325,7 @@ class TrajectoryOptions:
         bool, typer.Option("--allow-below-ground", help="Fly even where the path is under the terrain.")
     ] = False
 
+    @phase("trajectory")
     def read(self, scene: "Scene", rate_hz: float | None) -> "Trajectory":
         """Return the Trajectory over a scene, refused if it is below ground at a frame; print warnings on the log."""
         from thermorender.output.terrain_in_view import empty_frames_note

@@ -10,6 +10,7 @@ from thermorender import files
 from thermorender.errors import ThermorenderError
 from thermorender.progress import Progress as Progress
 from thermorender.progress import progress as progress
+from thermorender.timing import phase
 from thermorender.units import instant
 
 if TYPE_CHECKING:
@@ -54,7 +55,8 @@ def at_time(
 
     `read` converts (scene, text) to an instant; `temperature` is a TemperatureSpec in place of the scene's own.
     """
-    from thermorender.scene.load import load_scene
+    with phase("imports"):
+        from thermorender.scene.load import load_scene
 
     scene = load_scene(name)
     if temperature:

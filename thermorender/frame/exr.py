@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender import defaults
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic
 from thermorender.frame.record import header, truth_header
@@ -40,7 +41,7 @@ def write_exr(
 
 def exr_encoder(
     frame: "Frame", truth: bool, thermography: ThermographySettings | None = None, error: bool = False,
-    compression: str = "zip",
+    compression: str = defaults.EXR_COMPRESSION,
 ) -> Callable[[], bytes]:  # fmt: skip
     """Return a function that returns the bytes of `write_exr`; it may run in another thread.
 

@@ -49,7 +49,7 @@ class Found:
     budget: dict[str, float] | None
     error: NDArray[np.float32] | None
 
-    def truth(self) -> dict[str, NDArray[Any]]:
+    def truth(self, sampling: Any) -> dict[str, NDArray[Any]]:
         """Return the truth without the sensor's flags."""
         return dict(self.images)
 
@@ -217,7 +217,7 @@ class Frame:
     def __getstate__(self) -> dict[str, Any]:
         # All parts are computed now, since the scene is not pickled.
         state = dict(vars(self))
-        images = state.pop("truth", None) or self._view.truth()
+        images = state.pop("truth", None) or self._view.truth(self._sampling)
         images = {**images, "mask": images["mask"] & ~np.uint8(SATURATED)}
         found = Found(images, self.targets, self.labels, self.budget_mk, self.error_mk)
         audited = self._audited and Audited(self._audited.index, self.budget_mk)
@@ -314,7 +314,7 @@ class Frame:
             material (H, W) uint8, 255 for none; object (H, W) uint32, from 1 in the order of `objects`, 0 for none;
             mask (H, W) uint8, flags of `thermorender.scene.surface`. NaN (depth: infinity) where nothing is hit.
         """
-        found = self._view.truth()
+        found = self._view.truth(self._sampling)
         saturated = readout.saturated(self.counts, self.camera)
         found["mask"] = found["mask"] | np.where(saturated, SATURATED, 0).astype(np.uint8)
         return found

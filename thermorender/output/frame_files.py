@@ -6,9 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from thermorender import files, formats
 from thermorender.errors import ThermorenderError
 from thermorender.output.resume import refuse_moved
+from thermorender.timing import phase
 
 
 @dataclass(frozen=True)
@@ -21,10 +25,13 @@ class Prepared:
         The frame's line in `frames.jsonl`.
     parts : dict
         {path: temporary file}.
+    image : (H, W) or (H, W, 3) uint8, optional
+        The display image, for the video.
     """
 
     line: dict[str, Any]
     parts: dict[Path, Path]
+    image: NDArray[np.uint8] | None = None
 
     def discard(self) -> None:
         """Remove the temporary files."""
@@ -35,6 +42,7 @@ class Prepared:
 def prepare(
     folder: Path, place: os.stat_result, line: Callable[[], dict[str, Any]],
     encoders: Mapping[Path, Callable[[], bytes]], state: tuple[Path, Callable[[], bytes]],
+    image: NDArray[np.uint8] | None = None,
 ) -> Prepared:  # fmt: skip
     """Write the files of a frame under temporary names.
 
@@ -48,7 +56,10 @@ def prepare(
     encoders : dict
         {path: returns the bytes of the file}.
     state : tuple
-        (path, returns the bytes) of the sensor's state, which is not in the line.
+        (path, returns the bytes) of the sensor's state, which is not in the line. A resume can do without it, so it is
+        not waited for on the disk.
+    image : array, optional
+        As of Prepared.
 
     Raises
     ------
@@ -59,13 +70,16 @@ def prepare(
     try:
         refuse_moved(folder, place)
         for path, encode in (*encoders.items(), state):
-            with files.reported(path):
+            with files.reported(path), phase(f"writer: {path.suffix} encoded"):
                 data = encode()
-            frame.parts[path] = files.write_aside(path, data)
+            with phase("writer: files written"):
+                frame.parts[path] = files.write_aside(path, data)
             if path in encoders:
-                known[path.name] = [len(data), formats.checksum(data)]
-        files.on_disk(*frame.parts.values())
-        return Prepared(line() | {"files": known}, frame.parts)
+                with phase("writer: checksums"):
+                    known[path.name] = [len(data), formats.checksum(data)]
+        with phase("writer: files on the disk"):
+            files.on_disk(*(frame.parts[path] for path in encoders))
+        return Prepared(line() | {"files": known}, frame.parts, image)
     except BaseException as error:
         frame.discard()
         if isinstance(error, ThermorenderError):
@@ -74,6 +88,7 @@ def prepare(
         raise
 
 
+@phase("writer: names and lines")
 def put_in_place(folder: Path, place: os.stat_result, described: Callable[[], dict[str, Any]], frame: Prepared) -> None:
     """Give the files of a frame their names, then append its line to `frames.jsonl`.
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender import defaults
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic
 from thermorender.footage.radiometric_files import write_tlinear
@@ -118,7 +119,7 @@ def paths(folder: str | PathLike[str], index: int, products: Iterable[str]) -> d
 def encoders(
     frame: "Frame", products: Iterable[str], image: NDArray[np.uint8] | None = None,
     thermography: ThermographySettings | None = None,
-    photograph: Callable[[Camera], NDArray[np.uint8]] | None = None, compression: str = "zip",
+    photograph: Callable[[Camera], NDArray[np.uint8]] | None = None, compression: str = defaults.EXR_COMPRESSION,
 ) -> dict[str, Encoder]:  # fmt: skip
     """Return {product: function that returns the bytes of its file}, to be called in any thread.
 

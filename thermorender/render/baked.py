@@ -166,7 +166,11 @@ def bake(
         geometry = geometry or like.geometry
         known = like.transport if like.plan.rays == plan.rays else None
     geometry = geometry or Geometry(activate(), scene.surfaces)
-    spectrum, material, temperature = plan.spectrum, flat(scene, "material"), flat(scene, "temperature")
+    spectrum, material, temperature = (
+        plan.spectrum,
+        flat(scene.surfaces, "material"),
+        flat(scene.surfaces, "temperature"),
+    )
     texel = texels.emitted(plan, scene.materials, material, temperature)
     black = None
     # Such a material may occur on dynamic objects only.

@@ -1,23 +1,38 @@
 """A baked scene on the ray-tracing device: the arrays uploaded once, and the layers of one view."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.materials.mixture import Mixture
 from thermorender.physics.planck import band_radiance
 from thermorender.render.air import Air, AirView, Vacuum
 from thermorender.render.arrays import Channels, Floats, Jit, aligned, opaque_view
 from thermorender.render.dynamic import DynamicObject, Placement
 from thermorender.render.geometry import Geometry, box_of
+from thermorender.render.labels import objects_of_surfaces
 from thermorender.render.layers import Layer, OutgoingRadiance
 from thermorender.render.reflection import mirrors
-from thermorender.scene.scene import Scene
+from thermorender.render.spectrum import REFERENCE_K
+from thermorender.scene.surface import Surface
 
 if TYPE_CHECKING:
     from thermorender.render.baked import BakedScene
+
+
+@dataclass(frozen=True)
+class Texels:
+    """What the texels of a layer are, for the truth."""
+
+    material: Jit  # (T,) UInt8
+    flags: Jit  # (T,) UInt8, flags of `thermorender.scene.surface`
+    temperature: Jit  # (T,) Float [K]; None for a dynamic object, whose Placement has it
+    objects: Jit  # UInt32, number of the object that each surface belongs to, as `labels.objects_of_surfaces`
 
 
 class DeviceScene:
@@ -29,7 +44,7 @@ class DeviceScene:
         tables = mirrors.DeviceTables(mi, plan.specular, scene, plan.spectrum) if plan.specular else None
         mirror = None
         if tables and baked.mirror_black is not None:
-            mirror = mirrors.Mirror(mi, tables, flat(scene, "material"), baked.mirror_black)
+            mirror = mirrors.Mirror(mi, tables, flat(scene.surfaces, "material"), baked.mirror_black)
         self._outgoing = OutgoingRadiance.of(geometry, baked.texels, baked.faces, mirror)
         self._faces, self._light = baked.faces, baked.static_light
         self._face_error = baked.face_error
@@ -42,7 +57,7 @@ class DeviceScene:
             self._air = Vacuum(mi, *band_radiance(outside, *plan.band_um)[:, None])
         else:
             self._air = Air(mi, scene, plan.spectrum)
-        self._static_objects = scene.surfaces[scene.terrain_count :]
+        self._scene, self._static_objects = scene, scene.surfaces[scene.terrain_count :]
         self._alone: dict[str, Geometry] = {}
         self._last_medium: tuple[Any, Any] = None, None
         self._last_light: tuple[Any, Any] = None, None
@@ -55,6 +70,28 @@ class DeviceScene:
         for item, placement, radiance in zip(self.objects, placements, own, strict=True):
             layers.append(Layer(item.geometry, opaque_view(self._mi, np.linalg.inv(placement.pose) @ pose), radiance))
         return layers
+
+    @cached_property
+    def texels(self) -> list[Texels]:
+        """The Texels of each layer, in the order of `layers`."""
+        mi, numbers = self._mi, objects_of_surfaces(self._scene)
+        small, found, first = dr.uint8_array_t(mi.Float), [], 0
+        for place, surfaces in enumerate([self._scene.surfaces, *(each.surfaces for each in self.objects)]):
+            material, flags = (small(aligned(flat(surfaces, name), np.uint8)) for name in ("material", "flags"))
+            kelvin = mi.Float(aligned(flat(surfaces, "temperature"))) if place == 0 else None
+            own = numbers[first : first + len(surfaces)]
+            found.append(Texels(material, flags, kelvin, mi.UInt32(aligned(own, np.uint32))))
+            first += len(surfaces)
+        return found
+
+    @cached_property
+    def emissivities(self) -> list[Jit]:
+        """Band emissivity of each material at REFERENCE_K, Float, and its standard deviation if a material has one."""
+        materials, at = self._scene.materials, (*self._scene.camera.band_um, REFERENCE_K)
+        tables: list[Any] = [[each.band_emissivity(*at) for each in materials]]
+        if any(isinstance(each, Mixture) for each in materials):
+            tables.append([each.band_emissivity_std(*at) for each in materials])
+        return [self._mi.Float(aligned(table)) for table in tables]
 
     def alone(self, name: str, placements: Sequence[Placement]) -> tuple[Geometry, Floats]:
         """Return (Geometry of one object without the others, pose of its frame in the scene's)."""
@@ -132,7 +169,7 @@ class DeviceScene:
         return outgoing, last[1], errors
 
 
-def flat(scene: Scene, name: str) -> NDArray[Any]:
-    """Return an attribute of all texels of a scene, (T,); the array of a single surface is not copied."""
-    images = [getattr(surface, name) for surface in scene.surfaces]
+def flat(surfaces: Sequence[Surface], name: str) -> NDArray[Any]:
+    """Return an attribute of all texels of surfaces, (T,); the array of a single surface is not copied."""
+    images = [getattr(surface, name) for surface in surfaces]
     return images[0].reshape(-1) if len(images) == 1 else np.concatenate([image.ravel() for image in images])

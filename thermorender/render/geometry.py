@@ -229,6 +229,11 @@ class Geometry:
         return total
 
     @cached_property
+    def vertices(self) -> Floats:
+        """All vertices, each position once, (n, 3) float64 [m]."""
+        return np.unique(np.concatenate([surface.vertices for surface in self.surfaces]), axis=0).astype(np.float64)
+
+    @cached_property
     def normals(self) -> Channels:
         """Unit normals of all faces; zero where a face has no area."""
         return Channels(self.mi, of_faces(self.surfaces, _unit_across, (3,)))

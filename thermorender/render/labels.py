@@ -5,14 +5,16 @@ vertices span.
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.render.arrays import Floats, aligned, opaque_view, view_ray
+from thermorender.render.arrays import Floats, Jit, aligned, opaque_view, view_ray
 from thermorender.render.dynamic import Placement
 from thermorender.render.geometry import Geometry
+from thermorender.render.pixels.sampling import CameraRays
 from thermorender.scene.scene import Scene
 from thermorender.sensor.camera import Camera
 
@@ -30,32 +32,38 @@ def object_names(scene: Scene) -> tuple[str, ...]:
     return tuple(dict.fromkeys(_owners(scene)[scene.terrain_count :]))
 
 
+def objects_of_surfaces(scene: Scene) -> NDArray[np.uint32]:
+    """Return the number of the object that each surface belongs to, those of moving objects last.
+
+    Objects count from 1 in the order of `object_names`; terrain is 0.
+    """
+    owner, number = _owners(scene), {name: k for k, name in enumerate(object_names(scene), start=1)}
+    return np.array([0 if k < scene.terrain_count else number[name] for k, name in enumerate(owner)], np.uint32)
+
+
 def object_numbers(scene: Scene, valid: NDArray[np.bool_], texel: NDArray[Any]) -> NDArray[np.uint32]:
-    """Return the number of the object that each pixel shows, from 1 in the order of `object_names`; 0 for none.
+    """Return the number of the object that each pixel shows, as `objects_of_surfaces`; 0 for none.
 
     `valid` and `texel` are those of `thermorender.render.truth.pixel_middles`.
     """
-    owner, number = _owners(scene), {name: k for k, name in enumerate(object_names(scene), start=1)}
-    of = np.array([0 if k < scene.terrain_count else number[name] for k, name in enumerate(owner)], np.uint32)
     moving = [surface for tracked in scene.tracked_objects for surface in tracked.surfaces]
     ends = np.cumsum([surface.material.size for surface in (*scene.surfaces, *moving)])
     surface = np.minimum(np.searchsorted(ends, texel, side="right"), len(ends) - 1)
-    return np.where(valid, of[surface], np.uint32(0))
+    return np.where(valid, objects_of_surfaces(scene)[surface], np.uint32(0))
 
 
 def labels(
-    baked: "BakedScene", camera: Camera, pose: Floats, placements: Sequence[Placement], seen: NDArray[np.uint32]
+    baked: "BakedScene", rays: CameraRays, pose: Floats, placements: Sequence[Placement], seen: NDArray[np.uint32]
 ) -> dict[str, dict[str, Any]]:
     """Return {object: {…}} of the objects whose extent meets the image, as `Frame.labels`.
 
-    `seen` is the image of `object_numbers`.
+    `seen` is the truth's image of objects.
     """
-    found = {}
+    found, camera = {}, rays.camera
     for number, name in enumerate(object_names(baked.scene), start=1):
         geometry, own_pose = baked.device.alone(name, placements)
         view = np.linalg.inv(own_pose) @ pose
-        vertices = np.concatenate([surface.vertices for surface in geometry.surfaces])
-        local = (vertices - view[:3, 3]) @ view[:3, :3]
+        local = (geometry.vertices - view[:3, 3]) @ view[:3, :3]
         front = local[:, 2] > 0.0
         if not front.any():
             continue
@@ -69,15 +77,17 @@ def labels(
             continue
         first, last = np.maximum(np.floor(low), 0).astype(int), np.minimum(np.ceil(high), size).astype(int)
         part = slice(first[1], last[1]), slice(first[0], last[0])
-        row, column = np.mgrid[part]
-        middles = camera.directions(np.stack([column + 0.5, row + 0.5], axis=-1).reshape(-1, 2))
-        visible = (seen[part] == number).ravel()
-        alone = int((_hits(geometry, view, middles) | visible).sum())
+        visible = seen[part] == number
+        at = rays.position.reshape(seen.shape)[part][~visible]
+        shown = alone = int(visible.sum())
+        if at.size:
+            hidden = rays.slopes(0.5, 0.5, geometry.mi.UInt32(aligned(at, np.uint32)))
+            alone += int(_hits(geometry, view, *hidden).sum())
         within = bool((low >= 0.0).all() and (high <= size).all())
         found[name] = {
-            "pixels": int(visible.sum()),
+            "pixels": shown,
             "silhouette_pixels": alone,
-            "occluded": round(1.0 - float(visible.sum()) / alone, 4) if alone else None,
+            "occluded": round(1.0 - shown / alone, 4) if alone else None,
             "truncated": 0.0 if within else _beyond(camera, geometry, view, slope, bool(front.all())),
             "full_box": [round(float(v), 3) for v in (*low, *(high - low))] if front.all() else None,
         }
@@ -90,10 +100,9 @@ def _owners(scene: Scene) -> list[str]:
     return [surface.name.split(":")[0] for surface in (*scene.surfaces, *moving)]
 
 
-def _hits(geometry: Geometry, view: Floats, slope: Floats) -> NDArray[np.bool_]:
-    """Whether rays of slopes (n, 2) hit a geometry seen from `view`, (n,)."""
+def _hits(geometry: Geometry, view: Floats, across: Jit, along: Jit) -> NDArray[np.bool_]:
+    """Whether rays of slopes (x/z, y/z) hit a geometry seen from `view`, (n,)."""
     mi = geometry.mi
-    across, along = (mi.Float(aligned(values)) for values in slope.T)
     hit = geometry.seen(view_ray(mi, *opaque_view(mi, view), across, along))
     return np.isfinite(np.array(hit.distance))
 
@@ -103,10 +112,15 @@ def imaged(camera: Camera, slope: Floats) -> Floats:
 
     Out there the polynomial of the distortion may fold back into the image.
     """
-    reach = np.linalg.norm(camera.directions(_corners(camera)), axis=-1).max()
-    inner = slope * np.minimum(1.0, reach / np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-12))
+    inner = slope * np.minimum(1.0, _reach(camera) / np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-12))
     ahead = np.column_stack([inner, np.ones(len(inner))])
     return camera.project(ahead) + (slope - inner) * camera.focal_length_px
+
+
+@lru_cache(maxsize=4)
+def _reach(camera: Camera) -> float:
+    """Largest length of the slopes at the corners."""
+    return float(np.linalg.norm(camera.directions(_corners(camera)), axis=-1).max())
 
 
 def _corners(camera: Camera) -> Floats:
@@ -126,7 +140,8 @@ def _beyond(camera: Camera, geometry: Geometry, view: Floats, slope: Floats, in_
     step = (np.arange(int(_RAYS**0.5)) + 0.5) / int(_RAYS**0.5)
     across, along = np.meshgrid(*(low[k] + step * (high[k] - low[k]) for k in (0, 1)))
     rays = np.column_stack([across.ravel(), along.ravel()])
-    pixel = imaged(camera, rays[_hits(geometry, view, rays)])
+    slopes = (geometry.mi.Float(aligned(values)) for values in rays.T)
+    pixel = imaged(camera, rays[_hits(geometry, view, *slopes)])
     if not len(pixel):
         return None
     inside = ((pixel >= 0.0) & (pixel < (camera.width, camera.height))).all(axis=-1)

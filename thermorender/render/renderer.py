@@ -34,6 +34,7 @@ from thermorender.scene.georeference import place_of
 from thermorender.scene.scene import Scene
 from thermorender.scene.surface import FILLED, Surface
 from thermorender.sensor.camera import Camera
+from thermorender.timing import phase
 from thermorender.trajectory.path import Trajectory
 
 if TYPE_CHECKING:
@@ -150,7 +151,7 @@ class Renderer:
     def baked(self) -> BakedScene:
         """The BakedScene; light between surfaces is traced and solved on first use."""
         if self._baked is None:
-            with interactive(self._progress) as report:
+            with interactive(self._progress) as report, phase("light solved"):
                 self._baked = bake(self.scene, self.plan, self._geometry, self._like, report)
             self._like = None
         return self._baked
@@ -281,7 +282,7 @@ class Renderer:
         `camera` as of `visible`.
         """
         at_rest = Shape(self._geometry, opaque_view(self._geometry.mi, checked_pose(pose)))
-        return np.asarray(truth.pixel_middles([at_rest], self._camera_rays(camera))[4], np.float32)
+        return np.asarray(truth.pixel_middles([at_rest], self._camera_rays(camera))[3], np.float32)
 
     def hits(self, origin: ArrayLike, direction: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
         """Return (distance [m], infinite for a miss; number of the texel, −1 for a miss) of rays into the static scene.

@@ -5,21 +5,22 @@ depths or materials would describe no surface.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.materials.mixture import Mixture
 from thermorender.physics.band import quadrature
 from thermorender.physics.fresnel import COSINES
 from thermorender.physics.planck import band_radiance, spectral_radiance
-from thermorender.render.arrays import Floats, aligned, view_ray
+from thermorender.render.arrays import Floats, Jit, aligned, view_ray
 from thermorender.render.dynamic import Placement
-from thermorender.render.labels import imaged, object_numbers
+from thermorender.render.geometry import Geometry, Hit
+from thermorender.render.labels import imaged
 from thermorender.render.layers import Shape
-from thermorender.render.pixels.sampling import CameraRays
+from thermorender.render.pixels.sampling import RING, CameraRays
 from thermorender.render.reflection.reflectance import directional
 from thermorender.render.spectrum import REFERENCE_K
 from thermorender.scene.surface import BACKGROUND, BEHIND
@@ -34,48 +35,52 @@ Image = NDArray[Any]
 
 
 def truth(
-    baked: "BakedScene", rays: CameraRays, pose: Floats, placements: Sequence[Placement]
+    baked: "BakedScene", rays: CameraRays, pose: Floats, placements: Sequence[Placement], middles: Hit | None = None
 ) -> dict[str, NDArray[Any]]:
-    """Return {name: image} of the ground truth at the pixels' middles, as `Frame.truth` has it."""
-    scene, camera, layers = baked.scene, rays.camera, baked.device.layers(pose, placements)
-    warm = [placement.temperature for placement in placements]
+    """Return {name: image} of the ground truth at the pixels' middles, as `Frame.truth` has it.
+
+    `middles` are the hits of the rays through the middles, where they are known; see `Sampling.middles`.
+    """
+    scene, device, band_um = baked.scene, baked.device, rays.camera.band_um
+    seen = _Middles(device.layers(pose, placements), rays, middles)
+    mi = seen.mi
+    kelvin, kind, number, cosine = mi.Float(0.0), mi.UInt32(0), mi.UInt32(0), mi.Float(0.0)
+    for part, texels, placement in zip(seen.parts, device.texels, (None, *placements), strict=True):
+        geometry, nearer, hit, texel = part.geometry, part.nearer, part.hit, part.texel
+        slant = -dr.dot(mi.Vector3f(*geometry.normals.at(hit.face, hit.valid)), part.ray.d)
+        if placement is None:
+            warm = dr.gather(mi.Float, texels.temperature, texel, hit.valid)
+        else:
+            warm = dr.opaque(mi.Float, float(placement.temperature))
+        own = (mi.UInt32(dr.gather(type(each), each, texel, hit.valid)) for each in (texels.material, texels.flags))
+        material, flags = own
+        found = warm, material | flags << 8, dr.gather(mi.UInt32, texels.objects, hit.surface, hit.valid), slant
+        was = kelvin, kind, number, cosine
+        kelvin, kind, number, cosine = (dr.select(nearer, a, b) for a, b in zip(found, was, strict=True))
+    of_material = [dr.gather(mi.Float, table, kind & 255, seen.valid) for table in device.emissivities]
+    kind |= dr.select(cosine < 0.0, mi.UInt32(BEHIND << 8), 0)
+    nothing = NO_MATERIAL | dr.select(seen.up, mi.UInt32(0), BACKGROUND << 8)
     by_angle = directional(scene.materials)
-    valid, number, up, cosine, depth, position = pixel_middles(layers, rays, facing=True)
-    dynamic = [surface for tracked in scene.tracked_objects for surface in tracked.surfaces]
-    flags, material = (
-        np.concatenate([getattr(surface, which).ravel() for surface in (*scene.surfaces, *dynamic)])[number]
-        for which in ("flags", "material")
+    known = (dr.select(seen.valid, value, np.nan) for value in (kelvin, *seen.position, *of_material))
+    kind, number, depth, kelvin, *others = _images(
+        rays, [dr.select(seen.valid, kind, nothing), number, seen.depth, *known, *([cosine] if by_angle else [])]
     )
-    sizes = [int(layer.geometry.texel_start[-1]) for layer in layers[1:]]
-    static = [surface.temperature.ravel() for surface in scene.surfaces]
-    temperature = np.concatenate([*static, np.repeat(warm, sizes).astype(np.float32)])[number]
-    band_um = camera.band_um
-    emissivity = np.array([each.band_emissivity(*band_um, REFERENCE_K) for each in scene.materials])[material]
+    material, emissivity = (kind & 255).astype(np.uint8), others[3]
     for one in by_angle:
         here = material == one
         wavelength, weight = quadrature(*band_um)
         share = spectral_radiance(wavelength, REFERENCE_K) * weight / band_radiance(REFERENCE_K, *band_um)
         table = scene.materials[one].emissivity_at_angle(wavelength, COSINES[:, None]) @ share
-        emissivity[here] = np.interp(np.abs(cosine[here]), COSINES, table)
-    found: dict[str, NDArray[Any]] = {
-        "kinetic_temperature": np.where(valid, temperature, np.nan).astype(np.float32),
-        "emissivity": np.where(valid, emissivity, np.nan).astype(np.float32),
-        "material": np.where(valid, material, NO_MATERIAL).astype(np.uint8),
-        "object": object_numbers(scene, valid, number),
-        "depth": np.where(valid, depth, np.inf).astype(np.float32),
-        "position": np.where(valid[..., None], np.stack(position, axis=-1), np.nan).astype(np.float32),
-        "mask": np.where(valid, flags | np.where(cosine < 0, BEHIND, 0), np.where(up, 0, BACKGROUND)).astype(np.uint8),
-    }
-    if any(isinstance(each, Mixture) for each in scene.materials):
-        std = np.array([each.band_emissivity_std(*band_um, REFERENCE_K) for each in scene.materials])[material]
-        found["emissivity_std"] = np.where(valid, std, np.nan).astype(np.float32)
-    return found
+        emissivity[here] = np.interp(np.abs(others[-1][here]), COSINES, table)
+    images: dict[str, NDArray[Any]] = {
+        "kinetic_temperature": kelvin, "emissivity": emissivity, "material": material, "object": number,
+        "depth": depth, "position": np.stack(others[:3], axis=-1), "mask": (kind >> 8).astype(np.uint8),
+    }  # fmt: skip
+    return images | ({"emissivity_std": others[4]} if len(of_material) > 1 else {})
 
 
-def pixel_middles(
-    layers: Sequence[Shape], rays: CameraRays, facing: bool = False
-) -> tuple[Image, Image, Image, Image, Image, list[Image]]:
-    """Return the surface points at the pixels' middles as images (H, W): valid, texel, up, cosine, depth, position.
+def pixel_middles(layers: Sequence[Shape], rays: CameraRays) -> tuple[Image, Image, Image, Image]:
+    """Return the surface points at the pixels' middles as images (H, W): valid, texel, up, depth.
 
     Returns
     -------
@@ -83,43 +88,84 @@ def pixel_middles(
         Whether a surface is hit, and whether the ray points to the horizon or above.
     texel : uint32
         Its number over all surfaces of the layers.
-    cosine, depth : float32
-        Of the angle at the surface, below 0 on its back, computed only if `facing`; along the optical axis [m],
-        infinity where nothing is hit.
-    position : list of three float32
-        In the local frame [m].
+    depth : float32
+        Along the optical axis [m], infinity where nothing is hit.
     """
-    mi = layers[0].geometry.mi
-    slope = rays.slopes(0.5, 0.5)
-    valid, distance, texel, first = mi.Bool(False), mi.Float(np.inf), mi.UInt32(0), 0
-    cosine = mi.Float(0.0)
-    for layer in layers:
-        geometry = layer.geometry
-        ray = view_ray(mi, *layer.view, *slope)
-        hit = geometry.seen(ray)
-        column, row = geometry.map_position(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
-        nearer = hit.distance < distance
-        found = first + geometry.nearest(hit.surface, column, row, hit.valid)
-        texel, distance = dr.select(nearer, found, texel), dr.minimum(distance, hit.distance)
-        if facing:
-            slant = -dr.dot(mi.Vector3f(*geometry.normals.at(hit.face, hit.valid)), ray.d)
-            cosine = dr.select(nearer, slant, cosine)
-        valid |= nearer
-        first += int(geometry.texel_start[-1])
-    ray = view_ray(mi, *layers[0].view, *slope)
-    position = ray.o + distance * ray.d
-    # Directions have unit length, so depth along the axis is distance over the length of (slope, 1).
-    depth = distance / dr.sqrt(1.0 + slope[0] * slope[0] + slope[1] * slope[1])
-    found = [mi.UInt32(valid), texel, mi.UInt32(ray.d.z >= 0.0), cosine, depth, *position]
+    seen, first = _Middles(layers, rays), 0
+    mi, number = seen.mi, seen.mi.UInt32(0)
+    for part in seen.parts:
+        number = dr.select(part.nearer, first + part.texel, number)
+        first += int(part.geometry.texel_start[-1])
+    valid, number, up, depth = _images(rays, [mi.UInt32(seen.valid), number, mi.UInt32(seen.up), seen.depth])
+    return valid > 0, number, up > 0, depth
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A layer at the pixels' middles: Dr.Jit arrays, one entry per ray."""
+
+    geometry: Geometry
+    ray: Jit  # in the layer's frame
+    hit: Hit
+    texel: Jit  # number over the surfaces of the layer
+    nearer: Jit  # whether the hit is nearer than those of the layers before
+
+
+class _Middles:
+    """The surface points at the pixels' middles: Dr.Jit arrays, one entry per ray.
+
+    Parameters
+    ----------
+    layers, rays
+        As of `pixel_middles`.
+    known : Hit, optional
+        Hits of these rays that were cast before, as `Sampling.middles`; otherwise they are cast.
+
+    Attributes
+    ----------
+    parts : list of _Part
+    valid, up : Bool
+    depth : Float
+    position : Point3f
+        In the local frame [m]; undefined where nothing is hit.
+    """
+
+    def __init__(self, layers: Sequence[Shape], rays: CameraRays, known: Hit | None = None) -> None:
+        self.mi = mi = layers[0].geometry.mi
+        slope = rays.slopes(0.5, 0.5)
+        self.parts: list[_Part] = []
+        distance, surfaces = mi.Float(np.inf), 0
+        for layer in layers:
+            geometry, ray = layer.geometry, view_ray(mi, *layer.view, *slope)
+            if known is None:
+                hit = geometry.seen(ray)
+                nearer = hit.distance < distance
+            else:
+                # Surfaces are numbered over the layers; below 0 the number wraps to a large one.
+                surface = known.surface - dr.opaque(mi.UInt32, surfaces)
+                nearer = known.valid & (surface < dr.opaque(mi.UInt32, len(geometry.surfaces)))
+                hit = Hit(nearer, known.distance, known.face, surface)
+            place = geometry.map_position(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
+            texel = geometry.nearest(hit.surface, *place, hit.valid)
+            distance = dr.select(nearer, hit.distance, distance)
+            self.parts.append(_Part(geometry, ray, hit, texel, nearer))
+            surfaces += len(geometry.surfaces)
+        first = self.parts[0].ray
+        self.valid, self.up = distance < np.inf, first.d.z >= 0.0
+        self.position = first.o + distance * first.d
+        # Directions have unit length, so depth along the axis is distance over the length of (slope, 1).
+        self.depth = distance / dr.sqrt(1.0 + slope[0] * slope[0] + slope[1] * slope[1])
+
+
+def _images(rays: CameraRays, values: Sequence[Jit]) -> list[Image]:
+    """Images (H, W) of Dr.Jit arrays, one entry per ray in the order of `rays`."""
+    sides = rays.height + 2 * RING, rays.width + 2 * RING
+    targets = [dr.zeros(type(value), sides[0] * sides[1]) for value in values]
+    for target, value in zip(targets, values, strict=True):
+        dr.scatter(target, value, rays.ringed)
     # One evaluation for all; separate ones would cast the rays again.
-    dr.eval(found)
-    images = []
-    for values in found:
-        flat = np.empty(rays.camera.height * rays.camera.width, np.array(values).dtype)
-        flat[rays.order] = np.array(values)[: flat.size]
-        images.append(flat.reshape(rays.camera.height, rays.camera.width))
-    valid, number, up, cosine, depth, *position = images
-    return valid > 0, number, up > 0, cosine, depth, position
+    dr.eval(targets)
+    return [target.numpy().reshape(sides)[RING:-RING, RING:-RING].copy() for target in targets]
 
 
 def targets(

@@ -46,9 +46,13 @@ class View:
         image, sampling = self.tracer(through_air).image(limit)
         return image[0], sampling
 
-    def truth(self) -> dict[str, NDArray[Any]]:
-        """Return the ground truth, as `Frame.truth`, without the sensor's flags."""
-        return truth.truth(self.baked, self.rays, self.pose, self.placements)
+    def truth(self, sampling: Sampling | None) -> dict[str, NDArray[Any]]:
+        """Return the ground truth, as `Frame.truth`, without the sensor's flags.
+
+        Rays that the image with this Sampling cast are not cast again.
+        """
+        middles = None if sampling is None else sampling.middles
+        return truth.truth(self.baked, self.rays, self.pose, self.placements, middles)
 
     def targets(self) -> dict[str, dict[str, Any]]:
         """Return the positions of objects, as `Frame.targets`."""
@@ -56,7 +60,7 @@ class View:
 
     def labels(self, seen: NDArray[np.uint32]) -> dict[str, dict[str, Any]]:
         """Return the extents of objects, as `Frame.labels`; `seen` is the truth's image of objects."""
-        return labels.labels(self.baked, self.rays.camera, self.pose, self.placements, seen)
+        return labels.labels(self.baked, self.rays, self.pose, self.placements, seen)
 
     def budget_mk(self, radiance: NDArray[np.float32], sampling: Sampling | None) -> dict[str, float] | None:
         """Return the error budget of a radiance image, as `Frame.budget_mk`; None without its Sampling."""

@@ -23,6 +23,7 @@ from thermorender.cache import cache_folder
 from thermorender.errors import ThermorenderError
 from thermorender.render.geometry import Geometry
 from thermorender.render.light import radiosity
+from thermorender.timing import phase
 
 # Largest total size of the files [bytes]; the least recently used are removed first.
 LIMIT = 4 << 30
@@ -45,11 +46,13 @@ def traced(
     if geometry.face_count * rays < WORTH_RAYS:
         return radiosity.trace(geometry, rays, progress, seed), None
     name = key(geometry, rays, seed)
-    transport = load(name)
+    with phase("light read from the cache"):
+        transport = load(name)
     if transport is not None:
         return transport, None
-    transport = radiosity.trace(geometry, rays, progress, seed)
-    return transport, store(name, transport)
+    with phase("light traced"):
+        transport = radiosity.trace(geometry, rays, progress, seed)
+        return transport, store(name, transport)
 
 
 def key(geometry: Geometry, rays: int, seed: int = 0) -> str:

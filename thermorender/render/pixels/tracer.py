@@ -59,6 +59,8 @@ class Sampling:
     hit: NDArray[np.bool_]  # (H, W), whether a pixel's ray hits a surface
     step: NDArray[np.float32] | None  # (H, W) from `edge_step`; None without a search for edges
     refined: list[Refined] = field(default_factory=list)  # pixels with more rays; later entries replace earlier ones
+    # Hits of the rays through the pixels' middles, surfaces numbered over the layers; None where no ray goes there.
+    middles: Hit | None = None
 
     @property
     def finer(self) -> NDArray[np.bool_]:
@@ -128,7 +130,9 @@ class Tracer:
         targets = [dr.zeros(mi.Float, sides[0] * sides[1]) for _ in total]
         for target, value in zip(targets, total, strict=True):
             dr.scatter(target, value, rays.ringed)
-        dr.eval(targets)
+        # The truth uses these rays again.
+        middles = hit if self._samples == 1 else None
+        dr.eval(targets, () if middles is None else (hit.valid, hit.distance, hit.face, hit.surface))
         ringed = np.stack([target.numpy() for target in targets]).reshape(-1, *sides)
         inside = ..., slice(RING, -RING), slice(RING, -RING)
         image, guide = ringed[inside][:channels].copy(), ringed[channels:]
@@ -138,7 +142,7 @@ class Tracer:
         if crossed.size:
             flat[:, crossed] = self._rays_in(crossed, 0, self._samples, None)[0] / self._samples
         if not edge_limit < np.inf:
-            return image, Sampling(met, None)
+            return image, Sampling(met, None, middles=middles)
         step = edge_step(ringed[:channels].sum(axis=0), *guide)
         thin = self._slender()
         on = typical_edge_estimate(step, self._samples).ravel() > edge_limit
@@ -147,7 +151,7 @@ class Tracer:
         refined = self._refine(flat, pixels, UNSEEN * step.ravel()[pixels], edge_limit)
         if thin.pixels.size:
             refined += self._refine(flat, thin.pixels, np.zeros(len(thin.pixels)), edge_limit, thin)
-        return image, Sampling(met, step, refined)
+        return image, Sampling(met, step, refined, middles)
 
     def resampled(self, pixels: NDArray[np.integer], count: int, random: np.random.Generator) -> NDArray[Any]:
         """Return (channels, n): the mean over `count` other rays of pixels by flat number, each read as a judge does.
