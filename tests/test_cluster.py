@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 
+import dask
 import numpy as np
 import pytest
 from test_blocks import contents
@@ -84,7 +85,11 @@ def test_address_of_a_cluster(tmp_path):
     for text in ("local:0", "local", "host:8786", "tcp://host", str(tmp_path), "no.yaml"):
         with pytest.raises(ThermorenderError, match=r"--cluster='.*' is not allowed; give local:N with a number"):
             parse_cluster(text)
-    for text, wrong in (("a: 1\n", "has no scheduler-address"), ("a: [\n", "is not YAML"), ("x", "has no scheduler")):
+    for text, wrong in (
+        ("a: 1\n", "has no scheduler-address"),
+        ("a: [\n", "is not a Dask configuration in YAML"),
+        ("x", "is not a Dask"),
+    ):
         config.write_text(text)
         with pytest.raises(ThermorenderError, match=wrong), connected(Address(config=config)):
             pass
@@ -95,6 +100,7 @@ def test_no_scheduler_is_one_sentence(monkeypatch):
     with pytest.raises(ThermorenderError, match=r"no scheduler answers at tcp://127.0.0.1:9"):
         with connected(Address(scheduler="tcp://127.0.0.1:9")):
             pass
+    assert dask.config.get("scheduler-address", None) is None
 
 
 def test_blocks_begin_at_multiples_of_their_length():

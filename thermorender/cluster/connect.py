@@ -93,13 +93,13 @@ def connected(address: Address) -> Iterator["Client"]:
 
 def _read_config(path: Path) -> dict[str, object]:
     """The values of a Dask configuration, with its address."""
-    import yaml
+    from dask.config import collect_yaml
 
     try:
-        found = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        (found,) = collect_yaml([str(path)])
+    except ValueError:
         raise ThermorenderError(
-            f"{path} is not YAML ({str(error).splitlines()[0]}); give a Dask configuration"
+            f"{path} is not a Dask configuration in YAML; give one with scheduler-address"
         ) from None
     if not isinstance(found, dict) or not isinstance(found.get("scheduler-address"), str):
         raise ThermorenderError(
