@@ -255,3 +255,29 @@ def test_workers_of_another_version_are_refused(monkeypatch):
         ThermorenderError, match=r"has numpy \S+, the work was started with 0.1; install the same version"
     ):
         ready(versions() | {"numpy": "0.1"}, 0)
+
+
+def test_simulation_against_closed_forms():
+    from dataclasses import replace
+
+    from validation.cluster.simulation import Costs, simulate
+    from validation.cluster.study import advice
+
+    free = Costs(
+        frame_s=2.0, warm_up_frame_s=0.0, warm_up=0, start_s=0.0, scene_bytes=0.0, scheduler_s=0.0, frame_bytes=0.0,
+        frame_files=0, disk_bytes_per_s=1.0, disk_files_per_s=1.0, take_over_s=0.0,
+    )  # fmt: skip
+    alone = simulate(free, 1000, 10, 10)
+    assert alone["hours"] == pytest.approx(1000 * 2.0 / 10 / 3600) and alone["efficiency"] == pytest.approx(1.0)
+    # Nine frames of warm-up for ten of a block, but not for the first.
+    warm = simulate(replace(free, warm_up=9, warm_up_frame_s=2.0), 1000, 1, 10)
+    assert warm["hours"] == pytest.approx((1000 + 99 * 9) * 2.0 / 3600)
+    # Saturated: the scheduler serves 100 blocks, the disk 1000 frames, one after another.
+    scheduler = simulate(replace(free, scheduler_s=100.0), 1000, 100, 10)
+    assert scheduler["hours"] == pytest.approx((100 * 100.0 + 20.0) / 3600) and scheduler["scheduler"] > 0.99
+    disk = simulate(replace(free, frame_bytes=50.0), 1000, 100, 10)
+    assert disk["hours"] == pytest.approx((1000 * 50.0 + 20.0) / 3600) and disk["disk"] > 0.99
+    taken = simulate(replace(free, take_over_s=1.0), 1000, 10, 10)
+    assert taken["hours"] - alone["hours"] == pytest.approx(1000 / 3600)
+    cases = [simulate(replace(free, warm_up=9, warm_up_frame_s=2.0), 10_000, 1, block) for block in (10, 1000, 5000)]
+    assert advice(cases)["block"] == 1000

@@ -83,6 +83,8 @@ def _watch(client: "Client", seen: dict[str, str], report: Report) -> None:
         report(f"worker {now[address]} at {address} joined")
     for address in sorted(seen.keys() - now.keys()):
         report(f"worker {seen[address]} at {address} was lost; its work is done again")
+    if not now:
+        report("no worker is there; the work waits for one")
     seen.clear()
     seen.update(now)
 

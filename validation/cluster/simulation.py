@@ -66,22 +66,24 @@ def simulate(costs, frames, workers, block):
         in which scheduler and disk are busy, and of all workers' time that the warm-up takes; take_over_hours.
     """
     scheduler, disk = _Server(), _Server()
-    blocks = -(-frames // block)
-    coming = [(0.0, number, True) for number in range(workers)]
-    end = warm = 0.0
-    for number in range(blocks):
-        now, worker, new = heapq.heappop(coming)
-        now = scheduler.serve(now, costs.scheduler_s)
-        if new:
+    blocks, given, end, warm = -(-frames // block), 0, 0.0, 0.0
+    # (time, worker, what it asks for, frames); in the order of time, so that both servers see requests as they come.
+    coming = [(0.0, worker, "scene", 0) for worker in range(workers)]
+    while coming:
+        now, worker, wanted, size = heapq.heappop(coming)
+        if wanted == "scene":
             now = disk.serve(now, costs.scene_bytes / costs.disk_bytes_per_s) + costs.start_s
-        size = min(block, frames - number * block)
-        warm_s = costs.warm_up * costs.warm_up_frame_s if number else 0.0
-        warm += warm_s
-        now += warm_s + size * costs.frame_s
-        takes = size * (costs.frame_bytes / costs.disk_bytes_per_s + costs.frame_files / costs.disk_files_per_s)
-        now = disk.serve(now, takes)
-        end = max(end, now)
-        heapq.heappush(coming, (now, worker, False))
+            heapq.heappush(coming, (now, worker, "block", 0))
+        elif wanted == "write":
+            takes = size * (costs.frame_bytes / costs.disk_bytes_per_s + costs.frame_files / costs.disk_files_per_s)
+            end = disk.serve(now, takes)
+            heapq.heappush(coming, (end, worker, "block", 0))
+        elif given < blocks:
+            size = min(block, frames - given * block)
+            warm_s = costs.warm_up * costs.warm_up_frame_s if given else 0.0
+            given, warm = given + 1, warm + warm_s
+            now = scheduler.serve(now, costs.scheduler_s) + warm_s + size * costs.frame_s
+            heapq.heappush(coming, (now, worker, "write", size))
     take_over = frames * costs.take_over_s
     return {
         "block": block, "workers": workers, "frames": frames, "hours": (end + take_over) / 3600.0,
