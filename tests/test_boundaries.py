@@ -81,7 +81,7 @@ def test_every_form_of_import_is_found(source, found, tmp_path):
             "import thermorender, thermorender.cli.app",
             ("mitsuba", "drjit", "torch", "rasterio", "scipy", "cv2", "matplotlib", "trimesh"),
         ),
-        ("import thermorender as tr; tr.load_scene('heath')", ("mitsuba", "drjit", "torch", "matplotlib")),
+        ("import thermorender as tr; tr.load_scene('heath')", ("mitsuba", "drjit", "torch", "matplotlib", "trimesh")),
         *slow(("import thermorender as tr; tr.Renderer(tr.load_scene('heath'), rays=1)", ("torch", "matplotlib"))),
     ],
 )

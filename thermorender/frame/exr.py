@@ -52,20 +52,8 @@ def exr_encoder(
     """
     import OpenEXR  # type: ignore[import-not-found, unused-ignore]
 
-    channels = {"radiance": frame.radiance, "apparent_temperature": frame.apparent_temperature}
-    if thermography is not None:
-        channels["thermography_temperature"] = thermography_reading(frame.counts, frame.camera, thermography)
-    if error and frame.error_mk is not None:
-        channels["error"] = frame.error_mk
-    if truth:
-        for name, values in frame.truth.items():
-            if values.dtype.kind == "u":
-                channels[f"truth.{name}"] = values.astype(np.uint32)
-            elif values.ndim == 3:
-                for axis, letter in enumerate("xyz"):
-                    channels[f"truth.{name}.{letter}"] = np.ascontiguousarray(values[..., axis])
-            else:
-                channels[f"truth.{name}"] = values
+    # What needs the renderer is computed here, and the rest in the function.
+    seen, errors = frame.truth if truth else {}, frame.error_mk if error else None
     about = header(frame, thermography=thermography and asdict(thermography))
     about |= truth_header(frame) if truth else {}
     attributes = {
@@ -75,8 +63,21 @@ def exr_encoder(
     }
 
     def encode() -> bytes:
+        channels = {"radiance": frame.radiance, "apparent_temperature": frame.apparent_temperature}
+        if thermography is not None:
+            channels["thermography_temperature"] = thermography_reading(frame.counts, frame.camera, thermography)
+        if errors is not None:
+            channels["error"] = errors
+        for name, values in seen.items():
+            if values.dtype.kind == "u":
+                channels[f"truth.{name}"] = values.astype(np.uint32)
+            elif values.ndim == 3:
+                for axis, letter in enumerate("xyz"):
+                    channels[f"truth.{name}.{letter}"] = np.ascontiguousarray(values[..., axis])
+            else:
+                channels[f"truth.{name}"] = values
         memory = io.BytesIO()
-        OpenEXR.File(attributes, dict(channels)).write(memory)
+        OpenEXR.File(attributes, channels).write(memory)
         return memory.getvalue()
 
     return encode
