@@ -64,6 +64,8 @@ def run(folder, workers=WORKERS, progress=None, hosts=True):
     report = progress or (lambda what, share: None)
     report("one block", 0.0)
     record = {"machine": machine.machine(), "versions": versions(), "rate_hz": RATE_HZ, "frames": FRAMES}
+    # Wall times beside other work say little; seconds of cores do.
+    record["load_average"] = round(os.getloadavg()[2], 1)
     record["one"] = machine.apart(one_block, folder / "scratch")
     report("scheduler", 0.2)
     record["scheduler"] = machine.apart(scheduler_costs)
