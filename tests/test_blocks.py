@@ -1,6 +1,7 @@
 """Blocks of a flight: rendered in any order, taken over in order, to the bytes of one machine."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from conftest import slow
 import thermorender as tr
 from scenes import coarse, write_terrain
 from thermorender.errors import ThermorenderError
-from thermorender.output.blocks import FOLDER, usual_length
+from thermorender.output.blocks import FOLDER, join, usual_length
 from thermorender.output.flight import Flight, FlightOptions, fly
 from thermorender.output.parts import fly_part
 from thermorender.sensor.display import DisplaySettings
@@ -111,6 +112,13 @@ def test_parts_of_another_flight_are_refused(renderer, tmp_path):
         fly_part(renderer, path, tmp_path / "f", FlightOptions(rate_hz=8.0, products=("counts",)), 2, 4)
     with pytest.raises(ThermorenderError, match="--frames=7:9 holds no frame of this flight; give numbers between 0"):
         fly_part(renderer, path, tmp_path / "f", options, 7, 9)
+    # Another process wrote the file between two looks at the folder.
+    flight = Flight(renderer, path, options, None)
+    seen = iter([False, True])
+    with pytest.MonkeyPatch.context() as patch:
+        own = Path.exists
+        patch.setattr(Path, "exists", lambda path: own(path) and (path.name != "flight.json" or next(seen, True)))
+        join(tmp_path / "f", flight)
     (tmp_path / "other").mkdir()
     (tmp_path / "other/frame_000000.exr").touch()
     with pytest.raises(ThermorenderError, match=r"already holds frame_000000.exr"):

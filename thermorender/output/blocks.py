@@ -73,11 +73,16 @@ def usual_length(flight: "Flight") -> int:
 def join(folder: Path, flight: "Flight") -> None:
     """Write `flight.json` into a folder without flight; refuse one with another flight."""
     described = folder / "flight.json"
-    if described.exists():
-        refuse_other_settings(described, flight.settings)
-        return
-    refuse_used(folder)
-    formats.write_json(described, flight.described)
+    if not described.exists():
+        try:
+            refuse_used(folder)
+        except ThermorenderError:
+            # Another process may have joined meanwhile.
+            if not described.exists():
+                raise
+        else:
+            formats.write_json(described, flight.described)
+    refuse_other_settings(described, flight.settings)
 
 
 def write_block(flight: "Flight", folder: Path, first: int, stop: int) -> dict[str, Any]:
