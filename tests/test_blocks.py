@@ -125,7 +125,7 @@ def test_parts_of_another_flight_are_refused(renderer, tmp_path):
         fly_part(renderer, path, tmp_path / "other", options, 0, 2)
 
 
-@pytest.mark.parametrize("products", [("counts", "display"), *slow(("display",))])
+@pytest.mark.parametrize("products", [("counts", "display"), *slow((("display",),))])
 def test_display_that_remembers_is_made_in_order(renderer, tmp_path, products):
     display = DisplaySettings(mode="plateau", palette="ironbow", memory_s=0.5)
     path, options = path_of(6.0, 0.4), FlightOptions(rate_hz=30.0, products=products, display=display)
