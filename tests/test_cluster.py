@@ -136,11 +136,13 @@ def test_two_processes_give_the_bytes_of_one(setting, tmp_path):
             killed.append(next(each for each in mine[1:] if "spawn_main" in " ".join(each.cmdline())))
             killed[0].kill()
 
-    lines = []
+    lines, frames = [], {}
     summary = fly(renderer, path, tmp_path / "f", Address(local=2), OPTIONS, block=5, progress=progress,
+                  of_worker=lambda name, done, total: frames.update({name: done}),
                   report=lines.append)  # fmt: skip
     assert contents(tmp_path / "f") == contents(whole)
     assert summary["rendered"] == 30 and sum(each["frames"] for each in summary["workers"].values()) >= 30
+    assert frames == {name: each["frames"] for name, each in summary["workers"].items()}
     assert sum("was lost; its work is done again" in line for line in lines) == 1
     assert sum("joined" in line for line in lines) >= 2
     # Scheduler, two nannies and two workers, none of them a dashboard.

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from thermorender.cli.terminal import table
+from thermorender.cli.terminal import Progress, table
 from thermorender.errors import ThermorenderError
 
 if TYPE_CHECKING:
@@ -56,8 +56,9 @@ class ClusterOptions:
             raise ThermorenderError("--frames needs no --resume; leave it out, or leave --frames out to continue all")
 
     def run(
-        self, renderer: "Renderer", trajectory: "Trajectory", folder: Path, options: "FlightOptions", **more: Any
-    ) -> dict[str, Any]:
+        self, renderer: "Renderer", trajectory: "Trajectory", folder: Path, options: "FlightOptions",
+        progress: Progress, **more: Any,
+    ) -> dict[str, Any]:  # fmt: skip
         """Fly by a cluster, print its messages and a table of its workers, and return the summary of the flight."""
         from thermorender.cluster.connect import parse_cluster
         from thermorender.cluster.fly import fly
@@ -65,7 +66,9 @@ class ClusterOptions:
         assert self.cluster
         summary = fly(
             renderer, trajectory, folder, parse_cluster(self.cluster), options, block=self.block,
-            report=lambda line: typer.echo(line, err=True), **more,
+            report=lambda line: typer.echo(line, err=True),
+            progress=lambda done, total: progress(f"frame {done} of {total}", done / total),
+            of_worker=lambda name, done, total: progress(f"{name}: {done} frames", done / total), **more,
         )  # fmt: skip
         if summary["workers"]:
             names = ("worker", "blocks", "frames", "failed", *_SPENT, "MB")

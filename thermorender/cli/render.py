@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -193,12 +193,14 @@ def fly(
         if cluster.frames:
             typer.echo(cluster.part(renderer, path, output, options))
             return
-        counted: Any = {"progress": lambda done, total: report(f"frame {done} of {total}", done / total)}
         if cluster.cluster:
-            summary = cluster.run(renderer, path, output, options, resume=resume, verify=verify, **counted)
+            summary = cluster.run(renderer, path, output, options, report, resume=resume, verify=verify)
         else:
-            counted |= {"heat_progress": report, "outlook": _print_outlook}
-            summary = run(renderer, path, output, options, resume=resume, verify=verify, **counted)
+            summary = run(
+                renderer, path, output, options, resume=resume, verify=verify, heat_progress=report,
+                outlook=_print_outlook,
+                progress=lambda done, total: report(f"frame {done} of {total}", done / total),
+            )  # fmt: skip
     print_cache_note(renderer)
     typer.echo(f"{summary['frames']} frames, {summary['rendered']} rendered now, in {summary['folder']}")
     if "report" in options.products:

@@ -62,6 +62,7 @@ def fly(
     resume: bool = False,
     verify: bool = False,
     progress: Callable[[int, int], object] | None = None,
+    of_worker: Callable[[str, int, int], object] | None = None,
     report: Report = lambda line: None,
 ) -> dict[str, Any]:
     """Render a flight by the workers of a cluster and return its summary: that of `thermorender.fly`, and `workers`.
@@ -76,6 +77,8 @@ def fly(
     address : Address
     block : int, optional
         Frames of a block; see `thermorender.output.blocks.usual_length`.
+    of_worker : callable, optional
+        Called with (worker, its frames, frames in total).
     report : callable
         Called with lines on workers that join, are lost, or fail.
 
@@ -111,6 +114,8 @@ def fly(
                         done += len(frames)
                         if progress:
                             progress(done, total)
+                        if of_worker:
+                            of_worker(found["worker"], tallies[found["worker"]].frames, total)
             if failures:
                 # The frames before the first gap are finished.
                 next(gaps(flight, out), None)
