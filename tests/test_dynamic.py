@@ -228,12 +228,17 @@ def test_only_mirror_may_be_a_tracked_object(tmp_path):
 def test_the_truth_of_rays_cast_before_is_that_of_rays_cast_again(tmp_path):
     track = "time_s,east_m\n0,-3\n1,3\n"
     scene = scene_with(tmp_path, track)
-    frame = tr.Renderer(scene, "fast", rays=4).frame(tr.pose(0, -12, 6, pitch_deg=-20), 0.6)
-    assert frame._sampling.middles is not None
+    renderer = tr.Renderer(scene, "fast", rays=4)
+    frame = renderer.frame(tr.pose(0, -12, 6, pitch_deg=-20), 0.6)
+    assert frame._view.rays.last_hits[0] is frame._sampling.hit
     before, again = (frame._view.truth(sampling) for sampling in (frame._sampling, None))
     assert list(before) == list(again) and {0, 1} == set(np.unique(before["object"]))
     assert 0.2 < np.isfinite(before["depth"]).mean() < 0.9
     for name, image in before.items():
         np.testing.assert_array_equal(image, again[name], err_msg=name)
+    # The rays of a later frame are not those of this one.
+    renderer.frame(tr.pose(0, -12, 9, pitch_deg=-40), 0.1)
+    np.testing.assert_array_equal(frame.truth["depth"], before["depth"])
     # With several rays per pixel none goes through the middle.
-    assert tr.Renderer(scene, samples=4, rays=4).frame(tr.pose(0, -12, 6, pitch_deg=-20))._sampling.middles is None
+    several = tr.Renderer(scene, samples=4, rays=4).frame(tr.pose(0, -12, 6, pitch_deg=-20))
+    assert several._view.rays.last_hits is None

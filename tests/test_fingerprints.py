@@ -14,7 +14,7 @@ from thermorender.defaults import TRAINED_MAPS
 from thermorender.errors import ThermorenderError
 from thermorender.learned.audit import fingerprints, training_pictures
 from thermorender.learned.audit.fingerprints import BYTES, Fingerprints, fingerprints_of, search, stored_numbers
-from thermorender.learned.audit.training_pictures import search_in
+from thermorender.learned.audit.training_pictures import search_in, search_in_files
 from thermorender.learned.temperature_map import SHIPPED, load_map, load_model, save_map
 
 
@@ -139,6 +139,24 @@ def test_a_search_says_what_it_found_what_it_left_out_and_what_is_unknown(monkey
     monkeypatch.setattr(training_pictures, "MOST_SEARCHED", 2)
     many = search_in(with_prints(), names, pictures.__getitem__)
     assert not many.found and "(2 of 3 pictures searched)" in many.line
+
+
+def test_a_picture_that_cannot_be_read_is_not_counted_as_searched(tmp_path):
+    pictures = {"a": picture(20), "b": None, "c": picture(1)}
+    names = list(pictures)
+    found = search_in(with_prints(), names, lambda number: pictures[names[number]])
+    assert (found.given, found.searched, found.unreadable, list(found.found)) == (3, 2, ("b",), ["c"])
+    assert found.line.startswith(
+        "map 'fok-1to1' was trained on 1 of these 2 pictures or parts of them (2 of 3 pictures searched; 1 could not "
+        "be read: b): c; "
+    )
+    assert found.summary()["unreadable"] == ["b"]
+    nothing = search_in(with_prints(), ["b"], lambda number: None)
+    assert nothing.line.endswith("none was searched for them (0 of 1 pictures searched; 1 could not be read: b)")
+    cv2.imwrite(str(tmp_path / "good.png"), picture(20))
+    (tmp_path / "bad.png").write_bytes(b"no picture")
+    of_files = search_in_files(with_prints(), [tmp_path / "bad.png", tmp_path / "good.png"])
+    assert (of_files.searched, of_files.unreadable) == (1, ("bad.png",))
 
 
 def test_compare_states_which_scenes_a_map_was_trained_on():

@@ -630,7 +630,7 @@ def test_learned_materials_need_an_orthophoto(scene, tmp_path):
 def test_map_materials_output_can_be_used_in_a_scene(scene, tmp_path, model):
     output = tmp_path / "out"
     output.mkdir()
-    written, shares = write_map(scene, output, scene / "own.npz", "granite")
+    written, shares, _ = write_map(scene, output, scene / "own.npz", "granite")
     with rasterio.open(written["classes"]) as file:
         classes, colours = file.read(1), file.colormap(1)
     assert colours[UNKNOWN_CLASS][:3] == (255, 0, 255)
@@ -775,6 +775,11 @@ def test_shipped_map_is_better_than_simpler_methods_on_unseen_land(monkeypatch):
         assert learned["emissivity_rms"] < methods[other]["emissivity_rms"], other
         assert likely["emissivity_mean"] < methods[other]["emissivity_mean"], other
         assert likely["mk_mean"] < methods[other]["mk_mean"], other
+    # Heights of the surface model tell roofs and trees from the ground.
+    heights = result["scenes"]["village 11"]["methods"]["learned, with heights"]
+    assert heights["balanced"] > result["scenes"]["village 11"]["methods"]["learned, mean of all"]["balanced"] + 0.02
+    assert heights["accuracy"] > learned["accuracy"] + 0.02
+    assert heights["emissivity_mean"] < 0.9 * learned["emissivity_mean"]
     table = np.array(result["confusion"])
     assert table.sum() == 440 * 440 and len(result["materials"]) == table.shape[0] == table.shape[1] - 1
     right = sum(table[k, k] for k in range(len(table))) / table.sum()

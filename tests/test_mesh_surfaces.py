@@ -134,6 +134,50 @@ def test_materials_are_learned_from_the_texture_at_its_size_on_the_ground(folder
     assert (bare.flags & UNKNOWN).all()
 
 
+TILES = """mtllib tiles.mtl
+v 0 0 0
+v 20 0 0
+v 20 20 0
+v 0 20 0
+v 40 0 0
+v 40 20 0
+vt 0 0
+vt 1 0
+vt 1 1
+vt 0 1
+usemtl west
+f 1/1 2/2 3/3 4/4
+usemtl east
+f 2/1 5/2 6/3 3/4
+"""
+
+
+def test_two_textures_of_a_mesh_share_learned_materials(folder):
+    """The west is grass with sand in its north, the east is water; each texture has its own size."""
+    green, sand, deep = (70, 110, 50), (225, 212, 190), (45, 60, 62)
+    random = np.random.default_rng(1)
+    west = np.full((40, 40, 3), green) + random.normal(0.0, 12.0, (40, 40, 1))
+    west[:16] = np.array(sand) + random.normal(0.0, 3.0, (16, 40, 1))
+    east = np.full((80, 80, 3), deep) + random.normal(0.0, 0.5, (80, 80, 1))
+    for name, picture in (("west", west), ("east", east)):
+        Image.fromarray(np.clip(picture, 0, 255).astype(np.uint8)).save(folder / f"{name}.png")
+    (folder / "m.obj").write_text(TILES)
+    (folder / "tiles.mtl").write_text("newmtl west\nmap_Kd west.png\nnewmtl east\nmap_Kd east.png\n")
+    learned = 'source = "learned"\nmodel = "procedural"\nfallback = "soil_loam"\n'
+    found = scene(folder, learned)
+    first, second = found.surfaces
+    assert (first.texel_m, second.texel_m) == pytest.approx((0.5, 0.25), rel=1e-6)
+    mean = np.array([one.band_emissivity(7.5, 13.5, 300.0) for one in found.materials])
+    own = [mean[each.material] for each in (first, second)]
+    # Sand at the top of its texture, which lies in the north; numbers and mixes are of both textures together.
+    assert own[0][:12].mean() < own[0][24:].mean() - 0.01 and own[1].std() < 0.01
+    Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(folder / "east.png")
+    with pytest.raises(ThermorenderError, match=r"texture of surface 'm:east' has texels of 5 m, but emissivity"):
+        scene(folder, learned)
+    with pytest.raises(ThermorenderError, match=r"emissivity\.known lies on a map, and this terrain is a mesh"):
+        scene(folder, learned + 'known = "m.obj"\n')
+
+
 def test_temperatures_of_a_raster_lie_on_the_texture(folder):
     own = '[[surface]]\nname = "ground"\ntemperature = "kelvin.tif"\n'
     for found in (

@@ -30,6 +30,7 @@ from validation.convergence.figure import pareto
 from validation.emissivity import study as emissivity
 from validation.footage import study as sensor_statistics
 from validation.growth import study as growth
+from validation.heights import study as heights
 from validation.made_scenes import terrain
 from validation.sensor import study as sensor
 
@@ -246,9 +247,31 @@ def test_growth_measures_each_case_in_a_separate_process(tmp_path):
     assert all(case["bake_s"] == 1e9 for case in growth.run(tmp_path, axes, base).values())
 
 
+@pytest.mark.slow
+def test_heights_measure_error_and_time_of_each_quality_and_the_peers(tmp_path):
+    folder = write_terrain(tmp_path / "tiny", height=np.random.default_rng(1).uniform(0, 1, (32, 32)))
+    scene = small(tr.load_scene(folder))
+    cases = heights.run(tmp_path, (scene,), (30.0,))
+    measured = [case for case in cases.values() if "height_m" in case]
+    assert [(case["air"], case["quality"]) for case in measured] == [
+        (air, quality) for air in heights.AIRS for quality in heights.QUALITIES
+    ]
+    for fast, _, high in (measured[:3], measured[3:]):
+        assert high["error_mk"] < fast["error_mk"] and high["rays_per_pixel"] > fast["rays_per_pixel"]
+        assert fast["optics_error_mk"] < fast["error_mk"] and min(fast["frame_ms"], fast["rays_ms"]) > 0.0
+    times = cases[f"peers/{scene.name}"]["peers_ms"]
+    assert all(times[name] > 0.0 for name in ("rays alone", "radiance, standard", "Mitsuba, path"))
+    assert len(heights.rows(cases)) == 6 + len(times) and (tmp_path / "heights.png").stat().st_size > 5000
+    # Existing cases are not measured again.
+    path = tmp_path / "heights.json"
+    path.write_text(path.read_text().replace('"frame_ms": ', '"frame_ms": 1e9, "was": '))
+    again = heights.run(tmp_path, (scene,), (30.0,))
+    assert all(case["frame_ms"] == 1e9 for case in again.values() if "height_m" in case)
+
+
 @pytest.mark.parametrize("text", ["{", "[1]", '{"cases": 3}', "\0"])
 def test_damaged_cases_are_refused(tmp_path, text):
-    for name, run in (("growth", growth.run), ("budget", study.run)):
+    for name, run in (("growth", growth.run), ("budget", study.run), ("heights", heights.run)):
         (tmp_path / f"{name}.json").write_text(text)
         with pytest.raises(ThermorenderError, match=f"{name}.json is damaged; remove it, or give another folder"):
             run(tmp_path)

@@ -196,6 +196,8 @@ STUDIES = (
           runs=False),
     Study("moved", "validation.moved", "Learned maps at another hour", "moved/moved.json", ("moved/moved.png",),
           _moved),
+    Study("heights", "validation.heights", "Error against run time by height", "heights/heights.json",
+          ("heights/heights.png",), continues=True),
     Study("growth", "validation.growth", "Cost against size", "growth/growth.json", ("growth/growth.png",),
           continues=True),
     Study("cluster", "validation.cluster", "Flights over many workers", "cluster/cluster.json",
@@ -209,6 +211,9 @@ STUDIES = (
           "referee/referee.json", ("referee/referee.png",), _referee, runs=False),
     Study("trainings", "validation.trainings", "Trainings of networks", "networks/campaign/trainings.json",
           ("networks/campaign/*.png",), runs=False),
+    Study("link", "validation.link", "The cost of the link to a simulator", "link/link.json", runs=False),
+    Study("closed_loop", "validation.closed_loop", "What guided vehicles miss, by rendered and translated frames",
+          "closed_loop/closed_loop.json", ("closed_loop/closed_loop.png",), runs=False),
     Study("landing", "examples.landing", "Landings by rendered and by translated frames", "landing/landing.json",
           ("landing/landing.png",), continues=True),
 )  # fmt: skip

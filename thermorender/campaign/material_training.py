@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.defaults import BAND_UM
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, shortened
 from thermorender.learned.emissivity.mapping import MOST_MATERIALS, EmissivityMap
 from thermorender.learned.emissivity.training import Labelled, train
 from thermorender.materials import library as material_tables
 from thermorender.scene.material_map import UNKNOWN_CLASS, orthophoto_of
-from thermorender.scene.parts.patch import read_features
+from thermorender.scene.parts.patch import read_features, texels_of
 from thermorender.scene.raster import Grid, grid_of, onto, read_classes
 from thermorender.scene.spec import read_scene
 
@@ -128,11 +128,12 @@ def labelled_scene(folder: str | Path, polygons: str | Path | None = None) -> La
         The scene has neither class raster nor polygons, or the polygons cannot be used.
     """
     spec = read_scene(folder)
-    rgb, valid, grid, texel_m = orthophoto_of(spec)
-    where = spec.folder / "scene.toml"
+    picture = orthophoto_of(spec)
+    grid = picture.grid
+    where, unused = spec.folder / "scene.toml", ""
     library = material_tables.load_library(spec.folder / "materials" if (spec.folder / "materials").is_dir() else None)
     if polygons:
-        material, names = read_polygons(Path(polygons), grid)
+        material, names, unused = read_polygons(Path(polygons), grid)
         source = f"{Path(polygons).name} on {spec.folder.name}"
     elif spec.emissivity.source == "classes":
         raster = spec.emissivity.raster
@@ -148,7 +149,8 @@ def labelled_scene(folder: str | Path, polygons: str | Path | None = None) -> La
         )
     for name in names.values():
         material_tables.find(library, name, str(polygons or where))
-    return Labelled(rgb, np.where(valid, material, 0).astype(np.uint8), names, texel_m, source)
+    known = np.where(picture.valid, material, 0).astype(np.uint8)
+    return Labelled(picture.colour, known, names, picture.texel_m, source, unused=unused)
 
 
 def procedural(seeds: Iterable[int]) -> Iterator[Labelled]:
@@ -180,36 +182,42 @@ def varied(seeds: Iterable[int], seed: int) -> Iterator[Labelled]:
         yield town(number)
 
 
-def read_polygons(path: Path, grid: Grid) -> tuple[NDArray[np.uint8], dict[int, str]]:
-    """Return (material number (h, w) uint8, {number: name}) of the polygons of a GeoJSON file on a Grid.
+def read_polygons(path: Path, grid: Grid) -> tuple[NDArray[np.uint8], dict[int, str], str]:
+    """Return (material number (h, w) uint8, {number: name}, unused polygons) of a GeoJSON file on a Grid.
 
-    0 is outside all polygons; errors as `labelled_scene`.
+    0 is outside all polygons. The last is a sentence on polygons that label no texel, or ""; errors as
+    `labelled_scene`.
     """
-    from rasterio.features import rasterize
-    from rasterio.warp import transform_geom
-
     features, crs = read_features(path)
-    names, shapes = [], []
+    names: list[str] = []
+    burnt, empty = np.zeros((grid.height, grid.width), np.uint8), []
     for number, feature in enumerate(features, 1):
         try:
             geometry, name = feature["geometry"], feature["properties"]["material"]
             if geometry["type"] not in ("Polygon", "MultiPolygon") or not isinstance(name, str):
                 raise ValueError
-            if name not in names:
-                names.append(name)
-            shapes.append((transform_geom(crs, grid.crs, geometry), names.index(name) + 1))
-        except Exception:  # GDAL has many exception types for malformed features
+        except Exception:  # whatever stands in place of a feature
             raise ThermorenderError(
                 f"{path}, feature {number} is not a polygon with a property 'material'; name the material of each "
                 "polygon"
             ) from None
-    if not shapes or len(names) > MOST_MATERIALS:
+        names += [name] if name not in names else []
+        part, inside = texels_of(geometry, crs, grid, f"{path}, feature {number}")
+        if inside.any():
+            burnt[part][inside] = min(names.index(name) + 1, 255)
+        else:
+            empty.append(f"{number} ({name})")
+    if not 0 < len(names) <= MOST_MATERIALS:
         raise ThermorenderError(f"{path} names {len(names)} materials; label polygons of 2…{MOST_MATERIALS} materials")
-    # rasterize only warns if no shape touches the raster.
-    burnt = rasterize(shapes, out_shape=(grid.height, grid.width), transform=grid.transform, dtype="uint8")
     if not burnt.any():
         raise ThermorenderError(
             f"{path} covers no texel of {grid.name}; its coordinates must be longitude and latitude unless a 'crs' "
             "member names another CRS; export it again"
         )
-    return burnt, dict(enumerate(names, 1))
+    unused = ""
+    if empty:
+        unused = (
+            f"{len(empty)} of the {len(features)} polygons of {path.name} label no texel, because they are outside the "
+            f"picture or smaller than a texel: {shortened(', '.join(empty), 200)}"
+        )
+    return burnt, dict(enumerate(names, 1)), unused

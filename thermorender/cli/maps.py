@@ -9,7 +9,7 @@ import typer
 from thermorender import defaults, files
 from thermorender.cli.camera import parse_scale
 from thermorender.cli.cluster import Cluster
-from thermorender.cli.terminal import named, output_option, progress, split, table
+from thermorender.cli.terminal import named, output_option, progress, split, table, warn
 from thermorender.errors import ThermorenderError
 from thermorender.learned.networks.recipes import RECIPES
 
@@ -306,6 +306,7 @@ def _train_emissivity(
         for k, (name, row) in enumerate(zip(model.materials, confusion, strict=True))
     ]
     table(("material", "texels held out", "right"), rows)
+    warn(model.about.get("unused_labels"))
     if "not_tested" in model.about:
         typer.echo(f"warning: not tested: {model.about['not_tested']}; label more of it to know", err=True)
     typer.echo(str(output))
@@ -325,6 +326,7 @@ def _update_emissivity(
     model = adapted_to(scenes[0], base, labels, output.stem, seed)
     save_map(model, output)
     typer.echo(str(model))
+    warn(model.about.get("unused_labels"))
     typer.echo(str(output))
 
 

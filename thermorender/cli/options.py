@@ -27,7 +27,7 @@ Seed = Annotated[int, typer.Option(help="Seed of the sensor's noise.")]
 Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
 Products = Annotated[
     str, typer.Option(help="Comma-separated: exr, truth, error, counts, counts-tiff, radiometric, display, video, "
-                           "visible; of a flight also report: index.html and contact.png.")
+                           "visible; of a flight also report: index.html and contact.png, and mcap: one file of ROS 2.")
 ]  # fmt: skip
 Thermography = Annotated[
     str | None,
@@ -144,6 +144,8 @@ class SceneOptions:
                 f"{report['model']}: {report['share_unknown']:.1%} of the texels are of unknown material and taken for "
                 f"{report['fallback']}"
             )
+            for note in report.get("context", ()):
+                typer.echo(f"{report['model']}: {note}")
             if "mean_std" in report:
                 typer.echo(
                     f"{report['model']}: emissivity ± {report['mean_std']:.3f} on average; "

@@ -48,6 +48,9 @@ def import_terrain(
         Path | None, typer.Option(help="Station CSV, EPW or TMY3 file for a heat balance at --time.")
     ] = None,
     time: Annotated[str | None, typer.Option(help="Date and hour with their zone, 2018-07-28T14:30Z.")] = None,
+    known: Annotated[
+        Path | None, typer.Option(help="GeoJSON of OpenStreetMap shapes that restrict the materials inside them.")
+    ] = None,
 ) -> None:  # fmt: skip
     """Make a scene from an elevation model and an orthophoto, or from an elevation model alone."""
     from thermorender.scene.import_terrain import import_terrain as run
@@ -59,7 +62,7 @@ def import_terrain(
     chosen = [int(value) for value in parse_numbers("--bands", bands, ("RED", "GREEN", "BLUE"))] if bands else None
     ends = parse_numbers("--colour-range", colour_range, ("BLACK", "WHITE")) if colour_range else None
     summary = run(elevation, orthophoto, output, max_vertices, max_texels, height_reference, geoid_undulation_m, model,
-                  material, sky_temperature, fill, chosen, ends, collar, weather, time)  # fmt: skip
+                  material, sky_temperature, fill, chosen, ends, collar, weather, time, known)  # fmt: skip
     typer.echo(f"{output}: {summary['posts'][1]}×{summary['posts'][0]} posts of {summary['post_m']:.3g} m, "
                f"{summary['texels'][1]}×{summary['texels'][0]} texels of {summary['texel_m']:.3g} m; "
                f"{summary['share_without_height']:.1%} without height, "
@@ -69,6 +72,8 @@ def import_terrain(
                + ("" if summary["height_reference_stated"] else
                   " (assumed, as the CRS does not say; --height-reference geoid changes it)"))  # fmt: skip
     warn(_of_import(summary, collar, colour_range is not None))
+    for note in summary["known"]:
+        typer.echo(note)
     if weather is None:
         source = f"the learned map {model!r}, which knows colour only" if orthophoto else "one for all of the ground"
         typer.echo(
@@ -148,7 +153,7 @@ def map_materials(
     fallback: Annotated[str, typer.Option(help="Material of unknown texels.")] = defaults.FALLBACK_MATERIAL,
     confidence: Annotated[
         float | None, typer.Option(help="Texels whose best material is less probable are unknown; default: as in "
-                                   "scene files, 0.35.")
+                                   "scene files.")
     ] = None,
     without: Annotated[str, typer.Option(help="Comma-separated materials that do not occur in the scene.")] = "",
 ) -> None:  # fmt: skip
@@ -157,10 +162,12 @@ def map_materials(
     from thermorender.scene.material_map import write_map
 
     with progress() as report, files.output_folder(output) as folder:
-        written, shares = write_map(
+        written, shares, notes = write_map(
             scene_folder(scene), folder, model, fallback, confidence, split(without),
             lambda share: report("mapping the materials", share),
         )  # fmt: skip
+    for note in notes:
+        typer.echo(note)
     table(("material", "share"), [(name, f"{share:.1%}") for name, share in shares.items()])
     for path in written.values():
         typer.echo(str(path))

@@ -241,12 +241,14 @@ class _Block:
             values.append(leaf_values[~node])
             return np.uint8(len(values) - 1)
         below, above = (self.leaves(tree, side[node], values) for side in (left, right))
+        # All bits where a pixel goes right: a bitwise and is faster than a product of bytes.
         to_right = self._to_right(columns[node], thresholds[node], kinds[node]).view(np.uint8)
+        np.negative(to_right, out=to_right)
         # Leaves are numbered from left to right, so the greater number is that of a pixel that goes right.
         if below.ndim:
-            return np.maximum(below, np.multiply(to_right, above, out=to_right), out=to_right)
+            return np.maximum(below, np.bitwise_and(to_right, above, out=to_right), out=to_right)
         # NumPy's maximum with a single number is slow.
-        np.multiply(to_right, above - below, out=to_right)
+        np.bitwise_and(to_right, above - below, out=to_right)
         return np.add(to_right, below, out=to_right)
 
     def _to_right(self, number, threshold, kind):

@@ -106,7 +106,7 @@ def mix(parts: Sequence[tuple[Material, float]], possible: Sequence[tuple[Materi
 
 def palette(
     index: NDArray[np.uint8], share: NDArray, probability: NDArray[np.uint8], materials: Sequence[Material],
-    band_um: tuple[float, float], most: int,
+    band_um: tuple[float, float], most: int, group: NDArray[np.uint8] | None = None,
 ) -> tuple[NDArray[np.uint8], list[Material], dict[str, float]]:  # fmt: skip
     """Return (number (h, w) uint8, materials and mixtures, error) for texels given as shares of several materials.
 
@@ -123,6 +123,8 @@ def palette(
         Band in which mixtures are compared [µm].
     most : int
         Largest size of the palette, up to 256.
+    group : (h, w) uint8, optional
+        Texels of different groups share no entry: other materials may be excluded there. There are fewer than `most`.
 
     Returns
     -------
@@ -135,27 +137,31 @@ def palette(
     code += np.rint(share[..., 1] * _STEPS).astype(np.uint32)
     for rank in (2, 1, 0):
         code = code * 256 + index[..., rank]
+    if group is not None:
+        code = code + (group.astype(np.uint64) << np.uint64(32))
     codes, count = np.unique(code, return_counts=True)
     shares = np.zeros((codes.size, len(materials)))
     row = np.arange(codes.size)
-    steps = codes >> 24
+    steps = (codes & 0xFFFFFFFF) >> 24
     two, three = steps % (_STEPS + 1), steps // (_STEPS + 1)
     for number, part in ((codes & 255, _STEPS - two - three), (codes >> 8 & 255, two), (codes >> 16 & 255, three)):
         np.add.at(shares, (row, number), part / _STEPS)
     # The same mixture may occur in several orders.
-    shares, same = np.unique(shares, axis=0, return_inverse=True)
-    same = same.ravel()
+    keyed = np.column_stack([codes.astype(np.uint64) >> np.uint64(32), shares])
+    keyed, same = np.unique(keyed, axis=0, return_inverse=True)
+    same, of, shares = same.ravel(), keyed[:, 0], keyed[:, 1:]
     count = np.bincount(same, count, len(shares))
     own = same[np.searchsorted(codes, code)]
     possible = _means(own, probability, len(shares))
     wavelength = np.linspace(*band_um, _BAND_SAMPLES)
     spectra = np.array([material.emissivity_at(wavelength) for material in materials])
     mixed = possible @ spectra
-    chosen = _chosen(mixed, count, most)
+    chosen = _chosen(mixed, count, most, of)
     # A rare mixture becomes the palette entry with the nearest spectrum.
     nearest = np.empty(len(shares), dtype=np.uint8)
     for start in range(0, len(shares), 512):
         away = ((mixed[start : start + 512, None] - mixed[chosen]) ** 2).sum(axis=-1)
+        away[of[start : start + 512, None] != of[chosen]] = np.inf
         nearest[start : start + 512] = away.argmin(axis=1)
     number = nearest[own]
     change = np.abs(_band_means(probability, spectra.mean(axis=-1)) - mixed.mean(axis=-1)[chosen][number])
@@ -183,11 +189,17 @@ def _band_means(probability: NDArray[np.uint8], emissivity: NDArray[np.float64])
     return np.asarray(weighted / total)
 
 
-def _chosen(spectra, count, most):
-    """Indices of the spectra for a palette: half the most frequent, half those farthest from all chosen before."""
+def _chosen(spectra, count, most, of):
+    """Indices of the spectra for a palette: half the most frequent, half those farthest from all chosen before.
+
+    Each group, by its number `of` (N,), has its most frequent spectrum.
+    """
     if len(spectra) <= most:
         return np.arange(len(spectra))
-    chosen = list(np.argsort(-count, kind="stable")[: most - most // 2])
+    order = np.argsort(-count, kind="stable")
+    first = order[np.unique(of[order], return_index=True)[1]]
+    frequent = order[: most - most // 2]
+    chosen = [*frequent, *first[~np.isin(first, frequent)]]
     away = np.min([((spectra - spectra[k]) ** 2).sum(axis=-1) for k in chosen], axis=0)
     while len(chosen) < most:
         chosen.append(int(away.argmax()))

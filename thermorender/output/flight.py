@@ -32,6 +32,7 @@ from thermorender.output.flight_pages.flight_page import Pictured, write_page
 from thermorender.output.flight_pages.prospect import Prospect, chosen
 from thermorender.output.flight_pages.prospect import prospect as prospect_of
 from thermorender.output.frame_files import Prepared, prepare, put_in_place
+from thermorender.output.mcap import check_mcap, write_mcap
 from thermorender.output.photograph import photograph
 from thermorender.output.record import made_by, weather_of
 from thermorender.output.resume import finished, refuse_moved, remove_state, state_file
@@ -67,7 +68,7 @@ class FlightOptions:
     start_s, stop_s : float or None
         Part of the trajectory's time to fly [s]; None: from its start, to its end.
     products : sequence of str
-        Some of exr, truth, error, counts, counts-tiff, radiometric, display, video, visible, report.
+        Some of exr, truth, error, counts, counts-tiff, radiometric, display, video, mcap, visible, report.
     display : DisplaySettings
         How counts become display images. Its tails are replaced by the camera's.
     thermography : ThermographySettings or None
@@ -208,6 +209,8 @@ class Flight:
             renderer, trajectory, options.rate_hz, options.start_s, options.stop_s, heat_progress, self.audit
         )
         self.times = self.flown.times
+        if "mcap" in self.products:
+            check_mcap(float(self.times[0]), self.flown.timed.time(float(self.times[0])) is not None)
         self.prospect = prospect or prospect_of(renderer, trajectory, self.times, self.flown.rate_hz)
         self.settings = self._settings(trajectory)
         self.terrain: list[bool] = []
@@ -260,7 +263,7 @@ class Flight:
         self, folder: Path, resume: bool, verify: bool, progress: Callable[[int, int], object] | None,
         outlook: Callable[[Prospect | Cost], object] | None,
     ) -> int:  # fmt: skip
-        """Write the frames that are not finished, video and report; return the number of frames finished before."""
+        """Write the frames that are missing, then video, MCAP and report; return how many were finished before."""
         self.terrain = finished(folder, self.settings, self.products, resume, verify)
         done, total, place = len(self.terrain), len(self.times), os.stat(folder)
         if outlook and done < total:
@@ -274,9 +277,16 @@ class Flight:
             remove_blocks(self, folder)
             if video:
                 self._encode(video, folder, total)
+        if "mcap" in self.products:
+            self._mcap(folder, total)
         if "report" in self.products:
             self._report(folder)
         return done
+
+    @phase("mcap")
+    def _mcap(self, folder: Path, total: int) -> None:
+        exrs = [product_files.paths(folder, index, ("exr",))["exr"] for index in range(total)]
+        write_mcap(folder / "flight.mcap", exrs)
 
     @phase("report")
     def _report(self, folder: Path) -> None:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 DEFAULT = ("exr", "truth", "counts", "display", "video", "report")
 # Products that are parts of others, or made of all frames.
-_PARTS = ("truth", "error", "video", "report")
+_PARTS = ("truth", "error", "video", "mcap", "report")
 
 
 def _radiometric(frame: "Frame", thermography: ThermographySettings | None) -> bytes:
@@ -83,7 +83,7 @@ def check(
     """Return the products as a tuple, after refusing unknown names and combinations without effect.
 
     If `camera` has a visible camera beside it, the product "visible" is two images: registered, and by that camera.
-    "report" is a product of a `flight` only.
+    "report" and "mcap" are products of a `flight` only.
     """
     products = tuple(products)
     if "visible" in products and camera is not None and camera.visible_camera is not None:
@@ -102,10 +102,12 @@ def check(
     for name in ("truth", "error"):
         if name in products and "exr" not in products:
             raise ThermorenderError(f"product {name!r} is channels of the EXR; add 'exr'")
-    if "report" in products and not flight:
-        raise ThermorenderError("product 'report' is a page of a flight; leave it out here")
-    if "video" in products and "display" not in products:
-        raise ThermorenderError("product 'video' is made of the display images; add 'display'")
+    for name, what in (("report", "a page"), ("mcap", "a file")):
+        if name in products and not flight:
+            raise ThermorenderError(f"product {name!r} is {what} of a flight; leave it out here")
+    for name, needed, what in (("video", "display", "the display images"), ("mcap", "exr", "the EXR files")):
+        if name in products and needed not in products:
+            raise ThermorenderError(f"product {name!r} is made of {what}; add {needed!r}")
     if thermography is not None and not {"exr", "radiometric"} & set(products):
         raise ThermorenderError("the thermography reading goes into 'exr' and 'radiometric'; add one of these products")
     return products

@@ -94,6 +94,12 @@ def melt_factor(time: NDArray[np.datetime64], latitude_deg: float) -> Floats:
     return 0.5 * (high + low) + 0.5 * (high - low) * season
 
 
+def melt(time: NDArray[np.datetime64], latitude_deg: float, air_k: Floats) -> Floats:
+    """Return the water of snow that air (N,) [K] melts in each interval, (N,) [mm], by `melt_factor`."""
+    celsius = np.maximum(air_k - ZERO_CELSIUS_K, 0.0)
+    return melt_factor(time, latitude_deg) * celsius * intervals_s(time) / _DAY_S
+
+
 def snow_water(
     time: NDArray[np.datetime64], latitude_deg: float, air_k: Floats, rain_mm_h: Floats
 ) -> tuple[Floats, Floats]:
@@ -116,9 +122,8 @@ def snow_water(
     frozen = np.where(celsius < SNOW_C, rain, 0.0)
     if not frozen.any():
         return np.zeros_like(rain), rain
-    melt = melt_factor(time, latitude_deg) * np.maximum(celsius, 0.0) * length / _DAY_S
     snow, water = np.empty_like(rain), 0.0
-    for k, (fell, melts) in enumerate(zip(frozen.tolist(), melt.tolist(), strict=True)):
+    for k, (fell, melts) in enumerate(zip(frozen.tolist(), melt(time, latitude_deg, air_k).tolist(), strict=True)):
         water = max(water + fell - melts, 0.0)
         snow[k] = water
     return snow, rain - np.diff(snow, prepend=0.0)

@@ -49,12 +49,17 @@ class Placement:
 
 
 def placements(
-    scene: Scene, time_s: float, objects: Objects | None = None, lit_s: float | None = None
+    scene: Scene,
+    time_s: float,
+    objects: Objects | None = None,
+    lit_s: float | None = None,
+    lit_objects: Objects | None = None,
 ) -> tuple[Placement, ...]:
     """Return the Placement of each dynamic object of a scene at a time on their tracks [s], in their order.
 
     `objects` replaces values of the tracks: {name: {column of its track: value}}. `lit_s` is the time whose light they
-    receive and give [s]; near it this saves tracing the light, as costly as the rest of a frame.
+    receive and give [s]; near it this saves tracing the light, as costly as the rest of a frame. `lit_objects` is
+    `objects` at that time, by default the same.
 
     Raises
     ------
@@ -81,7 +86,10 @@ def placements(
         pose = tracked.world_from_own(values, scene.ground)
         found.append(Placement(tracked.name, pose, values["temperature_k"]))
     if lit_s is not None and lit_s != time_s:
-        found = [replace(one, lit=lit) for one, lit in zip(found, placements(scene, lit_s, objects), strict=True)]
+        found = [
+            replace(one, lit=lit)
+            for one, lit in zip(found, placements(scene, lit_s, lit_objects or objects), strict=True)
+        ]
     return tuple(found)
 
 

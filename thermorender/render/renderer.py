@@ -211,16 +211,16 @@ class Renderer:
 
     def radiance(
         self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None, through_air: bool = True,
-        camera: Camera | None = None, lit_s: float | None = None,
+        camera: Camera | None = None, lit_s: float | None = None, lit_objects: Objects | None = None,
     ) -> NDArray[np.float32]:  # fmt: skip
         """Return the band radiance of `frame`, (H, W) float32 [W m⁻² sr⁻¹], without noise or truth.
 
         Without `through_air` it is the radiance that leaves the surfaces towards the camera; they are still lit through
         the air. `camera` replaces the scene's, for example by a part of its image; band and air stay the scene's. With
         `lit_s` moving objects receive and give the light of that time [s], which saves tracing it for instants close to
-        it.
+        it; `lit_objects` is `objects` at that time, by default the same.
         """
-        return self._view(pose, time_s, objects, camera, lit_s).radiance(through_air)[0]
+        return self._view(pose, time_s, objects, camera, lit_s, lit_objects).radiance(through_air)[0]
 
     def refuse_camera(self, positions: ArrayLike) -> None:
         """Raise for cameras at local positions (…, 3) outside the range of the air or above its clouds."""
@@ -350,9 +350,9 @@ class Renderer:
 
     def _view(
         self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None, camera: Camera | None = None,
-        lit_s: float | None = None,
+        lit_s: float | None = None, lit_objects: Objects | None = None,
     ) -> "View":  # fmt: skip
-        placed, pose = placements(self.scene, time_s, objects, lit_s), checked_pose(pose)
+        placed, pose = placements(self.scene, time_s, objects, lit_s, lit_objects), checked_pose(pose)
         self.refuse_camera(pose[:3, 3])
         return View(self.baked, self._camera_rays(camera), pose, placed)
 

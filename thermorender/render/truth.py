@@ -39,7 +39,7 @@ def truth(
 ) -> dict[str, NDArray[Any]]:
     """Return {name: image} of the ground truth at the pixels' middles, as `Frame.truth` has it.
 
-    `middles` are the hits of the rays through the middles, where they are known; see `Sampling.middles`.
+    `middles` are the hits of the rays through the middles, where they are known; see `CameraRays.last_hits`.
     """
     scene, device, band_um = baked.scene, baked.device, rays.camera.band_um
     seen = _Middles(device.layers(pose, placements), rays, middles)
@@ -119,7 +119,7 @@ class _Middles:
     layers, rays
         As of `pixel_middles`.
     known : Hit, optional
-        Hits of these rays that were cast before, as `Sampling.middles`; otherwise they are cast.
+        Hits of these rays that were cast before, as `CameraRays.last_hits`; otherwise they are cast.
 
     Attributes
     ----------

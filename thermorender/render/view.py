@@ -49,9 +49,10 @@ class View:
     def truth(self, sampling: Sampling | None) -> dict[str, NDArray[Any]]:
         """Return the ground truth, as `Frame.truth`, without the sensor's flags.
 
-        Rays that the image with this Sampling cast are not cast again.
+        With the Sampling of the image rendered last, its rays are used again.
         """
-        middles = None if sampling is None else sampling.middles
+        last = self.rays.last_hits
+        middles = last[1] if last and sampling and last[0] is sampling.hit else None
         return truth.truth(self.baked, self.rays, self.pose, self.placements, middles)
 
     def targets(self) -> dict[str, dict[str, Any]]:

@@ -1,6 +1,7 @@
 """Height of the ground below a point: the highest terrain triangle over it, found through a grid of bins."""
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any, overload
 
 import numpy as np
@@ -15,11 +16,34 @@ _FACES_AT_ONCE = 1 << 20
 class Ground:
     """Callable (east, north) → local height of the terrain [m], NaN where there is none.
 
+    The bins are made at the first call: most scenes of terrain alone never need them.
+
     Parameters
     ----------
     surfaces : sequence of Surface
         The terrain.
     """
+
+    def __init__(self, surfaces: Sequence[Surface]) -> None:
+        self._surfaces = tuple(surfaces)
+
+    @cached_property
+    def _bins(self) -> "_Bins":
+        return _Bins(self._surfaces)
+
+    @overload
+    def __call__(self, east: float, north: float) -> float: ...
+
+    @overload
+    def __call__(self, east: NDArray[Any], north: NDArray[Any]) -> NDArray[np.float64]: ...
+
+    def __call__(self, east: Any, north: Any) -> Any:
+        """Return local heights [m] in the shape of the arguments, a number for numbers; NaN off the terrain."""
+        return self._bins.height(east, north)
+
+
+class _Bins:
+    """The triangles of a terrain by squares of the plan."""
 
     def __init__(self, surfaces: Sequence[Surface]) -> None:
         first_vertex = np.cumsum([0] + [len(surface.vertices) for surface in surfaces])
@@ -55,14 +79,8 @@ class Ground:
         """The faces, a few at a time."""
         return [self._faces[first : first + _FACES_AT_ONCE] for first in range(0, len(self._faces), _FACES_AT_ONCE)]
 
-    @overload
-    def __call__(self, east: float, north: float) -> float: ...
-
-    @overload
-    def __call__(self, east: NDArray[Any], north: NDArray[Any]) -> NDArray[np.float64]: ...
-
-    def __call__(self, east: Any, north: Any) -> Any:
-        """Return local heights [m] in the shape of the arguments, a number for numbers; NaN off the terrain."""
+    def height(self, east: Any, north: Any) -> Any:
+        """Return heights as `Ground` does."""
         east, north = np.broadcast_arrays(np.asarray(east, np.float64), np.asarray(north, np.float64))
         point = np.stack([east.ravel(), north.ravel()], axis=-1)
         index = np.floor((point - self._origin) / self._bin)

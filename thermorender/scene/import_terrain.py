@@ -17,6 +17,7 @@ from thermorender import defaults, formats
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic_folder, check_new_folder
 from thermorender.formats import write_text
+from thermorender.scene.parts.known_cover import read_known
 from thermorender.scene.parts.orthophoto import COLLAR, empty_border, read_colour
 from thermorender.scene.raster import Grid, bounds_in, grid_of, lon_lat, onto
 from thermorender.scene.spec import WeatherSpec
@@ -37,6 +38,8 @@ _FLIGHT_S = 20.0
 
 
 _Bounds = tuple[float, float, float, float]
+# Name of the shapes of OpenStreetMap in the scene's folder.
+_KNOWN = "known.geojson"
 
 
 def import_terrain(
@@ -44,7 +47,7 @@ def import_terrain(
     max_texels: int = DEFAULT_TEXELS, height_reference: str | None = None, geoid_undulation_m: float | None = None,
     model: str = defaults.TEMPERATURE_MAP, material: str = "soil_loam", sky_temperature: float | None = None,
     fill: bool = False, bands: Sequence[int] | None = None, colour_range: tuple[float, float] | None = None,
-    collar: int = 0, weather: Path | None = None, time: str | None = None,
+    collar: int = 0, weather: Path | None = None, time: str | None = None, known: Path | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Write a scene folder and return a summary of the rasters in it.
 
@@ -79,6 +82,9 @@ def import_terrain(
         with an orthophoto the materials that a learned map finds in it.
     time : str, optional
         Instant of the scene with its zone; needed with `weather`.
+    known : path, optional
+        GeoJSON of OpenStreetMap shapes, as `emissivity.known`; needs an orthophoto. The scene then has the materials
+        that a learned map finds in the orthophoto.
 
     Returns
     -------
@@ -86,7 +92,7 @@ def import_terrain(
         crs, posts, post_m, texels, texel_m, height_reference, height_reference_stated (by the caller or the CRS),
         flight_m (height of flight.csv above the ground), share_without_height, share_filled (of the posts),
         share_without_colour, share_collar (not empty, but near black or white up to the edge), share_clipped (black or
-        white in some band); the last three are None without orthophoto.
+        white in some band), the last three None without orthophoto, and known, sentences on its shapes.
 
     Raises
     ------
@@ -95,6 +101,8 @@ def import_terrain(
     """
     _check(model, material, height_reference, geoid_undulation_m, sky_temperature)
     check_new_folder(folder)
+    if known is not None and orthophoto is None:
+        raise ThermorenderError(f"known={known} restricts materials that are read from an orthophoto; give one too")
     if max_vertices < 4 or max_texels < 2:
         raise ThermorenderError(
             f"max_vertices={max_vertices}, max_texels={max_texels} are too small; give at least 4 and 2"
@@ -122,9 +130,10 @@ def import_terrain(
                "height_reference": height_reference, "geoid_undulation_m": geoid_undulation_m,
                "fill": fill or None}  # fmt: skip
     tables = {"title": Path(folder).resolve().name, "terrain": terrain}
-    tables |= _sources(picture is not None, day, model, material, sky_temperature)
+    tables |= _sources(picture is not None, day, model, material, sky_temperature, known)
     made_from = " and ".join(Path(path).name for path in (elevation, orthophoto) if path is not None)
     texels = picture[2] if picture else target
+    shapes = read_known(known, texels, _step(crs, texels)).notes if known is not None else ()
     flight_m, flight = _flight(bounds, _step(crs, texels))
     with atomic_folder(folder) as part:
         _write(part / "elevation.tif", height[None].astype(np.float32), target, nodata=np.nan, predictor=3)
@@ -133,10 +142,12 @@ def import_terrain(
                    mask=picture[1])  # fmt: skip
         if weather is not None:
             shutil.copyfile(weather, part / _copied(weather))
+        if known is not None:
+            shutil.copyfile(known, part / _KNOWN)
         write_text(part / "scene.toml", toml_text(tables, f"Made from {made_from}."))
         write_text(part / "flight.csv", flight)
-    known = np.isfinite(height)
-    after = np.isfinite(filled(height)[0]) if fill else known
+    given = np.isfinite(height)
+    after = np.isfinite(filled(height)[0]) if fill else given
     return {
         "crs": crs.to_string(),
         "posts": [target.height, target.width],
@@ -146,8 +157,9 @@ def import_terrain(
         "height_reference": height_reference,
         "height_reference_stated": stated,
         "flight_m": flight_m,
+        "known": shapes,
         "share_without_height": float(1.0 - after.mean()),
-        "share_filled": float((after & ~known).mean()),
+        "share_filled": float((after & ~given).mean()),
         **_colour_shares(*picture[:2] if picture else (None, None)),
     }
 
@@ -192,17 +204,23 @@ def _copied(weather: Path) -> str:
 
 
 def _sources(
-    picture: bool, weather: dict[str, Any] | None, model: str, material: str, sky_temperature: float | None
+    picture: bool,
+    weather: dict[str, Any] | None,
+    model: str,
+    material: str,
+    sky_temperature: float | None,
+    known: Path | None,
 ) -> dict[str, Any]:
     """The scene file's tables of temperatures, materials, weather, sky and camera."""
-    one = {"source": "material", "material": material}
+    found: dict[str, Any] = {"source": "material", "material": material}
+    if picture and (weather is not None or known is not None):
+        found = {"source": "learned", "model": defaults.EMISSIVITY_MAP, "fallback": material,
+                 "known": None if known is None else _KNOWN}  # fmt: skip
     if weather is not None:
-        tables: dict[str, Any] = {"temperature": {"source": "balance"}, "weather": weather}
-        found = {"source": "learned", "model": defaults.EMISSIVITY_MAP, "fallback": material}
-        tables["emissivity"] = found if picture else one
+        tables: dict[str, Any] = {"temperature": {"source": "balance"}, "weather": weather, "emissivity": found}
     else:
         placeholder = {"source": "learned", "model": model} if picture else {"source": "constant", "value": GROUND_K}
-        tables = {"temperature": placeholder, "emissivity": one}
+        tables = {"temperature": placeholder, "emissivity": found}
         sky_temperature = SKY_K if sky_temperature is None else sky_temperature
     if sky_temperature is not None:
         tables["sky"] = {"temperature": sky_temperature}
@@ -242,12 +260,10 @@ def _colours(
         rgb, target = _cut(rgb, grid, bounds)
         return rgb, _cut(valid, grid, bounds)[0], target
     resampling = "average" if _step(crs, target) > 1.5 * texel else "bilinear"
-    # Empty texels must not bleed into their neighbours: filter valid colour and its weight separately.
-    weight = np.nan_to_num(onto(valid.astype(np.float32), grid, target, resampling))
-    filtered = onto(rgb * valid[..., None].astype(np.float32), grid, target, resampling)
-    valid = weight > 0.5
-    mean = np.where(valid[..., None], filtered / np.maximum(weight, 1e-6)[..., None], 0.0)
-    return np.clip(np.rint(np.nan_to_num(mean)), 0, 255).astype(np.uint8), valid, target
+    # Opacity keeps empty texels out of their neighbours.
+    found = onto(np.dstack([rgb, np.where(valid, np.uint8(255), 0)]), grid, target, resampling, opacity=True)
+    valid = found[..., 3] > 127
+    return np.where(valid[..., None], found[..., :3], 0), valid, target
 
 
 def _flight(bounds: _Bounds, texel_m: float) -> tuple[float, str]:

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from thermorender import files, formats
 from thermorender.defaults import EMISSIVITY_MAP, FALLBACK_MATERIAL
 from thermorender.errors import ThermorenderError
-from thermorender.learned.emissivity.mapping import load_map, map_materials
+from thermorender.learned.emissivity import relief
+from thermorender.learned.emissivity.mapping import EmissivityMap, Evidence, load_map, map_materials
 from thermorender.learned.features import lab
 from thermorender.materials import library as material_tables
 from thermorender.materials.extended import within_band
@@ -20,10 +21,13 @@ from thermorender.materials.material import Material
 from thermorender.materials.mixture import palette
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene import terrain
+from thermorender.scene.parts.known_cover import KnownCover, read_known
 from thermorender.scene.parts.orthophoto import read_colour
-from thermorender.scene.raster import Grid, grid_of
+from thermorender.scene.raster import Grid, grid_of, onto
 from thermorender.scene.spec import DEFAULT_CONFIDENCE, EmissivitySpec, SceneSpec, read_scene
+from thermorender.scene.state.weathered_ground import is_snow
 from thermorender.scene.surface import fill, nearest_valid
+from thermorender.weather.declared import declared_weather
 
 # Of the 255 material numbers of a texel; the rest is for objects.
 _MOST_MIXES = 200
@@ -38,6 +42,29 @@ _DISTINCT = 20.0
 
 
 @dataclass(frozen=True, eq=False)
+class Context:
+    """What a scene knows of its ground beside the orthophoto.
+
+    Attributes
+    ----------
+    case : (h, w) uint8 or None
+        Cases of `relief.case_of`, where heights tell materials apart.
+    known : KnownCover or None
+    notes : tuple of str
+        What is used and what is not, one sentence each.
+    """
+
+    case: NDArray[np.uint8] | None
+    known: KnownCover | None
+    notes: tuple[str, ...]
+
+    def evidence(self, materials: Sequence[str]) -> list[Evidence]:
+        """Return the Evidence on materials by name."""
+        found = [] if self.case is None else [relief.evidence(self.case, materials)]
+        return found if self.known is None else [*found, self.known.evidence(materials)]
+
+
+@dataclass(frozen=True, eq=False)
 class Picture:
     """A photograph of ground: an orthophoto or the texture of a mesh.
 
@@ -48,16 +75,67 @@ class Picture:
     valid : (h, w) bool
         False where holes were filled, and where no ground shows the texel.
     texel_m : float
+    context : Context, optional
+        Of an orthophoto.
+    name : str
+        For messages.
     """
 
     colour: NDArray[np.uint8]
     valid: NDArray[np.bool_]
     texel_m: float
+    context: Context | None = None
+    name: str = "the picture"
+
+
+def context_of(
+    source: EmissivitySpec, height: NDArray[np.float64], height_grid: Grid, texels: Grid, texel_m: float
+) -> Context:
+    """Return the Context of an orthophoto: of heights (h, w) [m] on a Grid of the same CRS, and of `source.known`."""
+    known = read_known(source.known, texels, texel_m) if source.known else None
+    case, why = None, "emissivity.heights is false"
+    if source.heights:
+        post_m = texel_m * float(np.sqrt(abs(height_grid.transform.determinant / texels.transform.determinant)))
+        above, slope, why = relief.seen(height, post_m)
+    note = f"heights are not used: {why}"
+    if not why:
+        case = relief.case_of(*(onto(each, height_grid, texels, "bilinear") for each in (above, slope)))
+        note = (
+            f"heights above the ground and slopes weigh the materials; {(above > relief.HEIGHTS_M[1]).mean():.0%} of "
+            f"the surface stands more than {relief.HEIGHTS_M[1]:g} m above it"
+        )
+    return Context(case, known, (note, *(known.notes if known else ())))
+
+
+def model_of(
+    source: EmissivitySpec, library: Mapping[str, Material], where: str, no_snow: str = ""
+) -> tuple[EmissivityMap, tuple[str, ...]]:
+    """Return (EmissivityMap of a source "learned" without what does not occur, sentences on what weather excludes).
+
+    Raises
+    ------
+    ThermorenderError
+        The map cannot be used, or lacks a material of `source.present` or `source.without`.
+    """
+    assert source.model is not None
+    whole = load_map(source.model)
+    model = whole.without(source.without)
+    for name in source.present:
+        if name not in whole.materials:
+            raise ThermorenderError(
+                f"{where}: emissivity.present names {name!r}, which emissivity map {model.name!r} does not have; "
+                f"it has {', '.join(model.materials)}"
+            )
+    snowy = [name for name in model.materials if name in library and is_snow(library[name])]
+    excluded = [name for name in snowy if no_snow and name not in source.present]
+    if not excluded or len(excluded) > len(model.materials) - 2:
+        return model, ()
+    return model.without(excluded), (f"{', '.join(excluded)} left out: {no_snow}",)
 
 
 def learned_materials(
     source: EmissivitySpec, library: Mapping[str, Material], pictures: Sequence[Picture],
-    band_um: tuple[float, float], where: str,
+    band_um: tuple[float, float], where: str, no_snow: str = "",
 ) -> tuple[list[NDArray[np.uint8]], list[Material], list[NDArray[np.bool_]], dict[str, Any]]:  # fmt: skip
     """Return (numbers (h, w) uint8, materials and mixes, unknown (h, w) bool, report) of a terrain's pictures.
 
@@ -72,6 +150,8 @@ def learned_materials(
         The camera's band [µm].
     where : str
         Name of the scene file, for messages.
+    no_snow : str
+        Why no snow lies there, as of `Weather.why_no_snow`; "" if it may.
 
     Returns
     -------
@@ -80,19 +160,25 @@ def learned_materials(
         than `source.most_std`.
     report : dict
         Shares of texels with the fallback and with a large standard deviation, mean confidence and standard deviation
-        (left out if all have the fallback), errors of the palette and the coarsest texel.
+        (left out if all have the fallback), errors of the palette, the coarsest texel, and sentences on the context.
 
     Raises
     ------
     ThermorenderError
         The map cannot be used, or materials of it were not measured over the band.
     """
-    assert source.model is not None and source.fallback is not None
-    model = load_map(source.model).without(source.without)
+    assert source.fallback is not None
+    model, notes = model_of(source, library, where, no_snow)
     of = f"emissivity map {model.name!r}"
-    own = _in_band([material_tables.find(library, name, of) for name in model.materials], library, band_um, of, where)
+    contexts = [one.context for one in pictures if one.context]
+    names = [*model.materials, *(name for one in contexts if one.known for name in one.known.beyond(model.materials))]
+    own = _in_band([material_tables.find(library, name, of) for name in names], library, band_um, of, where)
     fallback = material_tables.find(library, source.fallback, f"{where}: emissivity.fallback")
-    mapped = [map_materials(model, one.colour, one.texel_m) for one in pictures]
+    mapped = [
+        map_materials(model, one.colour, one.texel_m, name=one.name,
+                      evidence=one.context.evidence(names) if one.context else ())
+        for one in pictures
+    ]  # fmt: skip
     together = [np.concatenate([a.reshape(-1, *a.shape[2:]) for a in arrays]) for arrays in (
         [one.index for one in mapped], [one.share for one in mapped], [one.probability for one in mapped],
         [one.confidence for one in mapped], [one.valid for one in pictures],
@@ -101,7 +187,9 @@ def learned_materials(
     del mapped
     index, share, probability, confidence, valid = together
     unknown = valid & (confidence < source.confidence)
-    number, used, error = palette(index, share, probability, own, band_um, _MOST_MIXES)
+    known = [one.context.known for one in pictures if one.context and one.context.known]
+    group = known[0].number.ravel() if known else None
+    number, used, error = palette(index, share, probability, own, band_um, _MOST_MIXES, group)
     number[unknown] = len(used)
     # The fallback is not learned.
     std = np.array([*(one.band_emissivity_std(*band_um, _REFERENCE_K) for one in used), 0.0])[number]
@@ -116,6 +204,7 @@ def learned_materials(
         "palette_largest": error["largest"],
         "texel_m": max(one.texel_m for one in pictures),
         "trained_texel_m": model.texel_m,
+        "context": (*notes, *(note for one in contexts for note in one.notes)),
     }
     if (valid & ~unknown).any():
         report["mean_std"] = float(np.nanmean(std[valid & ~unknown]))
@@ -151,8 +240,21 @@ def _in_band(
     return found
 
 
-def orthophoto_of(spec: SceneSpec) -> tuple[NDArray[np.uint8], NDArray[np.bool_], Grid, float]:
-    """Return (rgb (h, w, 3) uint8 without holes, valid (h, w) bool, Grid, texel_m) of a scene's orthophoto.
+@dataclass(frozen=True, eq=False)
+class Orthophoto:
+    """A scene's orthophoto: colour without holes, where it is valid, texels, heights and their Grid, and the frame."""
+
+    colour: NDArray[np.uint8]
+    valid: NDArray[np.bool_]
+    grid: Grid
+    texel_m: float
+    height: NDArray[np.float64]
+    height_grid: Grid
+    frame: LocalFrame
+
+
+def orthophoto_of(spec: SceneSpec) -> Orthophoto:
+    """Return the Orthophoto of a scene.
 
     Raises
     ------
@@ -174,16 +276,19 @@ def orthophoto_of(spec: SceneSpec) -> tuple[NDArray[np.uint8], NDArray[np.bool_]
     if not valid.any():
         raise ThermorenderError(f"{source.orthophoto} is empty: every texel is masked; give another orthophoto")
     grid = grid_of(source.orthophoto)
-    frame = LocalFrame(*spec.frame) if spec.frame else terrain.frame_of(*terrain.read_elevation(source.elevation))
+    height, height_grid = terrain.read_elevation(source.elevation)
+    frame = LocalFrame(*spec.frame) if spec.frame else terrain.frame_of(height, height_grid)
     filled = rgb if valid.all() else fill(rgb, nearest_valid(valid))
-    return filled, valid, grid, terrain.texel_size_m(grid, frame)
+    return Orthophoto(filled, valid, grid, terrain.texel_size_m(grid, frame), height, height_grid, frame)
 
 
 def write_map(
     folder: Path | str, output: Path | str, model: str = EMISSIVITY_MAP, fallback: str = FALLBACK_MATERIAL,
     confidence: float | None = None, without: Sequence[str] = (), progress: Callable[[float], None] | None = None,
-) -> tuple[dict[str, Path], dict[str, float]]:  # fmt: skip
-    """Write class, probability and confidence rasters and a picture; return ({kind: path}, {class: share}).
+) -> tuple[dict[str, Path], dict[str, float], tuple[str, ...]]:  # fmt: skip
+    """Write class, probability and confidence rasters and a picture.
+
+    Returns ({kind: path}, {class: share}, sentences on the context).
 
     Parameters
     ----------
@@ -200,6 +305,7 @@ def write_map(
     without : sequence of str
         Materials of the map that do not occur in the scene.
     progress : callable (share), optional
+        The scene's weather, heights and `emissivity.present`, `known` and `heights` apply as in rendering.
 
     Notes
     -----
@@ -214,10 +320,15 @@ def write_map(
     if not 0.0 <= confidence <= 1.0:
         raise ThermorenderError(f"confidence={confidence:g} is not allowed; give a number 0…1")
     spec = read_scene(folder)
-    rgb, valid, grid, texel_m = orthophoto_of(spec)
+    picture = orthophoto_of(spec)
+    valid, grid = picture.valid, picture.grid
     library = material_tables.load_library(spec.folder / "materials" if (spec.folder / "materials").is_dir() else None)
     material_tables.find(library, fallback, "--fallback")
-    emissivity_map = load_map(model).without(without)
+    own = spec.emissivity if spec.emissivity.source == "learned" else EmissivitySpec("learned")
+    source = replace(own, model=model, fallback=fallback, without=tuple(without))
+    emissivity_map, notes = model_of(source, library, str(spec.folder / "scene.toml"), _no_snow(spec, picture.frame))
+    context = context_of(source, picture.height, picture.height_grid, grid, picture.texel_m)
+    materials = [*emissivity_map.materials, *(context.known.beyond(emissivity_map.materials) if context.known else ())]
     output = Path(output)
     profile = {
         "driver": "GTiff", "height": grid.height, "width": grid.width, "crs": grid.crs, "transform": grid.transform,
@@ -230,20 +341,22 @@ def write_map(
     }  # fmt: skip
     with (
         formats.atomic_raster(paths["probabilities"]) as part,
-        rasterio.open(part, "w", count=len(emissivity_map.materials), **profile) as file,
+        rasterio.open(part, "w", count=len(materials), **profile) as file,
     ):
-        file.descriptions = emissivity_map.materials
-        file.scales = (1.0 / 255.0,) * len(emissivity_map.materials)
+        file.descriptions = tuple(materials)
+        file.scales = (1.0 / 255.0,) * len(materials)
 
         def keep(rows: slice, columns: slice, probabilities: NDArray[Any]) -> None:
             bands = np.where(valid[rows, columns], np.rint(255.0 * probabilities), 0.0).astype(np.uint8)
             file.write(bands, window=Window.from_slices(rows, columns))
 
-        mapped = map_materials(emissivity_map, rgb, texel_m, progress, keep)
+        mapped = map_materials(
+            emissivity_map, picture.colour, picture.texel_m, progress, keep, context.evidence(materials)
+        )
     unknown = mapped.confidence < confidence
     classes = np.where(unknown, UNKNOWN_CLASS, mapped.index[..., 0] + 1)
     classes = np.where(valid, classes, 0).astype(np.uint8)
-    numbered = enumerate(emissivity_map.materials, 1)
+    numbered = enumerate(materials, 1)
     colours = _legend_colours({number: library[name] for number, name in numbered if name in library})
     with formats.atomic_raster(paths["classes"]) as part, rasterio.open(part, "w", count=1, **profile) as file:
         file.write(classes, 1)
@@ -252,15 +365,24 @@ def write_map(
         file.write(np.where(valid, np.rint(255.0 * mapped.confidence), 0).astype(np.uint8), 1)
         file.scales = (1.0 / 255.0,)
     present = [int(value) for value in np.unique(classes[classes > 0])]
-    names = {**dict(enumerate(emissivity_map.materials, 1)), UNKNOWN_CLASS: fallback}
+    names = {**dict(enumerate(materials, 1)), UNKNOWN_CLASS: fallback}
     lines = ["[emissivity]", 'source = "classes"', 'raster = "classes.tif"', "", "[emissivity.classes]"]
-    for value in sorted({*present, *range(1, len(emissivity_map.materials) + 1), UNKNOWN_CLASS}):
+    for value in sorted({*present, *range(1, len(materials) + 1), UNKNOWN_CLASS}):
         lines.append(f'{value} = "{names[value]}"' + ("  # unknown" if value == UNKNOWN_CLASS else ""))
     formats.write_text(paths["emissivity"], "\n".join(lines) + "\n")
     share = np.bincount(classes.ravel(), minlength=256) / max(valid.sum(), 1)
     shown = {value: ("unknown" if value == UNKNOWN_CLASS else names[value], share[value]) for value in present}
-    _picture(paths["materials"], np.where(valid[..., None], rgb, 255), classes, shown, colours)
-    return paths, {name: float(part) for name, part in shown.values()}
+    _picture(paths["materials"], np.where(valid[..., None], picture.colour, 255), classes, shown, colours)
+    return paths, {name: float(part) for name, part in shown.values()}, (*notes, *context.notes)
+
+
+def _no_snow(spec: SceneSpec, frame: LocalFrame) -> str:
+    """Why no snow lies on a scene's ground by its weather; "" if it may."""
+    if spec.weather is None:
+        return ""
+    altitude_m = frame.height_m - (spec.terrain.geoid_undulation_m or 0.0)
+    weather = declared_weather(spec.weather, frame.latitude_deg, frame.longitude_deg, altitude_m)
+    return weather.why_no_snow(spec.weather.time)
 
 
 def _legend_colours(materials: Mapping[int, Material]) -> dict[int, _Colour]:

@@ -27,7 +27,8 @@ from thermorender.scene.spec import SceneSpec, SunSpec, TemperatureSpec
 from thermorender.scene.state import albedo, digest, text
 from thermorender.scene.state.agreement import contradictions, refuse_disagreement
 from thermorender.scene.state.declared import Declared
-from thermorender.scene.state.derived import Derived, camera_alone_differs, derived, of_surfaces, weather_of
+from thermorender.scene.state.derived import Derived, camera_alone_differs, derived, of_surfaces
+from thermorender.scene.state.own_weather import weather_of
 from thermorender.scene.surface import Surface
 from thermorender.scene.temperature_state import TemperatureState
 from thermorender.sensor.camera import Camera

@@ -188,7 +188,12 @@ class TemperatureSpec:
 
 @dataclass(frozen=True)
 class EmissivitySpec:
-    """Where the material of each texel comes from."""
+    """Where the material of each texel comes from.
+
+    With a learned map, `known` is a GeoJSON of OpenStreetMap tags that restrict the materials inside its shapes. By
+    default, weather that excludes snow excludes its materials, except those of `present`, and `heights` above the
+    ground and slopes weigh the materials.
+    """
 
     source: str = key(choice("constant", "material", "classes", "learned"))
     value: float | None = key(share, None)
@@ -200,12 +205,20 @@ class EmissivitySpec:
     confidence: float = key(share, DEFAULT_CONFIDENCE)
     most_std: float = key(share, DEFAULT_MOST_STD)
     without: tuple[str, ...] = key(texts, ())
+    present: tuple[str, ...] = key(texts, ())
+    known: Path | None = key(file_inside, None)
+    heights: bool = key(flag, True)
 
     def check(self, where: Where, given: Mapping[str, Any]) -> None:
-        """Refuse a source without its keys."""
+        """Refuse a source without its keys, and keys that it would ignore."""
         needs = {"constant": ["value"], "material": ["material"], "classes": ["classes"],
                  "learned": ["model", "fallback"]}  # fmt: skip
         _needed(where, self, needs)
+        for name in ("present", "known", "heights"):
+            if name in given and self.source != "learned":
+                where.of(name).refuse(given[name], f"it with source='learned' only, not {self.source!r}")
+        for name in set(self.present) & set(self.without):
+            where.of("present").refuse(list(self.present), f"{name!r} in one of 'present' and 'without'")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -400,6 +413,11 @@ class SceneSpec:
             raise where.error(
                 "[[surface]] names a part of a mesh, and this terrain is an elevation raster; give its materials by "
                 "emissivity.source='classes'"
+            )
+        if self.emissivity.known and self.terrain.mesh:
+            raise where.error(
+                "emissivity.known lies on a map, and this terrain is a mesh; give the materials of its parts in "
+                "[[surface]]"
             )
         if self.emissivity.source == "classes" and not (self.terrain.mesh or self.emissivity.raster):
             raise where.error("emissivity.raster is missing; source='classes' needs it")

@@ -27,6 +27,8 @@ GroundHeight = Callable[[NDArray[np.float64], NDArray[np.float64]], ArrayLike]
 
 # Largest deviation of a quaternion's length from 1, by digits lost in a log.
 QUATERNION_TOLERANCE = 1e-3
+# Deviation that normalising leaves.
+_ROUNDING = 1e-15
 
 # Frame numbers have six digits.
 MOST_FRAMES = 1_000_000
@@ -102,11 +104,14 @@ class Trajectory:
                 f"time_s: sample {k + 1} at {time_s[k + 1]:.9g} s follows {time_s[k]:.9g} s: time is running "
                 f"backwards or standing still, and must strictly increase"
             )
-        length = np.linalg.norm(quaternion, axis=1)
+        with np.errstate(over="ignore"):
+            length = np.linalg.norm(quaternion, axis=1)
         if (np.abs(length - 1.0) > QUATERNION_TOLERANCE).any():
             k = int(np.argmax(np.abs(length - 1.0) > QUATERNION_TOLERANCE))
             raise ThermorenderError(f"quaternion: sample {k} has length {length[k]:.6g}; unit quaternions are needed")
-        quaternion /= length[:, None]
+        # Rounded unit quaternions stay as they are, so that a trajectory of another's samples is the same.
+        off = np.abs(length - 1.0) > _ROUNDING
+        quaternion[off] /= length[off, None]
         for name, array in (("time_s", time_s), ("position", position), ("quaternion", quaternion)):
             array.flags.writeable = False
             object.__setattr__(self, name, array)

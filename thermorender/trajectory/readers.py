@@ -126,11 +126,7 @@ def read_trajectory(
     course_log = _course(position_log, position, body_log, gimbal_log, course, notes)
     time_s = _common_times([log for log in (position_log, body_log, gimbal_log) if log is not None])
     position = np.stack([np.interp(time_s, position_log.time_s, position[:, k]) for k in range(3)], axis=-1)
-    enu_from_ned = Rotation.from_matrix(ENU_FROM_NED)
-    if frame and horizontal == POSITION_GEODETIC:
-        # North and down change along the path; the scene's axes are those of its origin.
-        latitude, longitude, _ = frame.geodetic_from_enu(position)
-        enu_from_ned = Rotation.from_matrix(frame.enu_from_ecef_rotation) * ecef_from_ned(latitude, longitude)
+    enu_from_ned = enu_from_ned_at(position, frame if horizontal == POSITION_GEODETIC else None)
     ned_from_body = _body(body_log, mapping, time_s)
     if course_log is not None:
         course_at = np.interp(time_s, position_log.time_s, course_log)
@@ -140,15 +136,48 @@ def read_trajectory(
         if gimbal_log is None
         else _gimbal(gimbal_log, time_s, ned_from_body)
     )
-    trajectory = Trajectory(
-        time_s + clock_offset_s,
-        position + (enu_from_ned * ned_from_body).apply(lever),
-        wxyz(enu_from_ned * ned_from_optical * Rotation.from_matrix(BODY_FROM_CAMERA)),
+    trajectory = of_vehicle(
+        time_s + clock_offset_s, position, enu_from_ned * ned_from_body, enu_from_ned * ned_from_optical, lever
     )
     if anchor is not None:
         trajectory = _anchored(trajectory, anchor, ground, height)
     refuse_far(position_log, trajectory)
     return replace(trajectory, notes=tuple(notes))
+
+
+def enu_from_ned_at(position: NDArray[np.float64], frame: LocalFrame | None) -> Rotation:
+    """Return the rotations from local NED to the scene's axes at positions in it, (N, 3) [m].
+
+    With `frame`, the georeference of the scene, north and down are those of each position; without, of the scene.
+    """
+    if frame is None:
+        return Rotation.from_matrix(ENU_FROM_NED)
+    latitude, longitude, _ = frame.geodetic_from_enu(position)
+    return Rotation.from_matrix(frame.enu_from_ecef_rotation) * ecef_from_ned(latitude, longitude)
+
+
+def of_vehicle(
+    time_s: NDArray[np.float64], position: NDArray[np.float64], enu_from_body: Rotation, enu_from_optical: Rotation,
+    lever_arm_m: NDArray[np.float64],
+) -> Trajectory:  # fmt: skip
+    """Return the camera's Trajectory on a vehicle.
+
+    Parameters
+    ----------
+    time_s : (N,) array
+        [s]
+    position : (N, 3) array
+        Of the vehicle in the scene's frame [m].
+    enu_from_body, enu_from_optical : Rotation
+        From FRD axes of the vehicle, and of the optical axis, to the scene's.
+    lever_arm_m : (3,) array
+        As of `read_trajectory`.
+    """
+    return Trajectory(
+        time_s,
+        position + enu_from_body.apply(lever_arm_m),
+        wxyz(enu_from_optical * Rotation.from_matrix(BODY_FROM_CAMERA)),
+    )
 
 
 def _notes(logs: list[Log], mapping: Mapping, jump: str | None) -> list[str]:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics import moisture, sun
+from thermorender.units import ZERO_CELSIUS_K
 
 Floats = NDArray[np.float64]
 
@@ -19,6 +20,9 @@ _LIMITS = {
     "longitude_deg": (-360.0, 360.0), "altitude_m": (-1000.0, 10e3), "air_height_m": (0.01, 1000.0),
     "wind_height_m": (0.01, 1000.0),
 }  # fmt: skip
+# Snow may lie longer than it is recorded: old patches of a metre [mm of water] at a density of 500 kg/m³ melt within
+# this time [days]. Shorter records than the second time do not show it.
+_OLD_SNOW_MM, _PATCHES_D, _SHORTEST_D = 500.0, 30.0, 2.0
 
 
 class Conditions(NamedTuple):
@@ -133,6 +137,27 @@ class Weather:
         past = slice(max(int(np.searchsorted(self.time, time, side="right")), 1))
         snow, _ = moisture.snow_water(self.time[past], self.latitude_deg, self.air_k[past], self.rain_mm_h[past])
         return float(snow[-1])
+
+    def why_no_snow(self, time: np.datetime64) -> str:
+        """Return why no snow or ice can lie at an instant, as a clause; "" if it may, or if too little is known.
+
+        In the 30 days before, or what the series has of them, no snow was on the ground, the air was too warm for
+        precipitation to be snow, and by the degree days of `moisture` it melts a metre of old snow in 30 days.
+        """
+        days = (time - self.time) / np.timedelta64(1, "D")
+        past = (days >= 0.0) & (days <= _PATCHES_D)
+        length = float(np.ptp(days[past])) if past.sum() > 1 else 0.0
+        if length < _SHORTEST_D or self.snow_m[past].any():
+            return ""
+        air, when = self.air_k[past], self.time[past]
+        lowest = float(air.min()) - ZERO_CELSIUS_K
+        daily = float(moisture.melt(when, self.latitude_deg, air).sum()) / length
+        if lowest < moisture.SNOW_C or daily * _PATCHES_D < _OLD_SNOW_MM:
+            return ""
+        return (
+            f"in the {length:.0f} days before, the weather has no snow on the ground and air of {lowest:.1f} °C or "
+            f"more, which melts a metre of old snow in {_OLD_SNOW_MM / daily:.0f} days"
+        )
 
     def sun(self, time: sun.Times) -> tuple[Floats, Floats]:
         """Return the sun's (azimuth clockwise from north, elevation) [deg] at instants; see `sun.position_at`."""

@@ -9,6 +9,7 @@ the missing ones.
 
 import json
 import time
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from math import inf
@@ -322,26 +323,33 @@ class Stock:
         self._mi = activate(device)
         self._mono = self._mi.variant()
         self._shape = scene.camera.height, scene.camera.width
+        with self.active():
+            self._world = reference.mitsuba_scene(self._mi, scene, pose, "path", 8)
+
+    @contextmanager
+    def active(self):
+        """Activate the scene's variant within the context; it takes a tenth of a second."""
         switch(self._mi, reference.VARIANTS[self._mono])
         try:
-            self._world = reference.mitsuba_scene(self._mi, scene, pose, "path", 8)
+            yield self._mi
         finally:
             switch(self._mi, self._mono)
 
     def render(self, integrator, samples, seed=0):
         """Return band radiance, (H, W) float64 [W m⁻² sr⁻¹], by an integrator (a Mitsuba dict)."""
-        switch(self._mi, reference.VARIANTS[self._mono])
-        try:
-            method = self._mi.load_dict(integrator)
+        with self.active() as mi:
+            method = mi.load_dict(integrator)
             total = np.zeros(self._shape)
             for done in range(0, samples, _MOST_AT_ONCE):
                 count = min(_MOST_AT_ONCE, samples - done)
-                image = self._mi.render(self._world, integrator=method, spp=count, seed=(seed << 12) + done)
-                total += np.array(image)[..., 0].astype(np.float64) * count
+                total += self.image(method, count, (seed << 12) + done) * count
             # The film integrates radiance per micrometre over nanometres.
             return total / samples * 1e-3
-        finally:
-            switch(self._mi, self._mono)
+
+    def image(self, method, samples, seed=0):
+        """Return the film of an active integrator, (H, W) float64."""
+        image = self._mi.render(self._world, integrator=method, spp=samples, seed=seed)
+        return np.array(image)[..., 0].astype(np.float64)
 
 
 def _seconds(job, budget):

@@ -1,6 +1,7 @@
 """Evaluation of the learned emissivity map on procedural scenes with known materials.
 
-Three simpler methods are compared: the material whose mean colour in the scene is nearest (it uses the truth), the
+The learned map is also judged with the heights of the surface model, where these are evidence. Three simpler methods
+are compared: the material whose mean colour in the scene is nearest (it uses the truth), the
 scene's most common material everywhere, and the fallback everywhere. Errors are those of the band emissivity and of
 apparent temperature. The latter is seen from straight above without air, under the scene's unobstructed sky, with each
 texel at the typical temperature of its true material.
@@ -13,6 +14,7 @@ import numpy as np
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic
+from thermorender.learned.emissivity import relief
 from thermorender.learned.emissivity.mapping import load_map, map_materials
 from thermorender.learned.features import lab
 from thermorender.materials.extended import within_band
@@ -22,7 +24,14 @@ from thermorender.physics.planck import spectral_radiance
 from thermorender.scene.spec import DEFAULT_CONFIDENCE
 from thermorender.synthetic.procedural_scene import KINDS, make
 
-METHODS = ("learned, mean of all", "learned, most probable", "nearest colour", "commonest material", "fallback")
+METHODS = (
+    "learned, mean of all",
+    "learned, with heights",
+    "learned, most probable",
+    "nearest colour",
+    "commonest material",
+    "fallback",
+)
 
 
 def evaluate(model="procedural", seeds=(201, 202), fallback="soil_loam", confidence=DEFAULT_CONFIDENCE,
@@ -85,15 +94,18 @@ def evaluate(model="procedural", seeds=(201, 202), fallback="soil_loam", confide
             best, _nearest_colour(scene.orthophoto, truth),
             np.full(truth.shape, np.bincount(truth.ravel()).argmax()), np.full(truth.shape, stand_in),
         )  # fmt: skip
-        guesses = dict(zip(METHODS, ((index, share), *map(_pure, simple)), strict=True))
+        weighed, why = _with_heights(model, scene, mapped)
+        with_heights = _mixture(own[weighed.index[..., 0]], weighed.confidence < confidence, weighed.probability, own)
+        guesses = dict(zip(METHODS, ((index, share), with_heights, *map(_pure, simple)), strict=True))
         kelvin = np.array([library[name].temperature for name in names], dtype=np.float32)
         errors_of = _Errors(list(library.values()), kelvin[truth], scene.sky_temperature)
         found = {}
         for method, guess in guesses.items():
             errors = errors_of(truth, *guess)
             every[method].append(errors)
-            found[method] = _summary(*errors)
+            found[method] = {**_summary(*errors), "balanced": _balanced(errors[0], truth)}
         scenes[f"{kind} {seed}"] = {"texels": truth.size, "share_unknown": round(float(unknown.mean()), 5),
+                                    "heights": why or "used",
                                     "seconds": round(seconds, 2), "methods": found}  # fmt: skip
     seen = np.flatnonzero(confusion.sum(axis=1) + confusion.sum(axis=0)[:-1])
     confusion, names = confusion[seen][:, [*seen, -1]], [names[k] for k in seen]
@@ -106,6 +118,27 @@ def evaluate(model="procedural", seeds=(201, 202), fallback="soil_loam", confide
         "scenes": scenes,
         "all": {method: _summary(*map(np.concatenate, zip(*errors, strict=True))) for method, errors in every.items()},
     }  # fmt: skip
+
+
+def _with_heights(model, scene, mapped):
+    """(Mapped with the heights of a scene as evidence, why they are none)."""
+    import cv2
+
+    above, slope, why = relief.seen(scene.elevation.astype(np.float64), scene.post_m)
+    if why:
+        return mapped, why
+    case = relief.case_of(*(cv2.resize(each, scene.classes.shape, interpolation=cv2.INTER_LINEAR)
+                            for each in (above, slope)))  # fmt: skip
+    more = [relief.evidence(case, model.materials)]
+    return map_materials(model, scene.orthophoto, scene.texel_m, evidence=more), why
+
+
+def _balanced(right, truth):
+    """Mean share of right texels over the materials that cover a thousandth of the scene or more."""
+    count = np.bincount(truth.ravel())
+    return round(
+        float(np.mean((np.bincount(truth.ravel(), right) / np.maximum(count, 1))[count > 1e-3 * truth.size])), 4
+    )
 
 
 def rows(result):

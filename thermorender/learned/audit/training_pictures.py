@@ -1,6 +1,6 @@
 """Search for a map's training pictures in the pictures that it is applied to or tested on."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -28,12 +28,15 @@ class Search:
         Number of pictures, and of those that were searched.
     found : dict of str to Seen
         Pictures that show training pictures, by name.
+    unreadable : tuple of str
+        Names of pictures that could not be read, which are not among the searched ones.
     """
 
     model: TemperatureMap
     given: int
     searched: int = 0
     found: dict[str, Seen] = field(default_factory=dict)
+    unreadable: tuple[str, ...] = ()
 
     @property
     def line(self) -> str:
@@ -46,19 +49,23 @@ class Search:
                 f"pictures and states only {stated!r}"
             )
         limits = [f"{self.searched} of {self.given} pictures searched"] if self.searched < self.given else []
+        if self.unreadable:
+            limits.append(f"{len(self.unreadable)} could not be read: {_listed(self.unreadable)}")
         if len(prints) < prints.pictures:
             limits.append(f"fingerprints of {len(prints)} of {prints.pictures} training pictures")
         limited = f" ({'; '.join(limits)})" if limits else ""
+        if not self.searched:
+            return (
+                f"map {model.name!r} was trained on {prints.pictures} pictures, and none was searched for them{limited}"
+            )
         if not self.found:
             return (
                 f"map {model.name!r} was trained on {prints.pictures} pictures, and none of the {self.searched} "
                 f"shows one of them{limited}"
             )
-        names = list(self.found)
-        rest = f" and {len(names) - _MOST_NAMED} others" if len(names) > _MOST_NAMED else ""
         return (
-            f"map {model.name!r} was trained on {len(names)} of these {self.searched} pictures or parts of "
-            f"them{limited}: {', '.join(names[:_MOST_NAMED])}{rest}; its results on them measure memory"
+            f"map {model.name!r} was trained on {len(self.found)} of these {self.searched} pictures or parts of "
+            f"them{limited}: {_listed(list(self.found))}; its results on them measure memory"
         )
 
     def summary(self) -> dict[str, Any]:
@@ -67,12 +74,17 @@ class Search:
         return {
             "line": self.line, "training_pictures": None if prints is None else prints.pictures,
             "fingerprints": 0 if prints is None else len(prints), "given": self.given, "searched": self.searched,
-            "found": {name: asdict(seen) for name, seen in self.found.items()},
+            "unreadable": list(self.unreadable), "found": {name: asdict(seen) for name, seen in self.found.items()},
         }  # fmt: skip
 
 
+def _listed(names: Sequence[str]) -> str:
+    rest = f" and {len(names) - _MOST_NAMED} others" if len(names) > _MOST_NAMED else ""
+    return ", ".join(names[:_MOST_NAMED]) + rest
+
+
 def search_in(
-    model: TemperatureMap, names: Sequence[str], read: Callable[[int], NDArray[np.uint8]],
+    model: TemperatureMap, names: Sequence[str], read: Callable[[int], NDArray[np.uint8] | None],
     progress: Callable[[float], object] | None = None,
 ) -> Search:  # fmt: skip
     """Return the Search for a map's training pictures in named pictures.
@@ -82,19 +94,29 @@ def search_in(
     model : TemperatureMap
     names : sequence of str
     read : callable
-        Number of a name → its picture, (h, w, 3) uint8.
+        Number of a name → its picture, (h, w, 3) uint8, or None where it cannot be read.
     progress : callable, optional
         Called with the share done.
     """
     if model.fingerprints is None or not names:
         return Search(model, len(names))
     chosen = np.unique(np.linspace(0, len(names) - 1, min(len(names), MOST_SEARCHED)).round()).astype(int)
+    searched, unreadable = [], []
+
+    def pictures() -> Iterator[NDArray[np.uint8]]:
+        for number in map(int, chosen):
+            if (picture := read(number)) is None:
+                unreadable.append(names[number])
+            else:
+                searched.append(names[number])
+                yield picture
+
     seen = search(
-        model.fingerprints, (read(int(k)) for k in chosen),
-        lambda done: progress(done / len(chosen)) if progress else None,
+        model.fingerprints, pictures(),
+        lambda done: progress((done + len(unreadable)) / len(chosen)) if progress else None,
     )  # fmt: skip
-    found = {names[k]: one for k, one in zip(chosen, seen, strict=True) if one is not None}
-    return Search(model, len(names), len(chosen), found)
+    found = {name: one for name, one in zip(searched, seen, strict=True) if one is not None}
+    return Search(model, len(names), len(searched), found, tuple(unreadable))
 
 
 def search_in_files(
@@ -102,20 +124,20 @@ def search_in_files(
 ) -> Search:
     """Return the Search for a map's training pictures in pictures, the first frames of videos, or folders of them.
 
-    An unreadable file shows nothing.
+    An unreadable file is stated, and not searched.
     """
     files = sources_of(paths)
 
-    def read(number: int) -> NDArray[np.uint8]:
+    def read(number: int) -> NDArray[np.uint8] | None:
         import cv2
 
         path = files[number]
         if path.suffix.lower() in VIDEOS:
             whole, image = cv2.VideoCapture(str(path)).read()
-            return image[..., ::-1] if whole else np.zeros((1, 1, 3), np.uint8)
+            return image[..., ::-1] if whole else None
         try:
             return read_picture(path)[0]
         except UnreadableError:
-            return np.zeros((1, 1, 3), np.uint8)
+            return None
 
     return search_in(model, [path.name for path in files], read, progress)

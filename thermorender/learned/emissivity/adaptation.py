@@ -87,6 +87,8 @@ def adapted(
     softening, prior = posteriors[best]
     near = np.stack([standard[of == one][:, NEAR].mean(axis=0) for one in range(len(polygon))])
     about = {**model.about, "adapted_to": f"{len(polygon)} polygons: {item.source}", "adapted_from": model.name}
+    if item.unused:
+        about["unused_labels"] = item.unused
     return replace(
         model, name=name, materials=tuple(materials), layers=(*model.layers[:-1], (weight, bias)), about=about,
         centres=np.concatenate([model.centres, np.float32(near)]), softening=softening, prior=prior,

@@ -11,6 +11,7 @@ scene's fallback material replaces them. Emissivity itself is not learned: it co
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,8 @@ _PROJECTION = 0.005
 _TILE_TEXELS = 512  # on the map's grid
 _CHUNK_TEXELS = 8192
 _FORMAT = 3
+# Probability of any material before others are excluded.
+_LEAST = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,20 +128,51 @@ class Mapped:
 
     Attributes
     ----------
+    probability : (h, w, C) uint8
+        Probability of every material, in 1/255.
+    confidence : (h, w) float32
+        Largest probability; 0 where the texel is unlike the training data.
     index : (h, w, 3) uint8
         The three most probable materials, the most probable first, as indices into `EmissivityMap.materials`.
     share : (h, w, 3) float32
         Their probabilities, scaled to a sum of one.
-    probability : (h, w, C) uint8
-        Probability of every material, in 1/255.
-    confidence : (h, w) float32
-        Probability of the first; 0 where the texel is unlike the training data.
     """
 
-    index: np.ndarray
-    share: np.ndarray
     probability: np.ndarray
     confidence: np.ndarray
+
+    @cached_property
+    def index(self) -> np.ndarray:  # noqa: D102
+        rest = self.probability.astype(np.int16)
+        found = np.zeros((*rest.shape[:2], 3), np.uint8)
+        for rank in range(min(rest.shape[2], 3)):
+            found[..., rank] = rest.argmax(axis=-1)
+            np.put_along_axis(rest, found[..., rank : rank + 1].astype(np.int64), -1, axis=-1)
+        return found
+
+    @cached_property
+    def share(self) -> np.ndarray:  # noqa: D102
+        found = np.take_along_axis(self.probability, self.index.astype(np.int64), axis=-1).astype(np.float32)
+        # A map of two materials has no third.
+        found[..., self.probability.shape[2] :] = 0.0
+        return found / found.sum(axis=-1, keepdims=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What else is known on the materials of a picture's texels.
+
+    Attributes
+    ----------
+    number : (h, w) uint8
+        Number of each texel's case.
+    factor : (N, M) float32
+        Factors on the probabilities of the materials in each of N cases. A factor of 0 excludes a material; each case
+        leaves one or more. Materials beyond the map's C occur only where all of the map's are excluded.
+    """
+
+    number: np.ndarray
+    factor: np.ndarray
 
 
 def hidden(layers: Sequence[tuple[np.ndarray, np.ndarray]], standard: np.ndarray) -> np.ndarray:
@@ -164,7 +198,8 @@ def posterior(score: np.ndarray, softening: float, prior: float) -> np.ndarray:
 
 def map_materials(
     model: EmissivityMap, rgb: np.ndarray, texel_m: float, progress: Callable[[float], object] | None = None,
-    keep: Callable[[slice, slice, np.ndarray], object] | None = None,
+    keep: Callable[[slice, slice, np.ndarray], object] | None = None, evidence: Sequence[Evidence] = (),
+    name: str = "the picture",
 ) -> Mapped:  # fmt: skip
     """Return the Mapped of an orthophoto.
 
@@ -178,6 +213,10 @@ def map_materials(
     progress : callable (share done), optional
     keep : callable (rows, columns, probabilities (C, h', w')), optional
         Called with each tile's probabilities.
+    evidence : sequence of Evidence
+        Each multiplies the probabilities, which are then scaled to a sum of one; all have the same materials.
+    name : str
+        Of the orthophoto, for messages.
 
     Raises
     ------
@@ -190,14 +229,11 @@ def map_materials(
     """
     import cv2
 
-    on_grid = to_grid(rgb, texel_m, model)
+    on_grid = to_grid(rgb, texel_m, model, name)
     shape, grid_shape = rgb.shape[:2], on_grid.shape[:2]
     ratio = [of_grid / of_texels for of_grid, of_texels in zip(grid_shape, shape, strict=True)]
-    count = min(len(model.materials), 3)
-    result = Mapped(
-        np.zeros((*shape, 3), np.uint8), np.zeros((*shape, 3), np.float32),
-        np.zeros((*shape, len(model.materials)), np.uint8), np.zeros(shape, np.float32),
-    )  # fmt: skip
+    materials = evidence[0].factor.shape[1] if evidence else len(model.materials)
+    result = Mapped(np.zeros((*shape, materials), np.uint8), np.zeros(shape, np.float32))
     # Whole blocks of tiled rasters, for callers that write what `keep` receives.
     tile = int(np.clip(_TILE_TEXELS / max(ratio) // 256, 1, 6)) * 256
     starts = [(top, left) for top in range(0, shape[0], tile) for left in range(0, shape[1], tile)]
@@ -217,32 +253,45 @@ def map_materials(
             found = np.stack(planes)
         else:
             found = found[:, : here[0].stop - top, : here[1].stop - left]
-        probabilities, novelty = found[:-1], found[-1]
+        novelty = found[-1]
+        probabilities, known = _with_evidence(found[:-1], novelty <= 1.0, here, evidence)
         if keep:
             keep(*here, probabilities)
         result.probability[here] = np.moveaxis(np.rint(255.0 * probabilities), 0, -1)
-        left_over = probabilities.copy()
-        for rank in range(count):
-            best = left_over.argmax(axis=0)
-            result.index[here][..., rank] = best
-            result.share[here][..., rank] = np.take_along_axis(probabilities, best[None], axis=0)[0]
-            np.put_along_axis(left_over, best[None], -1.0, axis=0)
-        first = result.share[here][..., 0]
-        result.confidence[here] = np.where(novelty <= 1.0, first, 0.0)
-        result.share[here] /= result.share[here].sum(axis=-1, keepdims=True)
+        result.confidence[here] = np.where(known, probabilities.max(axis=0), 0.0)
         if progress:
             progress((number + 1) / len(starts))
     return result
 
 
-def to_grid(rgb: np.ndarray, texel_m: float, model: EmissivityMap) -> np.ndarray:
+def _with_evidence(probabilities, known, here, evidence):
+    """(probabilities (C, h, w), whether they are known (h, w)) of a tile, with evidence.
+
+    Where evidence excludes materials of a texel unlike the training data, the others are equally probable.
+    """
+    for each in evidence:
+        number, materials = each.number[here], each.factor.shape[1]
+        excludes = ~known & (each.factor == 0.0).any(axis=1)[number]
+        planes = np.zeros((materials, *known.shape), np.float32)
+        planes[: len(probabilities)] = probabilities
+        # What is left may be below the smallest number.
+        planes += np.float32(_LEAST)
+        planes[:, excludes] = 1.0
+        for plane, factor in zip(planes, each.factor.T, strict=True):
+            plane *= factor[number]
+        planes /= planes.sum(axis=0)
+        probabilities, known = planes, known | excludes
+    return probabilities, known
+
+
+def to_grid(rgb: np.ndarray, texel_m: float, model: EmissivityMap, name: str = "the picture") -> np.ndarray:
     """Return an orthophoto, (h, w, 3) uint8, resampled to the ground sampling distance of an EmissivityMap."""
     import cv2
 
     # A nominal texel differs from its size on the ground by the scale of the map projection.
     if not texel_m <= (1.0 + _PROJECTION) * COARSEST_RATIO * model.texel_m:
         raise ThermorenderError(
-            f"the picture has texels of {texel_m:.3g} m, but emissivity map {model.name!r} was trained at "
+            f"{name} has texels of {texel_m:.3g} m, but emissivity map {model.name!r} was trained at "
             f"{model.texel_m:g} m and takes at most {COARSEST_RATIO * model.texel_m:g} m; give a finer one, or "
             "train a map on it with `thermorender train emissivity`"
         )

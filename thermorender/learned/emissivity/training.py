@@ -53,6 +53,8 @@ class Labelled:
         Origin, for the record.
     domain : str
         Kind of landscape, camera or season; calibration holds out whole domains.
+    unused : str
+        A sentence on labels that are on no texel, for the record.
     """
 
     rgb: np.ndarray
@@ -61,6 +63,7 @@ class Labelled:
     texel_m: float
     source: str
     domain: str = ""
+    unused: str = ""
 
 
 def train(
@@ -103,11 +106,12 @@ def train(
         ) from None
     report = progress or (lambda what, share: None)
     generator = np.random.Generator(np.random.Philox(seed))
-    names, sources, labels, parts, domains = [], [], np.zeros(2, dtype=np.int64), [], []
+    names, sources, unused, labels, parts, domains = [], [], [], np.zeros(2, dtype=np.int64), [], []
     known: dict[str, int] = {}
     for number, item in enumerate(labelled):
         report("describing the orthophotos", number / (number + 5.0))  # their number is not known in advance
         sources.append(item.source)
+        unused += [item.unused] if item.unused else []
         labels += np.count_nonzero(item.material), item.material.size
         for found, values, held in _described(item, texel_m, name, augmentations, generator):
             parts.append((found, _numbered(values, item.names, names), held))
@@ -142,6 +146,8 @@ def train(
     not_tested = [f"{', '.join(untested)}, of which no texel was held out"] if untested else []
     if labels[0] < labels[1]:
         not_tested.append(f"{1.0 - labels[0] / labels[1]:.0%} of the ground, which has no label")
+    if unused:
+        model.about["unused_labels"] = "; ".join(unused)
     if not_tested:
         model.about["not_tested"] = "; ".join(not_tested)
     return model, confusion

@@ -1,7 +1,7 @@
 """The frames of a flight in order: functions of path, scene and the sensor's state after the frame before."""
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -21,6 +21,7 @@ from thermorender.sensor.movers import Mover
 from thermorender.trajectory.path import Trajectory
 
 if TYPE_CHECKING:
+    from thermorender.render.dynamic import Objects
     from thermorender.render.renderer import Renderer
 
 
@@ -140,31 +141,78 @@ class FlightFrames:
 
     def _exposure(self) -> Exposure:
         """The sensor with its state from frame to frame."""
-        scene, timed, trajectory = self._renderer.scene, self.timed, self._trajectory
-        first, last = trajectory.span_s
-
-        def pose_at(time_s: float) -> NDArray[np.float64]:
-            return trajectory.pose(min(max(time_s, first), last))
-
-        return Exposure(
-            sensor_of(scene.camera, self._renderer.seed),
-            lambda time_s, camera, lit_s: timed.at(time_s).radiance(
-                pose_at(time_s), time_s, camera=camera, lit_s=lit_s
-            ),
-            pose_at,
-            self._renderer.depth,
-            1.0 / self.rate_hz,
-            movers=[_mover(tracked, scene) for tracked in scene.tracked_objects],
-        )
+        trajectory = self._trajectory
+        movers = movers_of(self._renderer.scene, lambda time_s: {}, {})
+        return exposure_of(self.timed, lambda time_s: pose_within(trajectory, time_s), 1.0 / self.rate_hz, movers)
 
 
-def _mover(tracked: TrackedObject, scene: Scene) -> Mover:
-    """A tracked object as a Mover of the sensor."""
+def pose_within(trajectory: Trajectory, time_s: float) -> NDArray[np.float64]:
+    """Return the pose of a trajectory at a time [s], (4, 4); beyond its ends that of the end."""
+    first, last = trajectory.span_s
+    return trajectory.pose(min(max(time_s, first), last))
+
+
+def exposure_of(
+    timed: TimedRenderer, pose_at: Callable[[float], NDArray[np.float64]], interval_s: float, movers: Sequence[Mover],
+    objects_at: Callable[[float], "Objects"] = lambda time_s: {},
+) -> Exposure:  # fmt: skip
+    """Return the sensor of a flight, as it is before the first frame.
+
+    Parameters
+    ----------
+    timed : TimedRenderer
+    pose_at : callable
+        Time [s] → (4, 4) world_from_camera.
+    interval_s : float
+        From one frame to the next [s].
+    movers : sequence of Mover
+        From `movers_of`.
+    objects_at : callable
+        Time [s] → values of dynamic objects to use instead of their tracks'.
+    """
+    first = timed.first
+    return Exposure(
+        sensor_of(first.scene.camera, first.seed),
+        lambda time_s, camera, lit_s: timed.at(time_s).radiance(
+            pose_at(time_s), time_s, objects_at(time_s), camera=camera, lit_s=lit_s, lit_objects=objects_at(lit_s)
+        ),
+        pose_at,
+        first.depth,
+        interval_s,
+        movers=movers,
+    )
+
+
+def movers_of(
+    scene: Scene, objects_at: Callable[[float], "Objects"], times_s: Mapping[str, NDArray[np.float64]]
+) -> list[Mover]:
+    """Return the dynamic objects of a scene as Movers of the sensor.
+
+    Parameters
+    ----------
+    scene : Scene
+    objects_at : callable
+        As of `exposure_of`.
+    times_s : dict
+        {object: (n,) rising times between which the values of `objects_at` are linear [s]}.
+    """
+    return [
+        _mover(tracked, scene, objects_at, np.union1d(tracked.time_s, times_s.get(tracked.name, [])))
+        for tracked in scene.tracked_objects
+    ]
+
+
+def _mover(
+    tracked: TrackedObject, scene: Scene, objects_at: Callable[[float], "Objects"], times_s: NDArray[np.float64]
+) -> Mover:
     corner = np.concatenate([surface.vertices for surface in tracked.surfaces]).astype(np.float64)
     box = np.array(list(itertools.product(*zip(corner.min(axis=0), corner.max(axis=0), strict=True))))
 
+    def values_at(time_s: float) -> dict[str, float]:
+        return tracked.at(time_s, **objects_at(time_s).get(tracked.name, {}))
+
     def corners_at(time_s: float) -> NDArray[np.float64]:
-        pose = tracked.world_from_own(tracked.at(time_s), scene.ground)
+        pose = tracked.world_from_own(values_at(time_s), scene.ground)
         return box @ pose[:3, :3].T + pose[:3, 3]
 
-    return Mover(corners_at, lambda time_s: tracked.at(time_s)["temperature_k"], tracked.time_s)
+    return Mover(corners_at, lambda time_s: values_at(time_s)["temperature_k"], times_s)

@@ -48,6 +48,10 @@ class TimedRenderer:
     progress : callable, optional
         Called with (what, share done) while a heat balance is solved.
 
+    Attributes
+    ----------
+    first : Renderer
+
     Raises
     ------
     ThermorenderError
@@ -55,7 +59,7 @@ class TimedRenderer:
     """
 
     def __init__(self, renderer: "Renderer", first_s: float, last_s: float, progress: "Progress | None" = None) -> None:
-        self._first, self._first_s, self._progress = renderer, first_s, progress
+        self.first, self._first_s, self._progress = renderer, first_s, progress
         self._last_step = round((last_s - first_s) / STEP_S) if renderer.scene.temperature_state.weather_driven else 0
         # At most two steps, since the memory of pixels reaches back over a change of the step.
         self._made: dict[int, Renderer] = {}
@@ -72,15 +76,15 @@ class TimedRenderer:
         """Return the Renderer for a time of the trajectory [s]."""
         step = self._step(time_s)
         if step == 0:
-            return self._first
+            return self.first
         if step not in self._made:
-            made = self._first.solved_for(self._scenes(step)[step])
+            made = self.first.solved_for(self._scenes(step)[step])
             self._made = dict(list(self._made.items())[-1:]) | {step: made}
         return self._made[step]
 
     def time(self, time_s: float) -> "np.datetime64 | None":
         """Return the instant of a time of the trajectory, datetime64[ms] UTC; None for a scene without an hour."""
-        start = self._first.scene.time
+        start = self.first.scene.time
         if start is None:
             return None
         return start.astype("datetime64[ms]") + np.timedelta64(round(1e3 * (time_s - self._first_s)), "ms")
@@ -95,7 +99,7 @@ class TimedRenderer:
             since `STEP_S` before, None at the flight's first instant [mK]; "moved": the temperature state's
             `moved_report` for a map moved to the instant}}
         """
-        scene = self._first.scene
+        scene = self.first.scene
         if not scene.temperature_state.weather_driven:
             return {}
         step, change = self._step(time_s), None
@@ -110,7 +114,7 @@ class TimedRenderer:
         return min(max(round((time_s - self._first_s) / STEP_S), 0), self._last_step)
 
     def _instant(self, step: int) -> np.datetime64:
-        start = self._first.scene.time
+        start = self.first.scene.time
         assert start is not None
         return start + np.timedelta64(round(step * STEP_S), "s")
 
@@ -120,7 +124,7 @@ class TimedRenderer:
         if part != self._part[0]:
             steps = range(part * TOGETHER, min((part + 1) * TOGETHER, self._last_step) + 1)
             times = [self._instant(number) for number in steps]
-            found = solved_at(self._first.scene, times, self._first.baked.geometry, self._progress)
+            found = solved_at(self.first.scene, times, self.first.baked.geometry, self._progress)
             self._part = part, dict(zip(steps, found, strict=True))
         return self._part[1]
 

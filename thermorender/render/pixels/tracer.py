@@ -59,8 +59,6 @@ class Sampling:
     hit: NDArray[np.bool_]  # (H, W), whether a pixel's ray hits a surface
     step: NDArray[np.float32] | None  # (H, W) from `edge_step`; None without a search for edges
     refined: list[Refined] = field(default_factory=list)  # pixels with more rays; later entries replace earlier ones
-    # Hits of the rays through the pixels' middles, surfaces numbered over the layers; None where no ray goes there.
-    middles: Hit | None = None
 
     @property
     def finer(self) -> NDArray[np.bool_]:
@@ -96,6 +94,8 @@ class Tracer:
         self._slender = slender
         self._layers, self.rays, self._medium = layers, rays, medium
         self._samples, self._mi = plan.samples, layers[0].geometry.mi
+        # Read here, since reading waits for all kernels that run.
+        self._up = np.array([float(value[0]) for value in layers[0].view[0][2]])
         strong = usual_step(plan.edge_mk * plan.radiance_per_mk, plan.samples)
         self._strong = dr.opaque(self._mi.Float, strong)
         self._reading = Reading(self._mi, plan.taps, max(plan.taps, PLACES), 1.0 / plan.samples)
@@ -130,28 +130,30 @@ class Tracer:
         targets = [dr.zeros(mi.Float, sides[0] * sides[1]) for _ in total]
         for target, value in zip(targets, total, strict=True):
             dr.scatter(target, value, rays.ringed)
-        # The truth uses these rays again.
-        middles = hit if self._samples == 1 else None
-        dr.eval(targets, () if middles is None else (hit.valid, hit.distance, hit.face, hit.surface))
+        single = self._samples == 1
+        dr.eval(targets, (hit.valid, hit.distance, hit.face, hit.surface) if single else ())
+        # While the kernel runs: both depend on the pose alone.
+        crossed, thin = self._at_horizon(), self._slender() if edge_limit < np.inf else None
         ringed = np.stack([target.numpy() for target in targets]).reshape(-1, *sides)
         inside = ..., slice(RING, -RING), slice(RING, -RING)
         image, guide = ringed[inside][:channels].copy(), ringed[channels:]
         met = guide[inside][0] > 0.0
+        if single:
+            rays.last_hits = met, hit
         flat = image.reshape(channels, -1)
-        crossed = self._crossed(met)
+        crossed = crossed[~met.flat[crossed]]
         if crossed.size:
             flat[:, crossed] = self._rays_in(crossed, 0, self._samples, None)[0] / self._samples
-        if not edge_limit < np.inf:
-            return image, Sampling(met, None, middles=middles)
+        if thin is None:
+            return image, Sampling(met, None)
         step = edge_step(ringed[:channels].sum(axis=0), *guide)
-        thin = self._slender()
         on = typical_edge_estimate(step, self._samples).ravel() > edge_limit
         on[thin.pixels] = False
         pixels = np.flatnonzero(on)
         refined = self._refine(flat, pixels, UNSEEN * step.ravel()[pixels], edge_limit)
         if thin.pixels.size:
             refined += self._refine(flat, thin.pixels, np.zeros(len(thin.pixels)), edge_limit, thin)
-        return image, Sampling(met, step, refined, middles)
+        return image, Sampling(met, step, refined)
 
     def resampled(self, pixels: NDArray[np.integer], count: int, random: np.random.Generator) -> NDArray[Any]:
         """Return (channels, n): the mean over `count` other rays of pixels by flat number, each read as a judge does.
@@ -166,7 +168,8 @@ class Tracer:
         """Return the slopes of all rays that an image with this Sampling casts, [(x/z, y/z), …]."""
         rays = self.rays
         found: list[Sequence[Jit]] = [cell.slope for cell in rays.footprints(self._samples)]
-        crossed = self._crossed(sampling.hit)
+        crossed = self._at_horizon()
+        crossed = crossed[~sampling.hit.flat[crossed]]
         if crossed.size:
             found.append(rays.finer(rays.position[crossed], 0, self._samples).slope)
         for part in sampling.refined:
@@ -177,11 +180,9 @@ class Tracer:
         dr.eval(found)
         return found
 
-    def _crossed(self, met: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """Flat numbers of the pixels without a surface that the horizon crosses; `met` (H, W) are those with one."""
-        up = np.array([float(value[0]) for value in self._layers[0].view[0][2]])
-        crossed = self.rays.crossed(up, self._medium.horizon)
-        return crossed[~met.flat[crossed]]
+    def _at_horizon(self) -> NDArray[np.int64]:
+        """Flat numbers of the pixels that the horizon crosses."""
+        return self.rays.crossed(self._up, self._medium.horizon)
 
     def _refine(
         self, image: NDArray[np.float32], pixels: NDArray[Any], unseen: NDArray[Any], edge_limit: float,

@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.learned.emissivity.mapping import load_map
 from thermorender.materials import library as material_tables
 from thermorender.materials.extended import within_band
 from thermorender.materials.material import Material, grey
 from thermorender.materials.mixture import parts_of
-from thermorender.scene.material_map import Picture, learned_materials
+from thermorender.scene.material_map import Picture, context_of, learned_materials, model_of
 from thermorender.scene.parts.patch import Patch
 from thermorender.scene.parts.read import Parts
 from thermorender.scene.parts.textures import areas, named, separate, stating, used_texels
@@ -113,7 +112,7 @@ def refuse_band(material: Material, band_um: tuple[float, float], where: str) ->
 
 def cover_of(
     parts: Parts, emissivity: EmissivitySpec, objects: tuple[ObjectSpec, ...], surfaces: tuple[SurfaceSpec, ...],
-    replaced: Replaced, painted: Sequence[Patch], band_um: tuple[float, float], where: str,
+    replaced: Replaced, painted: Sequence[Patch], band_um: tuple[float, float], where: str, no_snow: str = "",
 ) -> Cover:  # fmt: skip
     """Return the Cover of a scene.
 
@@ -132,6 +131,8 @@ def cover_of(
         The camera's band [µm].
     where : str
         Path of the scene file, for messages.
+    no_snow : str
+        Why no snow lies on the ground, for a learned map; "" if it may.
 
     Raises
     ------
@@ -142,9 +143,9 @@ def cover_of(
     materials = MaterialList(parts.library, replaced, band_um, where)
     report: dict[str, Any] = {}
     if parts.grid is None:
-        ground = _mesh_cover(parts, emissivity, surfaces, materials, report)
+        ground = _mesh_cover(parts, emissivity, surfaces, materials, report, no_snow)
     else:
-        ground = [_raster_cover(parts, parts.ground[0], emissivity, materials, report)]
+        ground = [_raster_cover(parts, parts.ground[0], emissivity, materials, report, no_snow)]
         ground = [_painted(ground[0], painted, materials, parts.colour is None)]
     numbers = tuple(materials.index(item.material, f"object {item.name!r}", OBJECT + item.name) for item in objects)
     for key in materials.unused:
@@ -162,7 +163,12 @@ def _key_words(key: int | str) -> str:
 
 
 def _raster_cover(
-    parts: Parts, surface: Surface, emissivity: EmissivitySpec, materials: MaterialList, report: dict[str, Any]
+    parts: Parts,
+    surface: Surface,
+    emissivity: EmissivitySpec,
+    materials: MaterialList,
+    report: dict[str, Any],
+    no_snow: str,
 ) -> Painted:
     shape, colour = surface.flags.shape, parts.colour
     valid, unknown = np.ones(shape, dtype=bool), np.zeros(shape, dtype=bool)
@@ -175,7 +181,10 @@ def _raster_cover(
                 "terrain.orthophoto"
             )
         filled = parts.colour if valid.all() else fill(parts.colour, nearest_valid(valid))
-        (material,), (unknown,) = _learned([Picture(filled, valid, surface.texel_m)], emissivity, materials, report)
+        assert parts.height is not None and parts.grid is not None
+        picture = Picture(filled, valid, surface.texel_m,
+                          context_of(emissivity, *parts.height, parts.grid, surface.texel_m))  # fmt: skip
+        (material,), (unknown,) = _learned([picture], emissivity, materials, report, no_snow)
     elif emissivity.source == "classes" and parts.classes is not None:
         material, known, unknown, share = _of_classes(
             parts.classes, valid, parts.on_ground, f"{emissivity.raster}", emissivity, materials
@@ -220,7 +229,7 @@ def _of_classes(
 
 def _mesh_cover(
     parts: Parts, emissivity: EmissivitySpec, surfaces: Sequence[SurfaceSpec], materials: MaterialList,
-    report: dict[str, Any],
+    report: dict[str, Any], no_snow: str,
 ) -> list[Painted]:  # fmt: skip
     """The Painted of each surface of a mesh: by an edit, its [[surface]], its class raster or [emissivity]."""
     textures, where = parts.textures, materials.where
@@ -269,13 +278,19 @@ def _mesh_cover(
         report.update(model="the class rasters", fallback=rest, share_unknown=share)
     waiting = [k for k, painted in enumerate(found) if painted is None]
     if waiting:
-        for k, painted in zip(waiting, _learned_mesh(parts, waiting, emissivity, materials, report), strict=True):
+        made = _learned_mesh(parts, waiting, emissivity, materials, report, no_snow)
+        for k, painted in zip(waiting, made, strict=True):
             found[k] = painted
     return [painted for painted in found if painted is not None]
 
 
 def _learned_mesh(
-    parts: Parts, numbers: Sequence[int], emissivity: EmissivitySpec, materials: MaterialList, report: dict[str, Any]
+    parts: Parts,
+    numbers: Sequence[int],
+    emissivity: EmissivitySpec,
+    materials: MaterialList,
+    report: dict[str, Any],
+    no_snow: str,
 ) -> list[Painted]:
     """The Painted of some surfaces by a learned map; those without a texture have the fallback."""
     pictured = [k for k in numbers if parts.textures[k].size and not separate(parts.ground[k])]
@@ -289,8 +304,10 @@ def _learned_mesh(
         surface = parts.ground[k]
         used = used_texels(surface)
         colour = surface.colour if used.all() else fill(surface.colour, nearest_valid(used))
-        pictures.append(Picture(colour, used, surface.texel_m))
-    number, unknown = _learned(pictures, emissivity, materials, report)
+        pictures.append(
+            Picture(colour, used, surface.texel_m, name=f"{materials.where}: the texture of surface {surface.name!r}")
+        )
+    number, unknown = _learned(pictures, emissivity, materials, report, no_snow)
     assert emissivity.fallback is not None
     rest = materials.index(emissivity.fallback, "emissivity.fallback")
     of = dict(zip(pictured, zip(number, unknown, strict=True), strict=True))
@@ -318,15 +335,22 @@ def _painted(own: Painted, painted: Sequence[Patch], materials: MaterialList, co
 
 
 def _learned(
-    pictures: Sequence[Picture], emissivity: EmissivitySpec, materials: MaterialList, report: dict[str, Any]
+    pictures: Sequence[Picture],
+    emissivity: EmissivitySpec,
+    materials: MaterialList,
+    report: dict[str, Any],
+    no_snow: str,
 ) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.bool_]]]:
     """(material numbers, whether they are unknown) of the texels of pictures by their colour, (h, w) each."""
-    assert emissivity.model is not None  # the scene file's reader asks for it
-    names = {*load_map(emissivity.model).without(emissivity.without).materials, emissivity.fallback}
+    model, _ = model_of(emissivity, materials.library, materials.where, no_snow)
+    names = {*model.materials, emissivity.fallback}
+    for each in pictures:
+        if each.context and each.context.known:
+            names |= {*each.context.known.beyond(model.materials)}
     own = {str(name): material for name, material in materials.replaced.items() if name in names}
     materials.unused -= set(own)
     numbers, used, unknown, found = learned_materials(
-        emissivity, {**materials.library, **own}, pictures, materials.band_um, materials.where
+        emissivity, {**materials.library, **own}, pictures, materials.band_um, materials.where, no_snow
     )
     report.update(found)
     lookup = np.array([materials.add(material) for material in used], dtype=np.uint8)

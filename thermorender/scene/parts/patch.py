@@ -1,13 +1,13 @@
 """Areas of the terrain whose material an edit names: polygons of a map or of the local frame, on the texels."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender import formats
 from thermorender.errors import ThermorenderError, shortened
@@ -84,18 +84,90 @@ def areas(given: Any, place: Place, ground: Ground) -> list[tuple[Any, str | Non
     return found
 
 
-def texels_in(geometry: Any, grid: Grid, name: str) -> NDArray[np.bool_]:
-    """Return which texels have their middle in a geometry, (h, w); refuse one that has none."""
+def pixels_of(corners: Any, crs: Any, grid: Grid, where: str) -> NDArray[np.float64]:
+    """Return corners in a CRS as (column, row) of a grid, (N, 2).
+
+    Raises
+    ------
+    ThermorenderError
+        They are not coordinates of that CRS; the message begins with `where`.
+    """
+    from rasterio.warp import transform
+
+    try:
+        x, y = np.array([corner[:2] for corner in corners], np.float64).T
+        if crs.is_geographic and not ((np.abs(x) <= 360.0) & (np.abs(y) <= 90.0)).all():
+            raise ValueError
+        found = np.column_stack(grid.to_pixel(*map(np.array, transform(crs, grid.crs, x, y))))
+        if not np.isfinite(found).all():
+            raise ValueError
+    except Exception:  # GDAL's errors share no public base class
+        raise ThermorenderError(
+            f"{where} has corners that are not coordinates of {crs.to_string()}; give GeoJSON in longitude and "
+            "latitude, or name its CRS in a 'crs' member"
+        ) from None
+    return found
+
+
+def part_of(grid: Grid, low: ArrayLike, high: ArrayLike) -> tuple[slice, slice]:
+    """Return the rows and columns of a grid within (column, row) limits; they are empty outside of it."""
+    size = (grid.width, grid.height)
+    left, top = np.clip(np.floor(low), 0, size).astype(int)
+    right, bottom = np.clip(np.ceil(high), 0, size).astype(int)
+    return slice(int(top), int(bottom)), slice(int(left), int(right))
+
+
+def texels_of(geometry: Any, crs: Any, grid: Grid, where: str) -> tuple[tuple[slice, slice], NDArray[np.bool_]]:
+    """Return (part of a grid, which of its texels have their middle in a polygon); the part is empty outside of it.
+
+    Raises
+    ------
+    ThermorenderError
+        It is not a polygon, or not in the CRS; the message begins with `where`.
+    """
+    try:
+        polygons = [geometry["coordinates"]] if geometry["type"] == "Polygon" else list(geometry["coordinates"])
+        rings = [[pixels_of(ring, crs, grid, where) for ring in polygon] for polygon in polygons]
+        outer = np.concatenate([polygon[0] for polygon in rings])
+    except ThermorenderError:
+        raise
+    except (KeyError, IndexError, TypeError, ValueError):
+        raise ThermorenderError(f"{where} is not a polygon with corners; export polygons from a GIS") from None
+    part = part_of(grid, outer.min(axis=0), outer.max(axis=0))
+    return part, burnt(rings, part)
+
+
+def burnt(polygons: Sequence[Any], part: tuple[slice, slice]) -> NDArray[np.bool_]:
+    """Return which texels of a part of a grid have their middle in polygons, each a ring (N, 2) or rings with holes.
+
+    Rings are (column, row) of the grid.
+    """
+    from rasterio import Affine
     from rasterio.features import rasterize
 
-    # rasterize only warns if no shape touches the raster.
-    burnt = rasterize([(geometry, 1)], out_shape=(grid.height, grid.width), transform=grid.transform, dtype="uint8")
-    if not burnt.any():
+    rows, columns = (each.stop - each.start for each in part)
+    if not min(rows, columns) > 0:
+        return np.zeros((0, 0), bool)
+    shapes = [
+        {"type": "Polygon", "coordinates": [ring.tolist() for ring in ([one] if isinstance(one, np.ndarray) else one)]}
+        for one in polygons
+    ]
+    corner = Affine.translation(part[1].start, part[0].start)
+    return np.asarray(rasterize(shapes, out_shape=(rows, columns), transform=corner, dtype="uint8") > 0)
+
+
+def texels_in(geometry: Any, grid: Grid, name: str) -> NDArray[np.bool_]:
+    """Return which texels have their middle in a geometry in the grid's CRS, (h, w); refuse one that has none."""
+    burnt = np.zeros((grid.height, grid.width), bool)
+    part, inside = texels_of(geometry, grid.crs, grid, name)
+    if inside.any():
+        burnt[part] = inside
+    else:
         raise ThermorenderError(
             f"{name} covers no texel of {grid.name}; draw it on the terrain, not smaller than a texel, and in GeoJSON "
             "as longitude and latitude unless a 'crs' member names another CRS"
         )
-    return np.asarray(burnt > 0)
+    return burnt
 
 
 def _of_corners(given: Any, place: Place, ground: Ground) -> dict[str, Any]:

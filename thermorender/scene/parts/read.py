@@ -47,6 +47,8 @@ class Parts:
     library : dict of str to Material
     textures : tuple of Texture
         One per surface of a mesh; empty for a raster terrain.
+    height : ((h, w) float64 [m], Grid) or None
+        The elevation raster beside an orthophoto.
     """
 
     frame: LocalFrame | None
@@ -60,6 +62,7 @@ class Parts:
     objects: tuple[TrackedObject, ...]
     library: Mapping[str, Material]
     textures: tuple[Texture, ...] = ()
+    height: tuple[NDArray[np.float64], Grid] | None = None
 
 
 def read_parts(spec: SceneSpec, where: str) -> Parts:
@@ -117,7 +120,8 @@ def _raster_terrain(spec: SceneSpec, where: str, library: Mapping[str, Material]
     surface = _surface("terrain", vertices, faces, uv, shape, terrain.texel_size_m(texels, frame))
     filled = None if made is None else onto(made.astype(np.float32), grid, texels, "max") == 1.0
     on_ground = _on_ground(height, grid, texels)
-    return Parts(frame, texels, (surface,), colour, valid, classes, filled, on_ground, (), library)
+    kept = (height, grid) if source.orthophoto else None
+    return Parts(frame, texels, (surface,), colour, valid, classes, filled, on_ground, (), library, height=kept)
 
 
 def _on_ground(height: NDArray[np.float64], grid: Grid, texels: Grid) -> NDArray[np.bool_] | None:

@@ -23,6 +23,7 @@ from thermorender.scene.parts.tracks import TrackedObject
 from thermorender.scene.spec import WEATHER, TemperatureSpec
 from thermorender.scene.state.albedo import shares, with_albedo
 from thermorender.scene.state.declared import Declared
+from thermorender.scene.state.own_weather import no_snow_of, weather_of
 from thermorender.scene.surface import FALLBACK, UNMOVED, Surface, fill, nearest_valid, scene_kelvin
 from thermorender.scene.temperature import Texels, map_error_k, resolve, trained
 from thermorender.scene.temperature_state import Balance, Conditional, Known, Moved, Pending, TemperatureState
@@ -47,6 +48,8 @@ class Derived:
         The terrain's first, then those of objects without a track.
     tracked_objects : tuple of TrackedObject
     temperature_state : Known or Pending
+    no_snow : str
+        Why a learned emissivity map found no snow; "" if it may.
     """
 
     shape: Shape
@@ -56,6 +59,7 @@ class Derived:
     tracked_objects: tuple[TrackedObject, ...]
     temperature_state: TemperatureState
     weather: "Weather | None" = None
+    no_snow: str = ""
 
 
 def derived(parts: Parts | None, now: Declared, old: tuple[Declared, Derived] | None = None) -> Derived:
@@ -76,10 +80,18 @@ def derived(parts: Parts | None, now: Declared, old: tuple[Declared, Derived] | 
     """
     before, had = old or (None, None)
     shape = had.shape if had and before and _shape_key(before) == _shape_key(now) else _shape(parts, now)
-    if had and before and _cover_key(before) == _cover_key(now) and not _to_extend(had.cover, parts, before, now):
-        cover = had.cover
+    same = had and before and _weather_key(before, had.shape) == _weather_key(now, shape)
+    # The cover of surfaces made in memory stays.
+    no_snow = had.no_snow if had and parts is None else no_snow_of(now, shape, had.weather if had and same else None)
+    if (
+        had
+        and before
+        and _cover_key(before, had.no_snow) == _cover_key(now, no_snow)
+        and not _to_extend(had.cover, parts, before, now)
+    ):
+        cover, no_snow = had.cover, had.no_snow
     else:
-        cover = _cover(parts, now)
+        cover = _cover(parts, now, no_snow)
     if before and before.camera.band_um != now.camera.band_um:
         for material in cover.materials:
             refuse_band(material, now.camera.band_um, now.where)
@@ -89,10 +101,10 @@ def derived(parts: Parts | None, now: Declared, old: tuple[Declared, Derived] | 
         air.refuse_above_clouds(f"{now.where}: the highest surface", altitude_m)
     if parts is None and before and _objects_key(before) != _objects_key(now):
         raise _in_memory(now, "an object")
-    made = Derived(shape, cover, air, (), (), Known(), weather)
+    made = Derived(shape, cover, air, (), (), Known(), weather, no_snow)
     if had and before and _temperature_key(before, had) == _temperature_key(now, made):
         if cover is had.cover and shape is had.shape and _objects_key(before) == _objects_key(now):
-            return replace(had, air=air, weather=weather)
+            return replace(had, air=air, weather=weather, no_snow=no_snow)
         ground = had.surfaces[: len(shape.ground)]
         kelvin = [surface.temperature for surface in ground]
         flags = [surface.flags & np.uint8(FALLBACK | UNMOVED) for surface in ground]
@@ -157,11 +169,11 @@ def _shape_key(of: Declared) -> tuple[Any, ...]:
     return tuple((item.position, item.yaw_deg) for item in of.spec.objects), of.held
 
 
-def _cover_key(of: Declared) -> tuple[Any, ...]:
+def _cover_key(of: Declared, no_snow: str) -> tuple[Any, ...]:
     band = of.camera.band_um if of.spec.emissivity.source == "learned" else None
     covered = tuple((one.name, one.material, one.classes) for one in of.spec.surfaces)
     objects = tuple(item.material for item in of.spec.objects)
-    return of.spec.emissivity, objects, covered, of.replaced, of.painted, band, _albedo(of)
+    return of.spec.emissivity, objects, covered, of.replaced, of.painted, band, _albedo(of), bool(no_snow)
 
 
 def _albedo(of: Declared) -> float | None:
@@ -235,12 +247,14 @@ def _shape(parts: Parts | None, now: Declared) -> Shape:
     return shape_of(parts, now.spec.objects, now.held, now.where)
 
 
-def _cover(parts: Parts | None, now: Declared) -> Cover:
+def _cover(parts: Parts | None, now: Declared, no_snow: str) -> Cover:
     band = now.camera.band_um
     if parts is None:
         raise _in_memory(now, "its materials")
     spec, albedo = now.spec, _albedo(now)
-    cover = cover_of(parts, spec.emissivity, spec.objects, spec.surfaces, now.replaced, now.painted, band, now.where)
+    cover = cover_of(
+        parts, spec.emissivity, spec.objects, spec.surfaces, now.replaced, now.painted, band, now.where, no_snow
+    )
     if albedo is None:
         return cover
     share = shares(parts.ground, cover.ground, len(cover.materials), spec.terrain.mesh is not None)
@@ -252,28 +266,6 @@ def _in_memory(now: Declared, what: str) -> ThermorenderError:
         f"{now.where}: {what} cannot be edited, because its surfaces were made in memory; edit the scene before "
         "with_surfaces, or give with_surfaces other ones"
     )
-
-
-def weather_of(now: Declared, shape: Shape) -> "Weather":
-    """Return the Weather that a scene declares, at its own place."""
-    if now.spec.weather is None or now.time is None:
-        raise ThermorenderError(f"{now.where} has no [weather]; add it")
-    if now.weather is not None:
-        given: Weather = now.weather
-        return given
-    if shape.frame is None:
-        raise ThermorenderError(
-            f"{now.where}: [weather] needs a place, which a mesh does not have; add [frame] with latitude_deg, "
-            "longitude_deg and height_m"
-        )
-    from thermorender.weather.declared import declared_weather
-
-    try:
-        return declared_weather(
-            now.spec.weather, shape.frame.latitude_deg, shape.frame.longitude_deg, now.height_m(shape.frame)
-        )
-    except ThermorenderError as error:
-        raise ThermorenderError(f"{now.where}: {error}") from None
 
 
 def air_of(weather: "Weather", time: Any, **keys: Any) -> Atmosphere:

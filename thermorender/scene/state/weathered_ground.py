@@ -41,7 +41,7 @@ class _Days(NamedTuple):
 def lying_snow(materials: Iterable[Material], weather: Weather, at: np.datetime64) -> float:
     """Return the depth of snow that covers low ground at an instant [m]; 0 where a material is snow and says where."""
     depth = float(weather.at(at).snow_m)
-    return depth if depth >= COVERS_M and not any(map(_is_snow, materials)) else 0.0
+    return depth if depth >= COVERS_M and not any(map(is_snow, materials)) else 0.0
 
 
 def in_weather(
@@ -73,7 +73,8 @@ def in_weather(
     return found
 
 
-def _is_snow(material: Material) -> bool:
+def is_snow(material: Material) -> bool:
+    """Return whether a material, or a part of a mixture, is snow or ice."""
     return any(part.thermal is not None and part.thermal.cover == "snow" for part, _ in parts_of(material))
 
 

@@ -1,0 +1,60 @@
+"""Access to a server: a token in a file that only its owner can read."""
+
+import os
+import re
+import secrets
+from os import PathLike
+from pathlib import Path
+
+from thermorender.cache import cache_folder
+from thermorender.errors import ThermorenderError
+from thermorender.link.wire import TOKEN_BYTES
+
+
+def token_file(port: int) -> Path:
+    """Return where the server of a port keeps its token, unless it is given another file."""
+    return cache_folder("link") / f"{port}.token"
+
+
+def new_token(path: str | PathLike[str]) -> str:
+    """Return a new token, written to a file of mode 0600.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+    """
+    path, token = Path(path), secrets.token_hex(TOKEN_BYTES // 2)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    part.unlink(missing_ok=True)
+    # Created with its final mode, so that no other user can open it in between.
+    with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
+        file.write(token + "\n")
+    os.replace(part, path)
+    return token
+
+
+def read_token(path: str | PathLike[str]) -> str:
+    """Return the token of a file.
+
+    Raises
+    ------
+    ThermorenderError
+        The file does not exist, cannot be read, or holds something else.
+    """
+    try:
+        text = Path(path).read_bytes()[: TOKEN_BYTES + 2].decode("ascii", "replace").strip()
+    except OSError as error:
+        raise ThermorenderError(
+            f"token file {path} cannot be read ({error.strerror}); start `thermorender serve SCENE`, or give the file "
+            "that the server printed"
+        ) from None
+    return checked_token(text, f"token file {path}")
+
+
+def checked_token(text: str, where: str = "token") -> str:
+    """Return a token; raise unless it has the form of one."""
+    if not re.fullmatch(rf"[0-9a-f]{{{TOKEN_BYTES}}}", text):
+        raise ThermorenderError(f"{where} does not hold {TOKEN_BYTES} hexadecimal digits; copy the server's token file")
+    return text

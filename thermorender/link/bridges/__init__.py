@@ -1,0 +1,1 @@
+"""Bridges: the frames of a server in the words of other programs. Each is off unless it is asked for."""

@@ -1,0 +1,1 @@
+"""Closed loops: what vehicles miss that steer by rendered, translated and mapped frames."""

@@ -1,0 +1,1 @@
+"""What the link costs: latency and frames per second beside the bare render."""
