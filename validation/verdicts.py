@@ -200,6 +200,8 @@ STUDIES = (
           ("heights/heights.png",), continues=True),
     Study("growth", "validation.growth", "Cost against size", "growth/growth.json", ("growth/growth.png",),
           continues=True),
+    Study("cluster", "validation.cluster", "Flights over many workers", "cluster/cluster.json",
+          ("cluster/cluster.png",), runs=False),
     Study("maps", "validation.maps", "Learned maps on land, hours and weathers not trained on", "maps/maps.json",
           ("maps/*.png",)),
     Study("leaks", "validation.leaks", "Training pictures found in other pictures", "leaks/leaks.json", runs=False),

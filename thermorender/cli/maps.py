@@ -8,6 +8,7 @@ import typer
 
 from thermorender import defaults, files
 from thermorender.cli.camera import parse_scale
+from thermorender.cli.cluster import Cluster
 from thermorender.cli.terminal import named, output_option, progress, split, table, warn
 from thermorender.errors import ThermorenderError
 from thermorender.learned.networks.recipes import RECIPES
@@ -151,14 +152,26 @@ def dataset(
     turn: Annotated[
         str, typer.Option(help="K,N: of N processes on one folder, this one takes every N-th world from number K on.")
     ] = "0,1",
+    cluster: Cluster = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a stopped data set.")] = False,
 ) -> None:
     """Render pairs of visible and thermal pictures of procedural lands, with their truth."""
     from thermorender.campaign.rendered import render_campaign, worlds
 
     of = worlds(train, validation, test, seed, split(kinds))
+    if cluster and turn != "0,1":
+        raise ThermorenderError("--turn and --cluster both divide the data set; give one of them")
     with progress() as report:
-        made = render_campaign(output, of, hours, views, resume=resume, progress=report, turn=_turn(turn))
+        if cluster:
+            from thermorender.cluster.connect import parse_cluster
+            from thermorender.cluster.dataset import render_campaign_by
+
+            made = render_campaign_by(
+                output, of, hours, views, parse_cluster(cluster), resume=resume, progress=report,
+                report=lambda line: typer.echo(line, err=True),
+            )  # fmt: skip
+        else:
+            made = render_campaign(output, of, hours, views, resume=resume, progress=report, turn=_turn(turn))
     counted = ", ".join(f"{len(made.of(part))} {part}" for part in ("train", "validation", "test"))
     typer.echo(f"{len(made)} pairs ({counted}) in {output}")
 

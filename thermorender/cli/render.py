@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from thermorender import defaults, files, formats
+from thermorender.cli.cluster import ClusterOptions
 from thermorender.cli.options import (
     Air,
     Device,
@@ -158,6 +159,7 @@ def fly(
     verify: Annotated[
         bool, typer.Option("--verify", help="Continue from the first frame whose files differ from those written.")
     ] = False,
+    cluster: ClusterOptions,
     seed: Seed = 0,
     sampling: SamplingOptions,
     device: Device = "auto",
@@ -173,6 +175,7 @@ def fly(
         raise ThermorenderError("-o is missing; give the folder for the flight, or --preview to see what it will show")
     if preview and (resume or verify):
         raise ThermorenderError("--preview writes no frames; leave --resume and --verify out")
+    cluster.refuse_with(preview, resume or verify)
     settings = parse_thermography(thermography)
     options = FlightOptions(
         rate_hz=rate_hz, start_s=log.start_s, stop_s=log.stop_s, display=look.settings(agc_memory_s),
@@ -187,10 +190,17 @@ def fly(
             for written in foresee(renderer, path, options, output, _print_outlook):
                 typer.echo(str(written))
             return
-        summary = run(
-            renderer, path, output, options, resume=resume, verify=verify, heat_progress=report, outlook=_print_outlook,
-            progress=lambda done, total: report(f"frame {done} of {total}", done / total),
-        )  # fmt: skip
+        if cluster.frames:
+            typer.echo(cluster.part(renderer, path, output, options))
+            return
+        if cluster.cluster:
+            summary = cluster.run(renderer, path, output, options, report, resume=resume, verify=verify)
+        else:
+            summary = run(
+                renderer, path, output, options, resume=resume, verify=verify, heat_progress=report,
+                outlook=_print_outlook,
+                progress=lambda done, total: report(f"frame {done} of {total}", done / total),
+            )  # fmt: skip
     print_cache_note(renderer)
     typer.echo(f"{summary['frames']} frames, {summary['rendered']} rendered now, in {summary['folder']}")
     if "report" in options.products:

@@ -25,6 +25,7 @@ from thermorender.frame import Frame
 from thermorender.frame.exr import check_compression
 from thermorender.frame.record import record
 from thermorender.output import products as product_files
+from thermorender.output.blocks import gaps, remove_blocks, state_before
 from thermorender.output.flight_pages.cost import MEASURED, Cost
 from thermorender.output.flight_pages.flight_figures import SHEET, thumbnail
 from thermorender.output.flight_pages.flight_page import Pictured, write_page
@@ -34,7 +35,7 @@ from thermorender.output.frame_files import Prepared, prepare, put_in_place
 from thermorender.output.mcap import check_mcap, write_mcap
 from thermorender.output.photograph import photograph
 from thermorender.output.record import made_by, weather_of
-from thermorender.output.resume import finished, load_state, refuse_moved, remove_state, state_file
+from thermorender.output.resume import finished, refuse_moved, remove_state, state_file
 from thermorender.output.video import VideoWriter
 from thermorender.output.writer import WORKERS, OrderedWriter
 from thermorender.progress import interactive
@@ -142,7 +143,7 @@ def fly(
         its clouds.
     """
     with phase("outlook and settings"):
-        flight = _Flight(renderer, trajectory, options, heat_progress)
+        flight = Flight(renderer, trajectory, options, heat_progress)
     with files.output_folder(folder) as out, files.in_use(out):
         with _bar(progress) as report:
             done = flight.write(out, resume or verify, verify, report, outlook)
@@ -163,7 +164,7 @@ def measured(
     renderer: "Renderer", trajectory: Trajectory, options: FlightOptions, folder: Path, prospect: Prospect | None = None
 ) -> Cost:
     """Return the Cost of a flight from its first frames, which are written into an empty folder."""
-    flight = _Flight(renderer, trajectory, options, None, prospect)
+    flight = Flight(renderer, trajectory, options, None, prospect)
     flight.write_frames(folder, range(min(MEASURED, len(flight.times))))
     return flight.cost(folder, len(flight.times))
 
@@ -178,7 +179,7 @@ def _bar(given: Callable[[int, int], object] | None) -> Iterator[Callable[[int, 
         yield None if report is None else lambda done, total: report(f"frame {done} of {total}", done / total)
 
 
-class _Flight:
+class Flight:
     """A flight while it is rendered: frames in order, each with the sensor's state after the one before.
 
     Attributes
@@ -190,6 +191,8 @@ class _Flight:
         Of `flight.json`; a flight is continued with the same.
     terrain : list of bool
         Whether each finished frame shows terrain.
+    agc : array or None
+        State of the display's gain control after the frame before.
     """
 
     def __init__(
@@ -216,7 +219,7 @@ class _Flight:
         self.pictured: dict[int, Pictured] = {}
         # Of the frames written now: seconds, and {product: bytes}.
         self._spent: list[tuple[float, dict[str, int]]] = []
-        self._agc: _Memory = None
+        self.agc: _Memory = None
         # Frames in the video; name of the frames in a profile.
         self._encoded, self._kind = 0, "first frame"
 
@@ -251,6 +254,11 @@ class _Flight:
         """The content of `flight.json`: settings, and what the flight was expected to show."""
         return self.settings | {"prospect": self.prospect.as_dict()}
 
+    @property
+    def remembers_display(self) -> bool:
+        """Whether the display images depend on the frames before."""
+        return self.display.memory_s > 0.0 and "display" in self.products
+
     def write(
         self, folder: Path, resume: bool, verify: bool, progress: Callable[[int, int], object] | None,
         outlook: Callable[[Prospect | Cost], object] | None,
@@ -260,13 +268,14 @@ class _Flight:
         done, total, place = len(self.terrain), len(self.times), os.stat(folder)
         if outlook and done < total:
             outlook(self.prospect)
-        self._agc = self._restored(folder, done) if 0 < done < total else None
         video = VideoWriter(folder / "flight.mp4", self.flown.rate_hz) if "video" in self.products else None
         with video or nullcontext():
-            self.write_frames(folder, range(done, total), progress, outlook, video)
+            for frames in gaps(self, folder, verify):
+                self.write_frames(folder, frames, progress, outlook, video)
             refuse_moved(folder, place)
             remove_state(folder)
-            if video and done == total:
+            remove_blocks(self, folder)
+            if video:
                 self._encode(video, folder, total)
         if "mcap" in self.products:
             self._mcap(folder, total)
@@ -346,7 +355,7 @@ class _Flight:
 
     def _job(self, folder: Path, index: int, place: os.stat_result) -> Callable[[], Prepared]:
         """Render a frame; return the rest of the work on it, which needs no renderer and may run in another thread."""
-        frame, self._agc, image = self._take(index, self._agc)
+        frame, self.agc, image = self._take(index, self.agc)
         refuse_moved(folder, place)
         encoders = product_files.encoders(
             frame, self.products, image, self.thermography,
@@ -356,7 +365,7 @@ class _Flight:
         line["shows_terrain"] = _shows_terrain(self.renderer.scene, frame)
         if index in self.sheet:
             self._picture(frame)
-        state = self.flown.exposure.state() | ({} if self._agc is None else {"agc": self._agc})
+        state = self.flown.exposure.state() | ({} if self.agc is None else {"agc": self.agc})
         paths, radiance = self._paths(folder, index), frame.radiance
         return partial(
             prepare, folder, place, lambda: line | {"apparent_k": _apparent_k(radiance, frame.kelvin_of)},
@@ -382,17 +391,16 @@ class _Flight:
         with phase(f"{self._kind}: display"):
             return frame, *self.display.image(frame.counts, agc, 1.0 / self.flown.rate_hz)
 
-    def _restored(self, folder: Path, done: int) -> _Memory:
-        """Restore the sensor's state after `done` frames, or render them again; return the display's state."""
-        arrays = load_state(folder, done - 1)
+    def restore(self, folder: Path, done: int) -> None:
+        """Restore the state of sensor and display after `done` frames, or render them again."""
+        arrays, self.agc = state_before(folder, done, self.remembers_display), None
         if arrays is not None:
-            agc = arrays.pop("agc", None)
+            self.agc = arrays.pop("agc", None)
             self.flown.exposure.restore(arrays)
-            return agc
-        agc = None
+            return
+        self.flown.start(0)
         for index in range(done):
-            _, agc, _ = self._take(index, agc)
-        return agc
+            _, self.agc, _ = self._take(index, self.agc)
 
 
 def _shows_terrain(scene: Scene, frame: Frame) -> bool:

@@ -40,7 +40,7 @@ def finished(folder: Path, settings: dict[str, Any], products: Sequence[str], re
     """
     described, lines = folder / "flight.json", folder / "frames.jsonl"
     if not resume:
-        _refuse_used(folder)
+        refuse_used(folder)
         return []
     files.remove_parts(folder)
     if not described.exists():
@@ -49,7 +49,7 @@ def finished(folder: Path, settings: dict[str, Any], products: Sequence[str], re
                 f"{described} is missing beside frames.jsonl; start the flight again in another folder"
             )
         return []
-    _refuse_other_settings(described, settings)
+    refuse_other_settings(described, settings)
     kept, terrain = [], []
     text = lines.read_text(encoding="utf-8", errors="replace") if lines.exists() else ""
     for number, line in enumerate(text.splitlines()):
@@ -57,7 +57,7 @@ def finished(folder: Path, settings: dict[str, Any], products: Sequence[str], re
             stored = formats.unsealed(json.loads(line))
             index, shows, known, _ = (stored[key] for key in ("index", "shows_terrain", "files", "apparent_k"))
             images = product_files.paths(folder, number, products).values()
-            if index != number or not all(_whole(path, known[path.name], verify) for path in images):
+            if index != number or not all(whole(path, known[path.name], verify) for path in images):
                 break
         except (ValueError, KeyError, TypeError):
             break
@@ -67,7 +67,8 @@ def finished(folder: Path, settings: dict[str, Any], products: Sequence[str], re
     return terrain
 
 
-def _refuse_used(folder: Path) -> None:
+def refuse_used(folder: Path) -> None:
+    """Raise ThermorenderError for a folder that holds a flight or other frames."""
     if (folder / "flight.json").exists() or (folder / "frames.jsonl").exists():
         raise ThermorenderError(
             f"{folder} already holds a flight; give another folder, or --resume to continue that one"
@@ -79,7 +80,8 @@ def _refuse_used(folder: Path) -> None:
         )
 
 
-def _refuse_other_settings(described: Path, settings: dict[str, Any]) -> None:
+def refuse_other_settings(described: Path, settings: dict[str, Any]) -> None:
+    """Raise ThermorenderError if a `flight.json` is damaged or has other settings."""
     try:
         before = json.loads(described.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -98,8 +100,8 @@ def _refuse_other_settings(described: Path, settings: dict[str, Any]) -> None:
             )
 
 
-def _whole(path: Path, known: tuple[int, str], verify: bool) -> bool:
-    """Whether a file has the size, and if asked for the checksum, of its frame's record."""
+def whole(path: Path, known: tuple[int, str], verify: bool) -> bool:
+    """Return whether a file has the size, and if asked for the checksum, of its frame's record."""
     size, checksum = known
     return path.exists() and path.stat().st_size == size and (not verify or formats.checksum(path) == checksum)
 

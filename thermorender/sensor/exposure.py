@@ -231,7 +231,8 @@ class Exposure:
         if before is None:
             return 0.0
         passed = time_s + self._delays[-1] - before.time_s
-        return before.error_mk * float(response_weights(passed, self.sensor.camera.time_constant_s)[0])
+        # Rounded, so that a small rest is forgotten as the signal is.
+        return round(before.error_mk * float(response_weights(passed, self.sensor.camera.time_constant_s)[0]), 6)
 
     def _since(self, time_s: float, before: PixelState | None) -> float:
         """Earliest time whose power matters to a frame that follows the state `before` [s]."""

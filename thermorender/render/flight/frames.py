@@ -14,7 +14,8 @@ from thermorender.frame import Frame
 from thermorender.render.flight.timed import TimedRenderer
 from thermorender.scene.parts.tracks import TrackedObject
 from thermorender.scene.scene import Scene
-from thermorender.sensor.chain import sensor_of
+from thermorender.sensor.chain import in_sequence, sensor_of
+from thermorender.sensor.detector import forgotten_s, row_delays
 from thermorender.sensor.exposure import Exposure
 from thermorender.sensor.movers import Mover
 from thermorender.trajectory.path import Trajectory
@@ -69,6 +70,8 @@ class FlightFrames:
                 f"trajectory={shortened(repr(trajectory))} is not a Trajectory; give what load_trajectory returns"
             )
         self._renderer, self._trajectory = renderer, trajectory
+        # Those that another process makes the same frames of.
+        self.arguments = trajectory, rate_hz, start_s, stop_s, None, audit
         self.rate_hz = renderer.scene.camera.frame_rate_hz if rate_hz is None else float(rate_hz)
         self.times = trajectory.frame_times(self.rate_hz, start_s, stop_s)
         self.poses = trajectory.sampled(self.times).poses()
@@ -111,6 +114,30 @@ class FlightFrames:
         time_s = float(self.times[index])
         frame = self.timed.at(time_s).frame(self.poses[index], time_s=time_s, index=index)
         return replace(frame, time=self.timed.time(time_s))
+
+    def start(self, first: int) -> None:
+        """Bring the sensor to its state before a frame, through the radiance of the frames from `warm_up` on."""
+        self.exposure = self._exposure()
+        for index in range(self.warm_up(first), first):
+            time_s, unread = float(self.times[index]), np.empty((0, 0), np.float32)
+            radiance = unread if self._frozen(index) else self.timed.at(time_s).radiance(self.poses[index], time_s)
+            self.exposure.read(index, time_s, radiance)
+
+    def warm_up(self, first: int) -> int:
+        """Return the frame at which a sensor at rest starts to have, before a frame, its state of the flight.
+
+        The frames between last as long as pixels remember (`thermorender.sensor.detector.forgotten_s`). Frames that a
+        flat-field correction freezes do not count, since the frame before them is shown in their place.
+        """
+        camera = self._renderer.scene.camera
+        left = int(np.ceil((forgotten_s(camera) + np.ptp(row_delays(camera, 1.0 / self.rate_hz))) * self.rate_hz))
+        while first > 0 and left > 0:
+            first -= 1
+            left -= not self._frozen(first)
+        return first
+
+    def _frozen(self, index: int) -> bool:
+        return in_sequence(self._renderer.scene.camera, index, index * (1.0 / self.rate_hz)).frozen
 
     def _exposure(self) -> Exposure:
         """The sensor with its state from frame to frame."""
