@@ -198,6 +198,26 @@ def test_waiting_requests_are_bounded():
         settled(server)
 
 
+def test_requests_sent_behind_open_count_with_their_replies():
+    gate = threading.Event()
+    with serving(Stills(gate, size=(200, 200)), memory_bytes=3 << 20) as server:
+        own, products = raw(server), sum(IMAGES)
+        requests = [request(number, float(number), products=products) for number in range(7)]
+        own.sendall(b"".join([*message(Type.OPEN, 1, 2, [Open().packed()]), *requests]))
+        assert read(own)[0] == Type.OPENED
+        time.sleep(0.3)
+        # Each reply has 0.76 MB.
+        assert 2 << 20 < server.in_hand[2] <= 3 << 20
+        gate.set()
+        assert [read(own)[2] for _ in range(7)] == list(range(7))
+        # After an OPEN that fails, its requests are refused.
+        own.sendall(b"".join([*message(Type.OPEN, 2, 8, [Open("x").packed()]), request(9, 0.0, session=2)]))
+        errors = [read(own) for _ in range(2)]
+        assert [each[0] for each in errors] == [Type.ERROR] * 2 and b"session 2 is not open" in errors[1][3]
+        own.close()
+        settled(server)
+
+
 def test_limits_of_connections_and_sessions():
     with serving(connections=3, sessions=2) as server:
         with connected(server) as one, connected(server) as two:

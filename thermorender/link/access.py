@@ -55,6 +55,6 @@ def read_token(path: str | PathLike[str]) -> str:
 
 def checked_token(text: str, where: str = "token") -> str:
     """Return a token; raise unless it has the form of one."""
-    if not re.fullmatch(rf"[0-9a-f]{{{TOKEN_BYTES}}}", text):
+    if not isinstance(text, str) or not re.fullmatch(rf"[0-9a-f]{{{TOKEN_BYTES}}}", text):
         raise ThermorenderError(f"{where} does not hold {TOKEN_BYTES} hexadecimal digits; copy the server's token file")
     return text

@@ -188,7 +188,8 @@ class Request:
 
     def packed(self) -> list[Any]:
         """Return the payload as a list of buffers."""
-        height, width = (0, 0) if self.picture is None else self.picture.shape[:2]
+        height, width = (0, 0) if self.picture is None else _size(self.picture)
+        _refuse_counts(len(self.poses), len(self.objects), width, height)
         head = _REQUEST.pack(
             self.time_s, self.products, LATEST if self.latest else 0, len(self.poses), len(self.objects), width, height,
             self.texel_m,
@@ -210,15 +211,7 @@ class Request:
         if len(payload) < _REQUEST.size:
             raise ThermorenderError(f"REQUEST has {len(payload)} bytes; at least {_REQUEST.size} are needed")
         time_s, products, flags, poses, objects, width, height, texel = _REQUEST.unpack_from(payload)
-        if poses > MOST_POSES or objects > MOST_OBJECTS:
-            raise ThermorenderError(
-                f"REQUEST has {poses} poses and {objects} objects; up to {MOST_POSES} and {MOST_OBJECTS} are allowed"
-            )
-        if max(width, height) > MOST_SIDE or 3 * width * height > MOST_PICTURE_BYTES or (width == 0) != (height == 0):
-            raise ThermorenderError(
-                f"the picture of {width} × {height} pixels is not allowed; give none, or up to {MOST_SIDE} pixels a "
-                f"side and {MOST_PICTURE_BYTES >> 20} MiB"
-            )
+        _refuse_counts(poses, objects, width, height)
         start = _REQUEST.size
         middle = start + poses * POSE_BYTES
         end = middle + objects * _OBJECT.size
@@ -241,6 +234,30 @@ class Request:
         if width:
             picture = np.frombuffer(payload, np.uint8, 3 * width * height, end).reshape(height, width, 3)
         return cls(time_s, products, bool(flags & LATEST), samples.astype(np.float64), things, picture, texel)
+
+
+def _refuse_counts(poses: int, objects: int, width: int, height: int) -> None:
+    """Raise if a request has more than the protocol allows."""
+    if poses > MOST_POSES or objects > MOST_OBJECTS:
+        raise ThermorenderError(
+            f"REQUEST has {poses} poses and {objects} objects; up to {MOST_POSES} and {MOST_OBJECTS} are allowed"
+        )
+    if max(width, height) > MOST_SIDE or 3 * width * height > MOST_PICTURE_BYTES or (width == 0) != (height == 0):
+        raise ThermorenderError(
+            f"the picture of {width} × {height} pixels is not allowed; give none, or up to {MOST_SIDE} pixels a "
+            f"side and {MOST_PICTURE_BYTES >> 20} MiB"
+        )
+
+
+def _size(picture: NDArray[np.uint8]) -> tuple[int, int]:
+    """Height and width of a picture; raise if it is something else than sRGB of 8 bits."""
+    picture = np.asarray(picture)
+    if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
+        raise ThermorenderError(
+            f"picture of type {picture.dtype} and shape {picture.shape} is not sRGB of 8 bits; give uint8 of shape "
+            "(height, width, 3)"
+        )
+    return picture.shape[0], picture.shape[1]
 
 
 def _object(payload: bytes, start: int) -> tuple[str, float, dict[str, float]]:

@@ -125,8 +125,7 @@ class Server:
         with self._lock:
             if job.session.latest is job:
                 job.session.latest = None
-        if job.session.shown is None:
-            raise ThermorenderError(f"session {job.head.session} was not opened; send OPEN and wait for OPENED")
+        assert job.session.shown is not None
         payload = job.session.shown.answer(job.requests, job.arrived_s)
         self.answered += 1
         return message(Type.REPLY, job.head.session, job.head.id, payload)
@@ -234,10 +233,12 @@ class Server:
         client.deadline_s = self._loop.time() + self._limits.message_s
         head = head_of(first + await client.reader.readexactly(HEADER.size - 1))
         refuse_length(head)
-        session = client.sessions.get(head.session)
-        held = head.length + (session.reply_bytes if session else 0)
         # While the server makes the client wait, the client is not late.
         client.deadline_s = None
+        # The length of a session's replies is known once it is open.
+        while (session := client.sessions.get(head.session)) is not None and session.shown is None:
+            await client.made_room()
+        held = head.length + (session.reply_bytes if session else 0)
         while max(client.waiting, len(client.outbox)) >= self._limits.waiting:
             await client.made_room()
         while self._held and self._held + held > self._limits.memory_bytes:

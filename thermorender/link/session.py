@@ -101,6 +101,10 @@ class Session:
         request = requests[-1]
         if request.picture is not None:
             self._check_picture(request.picture)
+        elif request.texel_m:
+            raise ThermorenderError(
+                f"texel_m={request.texel_m:g} is that of a picture, and the request has none; leave it out, or give one"
+            )
         poses = np.concatenate([each.poses for each in requests])
         path = self._path(poses) if len(poses) else None
         objects = [each for one in requests for each in one.objects]
