@@ -1,6 +1,7 @@
 """The link: a session gives the bytes of `fly`, checks what arrives, and has its own sensor."""
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -290,7 +291,7 @@ def test_client_checks_before_it_sends(client):
         ({"products": ("heat",)}, "product 'heat' is unknown; give some of counts, temperature"),
         ({"pose": (1, 2, 3)}, r"a pose has 3 numbers; give a position \(3\) and a quaternion"),
         ({"objects": {"plate": {"speed": 1.0}}}, "object 'plate' has no 'speed' to set"),
-        ({"objects": {"p" * 65: {}}}, "up to 64 are allowed"),
+        ({"objects": {"p" * 65: {}}}, "name 'p*' has 65 bytes in UTF-8; the link takes up to 64: shorten it"),
         ({"objects": ["plate"]}, "the request cannot be sent"),
         ({"objects": {"plate": {"east_m": "x"}}}, "the request cannot be sent"),
         ({"pose": "abc"}, "the request cannot be sent"),
@@ -337,3 +338,9 @@ def test_pictures_that_are_too_fine_for_a_map_are_refused(client):
         session.frame(0.0, (0.0, 0.0, 14.0, 0.0, 0.0, 0.0), picture=picture, texel_m=1e-6)
     assert error.value.code == Code.REFUSED
     session.frame(0.0, (0.0, 0.0, 14.0, 0.0, 0.0, 0.0), picture=picture, texel_m=0.1)
+
+
+def test_names_that_the_link_cannot_carry_are_refused_at_the_start(renderer):
+    camera = replace(renderer.scene.camera, name="é" * 33)
+    with pytest.raises(ThermorenderError, match=r"name 'é*' has 66 bytes in UTF-8; the link takes up to 64: shorten"):
+        Stage(renderer, {camera.name: camera})

@@ -20,7 +20,18 @@ from numpy.typing import ArrayLike, NDArray
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.link.access import checked_token, read_token, token_file
 from thermorender.link.messages import Open, Opened, Reply, Request
-from thermorender.link.wire import DEFAULT_PORT, HEADER, Head, LinkError, Product, Type, error_of, head_of, message
+from thermorender.link.wire import (
+    DEFAULT_PORT,
+    HEADER,
+    Code,
+    Head,
+    LinkError,
+    Product,
+    Type,
+    error_of,
+    head_of,
+    message,
+)
 
 
 def connect(
@@ -52,10 +63,10 @@ def connect(
         try:
             text = read_token(token_path or token_file(port)) if token is None else checked_token(token)
             return _connected(host, port, text, timeout_s)
-        except LinkError:
-            raise
-        except ThermorenderError:
-            if time.monotonic() >= end:
+        except ThermorenderError as error:
+            # A server that has just started replaces the token of one that was killed.
+            refused = isinstance(error, LinkError) and (error.code != Code.ACCESS or token is not None)
+            if refused or time.monotonic() >= end:
                 raise
         time.sleep(0.1)
 
@@ -63,7 +74,7 @@ def connect(
 def _connected(host: str, port: int, token: str, timeout_s: float) -> "Client":
     try:
         connection = socket.create_connection((host, port), timeout_s)
-    except OSError as error:
+    except (OSError, OverflowError, UnicodeError) as error:
         raise ThermorenderError(
             f"{host} port {port} cannot be reached ({error}); start `thermorender serve SCENE`, or give the host and "
             "port that it printed"

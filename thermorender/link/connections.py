@@ -82,6 +82,8 @@ class Peer:
     waiting: int = 0
     # When the client must have done its next step; None if it need not do anything.
     deadline_s: float | None = None
+    # It has given the token.
+    greeted: bool = False
     closed: bool = False
     # A reply could not be sent.
     lost: bool = False

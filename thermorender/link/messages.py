@@ -77,9 +77,9 @@ class Open:
         """Return the payload."""
         flags = BELOW_GROUND if self.below_ground else 0
         return _OPEN.pack(
-            _name(self.camera), _name(self.map), self.method.encode("ascii"), _number(POSITIONS, self.position),
-            _number(ATTITUDES, self.attitude), flags, self.audit, self.seed, self.rate_hz, *self.mount_deg,
-            *self.lever_arm_m,
+            name_bytes(self.camera), name_bytes(self.map), self.method.encode("ascii"),
+            _number(POSITIONS, self.position), _number(ATTITUDES, self.attitude), flags, self.audit, self.seed,
+            self.rate_hz, *self.mount_deg, *self.lever_arm_m,
         )  # fmt: skip
 
     @classmethod
@@ -200,7 +200,7 @@ class Request:
             if odd:
                 raise ThermorenderError(f"object {name!r} has no {odd.pop()!r} to set; give {', '.join(COLUMNS)}")
             mask = sum(1 << COLUMNS.index(key) for key in values)
-            parts.append(_OBJECT.pack(_name(name), mask, 0, time_s, *(values.get(key, 0.0) for key in COLUMNS)))
+            parts.append(_OBJECT.pack(name_bytes(name), mask, 0, time_s, *(values.get(key, 0.0) for key in COLUMNS)))
         if self.picture is not None:
             parts.append(np.ascontiguousarray(self.picture, np.uint8).tobytes())
         return parts
@@ -384,7 +384,7 @@ def target_rows(targets: dict[str, dict[str, Any]]) -> NDArray[Any]:
     """Return `Frame.targets` as records; a position behind the camera is NaN."""
     rows = np.zeros(len(targets), TARGET)
     for row, (name, each) in zip(rows, targets.items(), strict=True):
-        row["name"], row["range_m"] = _name(name), each["range_m"]
+        row["name"], row["range_m"] = name_bytes(name), each["range_m"]
         row["column"], row["row"] = each["pixel"] or (np.nan, np.nan)
         row["in_view"], row["visible"] = each["in_view"], each["visible"]
     return rows
@@ -419,10 +419,13 @@ def text_of(data: bytes, what: str) -> str:
         raise ThermorenderError(f"{what} {data!r} is not UTF-8; give a name in UTF-8, filled up with zeros") from None
 
 
-def _name(text: str) -> bytes:
+def name_bytes(text: str) -> bytes:
+    """Return the bytes of a name; raise if they are too many."""
     data = text.encode("utf-8")
     if len(data) > NAME_BYTES:
-        raise ThermorenderError(f"name {text!r} has {len(data)} bytes in UTF-8; up to {NAME_BYTES} are allowed")
+        raise ThermorenderError(
+            f"name {text!r} has {len(data)} bytes in UTF-8; the link takes up to {NAME_BYTES}: shorten it"
+        )
     return data
 
 

@@ -67,12 +67,18 @@ class Server:
         self._lock = threading.Lock()
         self._clients: set[Peer] = set()
         self._sessions = self._held = self.answered = 0
+        if not host:
+            raise ThermorenderError(
+                "host is empty; give 0.0.0.0 for all addresses of this machine, or leave --host out"
+            )
         try:
+            host.encode("idna")  # of a name that cannot be one, an open socket would be left
             family = socket.AF_INET6 if ":" in host else socket.AF_INET
             self._socket = socket.create_server((host, port), family=family, backlog=256)
-        except OSError as error:
+        except (OSError, UnicodeError) as error:
+            why = str(getattr(error, "strerror", "not a name of a machine")).partition(" (")[0]
             raise ThermorenderError(
-                f"address {host} port {port} cannot be listened on ({str(error.strerror).partition(' (')[0]}); give an "
+                f"address {host} port {port} cannot be listened on ({why}); give an "
                 "address of this machine as --host, another --port, or stop the server that uses it"
             ) from None
         self.port = int(self._socket.getsockname()[1])
@@ -175,6 +181,12 @@ class Server:
             own.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             own.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
             own.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, self._limits.sent_bytes)
+        strangers = [each for each in self._clients if not each.greeted]
+        if len(self._clients) >= self._limits.connections and strangers:
+            # Who has no token cannot keep others out.
+            oldest = min(strangers, key=lambda each: each.deadline_s or 0.0)
+            oldest.writer.transport.abort()
+            self._forget(oldest)
         if len(self._clients) >= self._limits.connections:
             self._last(client, Code.BUSY, f"{self._limits.connections} connections are open; close one, or wait")
             return
@@ -224,7 +236,7 @@ class Server:
         given = await client.reader.readexactly(head.length)
         if not hmac.compare_digest(given, self.token.encode("ascii")):
             raise PermissionError("the token is wrong; give the one in the file that the server printed")
-        client.deadline_s = None
+        client.deadline_s, client.greeted = None, True
         self._reply(client, message(Type.WELCOME, 0, head.id, [self._welcome]))
 
     async def _message(self, client: Peer) -> None:
