@@ -15,6 +15,8 @@ from thermorender.errors import ThermorenderError
 from thermorender.frame.exr import read_exr
 from thermorender.learned.temperature_map import Inputs, load_model
 from thermorender.link import Code, LinkError
+from thermorender.link.messages import Open
+from thermorender.link.session import Session
 from thermorender.link.stage import Stage
 from thermorender.output.flight import FlightOptions, fly
 from thermorender.output.photograph import photograph
@@ -344,3 +346,24 @@ def test_names_that_the_link_cannot_carry_are_refused_at_the_start(renderer):
     camera = replace(renderer.scene.camera, name="é" * 33)
     with pytest.raises(ThermorenderError, match=r"name 'é*' has 66 bytes in UTF-8; the link takes up to 64: shorten"):
         Stage(renderer, {camera.name: camera})
+
+
+@pytest.mark.parametrize("position", ["enu", "wgs84"])
+def test_paths_are_those_of_logs_up_to_rounding(renderer, tmp_path, position):
+    """A difference of 10 nm changes counts of a few pixels."""
+    scene, mount, lever = renderer.scene, (10.0, -80.0, 3.0), (0.3, 0.1, -0.2)
+    draw = np.random.default_rng(4)
+    places = draw.uniform((-5.0, -5.0, 12.0), (5.0, 5.0, 20.0), (40, 3))
+    names = "east_m,north_m,up_m"
+    if position == "wgs84":
+        places, names = np.column_stack(scene.frame.geodetic_from_enu(places)), "lat_deg,lon_deg,alt_ellipsoid_m"
+    rows = np.column_stack([np.arange(40.0), places, draw.uniform(-40.0, 40.0, (40, 3)), np.zeros(40)])
+    lines = [",".join(map(repr, map(float, row[:7]))) for row in rows]
+    (tmp_path / "log.csv").write_text("\n".join([f"time_s,{names},yaw_deg,pitch_deg,roll_deg", *lines]))
+    wanted = tr.load_trajectory(tmp_path / "log.csv", scene, mount=mount, lever_arm_m=lever)
+    session = Session(Open("", "", "A", position, "angles", mount_deg=mount, lever_arm_m=lever), renderer)
+    for pieces in ([rows], np.split(rows, 40), np.split(rows, [3, 20])):
+        paths = [session._path(piece) for piece in pieces]
+        for name, most in (("time_s", 0.0), ("position", 1e-13), ("quaternion", 1e-15)):
+            found = np.concatenate([getattr(path, name) for path in paths])
+            np.testing.assert_allclose(found, getattr(wanted, name), rtol=0.0, atol=most)

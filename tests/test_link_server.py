@@ -330,6 +330,20 @@ def test_latest_pose_wins_and_none_of_the_path_is_lost():
         assert [client.receive().id for _ in range(4)] == [busy, numbers[1], numbers[2], numbers[4]]
 
 
+def test_closed_comes_after_the_replies_of_its_session():
+    gate = threading.Event()
+    with serving(Stills(gate)) as server:
+        own = opened(server)
+        own.sendall(request(3, 0.0) + request(4, 1.0, latest=True) + b"".join(message(Type.CLOSE, 1, 5)))
+        own.sendall(b"".join(message(Type.OPEN, 1, 6, [Open().packed()])) + request(7, 0.0))
+        time.sleep(0.2)
+        gate.set()
+        kinds = Type.REPLY, Type.REPLY, Type.CLOSED, Type.OPENED, Type.REPLY
+        assert [read(own)[:3:2] for _ in range(5)] == [(kind, 3 + k) for k, kind in enumerate(kinds)]
+        own.close()
+        settled(server)
+
+
 def test_replies_of_several_sessions_are_kept_apart():
     with serving() as server, connected(server) as client:
         one, two = client.open(seed=1), client.open(seed=2)

@@ -114,7 +114,7 @@ class Seat:
 
 @dataclass(eq=False)
 class Job:
-    """Work for the thread that renders."""
+    """Work for the thread that renders: an OPEN with its settings, a CLOSE, or requests for a frame."""
 
     client: Peer
     head: Head
@@ -124,3 +124,4 @@ class Job:
     samples: int = 0
     arrived_s: float = 0.0
     held: int = 0
+    closes: bool = False

@@ -113,6 +113,8 @@ class Server:
         try:
             if job.client.closed:
                 parts = None
+            elif job.closes:
+                parts = message(Type.CLOSED, head.session, head.id)
             elif job.settings is not None:
                 shown = self._stage.open(job.settings)
                 job.session.shown, job.session.reply_bytes = shown, shown.most_bytes
@@ -276,11 +278,12 @@ class Server:
             if head.type == Type.REQUEST:
                 return self._request(client, head, Request.unpacked(payload), held)
             if head.type == Type.CLOSE:
-                self._known(client, head)
+                seat = self._known(client, head)
                 del client.sessions[head.session]
                 self._sessions -= 1
-                self._reply(client, message(Type.CLOSED, head.session, head.id))
-                return False
+                # Behind the replies to the session's requests.
+                self._put(Job(client, head, seat, closes=True, held=held))
+                return True
             raise ThermorenderError("HELLO was already said; send OPEN, REQUEST or CLOSE")
         except _BusyError as error:
             self._reply(client, error_message(Code.BUSY, str(error), head.session, head.id))
