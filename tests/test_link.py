@@ -1,6 +1,7 @@
 """The link: a session gives the bytes of `fly`, checks what arrives, and has its own sensor."""
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -14,6 +15,8 @@ from thermorender.errors import ThermorenderError
 from thermorender.frame.exr import read_exr
 from thermorender.learned.temperature_map import Inputs, load_model
 from thermorender.link import Code, LinkError
+from thermorender.link.messages import Open
+from thermorender.link.session import Session
 from thermorender.link.stage import Stage
 from thermorender.output.flight import FlightOptions, fly
 from thermorender.output.photograph import photograph
@@ -243,6 +246,11 @@ HIGH = (0.0, 0.0, 12.0, *DOWN)
         ({"objects": {"plate": {"east_m": np.nan}}}, r"object 'plate': east_m=nan is not allowed"),
         ({"objects": {"plate": {"east_m": 900.0}}}, r"object 'plate' is at 900 m east, .* where there is no terrain"),
         ({"picture": np.zeros((2, 2, 3), np.uint8)}, r"the picture has no use in method A"),
+        ({"texel_m": 0.3}, r"texel_m=0.3 is that of a picture, and the request has none; leave it out, or give one"),
+        ({"time_s": 1.7e18}, r"time_s=1.7e\+18 is not a time; give seconds, at most 1e\+11 from 0"),
+        ({"path": [(2.0, *HIGH), (1e300, *HIGH)], "pose": None}, r"path: time_s=1e\+300 is not a time"),
+        ({"objects": [("plate", -1e12, {"yaw_deg": 1.0})]}, r"object 'plate': time_s=-1e\+12 is not a time"),
+        ({"pose": (0, 0, 1e308, *DOWN)}, r"\[0, 0, 1e\+308\] m is more than 100 km"),
     ],
 )
 def test_impossible_requests_are_refused_in_one_sentence(client, request_, sentence):
@@ -268,6 +276,8 @@ def test_impossible_requests_are_refused_in_one_sentence(client, request_, sente
         ({"method": "C", "map": "/etc/passwd"}, r"map '/etc/passwd' is not served"),
         ({"map": "fok-1to1"}, r"map 'fok-1to1' has no use in method A"),
         ({"rate_hz": -1.0}, r"rate_hz=-1.0"),
+        ({"rate_hz": 1e18}, r"rate_hz=1e\+18 is not allowed; give frames per second, 1e-06 to 1e\+06"),
+        ({"rate_hz": 1e-300}, r"rate_hz=1e-300 is not allowed"),
         ({"mount_deg": (0.0, 1.0, 0.0)}, r"mount and lever arm belong to attitudes of a vehicle"),
     ],
 )
@@ -283,9 +293,77 @@ def test_client_checks_before_it_sends(client):
         ({"products": ("heat",)}, "product 'heat' is unknown; give some of counts, temperature"),
         ({"pose": (1, 2, 3)}, r"a pose has 3 numbers; give a position \(3\) and a quaternion"),
         ({"objects": {"plate": {"speed": 1.0}}}, "object 'plate' has no 'speed' to set"),
-        ({"objects": {"p" * 65: {}}}, "up to 64 are allowed"),
+        ({"objects": {"p" * 65: {}}}, "name 'p*' has 65 bytes in UTF-8; the link takes up to 64: shorten it"),
+        ({"objects": ["plate"]}, "the request cannot be sent"),
+        ({"objects": {"plate": {"east_m": "x"}}}, "the request cannot be sent"),
+        ({"pose": "abc"}, "the request cannot be sent"),
+        ({"pose": None, "path": [(1, 2), (1,)]}, "the request cannot be sent"),
+        ({"time_s": None}, "the request cannot be sent"),
+        ({"products": None}, "the request cannot be sent"),
+        ({"pose": np.diag([2.0, -2.0, -2.0, 1.0])}, "rotation that is not orthonormal"),
+        ({"pose": np.diag([-1.0, -1.0, -1.0, 1.0])}, "rotation that is not orthonormal and right-handed"),
+        ({"pose": np.diag([1.0, -1.0, -1.0, 7.0])}, "give .4, 4. with last row 0 0 0 1"),
+        (
+            {"picture": np.full((64, 80, 3), 0.5)},
+            r"picture of type float64 and shape \(64, 80, 3\) is not sRGB of 8 bits",
+        ),
+        ({"picture": np.full((64, 80, 3), 300, np.int16)}, "give uint8 of shape"),
+        ({"picture": np.zeros((64, 80, 4), np.uint8)}, r"shape \(64, 80, 4\)"),
+        ({"picture": [[1, 2, 3]]}, r"shape \(1, 3\)"),
+        ({"picture": np.zeros((4000, 8000, 3), np.uint8)}, "the picture of 8000 × 4000 pixels is not allowed"),
     ):
-        with pytest.raises(ThermorenderError, match=sentence):
-            session.frame(0.0, **{"pose": HIGH} | request)
+        with pytest.raises(ThermorenderError, match=sentence) as error:
+            session.frame(**{"time_s": 0.0, "pose": HIGH} | request)
+        assert not isinstance(error.value, LinkError)
     with pytest.raises(ThermorenderError, match="settings cannot be sent"):
         client.open(seed=-1)
+
+
+@pytest.mark.parametrize("settings", [{"attitude": "body"}, {"attitude": "angles"}, {"position": "wgs84"}])
+def test_poses_of_a_camera_belong_to_sessions_of_a_camera(client, settings):
+    session = client.open(**settings)
+    matrix = tr.pose(0.0, 0.0, 14.0, pitch_deg=-90.0)
+    for pose in ({"pose": matrix}, {"path": tr.Trajectory([0.0], [[0.0, 0.0, 14.0]], [DOWN])}):
+        with pytest.raises(
+            ThermorenderError, match=r"holds a camera in east, north, up, .*; open one with enu and camera"
+        ):
+            session.frame(0.0, **pose)
+
+
+def test_pictures_that_are_too_fine_for_a_map_are_refused(client):
+    """The taps of a kernel would be thousands of pixels apart, as near the ground, and memory would end."""
+    session = client.open(method="B", map="fok-1to1", attitude="angles", mount_deg=(0.0, -90.0, 0.0))
+    picture = np.zeros((64, 80, 3), np.uint8)
+    with pytest.raises(
+        LinkError, match=r"1e-06 m a pixel is too fine for learned map 'fok-1to1'.*give at least"
+    ) as error:
+        session.frame(0.0, (0.0, 0.0, 14.0, 0.0, 0.0, 0.0), picture=picture, texel_m=1e-6)
+    assert error.value.code == Code.REFUSED
+    session.frame(0.0, (0.0, 0.0, 14.0, 0.0, 0.0, 0.0), picture=picture, texel_m=0.1)
+
+
+def test_names_that_the_link_cannot_carry_are_refused_at_the_start(renderer):
+    camera = replace(renderer.scene.camera, name="é" * 33)
+    with pytest.raises(ThermorenderError, match=r"name 'é*' has 66 bytes in UTF-8; the link takes up to 64: shorten"):
+        Stage(renderer, {camera.name: camera})
+
+
+@pytest.mark.parametrize("position", ["enu", "wgs84"])
+def test_paths_are_those_of_logs_up_to_rounding(renderer, tmp_path, position):
+    """A difference of 10 nm changes counts of a few pixels."""
+    scene, mount, lever = renderer.scene, (10.0, -80.0, 3.0), (0.3, 0.1, -0.2)
+    draw = np.random.default_rng(4)
+    places = draw.uniform((-5.0, -5.0, 12.0), (5.0, 5.0, 20.0), (40, 3))
+    names = "east_m,north_m,up_m"
+    if position == "wgs84":
+        places, names = np.column_stack(scene.frame.geodetic_from_enu(places)), "lat_deg,lon_deg,alt_ellipsoid_m"
+    rows = np.column_stack([np.arange(40.0), places, draw.uniform(-40.0, 40.0, (40, 3)), np.zeros(40)])
+    lines = [",".join(map(repr, map(float, row[:7]))) for row in rows]
+    (tmp_path / "log.csv").write_text("\n".join([f"time_s,{names},yaw_deg,pitch_deg,roll_deg", *lines]))
+    wanted = tr.load_trajectory(tmp_path / "log.csv", scene, mount=mount, lever_arm_m=lever)
+    session = Session(Open("", "", "A", position, "angles", mount_deg=mount, lever_arm_m=lever), renderer)
+    for pieces in ([rows], np.split(rows, 40), np.split(rows, [3, 20])):
+        paths = [session._path(piece) for piece in pieces]
+        for name, most in (("time_s", 0.0), ("position", 1e-13), ("quaternion", 1e-15)):
+            found = np.concatenate([getattr(path, name) for path in paths])
+            np.testing.assert_allclose(found, getattr(wanted, name), rtol=0.0, atol=most)

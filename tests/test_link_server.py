@@ -198,6 +198,82 @@ def test_waiting_requests_are_bounded():
         settled(server)
 
 
+def test_requests_sent_behind_open_count_with_their_replies():
+    gate = threading.Event()
+    with serving(Stills(gate, size=(200, 200)), memory_bytes=3 << 20) as server:
+        own, products = raw(server), sum(IMAGES)
+        requests = [request(number, float(number), products=products) for number in range(7)]
+        own.sendall(b"".join([*message(Type.OPEN, 1, 2, [Open().packed()]), *requests]))
+        assert read(own)[0] == Type.OPENED
+        time.sleep(0.3)
+        # Each reply has 0.76 MB.
+        assert 2 << 20 < server.in_hand[2] <= 3 << 20
+        gate.set()
+        assert [read(own)[2] for _ in range(7)] == list(range(7))
+        # After an OPEN that fails, its requests are refused.
+        own.sendall(b"".join([*message(Type.OPEN, 2, 8, [Open("x").packed()]), request(9, 0.0, session=2)]))
+        errors = [read(own) for _ in range(2)]
+        assert [each[0] for each in errors] == [Type.ERROR] * 2 and b"session 2 is not open" in errors[1][3]
+        own.close()
+        settled(server)
+
+
+def test_a_token_file_belongs_to_one_server(tmp_path, monkeypatch):
+    kept, link_ = tmp_path / "token", tmp_path / "link"
+    first, other = access.new_token(kept), tmp_path / "other"
+    # The file of a server that took the name later stays; a link is replaced, not followed.
+    second = access.new_token(kept)
+    access.drop_token(kept, first)
+    assert access.read_token(kept) == second
+    link_.symlink_to(other)
+    access.new_token(link_)
+    assert not other.exists() and not link_.is_symlink()
+    access.drop_token(kept, second)
+    access.drop_token(kept, second)
+    assert not kept.exists()
+    (kept / "folder").mkdir(parents=True)
+    with pytest.raises(
+        ThermorenderError, match=r"token file .*token cannot be written \(.*\); give a file in .*--token-file"
+    ):
+        access.new_token(kept)
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["link", "token"]
+    # Machines with a common cache folder have files of their own.
+    monkeypatch.setattr("platform.node", lambda: "a/b")
+    assert (one := access.token_file(1)).name == "a_b-1.token"
+    monkeypatch.setattr("platform.node", lambda: "c")
+    assert access.token_file(1) != one and access.token_file(1).parent == one.parent
+
+
+def test_a_client_that_waits_outlives_the_token_of_a_killed_server(tmp_path):
+    kept = tmp_path / "token"
+    access.new_token(kept)
+    with serving() as server:
+        with pytest.raises(LinkError, match="the token is wrong"):
+            link.connect(port=server.port, token_path=kept)
+        replaced = threading.Timer(0.4, kept.write_text, (TOKEN,))
+        replaced.start()
+        with link.connect(port=server.port, token_path=kept, wait_s=10.0) as client:
+            assert client.server["scene"] == "stills"
+        start = time.monotonic()
+        with pytest.raises(LinkError, match="the token is wrong"):
+            link.connect(port=server.port, token="f" * 64, wait_s=10.0)
+        assert time.monotonic() - start < 5.0
+
+
+def test_clients_without_the_token_keep_nobody_out():
+    with serving(connections=3, hello_s=20.0) as server:
+        with connected(server):
+            silent = [socket.create_connection(("127.0.0.1", server.port), 10.0) for _ in range(9)]
+            for _ in range(3):
+                alive(server)
+            assert server.in_hand[0] <= 3
+            # The oldest ones were closed.
+            assert read(silent[0]) is None
+            for own in silent:
+                own.close()
+        settled(server)
+
+
 def test_limits_of_connections_and_sessions():
     with serving(connections=3, sessions=2) as server:
         with connected(server) as one, connected(server) as two:
@@ -254,6 +330,20 @@ def test_latest_pose_wins_and_none_of_the_path_is_lost():
         assert [client.receive().id for _ in range(4)] == [busy, numbers[1], numbers[2], numbers[4]]
 
 
+def test_closed_comes_after_the_replies_of_its_session():
+    gate = threading.Event()
+    with serving(Stills(gate)) as server:
+        own = opened(server)
+        own.sendall(request(3, 0.0) + request(4, 1.0, latest=True) + b"".join(message(Type.CLOSE, 1, 5)))
+        own.sendall(b"".join(message(Type.OPEN, 1, 6, [Open().packed()])) + request(7, 0.0))
+        time.sleep(0.2)
+        gate.set()
+        kinds = Type.REPLY, Type.REPLY, Type.CLOSED, Type.OPENED, Type.REPLY
+        assert [read(own)[:3:2] for _ in range(5)] == [(kind, 3 + k) for k, kind in enumerate(kinds)]
+        own.close()
+        settled(server)
+
+
 def test_replies_of_several_sessions_are_kept_apart():
     with serving() as server, connected(server) as client:
         one, two = client.open(seed=1), client.open(seed=2)
@@ -281,11 +371,20 @@ def test_addresses_that_cannot_be_used_are_refused():
         for host, port, why in (
             ("127.0.0.1", server.port, "Address already in use"),
             ("192.0.2.1", 0, "Cannot assign"),
+            ("é" * 64, 0, "not a name of a machine"),
         ):
             with pytest.raises(
                 ThermorenderError, match=rf"{host} port {port} cannot be listened on \({why}.*another --port"
             ):
                 Server(Stills(), host, port)
+    # An empty host would be all addresses.
+    with pytest.raises(ThermorenderError, match=r"host is empty; give 0\.0\.0\.0 for all addresses"):
+        Server(Stills(), "")
+    for host, port in (("é" * 64, 1), ("127.0.0.1", 99999)):
+        with pytest.raises(ThermorenderError, match=f"{host} port {port} cannot be reached"):
+            link.connect(host, port, TOKEN)
+    with pytest.raises(ThermorenderError, match="token does not hold 64 hexadecimal digits"):
+        link.connect(token=TOKEN.encode())
 
 
 def test_client_imports_no_heavy_library():

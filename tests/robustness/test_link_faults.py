@@ -20,7 +20,7 @@ import thermorender as tr
 from scenes import coarse, write_terrain
 from thermorender import link
 from thermorender.link import Code
-from thermorender.link.access import read_token
+from thermorender.link.access import read_token, token_file
 from thermorender.link.messages import Open, Request
 from thermorender.link.stage import Stage
 from thermorender.link.wire import HEADER, Type, message
@@ -229,7 +229,7 @@ def started(folder, *options):
 def test_the_command_serves_and_stops_cleanly(tmp_path, number):
     process, port, token = started(tmp_path, "--camera", "boson-640", "--map", "fok-1to1")
     try:
-        assert token == Path(os.environ["THERMORENDER_CACHE"], "link", f"{port}.token")
+        assert token == token_file(port) and token.is_relative_to(os.environ["THERMORENDER_CACHE"])
         assert token.stat().st_mode & 0o777 == 0o600 and len(read_token(token)) == 64
         with link.connect(port=port) as client:
             assert client.server["cameras"].keys() == {"zenmuse-xt2", "boson-640"}

@@ -63,7 +63,7 @@ def serve(
     device: Device = "auto",
 ) -> None:  # fmt: skip
     """Serve frames to a simulator over a socket, pose by pose, until Ctrl-C."""
-    from thermorender.link.access import new_token
+    from thermorender.link.access import drop_token, new_token
     from thermorender.link.access import token_file as default_file
     from thermorender.link.server import Server
     from thermorender.link.stage import Stage
@@ -78,10 +78,10 @@ def serve(
     stage = Stage(renderer, cameras, tuple(map or ()), sampling.settings() | {"device": device})
     server = Server(stage, host, port)
     kept = token_file or default_file(server.port)
-    server.token = new_token(kept)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     bridges: list[Any] = []
     try:
+        server.token = new_token(kept)
         _bridge(bridges, server, host, airsim, view, mavlink)
         typer.echo(f"serving {loaded.name} on {host} port {server.port}; the token is in {kept}; stop with Ctrl-C")
         server.run()
@@ -90,7 +90,7 @@ def serve(
     finally:
         for bridge in bridges:
             bridge.stop()
-        kept.unlink(missing_ok=True)
+        drop_token(kept, server.token)
         typer.echo(f"stopped after {server.answered} frames")
 
 

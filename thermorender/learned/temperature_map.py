@@ -30,6 +30,8 @@ from thermorender.units import ZERO_CELSIUS_K
 FORMAT = 1
 # An image may be this many times finer or coarser than the range trained on, without a warning.
 TEXEL_MARGIN = 1.25
+# An image may be this many times finer than the map: beyond, the map's neighbourhood is larger than most images.
+MOST_SPACING = 64.0
 # Default sky: a clear mid-latitude summer day in the band [K].
 ASSUMED_SKY_K = 255.0
 # Slopes are taken at no less than this share of the radiance at the range's warm end.
@@ -141,7 +143,7 @@ class TemperatureMap:
         Raises
         ------
         ThermorenderError
-            A required input is missing.
+            A required input is missing, or the image is too fine.
         """
         return self._radiance_of(self._predicted(inputs)[0], inputs)
 
@@ -162,6 +164,11 @@ class TemperatureMap:
 
     def _predicted(self, inputs: Inputs) -> tuple[Any, Any]:
         """The predictor's output, and its standard deviation or None."""
+        if inputs.texel_m is not None and not inputs.texel_m >= self.texel_m / MOST_SPACING:
+            raise ThermorenderError(
+                f"a picture with {inputs.texel_m:.3g} m a pixel is too fine for learned map {self.name!r}, made for "
+                f"{self.texel_m:.3g} m; give at least {self.texel_m / MOST_SPACING:.3g} m, or take it from farther away"
+            )
         for name in self.needs:
             if getattr(inputs, name) is None or not len(getattr(inputs, name)):
                 raise ThermorenderError(

@@ -20,7 +20,7 @@ import numpy as np
 from thermorender import files, formats
 from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import TLINEAR_STEP_K, write_tlinear_counts
-from thermorender.learned.temperature_map import Inputs, TemperatureMap
+from thermorender.learned.temperature_map import MOST_SPACING, Inputs, TemperatureMap
 from thermorender.physics.planck import band_radiance
 from thermorender.sensor.display import DisplaySettings
 from thermorender.sensor.palettes import palette as known_palette
@@ -37,8 +37,6 @@ _DEEP_GREY = ("I", "I;16", "I;16B", "I;16L", "F")
 _LEAST_ALPHA = 128
 # Most pixels of the strips that pictures are translated in.
 _STRIP = 1 << 21
-# An image may be this many times finer or coarser than the map; beyond, its neighbourhood holds one pixel or none.
-_MOST_SPACING = 64.0
 # Share of frames that a video may lack of its header's number, which some writers only estimate.
 _MISSING_FRAMES = 0.01
 RECORD, DONE = "translate.json", "translated.jsonl"
@@ -78,10 +76,10 @@ class Translation:
         if model.needs:
             # This raises the error that names the missing inputs.
             model.radiance(Inputs(np.zeros((1, 1, 3), np.uint8)))
-        if self.texel_m is not None and not 1.0 / _MOST_SPACING <= self.texel_m / model.texel_m <= _MOST_SPACING:
+        if self.texel_m is not None and not 1.0 / MOST_SPACING <= self.texel_m / model.texel_m <= MOST_SPACING:
             raise ThermorenderError(
                 f"texel_m={self.texel_m:g} is too far from the {model.texel_m:.3g} m of learned map {model.name!r}; "
-                f"give {model.texel_m / _MOST_SPACING:.3g}…{model.texel_m * _MOST_SPACING:.3g} m"
+                f"give {model.texel_m / MOST_SPACING:.3g}…{model.texel_m * MOST_SPACING:.3g} m"
             )
         if self.inner and not hasattr(model.predictor, "inner"):
             raise ThermorenderError(

@@ -1,8 +1,10 @@
 """Access to a server: a token in a file that only its owner can read."""
 
 import os
+import platform
 import re
 import secrets
+from contextlib import suppress
 from os import PathLike
 from pathlib import Path
 
@@ -12,8 +14,11 @@ from thermorender.link.wire import TOKEN_BYTES
 
 
 def token_file(port: int) -> Path:
-    """Return where the server of a port keeps its token, unless it is given another file."""
-    return cache_folder("link") / f"{port}.token"
+    """Return where this machine's server of a port keeps its token, unless it is given another file.
+
+    Machines may share the cache folder, so that their names belong to the file's.
+    """
+    return cache_folder("link") / f"{re.sub('[^A-Za-z0-9.-]', '_', platform.node())}-{port}.token"
 
 
 def new_token(path: str | PathLike[str]) -> str:
@@ -21,18 +26,32 @@ def new_token(path: str | PathLike[str]) -> str:
 
     Raises
     ------
-    OSError
+    ThermorenderError
         The file cannot be written.
     """
     path, token = Path(path), secrets.token_hex(TOKEN_BYTES // 2)
-    path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    part.unlink(missing_ok=True)
-    # Created with its final mode, so that no other user can open it in between.
-    with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
-        file.write(token + "\n")
-    os.replace(part, path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.unlink(missing_ok=True)
+        # Created with its final mode, so that no other user can open it in between.
+        with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
+            file.write(token + "\n")
+        os.replace(part, path)
+    except OSError as error:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise ThermorenderError(
+            f"token file {path} cannot be written ({error.strerror}); give a file in a folder of yours as --token-file"
+        ) from None
     return token
+
+
+def drop_token(path: str | PathLike[str], token: str) -> None:
+    """Remove a token's file, unless it holds the token of another server by now."""
+    with suppress(OSError, ThermorenderError):
+        if read_token(path) == token:
+            Path(path).unlink()
 
 
 def read_token(path: str | PathLike[str]) -> str:
@@ -44,7 +63,8 @@ def read_token(path: str | PathLike[str]) -> str:
         The file does not exist, cannot be read, or holds something else.
     """
     try:
-        text = Path(path).read_bytes()[: TOKEN_BYTES + 2].decode("ascii", "replace").strip()
+        with open(path, "rb") as file:
+            text = file.read(TOKEN_BYTES + 2).decode("ascii", "replace").strip()
     except OSError as error:
         raise ThermorenderError(
             f"token file {path} cannot be read ({error.strerror}); start `thermorender serve SCENE`, or give the file "
@@ -55,6 +75,6 @@ def read_token(path: str | PathLike[str]) -> str:
 
 def checked_token(text: str, where: str = "token") -> str:
     """Return a token; raise unless it has the form of one."""
-    if not re.fullmatch(rf"[0-9a-f]{{{TOKEN_BYTES}}}", text):
+    if not isinstance(text, str) or not re.fullmatch(rf"[0-9a-f]{{{TOKEN_BYTES}}}", text):
         raise ThermorenderError(f"{where} does not hold {TOKEN_BYTES} hexadecimal digits; copy the server's token file")
     return text

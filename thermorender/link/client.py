@@ -20,7 +20,18 @@ from numpy.typing import ArrayLike, NDArray
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.link.access import checked_token, read_token, token_file
 from thermorender.link.messages import Open, Opened, Reply, Request
-from thermorender.link.wire import DEFAULT_PORT, HEADER, Head, LinkError, Product, Type, error_of, head_of, message
+from thermorender.link.wire import (
+    DEFAULT_PORT,
+    HEADER,
+    Code,
+    Head,
+    LinkError,
+    Product,
+    Type,
+    error_of,
+    head_of,
+    message,
+)
 
 
 def connect(
@@ -52,10 +63,10 @@ def connect(
         try:
             text = read_token(token_path or token_file(port)) if token is None else checked_token(token)
             return _connected(host, port, text, timeout_s)
-        except LinkError:
-            raise
-        except ThermorenderError:
-            if time.monotonic() >= end:
+        except ThermorenderError as error:
+            # A server that has just started replaces the token of one that was killed.
+            refused = isinstance(error, LinkError) and (error.code != Code.ACCESS or token is not None)
+            if refused or time.monotonic() >= end:
                 raise
         time.sleep(0.1)
 
@@ -63,7 +74,7 @@ def connect(
 def _connected(host: str, port: int, token: str, timeout_s: float) -> "Client":
     try:
         connection = socket.create_connection((host, port), timeout_s)
-    except OSError as error:
+    except (OSError, OverflowError, UnicodeError) as error:
         raise ThermorenderError(
             f"{host} port {port} cannot be reached ({error}); start `thermorender serve SCENE`, or give the host and "
             "port that it printed"
@@ -308,16 +319,18 @@ class Session:
         latest : bool
             A later request of this session may replace this one while it waits: the newest pose is rendered.
         """
-        rows = self._rows(time_s, pose, path)
-        given: Sequence[Sample] = (
-            [(name, time_s, dict(values)) for name, values in objects.items()]
-            if isinstance(objects, Mapping)
-            else [(name, at, dict(values)) for name, at, values in objects]
-        )
-        request = Request(float(time_s), product_bits(products), latest, rows, given, picture, texel_m)
         try:
+            rows = self._rows(time_s, pose, path)
+            given: Sequence[Sample] = (
+                [(name, time_s, dict(values)) for name, values in objects.items()]
+                if isinstance(objects, Mapping)
+                else [(name, at, dict(values)) for name, at, values in objects]
+            )
+            request = Request(float(time_s), product_bits(products), latest, rows, given, picture, texel_m)
             parts = request.packed()
-        except (struct.error, TypeError) as error:
+        except ThermorenderError:
+            raise
+        except (struct.error, TypeError, ValueError) as error:
             raise ThermorenderError(f"the request cannot be sent ({error}); see Session.send") from None
         return self.client._send(Type.REQUEST, self.number, parts)
 
@@ -333,8 +346,12 @@ class Session:
             if pose is None:
                 return np.zeros((0, 8))
             one = np.asarray(pose, np.float64)
-            rows = np.concatenate([[time_s], _numbers(one) if one.shape == (4, 4) else one.ravel()])[None]
+            if one.shape == (4, 4):
+                self._refuse_unless_camera("pose of shape (4, 4)")
+                one = _numbers(one)
+            rows = np.concatenate([[time_s], one.ravel()])[None]
         elif hasattr(path, "quaternion"):
+            self._refuse_unless_camera("path of the type Trajectory")
             rows = np.column_stack([path.time_s, path.position, path.quaternion])
         else:
             rows = np.atleast_2d(np.asarray(path, np.float64))
@@ -345,6 +362,14 @@ class Session:
             what = "3 angles" if angles else "a quaternion (4)"
             raise ThermorenderError(f"a pose has {rows.shape[-1] - 1} numbers; give a position (3) and {what}")
         return rows
+
+    def _refuse_unless_camera(self, what: str) -> None:
+        one = self.settings
+        if (one.position, one.attitude) != ("enu", "camera"):
+            raise ThermorenderError(
+                f"a {what} holds a camera in east, north, up, and this session has position {one.position}, attitude "
+                f"{one.attitude}; open one with enu and camera, or give rows of numbers"
+            )
 
 
 # (object, time [s], {column: value}), and {object: {column: value}}.
@@ -368,8 +393,9 @@ def _numbers(pose: NDArray[np.float64]) -> NDArray[np.float64]:
     """Position and quaternion of a (4, 4) world_from_camera."""
     from scipy.spatial.transform import Rotation
 
-    from thermorender.trajectory.rotations import wxyz
+    from thermorender.trajectory.rotations import checked_pose, wxyz
 
+    pose = checked_pose(pose)
     return np.concatenate([pose[:3, 3], wxyz(Rotation.from_matrix(pose[:3, :3]))])
 
 

@@ -82,6 +82,8 @@ class Peer:
     waiting: int = 0
     # When the client must have done its next step; None if it need not do anything.
     deadline_s: float | None = None
+    # It has given the token.
+    greeted: bool = False
     closed: bool = False
     # A reply could not be sent.
     lost: bool = False
@@ -112,7 +114,7 @@ class Seat:
 
 @dataclass(eq=False)
 class Job:
-    """Work for the thread that renders."""
+    """Work for the thread that renders: an OPEN with its settings, a CLOSE, or requests for a frame."""
 
     client: Peer
     head: Head
@@ -122,3 +124,4 @@ class Job:
     samples: int = 0
     arrived_s: float = 0.0
     held: int = 0
+    closes: bool = False

@@ -77,9 +77,9 @@ class Open:
         """Return the payload."""
         flags = BELOW_GROUND if self.below_ground else 0
         return _OPEN.pack(
-            _name(self.camera), _name(self.map), self.method.encode("ascii"), _number(POSITIONS, self.position),
-            _number(ATTITUDES, self.attitude), flags, self.audit, self.seed, self.rate_hz, *self.mount_deg,
-            *self.lever_arm_m,
+            name_bytes(self.camera), name_bytes(self.map), self.method.encode("ascii"),
+            _number(POSITIONS, self.position), _number(ATTITUDES, self.attitude), flags, self.audit, self.seed,
+            self.rate_hz, *self.mount_deg, *self.lever_arm_m,
         )  # fmt: skip
 
     @classmethod
@@ -188,7 +188,8 @@ class Request:
 
     def packed(self) -> list[Any]:
         """Return the payload as a list of buffers."""
-        height, width = (0, 0) if self.picture is None else self.picture.shape[:2]
+        height, width = (0, 0) if self.picture is None else _size(self.picture)
+        _refuse_counts(len(self.poses), len(self.objects), width, height)
         head = _REQUEST.pack(
             self.time_s, self.products, LATEST if self.latest else 0, len(self.poses), len(self.objects), width, height,
             self.texel_m,
@@ -199,7 +200,7 @@ class Request:
             if odd:
                 raise ThermorenderError(f"object {name!r} has no {odd.pop()!r} to set; give {', '.join(COLUMNS)}")
             mask = sum(1 << COLUMNS.index(key) for key in values)
-            parts.append(_OBJECT.pack(_name(name), mask, 0, time_s, *(values.get(key, 0.0) for key in COLUMNS)))
+            parts.append(_OBJECT.pack(name_bytes(name), mask, 0, time_s, *(values.get(key, 0.0) for key in COLUMNS)))
         if self.picture is not None:
             parts.append(np.ascontiguousarray(self.picture, np.uint8).tobytes())
         return parts
@@ -210,15 +211,7 @@ class Request:
         if len(payload) < _REQUEST.size:
             raise ThermorenderError(f"REQUEST has {len(payload)} bytes; at least {_REQUEST.size} are needed")
         time_s, products, flags, poses, objects, width, height, texel = _REQUEST.unpack_from(payload)
-        if poses > MOST_POSES or objects > MOST_OBJECTS:
-            raise ThermorenderError(
-                f"REQUEST has {poses} poses and {objects} objects; up to {MOST_POSES} and {MOST_OBJECTS} are allowed"
-            )
-        if max(width, height) > MOST_SIDE or 3 * width * height > MOST_PICTURE_BYTES or (width == 0) != (height == 0):
-            raise ThermorenderError(
-                f"the picture of {width} × {height} pixels is not allowed; give none, or up to {MOST_SIDE} pixels a "
-                f"side and {MOST_PICTURE_BYTES >> 20} MiB"
-            )
+        _refuse_counts(poses, objects, width, height)
         start = _REQUEST.size
         middle = start + poses * POSE_BYTES
         end = middle + objects * _OBJECT.size
@@ -241,6 +234,30 @@ class Request:
         if width:
             picture = np.frombuffer(payload, np.uint8, 3 * width * height, end).reshape(height, width, 3)
         return cls(time_s, products, bool(flags & LATEST), samples.astype(np.float64), things, picture, texel)
+
+
+def _refuse_counts(poses: int, objects: int, width: int, height: int) -> None:
+    """Raise if a request has more than the protocol allows."""
+    if poses > MOST_POSES or objects > MOST_OBJECTS:
+        raise ThermorenderError(
+            f"REQUEST has {poses} poses and {objects} objects; up to {MOST_POSES} and {MOST_OBJECTS} are allowed"
+        )
+    if max(width, height) > MOST_SIDE or 3 * width * height > MOST_PICTURE_BYTES or (width == 0) != (height == 0):
+        raise ThermorenderError(
+            f"the picture of {width} × {height} pixels is not allowed; give none, or up to {MOST_SIDE} pixels a "
+            f"side and {MOST_PICTURE_BYTES >> 20} MiB"
+        )
+
+
+def _size(picture: NDArray[np.uint8]) -> tuple[int, int]:
+    """Height and width of a picture; raise if it is something else than sRGB of 8 bits."""
+    picture = np.asarray(picture)
+    if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
+        raise ThermorenderError(
+            f"picture of type {picture.dtype} and shape {picture.shape} is not sRGB of 8 bits; give uint8 of shape "
+            "(height, width, 3)"
+        )
+    return picture.shape[0], picture.shape[1]
 
 
 def _object(payload: bytes, start: int) -> tuple[str, float, dict[str, float]]:
@@ -367,7 +384,7 @@ def target_rows(targets: dict[str, dict[str, Any]]) -> NDArray[Any]:
     """Return `Frame.targets` as records; a position behind the camera is NaN."""
     rows = np.zeros(len(targets), TARGET)
     for row, (name, each) in zip(rows, targets.items(), strict=True):
-        row["name"], row["range_m"] = _name(name), each["range_m"]
+        row["name"], row["range_m"] = name_bytes(name), each["range_m"]
         row["column"], row["row"] = each["pixel"] or (np.nan, np.nan)
         row["in_view"], row["visible"] = each["in_view"], each["visible"]
     return rows
@@ -402,10 +419,13 @@ def text_of(data: bytes, what: str) -> str:
         raise ThermorenderError(f"{what} {data!r} is not UTF-8; give a name in UTF-8, filled up with zeros") from None
 
 
-def _name(text: str) -> bytes:
+def name_bytes(text: str) -> bytes:
+    """Return the bytes of a name; raise if they are too many."""
     data = text.encode("utf-8")
     if len(data) > NAME_BYTES:
-        raise ThermorenderError(f"name {text!r} has {len(data)} bytes in UTF-8; up to {NAME_BYTES} are allowed")
+        raise ThermorenderError(
+            f"name {text!r} has {len(data)} bytes in UTF-8; the link takes up to {NAME_BYTES}: shorten it"
+        )
     return data
 
 

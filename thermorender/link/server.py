@@ -70,12 +70,18 @@ class Server:
         self._lock = threading.Lock()
         self._clients: set[Peer] = set()
         self._sessions = self._held = self.answered = 0
+        if not host:
+            raise ThermorenderError(
+                "host is empty; give 0.0.0.0 for all addresses of this machine, or leave --host out"
+            )
         try:
+            host.encode("idna")  # of a name that cannot be one, an open socket would be left
             family = socket.AF_INET6 if ":" in host else socket.AF_INET
             self._socket = socket.create_server((host, port), family=family, backlog=256)
-        except OSError as error:
+        except (OSError, UnicodeError) as error:
+            why = str(getattr(error, "strerror", "not a name of a machine")).partition(" (")[0]
             raise ThermorenderError(
-                f"address {host} port {port} cannot be listened on ({str(error.strerror).partition(' (')[0]}); give an "
+                f"address {host} port {port} cannot be listened on ({why}); give an "
                 "address of this machine as --host, another --port, or stop the server that uses it"
             ) from None
         self.port = int(self._socket.getsockname()[1])
@@ -110,6 +116,8 @@ class Server:
         try:
             if job.client.closed:
                 parts = None
+            elif job.closes:
+                parts = message(Type.CLOSED, head.session, head.id)
             elif job.settings is not None:
                 shown = self._stage.open(job.settings)
                 job.session.shown, job.session.reply_bytes = shown, shown.most_bytes
@@ -137,8 +145,7 @@ class Server:
         with self._lock:
             if job.session.latest is job:
                 job.session.latest = None
-        if job.session.shown is None:
-            raise ThermorenderError(f"session {job.head.session} was not opened; send OPEN and wait for OPENED")
+        assert job.session.shown is not None
         payload = job.session.shown.answer(job.requests, job.arrived_s)
         self.answered += 1
         return message(Type.REPLY, job.head.session, job.head.id, payload)
@@ -188,6 +195,12 @@ class Server:
             own.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             own.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
             own.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, self._limits.sent_bytes)
+        strangers = [each for each in self._clients if not each.greeted]
+        if len(self._clients) >= self._limits.connections and strangers:
+            # Who has no token cannot keep others out.
+            oldest = min(strangers, key=lambda each: each.deadline_s or 0.0)
+            oldest.writer.transport.abort()
+            self._forget(oldest)
         if len(self._clients) >= self._limits.connections:
             self._last(client, Code.BUSY, f"{self._limits.connections} connections are open; close one, or wait")
             return
@@ -237,7 +250,7 @@ class Server:
         given = await client.reader.readexactly(head.length)
         if not hmac.compare_digest(given, self.token.encode("ascii")):
             raise PermissionError("the token is wrong; give the one in the file that the server printed")
-        client.deadline_s = None
+        client.deadline_s, client.greeted = None, True
         self._reply(client, message(Type.WELCOME, 0, head.id, [self._welcome]))
 
     async def _message(self, client: Peer) -> None:
@@ -246,10 +259,12 @@ class Server:
         client.deadline_s = self._loop.time() + self._limits.message_s
         head = head_of(first + await client.reader.readexactly(HEADER.size - 1))
         refuse_length(head)
-        session = client.sessions.get(head.session)
-        held = head.length + (session.reply_bytes if session else 0)
         # While the server makes the client wait, the client is not late.
         client.deadline_s = None
+        # The length of a session's replies is known once it is open.
+        while (session := client.sessions.get(head.session)) is not None and session.shown is None:
+            await client.made_room()
+        held = head.length + (session.reply_bytes if session else 0)
         while max(client.waiting, len(client.outbox)) >= self._limits.waiting:
             await client.made_room()
         while self._held and self._held + held > self._limits.memory_bytes:
@@ -275,11 +290,12 @@ class Server:
             if head.type == Type.REQUEST:
                 return self._request(client, head, Request.unpacked(payload), held)
             if head.type == Type.CLOSE:
-                self._known(client, head)
+                seat = self._known(client, head)
                 del client.sessions[head.session]
                 self._sessions -= 1
-                self._reply(client, message(Type.CLOSED, head.session, head.id))
-                return False
+                # Behind the replies to the session's requests.
+                self._put(Job(client, head, seat, closes=True, held=held))
+                return True
             raise ThermorenderError("HELLO was already said; send OPEN, REQUEST or CLOSE")
         except _BusyError as error:
             self._reply(client, error_message(Code.BUSY, str(error), head.session, head.id))

@@ -107,6 +107,10 @@ class Session:
         request = requests[-1]
         if request.picture is not None:
             self._check_picture(request.picture)
+        elif request.texel_m:
+            raise ThermorenderError(
+                f"texel_m={request.texel_m:g} is that of a picture, and the request has none; leave it out, or give one"
+            )
         poses = np.concatenate([each.poses for each in requests])
         path = self._path(poses) if len(poses) else None
         objects = [each for one in requests for each in one.objects]
@@ -146,9 +150,12 @@ class Session:
             # It refuses quaternions that are not unit ones.
             ned_from_body = Trajectory(time_s, position, attitude).rotation
         enu_from_ned = enu_from_ned_at(position, frame if settings.position == "wgs84" else None)
-        enu_from_body = enu_from_ned * ned_from_body
-        mount = rotation_from_angles(*settings.mount_deg)
-        return of_vehicle(time_s, position, enu_from_body, enu_from_body * mount, np.asarray(settings.lever_arm_m))
+        # In the order of `read_trajectory`, for the same bits.
+        ned_from_optical = ned_from_body * rotation_from_angles(*settings.mount_deg)
+        return of_vehicle(
+            time_s, position, enu_from_ned * ned_from_body, enu_from_ned * ned_from_optical,
+            np.asarray(settings.lever_arm_m),
+        )  # fmt: skip
 
 
 class TranslatedFrames(LiveFrames):

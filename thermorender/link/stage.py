@@ -9,7 +9,7 @@ from typing import Any
 
 from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import TemperatureMap, load_model
-from thermorender.link.messages import Open
+from thermorender.link.messages import Open, name_bytes
 from thermorender.link.session import Session
 from thermorender.link.wire import Product
 from thermorender.render.renderer import Renderer
@@ -48,6 +48,8 @@ class Stage:
         for text in self.maps:
             model = load_model(text)
             self._models[model.name] = text, model
+        for name in (*self.cameras, *self._models, *(item.name for item in self.renderer.scene.spec.objects)):
+            name_bytes(name)
         self._made: dict[tuple[str, str], Renderer] = {(own.name, ""): self.renderer}
 
     def describe(self) -> dict[str, Any]:

@@ -25,10 +25,10 @@ from thermorender.render.geometry import box_of, positions
 from thermorender.render.reflection.reflectance import directional
 from thermorender.render.renderer import Renderer
 from thermorender.render.variant import activate, switch
-from thermorender.render.view import checked_pose
 from thermorender.scene.scene import Scene
 from thermorender.scene.surface import Surface
 from thermorender.sensor.camera import Camera
+from thermorender.trajectory.rotations import checked_pose
 
 VARIANTS = {"llvm_ad_mono": "llvm_ad_spectral", "cuda_ad_mono": "cuda_ad_spectral"}
 _NAMES = itertools.count()

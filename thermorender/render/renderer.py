@@ -29,13 +29,14 @@ from thermorender.render.pixels.sampling import CameraRays
 from thermorender.render.pixels.tracer import Sampling, Tracer
 from thermorender.render.plan import Plan, checked, make_plan
 from thermorender.render.variant import activate, active_device
-from thermorender.render.view import View, checked_pose, parts_of
+from thermorender.render.view import View, parts_of
 from thermorender.scene.georeference import place_of
 from thermorender.scene.scene import Scene
 from thermorender.scene.surface import FILLED, Surface
 from thermorender.sensor.camera import Camera
 from thermorender.timing import phase
 from thermorender.trajectory.path import Trajectory
+from thermorender.trajectory.rotations import checked_pose
 
 if TYPE_CHECKING:
     from thermorender.render.flight.frames import FlightFrames

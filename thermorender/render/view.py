@@ -6,9 +6,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from thermorender.errors import ThermorenderError
 from thermorender.render import labels, truth
 from thermorender.render.arrays import Floats
 from thermorender.render.baked import BakedScene
@@ -74,21 +73,6 @@ class View:
         if sampling is None:
             return None
         return budget.error_mk(self.baked, self.tracer(), self.pose, self.placements, radiance, sampling)
-
-
-def checked_pose(pose: ArrayLike) -> Floats:
-    """Return a pose as (4, 4) float64; raise if it is not a rigid transform."""
-    pose = np.array(pose, dtype=np.float64)
-    if pose.shape != (4, 4) or not np.isfinite(pose).all() or not np.allclose(pose[3], [0, 0, 0, 1]):
-        raise ThermorenderError(
-            f"pose of shape {pose.shape} is not a world_from_camera; give (4, 4) with last row 0 0 0 1"
-        )
-    rotation = pose[:3, :3]
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0.0:
-        raise ThermorenderError(
-            "pose has a rotation that is not orthonormal and right-handed; normalise its quaternion"
-        )
-    return pose
 
 
 def parts_of(

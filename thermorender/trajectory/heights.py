@@ -143,7 +143,7 @@ def _geodetic_positions(
         return foot + ((up - foot[:, 2]) / normal[:, 2])[:, None] * normal
 
     if height == "alt_ellipsoid_m":
-        return foot + value[:, None] * normal
+        return frame.enu_from_geodetic(latitude, longitude, value)
     if height == "up_m":
         return at_up(value)
     # Because the vertical is tilted, the point on the ground depends on the ground's height: iterate.

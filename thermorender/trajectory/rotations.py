@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
+from thermorender.errors import ThermorenderError
+
 # Columns: the source's x, y and z axes in the target's.
 ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 BODY_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -42,6 +44,21 @@ def angles_from_rotation(rotation: Rotation) -> NDArray[np.float64]:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Gimbal lock detected", UserWarning)
         return rotation.as_euler("ZYX", degrees=True)
+
+
+def checked_pose(pose: ArrayLike) -> NDArray[np.float64]:
+    """Return a pose as (4, 4) float64; raise if it is not a rigid transform."""
+    pose = np.array(pose, dtype=np.float64)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all() or not np.allclose(pose[3], [0, 0, 0, 1]):
+        raise ThermorenderError(
+            f"pose of shape {pose.shape} is not a world_from_camera; give (4, 4) with last row 0 0 0 1"
+        )
+    rotation = pose[:3, :3]
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0.0:
+        raise ThermorenderError(
+            "pose has a rotation that is not orthonormal and right-handed; normalise its quaternion"
+        )
+    return pose
 
 
 def rotation_from_wxyz(quaternion: ArrayLike) -> Rotation:

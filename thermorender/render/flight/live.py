@@ -30,6 +30,10 @@ if TYPE_CHECKING:
 _MARGIN_S = 0.1
 # Most samples of a path, and values of an object, that are kept.
 MOST_SAMPLES = 65_536
+# Latest time: floating point still separates 0.1 ms, and clocks that count in ms or finer are beyond [s].
+LATEST_S = 1e11
+# Highest rate, and the inverse of the lowest [Hz].
+_MOST_HZ = 1e6
 # One value of a dynamic object: (name of the object, time [s], {column of its track: value}).
 ObjectSample = tuple[str, float, Mapping[str, float]]
 
@@ -69,8 +73,10 @@ class LiveFrames:
         self, renderer: "Renderer", rate_hz: float | None = None, audit: int = 0, allow_below_ground: bool = False
     ) -> None:
         self.rate_hz = renderer.scene.camera.frame_rate_hz if rate_hz is None else float(rate_hz)
-        if not (np.isfinite(self.rate_hz) and self.rate_hz > 0.0):
-            raise ThermorenderError(f"rate_hz={rate_hz} must be a positive number of frames per second")
+        if not 1.0 / _MOST_HZ <= self.rate_hz <= _MOST_HZ:
+            raise ThermorenderError(
+                f"rate_hz={rate_hz} is not allowed; give frames per second, {1.0 / _MOST_HZ:g} to {_MOST_HZ:g}"
+            )
         if audit < 0:
             raise ThermorenderError(f"audit={audit} is not allowed; give 1 for every frame, more, or 0 for the first")
         self._renderer, self._audit, self._below = renderer, audit, allow_below_ground
@@ -163,19 +169,20 @@ class LiveFrames:
 
     def _joined(self, time_s: float, path: Trajectory | None) -> Trajectory:
         """The path with its next samples."""
-        if not np.isfinite(time_s):
-            raise ThermorenderError(f"time_s={time_s} is not a time; give a finite number of seconds")
+        _refuse_time(time_s, "time_s")
         if self.last is not None and time_s <= self.last.time_s:
             raise ThermorenderError(
                 f"time_s={time_s:.9g} does not follow the frame before, at {self.last.time_s:.9g} s; time must rise, "
                 "and a simulation that starts again opens another session"
             )
         if path is not None:
+            _refuse_time(float(path.time_s[np.abs(path.time_s).argmax()]), "path: time_s")
             far = ~(np.abs(path.position).max(axis=1) <= FARTHEST_M)
             if far.any():
+                place = ", ".join(f"{each:.6g}" for each in path.position[far][0])
                 raise ThermorenderError(
-                    f"position: {path.position[far][0].round(1).tolist()} m is more than {FARTHEST_M / 1e3:.0f} km "
-                    "from the scene's origin; give east, north, up in the scene's frame"
+                    f"position: [{place}] m is more than {FARTHEST_M / 1e3:.0f} km from the scene's origin; give east, "
+                    "north, up in the scene's frame"
                 )
         if self._path is None or path is None:
             whole = path or self._path
@@ -211,8 +218,7 @@ class LiveFrames:
                     f"object {name!r} has no track and cannot change; give one that has "
                     f"({', '.join(tracked) or 'this scene has none'}), or add its track to the scene"
                 )
-            if not np.isfinite(time_s):
-                raise ThermorenderError(f"object {name!r}: time_s={time_s} is not a time; give a finite number")
+            _refuse_time(time_s, f"object {name!r}: time_s")
             # This refuses unknown columns and impossible values.
             tracked[name].at(time_s, **values)
             for key, value in values.items():
@@ -292,3 +298,8 @@ class LiveFrames:
             for times, series in own.values():
                 first = max(int(np.searchsorted(times, oldest)) - 1, 0)
                 del times[:first], series[:first]
+
+
+def _refuse_time(time_s: float, what: str) -> None:
+    if not abs(time_s) <= LATEST_S:
+        raise ThermorenderError(f"{what}={time_s:g} is not a time; give seconds, at most {LATEST_S:g} from 0")
