@@ -8,7 +8,7 @@ def figure(path, cases):
     cases = [case for case in cases.values() if "height_m" in case]
     scenes = list(dict.fromkeys(case["scene"] for case in cases))
     drawing, panels = pyplot().subplots(1, len(scenes), figsize=(4.0 * len(scenes), 3.8), layout="constrained",
-                                        squeeze=False, sharey=True)  # fmt: skip
+                                        squeeze=False, sharex=True, sharey=True)  # fmt: skip
     heights = sorted({case["height_m"] for case in cases})
     for panel, scene in zip(panels[0], scenes, strict=True):
         for number, height in enumerate(heights):
