@@ -122,6 +122,7 @@ def test_probabilities_match_scikit_learn():
     assert novelty == pytest.approx(away / 2.0, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_training_with_two_materials():
     rgb, number = striped(1)
     number[number == 3] = 0
@@ -133,6 +134,7 @@ def test_training_with_two_materials():
     assert mapped.share[..., 2].max() == 0.0
 
 
+@pytest.mark.slow
 def test_untested_materials_are_reported(tmp_path, capsys, monkeypatch):
     """A single small patch of asphalt is in a training block, so the accuracy is that of grass alone."""
     rgb, number = striped(1)
@@ -178,6 +180,7 @@ def test_unseen_picture_is_mapped_correctly(model):
     assert model.about["held_out_accuracy"] > 0.95 and model.about["trained_on"] == "stripes 1; stripes 2"
 
 
+@pytest.mark.slow
 def test_same_seed_gives_the_same_map():
     names = dict(enumerate(STRIPES, 1))
     picture = Labelled(*striped(1, 48, 72), names, 0.5, "stripes")
