@@ -27,7 +27,6 @@ from thermorender.scene.raster import Grid, grid_of, onto
 from thermorender.scene.spec import DEFAULT_CONFIDENCE, EmissivitySpec, SceneSpec, read_scene
 from thermorender.scene.state.weathered_ground import is_snow
 from thermorender.scene.surface import fill, nearest_valid
-from thermorender.weather.declared import declared_weather
 
 # Of the 255 material numbers of a texel; the rest is for objects.
 _MOST_MIXES = 200
@@ -381,6 +380,8 @@ def _no_snow(spec: SceneSpec, frame: LocalFrame) -> str:
     if spec.weather is None:
         return ""
     altitude_m = frame.height_m - (spec.terrain.geoid_undulation_m or 0.0)
+    from thermorender.weather.declared import declared_weather
+
     weather = declared_weather(spec.weather, frame.latitude_deg, frame.longitude_deg, altitude_m)
     return weather.why_no_snow(spec.weather.time)
 
