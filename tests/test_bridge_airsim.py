@@ -155,21 +155,15 @@ def test_it_listens_on_this_machine_only(bridge):
     assert bridge._listener.server_address[0] == "127.0.0.1"
 
 
-def test_serve_starts_the_bridges_that_are_asked_for(tmp_path):
+def serve_command(tmp_path, *options):
+    """The command that serves a small terrain."""
     folder = write_terrain(tmp_path / "tiny")
-    command = [
-        sys.executable,
-        "-m",
-        "thermorender",
-        "serve",
-        folder,
-        "--port",
-        "0",
-        "--quality",
-        "fast",
-        "--token-file",
-    ]
-    command += [tmp_path / "token", "--airsim", "0", "--view", "0", "--mavlink", "udpout:127.0.0.1:9"]
+    command = [sys.executable, "-m", "thermorender", "serve", folder, "--port", "0", "--quality", "fast"]
+    return [*command, "--token-file", tmp_path / "token", *options]
+
+
+def test_serve_starts_the_bridges_that_are_asked_for(tmp_path):
+    command = serve_command(tmp_path, "--airsim", "0", "--view", "0", "--mavlink", "udpout:127.0.0.1:9")
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         calls, view, line = (process.stdout.readline() for _ in range(3))
@@ -191,20 +185,7 @@ def test_serve_starts_the_bridges_that_are_asked_for(tmp_path):
 
 
 def test_serve_with_a_bridge_that_cannot_start_is_one_sentence(tmp_path):
-    folder = write_terrain(tmp_path / "tiny")
-    command = [
-        sys.executable,
-        "-m",
-        "thermorender",
-        "serve",
-        folder,
-        "--port",
-        "0",
-        "--quality",
-        "fast",
-        "--token-file",
-    ]
-    command += [tmp_path / "token", "--mavlink", "tcp:127.0.0.1:9"]
+    command = serve_command(tmp_path, "--mavlink", "tcp:127.0.0.1:9")
     run = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert run.returncode == 2 and "give udpout:HOST:PORT" in run.stderr and "Traceback" not in run.stderr
     assert not (tmp_path / "token").exists()

@@ -11,7 +11,7 @@ from thermorender.scene import terrain
 from thermorender.scene.import_terrain import import_terrain
 from thermorender.scene.load import load_scene
 from thermorender.scene.parts.orthophoto import read_colour
-from thermorender.scene.surface import FALLBACK, UNKNOWN
+from thermorender.scene.surface import FALLBACK, FILLED, UNKNOWN
 
 CRS, LEFT, TOP, SIDE = "EPSG:32632", 500000.0, 5300000.0, 32.0
 RED, GREEN, BLUE, NIR, NONE = (getattr(ColorInterp, name) for name in ("red", "green", "blue", "nir", "undefined"))
@@ -169,6 +169,34 @@ def test_a_small_collar_is_not_a_share_of_zero(tmp_path, call):
     write(tmp_path / "dem.tif", np.full((16, 16), 100.0, np.float32))
     status, _, errors = call("import-terrain", tmp_path / "dem.tif", tmp_path / "o.tif", "-o", tmp_path / "a")
     assert status == 0 and "less than 0.1% of the orthophoto is near black or white" in errors
+
+
+@pytest.mark.parametrize("most", [24, 11], ids=["bilinear", "average"])
+def test_empty_pixels_do_not_bleed_into_their_neighbours(tmp_path, most):
+    known = np.ones((32, 32), bool)
+    known[10:20, 10:20] = False
+    one = np.where(known, np.array([200, 90, 40], np.uint8)[:, None, None], 0)
+    path = write(tmp_path / "o.tif", one, mask=known)
+    surface = scene_of(tmp_path, path, max_texels=most).surfaces[0]
+    assert surface.colour.shape == (most, most, 3)
+    missing = (surface.flags & FILLED) > 0
+    # A texel counts as known from half of its area on.
+    assert 0.6 < missing.mean() * 32**2 / 100 < 1.4
+    np.testing.assert_array_equal(surface.colour[~missing], np.broadcast_to([200, 90, 40], (most, most, 3))[~missing])
+
+
+@pytest.mark.parametrize("most", [24, 11], ids=["bilinear", "average"])
+def test_whole_pictures_are_filtered_as_those_with_a_hole(tmp_path, most):
+    """Whole ones are filtered in bytes, the others by real weights."""
+    picture, known = np.random.default_rng(1).integers(0, 256, (3, 32, 32)).astype(np.uint8), np.ones((32, 32), bool)
+    known[:4, :4] = False
+    colours = []
+    for name, mask in (("whole", None), ("hole", known)):
+        (tmp_path / name).mkdir()
+        path = write(tmp_path / f"{name}.tif", picture, mask=mask)
+        colours.append(scene_of(tmp_path / name, path, max_texels=most).surfaces[0].colour.astype(int))
+    away = np.abs(colours[0] - colours[1])[most // 4 :, most // 4 :]
+    assert away.max() <= 1 and colours[0].std() > 20.0
 
 
 def test_overviews_tiles_and_turned_grids_show_the_same_picture(tmp_path):

@@ -260,10 +260,16 @@ def _colours(
         rgb, target = _cut(rgb, grid, bounds)
         return rgb, _cut(valid, grid, bounds)[0], target
     resampling = "average" if _step(crs, target) > 1.5 * texel else "bilinear"
-    # Opacity keeps empty texels out of their neighbours.
-    found = onto(np.dstack([rgb, np.where(valid, np.uint8(255), 0)]), grid, target, resampling, opacity=True)
-    valid = found[..., 3] > 127
-    return np.where(valid[..., None], found[..., :3], 0), valid, target
+    if valid.all():
+        # In bytes, a third of the time.
+        shown = onto(valid.astype(np.uint8), grid, target, resampling) > 0
+        return np.where(shown[..., None], onto(rgb, grid, target, resampling), 0), shown, target
+    # Empty texels must not bleed into their neighbours: filter valid colour and its weight separately.
+    weight = np.nan_to_num(onto(valid.astype(np.float32), grid, target, resampling))
+    filtered = onto(rgb * valid[..., None].astype(np.float32), grid, target, resampling)
+    valid = weight > 0.5
+    mean = np.where(valid[..., None], filtered / np.maximum(weight, 1e-6)[..., None], 0.0)
+    return np.clip(np.rint(np.nan_to_num(mean)), 0, 255).astype(np.uint8), valid, target
 
 
 def _flight(bounds: _Bounds, texel_m: float) -> tuple[float, str]:

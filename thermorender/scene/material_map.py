@@ -379,9 +379,9 @@ def _no_snow(spec: SceneSpec, frame: LocalFrame) -> str:
     """Why no snow lies on a scene's ground by its weather; "" if it may."""
     if spec.weather is None:
         return ""
-    altitude_m = frame.height_m - (spec.terrain.geoid_undulation_m or 0.0)
     from thermorender.weather.declared import declared_weather
 
+    altitude_m = frame.height_m - (spec.terrain.geoid_undulation_m or 0.0)
     weather = declared_weather(spec.weather, frame.latitude_deg, frame.longitude_deg, altitude_m)
     return weather.why_no_snow(spec.weather.time)
 

@@ -237,7 +237,7 @@ def read_classes(path: Path) -> NDArray[np.int16]:
     return numbers.astype(np.int16)
 
 
-def onto(values: NDArray[Any], source: Grid, target: Grid, resampling: str, opacity: bool = False) -> NDArray[Any]:
+def onto(values: NDArray[Any], source: Grid, target: Grid, resampling: str) -> NDArray[Any]:
     """Return a raster on another grid, (h, w) or (h, w, c), with NaN (0 for integers) where it has no data.
 
     Parameters
@@ -245,8 +245,6 @@ def onto(values: NDArray[Any], source: Grid, target: Grid, resampling: str, opac
     values : (h, w) or (h, w, c) array
     source, target : Grid
     resampling : {"nearest", "bilinear", "average", "max"}
-    opacity : bool
-        The last channel is opacity, which weights the others.
     """
     if source.same_as(target):
         return values
@@ -255,7 +253,6 @@ def onto(values: NDArray[Any], source: Grid, target: Grid, resampling: str, opac
     bands = np.moveaxis(values if values.ndim == 3 else values[..., None], -1, 0)
     missing = np.nan if values.dtype.kind == "f" else 0
     result = np.full((len(bands), target.height, target.width), missing, dtype=values.dtype)
-    last = len(bands) if opacity else 0
     with _reprojecting(source, target.crs):
         reproject(
             np.ascontiguousarray(bands),
@@ -267,8 +264,6 @@ def onto(values: NDArray[Any], source: Grid, target: Grid, resampling: str, opac
             src_nodata=np.nan if values.dtype.kind == "f" else None,
             dst_nodata=missing,
             resampling=Resampling[resampling],
-            src_alpha=last,
-            dst_alpha=last,
             num_threads=os.cpu_count(),
         )
     result = np.moveaxis(result, 0, -1)

@@ -132,17 +132,17 @@ class Mapped:
         Probability of every material, in 1/255.
     confidence : (h, w) float32
         Largest probability; 0 where the texel is unlike the training data.
-    index : (h, w, 3) uint8
-        The three most probable materials, the most probable first, as indices into `EmissivityMap.materials`.
-    share : (h, w, 3) float32
-        Their probabilities, scaled to a sum of one.
     """
 
     probability: np.ndarray
     confidence: np.ndarray
 
     @cached_property
-    def index(self) -> np.ndarray:  # noqa: D102
+    def index(self) -> np.ndarray:
+        """The three most probable materials, the most probable first, as indices into `EmissivityMap.materials`.
+
+        (h, w, 3) uint8.
+        """
         rest = self.probability.astype(np.int16)
         found = np.zeros((*rest.shape[:2], 3), np.uint8)
         for rank in range(min(rest.shape[2], 3)):
@@ -151,9 +151,9 @@ class Mapped:
         return found
 
     @cached_property
-    def share(self) -> np.ndarray:  # noqa: D102
+    def share(self) -> np.ndarray:
+        """Their probabilities, scaled to a sum of one; 0 for the third of two materials. (h, w, 3) float32."""
         found = np.take_along_axis(self.probability, self.index.astype(np.int64), axis=-1).astype(np.float32)
-        # A map of two materials has no third.
         found[..., self.probability.shape[2] :] = 0.0
         return found / found.sum(axis=-1, keepdims=True)
 

@@ -20,10 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
+from thermorender.link.bridges.listener import HOST, LocalListener
 from thermorender.link.client import Client, Session, connect
 from thermorender.link.messages import Reply
 
-HOST, DEFAULT_PORT = "127.0.0.1", 41451
+DEFAULT_PORT = 41451
 SCENE, DEPTH_PLANAR, SEGMENTATION, INFRARED = 0, 1, 5, 7
 # {number of AirSim's image type: product of the link as numbers, as a picture}
 TYPES: dict[int, tuple[str, str]] = {
@@ -38,7 +39,7 @@ _SERVER, _LEAST_CLIENT = 4, 1
 _MOST_VEHICLES, _MOST_IMAGES, _MOST_BYTES, _MOST_CONNECTIONS = 64, 16, 1 << 20, 16
 
 
-class Bridge:
+class Bridge(LocalListener):
     """Answers AirSim's calls with frames of a server.
 
     Parameters
@@ -69,27 +70,7 @@ class Bridge:
                     finally:
                         bridge._room.release()
 
-        class Listener(socketserver.ThreadingTCPServer):
-            allow_reuse_address = daemon_threads = True
-
-        try:
-            self._listener = Listener((HOST, port), Handler)
-        except OSError as error:
-            raise ThermorenderError(
-                f"port {port} for AirSim's calls cannot be listened on ({error.strerror or error}); give another "
-                "--airsim, or stop the program that uses it"
-            ) from None
-        self.port = int(self._listener.server_address[1])
-        self._thread = threading.Thread(target=self._listener.serve_forever, name="AirSim's calls", daemon=True)
-
-    def start(self) -> None:
-        """Listen, in a thread."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """End listening."""
-        self._listener.shutdown()
-        self._listener.server_close()
+        super().__init__(socketserver.ThreadingTCPServer, Handler, port, "AirSim's calls", "--airsim")
 
     def pose(self, vehicle: str) -> NDArray[np.float64]:
         """Return x, y, z [m] and quaternion w, x, y, z of a vehicle, (7,)."""

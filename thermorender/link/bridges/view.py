@@ -10,14 +10,13 @@ import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
-from thermorender.errors import ThermorenderError
+from thermorender.link.bridges.listener import HOST, LocalListener
 
-HOST = "127.0.0.1"
 _BOUNDARY = "frame"
 _MOST_VIEWERS, _LEAST_S, _REPEAT_S, _TIMEOUT_S, _QUALITY = 8, 0.03, 2.0, 10.0, 85
 
 
-class View:
+class View(LocalListener):
     """Shows frames to viewers; without a viewer nothing is encoded.
 
     Parameters
@@ -46,29 +45,15 @@ class View:
             def log_message(self, *_: Any) -> None:
                 """Write nothing: the path holds the token."""
 
-        class Listener(ThreadingHTTPServer):
-            allow_reuse_address = daemon_threads = True
-
-        try:
-            self._listener = Listener((HOST, port), Handler)
-        except OSError as error:
-            raise ThermorenderError(
-                f"port {port} for the view cannot be listened on ({error.strerror or error}); give another --view"
-            ) from None
-        self.address = f"http://{HOST}:{self._listener.server_address[1]}/{self._token}/live.mjpg"
-        self._thread = threading.Thread(target=self._listener.serve_forever, name="live view", daemon=True)
-
-    def start(self) -> None:
-        """Listen, in a thread."""
-        self._thread.start()
+        super().__init__(ThreadingHTTPServer, Handler, port, "the live view", "--view")
+        self.address = f"http://{HOST}:{self.port}/{self._token}/live.mjpg"
 
     def stop(self) -> None:
         """End listening."""
         with self._news:
             self._ended = True
             self._news.notify_all()
-        self._listener.shutdown()
-        self._listener.server_close()
+        super().stop()
 
     def show(self, number: int, session: Any) -> None:
         """Take the last frame of a session; of several sessions the view shows each frame in turn."""

@@ -1,0 +1,55 @@
+"""What bridges listen with: a server on this machine only, with a thread for each connection."""
+
+import socketserver
+import threading
+from typing import Any
+
+from thermorender.errors import ThermorenderError
+
+HOST = "127.0.0.1"
+
+
+class LocalListener:
+    """A server on 127.0.0.1 in a thread of its own.
+
+    Parameters
+    ----------
+    kind : type
+        Of socketserver.TCPServer with threads.
+    handler : type
+        Of socketserver.BaseRequestHandler, made for each connection.
+    port : int
+        To listen on; 0 chooses a free one.
+    what, option : str
+        What it is for, and the option that gives the port, for messages.
+
+    Attributes
+    ----------
+    port : int
+
+    Raises
+    ------
+    ThermorenderError
+        The port cannot be listened on.
+    """
+
+    def __init__(self, kind: type[Any], handler: type[Any], port: int, what: str, option: str) -> None:
+        listener = type("Listener", (kind,), {"allow_reuse_address": True, "daemon_threads": True})
+        try:
+            self._listener: socketserver.TCPServer = listener((HOST, port), handler)
+        except OSError as error:
+            raise ThermorenderError(
+                f"port {port} for {what} cannot be listened on ({error.strerror or error}); give another {option}, or "
+                "stop the program that uses it"
+            ) from None
+        self.port = int(self._listener.server_address[1])
+        self._thread = threading.Thread(target=self._listener.serve_forever, name=what, daemon=True)
+
+    def start(self) -> None:
+        """Listen, in a thread."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End listening."""
+        self._listener.shutdown()
+        self._listener.server_close()
