@@ -1,14 +1,18 @@
 """Comparisons, evaluations and studies by the workers of a cluster: the results of one process."""
 
+import importlib
 import json
 import re
 from contextlib import nullcontext
 
+import numpy as np
 import pytest
 from test_evaluation import linear_map, make_dataset
 from test_referee import flight, structured, uniform_map
+from typer.testing import CliRunner
 
-from scenes import write_terrain
+import thermorender as tr
+from scenes import coarse, write_terrain
 from thermorender.cluster import spread as spreads
 from thermorender.cluster.connect import Address
 from thermorender.cluster.spread import spreading
@@ -16,6 +20,8 @@ from thermorender.compare.evaluation.evaluate import evaluate
 from thermorender.compare.referee.run import Options, compare
 from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import save_map
+from validation.budget import study as budget
+from validation.command import app_of
 from validation.targets import study as targets
 
 # What depends on the time that the work took.
@@ -97,6 +103,21 @@ def test_pairs_are_scored_alike_in_any_order(in_process, tmp_path):
     same_evaluation(one, two, tmp_path)
 
 
+@pytest.mark.parametrize(("verb", "more"), [
+    ("evaluate", ("fok-1to1", "--dataset", "d")), ("compare", ("heath",)), ("targets", ()), ("budget", ()),
+    ("soundings", ("file.txt",)), ("longwave", ("--data", "d")), ("heat", ("--data", "d")),
+])  # fmt: skip
+def test_commands_take_a_cluster(call, tmp_path, monkeypatch, verb, more):
+    monkeypatch.chdir(tmp_path)
+    if verb in ("evaluate", "compare"):
+        status, _, errors = call(verb, *more, "-o", "out/here", "--cluster", "here")
+        assert status == 2 and "--cluster='here' is not allowed; give local:N" in errors
+        return
+    main = importlib.import_module(f"validation.{verb}.__main__").main
+    with pytest.raises(ThermorenderError, match="--cluster='here' is not allowed; give local:N"):
+        CliRunner().invoke(app_of(main), [*more, "-o", "out/here", "--cluster", "here"], catch_exceptions=False)
+
+
 def same_evaluation(one, two, folder):
     assert untimed(one) == untimed(two)
     cost = two["methods"]["linear"]
@@ -137,3 +158,25 @@ def test_two_processes_study_as_one(by_workers):
     few = {"places": 1, "targets": ("car", "fire"), "views": ((120, -90), (400, -30))}
     one, two = targets.run(**few), targets.run(**few, spread=by_workers)
     assert untimed(one) == untimed(two) and len(one["cases"]) == 4
+
+
+@pytest.mark.slow
+def test_two_processes_continue_a_study_as_one(by_workers, tmp_path, monkeypatch):
+    monkeypatch.setattr(budget.scenes, "CHOSEN", ((12, -90),))
+    monkeypatch.setattr(budget.scenes, "HEIGHTS_M", (20.0, 60.0))
+    monkeypatch.setattr(budget.scenes, "made", lambda seed: [])
+    folder = write_terrain(tmp_path / "tiny", height=np.random.default_rng(1).uniform(0, 1, (32, 32)))
+    scene = coarse(tr.load_scene(folder), 8)
+    monkeypatch.setattr(budget, "load_scene", lambda name: scene)
+    few = {"scene_names": ("tiny",), "drawn": 2, "qualities": ("fast",)}
+    one = budget.run(tmp_path / "one", **few)
+    kept = dict(list(one.items())[:1])
+    (tmp_path / "two").mkdir()
+    (tmp_path / "two/budget.json").write_text(json.dumps({"cases": kept}))
+    done = []
+    two = budget.run(
+        tmp_path / "two", **few, spread=lambda do, units: done.append(len(units)) or by_workers(do, units)
+    )  # fmt: skip
+    assert done == [2] and list(one) == list(two) and len(one) == 3
+    for name, case in one.items():
+        assert {**two[name], "frame_ms": 0.0} == {**case, "frame_ms": 0.0}

@@ -248,7 +248,9 @@ class Foreign:
             raise ThermorenderError(
                 f"--foreign {name}={folder} is not a folder; give a folder with a picture for each pair"
             )
-        pictures = {path.stem: path for path in sorted(self.folder.iterdir()) if path.suffix.lower() in PICTURES}
+        pictures = {
+            path.stem: path.absolute() for path in sorted(self.folder.iterdir()) if path.suffix.lower() in PICTURES
+        }
         missing = [entry.key for entry in entries if entry.key not in pictures]
         if missing:
             raise ThermorenderError(

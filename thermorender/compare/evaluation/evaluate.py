@@ -167,7 +167,9 @@ class _Views:
     """The Views of a Dataset, read one by one."""
 
     def __init__(self, dataset: Dataset, levels: Levels) -> None:
-        self.dataset, self.levels = dataset, levels
+        # Workers of a cluster have folders of their own.
+        self.dataset = Dataset(dataset.folder.absolute(), dataset.card, dataset.entries, dataset.scale)
+        self.levels = levels
 
     def __getitem__(self, number: int) -> View:
         pair = self.dataset.pair(self.dataset.entries[number])
