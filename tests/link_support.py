@@ -29,12 +29,21 @@ class Still:
     def most_bytes(self):
         return reply_bytes(0x1FF, self.opened.width, self.opened.height)
 
-    def answer(self, requests, arrived_s):
+    def add(self, request):
+        if not request.time_s > self.time_s:
+            raise ThermorenderError("time runs backwards")
+        if (request.poses[:, 3] < 0.0).any():
+            raise ThermorenderError("a pose is under the ground")
+        self.path += [row[0] for row in request.poses]
+
+    def answer(self, requests, arrived_s, added=0):
         if self.gate is not None:
             self.gate.wait(10.0)
         request = requests[-1]
         if request.time_s <= self.time_s:
             raise ThermorenderError("time runs backwards")
+        if any((each.poses[:, 3] < 0.0).any() for each in requests):
+            raise ThermorenderError("a pose is under the ground")
         if request.time_s == FAULT_S:
             raise ZeroDivisionError("a fault of the server")
         self.time_s, self.index = request.time_s, self.index + 1
@@ -49,7 +58,7 @@ class Still:
         products = request.products & ~int(link.Product.TARGETS)
         return [
             reply_head(request.time_s, self.settings.seed, self.index, (1.0, 2.0), now - arrived_s, 0.0, products,
-                       shape, len(requests) - 1, False, 0),
+                       shape, added + len(requests) - 1, False, 0),
             *images,
         ]  # fmt: skip
 

@@ -15,7 +15,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.frame.exr import read_exr
 from thermorender.learned.temperature_map import Inputs, load_model
 from thermorender.link import Code, LinkError
-from thermorender.link.messages import Open
+from thermorender.link.messages import Open, Request
 from thermorender.link.session import Session
 from thermorender.link.stage import Stage
 from thermorender.output.flight import FlightOptions, fly
@@ -263,6 +263,29 @@ def test_impossible_requests_are_refused_in_one_sentence(client, request_, sente
     # The session is as before.
     kept, wanted = (each.frame(2.0, HIGH, objects={"plate": {"yaw_deg": 0.0}}) for each in (session, again))
     assert kept.counts.tobytes() == wanted.counts.tobytes()
+
+
+def test_requests_added_one_by_one_give_the_frame_of_all_together(renderer):
+    stage = Stage(renderer, {}, (), {"rays": 4, "samples": 1})
+    asked = [Request(t, poses=np.array([[t, x, 0.0, 12.0, *DOWN]]), objects=[("plate", t, {"yaw_deg": 90.0 * x})])
+             for t, x in ((0.0, 0.0), (0.01, 0.3), (0.02, 0.8), (0.03, 1.5))]  # fmt: skip
+    whole, parts = (stage.open(Open(seed=5, rate_hz=9.0)) for _ in range(2))
+    for each in (whole, parts):
+        each.answer(asked[:1], 0.0)
+    wanted = whole.answer(asked[1:], 0.0)
+    for one in asked[1:3]:
+        for wrong, sentence in (
+            (replace(one, poses=one.poses * [[1.0, 1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0]]), "unit quaternions are needed"),
+            (replace(one, time_s=np.nan), "is not a time"),
+            (replace(one, objects=[("car", 0.0, {"yaw_deg": 1.0})]), "object 'car' has no track"),
+        ):
+            with pytest.raises(ThermorenderError, match=sentence):
+                parts.add(wrong)
+        parts.add(one)
+    found = parts.answer(asked[3:], 0.0, added=2)
+    assert [bytes(each) for each in found[1:]] == [bytes(each) for each in wanted[1:]]
+    # All but the times that it took.
+    assert found[0][:32] == wanted[0][:32] and found[0][40:] == wanted[0][40:]
 
 
 @pytest.mark.parametrize(

@@ -239,9 +239,37 @@ def test_a_token_file_belongs_to_one_server(tmp_path, monkeypatch):
     assert sorted(each.name for each in tmp_path.iterdir()) == ["link", "token"]
     # Machines with a common cache folder have files of their own.
     monkeypatch.setattr("platform.node", lambda: "a/b")
-    assert (one := access.token_file(1)).name == "a_b-1.token"
+    assert (one := access.token_file("127.0.0.1", 1)).name == "a_b-127.0.0.1-1.token"
     monkeypatch.setattr("platform.node", lambda: "c")
-    assert access.token_file(1) != one and access.token_file(1).parent == one.parent
+    two = access.token_file("127.0.0.1", 1)
+    assert two != one and two.parent == one.parent
+
+
+def test_servers_of_one_port_have_token_files_of_their_own(tmp_path, monkeypatch):
+    monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path))
+
+    @contextlib.contextmanager
+    def listening(host, port, width):
+        server = Server(Stills(size=(width, 3)), host, port)
+        server.token = access.new_token(access.token_file(server.address, server.port))
+        thread = threading.Thread(target=server.run)
+        thread.start()
+        try:
+            yield server.port
+        finally:
+            server.stop()
+            thread.join(20.0)
+
+    def width_at(host, port):
+        with link.connect(host, port) as client:
+            return client.open().opened.width
+
+    with listening("127.0.0.1", 0, 4) as port, listening("127.0.0.2", port, 5):
+        assert (width_at("127.0.0.1", port), width_at("127.0.0.2", port)) == (4, 5)
+    assert len([*tmp_path.rglob("*.token")]) == 2 and access.token_file("::1", 1).name.endswith("-__1-1.token")
+    # A server of all addresses is reached at each of them, although one before it has left its file.
+    with listening("0.0.0.0", port, 9):
+        assert (width_at("127.0.0.1", port), width_at("127.0.0.2", port)) == (9, 9)
 
 
 def test_a_client_that_waits_outlives_the_token_of_a_killed_server(tmp_path):
@@ -328,6 +356,40 @@ def test_latest_pose_wins_and_none_of_the_path_is_lost():
         time.sleep(0.1)
         gate.set()
         assert [client.receive().id for _ in range(4)] == [busy, numbers[1], numbers[2], numbers[4]]
+
+
+def test_a_wrong_request_of_a_group_is_refused_alone():
+    gate = threading.Event()
+    stage = Stills(gate)
+    with serving(stage) as server, connected(server) as client:
+        session, wrong = client.open(), (0.0, 0.0, -1.0, *POSE[3:])
+        first = session.send(0.0, POSE)
+        time.sleep(0.1)  # it is being rendered
+        numbers = [session.send(float(k), wrong if k in (2, 4) else POSE, latest=True) for k in range(1, 7)]
+        time.sleep(0.2)
+        gate.set()
+        assert client.receive().id == first
+        for number in (numbers[1], numbers[3]):
+            with pytest.raises(LinkError, match="a pose is under the ground") as error:
+                client.receive()
+            assert (error.value.id, error.value.session, error.value.code) == (number, session.number, Code.REFUSED)
+        reply = client.receive()
+        assert (reply.id, reply.superseded, reply.time_s) == (numbers[5], 3, 6.0)
+        assert stage.opened[0].path == [0.0, 1.0, 3.0, 5.0, 6.0]
+        # The last one is wrong: what the others gave stays.
+        gate.clear()
+        busy = session.send(7.0, POSE)
+        time.sleep(0.1)
+        numbers = [session.send(float(k), wrong if k == 10 else POSE, latest=True) for k in range(8, 11)]
+        time.sleep(0.2)
+        gate.set()
+        assert client.receive().id == busy
+        with pytest.raises(LinkError, match="a pose is under the ground") as error:
+            client.receive()
+        assert error.value.id == numbers[2]
+        assert session.frame(11.0, POSE).superseded == 0
+        assert stage.opened[0].path[-4:] == [7.0, 8.0, 9.0, 11.0]
+    settled(server)
 
 
 def test_closed_comes_after_the_replies_of_its_session():

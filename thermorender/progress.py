@@ -1,13 +1,15 @@
 """Bars for long work: on a terminal, and in a notebook."""
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from html import escape
 from typing import Any
 
 # Called with (what, share done).
 Progress = Callable[[str, float], object]
+# (do, units) → do(unit) of each, in order: `map`, or what spreads the units over the workers of a cluster.
+Spread = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
 
 
 def in_notebook() -> bool:

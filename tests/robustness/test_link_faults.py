@@ -229,7 +229,7 @@ def started(folder, *options):
 def test_the_command_serves_and_stops_cleanly(tmp_path, number):
     process, port, token = started(tmp_path, "--camera", "boson-640", "--map", "fok-1to1")
     try:
-        assert token == token_file(port) and token.is_relative_to(os.environ["THERMORENDER_CACHE"])
+        assert token == token_file("127.0.0.1", port) and token.is_relative_to(os.environ["THERMORENDER_CACHE"])
         assert token.stat().st_mode & 0o777 == 0o600 and len(read_token(token)) == 64
         with link.connect(port=port) as client:
             assert client.server["cameras"].keys() == {"zenmuse-xt2", "boson-640"}

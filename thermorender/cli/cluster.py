@@ -1,5 +1,7 @@
 """Options that spread a flight over several processes or machines."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -8,6 +10,7 @@ import typer
 
 from thermorender.cli.terminal import Progress, table
 from thermorender.errors import ThermorenderError
+from thermorender.progress import Spread
 
 if TYPE_CHECKING:
     from thermorender.output.flight import FlightOptions
@@ -16,11 +19,25 @@ if TYPE_CHECKING:
 
 Cluster = Annotated[
     str | None,
-    typer.Option(help="Render by the workers of Dask: local:N for N processes on this machine, tcp://SCHEDULER:8786, "
-                 "or the file of a Dask configuration. The folder must be on a disk that all share."),
+    typer.Option(help="Share the work among workers of Dask: local:N for N processes on this machine, "
+                 "tcp://SCHEDULER:8786, or the file of a Dask configuration. The folder must be on a disk that all "
+                 "share."),
 ]  # fmt: skip
 # Columns of a worker's time.
 _SPENT = ("loading [s]", "warm-up [s]", "frames [s]", "moving [s]")
+
+
+@contextmanager
+def spread_over(cluster: str | None, output: Path) -> Iterator[Spread]:
+    """Yield `map`, or a function like it that the workers of --cluster carry out; print lines on workers."""
+    if cluster is None:
+        yield map
+        return
+    from thermorender.cluster.connect import parse_cluster
+    from thermorender.cluster.spread import spreading
+
+    with spreading(parse_cluster(cluster), output, lambda line: typer.echo(line, err=True)) as spread:
+        yield spread
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from thermorender import defaults, files, formats
+from thermorender.cli.cluster import Cluster, spread_over
 from thermorender.cli.options import (
     SCENE_NAMES,
     Air,
@@ -59,6 +60,7 @@ def compare(
     seed: Seed = 0,
     sampling: SamplingOptions,
     device: Device = "auto",
+    cluster: Cluster = None,
 ) -> None:  # fmt: skip
     """Compare learned 2D translation with the radiometric render of the same poses: a page, a table, pictures."""
     from thermorender.campaign.dataset import read_dataset
@@ -71,7 +73,7 @@ def compare(
     if not letters or not set(letters) <= set(LETTERS):
         raise ThermorenderError(f"--methods={methods!r} is not allowed; give some of {', '.join(LETTERS)}")
     folders = dict(named(text, "--foreign", "NAME=FOLDER") for text in foreign or ())
-    with progress() as report:
+    with progress() as report, spread_over(cluster, output) as spread:
         flights = []
         for name in scenes:
             loaded = situation.load(name)
@@ -80,7 +82,7 @@ def compare(
             letters, privileged, folders, [read_dataset(one) for one in dataset or ()],
             learned_materials(emissivity, fallback), arrays, seed, {"device": device, **sampling.settings()},
         )  # fmt: skip
-        summary = run.compare(flights, output, split(models), options, report)
+        summary = run.compare(flights, output, split(models), options, report, spread)
     for head, lines in tables.of(summary):
         table(head, lines)
     for title, grave, lines in findings.grouped(summary["findings"]):

@@ -8,7 +8,7 @@ import typer
 
 from thermorender import defaults, files
 from thermorender.cli.camera import parse_scale
-from thermorender.cli.cluster import Cluster
+from thermorender.cli.cluster import Cluster, spread_over
 from thermorender.cli.terminal import named, output_option, progress, split, table, warn
 from thermorender.errors import ThermorenderError
 from thermorender.learned.networks.recipes import RECIPES
@@ -392,6 +392,7 @@ def evaluate(
     part: Annotated[str, typer.Option(help="train, validation or test.")] = "test",
     limit: Annotated[int | None, typer.Option(help="Number of pairs to score, evenly spaced.", min=1)] = None,
     seed: Annotated[int, typer.Option(help="Seed of the bootstrap.", min=0)] = 0,
+    cluster: Cluster = None,
 ) -> None:
     """Print errors of learned maps on a data set, in kelvin, with simple methods and the least possible error."""
     from thermorender.campaign.dataset import PARTS, read_dataset
@@ -406,9 +407,9 @@ def evaluate(
         from thermorender.campaign.splits import read_split
 
         parts = read_split(of)
-    with progress() as advance:
+    with progress() as advance, spread_over(cluster, output) as spread:
         data = read_dataset(dataset)
-        result = study.evaluate(data, models, output, privileged, folders, parts, part, limit, seed, advance)
+        result = study.evaluate(data, models, output, privileged, folders, parts, part, limit, seed, advance, spread)
     for line in report.lines_before(result):
         typer.echo(line)
     table(report.HEADER, [*report.rows(result), *report.published_rows()])

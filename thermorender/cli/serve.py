@@ -77,7 +77,7 @@ def serve(
     print_cache_note(renderer)
     stage = Stage(renderer, cameras, tuple(map or ()), sampling.settings() | {"device": device})
     server = Server(stage, host, port)
-    kept = token_file or default_file(server.port)
+    kept = token_file or default_file(server.address, server.port)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     bridges: list[Any] = []
     try:

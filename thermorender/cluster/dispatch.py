@@ -15,8 +15,9 @@ _AHEAD, _LEAST = 2, 64
 
 
 def results(
-    client: "Client", do: Callable[[T], dict[str, Any]], units: Sequence[T], report: Report
-) -> Iterator[tuple[T, dict[str, Any]]]:
+    client: "Client", do: Callable[[T], dict[str, Any]], units: Sequence[T], report: Report,
+    then: str = "continue with --resume",
+) -> Iterator[tuple[T, dict[str, Any]]]:  # fmt: skip
     """Yield (unit, result) as units of work are done by the workers.
 
     Parameters
@@ -28,6 +29,8 @@ def results(
         In the order in which they are begun.
     report : callable
         Called with lines on workers that join or are lost.
+    then : str
+        Advice for a lost scheduler.
 
     Raises
     ------
@@ -65,9 +68,7 @@ def results(
             yield unit, found
             more()
     except (CancelledError, OSError) as error:
-        raise ThermorenderError(
-            f"the scheduler was lost ({type(error).__name__}); start it again and continue with --resume"
-        ) from None
+        raise ThermorenderError(f"the scheduler was lost ({type(error).__name__}); start it again and {then}") from None
 
 
 def sentence(found: dict[str, Any]) -> str:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from thermorender.output.flight import Flight
 
 # Dr.Jit and the sensor's state serve one block at a time.
-_ONE = threading.Lock()
+ONE = threading.Lock()
 # The flight of this process: (checksum of its file, Flight).
 _known: tuple[str, "Flight"] | None = None
 
@@ -78,7 +78,7 @@ def do_block(job: Job, frames: range) -> dict[str, Any]:
         refuse_other_settings(folder / "flight.json", flight.settings)
         return {"loading_s": loading_s} | write_block(flight, folder, frames.start, frames.stop)
 
-    with _ONE:
+    with ONE:
         return attempted(do)
 
 
@@ -92,28 +92,12 @@ def _flight(job: Job, folder: Path) -> "Flight":
 
 
 def _loaded(job: Job, folder: Path) -> "Flight":
-    path = file_of(folder)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise ThermorenderError(
-            f"{path} cannot be read on {socket.gethostname()}: {error.strerror}; mount the flight's folder there under "
-            "the same path"
-        ) from None
-    if formats.checksum(data) != job.checksum:
-        raise ThermorenderError(f"{path} is not the file of this flight; stop other flights into this folder")
-    value = pickle.loads(data)
-    ready(value["versions"], job.processes)
+    value = unpickled(file_of(folder), job.checksum)
+    ready(value["versions"], job.processes, value["device"])
     from thermorender.output.flight import Flight
     from thermorender.render.flight.frames import FlightFrames
     from thermorender.render.renderer import Renderer
 
-    activate("cuda" if "cuda" in value["device"] else "cpu")
-    if active_device() != value["device"]:
-        raise ThermorenderError(
-            f"worker {worker_name()} has the device {active_device()}, the flight was started with {value['device']}; "
-            "install the same version of its library"
-        )
     flight = Flight.__new__(Flight)
     vars(flight).update(value["flight"])
     flight.renderer = Renderer.of(value["baked"], value["seed"])
@@ -121,14 +105,45 @@ def _loaded(job: Job, folder: Path) -> "Flight":
     return flight
 
 
-def ready(wanted: dict[str, str], processes: int) -> None:
-    """Refuse a worker whose results would have other bytes; bind it to its share of the machine's cores."""
+def unpickled(path: Path, checksum: str) -> Any:
+    """Return the content of a file for workers; refuse one that another process has written."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ThermorenderError(
+            f"{path} cannot be read on {socket.gethostname()}: {error.strerror}; mount the folder of the results there "
+            "under the same path"
+        ) from None
+    if formats.checksum(data) != checksum:
+        raise ThermorenderError(f"{path} is not the file of this work; stop other processes that write to its folder")
+    return pickle.loads(data)
+
+
+def ready(wanted: dict[str, str], processes: int, device: dict[str, str] | None = None) -> None:
+    """Refuse a worker whose results would have other bytes; bind it to its share of the machine's cores.
+
+    Parameters
+    ----------
+    wanted : dict of str to str
+        Versions of libraries.
+    processes : int
+        As of `Job`.
+    device : dict of str to str, optional
+        As of `active_device`; it is made active.
+    """
     own = versions()
     for name, expected in wanted.items():
         if own.get(name) != expected:
             raise ThermorenderError(
                 f"worker {worker_name()} has {name} {own.get(name)}, the work was started with {expected}; install the "
                 "same version"
+            )
+    if device:
+        activate("cuda" if "cuda" in device else "cpu")
+        if active_device() != device:
+            raise ThermorenderError(
+                f"worker {worker_name()} has the device {active_device()}, the work was started with {device}; install "
+                "the same version of its library"
             )
     _take_cores(processes)
 

@@ -13,12 +13,22 @@ from thermorender.errors import ThermorenderError
 from thermorender.link.wire import TOKEN_BYTES
 
 
-def token_file(port: int) -> Path:
-    """Return where this machine's server of a port keeps its token, unless it is given another file.
+def token_file(address: str, port: int) -> Path:
+    """Return where this machine's server at an address, in digits, and port keeps its token, unless given another file.
 
     Machines may share the cache folder, so that their names belong to the file's.
     """
-    return cache_folder("link") / f"{re.sub('[^A-Za-z0-9.-]', '_', platform.node())}-{port}.token"
+    name = re.sub("[^A-Za-z0-9.-]", "_", f"{platform.node()}-{address}-{port}")
+    return cache_folder("link") / f"{name}.token"
+
+
+def found_token_file(address: str, port: int) -> Path:
+    """Return the token file of this machine's server that a client has reached at an address.
+
+    It is that of the address, or of a server that listens on all addresses, whichever is newer.
+    """
+    files = [token_file(each, port) for each in (address, "::" if ":" in address else "0.0.0.0")]
+    return max((each for each in files if each.is_file()), key=lambda each: each.stat().st_mtime_ns, default=files[0])
 
 
 def new_token(path: str | PathLike[str]) -> str:

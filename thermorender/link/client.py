@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.link.access import checked_token, read_token, token_file
+from thermorender.link.access import checked_token, found_token_file, read_token
 from thermorender.link.messages import Open, Opened, Reply, Request
 from thermorender.link.wire import (
     DEFAULT_PORT,
@@ -47,7 +47,7 @@ def connect(
     token : str, optional
         64 hexadecimal digits. By default they are read from a file.
     token_path : path, optional
-        The server's token file; by default that of a server of the same user and port on this machine.
+        The server's token file; by default that of a server of the same user, address and port on this machine.
     timeout_s : float
         Longest wait for a reply [s].
     wait_s : float
@@ -58,11 +58,12 @@ def connect(
     ThermorenderError
         Nothing listens there, or the token cannot be read. LinkError: the server refuses the token.
     """
+    if token is not None:
+        checked_token(token)
     end = time.monotonic() + wait_s
     while True:
         try:
-            text = read_token(token_path or token_file(port)) if token is None else checked_token(token)
-            return _connected(host, port, text, timeout_s)
+            return _connected(host, port, token, token_path, timeout_s)
         except ThermorenderError as error:
             # A server that has just started replaces the token of one that was killed.
             refused = isinstance(error, LinkError) and (error.code != Code.ACCESS or token is not None)
@@ -71,7 +72,9 @@ def connect(
         time.sleep(0.1)
 
 
-def _connected(host: str, port: int, token: str, timeout_s: float) -> "Client":
+def _connected(
+    host: str, port: int, token: str | None, token_path: str | PathLike[str] | None, timeout_s: float
+) -> "Client":
     try:
         connection = socket.create_connection((host, port), timeout_s)
     except (OSError, OverflowError, UnicodeError) as error:
@@ -80,6 +83,9 @@ def _connected(host: str, port: int, token: str, timeout_s: float) -> "Client":
             "port that it printed"
         ) from None
     try:
+        if token is None:
+            address = str(connection.getpeername()[0])
+            return Client(connection, read_token(token_path or found_token_file(address, port)))
         return Client(connection, token)
     except BaseException:
         connection.close()

@@ -54,8 +54,11 @@ class Shown(Protocol):
     def most_bytes(self) -> int:
         """Length of the longest reply."""
 
-    def answer(self, requests: list[Request], arrived_s: float) -> list[Any]:
-        """Return the payload of a reply to the last request."""
+    def add(self, request: Request) -> None:
+        """Add what a replaced request gives to the path."""
+
+    def answer(self, requests: list[Request], arrived_s: float, added: int = 0) -> list[Any]:
+        """Return the payload of a reply to the last request, which also replaced the `added` ones."""
 
 
 class Stages(Protocol):
@@ -114,13 +117,17 @@ class Seat:
 
 @dataclass(eq=False)
 class Job:
-    """Work for the thread that renders: an OPEN with its settings, a CLOSE, or requests for a frame."""
+    """Work for the thread that renders: an OPEN with its settings, a CLOSE, or requests for a frame.
+
+    `head` is that of the last request, and `replaced` holds those of the others.
+    """
 
     client: Peer
     head: Head
     session: Seat
     settings: Open | None = None
     requests: list[Request] = field(default_factory=list)
+    replaced: list[Head] = field(default_factory=list)
     samples: int = 0
     arrived_s: float = 0.0
     held: int = 0

@@ -20,7 +20,7 @@ from dataclasses import replace
 from typing import Any
 
 from thermorender.errors import ThermorenderError
-from thermorender.link.connections import DEFAULT_LIMITS, Job, Limits, Peer, Seat, Stages
+from thermorender.link.connections import DEFAULT_LIMITS, Job, Limits, Peer, Seat, Shown, Stages
 from thermorender.link.messages import Open, Request, refuse_length
 from thermorender.link.wire import (
     DEFAULT_PORT,
@@ -52,8 +52,8 @@ class Server:
     ----------
     token : str
         That clients must give; set it before `run`.
-    port : int
-        The port it listens on.
+    address, port : str, int
+        The address in digits and the port that it listens on.
     answered : int
         Requests answered with a frame.
     watchers : list of callables
@@ -84,7 +84,7 @@ class Server:
                 f"address {host} port {port} cannot be listened on ({why}); give an "
                 "address of this machine as --host, another --port, or stop the server that uses it"
             ) from None
-        self.port = int(self._socket.getsockname()[1])
+        self.address, self.port = str(self._socket.getsockname()[0]), int(self._socket.getsockname()[1])
         self._loop, self._space, self._ended = asyncio.new_event_loop(), asyncio.Event(), asyncio.Event()
         self._thread = threading.Thread(target=self._sockets, name="link sockets", daemon=True)
 
@@ -145,10 +145,27 @@ class Server:
         with self._lock:
             if job.session.latest is job:
                 job.session.latest = None
-        assert job.session.shown is not None
-        payload = job.session.shown.answer(job.requests, job.arrived_s)
+        shown = job.session.shown
+        assert shown is not None
+        try:
+            payload = shown.answer(job.requests, job.arrived_s)
+        except ThermorenderError:
+            if not job.replaced:
+                raise
+            payload = shown.answer(job.requests[-1:], job.arrived_s, self._added(job, shown))
         self.answered += 1
         return message(Type.REPLY, job.head.session, job.head.id, payload)
+
+    def _added(self, job: Job, shown: Shown) -> int:
+        """Add the replaced requests of a job one by one and return their number; refuse those that are wrong."""
+        added = 0
+        for head, request in zip(job.replaced, job.requests, strict=False):
+            try:
+                shown.add(request)
+                added += 1
+            except ThermorenderError as error:
+                self._later(self._refuse, job.client, head, str(error))
+        return added
 
     def _later(self, call: Callable[..., object], *arguments: Any) -> None:
         with contextlib.suppress(RuntimeError):  # the loop has ended
@@ -321,12 +338,13 @@ class Server:
                 # The older request only gives its part of the path.
                 waits.requests[-1] = replace(waits.requests[-1], picture=None)
                 waits.requests.append(request)
+                waits.replaced.append(waits.head)
                 waits.samples += request.samples
                 waits.head, waits.arrived_s = head, now
                 held, waits.held = waits.held, held
                 self._release(held)
                 return True
-            job = Job(client, head, session, None, [request], request.samples, now, held)
+            job = Job(client, head, session, None, [request], samples=request.samples, arrived_s=now, held=held)
             session.latest = job if request.latest else None
         self._put(job)
         return True
@@ -343,6 +361,11 @@ class Server:
     def _reply(self, client: Peer, parts: list[Any], held: int = 0, answers: int = 0) -> None:
         client.outbox.append((parts, held, answers))
         client.wake.set()
+
+    def _refuse(self, client: Peer, head: Head, text: str) -> None:
+        """Refuse a request that another has replaced."""
+        if not client.closed:
+            self._reply(client, error_message(Code.REFUSED, text, head.session, head.id))
 
     def _deliver(self, job: Job, parts: list[Any] | None) -> None:
         """Take the reply of a job."""

@@ -71,7 +71,17 @@ class Session:
         targets = len(self.renderer.scene.spec.objects)
         return reply_bytes(ALL_PRODUCTS, self.opened.width, self.opened.height, targets)
 
-    def answer(self, requests: Sequence[Request], arrived_s: float) -> list[Any]:
+    def add(self, request: Request) -> None:
+        """Add what a replaced request gives to the path and to the objects.
+
+        Raises
+        ------
+        ThermorenderError
+            A value that is not allowed; the session is then as before.
+        """
+        self.frames.add(request.time_s, self._path(request.poses) if len(request.poses) else None, request.objects)
+
+    def answer(self, requests: Sequence[Request], arrived_s: float, added: int = 0) -> list[Any]:
         """Return the payload of a reply, as a list of buffers, to the last of some requests.
 
         Earlier ones, which the last replaces, only add to the path and to the objects.
@@ -81,6 +91,8 @@ class Session:
         requests : sequence of Request
         arrived_s : float
             When the last of them arrived, on the clock of `time.perf_counter` [s].
+        added : int
+            Replaced requests that `add` took before.
 
         Raises
         ------
@@ -99,7 +111,7 @@ class Session:
         done = time.perf_counter()
         head = reply_head(
             frame.time_s, frame.seed, frame.index, errors, done - arrived_s, done - start, request.products,
-            frame.radiance.shape, len(requests) - 1, frozen, len(rows),
+            frame.radiance.shape, added + len(requests) - 1, frozen, len(rows),
         )  # fmt: skip
         return [head, *products, rows.tobytes()]
 

@@ -139,6 +139,10 @@ class Renderer:
         made._geometry = baked.geometry
         return made
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Pickled with its light, as another process needs it.
+        return Renderer.of, (self.baked, self.seed)
+
     def solved_for(self, scene: Scene) -> "Renderer":
         """Return the Renderer of the same surfaces at other temperatures, by light already traced; see BakedScene."""
         return Renderer.of(self.baked.solved_for(scene), self.seed)

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from thermorender.cli.cluster import Cluster, spread_over
 from validation.budget import study
 from validation.command import Device, Out, conclude, continued_results, run_command
 
@@ -14,10 +15,11 @@ def main(
     drawn: Annotated[int, typer.Option(min=0, help="Views to draw between 20 m and 20 km, 10° and 90°.")] = 105,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the drawn views and of the made scenes.")] = 0,
     device: Device = "auto",
+    cluster: Cluster = None,
 ):
     """The stated sampling error of frames against 256 rays per pixel; continues earlier results."""
-    with continued_results(output) as report:
-        cases = study.run(output, drawn=drawn, seed=seed, progress=report, device=device)
+    with continued_results(output) as report, spread_over(cluster, output) as spread:
+        cases = study.run(output, drawn=drawn, seed=seed, progress=report, device=device, spread=spread)
     summary = study.summary(cases)
     if summary["views"]:
         typer.echo(

@@ -26,7 +26,8 @@ HEADER = ("scene", "view", "quality", "pixels", "true [mK]", "stated [mK]", "sta
 _TURNS = 5
 
 
-def run(folder, scene_names=defaults.SCENES, drawn=105, seed=0, qualities=QUALITIES, progress=None, device="auto"):
+def run(folder, scene_names=defaults.SCENES, drawn=105, seed=0, qualities=QUALITIES, progress=None, device="auto",
+        spread=map):  # fmt: skip
     """Measure the cases that `budget.json` of a folder lacks; return all cases {name: record}, as written there.
 
     Parameters
@@ -42,6 +43,8 @@ def run(folder, scene_names=defaults.SCENES, drawn=105, seed=0, qualities=QUALIT
     progress : callable, optional
         Called with (step, share done).
     device : {"auto", "cpu", "cuda"}
+    spread : callable
+        (do, units) → do(unit) of each view, in order.
 
     Returns
     -------
@@ -59,29 +62,18 @@ def run(folder, scene_names=defaults.SCENES, drawn=105, seed=0, qualities=QUALIT
         for number, name in enumerate(scene_names)
     ]  # fmt: skip
     jobs += [(scene, [(view, False) for view in chosen]) for scene, chosen in scenes.made(seed)]
+    units = []
     for number, (scene, chosen) in enumerate(jobs):
-        renderers = {}
-        for part, (view, random) in enumerate(chosen):
-            if progress:
-                progress(f"{scene.name}, {view.name}", (number + part / len(chosen)) / len(jobs))
+        for view, random in chosen:
             asked = qualities[:1] if random else qualities
             wanted = [quality for quality in asked if _key(scene, view, quality) not in kept]
-            if not wanted:
-                continue
-            for quality in (qualities[0], *wanted):
-                if quality not in renderers:
-                    renderers[quality] = Renderer(
-                        scene, quality, rays=_RAYS, device=device, like=next(iter(renderers.values()), None)
-                    )
-            truth = converged(renderers[qualities[0]], view.pose(scene), {"device": device})
-            for quality in wanted:
-                found = _measure(renderers[quality], view.pose(scene), truth)
-                kept[_key(scene, view, quality)] = {
-                    "scene": scene.name, "view": view.name, "height_m": view.height_m, "pitch_deg": view.pitch_deg,
-                    "quality": quality, "drawn": random, **found,
-                }  # fmt: skip
-            record = {"machine": machine.machine(), "versions": versions(), "seed": seed, "cases": kept}
-            formats.write_json(path, record)
+            units += [(number, view, random, wanted)] if wanted else []
+    measure = _Views([scene for scene, _ in jobs], qualities[0], device)
+    for turn, (unit, found) in enumerate(zip(units, spread(measure, units), strict=True), 1):
+        if progress:
+            progress(f"{jobs[unit[0]][0].name}, {unit[1].name}", turn / len(units))
+        kept.update(found)
+        formats.write_json(path, {"machine": machine.machine(), "versions": versions(), "seed": seed, "cases": kept})
     figure(folder / "budget.png", kept)
     if progress:
         progress("measured", 1.0)
@@ -112,6 +104,33 @@ def _view(numbers):
 
 def _key(scene, view, quality):
     return f"{scene.name}/{view.name}, yaw {view.yaw_deg:.0f}°/{quality}"
+
+
+class _Views:
+    """Measures views, and keeps the renderers of the last scene."""
+
+    def __init__(self, scenes, first, device):
+        self.scenes, self.first, self.device = scenes, first, device
+        self.number, self.renderers = None, {}
+
+    def __call__(self, unit):
+        """Return the cases of a view (number of the scene, view, whether it is drawn, qualities)."""
+        number, view, random, wanted = unit
+        scene = self.scenes[number]
+        if self.number != number:
+            self.number, self.renderers = number, {}
+        for quality in (self.first, *wanted):
+            if quality not in self.renderers:
+                like = next(iter(self.renderers.values()), None)
+                self.renderers[quality] = Renderer(scene, quality, rays=_RAYS, device=self.device, like=like)
+        truth = converged(self.renderers[self.first], view.pose(scene), {"device": self.device})
+        return {
+            _key(scene, view, quality): {
+                "scene": scene.name, "view": view.name, "height_m": view.height_m, "pitch_deg": view.pitch_deg,
+                "quality": quality, "drawn": random, **_measure(self.renderers[quality], view.pose(scene), truth),
+            }
+            for quality in wanted
+        }  # fmt: skip
 
 
 def _measure(renderer, pose, truth):

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from thermorender import formats
+from thermorender.cli.cluster import Cluster, spread_over
 from thermorender.errors import ThermorenderError
 from validation.command import Out, conclude, new_results, run_command
 from validation.heat import study
@@ -19,10 +20,11 @@ def main(
     data: Annotated[Path, typer.Option(help="Folder with the measured tables that the sites name.")],
     sites: Annotated[Path | None, typer.Option(help="File of sites; default: sites.toml of this study.")] = None,
     output: Out = Path("out/validation/heat"),
+    cluster: Cluster = None,
 ):
     """The heat balance and simpler methods against measured surface temperatures, and error against run time."""
-    with new_results(output) as (report, folder):
-        result = study.run(sites or Path(__file__).with_name("sites.toml"), data, progress=report)
+    with new_results(output) as (report, folder), spread_over(cluster, output) as spread:
+        result = study.run(sites or Path(__file__).with_name("sites.toml"), data, progress=report, spread=spread)
         if not result["sites"]:
             raise ThermorenderError(f"--data={data} has no table of any site; give the folder with these tables")
         # Results of another file of sites have its name.

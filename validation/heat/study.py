@@ -7,6 +7,7 @@ cover, as in SOLWEIG; and the air temperature.
 
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +55,7 @@ _COST_SITES, _COST_LAYERS, _COST_STEPS_S = ("grass", "desert", "square"), (6, 8,
 _FINE = {"layers": 24, "step_s": 60.0}
 
 
-def run(sites, folder, progress=None):
+def run(sites, folder, progress=None, spread=map):
     """Return the scores of every method at every site, the time series, and error against run time, as a dict.
 
     Parameters
@@ -65,6 +66,8 @@ def run(sites, folder, progress=None):
         Folder of the measured tables; sites without a table are left out and named under "missing".
     progress : callable, optional
         Called with (step, share done).
+    spread : callable
+        (do, units) → do(unit) of each site, in order.
     """
     report = progress or (lambda step, share: None)
     declared = read_sites(sites)
@@ -78,9 +81,9 @@ def run(sites, folder, progress=None):
                 )
     there = [site for site in declared if (Path(folder) / site.file).is_file()]
     result = {"sites": {}, "missing": [site.name for site in declared if site not in there]}
-    for number, site in enumerate(there):
-        report(f"site {site.name}", number / len(there))
-        result["sites"][site.name] = _of_site(measured(site, folder))
+    for site, found in zip(there, spread(partial(_of_site, Path(folder).absolute()), there), strict=True):
+        result["sites"][site.name] = found
+        report(f"site {site.name}", len(result["sites"]) / len(there))
     chosen = [site for site in there if site.name in _COST_SITES]
     result["cost"] = _cost([measured(site, folder) for site in chosen], lambda share: report("run time", share))
     report("run time", 1.0)
@@ -100,7 +103,8 @@ def rows(result):
     return found
 
 
-def _of_site(found):
+def _of_site(folder, site):
+    found = measured(site, folder)
     begin = time.perf_counter()
     own = modelled(found)
     seconds = time.perf_counter() - begin

@@ -101,9 +101,9 @@ def _server(quality, device):
 
 def _case(port, method, count, free, frames):
     """Latency and frames per second of some clients at once."""
-    task = {"port": port, "token": str(token_file(port)), "method": method, "map": "" if method == "A" else MAP,
-            "rate_hz": RATE_HZ, "products": PRODUCTS, "frames": frames, "free": free,
-            "poses": poses(600).tolist()}  # fmt: skip
+    task = {"port": port, "token": str(token_file("127.0.0.1", port)), "method": method,
+            "map": "" if method == "A" else MAP, "rate_hz": RATE_HZ, "products": PRODUCTS, "frames": frames,
+            "free": free, "poses": poses(600).tolist()}  # fmt: skip
     command = [sys.executable, "-m", "validation.link.client"]
     started = [
         subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for _ in range(count)

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from thermorender import formats
+from thermorender.cli.cluster import Cluster, spread_over
 from thermorender.errors import ThermorenderError
 from validation.command import Out, conclude, new_results, run_command
 from validation.longwave import study
@@ -17,10 +18,11 @@ def main(
         list[Path] | None, typer.Option(help="File of sites; default: sites.toml and held_out.toml of heat.")
     ] = None,
     output: Out = Path("out/validation/longwave"),
+    cluster: Cluster = None,
 ):
     """The modelled and the spectral long-wave irradiance of the sky against pyrgeometers."""
-    with new_results(output) as (report, folder):
-        result = study.run(sites or study.SITES, data, progress=report)
+    with new_results(output) as (report, folder), spread_over(cluster, output) as spread:
+        result = study.run(sites or study.SITES, data, progress=report, spread=spread)
         if not result["sites"]:
             raise ThermorenderError(
                 f"--data={', '.join(map(str, data))} has no table with long-wave of any site; give the folder with them"

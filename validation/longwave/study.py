@@ -26,7 +26,7 @@ _SKIES, _COSINES = 24, 6
 _PARTS = ("all", "day, clear", "day, cloudy", "night, clear", "night, cloudy")
 
 
-def run(sites, folders, progress=None):
+def run(sites, folders, progress=None, spread=map):
     """Return the errors of the modelled and of the spectral sky at each site with a pyrgeometer, as plain numbers.
 
     Parameters
@@ -37,6 +37,8 @@ def run(sites, folders, progress=None):
         Folders of the tables; sites without a table, or without a long-wave column, are left out.
     progress : callable, optional
         Called with (step, share done).
+    spread : callable
+        (do, units) → do(unit) of each site, in order.
 
     Returns
     -------
@@ -46,20 +48,26 @@ def run(sites, folders, progress=None):
         whose long-wave is beyond what the clouds and the vapour of the air may be.
     """
     report = progress or (lambda step, share: None)
-    declared = [(site, folder) for path in sites for site in read_sites(path) for folder in folders
+    declared = [(site, Path(folder).absolute()) for path in sites for site in read_sites(path) for folder in folders
                 if (Path(folder) / site.file).is_file()]  # fmt: skip
     result = {"versions": versions(), "sites": {}, "missing": []}
-    for number, (site, folder) in enumerate(declared):
+    for number, ((site, _), found) in enumerate(zip(declared, spread(_of_site, declared), strict=True), 1):
         report(f"site {site.name}", number / len(declared))
-        weather = measured(site, folder).weather
-        # A sum of sunlight and long-wave is not a pyrgeometer.
-        if site.radiation or any(note.startswith("Long-wave is missing") for note in weather.notes):
+        if found is None:
             result["missing"].append(site.name)
-            continue
-        result["sites"][site.name] = {
-            "title": site.title, "modelled": errors_of_model(weather), "spectral": errors_of_spectrum(weather)
-        }  # fmt: skip
+        else:
+            result["sites"][site.name] = found
     return result
+
+
+def _of_site(unit):
+    """Return the errors at a (site, folder), None where it has no pyrgeometer."""
+    site, folder = unit
+    weather = measured(site, folder).weather
+    # A sum of sunlight and long-wave is not a pyrgeometer.
+    if site.radiation or any(note.startswith("Long-wave is missing") for note in weather.notes):
+        return None
+    return {"title": site.title, "modelled": errors_of_model(weather), "spectral": errors_of_spectrum(weather)}
 
 
 def withheld(weather):

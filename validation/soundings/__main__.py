@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from thermorender import formats
+from thermorender.cli.cluster import Cluster, spread_over
 from validation.command import Out, conclude, new_results, run_command
 from validation.soundings import study
 
@@ -13,10 +14,11 @@ from validation.soundings import study
 def main(
     files: Annotated[list[Path], typer.Argument(help="Soundings in the University of Wyoming's text format.")],
     output: Out = Path("out/validation/soundings"),
+    cluster: Cluster = None,
 ):
     """Error of the air that follows the weather, made from a sounding's lowest level, against the whole sounding."""
-    with new_results(output) as (report, folder):
-        result = study.run(files, progress=report)
+    with new_results(output) as (report, folder), spread_over(cluster, output) as spread:
+        result = study.run(files, progress=report, spread=spread)
         formats.write_json(folder / "soundings.json", result)
     conclude("soundings", output, study.HEADER, study.rows(result), written="numbers")
 

@@ -6,6 +6,8 @@ that somebody might declare instead. The long-wave is modelled for a clear sky, 
 
 import re
 from datetime import datetime
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 
@@ -26,7 +28,7 @@ _TITLE = re.compile(r"([^<>\n]+?) Observations at (\d\d)Z (\d\d \w{3} \d{4})")
 _LATITUDE = re.compile(r"Station latitude: *(-?[\d.]+)")
 
 
-def run(files, band_um=defaults.BAND_UM, progress=None):
+def run(files, band_um=defaults.BAND_UM, progress=None, spread=map):
     """Return the errors of the air of the weather at each sounding, as plain numbers.
 
     Parameters
@@ -36,6 +38,8 @@ def run(files, band_um=defaults.BAND_UM, progress=None):
     band_um : (2,) floats
     progress : callable, optional
         Called with (step, share done).
+    spread : callable
+        (do, units) → do(unit) of each sounding, in order.
 
     Returns
     -------
@@ -45,14 +49,16 @@ def run(files, band_um=defaults.BAND_UM, progress=None):
     """
     report = progress or (lambda step, share: None)
     found = []
-    for number, path in enumerate(files):
-        report(path.name, number / len(files))
-        found.append(_errors(path, band_um))
+    for path, errors in zip(
+        files, spread(partial(_errors, band_um), [Path(each).absolute() for each in files]), strict=True
+    ):
+        found.append(errors)
+        report(path.name, len(found) / len(files))
     return {"band_um": list(band_um), "ground_k": GROUND_K, "heights_m": list(HEIGHTS_M), "declared": DECLARED,
             "versions": versions(), "soundings": found}  # fmt: skip
 
 
-def _errors(path, band_um):
+def _errors(band_um, path):
     text = path.read_text(encoding="utf-8", errors="replace")
     title, latitude = _TITLE.search(text), _LATITUDE.search(text)
     if not (title and latitude):

@@ -6,6 +6,7 @@ hundreds of pixels, aimed at it from the same place, needs no treatment of small
 
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -36,7 +37,7 @@ _SHOWN_PX = 200.0
 _MARGIN_PX, _CHANGE, _CHANGE_LONG = 8, 3e-6, 1e-4
 
 
-def run(places=6, seed=0, targets=tuple(TARGETS), views=VIEWS, progress=None, device="auto"):
+def run(places=6, seed=0, targets=tuple(TARGETS), views=VIEWS, progress=None, device="auto", spread=map):
     """Return {machine, versions, seed, cases}: each case's target, distance, pitch, area and ratios to the truth.
 
     Parameters
@@ -50,21 +51,19 @@ def run(places=6, seed=0, targets=tuple(TARGETS), views=VIEWS, progress=None, de
     progress : callable, optional
         Called with (step, share done).
     device : {"auto", "cpu", "cuda"}
+    spread : callable
+        (do, units) → do(unit) of each case, in order.
     """
     random = np.random.Generator(np.random.Philox(seed))
+    units = [
+        (name, *view, [(random.uniform(-2.0, 2.0, 2), random.uniform(0.0, 360.0)) for _ in range(places)])
+        for name in targets for view in views
+    ]  # fmt: skip
     cases = []
-    for number, name in enumerate(targets):
-        for part, (distance_m, pitch_deg) in enumerate(views):
-            if progress:
-                progress(f"{name}, {distance_m} m", (number + part / len(views)) / len(targets))
-            began = time.perf_counter()
-            found = [_measured(*TARGETS[name], distance_m, pitch_deg, random, device) for _ in range(places)]
-            ratio = np.array([frame / truth for frame, truth, _ in found])
-            cases.append({
-                "target": name, "distance_m": distance_m, "pitch_deg": pitch_deg,
-                "area_px": float(np.mean([area for *_, area in found])), "ratios": ratio.tolist(),
-                "seconds": time.perf_counter() - began,
-            })  # fmt: skip
+    for case in spread(partial(_case, device), units):
+        cases.append(case)
+        if progress:
+            progress(f"{case['target']}, {case['distance_m']} m", len(cases) / len(units))
     return {"machine": machine.machine(), "versions": versions(), "seed": seed, "cases": cases}
 
 
@@ -87,13 +86,24 @@ def page(where, result):
         part.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _measured(size, kelvin, distance_m, pitch_deg, random, device):
+def _case(device, unit):
+    """Return the record of a case: of a target at drawn places (east, north) [m], seen from drawn directions [deg]."""
+    name, distance_m, pitch_deg, drawn = unit
+    began = time.perf_counter()
+    found = [_measured(*TARGETS[name], distance_m, pitch_deg, *each, device) for each in drawn]
+    ratio = np.array([frame / truth for frame, truth, _ in found])
+    return {
+        "target": name, "distance_m": distance_m, "pitch_deg": pitch_deg,
+        "area_px": float(np.mean([area for *_, area in found])), "ratios": ratio.tolist(),
+        "seconds": time.perf_counter() - began,
+    }  # fmt: skip
+
+
+def _measured(size, kelvin, distance_m, pitch_deg, place, yaw, device):
     """(radiance added in a frame, truth) [W m⁻² over the target's solid angle], and the area in pixels of the frame."""
-    place = np.array([*random.uniform(-2.0, 2.0, 2), 0.0])
-    yaw = random.uniform(0.0, 360.0)
     library = load_library()
     ground = level(_SIDE_M / _TEXELS, np.zeros((_TEXELS, _TEXELS), int), np.full((_TEXELS, _TEXELS), _GROUND_K))
-    target = box("target", place[:2], size, kelvin)
+    target = box("target", place, size, kelvin)
     # A thin wire hangs; a box that touches the ground would share its plane.
     target = replace(target, vertices=target.vertices + [0.0, 0.0, 10.0 if size[2] < 0.1 else 0.01])
     scene = in_memory("target", [ground, target], [library["soil_loam"], library["paint_black"]])

@@ -56,15 +56,11 @@ class View:
 
 
 @dataclass
-class LearnedMap:
-    """A TemperatureMap as a method, with the cost of its predictions.
+class Spent:
+    """The cost of a map's predictions, and how far it knows its own errors.
 
     Attributes
     ----------
-    label : str
-    model : TemperatureMap
-    privileged : bool
-        Whether it takes the material as input.
     seconds_per_mpixel : list of float
         Run time of each prediction.
     peak_mib : float or None
@@ -76,13 +72,37 @@ class LearnedMap:
         For maps that flag colours absent from training: sums of errors of the other and of the flagged pixels.
     """
 
-    label: str
-    model: TemperatureMap
-    privileged: bool = False
     seconds_per_mpixel: list[float] = field(default_factory=list)
     peak_mib: float | None = None
     covered: NDArray[np.float64] = field(default_factory=lambda: np.zeros(5))
     unseen: NDArray[np.float64] = field(default_factory=lambda: np.zeros((2, WIDTH)))
+
+    def add(self, more: "Spent") -> None:
+        """Add that of other predictions."""
+        self.seconds_per_mpixel += more.seconds_per_mpixel
+        self.peak_mib = max(filter(None, (self.peak_mib, more.peak_mib)), default=None)
+        self.covered += more.covered
+        self.unseen += more.unseen
+
+
+@dataclass
+class LearnedMap:
+    """A TemperatureMap as a method.
+
+    Attributes
+    ----------
+    label : str
+    model : TemperatureMap
+    privileged : bool
+        Whether it takes the material as input.
+    spent : Spent
+        Of the last prediction.
+    """
+
+    label: str
+    model: TemperatureMap
+    privileged: bool = False
+    spent: Spent = field(default_factory=Spent)
 
     @property
     def kind(self) -> str:
@@ -100,8 +120,7 @@ class LearnedMap:
         forget_peak_memory()
         began = time.perf_counter()
         radiance, spread = self.model.translated(inputs)
-        self.seconds_per_mpixel.append((time.perf_counter() - began) / (radiance.size / 1e6))
-        self.peak_mib = max(filter(None, (self.peak_mib, peak_memory_mib())), default=None)
+        self.spent = Spent([(time.perf_counter() - began) / (radiance.size / 1e6)], peak_memory_mib())
         seen: NDArray[np.float32] = apparent_temperature(radiance, self.model.band_um)
         self._doubt(inputs, seen[view.known].astype(np.float64) - view.true[view.known], spread, view.known)
         return seen
@@ -113,35 +132,37 @@ class LearnedMap:
         if spread is not None:
             here = np.isfinite(error)
             off, sigma = np.abs(error[here]), spread[known][here]
-            self.covered += [off.size, (off <= sigma).sum(), (off <= 2.0 * sigma).sum(), (sigma**2).sum(),
-                             (off**2).sum()]  # fmt: skip
+            self.spent.covered += [off.size, (off <= sigma).sum(), (off <= 2.0 * sigma).sum(), (sigma**2).sum(),
+                                   (off**2).sum()]  # fmt: skip
         predictor = self.model.predictor
         if hasattr(predictor, "unseen"):
-            self.unseen += rows_by(error, predictor.unseen(inputs)[known].astype(np.intp), 2)
+            self.spent.unseen += rows_by(error, predictor.unseen(inputs)[known].astype(np.intp), 2)
 
-    def doubt(self) -> dict[str, Any]:
-        """Return {"covered": …, "unseen": …}, each None where the map does not predict it."""
-        pixels, one, two, variances, squares = map(float, self.covered)
-        covered = None
-        if pixels:
-            covered = {
-                "within_1": one / pixels, "within_2": two / pixels,
-                "predicted_rms_k": np.sqrt(variances / pixels), "rmse_k": np.sqrt(squares / pixels),
-            }  # fmt: skip
-        unseen = None
-        if self.unseen.any():
-            rest, own = (summary(row) for row in self.unseen)
-            share = own["pixels"] / max(own["pixels"] + rest["pixels"], 1)
-            unseen = {"share": share, "mae_k": own["mae_k"], "elsewhere_k": rest["mae_k"]}
-        return {"covered": covered, "unseen": unseen}
-
-    def cost(self) -> dict[str, Any]:
-        """Return {seconds_per_mpixel (median), peak_memory_mib, training_s (from its file)}, and `doubt`."""
+    def cost(self, spent: Spent) -> dict[str, Any]:
+        """Return {seconds_per_mpixel (median), peak_memory_mib, training_s (from its file)}, and `_doubts`."""
+        seconds = spent.seconds_per_mpixel
         return {
-            "seconds_per_mpixel": float(np.median(self.seconds_per_mpixel)) if self.seconds_per_mpixel else None,
-            "peak_memory_mib": self.peak_mib,
-            "training_s": self.model.about.get("training_s"), **self.doubt(),
+            "seconds_per_mpixel": float(np.median(seconds)) if seconds else None,
+            "peak_memory_mib": spent.peak_mib,
+            "training_s": self.model.about.get("training_s"), **_doubts(spent),
         }  # fmt: skip
+
+
+def _doubts(spent: Spent) -> dict[str, Any]:
+    """Return {"covered": …, "unseen": …}, each None where the map does not predict it."""
+    pixels, one, two, variances, squares = map(float, spent.covered)
+    covered = None
+    if pixels:
+        covered = {
+            "within_1": one / pixels, "within_2": two / pixels,
+            "predicted_rms_k": np.sqrt(variances / pixels), "rmse_k": np.sqrt(squares / pixels),
+        }  # fmt: skip
+    unseen = None
+    if spent.unseen.any():
+        rest, own = (summary(row) for row in spent.unseen)
+        share = own["pixels"] / max(own["pixels"] + rest["pixels"], 1)
+        unseen = {"share": share, "mae_k": own["mae_k"], "elsewhere_k": rest["mae_k"]}
+    return {"covered": covered, "unseen": unseen}
 
 
 @dataclass
@@ -153,7 +174,7 @@ class Simple:
     knows: str
     guess: Callable[[View], Image | None]
 
-    def cost(self) -> dict[str, Any]:
+    def cost(self, spent: Spent) -> dict[str, Any]:
         """Return nothing: its cost is negligible."""
         return {}
 
@@ -227,7 +248,9 @@ class Foreign:
             raise ThermorenderError(
                 f"--foreign {name}={folder} is not a folder; give a folder with a picture for each pair"
             )
-        pictures = {path.stem: path for path in sorted(self.folder.iterdir()) if path.suffix.lower() in PICTURES}
+        pictures = {
+            path.stem: path.absolute() for path in sorted(self.folder.iterdir()) if path.suffix.lower() in PICTURES
+        }
         missing = [entry.key for entry in entries if entry.key not in pictures]
         if missing:
             raise ThermorenderError(
@@ -249,7 +272,7 @@ class Foreign:
         """Its knowledge of the truth."""
         return "" if self.scaled else "the truth, by two numbers"
 
-    def cost(self) -> dict[str, Any]:
+    def cost(self, spent: Spent) -> dict[str, Any]:
         """Return nothing: the cost of pictures is unknown."""
         return {}
 

@@ -15,7 +15,8 @@ that.
 import hashlib
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -29,13 +30,14 @@ from thermorender.campaign.dataset import Dataset, Entry, ThermalScale
 from thermorender.campaign.map_inputs import NO_MATERIAL, ground_of
 from thermorender.compare.evaluation import figures, paired, report, similarity, structure, sums
 from thermorender.compare.evaluation.classes import EDGES, edge_class, material_groups, picture_classes
-from thermorender.compare.evaluation.estimators import Foreign, LearnedMap, Simple, View, baselines
+from thermorender.compare.evaluation.estimators import Foreign, LearnedMap, Simple, Spent, View, baselines
 from thermorender.compare.evaluation.training_part import Levels, read_training_part
 from thermorender.compare.machine import machine
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
 from thermorender.learned.audit.training_pictures import Search, search_in
 from thermorender.learned.temperature_map import TemperatureMap, load_model
+from thermorender.progress import Progress, Spread
 from thermorender.versions import versions
 
 # The pairs at these quantiles of the first map's mean absolute error are drawn.
@@ -52,7 +54,8 @@ def evaluate(
     part: str = "test",
     limit: int | None = None,
     seed: int = 0,
-    progress: Callable[[str, float], object] | None = None,
+    progress: Progress | None = None,
+    spread: Spread = map,
 ) -> dict[str, Any]:
     """Evaluate learned maps on a part of a data set; return the result, which is also written.
 
@@ -77,6 +80,8 @@ def evaluate(
         Seed of the bootstrap.
     progress : callable, optional
         Called with (step, share done).
+    spread : callable
+        (do, units) → do(unit) of each, in order: it scores the pairs.
 
     Raises
     ------
@@ -104,9 +109,10 @@ def evaluate(
     drawn: list[LearnedMap | Foreign] = [*maps, *others]
     methods: list[LearnedMap | Foreign | Simple] = [*drawn, *baselines(training)]
     tallies = [_Tally(method, len(scored)) for method in methods]
-    for number, view in enumerate(views):
-        report_progress("scoring", number / len(scored))
-        _score(view, number, tallies, bounds)
+    for number, found in enumerate(spread(partial(_score, views, methods, bounds), range(len(scored)))):
+        report_progress("scoring", (number + 1) / len(scored))
+        for tally, own in zip(tallies, found, strict=True):
+            tally.add(number, own)
     texts = [*models, *([privileged] if privileged else [])]
     result = {
         "part": part, "split": "given" if split is not None else "the data set's own", "limit": limit, "seed": seed,
@@ -161,7 +167,9 @@ class _Views:
     """The Views of a Dataset, read one by one."""
 
     def __init__(self, dataset: Dataset, levels: Levels) -> None:
-        self.dataset, self.levels = dataset, levels
+        # Workers of a cluster have folders of their own.
+        self.dataset = Dataset(dataset.folder.absolute(), dataset.card, dataset.entries, dataset.scale)
+        self.levels = levels
 
     def __getitem__(self, number: int) -> View:
         pair = self.dataset.pair(self.dataset.entries[number])
@@ -189,7 +197,21 @@ class _Tally:
         self.sky = np.zeros(sums.WIDTH)
         self.alike = np.zeros(4)
         self.structure = np.full((pairs, structure.WIDTH), np.nan)
+        self.spent = Spent()
         self.pairs = 0
+
+    def add(self, number: int, own: "_Score | None") -> None:
+        """Add the score of pair number `number`, None where the method has no picture of it."""
+        if own is None:
+            return
+        self.rows[number] = own.row
+        self.materials[own.materials] += own.of_materials
+        self.edges += own.edges
+        self.sky += own.sky
+        self.structure[number] = own.structure
+        self.alike += own.alike
+        self.spent.add(own.spent)
+        self.pairs += 1
 
     def summary(
         self, entries: Sequence[Entry], card: Mapping[str, Any], cluster: NDArray[np.intp], seed: int
@@ -209,36 +231,59 @@ class _Tally:
             **sums.summary(self.rows.sum(axis=0)),
             "interval_95": sums.intervals(self.rows, cluster, seed),
             "structure": structure.summary(self.structure, cluster, seed),
-            **similarity.summary(self.alike), **self.method.cost(),
+            **similarity.summary(self.alike), **self.method.cost(self.spent),
             "groups": {grouping: {name: sums.summary(own[name]) for name in sorted(own)}
                        for grouping, own in groups.items() if own},
         }  # fmt: skip
 
 
-def _score(view: View, number: int, tallies: list[_Tally], bounds: tuple[float, float]) -> None:
-    """Add View number `number` to every method's tally."""
+@dataclass
+class _Score:
+    """The errors of one method in one pair; sums by material have rows only for the materials of the pair."""
+
+    row: NDArray[np.float64]
+    materials: NDArray[np.intp]
+    of_materials: NDArray[np.float64]
+    edges: NDArray[np.float64]
+    sky: NDArray[np.float64]
+    spent: Spent
+    structure: NDArray[np.float64]
+    alike: NDArray[np.float64]
+
+
+def _score(
+    views: _Views, methods: Sequence[LearnedMap | Foreign | Simple], bounds: tuple[float, float], number: int
+) -> list[_Score | None]:
+    """Return every method's score in View number `number`."""
+    view = views[number]
     known = view.known
     alike = similarity.Similarity(similarity.eight_bit(view.true, bounds), known)
     edges = edge_class(np.where(known, view.true, np.nan))[known]
     material = view.pair.truth.get("material", np.full(known.shape, NO_MATERIAL, np.uint8))[known]
     both = material.astype(np.intp) * len(EDGES) + edges
-    for tally in tallies:
-        guess = tally.method.guess(view)
+    present = np.unique(material).astype(np.intp)
+    scores: list[_Score | None] = []
+    for method in methods:
+        guess = method.guess(view)
         if guess is None:
+            scores.append(None)
             continue
         error = guess[known].astype(np.float64) - view.true[known]
         found = sums.rows_by(error, both, 256 * len(EDGES)).reshape(256, len(EDGES), sums.WIDTH)
-        tally.rows[number] = found.sum(axis=(0, 1))
-        tally.materials += found.sum(axis=1)
-        tally.edges += found.sum(axis=0)
+        sky = np.zeros(sums.WIDTH)
         if view.sky.any():
             off = guess[view.sky].astype(np.float64) - view.true[view.sky]
-            tally.sky += sums.rows_by(off, np.zeros(off.size, np.intp), 1)[0]
-        tally.pairs += 1
+            sky = sums.rows_by(off, np.zeros(off.size, np.intp), 1)[0]
+        own = _Score(
+            found.sum(axis=(0, 1)), present, found.sum(axis=1)[present], found.sum(axis=0), sky,
+            method.spent if isinstance(method, LearnedMap) else Spent(), np.full(structure.WIDTH, np.nan), np.zeros(4),
+        )  # fmt: skip
         # The floor is an error estimate, not a picture to compare.
-        if tally.method.kind != "floor":
-            tally.structure[number] = structure.row(guess, view.true, known)
-            tally.alike += alike.row(similarity.eight_bit(guess, bounds))
+        if method.kind != "floor":
+            own.structure = structure.row(guess, view.true, known)
+            own.alike = alike.row(similarity.eight_bit(guess, bounds))
+        scores.append(own)
+    return scores
 
 
 def _maps(models: Sequence[str | Path], privileged: str | Path | None) -> list[LearnedMap]:

@@ -107,6 +107,10 @@ class Method:
         """Release the renderer and its lit scene."""
         self.__dict__.pop("renderer", None)
 
+    def __getstate__(self) -> dict[str, Any]:
+        # Its renderer is built again where it is used.
+        return {name: value for name, value in vars(self).items() if name != "renderer"}
+
     def clock(self) -> float:
         """Return a clock [s] for differences that adds the time saved by remembered predictions."""
         return perf_counter() + float(getattr(getattr(self.model, "predictor", None), "spared_s", 0.0))

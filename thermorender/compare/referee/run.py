@@ -28,7 +28,7 @@ from thermorender.compare.referee.report.pictures import Pictures
 from thermorender.compare.referee.trial import Setup, Totals, Trial
 from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import TemperatureMap, load_model
-from thermorender.render.baked import Progress
+from thermorender.progress import Progress, Spread
 from thermorender.render.renderer import Renderer
 from thermorender.scene.scene import Scene
 from thermorender.scene.spec import EmissivitySpec
@@ -99,6 +99,7 @@ def compare(
     models: Sequence[str],
     options: Options | None = None,
     progress: Progress | None = None,
+    spread: Spread = map,
 ) -> dict[str, Any]:
     """Compare methods with the radiometric render of the same poses; return the summary, which is also written.
 
@@ -114,6 +115,8 @@ def compare(
     options : Options, optional
     progress : callable, optional
         Called with (step, share done).
+    spread : callable
+        (do, units) → do(unit) of each, in order: it renders the frames of each rendered method of a scene.
 
     Raises
     ------
@@ -148,7 +151,7 @@ def compare(
             setup, left_out = _setup(flight, land, campaign, contestants, options, work, own_report)
             notes += left_out
             trial = Trial(setup, totals, options.seed, draft if options.arrays else None)
-            trial.run(pictures, own_report)
+            trial.run(pictures, own_report, spread)
             scenes.append(trial.summary())
             photographs[flight.scene.name] = trial.photographs
         summary = _summary(scenes, notes, totals, _origins(contestants.models, known, photographs), options)

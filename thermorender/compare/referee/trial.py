@@ -1,7 +1,8 @@
 """The trial of one scene: all of its methods at all of its poses, with the same View, sensor and noise."""
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +23,7 @@ from thermorender.compare.referee.training import Training
 from thermorender.frame import apparent_temperature
 from thermorender.output.record import weather_of
 from thermorender.physics.sun import position_at
-from thermorender.render.baked import Progress
+from thermorender.progress import Progress, Spread
 from thermorender.render.renderer import Renderer
 from thermorender.scene.scene import Scene
 from thermorender.sensor.camera import Camera
@@ -223,14 +224,14 @@ class Trial:
                     found[method.name] = method, twins[0]
         return found
 
-    def run(self, pictures: Pictures, report: Progress) -> None:
-        """Score every method at every pose; `pictures` gains those of this scene."""
+    def run(self, pictures: Pictures, report: Progress, spread: Spread = map) -> None:
+        """Score every method at every pose; `pictures` gains those of this scene. `spread` gets rendered methods."""
         flight, camera = self._setup.flight, self.scene.camera
         sensor = sensor_of(camera, self._seed)
         before: views.View | None = None
         seen_before: Images = {}
         chosen = views.evenly(len(flight.times), provenance.PHOTOGRAPHS)
-        self._render(report)
+        self._render(report, spread)
         self._fitting = Fitting(self.scene, self._setup.land, len(flight.times), pictures.scenes)
         for index, (time_s, pose) in enumerate(zip(flight.times, flight.poses, strict=True)):
             report("comparing", index / len(flight.times))
@@ -347,32 +348,22 @@ class Trial:
         for label, image in seen.items():
             self._found[label].changes += _moments(track.change(seen_before[label], image))
 
-    def _render(self, report: Progress) -> None:
-        """Render the frames of all rendered methods, one method after the other."""
-        split = [solid.label for _, solid in self._pairs.values()]
-        for method in self._setup.methods:
-            if method.build is None:
-                continue
-            own = self._found[method.label]
-            facts = self._setup.frames.rendered(method, self._described, method.label in split, report)
+    def _render(self, report: Progress, spread: Spread) -> None:
+        """Render the frames of all rendered methods, one method after the other or by a cluster."""
+        split = frozenset(solid.label for _, solid in self._pairs.values())
+        # A report of every frame stays in this process.
+        do = partial(_rendered, self._setup, split, report if spread is map else None)
+        labels = [method.label for method in self._setup.methods if method.build is not None]
+        for number, (label, facts) in enumerate(zip(labels, spread(do, labels), strict=True), 1):
+            report("rendered methods", number / len(labels))
+            own = self._found[label]
             own.once_s += facts["once_s"]
             own.seconds += facts["seconds"]
             own.circular += facts["circular"]
             for name, row in facts["emissivities"].items():
                 own.scene_emissivities[name] = own.scene_emissivities.get(name, 0.0) + np.array(row)
             if facts["report"]:
-                self._reports[method.label] = facts["report"]
-
-    def _described(self, method: Method) -> dict[str, Any]:
-        """Return facts of a rendered method's scene: whether it made the truth, and its and the true emissivities."""
-        scene = method.renderer.scene
-        facts: dict[str, Any] = {"circular": [], "emissivities": {}, "report": dict(scene.temperature_state.report)}
-        if self._setup.has_truth and method.letter != "F":
-            text = provenance.circular(scene, self.scene) if method.letter != "P" else None
-            facts["circular"] += [text] if text else []
-            rows = emissivities.of_scenes(scene, self.scene)
-            facts["emissivities"] = {name: row.tolist() for name, row in rows.items()}
-        return facts
+                self._reports[label] = facts["report"]
 
     def summary(self) -> dict[str, Any]:
         """Return the results of the scene, as plain numbers."""
@@ -397,6 +388,24 @@ class Trial:
             "differences": [{"one": one, "other": other, **sums.summary(row)}
                             for (one, other), row in self._between_methods.items()],
         }  # fmt: skip
+
+
+def _rendered(setup: Setup, split: Collection[str], report: Progress | None, label: str) -> dict[str, Any]:
+    """Render the frames of a rendered method; return its facts."""
+    method = next(each for each in setup.methods if each.label == label)
+    return setup.frames.rendered(method, partial(_described, setup), label in split, report or (lambda *_: None))
+
+
+def _described(setup: Setup, method: Method) -> dict[str, Any]:
+    """Return facts of a rendered method's scene: whether it made the truth, and its and the true emissivities."""
+    scene, true = method.renderer.scene, setup.reference.scene
+    facts: dict[str, Any] = {"circular": [], "emissivities": {}, "report": dict(scene.temperature_state.report)}
+    if setup.has_truth and method.letter != "F":
+        text = provenance.circular(scene, true) if method.letter != "P" else None
+        facts["circular"] += [text] if text else []
+        rows = emissivities.of_scenes(scene, true)
+        facts["emissivities"] = {name: row.tolist() for name, row in rows.items()}
+    return facts
 
 
 def _sun_elevation(scene: Scene) -> float | None:

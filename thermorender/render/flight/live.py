@@ -167,6 +167,22 @@ class LiveFrames:
         self._forget(time_s)
         return frame
 
+    def add(self, time_s: float, path: Trajectory | None = None, objects: Sequence[ObjectSample] = ()) -> None:
+        """Add the next samples of a path and of objects without taking the frame of `time_s`; arguments as of `take`.
+
+        Nothing changes if it raises.
+
+        Raises
+        ------
+        ThermorenderError
+            As of `take`, for times and samples.
+        """
+        whole, given = self._joined(float(time_s), path), self._with(objects)
+        if self._timed is None:
+            self._start(whole.span_s[0])
+        self._path, self._given = whole, given
+        self._forget(min(float(time_s), whole.span_s[1]))
+
     def _joined(self, time_s: float, path: Trajectory | None) -> Trajectory:
         """The path with its next samples."""
         _refuse_time(time_s, "time_s")
