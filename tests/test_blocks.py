@@ -1,6 +1,10 @@
 """Blocks of a flight: rendered in any order, taken over in order, to the bytes of one machine."""
 
 import json
+import os
+import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -56,7 +60,7 @@ def test_parts_in_any_order_give_the_bytes_of_one_machine(renderer, tmp_path, sp
     # Nothing is rendered to put them together.
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Flight, "write_frames", None)
-        fly(renderer, path, tmp_path / "parts", options, resume=True)
+        assert fly(renderer, path, tmp_path / "parts", options, resume=True)["rendered"] == 0
     assert contents(tmp_path / "parts") == contents(tmp_path / "whole")
     assert fly(renderer, path, tmp_path / "parts", options, verify=True)["rendered"] == 0
 
@@ -144,3 +148,28 @@ def test_blocks_are_much_longer_than_their_warm_up(renderer):
         assert usual_length(flight) % flight.audit == 0
     assert json.dumps(flight.settings)
     assert flight.flown.warm_up(1) == 0
+
+
+@pytest.mark.slow
+def test_the_array_of_slurm_gives_the_bytes_of_one_machine(tmp_path, monkeypatch):
+    page = (Path(__file__).parents[1] / "docs/guides/cluster.md").read_text(encoding="utf-8")
+    script, after = re.findall(r"^```sh\n(#!/bin/sh\n#SBATCH.*?|job=.*?)^```$", page, flags=re.S | re.M)
+    (resume,) = re.findall(r'--wrap "(.*)"', after)
+    shared = tmp_path / "shared"
+    write_terrain(shared / "scene")
+    rows = [f"{time_s},{time_s},0,12,0,-90,0" for time_s in (0.0, 0.5)]
+    log = "\n".join(["time_s,east_m,north_m,up_m,yaw_deg,pitch_deg,roll_deg", *rows])
+    (shared / "scene/flight.csv").write_text(log)
+    (tmp_path / "array.sh").write_text(script.replace("/shared", str(shared)).replace("10000", "2"))
+    subprocess.run(["bash", "-n", tmp_path / "array.sh"], check=True)
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}:{os.environ['PATH']}")
+    # In another order; a part beyond the flight is refused.
+    for task, status in ((1, 0), (0, 0), (2, 0), (3, 2)):
+        monkeypatch.setenv("SLURM_ARRAY_TASK_ID", str(task))
+        run = subprocess.run(["sh", tmp_path / "array.sh"], capture_output=True, text=True)
+        assert run.returncode == status, run.stderr
+    joined = subprocess.run(resume.replace("/shared", str(shared)).split(), capture_output=True, text=True)
+    assert joined.returncode == 0, joined.stderr
+    whole = ["thermorender", "fly", shared / "scene", "-o", tmp_path / "whole"]
+    subprocess.run(whole, check=True, capture_output=True)
+    assert contents(shared / "flight") == contents(tmp_path / "whole")

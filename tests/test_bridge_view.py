@@ -8,6 +8,7 @@ import urllib.request
 
 import cv2
 import numpy as np
+import psutil
 import pytest
 from link_support import connected, serving
 
@@ -38,11 +39,12 @@ def view(server):
     made.stop()
 
 
-def test_a_viewer_sees_the_frames_of_a_client(server, view):
+@pytest.mark.parametrize("name", ["live.mjpg", "live.mp4"])
+def test_a_viewer_sees_the_frames_of_a_client(server, view, name):
     found = []
 
     def look():
-        video = cv2.VideoCapture(view.address, cv2.CAP_FFMPEG)
+        video = cv2.VideoCapture(view.address.replace("live.mjpg", name), cv2.CAP_FFMPEG)
         found.extend(video.read()[1] for _ in range(3))
         video.release()
 
@@ -71,19 +73,23 @@ def test_nobody_looks_without_the_token(view):
     assert len(view.address.split("/")[3]) >= 32
 
 
-def test_a_viewer_that_leaves_is_forgotten(server, view):
+@pytest.mark.parametrize(("name", "kind", "first"), [
+    ("live.mjpg", "multipart/x-mixed-replace", b"--frame"), ("live.mp4", "video/mp4", b"\0\0\0\x1cftypiso5"),
+])  # fmt: skip
+def test_a_viewer_that_leaves_is_forgotten(server, view, name, kind, first):
     with connected(server) as client:
         session = client.open()
         session.frame(0.0, DOWN)
-        with urllib.request.urlopen(view.address, timeout=10.0) as stream:
-            assert stream.headers["Content-Type"].startswith("multipart/x-mixed-replace")
-            assert stream.read(7) == b"--frame"
+        with urllib.request.urlopen(view.address.replace("live.mjpg", name), timeout=10.0) as stream:
+            assert stream.headers["Content-Type"].startswith(kind)
+            assert stream.read(len(first)) == first
             assert view._viewers == 1
         for k in range(1, 200):
             session.frame(k / 30.0, DOWN)
             if not view._viewers:
                 break
     assert view._viewers == 0
+    assert not [each for each in psutil.Process().children() if "ffmpeg" in each.name()]
 
 
 RECEIVER = """

@@ -146,13 +146,13 @@ def fly(
         flight = Flight(renderer, trajectory, options, heat_progress)
     with files.output_folder(folder) as out, files.in_use(out):
         with _bar(progress) as report:
-            done = flight.write(out, resume or verify, verify, report, outlook)
+            rendered = flight.write(out, resume or verify, verify, report, outlook)
         without = flight.terrain.count(False)
         about = flight.described | {"frames_without_terrain": without} | profile_entry()
         formats.write_json(out / "flight.json", about)
     return {
         "frames": len(flight.times),
-        "rendered": len(flight.times) - done,
+        "rendered": rendered,
         "frames_without_terrain": without,
         "folder": str(out),
         "first_time_s": float(flight.times[0]),
@@ -263,15 +263,16 @@ class Flight:
         self, folder: Path, resume: bool, verify: bool, progress: Callable[[int, int], object] | None,
         outlook: Callable[[Prospect | Cost], object] | None,
     ) -> int:  # fmt: skip
-        """Write the frames that are missing, then video, MCAP and report; return how many were finished before."""
+        """Write the frames that are missing, then video, MCAP and report; return how many were missing."""
         self.terrain = finished(folder, self.settings, self.products, resume, verify)
-        done, total, place = len(self.terrain), len(self.times), os.stat(folder)
-        if outlook and done < total:
+        rendered, total, place = 0, len(self.times), os.stat(folder)
+        if outlook and len(self.terrain) < total:
             outlook(self.prospect)
         video = VideoWriter(folder / "flight.mp4", self.flown.rate_hz) if "video" in self.products else None
         with video or nullcontext():
             for frames in gaps(self, folder, verify):
                 self.write_frames(folder, frames, progress, outlook, video)
+                rendered += len(frames)
             refuse_moved(folder, place)
             remove_state(folder)
             remove_blocks(self, folder)
@@ -281,7 +282,7 @@ class Flight:
             self._mcap(folder, total)
         if "report" in self.products:
             self._report(folder)
-        return done
+        return rendered
 
     @phase("mcap")
     def _mcap(self, folder: Path, total: int) -> None:

@@ -13,7 +13,7 @@ from validation.link import study
 
 def main(
     output: Out = Path("out/validation/link"),
-    frames: Annotated[int, typer.Option(min=2, help="Frames of each client and case.")] = 300,
+    frames: Annotated[int, typer.Option(min=2, help="Frames of each client and case.")] = 60,
     qualities: Annotated[str, typer.Option(help="Comma-separated: fast, standard, high.")] = ",".join(study.QUALITIES),
     methods: Annotated[str, typer.Option(help="Comma-separated: A, B, C.")] = ",".join(study.METHODS),
     clients: Annotated[int, typer.Option(min=1, max=16, help="Clients at once, in the case with several.")] = 4,
