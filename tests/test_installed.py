@@ -133,12 +133,30 @@ def test_doctor_on_a_machine_without_llvm(monkeypatch, tmp_path):
     monkeypatch.setattr(variant.os, "geteuid", lambda: 0, raising=False)
     monkeypatch.setattr(variant.shutil, "which", lambda name: str(tmp_path / name))
     with pytest.raises(ThermorenderError, match="apt-get could not install an LLVM runtime; install one with"):
-        variant.install_llvm()
+        variant.install_libraries()
     asked = (tmp_path / "asked").read_text().splitlines()
     assert asked[0] == "update -q" and "libllvm19" in asked[1] and len(asked) == 11
     monkeypatch.setattr(variant.shutil, "which", lambda name: None)
     with pytest.raises(ThermorenderError, match="this machine has no LLVM library of version 16 or newer"):
-        variant.install_llvm()
+        variant.install_libraries()
+
+
+def test_a_machine_without_libatomic_is_named(monkeypatch):
+    monkeypatch.setattr(variant, "_ATOMIC", "libno_such_atomic.so.1")
+    monkeypatch.delitem(sys.modules, "drjit", raising=False)
+    with pytest.raises(ThermorenderError, match=r"no libno_such_atomic\.so\.1, which Dr\.Jit needs; install it with"):
+        variant.activate()
+    rows = {name: fix for name, _, fix in doctor.examine()[0]}
+    assert "apt-get install libatomic1" in rows["libatomic"]
+
+
+def test_doctor_installs_libatomic(monkeypatch, tmp_path):
+    (tmp_path / "apt-get").write_text(f'#!/bin/sh\ncase "$*" in *install*libatomic1) touch {tmp_path}/there;; esac\n')
+    (tmp_path / "apt-get").chmod(0o755)
+    monkeypatch.setattr(variant, "lacks_atomic", lambda: not (tmp_path / "there").exists())
+    monkeypatch.setattr(variant.shutil, "which", lambda name: str(tmp_path / name))
+    monkeypatch.setattr(variant.os, "geteuid", lambda: 0, raising=False)
+    assert variant.install_libraries().startswith("installed libatomic1; LLVM")
 
 
 def test_install_keeps_an_existing_llvm():

@@ -23,16 +23,18 @@ VARIANTS = ("scalar_rgb", "llvm_ad_mono", "llvm_ad_spectral", "cuda_ad_mono")
 
 
 def doctor(
-    install: Annotated[bool, typer.Option("--install", help="Install a missing LLVM runtime with apt.")] = False,
+    install: Annotated[
+        bool, typer.Option("--install", help="Install missing system libraries with apt: LLVM, libatomic.")
+    ] = False,
     self_test: Annotated[
         bool, typer.Option("--self-test", help="Compare the installed package with closed forms, in kelvin.")
     ] = False,
 ) -> None:
     """Print what works on this machine and how to fix what does not."""
-    from thermorender.render.variant import install_llvm
+    from thermorender.render.variant import install_libraries
 
     if install:
-        typer.echo(install_llvm())
+        typer.echo(install_libraries())
     rows, healthy = examine()
     table(("", "", "how to fix it"), rows)
     if not healthy:
@@ -59,7 +61,7 @@ def examine() -> tuple[list[tuple[str, str, str]], bool]:
 
     Each variant renders one ray in a separate process, because a wrong LLVM library aborts the process.
     """
-    from thermorender.render.variant import OLDEST_LLVM, llvm_libraries, usable_llvm, works
+    from thermorender.render.variant import OLDEST_LLVM, lacks_atomic, llvm_libraries, usable_llvm, works
 
     rows = [(name, version, "") for name, version in versions().items()]
     for name, extra, user in OPTIONAL:
@@ -73,6 +75,14 @@ def examine() -> tuple[list[tuple[str, str, str]], bool]:
     remedies = "`thermorender doctor --install` or `apt-get install libllvm19`"
     fix = "" if chosen else f"needs version {OLDEST_LLVM} or newer: {remedies}"
     rows.append(("LLVM in use", str(chosen[0]) if chosen else "none", fix))
+    if lacks_atomic():
+        rows.append(
+            (
+                "libatomic",
+                "not found",
+                "Dr.Jit needs it: `thermorender doctor --install` or `apt-get install libatomic1`",
+            )
+        )
     gpu = _gpu()
     rows.append(("GPU", gpu or "none", ""))
     able = []

@@ -1,4 +1,4 @@
-"""The Mitsuba variant of this process, and the LLVM library that its CPU back end needs.
+"""The Mitsuba variant of this process, and the system libraries that it needs: libatomic, and LLVM on the CPU.
 
 Dr.Jit compiles its CPU kernels through an LLVM shared library found at run time. Versions below 16 are unusable: 14 is
 refused, 15 aborts the process during code generation. The library is therefore chosen here, by the version in its file
@@ -33,6 +33,21 @@ _INSTALL_HINT = (
     "install one with `apt-get install libllvm19` (Debian 12, Ubuntu 24.04 or newer; elsewhere any LLVM runtime "
     "of version 16 or newer) or set DRJIT_LIBLLVM_PATH to its shared library"
 )
+
+
+# Dr.Jit is linked against it, and Debian's smallest images lack it.
+_ATOMIC = "libatomic.so.1"
+
+
+def lacks_atomic() -> bool:
+    """Return whether this Linux machine lacks libatomic, without which Dr.Jit cannot be imported."""
+    if not sys.platform.startswith("linux"):
+        return False
+    try:
+        ctypes.CDLL(_ATOMIC)
+    except OSError:
+        return True
+    return False
 
 
 def llvm_version(path: str | Path) -> int | None:
@@ -89,13 +104,18 @@ def activate(device: str = "auto") -> Any:
     Raises
     ------
     ThermorenderError
-        The device is unknown, no GPU or usable LLVM library exists, or this process already uses another device.
+        The device is unknown, no GPU or usable system library exists, or this process already uses another device.
     """
     if device not in ("auto", *DEVICES):
         raise ThermorenderError(f"device={device!r} is unknown; give one of auto, {', '.join(DEVICES)}")
     llvm = usable_llvm()
     if llvm:
         os.environ["DRJIT_LIBLLVM_PATH"] = str(llvm[0])
+    if "drjit" not in sys.modules and lacks_atomic():
+        raise ThermorenderError(
+            f"this machine has no {_ATOMIC}, which Dr.Jit needs; install it with `thermorender doctor --install` or "
+            "`apt-get install libatomic1`"
+        )
     import drjit as dr
     import mitsuba as mi
 
@@ -173,23 +193,34 @@ def works(variant: str) -> tuple[bool, str]:
     return False, lines[-1].strip() if lines else f"exit status {run.returncode}"
 
 
-def install_llvm() -> str:
-    """Install an LLVM runtime with apt if possible and allowed; return a sentence about the result.
+def install_libraries() -> str:
+    """Install libatomic and an LLVM runtime with apt if they are missing; return a sentence about the result.
 
     Raises
     ------
     ThermorenderError
-        There is no usable library, and none can be installed.
+        A library is missing and cannot be installed.
     """
-    llvm = usable_llvm()
-    if llvm:
+    llvm, atomic = usable_llvm(), lacks_atomic()
+    if llvm and not atomic:
         return f"LLVM {llvm[1]} is present: {llvm[0]}"
+    lacking = f"LLVM library of version {OLDEST_LLVM} or newer; {_INSTALL_HINT}"
+    if atomic:
+        lacking = f"{_ATOMIC}; install it with `apt-get install libatomic1`"
     apt, sudo = shutil.which("apt-get"), shutil.which("sudo")
     root = getattr(os, "geteuid", lambda: 1)() == 0
     if not apt or not (root or sudo):
-        raise ThermorenderError(f"this machine has no LLVM library of version {OLDEST_LLVM} or newer; {_INSTALL_HINT}")
+        raise ThermorenderError(f"this machine has no {lacking}")
     prefix = [] if root else [str(sudo), "-n"]
     subprocess.run([*prefix, apt, "update", "-q"], capture_output=True)
+    if atomic:
+        subprocess.run(
+            [*prefix, apt, "install", "-y", "-q", "--no-install-recommends", "libatomic1"], capture_output=True
+        )
+        if lacks_atomic():
+            raise ThermorenderError(f"apt-get could not install libatomic1; this machine has no {lacking}")
+    if llvm:
+        return f"installed libatomic1; LLVM {llvm[1]} is present: {llvm[0]}"
     for version in (19, 18, 20, 17, 16):
         for package in (f"libllvm{version}", f"libllvm{version}t64"):
             command = [*prefix, apt, "install", "-y", "-q", "--no-install-recommends", package]
