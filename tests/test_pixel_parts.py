@@ -8,7 +8,7 @@ import trimesh
 
 import thermorender as tr
 from path_tracer import PathTracer
-from scenes import write_mesh, write_terrain
+from scenes import narrow, write_mesh, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.physics.band import emitted_radiance
 from thermorender.physics.planck import band_radiance
@@ -76,18 +76,18 @@ def test_parts_are_those_of_the_path_tracer(tmp_path):
     scene = scene.with_sky(250.0, surroundings=300.0)
     found = every(tr.Renderer(scene, quality="high", rays=1024), pose)
     assert not any(each.object for each in found)
-    images = [[PathTracer(each).image(pose, 64, seed) for seed in range(4)] for each in (scene, dark)]
+    images = [[PathTracer(each).image(pose, 96, seed) for seed in range(4)] for each in (scene, dark)]
     whole, without = (np.array(each).mean(axis=(1, 2)) for each in images)
     emitted = 0.7 * band_radiance(300.0, *BAND)
     expected = {"emission": np.full(4, emitted), "sky": whole - without, "surroundings": without - emitted}
     for part, values in expected.items():
         error = max(values.std(ddof=1) / 2.0, 5e-4)
-        assert error < 0.02 and abs(mean(found, part) - values.mean()) < 4.0 * error, part
+        assert error < 0.025 and abs(mean(found, part) - values.mean()) < 4.0 * error, part
 
 
 @pytest.mark.parametrize("case", ["plain", "air", "mirror", "track"])
 def test_parts_add_up_to_the_image(tmp_path, case):
-    """Where the plane is of one kind, a pixel's taps read what the ray through its middle meets."""
+    """Pixels smaller than texel and face read what the rays through their middles meet."""
     more = {
         "plain": {},
         "air": {"air": "midlatitude-summer"},
@@ -97,7 +97,8 @@ def test_parts_add_up_to_the_image(tmp_path, case):
     folder = tmp_path / "s"
     folder.mkdir()
     (folder / "t.csv").write_text("time_s,yaw_deg\n0,0\n", encoding="utf-8")
-    scene = plane(folder, track=more.get("track", ""), classes=np.ones((48, 48)))
+    plane(folder, track=more.get("track", ""), classes=np.ones((48, 48)))
+    scene = narrow(tr.load_scene(folder), 12, 10)
     if "air" in more:
         scene = scene.with_air(more["air"]).with_sun(50.0, 160.0)
     if "material" in more:
@@ -105,8 +106,7 @@ def test_parts_add_up_to_the_image(tmp_path, case):
     renderer, pose = tr.Renderer(scene, rays=256, edge_mk=np.inf), tr.pose(0, -6, 8, **POSE)
     image, found = renderer.radiance(pose), every(renderer, pose)
     off = [(sum(each.radiance.values()) - image[each.pixel]) / renderer.plan.radiance_per_mk for each in found]
-    # Noise of the light differs from face to face, and a pixel may show two of them.
-    assert np.median(np.abs(off)) < 2.0 and np.percentile(np.abs(off), 80) < 30.0
+    assert np.abs(off).max() < 1.0
     ground = [each for each in found if each.object == "" and each.material]
     assert ground and all(np.isfinite(each.range_m) and 0.0 <= each.angle_deg < 90.0 for each in ground)
     for each in ground:
