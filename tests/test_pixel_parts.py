@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from path_tracer import PathTracer
 
 import thermorender as tr
-from path_tracer import PathTracer
 from scenes import narrow, write_mesh, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.physics.band import emitted_radiance
@@ -25,9 +25,11 @@ material = "paint_black"
 POSE = {"pitch_deg": -60.0, "yaw_deg": 0.0}
 
 
-def plane(folder, track="", **more):
+def plane(folder, track="", side=24, **more):
     """A level plane of one temperature with a warm black wall on it, seen by a camera of few pixels."""
-    write_terrain(folder, np.zeros((24, 24)), np.full((48, 48), 300.0), extra=WALL + track, sky=250.0, **more)
+    write_terrain(
+        folder, np.zeros((side, side)), np.full((2 * side, 2 * side), 300.0), extra=WALL + track, sky=250.0, **more
+    )
     return small(tr.load_scene(folder)).with_material(wall=1.0)
 
 
@@ -71,7 +73,7 @@ def test_isothermal_enclosure_adds_up_to_a_blackbody(tmp_path):
 
 def test_parts_are_those_of_the_path_tracer(tmp_path):
     """Of a grey plane under the sky beside a black wall, each cause of light is one path tracing less the other."""
-    scene = plane(tmp_path / "s").with_material(grass_green=0.7, sand_quartz=0.7)
+    scene = plane(tmp_path / "s", side=12).with_material(grass_green=0.7, sand_quartz=0.7)
     pose, dark = tr.pose(0, -3, 6, pitch_deg=-80.0), scene.with_sky("0 K", surroundings=300.0)
     scene = scene.with_sky(250.0, surroundings=300.0)
     found = every(tr.Renderer(scene, quality="high", rays=1024), pose)

@@ -62,8 +62,8 @@ class Samples:
         place = [(1.0 - u - v) * at[0][axis] + u * at[1][axis] + v * at[2][axis] for axis in (0, 1)]
         return geometry.corners(geometry.lattice(dr.gather(mi.UInt32, self._surface, face)), *place)
 
-    def with_any(self, flags: Jit) -> NDArray[np.intp]:
-        """Return the faces with a point whose texel has a flag (UInt8) above 0, ascending."""
+    def with_any(self, flags: Jit) -> NDArray[np.bool_]:
+        """Return whether each face has a point whose texel has a flag (UInt8) above 0, (F,)."""
         mi = self.geometry.mi
         face = dr.arange(mi.UInt32, self.geometry.face_count)
         last = dr.opaque(mi.UInt32, self.count)
@@ -73,7 +73,7 @@ class Samples:
 
         start = mi.UInt32(0), dr.zeros(mi.UInt32, self.geometry.face_count)
         _, found = dr.while_loop(start, lambda point, _: point < last, body)
-        return np.flatnonzero(np.array(found))
+        return np.array(found > 0)
 
     def around(self, face: int) -> tuple[NDArray[np.uint32], Floats]:
         """Return (texels, weights) of which a face's points are made; the weights sum to one."""

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 # Change of a face's correction that is left out, and of the light due to components left out [mK].
 _LEAST_MK, _LEFT_MK = 1.0, 2.0
 # Faces on which the second bounce is computed: most reflecting, changed, and any.
-_JUDGED = 8000
+_JUDGED = 3000
 # From this share of light passed on, a preview is of no use.
 _MOST_PASSED = 0.9
 
@@ -101,17 +101,15 @@ def _light(
 
 def _components(sent: NDArray[np.float32], outside: Floats, wanted: float) -> tuple[Floats, float]:
     """(orthonormal spectra (k, N), largest sum over the nodes of what they leave out of any face's light)."""
-    sent = sent.astype(np.float64)
-    gram = sent.T @ sent + np.outer(outside, outside)
+    gram = (sent.T @ sent).astype(np.float64) + np.outer(outside, outside)
     axes = np.linalg.eigh(gram)[1][:, ::-1].T
-    left = np.inf
-    for count in range(1, len(axes) + 1):
-        basis = axes[:count]
-        rest = [values - values @ basis.T @ basis for values in (sent, outside[None])]
-        left = sum(float(np.abs(values).sum(axis=1).max(initial=0.0)) for values in rest)
-        if left <= wanted:
-            break
-    return basis, left
+    left = np.zeros(len(axes))
+    for light in (sent, outside[None]):
+        # The sum over the nodes is at most √N times the root of the sum of squares.
+        square = np.cumsum(np.square(light @ axes.T.astype(light.dtype))[:, ::-1], axis=1)[:, ::-1]
+        left += np.sqrt(len(axes) * np.append(square.max(axis=0, initial=0.0)[1:], 0.0))
+    count = 1 + int(np.argmax(left <= wanted))
+    return axes[:count], float(left[count - 1])
 
 
 def _error(
@@ -120,7 +118,7 @@ def _error(
     """Estimate of the preview's error from above [W m⁻² sr⁻¹]."""
     strongest = _strongest(baked, samples).copy()
     strongest[change.faces] = change.strongest
-    reflected = strongest * np.abs(light @ basis.astype(np.float32)).sum(axis=1)
+    reflected = strongest * (np.abs(light) @ np.abs(basis).sum(axis=1).astype(np.float32))
     passed = strongest * samples.seen
     most = float(passed.max(initial=0.0))
     if most >= _MOST_PASSED:
@@ -156,21 +154,29 @@ def _strongest(baked: "BakedScene", samples: Samples) -> NDArray[np.float32]:
 
 
 class _Tables:
-    """The change of texels and faces, from the change of the light on faces."""
+    """The change of texels and faces, from the change of the light on faces.
+
+    Texels differ in what they emit, and in what they reflect of the light before and of its change: these depend on the
+    pair of materials before and after the edit. Pairs that occur are numbered.
+    """
 
     def __init__(
         self, baked: "BakedScene", known: Known, scene: Scene, change: Change, basis: Floats, light: NDArray[np.float32]
     ) -> None:
         self._mi = mi = baked.geometry.mi
-        self._baked, self._known, self._change, self._count = baked, known, change, len(basis)
+        self._baked, self._known, self._change = baked, known, change
         before, after = baked.plan.spectrum, change.plan.spectrum
         mean = light.mean(axis=0, keepdims=True, dtype=np.float64).astype(np.float32)
         self._light = Channels(mi, np.vstack([light, mean]))
         self._strength = np.abs(light).sum(axis=1)
-        self._reflects, self._reflected, self._shares = (
-            [Channels(mi, table[:, channel]) for channel in range(after.channels)]
-            for table in (before.reflected, after.reflected, after.reflected @ basis.T)
-        )
+        old, new = change.pairs.T
+        shares, more = after.reflected[new] @ basis.T, after.reflected[new] - before.reflected[old]
+        # Of each pair and channel: what it reflects of the light, and how much more than before.
+        self._reflects = [
+            Channels(mi, np.concatenate([shares[:, channel], more[:, channel]], axis=1))
+            for channel in range(after.channels)
+        ]
+        self._spectra = len(basis)
         # Emission of the materials of changed texels.
         row = np.zeros(len(scene.materials), dtype=np.uint32)
         row[change.materials] = np.arange(len(change.materials))
@@ -180,13 +186,13 @@ class _Tables:
         ]
         self._row = mi.UInt32(aligned(row, np.uint32))
         self._emitted = Channels(mi, np.concatenate(found) if found else np.zeros((1, after.channels)))
+        self._reflected = [Channels(mi, after.reflected[:, channel]) for channel in range(after.channels)]
 
     def texels(self) -> tuple[list[NDArray[np.float32]], list[Jit]]:
         """Return (radiance of texels, K arrays (T,); change of the light that they reflect, K of Float)."""
         mi, known, change = self._mi, self._known, self._change
         cover = self._baked.geometry.face_of_texel
-        on, kind = change.changed > 0, mi.UInt32(change.kinds)
-        old = dr.select(on, mi.UInt32(known.kinds), 0)
+        on, kind, pair = change.changed > 0, mi.UInt32(change.kinds), mi.UInt32(change.pair)
         lower, share = change.tables.interval(change.kelvin)
         lower += dr.gather(mi.UInt32, self._row, kind, on) * change.tables.count
         ends = (self._emitted.at(lower + k, on) for k in (0, 1))
@@ -194,36 +200,32 @@ class _Tables:
         incident, light = known.incident.at(cover, on), self._light.at(cover)
         found, added = [], []
         for channel, texel in enumerate(known.texels):
-            new, was = (_dot(table[channel].at(of, on), incident)
-                        for table, of in ((self._reflected, kind), (self._reflects, old)))  # fmt: skip
-            more = _dot(self._shares[channel].at(kind), light)
-            found.append(dr.select(on, emitted[channel] + new, texel) + more)
-            added.append(new - was + more)
+            table = self._reflects[channel].at(pair)
+            more = _dot(table[: self._spectra], light)
+            added.append(_dot(table[self._spectra :], incident) + more)
+            found.append(dr.select(on, emitted[channel] + _dot(self._reflected[channel].at(kind, on), incident), texel))
+            found[-1] += more
         dr.eval(found, added)
         return [value.numpy() for value in found], added
 
     def corrected(self, added: list[Jit]) -> NDArray[np.float32]:
         """Return the correction of faces, (F, K); `added` as of `texels`."""
-        mi, known, change, samples = self._mi, self._known, self._change, self._known.samples
-        faces, changed = self._baked.faces, change.changed
+        mi, samples, pairs = self._mi, self._known.samples, self._change.pair
+        faces = self._baked.faces
         assert faces is not None
         found = faces.copy()
         chosen = self._uneven(added)
         if not len(chosen):
             return found
         face, last = mi.UInt32(aligned(chosen, np.uint32)), dr.opaque(mi.UInt32, samples.count)
-        incident, light = known.incident.at(face), self._light.at(face)
+        light = [*self._light.at(face), *self._known.incident.at(face)]
 
         def body(point: Jit, *so_far: Jit) -> tuple[Jit, ...]:
             total = list(so_far)
             for texel, weight in samples.corners(face, point):
-                on = dr.gather(mi.UInt8, changed, texel) > 0
-                kind = mi.UInt32(dr.gather(mi.UInt8, change.kinds, texel))
-                old = mi.UInt32(dr.gather(mi.UInt8, known.kinds, texel, on))
-                for channel in range(len(total)):
-                    own = _dot(self._shares[channel].at(kind), light)
-                    own += _dot(self._reflected[channel].at(kind, on), incident)
-                    own -= _dot(self._reflects[channel].at(old, on), incident)
+                pair = mi.UInt32(dr.gather(mi.UInt8, pairs, texel))
+                for channel, table in enumerate(self._reflects):
+                    own = _dot(table.at(pair), light)
                     total[channel] += weight * (own - dr.gather(mi.Float, added[channel], texel))
             return (point + 1, *total)
 
@@ -234,22 +236,22 @@ class _Tables:
         return found
 
     def _uneven(self, added: list[Jit]) -> NDArray[np.intp]:
-        """Faces whose correction may change by more than `_LEAST_MK`."""
+        """Faces whose correction may change by more than twice `_LEAST_MK`."""
         import cv2
 
-        mi, samples, change = self._mi, self._known.samples, self._change
-        least = _LEAST_MK * change.plan.radiance_per_mk
+        mi, samples, plan = self._mi, self._known.samples, self._change.plan
+        least = _LEAST_MK * plan.radiance_per_mk
         band = sum(dr.abs(value) for value in added)
-        flags = dr.select((change.changed > 0) | (band > dr.opaque(mi.Float, least)), mi.UInt8(1), mi.UInt8(0))
+        flags = dr.select(band > dr.opaque(mi.Float, least), mi.UInt8(1), mi.UInt8(0))
         # Corners of a point's square of texels are neighbours of its texel.
         whole, geometry, near = flags.numpy(), samples.geometry, np.ones((3, 3), np.uint8)
         for first, surface in zip(geometry.texel_start, geometry.surfaces, strict=False):
             part = whole[first : first + surface.material.size].reshape(surface.material.shape)
-            if part.any():
+            if part.size > 1 and part.any():
                 part[...] = cv2.dilate(part, near)
         chosen = samples.with_any(mi.UInt8(aligned(whole, np.uint8)))
-        most = float((1.0 - change.plan.spectrum.emissivity).max())
-        return np.union1d(chosen, np.flatnonzero(most * self._strength > least))
+        chosen |= self._strength * np.float32((1.0 - plan.spectrum.emissivity).max()) > least
+        return np.flatnonzero(chosen)
 
 
 def _dot(one: list[Jit], other: list[Jit]) -> Jit:
