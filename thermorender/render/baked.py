@@ -121,9 +121,9 @@ class BakedScene:
         """Return a preview of an edited scene: its change to first order, with an estimate of its error.
 
         An edit of materials or temperatures is shown at once: the change of the light that changed surfaces send to
-        others, and of what these reflect, without further reflections. Under `errors_mk["preview"]` is an estimate
-        from above of its difference from `solved_for` on any surface. Other edits, and scenes with mirrors or with
-        objects on tracks, are solved as by `solved_for`, and have no such error.
+        others, and of what these reflect, without further reflections. `errors_mk` has an estimate from above of its
+        difference from `solved_for`: "preview" on any surface, and "preview_rms" over all. Other edits, and scenes with
+        mirrors or with objects on tracks, are solved as by `solved_for`, and have no such error.
 
         A preview of a preview, and its solution, begin from the solution that it was made of.
 

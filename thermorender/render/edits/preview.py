@@ -4,10 +4,10 @@ With K the share of a face's hemisphere that shows each other face and ρ the re
 changes by δ = K d + K ρ δ. Here d is the change of what changed faces send in the light known before. A preview shows
 K d, in the few spectral components that d has, and leaves out K ρ δ: light of the change that is reflected twice.
 
-Its error is estimated from the radiance K ρ |K d| of the second bounce on the faces that reflect most of what they
-receive, on those that change, and on some at random. Where the share q of reflected light is passed on at most, later
-bounces add a factor of 1 / (1 − q). Correction of faces of less than `_LEAST_MK` are left out, and components of d of
-less than `_LEFT_MK` in the light; both are added.
+Its error is estimated from the light of the second bounce, K ρ |K d|, and of the components left out. They are computed
+on the faces that reflect most of what they receive, on those that change, and on faces drawn by their area. Where a
+share q of reflected light is passed on at most, later bounces add a factor of 1 / (1 − q). Corrections of faces of less
+than `_LEAST_MK` are left out too.
 """
 
 from dataclasses import replace
@@ -28,10 +28,11 @@ from thermorender.scene.scene import Scene
 if TYPE_CHECKING:
     from thermorender.render.baked import BakedScene
 
-# Change of a face's correction that is left out, and of the light due to components left out [mK].
-_LEAST_MK, _LEFT_MK = 1.0, 2.0
-# Faces on which the second bounce is computed: most reflecting, changed, and any.
-_JUDGED = 3000
+# Change of a face's correction that is left out; what spectral components may leave out of what faces send [mK], and
+# their number.
+_LEAST_MK, _LEFT_MK, _MOST_SPECTRA = 1.0, 100.0, 2
+# Faces of each kind on which the second bounce is computed, and standard errors added to its mean square.
+_JUDGED, _SURE = 3000, 3.5
 # From this share of light passed on, a preview is of no use.
 _MOST_PASSED = 0.9
 
@@ -61,7 +62,7 @@ def edited_plan(baked: "BakedScene", scene: Scene) -> Plan:
 
 def _previewed(baked: "BakedScene", known: Known, scene: Scene, change: Change) -> "BakedScene":
     geometry, plan = baked.geometry, change.plan
-    basis, light, error = _light(baked, known, scene, change)
+    basis, light, errors = _light(baked, known, scene, change)
     tables = _Tables(baked, known, scene, change, basis, light)
     texels, added = tables.texels()
     faces = tables.corrected(added)
@@ -70,7 +71,7 @@ def _previewed(baked: "BakedScene", known: Known, scene: Scene, change: Change) 
     kept = {name: baked._uploaded[name] for name in ("geometry", "samples")}
     shown = replace(
         baked, scene=scene, plan=plan, incident=None, texels=tuple(texels), faces=faces,
-        errors_mk={**baked.errors_mk, "preview": error}, _uploaded=kept | {"exact": baked},
+        errors_mk=baked.errors_mk | errors, _uploaded=kept | {"exact": baked},
     )  # fmt: skip
     kept["scene"] = shown._uploaded["scene"] = baked.device.showing(shown, outgoing)
     return shown
@@ -78,65 +79,76 @@ def _previewed(baked: "BakedScene", known: Known, scene: Scene, change: Change) 
 
 def _light(
     baked: "BakedScene", known: Known, scene: Scene, change: Change
-) -> tuple[Floats, NDArray[np.float32], float]:
-    """(orthonormal spectra (k, N), change of the light on faces in them (F, k), error of the preview [mK])."""
+) -> tuple[Floats, NDArray[np.float32], dict[str, float]]:
+    """(orthonormal spectra (k, N), change of the light on faces in them (k, F), errors of the preview [mK])."""
     samples, plan, transport = known.samples, change.plan, baked.transport
     assert transport is not None
     outside = plan.spectrum.black([scene.surroundings_temperature])[0]
     outside = outside - baked.plan.spectrum.black([baked.scene.surroundings_temperature])[0]
     basis, left = _components(change.sent, outside, _LEFT_MK * plan.radiance_per_mk)
-    sent = np.zeros((len(samples.seen), len(basis)), np.float32)
-    sent[change.faces] = change.sent @ basis.T.astype(np.float32)
+    sent = np.zeros((len(basis), len(samples.seen)), np.float32)
+    sent[:, change.faces] = basis.astype(np.float32) @ change.sent.T
     with threads() as pool:
         light = samples.received(sent, pool)
     if outside.any():
-        light += transport.background[:, None] * (outside @ basis.T)
-    error = _error(baked, samples, change, basis, light, left) / plan.radiance_per_mk
+        light += transport.background * (basis @ outside)[:, None]
+    most, typical = (value / plan.radiance_per_mk for value in _errors(baked, samples, change, basis, light, left))
     nodes = plan.spectrum.nodes_mk
-    if nodes > plan.tolerance_mk:
-        # The solution has other nodes.
-        error += nodes + plan.tolerance_mk
-    return basis, light, error
+    # The solution has other nodes where these err too much.
+    more = 0.0 if nodes <= plan.tolerance_mk else nodes + plan.tolerance_mk
+    more += 2.0 * _LEAST_MK
+    return basis, light, {"preview": most + more, "preview_rms": typical + more}
 
 
-def _components(sent: NDArray[np.float32], outside: Floats, wanted: float) -> tuple[Floats, float]:
-    """(orthonormal spectra (k, N), largest sum over the nodes of what they leave out of any face's light)."""
+def _components(
+    sent: NDArray[np.float32], outside: Floats, wanted: float
+) -> tuple[Floats, tuple[NDArray[np.float32], float]]:
+    """(orthonormal spectra (k, N), what they leave out, summed over the nodes: (of each face (n,), of the outside))."""
     gram = (sent.T @ sent).astype(np.float64) + np.outer(outside, outside)
     axes = np.linalg.eigh(gram)[1][:, ::-1].T
-    left = np.zeros(len(axes))
-    for light in (sent, outside[None]):
+    parts = [light @ axes.T.astype(light.dtype) for light in (sent, outside[None])]
+    for count in range(1, _MOST_SPECTRA + 1):
         # The sum over the nodes is at most √N times the root of the sum of squares.
-        square = np.cumsum(np.square(light @ axes.T.astype(light.dtype))[:, ::-1], axis=1)[:, ::-1]
-        left += np.sqrt(len(axes) * np.append(square.max(axis=0, initial=0.0)[1:], 0.0))
-    count = 1 + int(np.argmax(left <= wanted))
-    return axes[:count], float(left[count - 1])
+        rest = [np.sqrt(len(axes) * np.einsum("nk,nk->n", part[:, count:], part[:, count:])) for part in parts]
+        if max(float(values.max(initial=0.0)) for values in rest) <= wanted:
+            break
+    return axes[:count], (rest[0], float(rest[1][0]))
 
 
-def _error(
-    baked: "BakedScene", samples: Samples, change: Change, basis: Floats, light: NDArray[np.float32], left: float
-) -> float:
-    """Estimate of the preview's error from above [W m⁻² sr⁻¹]."""
-    strongest = _strongest(baked, samples).copy()
-    strongest[change.faces] = change.strongest
-    reflected = strongest * (np.abs(light) @ np.abs(basis).sum(axis=1).astype(np.float32))
-    passed = strongest * samples.seen
-    most = float(passed.max(initial=0.0))
-    if most >= _MOST_PASSED:
-        return np.inf
-    random = np.random.Generator(np.random.Philox(0))
-    chosen = [_most(passed, _JUDGED), random.integers(0, len(passed), _JUDGED)]
-    chosen.append(change.faces[_most(passed[change.faces], _JUDGED)])
-    faces = np.unique(np.concatenate(chosen))
-    second = float((strongest[faces] * samples.received_by(faces, reflected)).max())
-    return second / (1.0 - most) + most * left + 2.0 * _LEAST_MK * change.plan.radiance_per_mk
+def _errors(
+    baked: "BakedScene", samples: Samples, change: Change, basis: Floats, light: NDArray[np.float32],
+    left: tuple[NDArray[np.float32], float],
+) -> tuple[float, float]:  # fmt: skip
+    """Estimates of the preview's largest error and of its root mean square over all faces [W m⁻² sr⁻¹]."""
+    own, most_reflecting = _strongest(baked, samples)
+    strongest, changed = own.copy(), change.faces
+    strongest[changed] = change.strongest
+    # Light that is not followed: of the second bounce, and of spectra left out.
+    missing = strongest * (np.abs(basis).sum(axis=1).astype(np.float32) @ np.abs(light))
+    missing[changed] += left[0]
+    number = np.random.Generator(np.random.Philox(0)).random(_JUDGED)
+    drawn = np.searchsorted(samples.area, number * samples.area[-1])
+    faces = np.concatenate([drawn, most_reflecting, changed[_most(change.strongest * samples.seen[changed])]])
+    received = samples.received_by(faces, missing) + left[1] * (1.0 - samples.seen[faces])
+    passed = float((strongest[faces] * samples.seen[faces]).max())
+    error = strongest[faces] * received / (1.0 - min(passed, _MOST_PASSED))
+    square = error[:_JUDGED] ** 2
+    typical = np.sqrt(square.mean() + _SURE * square.std() / np.sqrt(_JUDGED))
+    return float(error.max()) if passed < _MOST_PASSED else np.inf, float(typical)
 
 
-def _most(values: NDArray[Any], count: int) -> NDArray[np.intp]:
-    return np.argpartition(values, len(values) - count)[-count:] if len(values) > count else np.arange(len(values))
+def _most(values: NDArray[Any]) -> NDArray[np.intp]:
+    """Places of the `_JUDGED` largest values."""
+    return (
+        np.argpartition(values, len(values) - _JUDGED)[-_JUDGED:] if len(values) > _JUDGED else np.arange(len(values))
+    )
 
 
-def _strongest(baked: "BakedScene", samples: Samples) -> NDArray[np.float32]:
-    """Largest reflectance of a point of each face at any node, (F,); kept with the baked scene."""
+def _strongest(baked: "BakedScene", samples: Samples) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
+    """(largest reflectance of a point of each face at any node, (F,); faces that reflect most of what they receive).
+
+    They are kept with the baked scene.
+    """
     kept = baked._uploaded
     if "strongest" not in kept:
         geometry, known = baked.geometry, kept["known"]
@@ -149,7 +161,8 @@ def _strongest(baked: "BakedScene", samples: Samples) -> NDArray[np.float32]:
             return point + 1, dr.maximum(found, dr.gather(mi.Float, table, kind))
 
         start = mi.UInt32(0), dr.zeros(mi.Float, geometry.face_count)
-        kept["strongest"] = np.array(dr.while_loop(start, lambda point, _: point < last, body)[1])
+        found = np.array(dr.while_loop(start, lambda point, _: point < last, body)[1])
+        kept["strongest"] = found, _most(found * samples.seen)
     return kept["strongest"]
 
 
@@ -166,9 +179,9 @@ class _Tables:
         self._mi = mi = baked.geometry.mi
         self._baked, self._known, self._change = baked, known, change
         before, after = baked.plan.spectrum, change.plan.spectrum
-        mean = light.mean(axis=0, keepdims=True, dtype=np.float64).astype(np.float32)
-        self._light = Channels(mi, np.vstack([light, mean]))
-        self._strength = np.abs(light).sum(axis=1)
+        mean = light.mean(axis=1, dtype=np.float64).astype(np.float32)
+        self._light = Channels(mi, np.vstack([light.T, mean]))
+        self._strength = np.abs(light).sum(axis=0)
         old, new = change.pairs.T
         shares, more = after.reflected[new] @ basis.T, after.reflected[new] - before.reflected[old]
         # Of each pair and channel: what it reflects of the light, and how much more than before.
