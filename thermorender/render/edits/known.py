@@ -11,6 +11,7 @@ from thermorender.physics.band import RadianceTable
 from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned
 from thermorender.render.device import flat
 from thermorender.render.geometry import Geometry
+from thermorender.render.light.exchange import Strong
 from thermorender.render.light.radiosity import Transport
 from thermorender.render.light.texels import pattern
 from thermorender.render.plan import Plan
@@ -42,6 +43,8 @@ class Samples:
         Share of each face's hemisphere that shows other faces.
     area : (F,) float64
         Area of all faces up to each [m²].
+    strong : Strong or None
+        Those of the last solution.
     """
 
     def __init__(self, geometry: Geometry, transport: Transport) -> None:
@@ -59,6 +62,7 @@ class Samples:
         outside = transport.up.sum(axis=(1, 2), dtype=np.int64) + transport.down.sum(axis=1, dtype=np.int64)
         self.seen = (1.0 - outside / (2.0 * transport.rays)).astype(np.float32)
         self.area = np.cumsum(geometry.area)
+        self.strong: Strong | None = None
 
     def texel(self, face: Jit, point: Jit) -> Jit:
         """Return the number of the texel at a point of faces, UInt32."""

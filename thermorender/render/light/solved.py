@@ -1,0 +1,98 @@
+"""The light between the surfaces of a scene, solved at all spectral nodes."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.render.arrays import Floats
+from thermorender.render.dynamic import StaticLight
+from thermorender.render.geometry import Geometry
+from thermorender.render.light import environment, radiosity, texels
+from thermorender.render.plan import Plan
+from thermorender.render.spectrum import REFERENCE_K
+from thermorender.scene.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """What the solution of an edit begins from, beside the incident radiance.
+
+    Attributes
+    ----------
+    residual : float
+        Largest light that faces may have left to send, beyond `rest` [W m⁻² sr⁻¹].
+    noise : (F,) float32
+        As of SolvedLight.
+    rest : (F, N) float32 or None
+        Known light that faces have not sent [W m⁻² sr⁻¹].
+    reflectance : (F, N) float32 or None
+        Of each face at each node, where it is known.
+    """
+
+    residual: float
+    noise: NDArray[np.float32]
+    rest: NDArray[np.float32] | None = None
+    reflectance: NDArray[np.float32] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedLight:
+    """Light between surfaces at all nodes."""
+
+    incident: NDArray[np.float32]  # (F, N) mean incident radiance of each face [W m⁻² sr⁻¹]
+    noise: Floats  # (F,) a draw of the Monte Carlo error of each face's reflected radiance [W m⁻² sr⁻¹]
+    reflectance: Floats  # (F,) mean over the nodes
+    bounds: Floats  # (N,) error bound of `incident` [W m⁻² sr⁻¹]
+    mean_reflectance: Floats  # (N,) mean over the faces
+    static: StaticLight | None  # None without dynamic objects
+    kept: Kept
+
+
+def tolerance_of(plan: Plan) -> float:
+    """Return the error bound to reach at each node [W m⁻² sr⁻¹]."""
+    return 0.1 * plan.tolerance_mk * plan.radiance_per_mk / plan.spectrum.nodes
+
+
+def black_share(plan: Plan) -> Floats:
+    """Return the share of each node in a blackbody's light, (N,)."""
+    black = plan.spectrum.black([REFERENCE_K])
+    return black[0] / black.sum()
+
+
+def solve_scene(
+    scene: Scene, plan: Plan, geometry: Geometry, known: radiosity.Transport,
+    texel: tuple[NDArray[np.uint8], NDArray[np.float32]], guess: Floats | None, tick: Callable[[], object],
+) -> SolvedLight:  # fmt: skip
+    """Return the SolvedLight of a scene with known Transport, solved in blocks of nodes.
+
+    Parameters
+    ----------
+    texel : (T,) and (T,) arrays
+        Material and temperature of all texels [K].
+    guess : (F, N), optional
+        An incident radiance close to the solution.
+    tick : callable
+        Called every few milliseconds, without arguments.
+    """
+    spectrum = plan.spectrum
+    around = environment.of_scene(scene, plan, geometry)
+    tolerance, shares = tolerance_of(plan), black_share(plan)
+    shape = (geometry.face_count, spectrum.nodes)
+    incident, noise, mean = np.empty(shape, dtype=np.float32), np.zeros(shape[0]), np.zeros(shape[0])
+    bounds, mean_reflectance, residual = np.empty(shape[1]), np.empty(shape[1]), 0.0
+    static = StaticLight.around(around, *shape) if scene.tracked_objects else None
+    blocks = radiosity.blocks(*shape)
+    means = texels.face_means(geometry, plan, *texel, blocks, tick)
+    for nodes, (emitted, reflectance) in zip(blocks, means, strict=True):
+        near = None if guess is None else guess[:, nodes]
+        found, bound, draw = radiosity.solve(known, emitted, reflectance, around.at(nodes), tolerance, near, tick)
+        noise += draw
+        bounds[nodes], residual = bound, max(residual, bound / radiosity.amplification(known, reflectance))
+        incident[:, nodes], mean_reflectance[nodes] = found, geometry.share @ reflectance
+        mean += reflectance @ shares[nodes]
+        if static:
+            static.add(nodes, emitted + reflectance * found, reflectance)
+    kept = Kept(residual, noise.astype(np.float32))
+    return SolvedLight(incident, noise, mean, bounds, mean_reflectance, static, kept)
