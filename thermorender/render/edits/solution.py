@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 
 # Where more texels change, solving for all light is as fast.
 _MOST_CHANGED = 0.5
-# Rounding of the light, the rest and the change to float32, relative to the brightest light.
-_ROUNDED = 4.0 * float(np.finfo(np.float32).eps)
-# What the last round may leave, as a share of the tolerance: room for the rounding of later edits.
-_LEAVES = 0.2
+# Rounding of the light and of its change to float32, relative to the brightest light.
+_ROUNDED = float(np.finfo(np.float32).eps)
+# The tolerance is divided between the rounding of edits so far and what is left.
+_FOR_ROUNDING = 0.5
 
 
 def solved_change(
@@ -78,9 +78,10 @@ def _solved(
     reflectance[change.faces] = _reflectance(known, change.kinds, plan.spectrum, change.faces)
     residual = kept.residual + _ROUNDED * float(incident.max(initial=0.0))
     tolerance, amplified = tolerance_of(plan), radiosity.amplification(transport, reflectance)
-    if amplified * residual > (1.0 - 2.0 * _LEAVES) * tolerance:
+    if amplified * residual > _FOR_ROUNDING * tolerance:
         return None
-    rest = np.zeros(incident.shape) if kept.rest is None else kept.rest.astype(np.float64)
+    tolerance = (1.0 - _FOR_ROUNDING) * tolerance
+    rest = np.asarray(kept.rest * kept.step, dtype=np.float64)
     rest[change.faces] += change.sent
     outside = plan.spectrum.black([scene.surroundings_temperature])[0]
     outside = outside - baked.plan.spectrum.black([baked.scene.surroundings_temperature])[0]
@@ -91,18 +92,18 @@ def _solved(
         light = Exchange(transport, pool, rest, reflectance, around, samples.strong, tick)
         for _ in range(radiosity.ROUNDS):
             left = light.largest + radiosity.rounding(transport) * light.brightest
-            if amplified * left <= _LEAVES * tolerance:
+            if amplified * left <= tolerance:
                 break
-            light.send(light.settled(0.5 * _LEAVES * tolerance / amplified))
+            light.send(light.settled(0.5 * tolerance / amplified))
         else:
-            raise radiosity.unsettled(amplified * left, _LEAVES * tolerance)
+            raise radiosity.unsettled(amplified * left, tolerance)
     # The noise of light known before is reflected as that light is.
     shares, noise = black_share(plan), kept.noise.astype(np.float64)
     mean, was = (values[change.faces] @ shares for values in (reflectance, before))
     noise[change.faces] *= mean / np.maximum(was, 1e-6)
     noise += light.noise
     bounds = np.full(plan.spectrum.nodes, amplified * (left + residual))
-    new = Kept(residual, noise.astype(np.float32), light.rest.astype(np.float32), reflectance)
+    new = Kept.of([light.rest], residual, noise, reflectance)
     return SolvedLight(
         (incident + light.incident).astype(np.float32), noise, reflectance @ shares, bounds,
         geometry.share @ reflectance, None, new,

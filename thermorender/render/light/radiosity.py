@@ -179,9 +179,20 @@ def background_code(mi: Mitsuba, direction: Jit) -> Jit:
     return dr.select(direction.z >= 0.0, dr.minimum(position, SKY_BINS - 1), SKY_BINS)
 
 
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The light on faces, as `solve` returns it, and what is left of it."""
+
+    incident: Floats  # (F, N)
+    bound: float
+    noise: Floats  # (F,)
+    rest: Floats  # (F, N) light that faces have not sent
+    rounding: float  # error of the incident radiance apart from the rest
+
+
 def solve(
     transport: Transport, emitted: Floats, reflectance: Floats, environment: "Environment", tolerance: float,
-    start: NDArray[np.floating] | None = None, tick: Callable[[], object] | None = None,
+    start: NDArray[np.floating] | None = None,
 ) -> tuple[Floats, float, Floats]:  # fmt: skip
     """Return (mean incident radiance of each face (F, N), its error bound, noise (F,)), all in W m⁻² sr⁻¹.
 
@@ -199,8 +210,6 @@ def solve(
         Error bound to reach at each node [W m⁻² sr⁻¹].
     start : (F, N), optional
         An incident radiance close to the solution, which saves time; zeros by default.
-    tick : callable, optional
-        Called every few milliseconds, without arguments; it may raise.
 
     Raises
     ------
@@ -217,6 +226,15 @@ def solve(
     variance of their mean's error. But they fill each other's gaps, so it is 1.0 to 1.4 times too large in open scenes.
     The error is itself light and is reflected: δ = K ρ δ + (x₁ − x₂) / 2 to first order, which matters in cavities.
     """
+    found = solution(transport, emitted, reflectance, environment, tolerance, start)
+    return found.incident, found.bound, found.noise
+
+
+def solution(
+    transport: Transport, emitted: Floats, reflectance: Floats, environment: "Environment", tolerance: float,
+    start: NDArray[np.floating] | None = None, tick: Callable[[], object] | None = None,
+) -> Solution:  # fmt: skip
+    """Return the Solution that `solve` describes; `tick` is called every few milliseconds, and may raise."""
     with threads() as pool:
         amplified = amplification(transport, reflectance)
         wanted = 0.5 * tolerance / amplified
@@ -226,7 +244,8 @@ def solve(
         for _ in range(ROUNDS):
             bound = amplified * (light.largest + rounding(transport) * light.brightest)
             if bound <= tolerance:
-                return light.incident, bound, _reflected_noise(transport, pool, reflectance, light)
+                noise = _reflected_noise(transport, pool, reflectance, light)
+                return Solution(light.incident, bound, noise, light.rest, rounding(transport) * light.brightest)
             light.send(light.settled(wanted))
     raise unsettled(bound, tolerance)
 

@@ -1,6 +1,6 @@
 """The light between the surfaces of a scene, solved at all spectral nodes."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,9 @@ from thermorender.render.plan import Plan
 from thermorender.render.spectrum import REFERENCE_K
 from thermorender.scene.scene import Scene
 
+# Steps of the rests kept, on either side of 0.
+_STEPS = 127
+
 
 @dataclass(frozen=True, eq=False)
 class Kept:
@@ -21,20 +24,32 @@ class Kept:
 
     Attributes
     ----------
+    rest : (F, N) int8
+        Light that faces have not sent, in units of `step`.
+    step : float
+        [W m⁻² sr⁻¹].
     residual : float
-        Largest light that faces may have left to send, beyond `rest` [W m⁻² sr⁻¹].
+        Error of the incident radiance, and so of what faces send, apart from the rest [W m⁻² sr⁻¹].
     noise : (F,) float32
         As of SolvedLight.
-    rest : (F, N) float32 or None
-        Known light that faces have not sent [W m⁻² sr⁻¹].
     reflectance : (F, N) float32 or None
         Of each face at each node, where it is known.
     """
 
+    rest: NDArray[np.int8]
+    step: float
     residual: float
     noise: NDArray[np.float32]
-    rest: NDArray[np.float32] | None = None
     reflectance: NDArray[np.float32] | None = None
+
+    @classmethod
+    def of(
+        cls, rests: Sequence[Floats], residual: float, noise: Floats, reflectance: NDArray[np.float32] | None = None
+    ) -> "Kept":
+        """Return the Kept of light that faces have not sent, (F, n) of each part of the nodes."""
+        step = max(1e-30, *(float(np.abs(rest).max(initial=0.0)) for rest in rests)) / _STEPS
+        whole = np.concatenate([np.rint(rest / step).astype(np.int8) for rest in rests], axis=1)
+        return cls(whole, step, residual + step, noise.astype(np.float32), reflectance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,18 +96,19 @@ def solve_scene(
     tolerance, shares = tolerance_of(plan), black_share(plan)
     shape = (geometry.face_count, spectrum.nodes)
     incident, noise, mean = np.empty(shape, dtype=np.float32), np.zeros(shape[0]), np.zeros(shape[0])
-    bounds, mean_reflectance, residual = np.empty(shape[1]), np.empty(shape[1]), 0.0
+    bounds, mean_reflectance, residual, rests = np.empty(shape[1]), np.empty(shape[1]), 0.0, list[Floats]()
     static = StaticLight.around(around, *shape) if scene.tracked_objects else None
     blocks = radiosity.blocks(*shape)
     means = texels.face_means(geometry, plan, *texel, blocks, tick)
     for nodes, (emitted, reflectance) in zip(blocks, means, strict=True):
         near = None if guess is None else guess[:, nodes]
-        found, bound, draw = radiosity.solve(known, emitted, reflectance, around.at(nodes), tolerance, near, tick)
-        noise += draw
-        bounds[nodes], residual = bound, max(residual, bound / radiosity.amplification(known, reflectance))
-        incident[:, nodes], mean_reflectance[nodes] = found, geometry.share @ reflectance
+        found = radiosity.solution(known, emitted, reflectance, around.at(nodes), tolerance, near, tick)
+        noise += found.noise
+        rests.append(found.rest)
+        bounds[nodes], residual = found.bound, max(residual, found.rounding)
+        incident[:, nodes], mean_reflectance[nodes] = found.incident, geometry.share @ reflectance
         mean += reflectance @ shares[nodes]
         if static:
-            static.add(nodes, emitted + reflectance * found, reflectance)
-    kept = Kept(residual, noise.astype(np.float32))
+            static.add(nodes, emitted + reflectance * found.incident, reflectance)
+    kept = Kept.of(rests, residual, noise)
     return SolvedLight(incident, noise, mean, bounds, mean_reflectance, static, kept)
