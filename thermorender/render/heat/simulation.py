@@ -168,7 +168,7 @@ class _Simulation:
         self.middle = corner.mean(axis=1).astype(np.float32)
         self.normal = (across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)).astype(np.float32)
         self.snow_m = lying_snow(scene.materials, self.weather, asked[0])
-        self.covers = np.array(geometry.face_of_texel)[: self.texels]
+        self.covers = geometry.face_showing(scene.terrain_count)
         self.reflects = self._brightness() * (1.0 if self.deviations is None else self.deviations[0])
         self.start = max(asked[0] - np.timedelta64(int(_BEFORE_S), "s"), self.weather.time[0])
         # Change of the ground over the last day of settling [K], the largest of all runs.
