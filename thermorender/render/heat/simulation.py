@@ -255,7 +255,9 @@ class _Simulation:
     def _columns(self, texels: NDArray[np.integer]) -> tuple[_Columns, State]:
         """The _Columns of all faces of the terrain, followed by some texels, by their numbers, and their State."""
         geometry, mi = self.geometry, self.mi
-        face = np.minimum(self.covers[texels], self.faces - 1)
+        # Texels without a face get that of a covered one in the end; until then, the last face of their surface.
+        surface = np.searchsorted(geometry.texel_start, texels, side="right") - 1
+        face = np.minimum(self.covers[texels], geometry.face_start[surface + 1] - 1)
         point = np.concatenate([self.middle, texel_points(geometry, texels, face)])
         face = np.concatenate([np.arange(self.faces, dtype=np.uint32), face.astype(np.uint32)])
         point += np.float32(geometry.hair) * self.normal[face]
