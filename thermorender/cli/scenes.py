@@ -131,6 +131,9 @@ def make_scene(
         typer.Option(help="Draws date, hour, snow, cloud, wind and air from a seed; options given here take "
                      "precedence."),
     ] = None,
+    three_d: Annotated[
+        bool, typer.Option("--three-d", help="With walls and porous crowns; a survey of them from above in survey/.")
+    ] = False,
 ) -> None:  # fmt: skip
     """Make a procedural scene from a seed, under a weather, with known temperatures."""
     from thermorender.campaign.procedural_truth import write
@@ -142,7 +145,14 @@ def make_scene(
     )  # fmt: skip
     with progress() as report:
         report("making the landscape", 0.0)
-        folder = write(make(kind, seed, size_m, texel_m, post_m, weather=weather), output, progress=report)
+        if three_d:
+            from thermorender.campaign.three_d.write import write as write_world
+            from thermorender.synthetic.world import make_world
+
+            world = make_world(kind, seed, size_m, texel_m, post_m, weather=weather)
+            folder = write_world(world, output, progress=report)
+        else:
+            folder = write(make(kind, seed, size_m, texel_m, post_m, weather=weather), output, progress=report)
     typer.echo(str(folder))
 
 
