@@ -323,12 +323,12 @@ def _(folder):
     skin = plants.skin("crown")
     folder.mkdir()
     trimesh.Trimesh(skin.vertices, skin.faces, process=False).export(folder / "crown.ply")
-    crown = item("crown", "paint_metallic", 310.0, [1, 1, 1], [0, 0, 0], shape="disc").replace(
+    crown = item("crown", "paint_metallic", 294.0, [1, 1, 1], [0, 0, 0], shape="disc").replace(
         'shape = "disc"', 'file = "crown.ply"'
     )
-    scene = written(folder, quad(40.0, cells=32), "sand_quartz", 290.0, extra=crown, plain=quad(40.0))
+    scene = written(folder, quad(40.0, cells=32), "sand_quartz", 290.0, 280.0, extra=crown, plain=quad(40.0))
     (folder / "plain" / "crown.ply").write_bytes((folder / "crown.ply").read_bytes())
-    return Case(scene, tr.pose(0, -6, 9, pitch_deg=-45), 48, stock=True)
+    return Case(scene, tr.pose(0, -6, 9, pitch_deg=-45), 48)
 
 
 @case("clouds, from below")

@@ -3,11 +3,18 @@
 import numpy as np
 import pytest
 
+from thermorender.physics.srgb import linear_from_bytes
 from thermorender.render.geometry import Geometry
 from thermorender.render.survey.from_above import from_above
 from thermorender.render.variant import activate
+from thermorender.scene.parts.mesh import load
 from thermorender.scene.solids.plants import Plants, leaves, surface_m2
+from thermorender.scene.solids.quads import Quads
+from thermorender.scene.solids.skin import write_mesh
 from thermorender.scene.surface import Surface
+from thermorender.synthetic.buildings import ROOFS, Window, house
+from thermorender.synthetic.canvas import Canvas
+from thermorender.synthetic.solids import Solids
 
 
 def surface_of(vertices, faces):
@@ -57,3 +64,58 @@ def test_leaves_are_closed_bodies_of_their_stated_surface():
     # Normals of a closed body add up to nothing, and its volume is positive where they point outwards.
     assert across.reshape(5, 4, 3).sum(axis=1) == pytest.approx(np.zeros((5, 3)), abs=1e-12)
     assert (np.einsum("fi,fi->f", corner.mean(axis=1), across).reshape(5, 4).sum(axis=1) > 0.0).all()
+
+
+def test_a_picture_is_upright_on_its_wall_and_comes_back_from_the_file(tmp_path):
+    """A wall that faces south, 4 m wide and 2 m high: red at its foot, blue in its upper eastern quarter."""
+
+    def paint(s, t):
+        blue = (s > 0.5) & (t > 0.5)
+        red = t < 0.5
+        return np.stack([1.0 * red, 0.0 * s, 1.0 * blue], axis=-1), np.where(red, 1, np.where(blue, 2, 3))
+
+    quads = Quads(0.1)
+    quads.add([(0, 0, 0), (4, 0, 0), (4, 0, 2), (0, 0, 2)], paint)
+    quads.add([(0, 9, 0), (0, 9, 0.5), (-1, 9, 0.5), (-1, 9, 0)], lambda s, t: ((0.2, 0.2, 0.2), 4))
+    skin = quads.skin("walls")
+    write_mesh(tmp_path / "w.glb", [skin])
+    (part,) = load(tmp_path / "w.glb", named=("walls",))
+    corner = part.vertices[part.faces]
+    across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    middle, wall = corner.mean(axis=1), corner[:, 0, 1] < 1.0
+    assert (across[wall, 1] < 0.0).all() and np.abs(across[wall][:, [0, 2]]).max() < 1e-6
+    rows, columns = part.colour.shape[:2]
+    at = (part.uv.mean(axis=1) * (columns, rows)).astype(int)
+    shown = linear_from_bytes(part.colour)[at[:, 1], at[:, 0]]
+    low = wall & (middle[:, 2] < 1.0)
+    upper_east = wall & (middle[:, 2] > 1.0) & (middle[:, 0] > 2.0)
+    assert low.any() and (shown[low] == (1.0, 0.0, 0.0)).all()
+    assert upper_east.any() and (shown[upper_east] == (0.0, 0.0, 1.0)).all()
+    assert (skin.classes[at[:, 1], at[:, 0]][low] == 1).all() and (skin.classes[at[:, 1], at[:, 0]][~wall] == 4).all()
+
+
+@pytest.mark.parametrize(("roof", "hip"), [(ROOFS[0], False), (ROOFS[0], True), (ROOFS[-1], False)])
+def test_a_house_has_the_heights_of_its_surface_model_and_walls_below_its_eaves(roof, hip):
+    """The 2.5-D scene paints the same house as heights from above, by a formula of its own."""
+    canvas = Canvas(1, 24.0, 0.1)
+    canvas.value("grass_green")
+    canvas.solids = Solids(canvas)
+    window = Window(canvas, 1.0, -0.5, 25.0, 11.0)
+    fine = np.zeros(canvas.shape, np.float32)
+    body = house(window, fine, np.random.default_rng(5), 0.5, 0.3, 5.5, 4.2, 4.0, roof, 38.0, hip)
+    skin = canvas.solids.quads.skin("house")
+    geometry = Geometry(activate(), [surface_of(skin.vertices, skin.faces)])
+    east, north = np.broadcast_arrays(canvas.east, canvas.north)
+    height, texel = from_above(geometry, east, north)
+    there = np.zeros(canvas.shape, bool)
+    window.view(there)[...] = body
+    assert ((texel >= 0) == there).mean() > 0.995
+    apart = np.abs(height - canvas.top)[there & (texel >= 0)]
+    print(roof[0], hip, np.median(apart), np.quantile(apart, [0.9, 0.98]))
+    # But for chimneys, whose width differs, and texels across an edge.
+    assert np.quantile(apart, 0.95) < 0.12
+    corner = skin.vertices[skin.faces]
+    across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    upright = np.abs(across[:, 2]) < 1e-9
+    # Four walls of 11 by 8.4 m, at least to the height of the eaves.
+    assert 0.5 * np.linalg.norm(across[upright], axis=1).sum() > 2.0 * (11.0 + 8.4) * 3.9

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 import thermorender as tr
 from scenes import WEATHER
@@ -41,6 +42,25 @@ def test_every_face_with_a_colour_of_its_own_has_its_own_sun(tmp_path):
     assert up > south + 3.0 and south > north + 5.0
 
 
+def test_textures_with_margins_have_temperatures(tmp_path):
+    """Two textures of which faces show a part only: the heat balance ended in a traceback."""
+    for name, colour in (("a", (120, 60, 40)), ("b", (60, 110, 40))):
+        Image.fromarray(np.full((8, 8, 3), colour, np.uint8)).save(tmp_path / f"{name}.png")
+    (tmp_path / "m.mtl").write_text("newmtl a\nmap_Kd a.png\nnewmtl b\nmap_Kd b.png\n")
+    plan = "v 0 0 {z}\nv 9 0 {z}\nv 9 9 {z}\nv 0 9 {z}\n"
+    (tmp_path / "m.obj").write_text(
+        "mtllib m.mtl\n" + plan.format(z=0) + plan.format(z=5) + "vt 0.2 0.2\nvt 0.8 0.2\nvt 0.8 0.8\nvt 0.2 0.8\n"
+        "usemtl a\nf 1/1 2/2 3/3 4/4\nusemtl b\nf 5/1 6/2 7/3 8/4\n"
+    )
+    (tmp_path / "scene.toml").write_text(
+        '[terrain]\nmesh = "m.obj"\n[temperature]\nsource = "balance"\n[emissivity]\nsource = "material"\n'
+        f'material = "asphalt"\n[sky]\ntemperature = 255.0\n{FRAME}{WEATHER}'
+    )
+    below, above = (each.temperature for each in heat.solved(tr.load_scene(tmp_path), [AT])[0].surfaces)
+    # The upper square shades the lower one.
+    assert np.isfinite(below).all() and np.isfinite(above).all() and above.mean() > below.min() + 10.0
+
+
 # A wall of little mass on a room, so that it is always near its steady state; and its spectrum, of emissivity 0.9.
 WALL = {
     "cover": ("bare", ""), "conductivity_w_m_k": (0.2, 0), "density_kg_m3": (300, 0), "specific_heat_j_kg_k": (800, 0),
@@ -69,7 +89,9 @@ def yard(tmp_path_factory):
     (own / "thermal" / "thin.csv").write_text("property,value,uncertainty,source\n" + rows)
     times = np.datetime64("2018-07-25T00:30") + np.arange(5 * 24) * np.timedelta64(1, "h")
     day = [5.0 <= (t - t.astype("M8[D]")) / np.timedelta64(1, "h") <= 19.0 for t in times]
-    table = [f"{t}:00Z,{AIR_C},20,{WIND},{DIRECT * d},{DIFFUSE * d},{LONGWAVE}" for t, d in zip(times, day, strict=True)]
+    table = [
+        f"{t}:00Z,{AIR_C},20,{WIND},{DIRECT * d},{DIFFUSE * d},{LONGWAVE}" for t, d in zip(times, day, strict=True)
+    ]
     head = "time_utc,air_c,rh_percent,wind_m_s,sw_direct_normal_w_m2,sw_diffuse_w_m2,lw_down_w_m2"
     (folder / "w.csv").write_text("\n".join([head, *table]) + "\n")
     box = trimesh.creation.box((2.0, 2.0, 2.0))

@@ -45,7 +45,7 @@ class Canvas:
         self.material = np.zeros(self.shape, np.uint8)
         self.wetness = np.zeros(self.shape, np.float32)
         self.names: dict[int, str] = {}
-        self.solids: "Solids | None" = None
+        self.solids: Solids | None = None
 
     @property
     def surface(self) -> NDArray[np.float32]:

@@ -6,7 +6,6 @@ the share exp(−D s / 2) of the rays of a path s [m] through: Beer's law with G
 Ross (1981) for leaves of all orientations.
 """
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ DENSITY, DENSITY_HEDGE = 1.2, 4.0
 # Edge of a cluster [m]: this share of the radius of a crown, within limits.
 _EDGE_SHARE, _EDGES = 0.2, (0.28, 0.6)
 # Height of a cluster's tetrahedron as a share of a regular one's.
-_FLAT = 0.3
+_FLAT = 0.1
 _CORNERS = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]]) / np.sqrt(8.0)
 # Counter-clockwise from outside.
 _FACES = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
@@ -90,7 +89,7 @@ class Plants:
         """
         depth = np.maximum(column[:, 3] - column[:, 2], 0.0)
         volume = float(depth.sum()) * cell_m**2
-        count = int(round(2.0 * density * volume / surface_m2(edge_m)))
+        count = round(2.0 * density * volume / surface_m2(edge_m))
         if not count:
             return
         chosen = generator.choice(len(column), count, p=depth / depth.sum())
@@ -131,11 +130,3 @@ class Plants:
             name, np.concatenate([part[0] for part in self._parts]), faces, uv,
             bytes_from_linear(colour).reshape(rows, columns, 3), classes.reshape(rows, columns),
         )  # fmt: skip
-
-
-def disc(radius_m: float, cell_m: float) -> NDArray[np.float64]:
-    """Return the middles (C, 2) of square cells inside a circle around the origin [m]."""
-    line = np.arange(-np.ceil(radius_m / cell_m), np.ceil(radius_m / cell_m) + 1.0) * cell_m
-    x, y = (each.ravel() for each in np.meshgrid(line, line))
-    inside: Sequence[Any] = np.hypot(x, y) <= radius_m
-    return np.column_stack([x, y])[inside]
