@@ -1,4 +1,4 @@
-"""Temperatures of walls and other parts of a mesh: faces without a map of their own, and walls against a closed form."""
+"""Temperatures of walls and other parts of a mesh: faces without a map, and walls against a closed form."""
 
 import numpy as np
 import pytest
