@@ -49,20 +49,32 @@ def import_terrain(
     ] = None,
     time: Annotated[str | None, typer.Option(help="Date and hour with their zone, 2018-07-28T14:30Z.")] = None,
     known: Annotated[
-        Path | None, typer.Option(help="GeoJSON of OpenStreetMap shapes that restrict the materials inside them.")
+        Path | None, typer.Option(help="GeoJSON of OpenStreetMap shapes that restrict the materials inside them; with "
+                                  "--three-d the outlines of buildings.")
     ] = None,
+    three_d: Annotated[
+        bool, typer.Option("--three-d", help="Make a mesh: walls below the roofs, porous trees; posts of 1 m or less.")
+    ] = False,
+    ground: Annotated[
+        Path | None, typer.Option(help="With --three-d: GeoTIFF of the ground's heights; default: filtered.")
+    ] = None,
+    wall: Annotated[str | None, typer.Option(help="With --three-d: material of all walls.")] = None,
 ) -> None:  # fmt: skip
     """Make a scene from an elevation model and an orthophoto, or from an elevation model alone."""
     from thermorender.scene.import_terrain import import_terrain as run
+    from thermorender.scene.solids.importing import WALL, ThreeD
     from thermorender.sensor.camera import load_camera
     from thermorender.trajectory import parse_numbers
 
     if height_reference not in (None, "ellipsoid", "geoid"):
         raise ThermorenderError(f"--height-reference={height_reference!r} is not allowed; give ellipsoid or geoid")
+    if (ground is not None or wall is not None) and not three_d:
+        raise ThermorenderError("--ground and --wall are for scenes in three dimensions; give --three-d too")
+    solids = ThreeD(ground, wall or WALL) if three_d else None
     chosen = [int(value) for value in parse_numbers("--bands", bands, ("RED", "GREEN", "BLUE"))] if bands else None
     ends = parse_numbers("--colour-range", colour_range, ("BLACK", "WHITE")) if colour_range else None
     summary = run(elevation, orthophoto, output, max_vertices, max_texels, height_reference, geoid_undulation_m, model,
-                  material, sky_temperature, fill, chosen, ends, collar, weather, time, known)  # fmt: skip
+                  material, sky_temperature, fill, chosen, ends, collar, weather, time, known, solids)  # fmt: skip
     typer.echo(f"{output}: {summary['posts'][1]}×{summary['posts'][0]} posts of {summary['post_m']:.3g} m, "
                f"{summary['texels'][1]}×{summary['texels'][0]} texels of {summary['texel_m']:.3g} m; "
                f"{summary['share_without_height']:.1%} without height, "
@@ -74,6 +86,13 @@ def import_terrain(
     warn(_of_import(summary, collar, colour_range is not None))
     for note in summary["known"]:
         typer.echo(note)
+    if solids:
+        typer.echo(
+            f"{summary['buildings']} buildings with walls of {solids.wall}, {summary['trees']} trees; walls, "
+            "trunks and leaves are inferred from heights"
+            + (f"; {summary['flat_outlines']} outlines left out, nothing high is in them" if summary["flat_outlines"]
+               else "")
+        )  # fmt: skip
     if weather is None:
         source = f"the learned map {model!r}, which knows colour only" if orthophoto else "one for all of the ground"
         typer.echo(

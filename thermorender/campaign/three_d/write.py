@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from thermorender.campaign.procedural_truth import drawn
 from thermorender.files import atomic_folder
 from thermorender.formats import write_text
-from thermorender.materials.library import load_library
-from thermorender.materials.thermal import table_text
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
 from thermorender.render.geometry import Geometry
@@ -29,6 +27,7 @@ from thermorender.scene.ground import Ground
 from thermorender.scene.load import load_scene
 from thermorender.scene.raster import Grid, lon_lat
 from thermorender.scene.scene import Scene
+from thermorender.scene.solids.plants import write_leaf_tables
 from thermorender.scene.solids.skin import MESH, Skin, write_kelvin, write_skins
 from thermorender.scene.surface import Surface
 from thermorender.synthetic.light import exposed
@@ -41,9 +40,6 @@ from thermorender.synthetic.world import World
 SURVEY = "survey"
 # Positions in a texel at which the survey looks, in texels from its middle; the first gives the material.
 _LOOKS = ((0.0, 0.0), (-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))
-# Leaves hang in the air and not above the litter that the tables of a closed canopy have below.
-_HANGING = ("broadleaf", "conifer")
-_CHOSEN = "chosen: leaves of a crown hang in the air"
 
 
 def write(
@@ -69,7 +65,7 @@ def write(
     up = flight["above_ground_m"] + heights[1](flight["east_m"], flight["north_m"])
     flight = {("up_m" if key == "above_ground_m" else key): value for key, value in flight.items()} | {"up_m": up}
     with atomic_folder(directory, overwrite) as draft:
-        _write_leaves(draft)
+        write_leaf_tables(draft)
         tables = _declare(draft, scene, frame, skins, known=False)
         loaded = load_scene(draft)
         geometry = Geometry(activate(), loaded.surfaces)
@@ -117,16 +113,6 @@ def _standing(item: dict[str, Any], heights: tuple[Ground, Ground]) -> dict[str,
     east, north, up = item["position"]
     highest, ground = (each(east, north) for each in heights)
     return {**item, "position": [east, north, up + float(ground - highest)]}
-
-
-def _write_leaves(folder: Path) -> None:
-    """Write thermal tables of leaves over air into the scene's own materials."""
-    (folder / "materials" / "thermal").mkdir(parents=True)
-    library = load_library()
-    for name in _HANGING:
-        table = library[name].known_thermal()
-        hanging = replace(table, beneath="outside", below=None, source=table.source | {"beneath": _CHOSEN})
-        write_text(folder / "materials" / "thermal" / f"{name}.csv", table_text(hanging))
 
 
 def _declare(

@@ -21,7 +21,8 @@ _PANE, _FRAME, _LEAF = (52, 60, 70), (232, 230, 224), (112, 78, 56)
 
 def facade(
     value: Callable[[str], int], draw: np.random.Generator, material: str, colour: NDArray[np.floating], wide_m: float,
-    high_m: float, below_m: float = 0.0, door: bool = False,
+    high_m: float, below_m: float = 0.0, door: bool = False, storeys_m: float | None = None,
+    part: tuple[float, float] = (0.0, 1.0),
 ) -> Paint:  # fmt: skip
     """Return the Paint of a façade.
 
@@ -39,13 +40,17 @@ def facade(
     below_m : float
         Depth below the ground [m].
     door : bool
+    storeys_m : float, optional
+        Height that is divided into storeys [m]; default: `high_m`.
+    part : (2,) float
+        Beginning and end of the picture, as shares of the width.
     """
     pane, frame, leaf = (linear_from_bytes(np.array(each, np.uint8)) for each in (_PANE, _FRAME, _LEAF))
-    storeys = 0 if material == DOOR else int(high_m / _STOREY_M + 0.15)
+    storeys = 0 if material == DOOR else int((high_m if storeys_m is None else storeys_m) / _STOREY_M + 0.15)
     columns = int((wide_m - 0.8) / _EVERY_M)
 
     def paint(s: NDArray[np.float64], t: NDArray[np.float64]) -> tuple[NDArray[np.floating], NDArray[np.integer]]:
-        x, z = s * wide_m, t * (high_m + below_m) - below_m
+        x, z = (part[0] + s * (part[1] - part[0])) * wide_m, t * (high_m + below_m) - below_m
         foot = 0.12 * np.exp(-np.maximum(z, 0.0) / 0.4) if high_m else 0.0
         stain = 0.04 * draw.standard_normal(s.shape) - foot
         tone = np.asarray(colour, np.float64) * np.exp(stain)[..., None]

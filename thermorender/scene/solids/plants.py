@@ -6,19 +6,27 @@ the share exp(−D s / 2) of the rays of a path s [m] through: Beer's law with G
 Ross (1981) for leaves of all orientations.
 """
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.formats import write_text
+from thermorender.materials.library import load_library
+from thermorender.materials.thermal import table_text
 from thermorender.physics.srgb import bytes_from_linear
 from thermorender.scene.parts.mesh import one_texel_each
 from thermorender.scene.solids.skin import Skin
 
 # One side of leaves per volume of a crown [m²/m³]: street and garden trees have 0.5 to 2 (chosen), hedges more.
 DENSITY, DENSITY_HEDGE = 1.2, 4.0
+# Materials of leaves, and why their tables differ from those of a closed canopy.
+LEAVES = ("broadleaf", "conifer")
+_CHOSEN = "chosen: leaves of a crown hang in the air"
 # Edge of a cluster [m]: this share of the radius of a crown, within limits.
-_EDGE_SHARE, _EDGES = 0.2, (0.28, 0.6)
+_EDGE_SHARE, _EDGES = 0.2, (0.28, 0.9)
 # Height of a cluster's tetrahedron as a share of a regular one's.
 _FLAT = 0.1
 _CORNERS = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]]) / np.sqrt(8.0)
@@ -59,6 +67,19 @@ def surface_m2(edge_m: float) -> float:
     """Return the surface of a cluster [m²]: twice one side of the leaves that it stands for."""
     corner = (edge_m * _flat())[_FACES]
     return float(0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1).sum())
+
+
+def write_leaf_tables(folder: Path) -> None:
+    """Write thermal tables of leaves that hang in the air into the materials of a scene's folder.
+
+    The tables of a closed canopy have litter below.
+    """
+    (folder / "materials" / "thermal").mkdir(parents=True)
+    library = load_library()
+    for name in LEAVES:
+        table = library[name].known_thermal()
+        hanging = replace(table, beneath="outside", below=None, source=table.source | {"beneath": _CHOSEN})
+        write_text(folder / "materials" / "thermal" / f"{name}.csv", table_text(hanging))
 
 
 class Plants:

@@ -125,9 +125,12 @@ def write_kelvin(path: Path, kelvin: NDArray[Any]) -> None:
             file.scales, file.offsets, file.units = (STEP_K,), (BASE_K,), ("K",)
 
 
-def write_skins(folder: Path, skins: Sequence[Skin]) -> list[dict[str, Any]]:
-    """Write the mesh and the class rasters of skins into a scene's folder; return its [[surface]] tables."""
-    write_mesh(folder / MESH, skins)
+def write_skins(folder: Path, skins: Sequence[Skin], mesh: Sequence[Skin] | None = None) -> list[dict[str, Any]]:
+    """Write a mesh and the class rasters of skins into a scene's folder; return the [[surface]] tables of the skins.
+
+    The mesh consists of the same skins, or of those that `mesh` names, some of which have no classes.
+    """
+    write_mesh(folder / MESH, skins if mesh is None else mesh)
     for skin in skins:
         write_image(folder / f"{skin.name}_classes.png", skin.classes)
     return [{"name": skin.name, "classes": f"{skin.name}_classes.png"} for skin in skins]
