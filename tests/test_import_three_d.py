@@ -75,7 +75,7 @@ def test_a_house_has_walls_to_its_eaves_and_a_tree_a_crown(model, tmp_path, give
     assert upright_area(of["walls"]) == pytest.approx(46.0 * (27.0 - 20.4 + 0.5), rel=0.02 if known else 0.15)
     east, north, up = of["plants"].vertices.T
     assert np.hypot(east - 12.0, north + 9.0).max() < 4.5
-    assert 20.0 < up.min() + origin and 29.0 < up.max() + origin < 31.5
+    assert up.min() + origin > 20.0 and 29.0 < up.max() + origin < 31.5
     # Nothing stands inside the house.
     inside = (np.abs(east + 7.0) < 6.0) & (np.abs(north - 7.5) < 3.5)
     assert not inside.any()

@@ -1,8 +1,13 @@
 """Scenes in three dimensions: porous crowns, quadrilaterals with pictures, their files, and the survey of a world."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+import thermorender as tr
+from thermorender.campaign.three_d.write import SURVEY, write
+from thermorender.errors import ThermorenderError
 from thermorender.physics.srgb import linear_from_bytes
 from thermorender.render.geometry import Geometry
 from thermorender.render.survey.from_above import from_above
@@ -11,10 +16,12 @@ from thermorender.scene.parts.mesh import load
 from thermorender.scene.solids.plants import Plants, leaves, surface_m2
 from thermorender.scene.solids.quads import Quads
 from thermorender.scene.solids.skin import write_mesh
+from thermorender.scene.spec import WeatherSpec
 from thermorender.scene.surface import Surface
 from thermorender.synthetic.buildings import ROOFS, Window, house
 from thermorender.synthetic.canvas import Canvas
 from thermorender.synthetic.solids import Solids
+from thermorender.synthetic.world import make_world
 
 
 def surface_of(vertices, faces):
@@ -119,3 +126,36 @@ def test_a_house_has_the_heights_of_its_surface_model_and_walls_below_its_eaves(
     upright = np.abs(across[:, 2]) < 1e-9
     # Four walls of 11 by 8.4 m, at least to the height of the eaves.
     assert 0.5 * np.linalg.norm(across[upright], axis=1).sum() > 2.0 * (11.0 + 8.4) * 3.9
+
+
+def test_snow_is_refused():
+    winter = WeatherSpec(
+        time=np.datetime64("2018-01-17T08:00:00"), air_low_c=-12.0, air_high_c=-3.0, humidity=0.9, wind_m_s=2.0,
+        cloud=0.1, snow_depth_m=0.3,
+    )  # fmt: skip
+    with pytest.raises(ThermorenderError, match=r"snow_depth_m=0\.3: snow on walls and crowns is not modelled"):
+        make_world("village", 0, 40.0, 0.5, 1.0, weather=winter)
+
+
+@pytest.mark.slow
+def test_a_world_and_its_survey_are_the_same_from_above(tmp_path):
+    """From straight above both show the same ground at the same place; a house's wall is in the world only."""
+    folder = write(make_world("village", 2, 48.0, 0.4, 0.8), tmp_path / "world")
+    world, survey = tr.load_scene(folder), tr.load_scene(folder / SURVEY)
+    assert (survey.frame.latitude_deg, survey.frame.height_m) == (world.frame.latitude_deg, world.frame.height_m)
+    shown = []
+    for scene in (world, survey):
+        camera = replace(scene.camera, width=96, height=80, pixel_pitch_um=scene.camera.pixel_pitch_um * 640 / 96)
+        renderer = tr.Renderer(scene.with_camera(camera), quality="fast", rays=64)
+        shown.append((renderer.frame(tr.pose(0, 0, 45, pitch_deg=-90)), renderer.scene))
+    frames = [frame.apparent_temperature for frame, _ in shown]
+    names = np.array([material.name for material in world.materials])
+    ground = np.isin(names[shown[0][0].truth["material"]], ("grass_green", "grass_dry", "asphalt", "concrete"))
+    apart = np.abs(frames[0] - frames[1])[ground]
+    print("ground", np.median(apart), np.quantile(apart, 0.9), "all", np.median(np.abs(frames[0] - frames[1])))
+    # Two surveys of one ground: noise of the light between surfaces, and edges of crowns.
+    assert ground.mean() > 0.15 and np.median(apart) < 0.1
+    # Walls: brick in the world's truth, and no upright brick from above.
+    assert {"brick_painted", "brick_clay"} & set(names)
+    kelvin = np.concatenate([surface.temperature.ravel() for surface in world.surfaces])
+    assert kelvin.min() > 280.0 and kelvin.max() < 345.0

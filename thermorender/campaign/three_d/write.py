@@ -93,6 +93,11 @@ def _frame(scene: SyntheticScene) -> LocalFrame:
     return LocalFrame(float(latitude), float(longitude), float(np.round(np.median(scene.elevation))))
 
 
+def _place(frame: LocalFrame) -> dict[str, float]:
+    """The table [frame] of a LocalFrame."""
+    return {"latitude_deg": frame.latitude_deg, "longitude_deg": frame.longitude_deg, "height_m": frame.height_m}
+
+
 def _grid(scene: SyntheticScene) -> Grid:
     from rasterio import Affine
     from rasterio.crs import CRS
@@ -123,9 +128,8 @@ def _declare(
     if known:
         tables = [{**table, "temperature": f"{table['name']}_kelvin.tif"} for table in tables]
     air = {"source": "constant", "value": round(scene.weather.air_high_c + 273.15, 2)}
-    place = {"latitude_deg": frame.latitude_deg, "longitude_deg": frame.longitude_deg, "height_m": frame.height_m}
     solid = {
-        "terrain": {"mesh": MESH}, "temperature": air if known else {"source": "balance"}, "frame": place,
+        "terrain": {"mesh": MESH}, "temperature": air if known else {"source": "balance"}, "frame": _place(frame),
         "emissivity": {"source": "material", "material": scene.class_names[1], "classes": scene.class_names},
         "truth": None, "surface": tables,
     }  # fmt: skip
@@ -222,3 +226,5 @@ def write_survey(
     )  # fmt: skip
     write_declared(seen, folder)
     write_temperature(seen, folder, (warm / count).reshape(shape), 1)
+    # By default the frame has the median height of the raster, which the world's frame has not.
+    write_text(folder / "scene.toml", scene_toml(seen, other={"frame": _place(frame)}))
