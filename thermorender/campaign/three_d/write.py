@@ -35,6 +35,7 @@ from thermorender.synthetic.noise import stream
 from thermorender.synthetic.procedural_scene import SyntheticScene, posts
 from thermorender.synthetic.scene_files import flight_csv, scene_toml, write_declared, write_temperature
 from thermorender.synthetic.world import World
+from thermorender.units import ZERO_CELSIUS_K
 
 # Folder of the survey in that of the scene.
 SURVEY = "survey"
@@ -127,7 +128,7 @@ def _declare(
     tables = write_skins(folder, skins)
     if known:
         tables = [{**table, "temperature": f"{table['name']}_kelvin.tif"} for table in tables]
-    air = {"source": "constant", "value": round(scene.weather.air_high_c + 273.15, 2)}
+    air = {"source": "constant", "value": round(scene.weather.air_high_c + ZERO_CELSIUS_K, 2)}
     solid = {
         "terrain": {"mesh": MESH}, "temperature": air if known else {"source": "balance"}, "frame": _place(frame),
         "emissivity": {"source": "material", "material": scene.class_names[1], "classes": scene.class_names},

@@ -27,7 +27,7 @@ GROUND, ROOFS, WALLS, PLANTS = "ground", "roofs", "walls", "plants"
 INFERRED = (WALLS, PLANTS)
 # Material of roofs where no orthophoto says more, and of leaves and trunks.
 ROOF, LEAVES, BARK = "roof_tile_clay", "broadleaf", "bark"
-_TEXEL_M, _EDGE_M, _BELOW_M = 0.2, 2.0, 0.5
+_TEXEL_M, _EDGE_M, _BELOW_M = 0.3, 2.0, 0.5
 # Roofs are those of posts this far inside the outline; nearer ones are mixed with the street [posts].
 _WITHIN = 0.8
 _LEAF_COLOUR, _BARK_COLOUR = (72, 96, 48), (104, 88, 72)
