@@ -126,9 +126,10 @@ def inside(outlines: Sequence[Sequence[Ring]], grid: Grid) -> NDArray[np.bool_]:
 
 def trees_in(above: NDArray[np.float64], taken: NDArray[np.bool_], post_m: float) -> list[Tree]:
     """Return the Trees of heights above the ground, (h, w) [m], outside of `taken`: watersheds of local maxima."""
-    from scipy.ndimage import find_objects, gaussian_filter, label, maximum_filter, watershed_ift
+    from scipy.ndimage import binary_opening, find_objects, gaussian_filter, label, maximum_filter, watershed_ift
 
-    canopy = (np.nan_to_num(above) > LEAST_M) & ~taken
+    # Fringes of a building beside its outline are narrower than a crown.
+    canopy = binary_opening((np.nan_to_num(above) > LEAST_M) & ~taken, np.ones((3, 3)))
     height = np.where(canopy, np.nan_to_num(above), 0.0)
     smooth = gaussian_filter(height, _BLUR_M / post_m)
     size = 2 * max(1, round(0.5 * _APART_M / post_m)) + 1

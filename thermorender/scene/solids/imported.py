@@ -188,6 +188,7 @@ def _building(
     quads: Quads, paint: dict[str, Any], post_m: float,
 ) -> bool:  # fmt: skip
     """Add the roof and walls of one outline; return whether a roof was found."""
+    from scipy.ndimage import median_filter
     from scipy.spatial import Delaunay, cKDTree
 
     fine = [_resampled(ring) for ring in rings]
@@ -207,7 +208,9 @@ def _building(
     if not inner.any():
         return False
     nearest = cKDTree(middle[inner]).query(edge)[1]
-    top = level[inner][nearest]
+    # A median along each ring leaves corners of gables and no single peaks.
+    borders = np.cumsum([len(each) for each in fine])[:-1]
+    top = np.concatenate([median_filter(each, 5, mode="wrap") for each in np.split(level[inner][nearest], borders)])
     foot = np.nanmin(np.concatenate([ground[np.isfinite(ground)], [np.inf]]))
     # Points on the outline are at the edge of the grid at most.
     edge = np.clip(edge, 0.5, [columns - 0.5, rows - 0.5])
