@@ -70,7 +70,9 @@ def write(
         tables = _declare(draft, scene, frame, skins, known=False)
         loaded = load_scene(draft)
         geometry = Geometry(activate(), loaded.surfaces)
-        skins = _lit(loaded, geometry, skins, world)
+        # Objects are those of the survey too: neither they nor their shadows are in its rasters.
+        terrain = Geometry(activate(), loaded.surfaces[: loaded.terrain_count])
+        skins = _lit(loaded, terrain, skins, world)
         kelvin = _true_kelvin(loaded, geometry, scene, progress)
         for table, skin in zip(tables, skins, strict=True):
             table["temperature"] = f"{skin.name}_kelvin.tif"
@@ -80,8 +82,6 @@ def write(
         colour = _by_surface(loaded, {skin.name: skin.colour.reshape(-1, 3) for skin in skins})
         warm = _by_surface(loaded, {name: values.ravel() for name, values in kelvin.items()})
         (draft / SURVEY).mkdir()
-        # Objects are those of the survey too, and not in its rasters.
-        terrain = Geometry(activate(), loaded.surfaces[: loaded.terrain_count])
         write_survey(world.scene, frame, terrain, draft / SURVEY, loaded, colour, warm)
         write_text(draft / SURVEY / "flight.csv", flight_csv(flight))
     return Path(directory)

@@ -30,6 +30,8 @@ ROOF, LEAVES, BARK = "roof_tile_clay", "broadleaf", "bark"
 _TEXEL_M, _EDGE_M, _BELOW_M = 0.3, 2.0, 0.5
 # Roofs are those of posts this far inside the outline; nearer ones are mixed with the street [posts].
 _WITHIN = 0.8
+# Triangles of roofs are larger than this in the plan, in squares of posts.
+_LEAST_PLAN = 0.02
 _LEAF_COLOUR, _BARK_COLOUR = (72, 96, 48), (104, 88, 72)
 
 
@@ -221,7 +223,8 @@ def _building(
         triangle = triangle[found.even_odd(pixel[triangle].mean(axis=1), rings)]
         across = np.cross(point[triangle[:, 1]] - point[triangle[:, 0]], point[triangle[:, 2]] - point[triangle[:, 0]])
         triangle[across[:, 2] < 0.0] = triangle[across[:, 2] < 0.0][:, ::-1]
-        roofs.add(pixel, point, triangle[np.linalg.norm(across, axis=1) > 1e-9])
+        # Three points of one side of the outline are a triangle in its wall.
+        roofs.add(pixel, point, triangle[np.abs(across[:, 2]) > _LEAST_PLAN * post_m**2])
     base = at(edge[:, 0], edge[:, 1], foot - _BELOW_M)
     start = 0
     for number, ring in enumerate(fine):
