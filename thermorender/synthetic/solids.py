@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.scene.solids.plants import DENSITY, DENSITY_HEDGE, Plants, edge_of
+from thermorender.scene.solids.plants import DENSITY, DENSITY_CONIFER, DENSITY_HEDGE, Plants, edge_of
 from thermorender.scene.solids.quads import Quads
 from thermorender.synthetic import house_shapes
 from thermorender.synthetic.light import linear
@@ -149,9 +149,10 @@ class Solids:
         ground = c.height_at(east, north)
         columns = np.column_stack([east + x, north + y, ground + np.minimum(low, top), ground + top])
         shade = tone[row, column][:, None] * np.asarray(colour, np.float64)
-        self.plants.fill(self._leaf, columns, c.texel, edge_of(radius), DENSITY, shade, material)
+        density = DENSITY_CONIFER if conifer else DENSITY
+        self.plants.fill(self._leaf, columns, c.texel, edge_of(radius), density, shade, material)
         if not shrub:
-            high = ground + (0.9 if conifer else 0.55) * height_m
+            high = ground + (0.75 if conifer else 0.55) * height_m
             bark = linear(*_BARK) * np.exp(self._draw.normal(0.0, 0.15))
             self.plants.trunk(east, north, ground - 0.3, high, 0.05 + 0.016 * height_m, bark, c.value("bark"))
         if self.plants.faces > _MOST_FACES:

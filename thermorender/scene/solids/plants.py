@@ -20,8 +20,11 @@ from thermorender.physics.srgb import bytes_from_linear
 from thermorender.scene.parts.mesh import one_texel_each
 from thermorender.scene.solids.skin import Skin
 
-# One side of leaves per volume of a crown [m²/m³]: street and garden trees have 0.5 to 2 (chosen), hedges more.
-DENSITY, DENSITY_HEDGE = 1.2, 4.0
+# One side of leaves per volume of a crown [m²/m³], chosen: street and garden trees have 0.5 to 2, narrow conifers and
+# clipped hedges more.
+DENSITY, DENSITY_CONIFER, DENSITY_HEDGE = 1.2, 2.5, 4.0
+# Radius of a trunk at its upper end as a share of that at the foot.
+_TAPER = 0.35
 # Materials of leaves, and why their tables differ from those of a closed canopy.
 LEAVES = ("broadleaf", "conifer")
 _CHOSEN = "chosen: leaves of a crown hang in the air"
@@ -126,8 +129,11 @@ class Plants:
               colour: NDArray[np.floating], material: int) -> None:  # fmt: skip
         """Add the sides of a trunk of six faces."""
         angle = np.arange(6) * np.pi / 3.0
-        ring = np.column_stack([east + radius_m * np.cos(angle), north + radius_m * np.sin(angle)])
-        vertices = np.concatenate([np.column_stack([ring, np.full(6, z)]) for z in (low_m, high_m)])
+        ring = radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
+        vertices = np.concatenate([
+            np.column_stack([[east, north] + share * ring, np.full(6, z)])
+            for share, z in ((1.0, low_m), (_TAPER, high_m))
+        ])  # fmt: skip
         here, after = np.arange(6), (np.arange(6) + 1) % 6
         lower, upper = np.stack([here, after, after + 6], axis=-1), np.stack([here, after + 6, here + 6], axis=-1)
         self._add(vertices, np.concatenate([lower, upper]), np.broadcast_to(colour, (12, 3)), material)
