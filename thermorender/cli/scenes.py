@@ -93,21 +93,23 @@ def import_terrain(
             + (f"; {summary['flat_outlines']} outlines left out, nothing high is in them" if summary["flat_outlines"]
                else "")
         )  # fmt: skip
-    if weather is None:
-        source = f"the learned map {model!r}, which knows colour only" if orthophoto else "one for all of the ground"
-        typer.echo(
-            f"temperatures are a placeholder, {source}: they are not those of this place at any hour; give --weather "
-            "FILE --time T for a heat balance, or a raster of kelvin"
-        )
-    else:
-        typer.echo(
-            f"temperatures: a heat balance at {time}; materials are "
-            + ("read from the orthophoto; map-materials shows them" if orthophoto else f"{material} everywhere")
-        )
+    typer.echo(_temperatures(weather, time, model, material, orthophoto is not None))
     typer.echo(
         f"flight.csv flies along the middle, {summary['flight_m']:.0f} m above the ground; a texel covers one pixel of "
         f"the {defaults.CAMERA} from {summary['texel_m'] * load_camera(defaults.CAMERA).focal_length_px:.0f} m"
     )
+
+
+def _temperatures(weather: Path | None, time: str | None, model: str, material: str, pictured: bool) -> str:
+    """A sentence on the temperatures of an imported scene."""
+    if weather is None:
+        source = f"the learned map {model!r}, which knows colour only" if pictured else "one for all of the ground"
+        return (
+            f"temperatures are a placeholder, {source}: they are not those of this place at any hour; give --weather "
+            "FILE --time T for a heat balance, or a raster of kelvin"
+        )
+    kind = "read from the orthophoto; map-materials shows them" if pictured else f"{material} everywhere"
+    return f"temperatures: a heat balance at {time}; materials are {kind}"
 
 
 def _of_import(summary: dict[str, Any], collar: int, scaled: bool) -> str | None:

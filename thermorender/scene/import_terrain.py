@@ -125,13 +125,8 @@ def import_terrain(
     bounds = bounds_in(crs, height_grid)
     picture = None
     if orthophoto is not None:
-        rgb, valid, grid = *read_colour(orthophoto, bands, colour_range, collar), grid_of(orthophoto)
-        if not valid.any():
-            raise ThermorenderError(f"{orthophoto} is empty: every pixel is masked or border; give another orthophoto")
-        bounds = _shared(bounds, bounds_in(crs, grid), elevation, orthophoto)
-        picture = _colours(rgb, valid, grid, crs, bounds, max_texels)
-        if not picture[1].any():
-            raise ThermorenderError(f"{orthophoto} is empty where {elevation} is; give an orthophoto of the same area")
+        colours = read_colour(orthophoto, bands, colour_range, collar)
+        picture, bounds = _picture(orthophoto, colours, elevation, crs, bounds, max_texels)
     height, target = _heights(height, height_grid, crs, bounds, max_vertices)
     if not np.isfinite(height).any():
         raise ThermorenderError(f"{elevation} has no valid height where {orthophoto} is; give a DEM of the same area")
@@ -267,6 +262,21 @@ def _heights(
     if _aligned(grid, crs, target, post):
         return _cut(height, grid, bounds)
     return onto(height, grid, target, "average" if _step(crs, target) > 1.5 * post else "bilinear"), target
+
+
+def _picture(
+    orthophoto: Path, colours: tuple[NDArray[np.uint8], NDArray[np.bool_]], elevation: Path, crs: Any, bounds: _Bounds,
+    max_texels: int,
+) -> tuple[tuple[NDArray[np.uint8], NDArray[np.bool_], Grid], _Bounds]:  # fmt: skip
+    """(Colours on a map's grid as `_colours`, bounds shared with the elevation)."""
+    (rgb, valid), grid = colours, grid_of(orthophoto)
+    if not valid.any():
+        raise ThermorenderError(f"{orthophoto} is empty: every pixel is masked or border; give another orthophoto")
+    bounds = _shared(bounds, bounds_in(crs, grid), elevation, orthophoto)
+    picture = _colours(rgb, valid, grid, crs, bounds, max_texels)
+    if not picture[1].any():
+        raise ThermorenderError(f"{orthophoto} is empty where {elevation} is; give an orthophoto of the same area")
+    return picture, bounds
 
 
 def _colours(

@@ -253,11 +253,10 @@ class _Simulation:
         return np.clip(ratio, 1.0 / _BRIGHTEST, _BRIGHTEST).astype(np.float32)
 
     def _columns(self, texels: NDArray[np.integer]) -> tuple[_Columns, State]:
-        """The _Columns of all faces of the terrain, followed by some texels, by their numbers, and their State."""
+        """The _Columns of all faces, then of some texels (without a face: the last of their surface), and the State."""
         geometry, mi = self.geometry, self.mi
-        # Texels without a face get that of a covered one in the end; until then, the last face of their surface.
-        surface = np.searchsorted(geometry.texel_start, texels, side="right") - 1
-        face = np.minimum(self.covers[texels], geometry.face_start[surface + 1] - 1)
+        last = geometry.face_start[np.searchsorted(geometry.texel_start, texels, "right")] - 1
+        face = np.minimum(self.covers[texels], last)
         point = np.concatenate([self.middle, texel_points(geometry, texels, face)])
         face = np.concatenate([np.arange(self.faces, dtype=np.uint32), face.astype(np.uint32)])
         point += np.float32(geometry.hair) * self.normal[face]
@@ -279,8 +278,7 @@ class _Simulation:
         liquid = None if begin.liquid is None else rows(begin.liquid)
         state = State(row(begin.surface_k), rows(begin.layers_k), row(begin.film), liquid)
         absorptance = dr.clip(1.0 - reflected, 0.02, 0.98)
-        above_m = point[:, 2] + np.float32(self.scene.altitude_m - self.weather.altitude_m)
-        cooler = np.float32(-humidity.LAPSE_K_M) * above_m
+        cooler = -humidity.LAPSE_K_M * (point[:, 2] + np.float32(self.scene.altitude_m - self.weather.altitude_m))
         _evaluate(state)
         dr.eval(absorptance)
         upload = lambda values: (mi.Float(aligned(axis)) for axis in values.T)  # noqa: E731
