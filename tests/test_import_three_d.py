@@ -111,3 +111,32 @@ def test_wrong_arguments(model, tmp_path):
                                         "--wall", "brick_clay"])  # fmt: skip
     assert done.exit_code != 0 and "--ground and --wall are for scenes" in str(done.exception)
     assert not (tmp_path / "s").exists()
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_walls_of_a_courtyard_face_it(tmp_path, reverse):
+    """A block of 28 m a side around a courtyard of 8 m, its outlines in either sense of rotation."""
+    block = (np.abs(COLUMN - 24) < 14) & (np.abs(ROW - 24) < 14) & ~((np.abs(COLUMN - 24) < 4) & (np.abs(ROW - 24) < 4))
+    write_raster(tmp_path / "dsm.tif", np.where(block, 32.0, 20.0)[None].astype(np.float32), corner=CORNER)
+    rings = []
+    for half in (14, 4):
+        ring = [[CORNER[0] + 24 + x, CORNER[1] - 24 + y]
+                for x, y in ((-half, -half), (half, -half), (half, half), (-half, half), (-half, -half))]  # fmt: skip
+        rings.append(ring[::-1] if reverse else ring)
+    feature = {"type": "Feature", "properties": {"building": "yes"},
+               "geometry": {"type": "Polygon", "coordinates": rings}}  # fmt: skip
+    crs = {"type": "name", "properties": {"name": "EPSG:32634"}}
+    (tmp_path / "b.geojson").write_text(
+        json.dumps({"type": "FeatureCollection", "crs": crs, "features": [feature]}), encoding="utf-8"
+    )
+    import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", known=tmp_path / "b.geojson", three_d=ThreeD())
+    walls = surfaces(tr.load_scene(tmp_path / "s"))["walls"]
+    corner = walls.vertices[walls.faces]
+    across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    middle = corner.mean(axis=1)
+    within = np.abs(middle[:, :2]).max(axis=1) < 5.0
+    outward = np.einsum("fi,fi->f", across[:, :2], middle[:, :2])
+    assert within.any() and (outward[within] < 0.0).all() and (outward[~within] > 0.0).all()
+    area = 0.5 * np.linalg.norm(across, axis=1)
+    assert area[within].sum() == pytest.approx(32.0 * 12.5, rel=0.02)
+    assert area[~within].sum() == pytest.approx(112.0 * 12.5, rel=0.02)
