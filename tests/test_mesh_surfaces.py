@@ -221,7 +221,8 @@ REFUSED = {
         {"more": ROOF.replace("tiles", "tile")},
     "surface 'tiles' and surface 'm:tiles' are the same triangles of 'm:tiles'; leave one of the two out":
         {"more": ROOF + ROOF.replace("tiles", "m:tiles")},
-    "surface 'tiles' states nothing; give material, classes or temperature": {"more": '[[surface]]\nname = "tiles"\n'},
+    "surface 'tiles' states nothing; give material, classes, temperature or inferred":
+        {"more": '[[surface]]\nname = "tiles"\n'},
     "surface 'tiles' has both material and classes; give one of them":
         {"more": ROOF + 'classes = "classes.png"\n'},
     "surface.classes needs the materials of its numbers; add [emissivity.classes]":

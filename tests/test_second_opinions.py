@@ -28,6 +28,7 @@ from scenes import write_mesh, write_terrain
 from thermorender.physics.planck import band_radiance_derivative, brightness_temperature
 from thermorender.render import reference
 from thermorender.render.pixels.budget import sampling_error
+from thermorender.scene.solids.plants import Plants
 
 BAND = (7.5, 13.5)
 AIR = '[atmosphere]\nstandard = "midlatitude-summer"\naerosol = "rural-23km"\n'
@@ -309,6 +310,25 @@ def _(folder):
     dark = written(folder / "dark", quad(60.0), "paint_metallic", air=CLOUDS)
     scene = written(folder, quad(60.0), "paint_metallic", air=CLOUDS, extra=SUN)
     return Case(scene, tr.pose(0, 0, 2, pitch_deg=-40), 4, less=dark)
+
+
+@case("a porous crown over colder ground")
+def _(folder):
+    """Leaves of a ball of 3 m, as `make-scene --three-d` plants them; the ground shows between them."""
+    x, y = (each.ravel() for each in np.meshgrid(np.arange(-1.4, 1.5, 0.2), np.arange(-1.4, 1.5, 0.2)))
+    half = np.sqrt(np.maximum(1.5**2 - x**2 - y**2, 0.0))
+    plants = Plants()
+    column = np.column_stack([x, y, 3.0 - half, 3.0 + half])
+    plants.fill(np.random.default_rng(1), column, 0.2, 0.45, 1.2, np.full((len(x), 3), 0.2), 1)
+    skin = plants.skin("crown")
+    folder.mkdir()
+    trimesh.Trimesh(skin.vertices, skin.faces, process=False).export(folder / "crown.ply")
+    crown = item("crown", "paint_metallic", 294.0, [1, 1, 1], [0, 0, 0], shape="disc").replace(
+        'shape = "disc"', 'file = "crown.ply"'
+    )
+    scene = written(folder, quad(40.0, cells=32), "sand_quartz", 290.0, 280.0, extra=crown, plain=quad(40.0))
+    (folder / "plain" / "crown.ply").write_bytes((folder / "crown.ply").read_bytes())
+    return Case(scene, tr.pose(0, -6, 9, pitch_deg=-45), 48)
 
 
 @case("clouds, from below")

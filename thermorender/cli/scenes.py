@@ -49,20 +49,32 @@ def import_terrain(
     ] = None,
     time: Annotated[str | None, typer.Option(help="Date and hour with their zone, 2018-07-28T14:30Z.")] = None,
     known: Annotated[
-        Path | None, typer.Option(help="GeoJSON of OpenStreetMap shapes that restrict the materials inside them.")
+        Path | None, typer.Option(help="GeoJSON of OpenStreetMap shapes that restrict the materials inside them; with "
+                                  "--three-d the outlines of buildings.")
     ] = None,
+    three_d: Annotated[
+        bool, typer.Option("--three-d", help="Make a mesh: walls below the roofs, porous trees; posts of 1 m or less.")
+    ] = False,
+    ground: Annotated[
+        Path | None, typer.Option(help="With --three-d: GeoTIFF of the ground's heights; default: filtered.")
+    ] = None,
+    wall: Annotated[str | None, typer.Option(help="With --three-d: material of all walls.")] = None,
 ) -> None:  # fmt: skip
     """Make a scene from an elevation model and an orthophoto, or from an elevation model alone."""
     from thermorender.scene.import_terrain import import_terrain as run
+    from thermorender.scene.solids.importing import WALL, ThreeD
     from thermorender.sensor.camera import load_camera
     from thermorender.trajectory import parse_numbers
 
     if height_reference not in (None, "ellipsoid", "geoid"):
         raise ThermorenderError(f"--height-reference={height_reference!r} is not allowed; give ellipsoid or geoid")
+    if (ground is not None or wall is not None) and not three_d:
+        raise ThermorenderError("--ground and --wall are for scenes in three dimensions; give --three-d too")
+    solids = ThreeD(ground, wall or WALL) if three_d else None
     chosen = [int(value) for value in parse_numbers("--bands", bands, ("RED", "GREEN", "BLUE"))] if bands else None
     ends = parse_numbers("--colour-range", colour_range, ("BLACK", "WHITE")) if colour_range else None
     summary = run(elevation, orthophoto, output, max_vertices, max_texels, height_reference, geoid_undulation_m, model,
-                  material, sky_temperature, fill, chosen, ends, collar, weather, time, known)  # fmt: skip
+                  material, sky_temperature, fill, chosen, ends, collar, weather, time, known, solids)  # fmt: skip
     typer.echo(f"{output}: {summary['posts'][1]}×{summary['posts'][0]} posts of {summary['post_m']:.3g} m, "
                f"{summary['texels'][1]}×{summary['texels'][0]} texels of {summary['texel_m']:.3g} m; "
                f"{summary['share_without_height']:.1%} without height, "
@@ -74,21 +86,30 @@ def import_terrain(
     warn(_of_import(summary, collar, colour_range is not None))
     for note in summary["known"]:
         typer.echo(note)
-    if weather is None:
-        source = f"the learned map {model!r}, which knows colour only" if orthophoto else "one for all of the ground"
+    if solids:
         typer.echo(
-            f"temperatures are a placeholder, {source}: they are not those of this place at any hour; give --weather "
-            "FILE --time T for a heat balance, or a raster of kelvin"
-        )
-    else:
-        typer.echo(
-            f"temperatures: a heat balance at {time}; materials are "
-            + ("read from the orthophoto; map-materials shows them" if orthophoto else f"{material} everywhere")
-        )
+            f"{summary['buildings']} buildings with walls of {solids.wall}, {summary['trees']} trees; walls, "
+            "trunks and leaves are inferred from heights"
+            + (f"; {summary['flat_outlines']} outlines left out, nothing high is in them" if summary["flat_outlines"]
+               else "")
+        )  # fmt: skip
+    typer.echo(_temperatures(weather, time, model, material, orthophoto is not None))
     typer.echo(
         f"flight.csv flies along the middle, {summary['flight_m']:.0f} m above the ground; a texel covers one pixel of "
         f"the {defaults.CAMERA} from {summary['texel_m'] * load_camera(defaults.CAMERA).focal_length_px:.0f} m"
     )
+
+
+def _temperatures(weather: Path | None, time: str | None, model: str, material: str, pictured: bool) -> str:
+    """A sentence on the temperatures of an imported scene."""
+    if weather is None:
+        source = f"the learned map {model!r}, which knows colour only" if pictured else "one for all of the ground"
+        return (
+            f"temperatures are a placeholder, {source}: they are not those of this place at any hour; give --weather "
+            "FILE --time T for a heat balance, or a raster of kelvin"
+        )
+    kind = "read from the orthophoto; map-materials shows them" if pictured else f"{material} everywhere"
+    return f"temperatures: a heat balance at {time}; materials are {kind}"
 
 
 def _of_import(summary: dict[str, Any], collar: int, scaled: bool) -> str | None:
@@ -131,6 +152,9 @@ def make_scene(
         typer.Option(help="Draws date, hour, snow, cloud, wind and air from a seed; options given here take "
                      "precedence."),
     ] = None,
+    three_d: Annotated[
+        bool, typer.Option("--three-d", help="With walls and porous crowns; a survey of them from above in survey/.")
+    ] = False,
 ) -> None:  # fmt: skip
     """Make a procedural scene from a seed, under a weather, with known temperatures."""
     from thermorender.campaign.procedural_truth import write
@@ -142,7 +166,14 @@ def make_scene(
     )  # fmt: skip
     with progress() as report:
         report("making the landscape", 0.0)
-        folder = write(make(kind, seed, size_m, texel_m, post_m, weather=weather), output, progress=report)
+        if three_d:
+            from thermorender.campaign.three_d.write import write as write_world
+            from thermorender.synthetic.world import make_world
+
+            world = make_world(kind, seed, size_m, texel_m, post_m, weather=weather)
+            folder = write_world(world, output, progress=report)
+        else:
+            folder = write(make(kind, seed, size_m, texel_m, post_m, weather=weather), output, progress=report)
     typer.echo(str(folder))
 
 

@@ -260,6 +260,22 @@ class Geometry:
                 self._cover(here, part, int(self.face_start[number]) + first)
         return mi.UInt32(aligned(found, np.uint32))
 
+    def face_showing(self, surfaces: int) -> NDArray[np.uint32]:
+        """Return the face that shows each texel of the first `surfaces`, (T,), as `face_of_texel`.
+
+        Here a face whose map is a point shows the texel there, unless a larger one does.
+        """
+        found = np.array(self.face_of_texel)[: int(self.texel_start[surfaces])]
+        for number, surface in enumerate(self.surfaces[:surfaces]):
+            rows, columns = surface.material.shape
+            points = np.flatnonzero((np.ptp(surface.uv, axis=1) == 0.0).all(axis=1))
+            first, last = self.face_start[number : number + 2]
+            points = points[np.argsort(self.area[first:last][points], kind="stable")]
+            column, row = (surface.uv[points, 0].astype(np.float64) * (columns, rows)).T.astype(np.int64)
+            here = found[self.texel_start[number] : self.texel_start[number + 1]].reshape(rows, columns)
+            here[np.minimum(row, rows - 1), np.minimum(column, columns - 1)] = first + points
+        return found
+
     def _cover(self, found: NDArray[np.uint32], uv: NDArray[np.float32], first_face: int) -> None:
         """Write into (rows, columns) of texels the face, of some faces' maps (n, 3, 2), that covers each."""
         mi, (rows, columns) = self.mi, found.shape

@@ -64,6 +64,8 @@ class Plan:
     assumed : tuple of (Assumption, float)
         Parts of the band where a material was not measured, and one standard deviation of the effect on a surface of
         300 K under the scene's sky [mK].
+    inferred : tuple of str
+        Parts of a mesh whose shape nobody has seen.
     """
 
     band_um: tuple[float, float]
@@ -84,6 +86,7 @@ class Plan:
     specular_mk: float | None
     specular: ReflectanceTables | None
     assumed: tuple[tuple[Assumption, float], ...] = ()
+    inferred: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         air = "no air" if self.air_mk is None else f"air in {self.spectrum.channels} channels"
@@ -127,6 +130,7 @@ class Plan:
             *self._air_rows(),
             self._specular_row(),
             *self._assumed_rows(),
+            *[(name, "inferred", "nobody has seen its shape; flagged in the truth mask") for name in self.inferred],
         ]
 
     def _assumed_rows(self) -> list[tuple[str, str, str]]:
@@ -289,6 +293,7 @@ def make_plan(
         specular_mk=specular.effect_mk if specular else None,
         specular=specular if specular and specular.effect_mk > 0.1 * tolerance_mk else None,
         assumed=_assumed(scene, per_mk),
+        inferred=tuple(one.name for one in scene.spec.surfaces if one.inferred),
     )
 
 

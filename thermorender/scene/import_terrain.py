@@ -20,6 +20,7 @@ from thermorender.formats import write_text
 from thermorender.scene.parts.known_cover import read_known
 from thermorender.scene.parts.orthophoto import COLLAR, empty_border, read_colour
 from thermorender.scene.raster import Grid, bounds_in, grid_of, lon_lat, onto
+from thermorender.scene.solids.importing import ThreeD, write_solid
 from thermorender.scene.spec import WeatherSpec
 from thermorender.scene.surface import scene_kelvin
 from thermorender.scene.terrain import filled, read_elevation
@@ -48,6 +49,7 @@ def import_terrain(
     model: str = defaults.TEMPERATURE_MAP, material: str = "soil_loam", sky_temperature: float | None = None,
     fill: bool = False, bands: Sequence[int] | None = None, colour_range: tuple[float, float] | None = None,
     collar: int = 0, weather: Path | None = None, time: str | None = None, known: Path | None = None,
+    three_d: ThreeD | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Write a scene folder and return a summary of the rasters in it.
 
@@ -84,7 +86,11 @@ def import_terrain(
         Instant of the scene with its zone; needed with `weather`.
     known : path, optional
         GeoJSON of OpenStreetMap shapes, as `emissivity.known`; needs an orthophoto. The scene then has the materials
-        that a learned map finds in the orthophoto.
+        that a learned map finds in the orthophoto. With `three_d` its buildings are the outlines to extrude instead,
+        and no orthophoto is needed.
+    three_d : ThreeD, optional
+        The scene is a mesh with walls below its roofs, and porous trees, all found in the heights. Posts of 1 m or less
+        serve.
 
     Returns
     -------
@@ -92,7 +98,8 @@ def import_terrain(
         crs, posts, post_m, texels, texel_m, height_reference, height_reference_stated (by the caller or the CRS),
         flight_m (height of flight.csv above the ground), share_without_height, share_filled (of the posts),
         share_without_colour, share_collar (not empty, but near black or white up to the edge), share_clipped (black or
-        white in some band), the last three None without orthophoto, and known, sentences on its shapes.
+        white in some band), the last three None without orthophoto, and known, sentences on its shapes; with `three_d`
+        also buildings, trees and flat_outlines, outlines without anything as high as a building.
 
     Raises
     ------
@@ -101,7 +108,9 @@ def import_terrain(
     """
     _check(model, material, height_reference, geoid_undulation_m, sky_temperature)
     check_new_folder(folder)
-    if known is not None and orthophoto is None:
+    if three_d and fill:
+        raise ThermorenderError("fill is for a raster of heights, and three_d makes a mesh; leave one of them out")
+    if known is not None and orthophoto is None and not three_d:
         raise ThermorenderError(f"known={known} restricts materials that are read from an orthophoto; give one too")
     if max_vertices < 4 or max_texels < 2:
         raise ThermorenderError(
@@ -116,13 +125,8 @@ def import_terrain(
     bounds = bounds_in(crs, height_grid)
     picture = None
     if orthophoto is not None:
-        rgb, valid, grid = *read_colour(orthophoto, bands, colour_range, collar), grid_of(orthophoto)
-        if not valid.any():
-            raise ThermorenderError(f"{orthophoto} is empty: every pixel is masked or border; give another orthophoto")
-        bounds = _shared(bounds, bounds_in(crs, grid), elevation, orthophoto)
-        picture = _colours(rgb, valid, grid, crs, bounds, max_texels)
-        if not picture[1].any():
-            raise ThermorenderError(f"{orthophoto} is empty where {elevation} is; give an orthophoto of the same area")
+        colours = read_colour(orthophoto, bands, colour_range, collar)
+        picture, bounds = _picture(orthophoto, colours, elevation, crs, bounds, max_texels)
     height, target = _heights(height, height_grid, crs, bounds, max_vertices)
     if not np.isfinite(height).any():
         raise ThermorenderError(f"{elevation} has no valid height where {orthophoto} is; give a DEM of the same area")
@@ -130,14 +134,24 @@ def import_terrain(
                "height_reference": height_reference, "geoid_undulation_m": geoid_undulation_m,
                "fill": fill or None}  # fmt: skip
     tables = {"title": Path(folder).resolve().name, "terrain": terrain}
-    tables |= _sources(picture is not None, day, model, material, sky_temperature, known)
+    tables |= _sources(picture is not None, day, model, material, sky_temperature, None if three_d else known)
     made_from = " and ".join(Path(path).name for path in (elevation, orthophoto) if path is not None)
     texels = picture[2] if picture else target
+    solid = None
+    if three_d:
+        undulation_m = (geoid_undulation_m or 0.0) if height_reference == "geoid" else 0.0
+        solid = three_d.made(height, target, _step(crs, target), undulation_m, known, picture, material)
+        known = None
     shapes = read_known(known, texels, _step(crs, texels)).notes if known is not None else ()
     flight_m, flight = _flight(bounds, _step(crs, texels))
     with atomic_folder(folder) as part:
-        _write(part / "elevation.tif", height[None].astype(np.float32), target, nodata=np.nan, predictor=3)
-        if picture:
+        if solid is not None:
+            tables = write_solid(part, solid, tables)
+            # Heights above the ground would follow each roof and crown.
+            flight = flight.replace("above_ground_m", "up_m")
+        else:
+            _write(part / "elevation.tif", height[None].astype(np.float32), target, nodata=np.nan, predictor=3)
+        if picture and solid is None:
             _write(part / "orthophoto.tif", np.moveaxis(picture[0], -1, 0), texels, predictor=2, photometric="RGB",
                    mask=picture[1])  # fmt: skip
         if weather is not None:
@@ -158,6 +172,7 @@ def import_terrain(
         "height_reference_stated": stated,
         "flight_m": flight_m,
         "known": shapes,
+        **({name: getattr(solid, name) for name in ("buildings", "trees", "flat_outlines")} if solid else {}),
         "share_without_height": float(1.0 - after.mean()),
         "share_filled": float((after & ~given).mean()),
         **_colour_shares(*picture[:2] if picture else (None, None)),
@@ -247,6 +262,21 @@ def _heights(
     if _aligned(grid, crs, target, post):
         return _cut(height, grid, bounds)
     return onto(height, grid, target, "average" if _step(crs, target) > 1.5 * post else "bilinear"), target
+
+
+def _picture(
+    orthophoto: Path, colours: tuple[NDArray[np.uint8], NDArray[np.bool_]], elevation: Path, crs: Any, bounds: _Bounds,
+    max_texels: int,
+) -> tuple[tuple[NDArray[np.uint8], NDArray[np.bool_], Grid], _Bounds]:  # fmt: skip
+    """(Colours on a map's grid as `_colours`, bounds shared with the elevation)."""
+    (rgb, valid), grid = colours, grid_of(orthophoto)
+    if not valid.any():
+        raise ThermorenderError(f"{orthophoto} is empty: every pixel is masked or border; give another orthophoto")
+    bounds = _shared(bounds, bounds_in(crs, grid), elevation, orthophoto)
+    picture = _colours(rgb, valid, grid, crs, bounds, max_texels)
+    if not picture[1].any():
+        raise ThermorenderError(f"{orthophoto} is empty where {elevation} is; give an orthophoto of the same area")
+    return picture, bounds
 
 
 def _colours(

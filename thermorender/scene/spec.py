@@ -227,17 +227,19 @@ class SurfaceSpec:
 
     `name` is that of a node, group, material or texture in the mesh's file. `classes` is a raster of class numbers in
     the pixels of the texture; [emissivity.classes] names their materials. `temperature` may be such a raster too.
+    An `inferred` part has a shape that nobody has seen, such as a wall below the roof of a survey from above.
     """
 
     name: str = key(text)
     material: str | None = key(text, None)
     classes: Path | None = key(raster_inside, None)
     temperature: "float | Path | None" = key(kelvin_or_raster, None)
+    inferred: bool | None = key(flag, None)
 
     def check(self, where: Where, given: Mapping[str, Any]) -> None:
         """Refuse a surface without a statement, and one of two materials."""
-        if not {"material", "classes", "temperature"} & set(given):
-            raise where.error(f"{where.key} states nothing; give material, classes or temperature")
+        if not {"material", "classes", "temperature", "inferred"} & set(given):
+            raise where.error(f"{where.key} states nothing; give material, classes, temperature or inferred")
         if "material" in given and "classes" in given:
             raise where.error(f"{where.key} has both material and classes; give one of them")
 

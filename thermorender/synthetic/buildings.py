@@ -126,14 +126,17 @@ def house(
         tone = np.where(ridge[..., None], tone * 1.18, tone)
         gutter = body & (dv < 0.2)
         tone = np.where(gutter[..., None], linear(128, 124, 118), tone)
+    chimney = None
     if pitched and generator.uniform() < 0.8:
-        at = generator.uniform(-0.6, 0.6) * half_u
+        at = chimney = generator.uniform(-0.6, 0.6) * half_u
         stack = (np.abs(x - at) < 0.42) & (np.abs(y - 0.4) < 0.42)
         height[stack] = wall_m + slope * half_v + 0.9
         tone = np.where(stack[..., None], linear(150, 108, 92), tone)
     # Where two wings meet, the higher roof is visible.
     top = window.view(c.top)
     shown = body & (height > top)
+    if c.solids:
+        c.solids.house(window, body, u, v, (half_u, half_v), wall_m, roof, pitch_deg, hip, chimney)
     top[shown] = height[shown]
     window.view(c.albedo)[shown] = tone[shown]
     window.view(c.material)[shown] = c.value(material)
@@ -155,6 +158,8 @@ def panels(
     y = window.v - np.float32(v) + 0.5 * rows * pitch_v
     field = (x > 0) & (x < columns * pitch_u) & (y > 0) & (y < rows * pitch_v)
     frame = (np.mod(x, pitch_u) < 0.11) | (np.mod(y, pitch_v) < 0.13)
+    if c.solids:
+        c.solids.panels(window, field, (u, v), (0.5 * columns * pitch_u, 0.5 * rows * pitch_v))
     window.view(c.albedo)[field] = linear(38, 46, 68)
     window.view(c.albedo)[field & frame] = linear(96, 104, 122)
     window.view(c.material)[field] = c.value("glass")
@@ -180,6 +185,8 @@ def greenhouse(window: Window, fine: NDArray, u: float, v: float, half_u: float,
     bar = (np.abs(np.mod(window.v - v, 2.0) - 1.0) > 0.9) | (np.abs(across) < 0.15) | (inside < 0.2)
     bar |= np.abs(np.abs(across) - 0.5 * width) < 0.14
     tone = np.where(bar[..., None], linear(206, 210, 208), tone)
+    if c.solids:
+        c.solids.greenhouse(window, body, u, v, (half_u, half_v), spans)
     window.view(c.top)[body] = height[body]
     window.view(c.albedo)[body] = tone[body]
     window.view(c.material)[body] = c.value("glass")
@@ -205,9 +212,13 @@ def clutter(
         else:
             mark = window.box(u, v, *half, 0.1) * free
         mark = mark * (window.view(c.top) < 0.6)
+        height = generator.uniform(0.3, 0.9)
+        if c.solids:
+            flat = tint if tint.ndim == 1 else linear(70, 88, 108)
+            c.solids.box(window, mark > 0.5, u, v, (half[0], half[1]), height, flat, "wood")
         window.paint(mark, tint, "wood")
         top = window.view(c.top)
-        np.maximum(top, (mark > 0.5) * np.float32(generator.uniform(0.3, 0.9)), out=top)
+        np.maximum(top, (mark > 0.5) * np.float32(height), out=top)
 
 
 def street(c: Canvas, points: NDArray, half: float, fine: NDArray, soft: NDArray, taken: NDArray[np.bool_]) -> None:

@@ -1,12 +1,16 @@
 """The canvas of a synthetic scene: height, material, colour and moisture per texel, and functions that paint them."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermorender.synthetic.light import linear
 from thermorender.synthetic.noise import fractal_noise, smooth_noise, smoothstep, stream
+
+if TYPE_CHECKING:
+    from thermorender.synthetic.solids import Solids
 
 
 class Canvas:
@@ -24,6 +28,8 @@ class Canvas:
         Class value; `names` maps it to a material.
     wetness : (N, N) float32
         Added moisture, 0…1.
+    solids : Solids or None
+        Record of what is placed on the ground, in three dimensions; None: it is painted only.
     """
 
     def __init__(self, seed: int, size_m: float, texel_m: float) -> None:
@@ -39,6 +45,7 @@ class Canvas:
         self.material = np.zeros(self.shape, np.uint8)
         self.wetness = np.zeros(self.shape, np.float32)
         self.names: dict[int, str] = {}
+        self.solids: Solids | None = None
 
     @property
     def surface(self) -> NDArray[np.float32]:
@@ -178,6 +185,9 @@ class Canvas:
         piece, shade = crown[a - r0 : r1 - r0, b - c0 : c1 - c0], tone[a - r0 : r1 - r0, b - c0 : c1 - c0]
         top = self.top[a:r1, b:c1]
         higher = (piece > beneath) & (piece * height_m > top)
+        if self.solids:
+            self.solids.hide((slice(a, r1), slice(b, c1)), higher)
+            self.solids.tree(crown, tone, east, north, height_m, colour, material, beneath)
         top[higher] = (piece * np.float32(height_m))[higher]
         self.albedo[a:r1, b:c1][higher] = (shade[..., None] * np.asarray(colour, np.float32))[higher]
         self.material[a:r1, b:c1][higher] = material

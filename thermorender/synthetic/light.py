@@ -131,12 +131,7 @@ def photograph(
     """
     import cv2
 
-    # At grazing sun, rough surfaces are brighter than Lambertian ones (Minnaert-like, exponent 0.75). Below the lowest
-    # sun there is skylight only.
-    level = np.float32(np.sin(np.radians(max(elevation_deg, LOWEST_DEG))))
-    direct = visible * (cosine / level) ** np.float32(0.75)
-    ambient = view * np.float32(0.92) + np.float32(0.08)
-    direct = np.float32(1.0 - cloud) * direct + np.float32(cloud) * ambient
+    direct, ambient = _light(visible, cosine, view, elevation_deg, cloud)
     shape = albedo.shape[:2]
     generator = stream(seed, "photograph")
     grain = generator.standard_normal(shape, dtype=np.float32)
@@ -145,14 +140,49 @@ def photograph(
     picture = np.empty((*shape, 3), np.uint8)
     for channel in range(3):
         light = _SUN_SHARE[channel] * direct + _SKY_SHARE[channel] * ambient
-        value = albedo[..., channel] * light * drift
-        # A soft shoulder instead of clipping, then a little haze.
-        value = np.where(value > 0.7, 0.7 + 0.3 * np.tanh((value - 0.7) / 0.3), value)
-        value = np.float32(0.008 * (1.0, 1.1, 1.35)[channel]) + np.float32(0.985) * np.maximum(value, 0.0)
+        value = _developed(albedo[..., channel] * light * drift, channel)
         value = cv2.GaussianBlur(value, (0, 0), blur_texels)
         value = 255.0 * srgb.encoded(value) + np.float32(noise) * grain
         picture[..., channel] = np.clip(value + 0.5, 0, 255).astype(np.uint8)
     return picture
+
+
+def _light(
+    visible: NDArray[np.float32] | float, cosine: NDArray[np.float32], view: NDArray[np.float32], elevation_deg: float,
+    cloud: float,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:  # fmt: skip
+    """(direct, ambient) light as shares of that on a level surface in full sun."""
+    # At grazing sun, rough surfaces are brighter than Lambertian ones (Minnaert-like, exponent 0.75). Below the lowest
+    # sun there is skylight only.
+    level = np.float32(np.sin(np.radians(max(elevation_deg, LOWEST_DEG))))
+    direct = visible * (cosine / level) ** np.float32(0.75)
+    ambient = view * np.float32(0.92) + np.float32(0.08)
+    return np.float32(1.0 - cloud) * direct + np.float32(cloud) * ambient, ambient
+
+
+def _developed(value: NDArray[np.float32], channel: int) -> NDArray[np.float32]:
+    """Light of one channel on the picture: a soft shoulder instead of clipping, then a little haze."""
+    value = np.where(value > 0.7, 0.7 + 0.3 * np.tanh((value - 0.7) / 0.3), value)
+    return np.float32(0.008 * (1.0, 1.1, 1.35)[channel]) + np.float32(0.985) * np.maximum(value, 0.0)
+
+
+def exposed(
+    albedo: NDArray[np.float32], cosine: NDArray[np.float32], view: NDArray[np.float32], elevation_deg: float,
+    cloud: float = 0.0,
+) -> NDArray[np.float32]:  # fmt: skip
+    """Return the linear light on a picture of lit texels, (T, 3) float32, without blur and noise.
+
+    Parameters
+    ----------
+    albedo : (T, 3) float32
+    cosine, view : (T,) float32
+        Cosine of incidence, 0 in shadow, and sky view factor.
+    elevation_deg, cloud
+        As of `photograph`.
+    """
+    direct, ambient = _light(1.0, cosine, view, elevation_deg, cloud)
+    parts = [_SUN_SHARE[k] * direct + _SKY_SHARE[k] * ambient for k in range(3)]
+    return np.stack([_developed(albedo[:, k] * light, k) for k, light in enumerate(parts)], axis=-1)
 
 
 def sky_colour(sine: ArrayLike, cloud: float = 0.0) -> NDArray[np.float32]:

@@ -22,6 +22,7 @@ from thermorender.synthetic.canvas import Canvas
 from thermorender.synthetic.deviations import deviations_of
 from thermorender.synthetic.light import incidence, normals, photograph, sky_view, sun_visibility
 from thermorender.synthetic.snow import lay_snow
+from thermorender.synthetic.solids import Solids
 from thermorender.synthetic.weather import (
     LONGITUDE_DEG,
     conditions,
@@ -187,6 +188,29 @@ def make(
     ThermorenderError
         The kind is unknown, the seed or a size is out of range, or the weather is invalid.
     """
+    return scene_of(painted(kind, seed, size_m, texel_m, post_m, time, weather, again))
+
+
+class Painted(NamedTuple):
+    """A painted canvas with the arguments that it was painted by, checked and complete."""
+
+    canvas: Canvas
+    objects: list[dict[str, Any]]
+    flight: dict[str, NDArray[np.float64]]
+    deviations: Deviations
+    kind: str
+    seed: int
+    size: float
+    texel: float
+    post: float
+    weather: WeatherSpec
+
+
+def painted(
+    kind: str, seed: int, size_m: float | None, texel_m: float | None, post_m: float | None,
+    time: str | np.datetime64 | None, weather: WeatherSpec | None, again: int = 0, solid: bool = False,
+) -> Painted:  # fmt: skip
+    """Return the Painted canvas of `make`; with `solid`, what stands on the ground is recorded and taken off it."""
     known = _kind(kind)
     size = float(known.size_m if size_m is None else size_m)
     texel = float(known.texel_m if texel_m is None else texel_m)
@@ -201,21 +225,32 @@ def make(
         raise ThermorenderError("the weather of a synthetic scene has no air_high_c; declare a day with it")
     if time is not None:
         weather = replace(weather, time=units.instant("time", time))
-    latitude = known.latitude_deg
     # Invalid weather is refused before the slow generation of the landscape.
-    now, usual = (_air_and_sun(day, latitude, known.altitude_m) for day in (weather, known.weather))
+    now, usual = (_air_and_sun(day, known.latitude_deg, known.altitude_m) for day in (weather, known.weather))
 
     canvas = Canvas(seed, size, texel)
+    if solid:
+        canvas.solids = Solids(canvas)
     objects, flight = known.layout(canvas)
+    if canvas.solids:
+        canvas.solids.uncover()
     lay_snow(canvas, weather.snow_depth_m or 0.0, weather.air_low_c)
     deviations = deviations_of(canvas, again)
+    return Painted(canvas, follows(objects, now, usual), flight, deviations, kind, seed, size, texel, post, weather)
+
+
+def scene_of(made: Painted) -> SyntheticScene:
+    """Return the SyntheticScene of a painted canvas, photographed from above."""
+    canvas, objects, flight, deviations, kind, seed, size, texel, post, weather = made
+    known = KINDS[kind]
+    latitude = known.latitude_deg
     sun = sun_of_photograph(weather.time, latitude)
     surface = canvas.surface
     cosine = incidence(normals(surface + canvas.relief, texel, steepest=1.3), *sun)
     view = sky_view(surface, texel, reach_m=max(40.0, 0.25 * size))
     visible = sun_visibility(surface, texel, *sun)
     picture = photograph(canvas.albedo, visible, cosine, view, sun[1], seed, cloud=weather.cloud)
-    elevation = _posts(surface, size, post)
+    elevation = posts(surface, size, post)
     altitude = float(np.round(np.median(elevation)))
     return SyntheticScene(
         kind=kind, seed=int(seed), title=known.title, size_m=size, texel_m=texel, post_m=post, elevation=elevation,
@@ -223,7 +258,7 @@ def make(
         weather=weather,
         sky_temperature=sky_temperature(weather, conditions(weather, latitude, altitude), altitude),
         latitude_deg=latitude, longitude_deg=LONGITUDE_DEG, epsg=32634, corner=_corner(latitude, LONGITUDE_DEG, size),
-        sun=sun, objects=tuple(follows(objects, now, usual)), flight=_flight_table(flight, elevation, size, post),
+        sun=sun, objects=tuple(objects), flight=_flight_table(flight, elevation, size, post),
     )  # fmt: skip
 
 
@@ -266,7 +301,7 @@ def _check_seed(name, seed):
         raise ThermorenderError(f"{name}={seed!r} must be a whole number of at least 0 and less than 2⁶⁴")
 
 
-def _posts(surface, size, post):
+def posts(surface, size, post):
     """Return the surface averaged over elevation cells, (P, P) float32 [m], on steps of 1/64 m."""
     import cv2
 

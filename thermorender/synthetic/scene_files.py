@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,8 +83,11 @@ def _raster(scene, path, bands, texel_m, scale=None, **options):
             file.units = ("K",)
 
 
-def scene_toml(scene: SyntheticScene, known: bool = True) -> str:
-    """Return the text of scene.toml, with a known temperature or one to be solved by the heat balance."""
+def scene_toml(scene: SyntheticScene, known: bool = True, other: Mapping[str, Any] | None = None) -> str:
+    """Return the text of scene.toml, with a known temperature or one to be solved by the heat balance.
+
+    `other` replaces tables, those that are None by nothing.
+    """
     raster = {"source": "raster", "raster": "temperature.tif"}
     weather = {key: value for key, value in vars(scene.weather).items() if value is not None}
     values = {
@@ -98,7 +102,7 @@ def scene_toml(scene: SyntheticScene, known: bool = True) -> str:
         "object": [{key: _rounded(value) for key, value in item.items()} for item in scene.objects],
     }
     return toml_text(
-        values,
+        values | dict(other or {}),
         f"Made by thermorender: kind {scene.kind}, seed {scene.seed}, {scene.size_m:g} m.\n"
         f"Photographed with the sun at azimuth {scene.sun[0]:.1f}°, elevation {scene.sun[1]:.1f}°.",
     )

@@ -190,12 +190,18 @@ def _garden(window, g, width, depth, set_back, fine, soft, free):
                 * ((np.abs(window.u - u) < 0.12) if half_u < 1 else (np.abs(window.v - v) < 0.12))
                 * free
             )
+            if c.solids and (fence > 0.5).any():
+                across = (0.03, half_v) if half_u < 1 else (half_u, 0.03)
+                c.solids.box(window, fence > 0.5, u, v, across, 1.0, linear(150, 132, 110), "wood")
             window.paint(0.8 * fence, linear(150, 132, 110), "wood")
             continue
         d = np.minimum(half_u - np.abs(window.u - u), half_v - np.abs(window.v - v)) + 0.16 * bump
         hedge = (d > 0.0) & free
-        window.view(c.top)[hedge] = (g.uniform(1.3, 2.2) * (0.8 + 0.4 * np.minimum(d, 0.5) + 0.09 * bump))[hedge]
-        window.view(c.albedo)[hedge] = (linear(98, 116, 66) * np.exp(0.22 * bump)[..., None])[hedge]
+        high = (g.uniform(1.3, 2.2) * (0.8 + 0.4 * np.minimum(d, 0.5) + 0.09 * bump))[hedge]
+        leaf = (linear(98, 116, 66) * np.exp(0.22 * bump)[..., None])[hedge]
+        if c.solids:
+            c.solids.hedge(window, hedge, high, leaf)
+        window.view(c.top)[hedge], window.view(c.albedo)[hedge] = high, leaf
         window.view(c.material)[hedge] = c.value("broadleaf")
 
 

@@ -168,7 +168,7 @@ class _Simulation:
         self.middle = corner.mean(axis=1).astype(np.float32)
         self.normal = (across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)).astype(np.float32)
         self.snow_m = lying_snow(scene.materials, self.weather, asked[0])
-        self.covers = np.array(geometry.face_of_texel)[: self.texels]
+        self.covers = geometry.face_showing(scene.terrain_count)
         self.reflects = self._brightness() * (1.0 if self.deviations is None else self.deviations[0])
         self.start = max(asked[0] - np.timedelta64(int(_BEFORE_S), "s"), self.weather.time[0])
         # Change of the ground over the last day of settling [K], the largest of all runs.
@@ -253,9 +253,10 @@ class _Simulation:
         return np.clip(ratio, 1.0 / _BRIGHTEST, _BRIGHTEST).astype(np.float32)
 
     def _columns(self, texels: NDArray[np.integer]) -> tuple[_Columns, State]:
-        """The _Columns of all faces of the terrain, followed by some texels, by their numbers, and their State."""
+        """The _Columns of all faces, then of some texels (without a face: the last of their surface), and the State."""
         geometry, mi = self.geometry, self.mi
-        face = np.minimum(self.covers[texels], self.faces - 1)
+        last = geometry.face_start[np.searchsorted(geometry.texel_start, texels, "right")] - 1
+        face = np.minimum(self.covers[texels], last)
         point = np.concatenate([self.middle, texel_points(geometry, texels, face)])
         face = np.concatenate([np.arange(self.faces, dtype=np.uint32), face.astype(np.uint32)])
         point += np.float32(geometry.hair) * self.normal[face]
@@ -277,8 +278,7 @@ class _Simulation:
         liquid = None if begin.liquid is None else rows(begin.liquid)
         state = State(row(begin.surface_k), rows(begin.layers_k), row(begin.film), liquid)
         absorptance = dr.clip(1.0 - reflected, 0.02, 0.98)
-        above_m = point[:, 2] + np.float32(self.scene.altitude_m - self.weather.altitude_m)
-        cooler = np.float32(-humidity.LAPSE_K_M) * above_m
+        cooler = -humidity.LAPSE_K_M * (point[:, 2] + np.float32(self.scene.altitude_m - self.weather.altitude_m))
         _evaluate(state)
         dr.eval(absorptance)
         upload = lambda values: (mi.Float(aligned(axis)) for axis in values.T)  # noqa: E731

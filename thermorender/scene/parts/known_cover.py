@@ -114,7 +114,7 @@ def read_known(path: Path, grid: Grid, texel_m: float) -> KnownCover:
     silent: Counter[str] = Counter()
     shapes = []
     for number, feature in enumerate(features, 1):
-        geometry, tags = _parts(feature, path, number)
+        geometry, tags = tagged(feature, path, number)
         found = _ruled(tags)
         if found is None:
             silent[_named(tags)] += 1
@@ -171,8 +171,8 @@ def _burnt(
     return KnownCover(number, tuple(cases), tuple(notes))
 
 
-def _parts(feature: Any, path: Path, number: int) -> tuple[dict[str, Any], dict[str, str]]:
-    """(geometry, tags) of a feature."""
+def tagged(feature: Any, path: Path, number: int) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return (geometry, tags) of feature `number` of a file."""
     try:
         geometry, about = feature["geometry"], feature.get("properties") or {}
         nested = about.get("tags")

@@ -161,8 +161,8 @@ def _joined(pieces: Sequence[Piece], named: Collection[str]) -> list[tuple[Piece
     return joined
 
 
-def _one_texel_each(faces: int) -> tuple[NDArray[np.float32], tuple[int, int]]:
-    """(map coordinates (F, 3, 2), (rows, columns)) that give each face a texel of its own."""
+def one_texel_each(faces: int) -> tuple[NDArray[np.float32], tuple[int, int]]:
+    """Return (map coordinates (F, 3, 2), (rows, columns)) that give each face a texel of its own."""
     columns = int(np.ceil(np.sqrt(faces)))
     rows = -(-faces // columns)
     row, column = np.divmod(np.arange(faces), columns)
@@ -180,7 +180,7 @@ def _parts(path: Path, pieces: Sequence[Piece], named: Collection[str]) -> list[
             )
         coat, faces, texture = piece.coat, piece.faces.astype(np.int32), None
         if piece.tint is not None and len(faces):
-            uv, size = _one_texel_each(len(faces))
+            uv, size = one_texel_each(len(faces))
             light = np.full((size[0] * size[1], 3), piece.tint.mean(axis=0), np.float32)
             light[: len(faces)] = piece.tint
             colour = bytes_from_linear(light * coat.factor).reshape(*size, 3)

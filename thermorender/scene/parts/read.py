@@ -18,7 +18,7 @@ from thermorender.scene.parts.textures import Texture, onto_texels, stating, tex
 from thermorender.scene.parts.tracks import TrackedObject, read_track
 from thermorender.scene.raster import Grid, bounds_in, grid_of, onto, read_classes
 from thermorender.scene.spec import ObjectSpec, SceneSpec
-from thermorender.scene.surface import SURFACE, Surface
+from thermorender.scene.surface import FILLED, SURFACE, Surface
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,6 +183,11 @@ def _mesh_terrain(spec: SceneSpec, where: str, library: Mapping[str, Material]) 
     parts = mesh.load(spec.terrain.mesh, spec.folder, names)
     ground = tuple(_part_surface(part) for part in parts)
     textures = _with_classes(spec, ground, [Texture(part.names, part.texture) for part in parts], where)
+    unseen = [one is not None and one.inferred for one in stating(textures, spec.surfaces, ("inferred",), where)]
+    ground = tuple(
+        replace(surface, flags=surface.flags | np.uint8(FILLED)) if inferred else surface
+        for surface, inferred in zip(ground, unseen, strict=True)
+    )
     frame = LocalFrame(*spec.frame) if spec.frame else None
     return Parts(frame, None, ground, None, None, None, None, None, (), library, textures)
 

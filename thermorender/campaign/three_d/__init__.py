@@ -1,0 +1,1 @@
+"""Procedural scenes in three dimensions, beside what a survey from above sees of them."""

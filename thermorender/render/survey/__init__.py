@@ -1,0 +1,1 @@
+"""What a survey sees of a scene's surfaces: daylight on their texels, and the view straight down."""

@@ -1,0 +1,165 @@
+"""What stands on the ground, found in a surface model: the ground below, outlines of buildings, and single trees."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.errors import ThermorenderError
+from thermorender.scene.parts.known_cover import tagged
+from thermorender.scene.parts.patch import burnt, pixels_of, read_features
+from thermorender.scene.raster import Grid
+from thermorender.scene.surface import fill, nearest_valid
+from thermorender.scene.terrain import filled
+
+# Lower things are ground [m]; buildings found by height have at least this area [m²].
+LEAST_M, _LEAST_AREA_M2 = 2.0, 25.0
+# Progressive morphological filter: Zhang and others, IEEE Trans. Geosci. Remote Sens. 41 (2003) 872,
+# doi:10.1109/TGRS.2003.810682: largest window, slope of the ground, first and largest threshold [m].
+_WINDOW_M, _SLOPE, _FIRST_M, _MOST_M = 60.0, 0.15, 0.4, 2.0
+# Roofs are planes: the mean absolute second difference of heights over 3 × 3 posts of 1 m is below this [m].
+_SMOOTH_M = 0.45
+# Trees: smoothing of heights and distance of tops [m].
+_BLUR_M, _APART_M = 0.8, 3.0
+
+Ring = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """One crown: posts (n, 2) as (row, column), the top's post, and its height above the ground [m]."""
+
+    posts: NDArray[np.int64]
+    top: tuple[int, int]
+    height_m: float
+
+
+def ground_below(height: NDArray[np.float64], post_m: float) -> NDArray[np.float64]:
+    """Return the heights of the ground below a surface model, (h, w) [m]; NaN where that has none.
+
+    Openings with growing windows leave what is lower than a window is wide; between the remaining posts heights are
+    linear.
+    """
+    from scipy.ndimage import grey_opening
+
+    known = np.isfinite(height)
+    last = fill(height, nearest_valid(known))
+    ground, before, window = known.copy(), 1, 3
+    while window * post_m <= _WINDOW_M:
+        opened = grey_opening(last, size=(window, window))
+        limit = min(_FIRST_M + _SLOPE * (window - before) * post_m, _MOST_M)
+        ground &= last - opened < limit
+        last, before, window = opened, window, 2 * window + 1
+    bare, _ = filled(np.where(ground, height, np.nan))
+    # Gaps at the edge have ground on one side only.
+    whole = fill(bare, nearest_valid(np.isfinite(bare)))
+    return np.where(known, np.minimum(whole, height), np.nan)
+
+
+def outlines_in(path: Path, grid: Grid) -> list[list[Ring]]:
+    """Return the outlines of a GeoJSON's buildings: for each its outer ring and holes, (N, 2) as (column, row).
+
+    Raises
+    ------
+    ThermorenderError
+        The file cannot be read, or holds no building on the grid.
+    """
+    features, crs = read_features(path)
+    found = []
+    for number, feature in enumerate(features, 1):
+        geometry, tags = tagged(feature, path, number)
+        if tags.get("building", "no") == "no" or geometry.get("type") not in ("Polygon", "MultiPolygon"):
+            continue
+        shapes = geometry["coordinates"] if geometry["type"] == "MultiPolygon" else [geometry["coordinates"]]
+        for shape in shapes:
+            rings = [pixels_of(ring, crs, grid, f"{path}, feature {number}")[:-1] for ring in shape]
+            low, high = rings[0].min(axis=0), rings[0].max(axis=0)
+            if (high > 0.0).all() and (low < (grid.width, grid.height)).all():
+                found.append([ring for ring in rings if len(ring) >= 3])
+    if not found:
+        raise ThermorenderError(
+            f"{path} has no polygon with a tag 'building' on {grid.name}; give one of this area, or leave known out so "
+            "that buildings are found by height"
+        )
+    return found
+
+
+def outlines_by_height(height: NDArray[np.float64], ground: NDArray[np.float64], post_m: float) -> list[list[Ring]]:
+    """Return the outlines of buildings as `outlines_in`: high and smooth parts of the surface model."""
+    import cv2
+    from rasterio.features import shapes
+    from scipy.ndimage import binary_closing, binary_dilation, binary_opening, label, uniform_filter
+
+    above = np.nan_to_num(height - ground)
+    high = above > LEAST_M
+    level = np.nan_to_num(height, nan=float(np.nanmin(height)))
+    bend = [np.abs(np.gradient(np.gradient(level, axis=axis), axis=axis)) for axis in (0, 1)]
+    smooth = high & (uniform_filter(0.5 * (bend[0] + bend[1]), 3) < _SMOOTH_M * min(post_m, 1.0))
+    seed = binary_opening(smooth, np.ones((3, 3)))
+    # Ridges, gutters and edges are not smooth; they are between smooth parts or beside one.
+    steps = max(1, round(1.5 / post_m))
+    mask = binary_dilation(binary_closing(seed, np.ones((3, 3)), iterations=steps), np.ones((3, 3)), iterations=steps)
+    mask &= high
+    mask = binary_opening(mask, np.ones((3, 3)))
+    parts, count = label(mask)
+    size = np.bincount(parts.ravel(), minlength=count + 1) * post_m**2
+    keep = (size >= _LEAST_AREA_M2)[parts] & mask
+    found = []
+    for shape, _ in shapes(keep.astype(np.uint8), mask=keep):
+        rings = []
+        for ring in shape["coordinates"]:
+            line = cv2.approxPolyDP(np.array(ring[:-1], np.float32)[:, None], 1.0, closed=True)[:, 0]
+            if len(line) >= 3:
+                rings.append(line.astype(np.float64))
+        if rings:
+            found.append(rings)
+    return found
+
+
+def inside(outlines: Sequence[Sequence[Ring]], grid: Grid) -> NDArray[np.bool_]:
+    """Return which posts of a grid have their middle in one of some outlines, (h, w)."""
+    everywhere = slice(0, grid.height), slice(0, grid.width)
+    return (
+        burnt([list(each) for each in outlines], everywhere) if outlines else np.zeros((grid.height, grid.width), bool)
+    )
+
+
+def trees_in(above: NDArray[np.float64], taken: NDArray[np.bool_], post_m: float) -> list[Tree]:
+    """Return the Trees of heights above the ground, (h, w) [m], outside of `taken`: watersheds of local maxima."""
+    from scipy.ndimage import binary_opening, find_objects, gaussian_filter, label, maximum_filter, watershed_ift
+
+    # Fringes of a building beside its outline are narrower than a crown.
+    canopy = binary_opening((np.nan_to_num(above) > LEAST_M) & ~taken, np.ones((3, 3)))
+    height = np.where(canopy, np.nan_to_num(above), 0.0)
+    smooth = gaussian_filter(height, _BLUR_M / post_m)
+    size = 2 * max(1, round(0.5 * _APART_M / post_m)) + 1
+    peak = canopy & (smooth == maximum_filter(smooth, size)) & (smooth > 0.5 * LEAST_M)
+    marker, _ = label(peak, np.ones((3, 3)))
+    marker[~canopy & (marker == 0)] = -1
+    depth = np.clip(65535.0 - 65535.0 * smooth / max(float(smooth.max()), 1e-6), 0, 65535).astype(np.uint16)
+    basin = np.where(canopy, watershed_ift(depth, marker.astype(np.int32), np.ones((3, 3))), 0)
+    found = []
+    for number, part in enumerate(find_objects(np.maximum(basin, 0)), 1):
+        if part is None:
+            continue
+        row, column = np.nonzero(basin[part] == number)
+        posts = np.column_stack([row + part[0].start, column + part[1].start])
+        heights = height[posts[:, 0], posts[:, 1]]
+        top = posts[np.argmax(heights)]
+        found.append(Tree(posts, (int(top[0]), int(top[1])), float(heights.max())))
+    return found
+
+
+def even_odd(point: NDArray[np.float64], rings: Sequence[Ring]) -> NDArray[Any]:
+    """Return whether points (n, 2) are inside rings by the even-odd rule."""
+    found = np.zeros(len(point), bool)
+    x, y = point.T
+    for ring in rings:
+        for (x0, y0), (x1, y1) in zip(ring, np.roll(ring, -1, axis=0), strict=True):
+            crosses = (y0 > y) != (y1 > y)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                found ^= crosses & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
+    return found

@@ -1,0 +1,136 @@
+"""Skins: textured triangle meshes with class numbers, and their files in a scene's folder."""
+
+import json
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.files import atomic
+from thermorender.formats import atomic_raster, encoded_image, write_image
+
+# Name of the mesh in a scene's folder.
+MESH = "world.glb"
+# Step and base of stored temperatures [K]: rounding is 6 mK RMS.
+STEP_K, BASE_K = 0.02, 200.0
+# glTF 2.0, sections 3.6.2, 4.4 and 5.1: component types, targets, and the chunks of a GLB.
+_FLOAT, _UINT32 = 5126, 5125
+_GLTF, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
+
+
+@dataclass(frozen=True, eq=False)
+class Skin:
+    """A triangle mesh with a texture.
+
+    Attributes
+    ----------
+    name : str
+        Name of its material in the mesh's file.
+    vertices : (V, 3) float64
+        East, north, up [m].
+    faces : (F, 3) int64
+        Counter-clockwise seen from outside.
+    uv : (F, 3, 2) float32
+        0…1, u to the right and v down the texture.
+    colour : (h, w, 3) uint8
+        sRGB.
+    classes : (h, w) uint8
+        Class number of each texel; 0 for none.
+    """
+
+    name: str
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    uv: NDArray[np.float32]
+    colour: NDArray[np.uint8]
+    classes: NDArray[np.uint8]
+
+
+def write_mesh(path: Path, skins: Sequence[Skin]) -> None:
+    """Write skins as one GLB file, each a node and a material of its name with an embedded PNG texture."""
+    tree: dict[str, Any] = {
+        "asset": {"version": "2.0", "generator": "thermorender"}, "scene": 0,
+        "scenes": [{"nodes": list(range(len(skins)))}],
+        "nodes": [{"name": skin.name, "mesh": k} for k, skin in enumerate(skins)],
+        "meshes": [], "materials": [], "textures": [], "images": [], "accessors": [], "bufferViews": [],
+    }  # fmt: skip
+    parts: list[bytes] = []
+
+    def view(data: bytes) -> int:
+        start = sum(map(len, parts))
+        tree["bufferViews"].append({"buffer": 0, "byteOffset": start, "byteLength": len(data)})
+        parts.append(data + bytes(-len(data) % 4))
+        return len(tree["bufferViews"]) - 1
+
+    def accessor(values: NDArray[Any], kind: str, component: int, limits: bool = False) -> int:
+        made: dict[str, Any] = {
+            "bufferView": view(values.tobytes()), "componentType": component, "count": len(values), "type": kind,
+        }  # fmt: skip
+        if limits:
+            made |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
+        tree["accessors"].append(made)
+        return len(tree["accessors"]) - 1
+
+    for number, skin in enumerate(skins):
+        position, uv, index = _unique_corners(skin)
+        attributes = {"POSITION": accessor(position, "VEC3", _FLOAT, True), "TEXCOORD_0": accessor(uv, "VEC2", _FLOAT)}
+        faces = accessor(index, "SCALAR", _UINT32)
+        tree["meshes"].append(
+            {"name": skin.name, "primitives": [{"attributes": attributes, "indices": faces, "material": number}]}
+        )
+        coat = {"baseColorTexture": {"index": number}, "metallicFactor": 0.0}
+        tree["materials"].append({"name": skin.name, "pbrMetallicRoughness": coat})
+        tree["textures"].append({"source": number})
+        tree["images"].append({"bufferView": view(encoded_image(".png", skin.colour)), "mimeType": "image/png"})
+    tree["buffers"] = [{"byteLength": sum(map(len, parts))}]
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    body = b"".join(parts)
+    head = struct.pack("<3I", _GLTF, 2, 12 + 8 + len(text) + 8 + len(body))
+    chunks = struct.pack("<2I", len(text), _JSON) + text + struct.pack("<2I", len(body), _BINARY)
+    with atomic(path) as part:
+        part.write_bytes(head + chunks + body)
+
+
+def _unique_corners(skin: Skin) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint32]]:
+    """(position (n, 3), map coordinates (n, 2), index (3 F,)) with each pair of them once; y up."""
+    corner = np.zeros(3 * len(skin.faces), dtype=[("vertex", np.int64), ("u", np.float32), ("v", np.float32)])
+    corner["vertex"], (corner["u"], corner["v"]) = skin.faces.ravel(), skin.uv.reshape(-1, 2).T
+    found, index = np.unique(corner, return_inverse=True)
+    east, north, up = skin.vertices[found["vertex"]].T
+    position = np.column_stack([east, up, -north]).astype(np.float32)
+    return position, np.column_stack([found["u"], found["v"]]), index.astype(np.uint32)
+
+
+def write_kelvin(path: Path, kelvin: NDArray[Any]) -> None:
+    """Write temperatures in the pixels of a texture, (h, w) [K], as a TIFF of steps of 0.02 K."""
+    import warnings
+
+    import rasterio
+    from rasterio.errors import NotGeoreferencedWarning
+
+    counts = np.clip(np.round((kelvin - BASE_K) / STEP_K), 0, 65535).astype(np.uint16)
+    with warnings.catch_warnings():
+        # A texture has no place on a map.
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with atomic_raster(path) as part, rasterio.open(
+            part, "w", driver="GTiff", count=1, dtype=counts.dtype, height=counts.shape[0], width=counts.shape[1],
+            compress="deflate",
+        ) as file:  # fmt: skip
+            file.write(counts[None])
+            file.scales, file.offsets, file.units = (STEP_K,), (BASE_K,), ("K",)
+
+
+def write_skins(folder: Path, skins: Sequence[Skin], mesh: Sequence[Skin] | None = None) -> list[dict[str, Any]]:
+    """Write a mesh and the class rasters of skins into a scene's folder; return the [[surface]] tables of the skins.
+
+    The mesh consists of the same skins, or of those that `mesh` names, some of which have no classes.
+    """
+    write_mesh(folder / MESH, skins if mesh is None else mesh)
+    for skin in skins:
+        write_image(folder / f"{skin.name}_classes.png", skin.classes)
+    return [{"name": skin.name, "classes": f"{skin.name}_classes.png"} for skin in skins]

@@ -1,0 +1,30 @@
+"""What a draped orthophoto costs by angle and kind of surface, and rankings of maps: `python -m validation.three_d`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from thermorender import formats
+from thermorender.cli.terminal import table
+from validation.command import Device, Out, conclude, new_results, run_command, seeds_of
+from validation.three_d import study
+
+
+def main(
+    output: Out = Path("out/validation/three_d"),
+    seeds: Annotated[str, typer.Option(help="Comma-separated seeds of worlds.")] = "401,402,403",
+    views: Annotated[int, typer.Option(help="Views per world and angle.", min=1)] = 3,
+    size_m: Annotated[float, typer.Option(help="Side of a world [m].")] = 90.0,
+    device: Device = "auto",
+):
+    """Errors of frames of a draped orthophoto against the same world in three dimensions, and rankings of maps."""
+    with new_results(output) as (report, folder):
+        result = study.run(seeds_of(seeds), views, size_m, progress=report, device=device)
+        formats.write_json(folder / "three_d.json", result)
+    conclude("three_d", output, study.HEADER, study.rows(result), "numbers")
+    table(("map", *(f"{world} [K]" for world in study.WORLDS)), study.ranking_rows(result))
+
+
+if __name__ == "__main__":
+    run_command(main)
