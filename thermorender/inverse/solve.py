@@ -6,6 +6,7 @@ mean of radiances, so the forward model is exactly linear in it.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +15,8 @@ from numpy.typing import NDArray
 from thermorender.inverse.normal import Normal, Prior, Unknowns
 from thermorender.inverse.poses import PoseError, deviation, pose_columns, registered, slopes
 from thermorender.inverse.weights import Lattice, Sight, Viewer, moved, taps_of
-from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
+from thermorender.physics.band import RadianceTable
+from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.sensor.camera import Camera
 
 if TYPE_CHECKING:
@@ -31,15 +33,14 @@ _POWERS = (2, 4, 6)
 
 @dataclass(frozen=True)
 class LinearKelvin:
-    """Band radiance scaled to kelvin at a reference temperature."""
+    """Band radiance scaled to kelvin at a reference temperature, between 150 K and 700 K."""
 
     band_um: tuple[float, float]
     reference_k: float
 
     def of(self, kelvin: NDArray[np.floating]) -> Floats:
-        """Return linear kelvin of temperatures [K]; NaN stays."""
-        radiance = _where(kelvin, lambda known: band_radiance(known, *self.band_um))
-        return self.of_radiance(radiance)
+        """Return linear kelvin of temperatures [K]; NaN stays, and is given outside the range."""
+        return self.of_radiance(self._table(kelvin))
 
     def of_radiance(self, radiance: NDArray[np.floating]) -> Floats:
         """Return linear kelvin of band radiances [W m⁻² sr⁻¹]."""
@@ -52,21 +53,21 @@ class LinearKelvin:
         return np.asarray(zero + (linear - self.reference_k) * self.slope)
 
     def kelvin(self, linear: Floats) -> Floats:
-        """Return temperatures [K] of linear kelvin."""
-        radiance = np.maximum(self.radiance(linear), 1e-6)
-        return _where(radiance, lambda known: brightness_temperature(known, *self.band_um))
+        """Return temperatures [K] of linear kelvin; NaN outside the range."""
+        return self._table.inverse(self.radiance(linear))
 
-    @property
+    def kelvin_per_linear(self, kelvin: Floats) -> Floats:
+        """Return the change of temperature with linear kelvin, at temperatures [K]."""
+        return np.asarray((self.kelvin(self.of(kelvin) + 0.05) - self.kelvin(self.of(kelvin) - 0.05)) / 0.1)
+
+    @cached_property
     def slope(self) -> float:
         """Band radiance per kelvin at the reference temperature."""
         return float(band_radiance_derivative(self.reference_k, *self.band_um))
 
-
-def _where(values: NDArray[np.floating], job: Callable[[Floats], Floats]) -> Floats:
-    known = np.isfinite(values)
-    found = np.full(np.shape(values), np.nan)
-    found[known] = job(np.asarray(values, np.float64)[known])
-    return found
+    @cached_property
+    def _table(self) -> RadianceTable:
+        return RadianceTable.of(np.ones_like, 150.0, 700.0, *self.band_um)
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,10 @@ Floats = NDArray[np.float64]
 LONGEST_TEXELS = 4.0
 # Rays that meet a face at a smaller cosine are left out: an error of the surface model moves them too far.
 _STEEPEST = 0.15
-# Variance of the mean over a pixel's area, along a side [px²].
-_AREA_PX2 = 1.0 / 12.0
+# Relative difference up to which a texel is a whole number of the scene's texels.
+_SAME = 0.01
+# Frequency at which the taps have the transfer of lens and pixel [cycles per pixel].
+_MATCHED = 0.25
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,9 @@ class Lattice:
         if not (np.isfinite(texel_m) and texel_m > 0.0):
             raise ThermorenderError(f"texel_m={texel_m!r} is not allowed; give the side of a texel in metres, above 0")
         scale = texel_m / scene.surfaces[0].texel_m
+        # The scale of a map projection makes the scene's own size odd.
+        if abs(scale / max(round(scale), 1) - 1.0) < _SAME:
+            scale = max(round(scale), 1)
         height, width = (int(np.ceil(side / scale - 1e-9)) for side in scene.surfaces[0].material.shape)
         transform = scene.grid.transform @ _scaling(scale)
         return cls(Grid(scene.grid.crs, transform, height, width), scale, 0, 0, texel_m)
@@ -131,33 +136,34 @@ def _means(first: int, count: int, side: float, most: int):  # type: ignore[no-u
 
 
 def taps_of(camera: Camera, count: int = 5) -> tuple[Floats, Floats]:
-    """Return (offsets (n, 2) [px], weights (n,)) of points that have the mean and variance of a pixel's response.
+    """Return (offsets (n, 2) [px], weights (n,)) of points whose mean stands for a pixel's response.
 
     The response is the mean over the pixel's area after the blur of the lens. `count` is 1 (the middle alone), 5 (a
     cross) or 9 (a square).
     """
     if count == 1:
         return np.zeros((1, 2)), np.ones(1)
-    reach, third = float(np.sqrt(3.0 * _variance_px2(camera))), 1.0 / 6.0
-    line, share = np.array([-reach, 0.0, reach]), np.array([third, 1.0 - 2.0 * third, third])
+    reach, sixth = _reach_px(camera), 1.0 / 6.0
+    line, share = np.array([-reach, 0.0, reach]), np.array([sixth, 1.0 - 2.0 * sixth, sixth])
     if count == 9:
         grid = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
         return grid, np.outer(share, share).ravel()
     if count != 5:
         raise ThermorenderError(f"taps={count!r} is not allowed; give 1, 5 or 9")
     cross = np.array([[0.0, 0.0], [-reach, 0.0], [reach, 0.0], [0.0, -reach], [0.0, reach]])
-    return cross, np.array([1.0 - 4.0 * third, third, third, third, third])
+    return cross, np.array([1.0 - 4.0 * sixth, sixth, sixth, sixth, sixth])
 
 
 @lru_cache(maxsize=16)
-def _variance_px2(camera: Camera) -> float:
-    """Variance of a pixel's response along a side [px²], from the curvature of its transfer at low frequencies."""
+def _reach_px(camera: Camera) -> float:
+    """Distance of the outer taps [px]: three in a row have the response's transfer at half the Nyquist frequency.
+
+    Diffraction has no finite variance, so the transfer at one frequency stands for the width.
+    """
     from thermorender.sensor.psf import otf
 
-    # Diffraction has no finite variance: what counts is the response at the scale of a few pixels.
-    frequency = 0.1
-    transfer = float(otf(camera, np.array([frequency]))[0])
-    return _AREA_PX2 - float(np.log(max(transfer, 1e-6))) / (2.0 * (np.pi * frequency) ** 2)
+    transfer = float(otf(camera, np.array([_MATCHED]))[0]) * float(np.sinc(_MATCHED))
+    return float(np.arccos(np.clip(3.0 * transfer - 2.0, -1.0, 1.0))) / (2.0 * np.pi * _MATCHED)
 
 
 @dataclass(frozen=True, eq=False)
