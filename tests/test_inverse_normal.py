@@ -12,10 +12,8 @@ SHAPE = (7, 6)
 def seen_at(rng, count=60):
     """A Sight of random points on a map of `SHAPE`."""
     row, column = (rng.uniform(0.01, side - 1.01, count) for side in SHAPE)
-    nothing = np.zeros((count, 2))
-    return Sight(
-        np.arange(count), row, column, nothing, nothing, np.zeros((count, 2, 3)), np.zeros((count, 3))
-    )  # fmt: skip
+    nothing = np.zeros((2, count), np.float32)
+    return Sight(np.arange(count), row, column, nothing, nothing, np.zeros((2, 3, count)), np.zeros((3, count)))
 
 
 def dense(sight):

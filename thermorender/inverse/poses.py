@@ -45,8 +45,7 @@ def slopes(values: Floats) -> tuple[Floats, Floats]:
 
 def pose_columns(sight: Sight, right: Floats, down: Floats) -> Floats:
     """Return the change of the pixels with a step of the pose, (6, N), from the slopes of the map."""
-    motion = sight.motion()
-    return (sight.at(right)[:, None] * motion[:, 0] + sight.at(down)[:, None] * motion[:, 1]).T
+    return sight.motion(sight.at(right), sight.at(down))
 
 
 def registered(
@@ -103,7 +102,7 @@ def _searched(viewer: Viewer, values: Floats, image: Image, pose: Floats, error:
     if not sight.pixel.size:
         return pose
     predicted = _seen(viewer, values, sight).reshape(camera.height, camera.width)
-    distance = float(np.median(np.linalg.norm(sight.turned, axis=1)))
+    distance = float(np.median(np.linalg.norm(sight.ray, axis=0)))
     reach = _REACH * np.hypot(error.position_m / distance, np.radians(error.angle_deg)) * camera.focal_length_px
     most = int(np.ceil(min(reach, 0.4 * min(camera.height, camera.width))))
     shift = _shift(_highpass(predicted), _highpass(image.astype(np.float64)), most)

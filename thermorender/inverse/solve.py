@@ -209,7 +209,7 @@ class Problem:
             residual = measured - self.predicted(state, number, sight)
             known = np.isfinite(residual)
             if not known.all():
-                sight, residual = _chosen(sight, known), residual[known]
+                sight, residual = sight.chosen(known), residual[known]
             steep = np.hypot(sight.at(right), sight.at(down))
             level = float(np.median(residual)) if residual.size else 0.0
             precision, spread = _precision(residual - level, steep, state.noise_k, settings.noise_k)
@@ -254,10 +254,6 @@ def _precision(residual: Floats, steep: Floats, before_k: float, least_k: float)
     allowed = np.hypot(scale, 0.5 * steep)
     weight = 1.0 / np.maximum(1.0, np.abs(residual) / (_OUTLIER * allowed)) ** 2
     return weight / scale**2, spread
-
-
-def _chosen(sight: Sight, which: NDArray[np.bool_]) -> Sight:
-    return Sight(*(values[which] for values in vars(sight).values()))
 
 
 def _vignetting(camera: Camera) -> Floats:

@@ -7,11 +7,10 @@ rays. A pixel is the mean of several taps round its middle, and each tap is bili
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 from thermorender.errors import ThermorenderError
 from thermorender.scene.raster import Grid
@@ -22,12 +21,15 @@ if TYPE_CHECKING:
     from thermorender.render.renderer import Renderer
 
 Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
 # Pixels with a longer side on the map are left out [texels]: the taps would miss texels between them.
 LONGEST_TEXELS = 4.0
 # Rays that meet a face at a smaller cosine are left out: an error of the surface model moves them too far.
 _STEEPEST = 0.15
 # Relative difference up to which a texel is a whole number of the scene's texels.
 _SAME = 0.01
+# Pixels closer to the map's edge are left out [texels], so that all of their taps are on it.
+_MARGIN = 2.0 * LONGEST_TEXELS
 # Frequency at which the taps have the transfer of lens and pixel [cycles per pixel].
 _MATCHED = 0.25
 
@@ -176,41 +178,58 @@ class Sight:
         Numbers in the image, row by row.
     row, column : (N,) float64
         Positions of their middles on the map [texels]; the middle of texel i is at i.
-    across, down : (N, 2) float64
+    across, down : (2, N) float32
         Change of (column, row) with a step of one pixel to the right, and down [texels].
-    slope : (N, 2, 3) float64
+    slope : (2, 3, N) float32
         Change of (column, row) with the position of the camera [texels/m].
-    turned : (N, 3) float64
-        Vectors from the camera to the points [m].
+    ray : (3, N) float32
+        From the camera to the points [m].
     """
 
     pixel: NDArray[np.int64]
     row: Floats
     column: Floats
-    across: Floats
-    down: Floats
-    slope: Floats
-    turned: Floats
+    across: Singles
+    down: Singles
+    slope: Singles
+    ray: Singles
 
-    def motion(self) -> Floats:
-        """Return the change of (column, row) with the pose, (N, 2, 6): per metre, then per radian about the axes."""
-        turn = np.cross(self.turned[:, None, :], self.slope)
-        return np.concatenate([self.slope, turn], axis=-1)
+    def motion(self, right: Floats, down: Floats) -> Floats:
+        """Return the change of values on the map with the pose, (6, N): per metre, then per radian about the axes.
+
+        `right` and `down` (N,) are their changes along the map's columns and rows.
+        """
+        x, y, z = (right * a + down * b for a, b in zip(*self.slope, strict=True))
+        east, north, up = self.ray
+        return np.stack([x, y, z, north * z - up * y, up * x - east * z, east * y - north * x])
 
     def at(self, values: Floats, offset: Floats | None = None) -> Floats:
         """Return a map's values at the middles, bilinear, (N,); `offset` (2,) [px] moves them in the image."""
         row, column = self.row, self.column
         if offset is not None:
             moved = offset[0] * self.across + offset[1] * self.down
-            column, row = column + moved[:, 0], row + moved[:, 1]
-        return np.asarray(map_coordinates(values, [row, column], order=1, mode="nearest"))
+            column, row = column + moved[0], row + moved[1]
+        width, line = values.shape[1], values.ravel()
+        i, j = row.astype(np.int64), column.astype(np.int64)
+        below, beside = row - i, column - j
+        cell = i * width + j
+        upper = line.take(cell)
+        upper += beside * (line.take(cell + 1) - upper)
+        cell += width
+        lower = line.take(cell)
+        lower += beside * (line.take(cell + 1) - lower)
+        return upper + below * (lower - upper)
 
     def seen(self, values: Floats, taps: tuple[Floats, Floats]) -> Floats:
         """Return a map's values as the pixels see them, (N,): means over the taps."""
         total = np.zeros(len(self.row))
         for offset, weight in zip(*taps, strict=True):
-            total += weight * self.at(values, offset)
+            total += weight * self.at(values, offset if offset.any() else None)
         return total
+
+    def chosen(self, which: NDArray[np.bool_]) -> "Sight":
+        """Return the Sight of some of the pixels."""
+        return Sight(*(values[..., which] for values in vars(self).values()))
 
 
 class Viewer:
@@ -225,59 +244,61 @@ class Viewer:
 
     def __init__(self, renderer: "Renderer", camera: Camera, lattice: Lattice) -> None:
         self.renderer, self.camera, self.lattice = renderer, camera, lattice
-        self._maps = renderer.face_maps
         self._terrain = sum(len(surface.faces) for surface in renderer.scene.surfaces[: renderer.scene.terrain_count])
+        own = renderer.face_maps[: self._terrain].astype(np.float64) / lattice.scene_texels
+        own[:, 0, 3] -= lattice.column + 0.5
+        own[:, 1, 3] -= lattice.row + 0.5
+        normal = np.cross(own[:, 0, :3], own[:, 1, :3])
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+        # Gradient and offset of the column, then of the row, then the normal; one line for each number.
+        self._faces = np.concatenate([own.reshape(-1, 8), normal], axis=1).T.astype(np.float32).copy()
         row, column = np.divmod(np.arange(camera.height * camera.width), camera.width)
         middle = np.stack([column, row], axis=-1) + 0.5
-        self._direction = _rays(camera, middle)
-        step = 0.25 * np.eye(2)
-        self._across, self._down = (
-            2.0 * (_rays(camera, middle + each) - _rays(camera, middle - each)) for each in step
-        )
-
-    def on(self, lattice: Lattice) -> "Viewer":
-        """Return this Viewer on another map of the same scene."""
-        other = object.__new__(Viewer)
-        vars(other).update(vars(self), lattice=lattice)
-        return other
+        slopes = camera.directions(middle)
+        self._direction = np.concatenate([slopes, np.ones((len(middle), 1))], axis=1)
+        self._length = np.linalg.norm(self._direction, axis=1).astype(np.float32)
+        # Change of the slopes with a step of a pixel, (2, N) each.
+        self._steps = [
+            2.0 * (camera.directions(middle + step) - camera.directions(middle - step)).T.astype(np.float32)
+            for step in 0.25 * np.eye(2)
+        ]
 
     def sight(self, pose: Floats) -> Sight:
         """Return the Sight of a frame taken from a pose, (4, 4) world_from_camera."""
-        turn, origin = pose[:3, :3], pose[:3, 3]
-        direction = self._direction @ turn.T
-        length = np.linalg.norm(direction, axis=1)
+        turn, origin = pose[:3, :3].astype(np.float32), pose[:3, 3]
+        direction = self._direction @ pose[:3, :3].T
         distance, face = self.renderer.faces(np.broadcast_to(origin, direction.shape), direction)
-        hit = (face >= 0) & (face < self._terrain)
-        chosen, direction, length = np.flatnonzero(hit), direction[hit], length[hit]
-        depth, own = distance[hit] / length, self._maps[face[hit]].astype(np.float64)
-        gradient, offset = own[:, :, :3], own[:, :, 3]
-        normal = np.cross(gradient[:, 0], gradient[:, 1])
-        size = np.linalg.norm(normal, axis=1)
-        slant = np.einsum("nk,nk->n", normal, direction)
-        clear = np.abs(slant) > _STEEPEST * size * length
-        to = depth[:, None] * direction
-        place = np.einsum("nak,nk->na", gradient, origin + to) + offset
-        # A moved ray still ends on the plane, so a motion along the ray changes nothing.
-        along = np.einsum("nak,nk->na", gradient, direction) / np.where(clear, slant, 1.0)[:, None]
-        slope = gradient - along[:, :, None] * normal[:, None, :]
+        pixel = np.flatnonzero((face >= 0) & (face < self._terrain))
+        way = direction[pixel].T.astype(np.float32)
+        length = self._length[pixel]
+        depth = distance[pixel] / length
+        own = self._faces.take(face[pixel], axis=1)
+        normal = own[8:]
+        slant = _product(normal, way)
+        clear = np.abs(slant) > _STEEPEST * length
+        inverse = 1.0 / np.where(clear, slant, 1.0)
+        to = depth * way
+        place, slope = [], []
+        for part in (own[:4], own[4:8]):
+            # A moved ray still ends on the plane, so a motion along the ray changes nothing.
+            slope.append(part[:3] - _product(part[:3], way) * inverse * normal)
+            start = part[0] * origin[0] + part[1] * origin[1] + part[2] * origin[2] + part[3]
+            place.append(start + _product(part[:3], to))
+        # Changes with the slopes of the ray in camera axes, for column and row.
+        by_slope = [[depth * (axis @ part) for axis in turn.T[:2]] for part in slope]
         across, down = (
-            depth[:, None] * np.einsum("nak,nk->na", slope, step[chosen] @ turn.T)
-            for step in (self._across, self._down)
+            np.stack([a * step[0][pixel] + b * step[1][pixel] for a, b in by_slope]) for step in self._steps
         )
-        scale, lattice = 1.0 / self.lattice.scene_texels, self.lattice
-        column, row = (place * scale - (lattice.column + 0.5, lattice.row + 0.5)).T
-        side = scale * np.sqrt(np.maximum((across**2).sum(axis=1), (down**2).sum(axis=1)))
-        height, width = lattice.shape
-        clear &= (side < LONGEST_TEXELS) & (row > 0.0) & (row < height - 1.0) & (column > 0.0) & (column < width - 1.0)
-        return Sight(
-            chosen[clear], row[clear], column[clear], scale * across[clear], scale * down[clear],
-            scale * slope[clear], to[clear],
-        )  # fmt: skip
+        (column, row), (height, width) = place, self.lattice.shape
+        side = np.maximum(_product(across, across), _product(down, down))
+        clear &= (side < LONGEST_TEXELS**2) & (np.abs(row - 0.5 * height) < 0.5 * height - _MARGIN)
+        clear &= np.abs(column - 0.5 * width) < 0.5 * width - _MARGIN
+        found = Sight(pixel, row, column, across, down, np.stack(slope), to)
+        return found if clear.all() else found.chosen(clear)
 
 
-def _rays(camera: Camera, pixel: Floats) -> Floats:
-    """Directions (n, 3) of image positions (n, 2), with depth 1."""
-    return np.concatenate([camera.directions(pixel), np.ones((len(pixel), 1))], axis=1)
+def _product(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
+    return np.asarray(np.einsum("kn,kn->n", a, b))
 
 
 def moved(pose: Floats, step: Floats) -> Floats:
