@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from thermorender.errors import ThermorenderError
-from thermorender.footage.radiometric_files import SUFFIXES, read_temperature
+from thermorender.footage.radiometric_files import FLIR_JPEG, SUFFIXES, read_temperature
 from thermorender.scene.scene import Scene
 from thermorender.trajectory.readers import enu_from_ned_at
 from thermorender.trajectory.rotations import BODY_FROM_CAMERA, rotation_from_angles
@@ -142,7 +142,8 @@ def read_frames(
     chosen = [own[path.stem] for path in files]
     images: list[NDArray[np.float32]] = []
     for path in files:
-        images.append(read_temperature(path, None if path.suffix.lower() in (".jpg", ".jpeg") else scale).astype(np.float32))
+        own_scale = None if path.suffix.lower() in FLIR_JPEG else scale
+        images.append(read_temperature(path, own_scale).astype(np.float32))
         if images[0].shape != images[-1].shape:
             raise ThermorenderError(
                 f"{path} has {images[-1].shape[1]}×{images[-1].shape[0]} pixels and {files[0]} "

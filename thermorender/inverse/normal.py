@@ -60,8 +60,9 @@ class Cells(NamedTuple):
 def cells_of(sight: Sight) -> Cells:
     """Return the Cells of a frame's pixels."""
     row, column = np.floor(sight.row).astype(np.int64), np.floor(sight.column).astype(np.int64)
-    top, left = (int(values.min()) if values.size else 0 for values in (row, column))
-    rows, columns = (int(values.max()) + 1 - start if values.size else 1 for values, start in ((row, top), (column, left)))
+    (top, rows), (left, columns) = (
+        (int(values.min()), int(np.ptp(values)) + 1) if values.size else (0, 1) for values in (row, column)
+    )
     down, right = sight.row - row, sight.column - column
     weight = np.stack([(1 - down) * (1 - right), (1 - down) * right, down * (1 - right), down * right])
     return Cells(top, left, (rows, columns), (row - top) * columns + column - left, weight)
@@ -159,7 +160,7 @@ class Normal:
 
     def __init__(self, prior: Prior, frame_precision: Floats, common_precision: Floats) -> None:
         self.prior, self.shape = prior, prior.mean.shape
-        self._frame_precision, self._common_precision = frame_precision, common_precision
+        self.frame_precision, self.common_precision = frame_precision, common_precision
         self.stencil = Stencil(self.shape)
         self._blocks: list[_Block] = []
         count = len(common_precision)
@@ -191,24 +192,24 @@ class Normal:
         weighted = precision * residual
         self._gradient.map[cells.window] += cells.gathered(weighted)
         self._gradient.common[:] += common @ weighted
-        self._frames.append(own @ weighted - self._frame_precision * deviation)
+        self._frames.append(own @ weighted - self.frame_precision * deviation)
         coupling = np.array([cells.gathered(precision * each) for each in own]).reshape(len(own), -1)
         for row, each in zip(self._common_coupling, common, strict=True):
             row[cells.window] += cells.gathered(precision * each)
         self._common_own += (common * precision) @ common.T
-        matrix = (own * precision) @ own.T + np.diag(self._frame_precision)
+        matrix = (own * precision) @ own.T + np.diag(self.frame_precision)
         block = _Block(cells.window, coupling.astype(np.float32), matrix, (own * precision) @ common.T)
         self._blocks.append(block)
         return cells
 
     def gradient(self, deviation: Floats, classes: Floats, common: Floats) -> Unknowns:
-        """Return g where the map deviates from the prior mean by (h, w), with classes at (C,) and common values (V,)."""
+        """Return g where the map deviates from the prior mean by (h, w), classes are at (C,), common at (V,)."""
         prior = self.prior
         pull = prior.precision * (deviation - classes[prior.classes])
         own = np.bincount(prior.classes.ravel(), pull.ravel(), prior.count) - prior.class_precision * classes
         return Unknowns(
             self._gradient.map - pull, np.array(self._frames),
-            self._gradient.common - self._common_precision * common, own,
+            self._gradient.common - self.common_precision * common, own,
         )  # fmt: skip
 
     def __call__(self, x: Unknowns) -> Unknowns:

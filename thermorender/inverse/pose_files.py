@@ -87,7 +87,9 @@ def _metashape(path: Path, text: str, scene: Scene) -> dict[str, Place]:
     try:
         crs = CRS.from_wkt(first[len(_METASHAPE) :].strip())
     except CRSError:
-        raise ThermorenderError(f"{path}: its coordinate system cannot be read; export it in one with an EPSG code") from None
+        raise ThermorenderError(
+            f"{path}: its coordinate system cannot be read; export it in one with an EPSG code"
+        ) from None
     kinds = (("X_est", "Y_est", "Z_est", "Yaw_est", "Pitch_est", "Roll_est"),
              ("X/Easting", "Y/Northing", "Z/Altitude", "Yaw", "Pitch", "Roll"),
              ("X/Longitude", "Y/Latitude", "Z/Altitude", "Yaw", "Pitch", "Roll"))  # fmt: skip

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from thermorender.inverse.normal import Normal, Prior, Unknowns
 from thermorender.inverse.poses import PoseError, deviation, pose_columns, registered, slopes
+from thermorender.inverse.spread import Draws, Spread, spread_of
 from thermorender.inverse.weights import Lattice, Sight, Viewer, moved, taps_of
 from thermorender.sensor.camera import Camera
 
@@ -117,7 +118,7 @@ class Problem:
         self.camera, self.images, self.poses, self.prior, self.settings = camera, images, poses, prior, settings
         self.viewer = Viewer(renderer, camera, lattice)
         self.taps = taps_of(camera, settings.taps)
-        self.vignetting = _vignetting(camera)
+        self.vignetting = vignetting(camera)
         self.free = settings.pose_error.position_m > 0.0 or settings.pose_error.angle_deg > 0.0
 
     def start(self) -> State:
@@ -155,7 +156,23 @@ class Problem:
 
     def round(self, state: State, free: bool | None = None, progress: Progress | None = None) -> State:
         """Return the State after one joint solution of map, offsets, vignetting, classes and, if `free`, poses."""
-        settings, free = self.settings, self.free if free is None else free
+        free = self.free if free is None else free
+        normal, pattern, noise_k = self._equations(state, free, progress)
+        gradient = normal.gradient(state.map - self.prior.mean, state.classes, state.vignette)
+        found, _ = normal.solved(gradient)
+        return self._updated(state, found, free, pattern, noise_k)
+
+    def spread(self, state: State, progress: Progress | None = None) -> Spread:
+        """Return the standard deviations of a State."""
+        draws = Draws(self.prior.mean.shape, len(self.vignetting), self.prior.count)
+        normal, _, _ = self._equations(state, self.free, progress, draws)
+        return spread_of(normal, draws, np.hypot(*slopes(state.map)))
+
+    def _equations(
+        self, state: State, free: bool, progress: Progress | None, draws: Draws | None = None
+    ) -> tuple[Normal, tuple[Floats, Floats], float]:  # fmt: skip
+        """(Normal, sums of residuals and of weights of each pixel, standard deviation of the residuals)."""
+        settings = self.settings
         own = np.concatenate([[1.0 / settings.offset_k**2], settings.pose_error.precision if free else []])
         terms = np.full(len(self.vignetting), 1.0 / settings.vignette_k**2)
         normal = Normal(self.prior, own, terms)
@@ -178,12 +195,14 @@ class Problem:
             if free:
                 columns = np.concatenate([columns, pose_columns(sight, right, down)])
                 away = np.concatenate([away, deviation(state.poses[number], self.poses[number])])
-            normal.add(sight, residual, precision, columns, self.vignetting[:, sight.pixel], away)
+            lens = self.vignetting[:, sight.pixel]
+            cells = normal.add(sight, residual, precision, columns, lens, away)
+            if draws is not None:
+                draws.add(cells, precision, columns, lens)
+                draws.add_residuals(cells, residual - level, steep)
             if progress is not None:
                 progress("solving the map", (number + 1) / (len(self.images) + 1))
-        gradient = normal.gradient(state.map - self.prior.mean, state.classes, state.vignette)
-        found, steps = normal.solved(gradient)
-        return self._updated(state, found, free, (total, weights), float(np.median(spreads)))
+        return normal, (total, weights), float(np.median(spreads))
 
     def _updated(
         self, state: State, found: Unknowns, free: bool, pattern: tuple[Floats, Floats], noise_k: float
@@ -214,8 +233,8 @@ def _precision(residual: Floats, steep: Floats, before_k: float, least_k: float)
     return weight / scale**2, spread
 
 
-def _vignetting(camera: Camera) -> Floats:
-    """Powers of the distance from the principal point, (V, H·W), 1 at the farthest corner and with mean 0."""
+def vignetting(camera: Camera) -> Floats:
+    """Return powers of the distance from the principal point, (V, H·W), 1 at the farthest corner and with mean 0."""
     row, column = np.mgrid[: camera.height, : camera.width] + 0.5
     middle = camera.width / 2 + camera.principal_offset_px[0], camera.height / 2 + camera.principal_offset_px[1]
     radius = np.hypot(column - middle[0], row - middle[1]).ravel()
