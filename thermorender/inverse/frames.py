@@ -96,7 +96,7 @@ def frame_files(paths: Iterable[Path]) -> list[Path]:
             f"{', '.join(map(str, paths))} holds no frame; give files that end in {', '.join(SUFFIXES)}"
         )
     found.sort(key=lambda path: (path.name, str(path)))
-    for one, other in zip(found, found[1:]):
+    for one, other in zip(found, found[1:], strict=False):
         if one.stem == other.stem:
             raise ThermorenderError(f"{one} and {other} have the same name; give each frame once")
     return found
@@ -284,7 +284,7 @@ def _degrees(value: Any) -> float:
 
 
 def _height(gps: Mapping[int, Any], stated: Mapping[str, str]) -> tuple[float | None, str]:
-    """(height [m], what it counts from). DJI's absolute heights are off by up to 100 m; those above take-off are not."""
+    """(height [m], what it counts from). DJI's absolute heights are off by up to 100 m."""
     if stated.get("VertCS") == "ellipsoidal" and 6 in gps:
         below = gps.get(5, b"\x00") in (b"\x01", 1, "\x01")
         return float(gps[6]) * (-1.0 if below else 1.0), "alt_ellipsoid_m"

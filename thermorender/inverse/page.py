@@ -1,4 +1,4 @@
-"""The report of a reconstruction: one HTML page with maps before and after, residuals, calibration and what is unknown."""
+"""The report of a reconstruction: one HTML page with maps before and after, residuals, and what is unknown."""
 
 from pathlib import Path
 

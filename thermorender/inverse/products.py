@@ -62,7 +62,7 @@ def record(found: Reconstruction) -> dict[str, Any]:
         "noise_k": found.spread.noise_k, "position_error_m": found.spread.edge_texels * texel,
         "std_median_k": float(np.median(std)) if std.size else None,
         "level_k": found.level_k, "level_std_k": found.level_std_k, "level_of": "references" if found.references else
-        "the prior", "references": [{"name": name, "residual_k": value} for name, value in found.references],
+        "the camera's accuracy", "references": [{"name": name, "residual_k": value} for name, value in found.references],
         "offsets_std_k": float(found.state.offsets.std()),
         "vignetting_k": float(np.ptp(lens_of(found))),
         "poses_moved_m": float(np.linalg.norm(moved[:, :3], axis=1).mean()),

@@ -30,7 +30,7 @@ Progress = Callable[[str, float], object]
 STATE = "state.npz"
 # Poses are wrong by up to so many standard deviations.
 _REACH = 3.0
-# Rounds on all pixels; those before them take means of pixels.
+# Rounds on all pixels, the last included; those before them take means of pixels.
 _FULL = 2
 # Files of states have a form of their own.
 _FORM = 1
@@ -132,8 +132,8 @@ def reconstruct(
     images = linear.of(survey.kelvin).astype(np.float32)
     problem = Problem(renderer, camera, images, survey.poses, lattice, _prior(light, settings), settings)
     state = _solved(problem, _key(scene, survey, camera, settings), folder, progress)
-    spread = problem.spread(state, progress)
-    shift, level_std, residuals = 0.0, spread.level_k, list[tuple[str, float]]()
+    state, spread = problem.last_round(state, progress)
+    shift, level_std, residuals = 0.0, settings.level_k, list[tuple[str, float]]()
     seen = spread.views > 0
     if references:
         shift, level_std, residuals = level.shift_of(
@@ -179,7 +179,7 @@ def _key(scene: Scene, survey: Survey, camera: Camera, settings: Settings) -> di
 def _solved(
     problem: Problem, key: dict[str, Any], folder: str | PathLike[str] | None, progress: Progress | None
 ) -> State:  # fmt: skip
-    """The State after all rounds: from the folder's, where it has one."""
+    """The State before the last round: from the folder's, where it has one."""
     settings = problem.settings
     small = _binned(problem) if problem.camera.width >= 320 else problem
     path = None if folder is None else Path(folder) / STATE
@@ -187,7 +187,7 @@ def _solved(
     if state is None:
         state = small.round(small.register(small.start(), progress=progress), False, progress)
         _keep(path, key, state)
-    while state.rounds < settings.rounds:
+    while state.rounds < settings.rounds - 1:
         full = state.rounds >= settings.rounds - _FULL
         if full and state.pattern.shape != problem.images.shape[1:]:
             state = replace(state, pattern=np.zeros(problem.images.shape[1:]))

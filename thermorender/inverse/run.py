@@ -49,7 +49,7 @@ class Inputs:
     pose_error: tuple[float, float] = (1.0, 0.7)
     above_ground_m: float | None = None
     references: Path | None = None
-    rounds: int = 6
+    rounds: int = 5
     scale: tuple[float, float] | None = None
 
 

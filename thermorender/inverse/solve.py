@@ -37,20 +37,21 @@ class Settings:
     ----------
     texel_m : float
         Side of a texel of the map [m].
-    taps : {1, 5, 9}
+    taps : {1, 9}
         Points of a pixel.
     rounds : int
         Joint solutions, after the registration to the prior.
     pose_error : PoseError
         Standard deviations of the measured poses; zeros keep them.
-    noise_k, offset_k, vignette_k, pattern_k, class_k, prior_k : float
+    noise_k, offset_k, vignette_k, pattern_k, class_k, prior_k, level_k : float
         Standard deviations of a pixel's noise, of a frame's offset, of a term of the vignetting at the corner, of the
-        fixed pattern, of a class in the prior, and of a texel about its class [K].
+        fixed pattern, of a class in the prior, of a texel about its class, and of the camera's common level [K]. The
+        last is the accuracy of calibrated cameras, and is stated without a reference.
     """
 
     texel_m: float = 0.25
-    taps: int = 5
-    rounds: int = 6
+    taps: int = 9
+    rounds: int = 5
     pose_error: PoseError = field(default_factory=PoseError)
     noise_k: float = 0.07
     offset_k: float = 1.0
@@ -58,6 +59,7 @@ class Settings:
     pattern_k: float = 0.2
     class_k: float = 3.0
     prior_k: float = 2.0
+    level_k: float = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,17 +158,21 @@ class Problem:
 
     def round(self, state: State, free: bool | None = None, progress: Progress | None = None) -> State:
         """Return the State after one joint solution of map, offsets, vignetting, classes and, if `free`, poses."""
-        free = self.free if free is None else free
-        normal, pattern, noise_k = self._equations(state, free, progress)
+        return self._round(state, self.free if free is None else free, progress)[0]
+
+    def last_round(self, state: State, progress: Progress | None = None) -> tuple[State, Spread]:
+        """Return the State after one more joint solution, and its standard deviations."""
+        draws = Draws(self.prior.mean.shape, len(self.vignetting), self.prior.count)
+        state, normal = self._round(state, self.free, progress, draws)
+        return state, spread_of(normal, draws, np.hypot(*slopes(state.map)))
+
+    def _round(
+        self, state: State, free: bool, progress: Progress | None, draws: Draws | None = None
+    ) -> tuple[State, Normal]:
+        normal, pattern, noise_k = self._equations(state, free, progress, draws)
         gradient = normal.gradient(state.map - self.prior.mean, state.classes, state.vignette)
         found, _ = normal.solved(gradient)
-        return self._updated(state, found, free, pattern, noise_k)
-
-    def spread(self, state: State, progress: Progress | None = None) -> Spread:
-        """Return the standard deviations of a State."""
-        draws = Draws(self.prior.mean.shape, len(self.vignetting), self.prior.count)
-        normal, _, _ = self._equations(state, self.free, progress, draws)
-        return spread_of(normal, draws, np.hypot(*slopes(state.map)))
+        return self._updated(state, found, free, pattern, noise_k), normal
 
     def _equations(
         self, state: State, free: bool, progress: Progress | None, draws: Draws | None = None

@@ -1,9 +1,9 @@
-"""The uncertainty of a reconstruction: standard deviation of each texel, and that of the common level apart.
+"""The uncertainty of a reconstruction: standard deviation of each texel, without the common level.
 
 Three terms add up. Draws of the noise and of the prior, solved like the frames, give the errors that the normal
 equations know, those of free poses and offsets among them. Poses and optics are never exact, which shows at edges: the
 residuals of the pixels grow with the slope of the map, and the growth is fitted from the residuals themselves. The
-common level of all texels is removed from each draw and stated as one number, because no frame shows it.
+common level of all texels is removed from each draw, because no frame shows it.
 """
 
 from dataclasses import dataclass
@@ -32,8 +32,6 @@ class Spread:
     ----------
     std : (h, w) float64
         Of each texel, without the common level [linear kelvin].
-    level_k : float
-        Of the common level of map and offsets [K].
     noise_k : float
         Of the residuals of a pixel on even ground [K].
     edge_texels : float
@@ -45,7 +43,6 @@ class Spread:
     """
 
     std: Floats
-    level_k: float
     noise_k: float
     edge_texels: float
     views: NDArray[np.int32]
@@ -93,11 +90,6 @@ class Draws:
         self.squares.append((residual.astype(np.float32), steep.astype(np.float32)))
 
     @property
-    def frames(self) -> int:
-        """Number of frames."""
-        return len(self._frames)
-
-    @property
     def residual(self) -> Floats:
         """Root mean square of the residuals on each texel."""
         return np.sqrt(self._square / np.maximum(self._count, 1e-9))
@@ -139,14 +131,8 @@ def spread_of(normal: Normal, draws: Draws, slope: Floats) -> Spread:
     smooth = gaussian_filter(np.where(seen, variance, 0.0), _SMOOTH) / np.maximum(weight, 1e-9)
     variance = np.where(seen, smooth, variance)
     noise, edge = _edges(*(np.concatenate(each) for each in zip(*draws.squares, strict=True)))
-    mean = Unknowns(
-        seen / seen.sum(), np.zeros((draws.frames, len(normal.frame_precision))),
-        np.zeros(len(normal.common_precision)), np.zeros(normal.prior.count),
-    )  # fmt: skip
-    x, _ = normal.solved(mean)
-    level = float(np.sqrt(np.vdot(mean.map, x.map)))
     std = np.sqrt(variance + (edge * slope) ** 2)
-    return Spread(std, level, noise, edge, draws.views, draws.residual)
+    return Spread(std, noise, edge, draws.views, draws.residual)
 
 
 def _edges(residual: Floats, steep: Floats) -> tuple[float, float]:

@@ -137,23 +137,19 @@ def _means(first: int, count: int, side: float, most: int):  # type: ignore[no-u
     return csr_matrix(parts, shape=(count, most))
 
 
-def taps_of(camera: Camera, count: int = 5) -> tuple[Floats, Floats]:
+def taps_of(camera: Camera, count: int = 9) -> tuple[Floats, Floats]:
     """Return (offsets (n, 2) [px], weights (n,)) of points whose mean stands for a pixel's response.
 
-    The response is the mean over the pixel's area after the blur of the lens. `count` is 1 (the middle alone), 5 (a
-    cross) or 9 (a square).
+    The response is the mean over the pixel's area after the blur of the lens. `count` is 1 (the middle alone) or 9 (a
+    square). A cross of five would have a negative transfer at some frequencies, and the solution would diverge there.
     """
     if count == 1:
         return np.zeros((1, 2)), np.ones(1)
+    if count != 9:
+        raise ThermorenderError(f"taps={count!r} is not allowed; give 1 or 9")
     reach, sixth = _reach_px(camera), 1.0 / 6.0
     line, share = np.array([-reach, 0.0, reach]), np.array([sixth, 1.0 - 2.0 * sixth, sixth])
-    if count == 9:
-        grid = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-        return grid, np.outer(share, share).ravel()
-    if count != 5:
-        raise ThermorenderError(f"taps={count!r} is not allowed; give 1, 5 or 9")
-    cross = np.array([[0.0, 0.0], [-reach, 0.0], [reach, 0.0], [0.0, -reach], [0.0, reach]])
-    return cross, np.array([1.0 - 4.0 * sixth, sixth, sixth, sixth, sixth])
+    return np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2), np.outer(share, share).ravel()
 
 
 @lru_cache(maxsize=16)
