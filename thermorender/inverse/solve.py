@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from thermorender.inverse.normal import Normal, Prior, Unknowns
 from thermorender.inverse.poses import PoseError, deviation, pose_columns, registered, slopes
 from thermorender.inverse.spread import Draws, Spread, spread_of
-from thermorender.inverse.weights import Lattice, Sight, Viewer, moved, taps_of
+from thermorender.inverse.weights import Lattice, Sight, Viewer, moved, sharpened, taps_of
 from thermorender.sensor.camera import Camera
 
 if TYPE_CHECKING:
@@ -25,6 +25,8 @@ Image = NDArray[np.float32]
 Progress = Callable[[str, float], object]
 # Residuals beyond so many standard deviations lose weight.
 _OUTLIER = 4.0
+# Terms of the blur's inverse in a step, and frames that its width is taken from.
+TERMS, _SAMPLED = 3, 5
 # Powers of the radius of the vignetting.
 _POWERS = (2, 4, 6)
 
@@ -121,7 +123,16 @@ class Problem:
         self.viewer = Viewer(renderer, camera, lattice)
         self.taps = taps_of(camera, settings.taps)
         self.vignetting = vignetting(camera)
+        self.reach = self._reach_texels()
         self.free = settings.pose_error.position_m > 0.0 or settings.pose_error.angle_deg > 0.0
+
+    def _reach_texels(self) -> float:
+        """Distance of the outer taps of a pixel, in the median over some frames [texels]."""
+        chosen = np.linspace(0, len(self.poses) - 1, min(_SAMPLED, len(self.poses))).astype(int)
+        sights = [self.viewer.sight(self.poses[number]) for number in chosen]
+        side = [np.sqrt(np.abs(s.across[0] * s.down[1] - s.across[1] * s.down[0])) for s in sights]
+        known = [float(np.median(each)) for each in side if each.size]
+        return float(np.abs(self.taps[0]).max()) * float(np.median(known)) if known else 0.0
 
     def start(self) -> State:
         """Return the State before any solution: the prior and the measured poses."""
@@ -164,7 +175,7 @@ class Problem:
         """Return the State after one more joint solution, and its standard deviations."""
         draws = Draws(self.prior.mean.shape, len(self.vignetting), self.prior.count)
         state, normal = self._round(state, self.free, progress, draws)
-        return state, spread_of(normal, draws, np.hypot(*slopes(state.map)))
+        return state, spread_of(normal, draws, np.hypot(*slopes(state.map)), self.reach, TERMS * state.rounds)
 
     def _round(
         self, state: State, free: bool, progress: Progress | None, draws: Draws | None = None
@@ -205,7 +216,7 @@ class Problem:
             cells = normal.add(sight, residual, precision, columns, lens, away)
             if draws is not None:
                 draws.add(cells, precision, columns, lens)
-                draws.add_residuals(cells, residual - level, steep)
+                draws.add_residuals(cells, residual - level, steep, 1.0 / float(np.sqrt(precision.max())))
             if progress is not None:
                 progress("solving the map", (number + 1) / (len(self.images) + 1))
         return normal, (total, weights), float(np.median(spreads))
@@ -222,8 +233,8 @@ class Problem:
             made = made + (pattern[0] / (pattern[1] + 1.0 / settings.pattern_k**2)).reshape(made.shape)
             made = _without(made, self.vignetting)
         return State(
-            state.map + found.map, state.classes + found.classes, state.offsets + found.frames[:, 0],
-            state.vignette + found.common, made, poses, max(noise_k, settings.noise_k), state.rounds + 1,
+            state.map + sharpened(found.map, self.reach, TERMS), state.classes + found.classes,
+            state.offsets + found.frames[:, 0], state.vignette + found.common, made, poses, max(noise_k, settings.noise_k), state.rounds + 1,
         )  # fmt: skip
 
 

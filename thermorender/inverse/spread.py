@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from thermorender.inverse.normal import Cells, Normal, Unknowns
+from thermorender.inverse.weights import sharpened
 
 Floats = NDArray[np.float64]
 # Draws, and width of the smoothing of their variance [texels].
@@ -20,8 +21,8 @@ DRAWS = 8
 _SMOOTH = 2.0
 # Relative residual of a draw's solution: a variance needs fewer digits than a map.
 _TOLERANCE = 1e-3
-# Classes of slope in the fit, and residuals beyond so many medians of their class that are left out.
-_CLASSES, _OUTLIER = 24, 8.0
+# Classes of slope in the fit, and squares beyond so many means of their class that are left out.
+_CLASSES, _OUTLIER = 24, 30.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,10 +33,10 @@ class Spread:
     ----------
     std : (h, w) float64
         Of each texel, without the common level [linear kelvin].
-    noise_k : float
-        Of the residuals of a pixel on even ground [K].
+    shared : float
+        Standard deviation of the mean residual of a frame's pixels in a cell on even ground, over that of white noise.
     edge_texels : float
-        Growth of the residuals' standard deviation with the slope of the map: error of the position [texels].
+        Growth of that deviation with the slope of the map: error of a frame's position [texels].
     views : (h, w) int32
         Frames that show each texel.
     residual : (h, w) float64
@@ -43,7 +44,7 @@ class Spread:
     """
 
     std: Floats
-    noise_k: float
+    shared: float
     edge_texels: float
     views: NDArray[np.int32]
     residual: Floats
@@ -66,8 +67,8 @@ class Draws:
         self._map = np.zeros((DRAWS, *shape))
         self._frames: list[Floats] = []
         self._common, self._classes = np.zeros((DRAWS, common)), np.zeros((DRAWS, classes))
-        # (residuals, slopes) of each frame's pixels.
-        self.squares: list[tuple[NDArray[np.float32], NDArray[np.float32]]] = []
+        # Of each frame's cells: pixels times the square of their mean residual, and the sum of their squared slopes.
+        self.squares: list[NDArray[np.float32]] = []
         self.views = np.zeros(shape, np.int32)
         self._square, self._count = np.zeros(shape), np.zeros(shape)
 
@@ -81,13 +82,19 @@ class Draws:
             self._common[number] += common @ noise
         self._frames.append(np.array(frames))
 
-    def add_residuals(self, cells: Cells, residual: Floats, steep: Floats) -> None:
-        """Add the residuals of a frame's pixels, at slopes of the map [K/texel]."""
+    def add_residuals(self, cells: Cells, residual: Floats, steep: Floats, noise_k: float) -> None:
+        """Add the residuals of a frame's pixels, at slopes of the map [K/texel], with the noise of their precision."""
         count = cells.gathered(np.ones(residual.size))
         self.views[cells.window] += count > 0.0
         self._count[cells.window] += count
         self._square[cells.window] += cells.gathered(residual**2)
-        self.squares.append((residual.astype(np.float32), steep.astype(np.float32)))
+        # Means over the pixels of a frame in a cell: errors that neighbours share stay in them.
+        size = cells.shape[0] * cells.shape[1]
+        pixels = np.bincount(cells.number, minlength=size)
+        total, slope = (np.bincount(cells.number, each, size) for each in (residual, steep**2))
+        full = pixels > 0
+        square = total[full] ** 2 / pixels[full]
+        self.squares.append(np.stack([square / noise_k**2, slope[full] / noise_k**2]).astype(np.float32))
 
     @property
     def residual(self) -> Floats:
@@ -106,7 +113,7 @@ class Draws:
         return Unknowns(self._map[number] + pull, frames, common, classes)
 
 
-def spread_of(normal: Normal, draws: Draws, slope: Floats) -> Spread:
+def spread_of(normal: Normal, draws: Draws, slope: Floats, reach: float, terms: int) -> Spread:
     """Return the Spread of a solution.
 
     Parameters
@@ -116,6 +123,8 @@ def spread_of(normal: Normal, draws: Draws, slope: Floats) -> Spread:
         Of the same frames.
     slope : (h, w) array
         Of the map [K/texel].
+    reach, terms : float, int
+        As of `weights.sharpened`, over all rounds: removing the blur raises the noise of fine structure.
 
     Notes
     -----
@@ -125,26 +134,26 @@ def spread_of(normal: Normal, draws: Draws, slope: Floats) -> Spread:
     variance = np.zeros(seen.shape)
     for number in range(DRAWS):
         x, _ = normal.solved(draws.gradient(normal, number), _TOLERANCE)
-        variance += (x.map - x.map[seen].mean()) ** 2 / DRAWS
+        found = sharpened(x.map, reach, terms)
+        variance += (found - found[seen].mean()) ** 2 / DRAWS
     # Beyond the texels that are seen the variance is that of the prior, which must not leak in.
     weight = gaussian_filter(seen.astype(np.float64), _SMOOTH)
     smooth = gaussian_filter(np.where(seen, variance, 0.0), _SMOOTH) / np.maximum(weight, 1e-9)
     variance = np.where(seen, smooth, variance)
-    noise, edge = _edges(*(np.concatenate(each) for each in zip(*draws.squares, strict=True)))
+    scale, edge = _edges(*np.concatenate(draws.squares, axis=1))
+    variance *= max(scale, 1.0)
     std = np.sqrt(variance + (edge * slope) ** 2)
-    return Spread(std, noise, edge, draws.views, draws.residual)
+    return Spread(std, float(np.sqrt(max(scale, 1.0))), edge, draws.views, draws.residual)
 
 
-def _edges(residual: Floats, steep: Floats) -> tuple[float, float]:
-    """(standard deviation on even ground, its growth with the slope) of residuals at slopes, by their squares."""
-    order = np.argsort(steep, kind="stable")
-    parts = np.array_split(order, _CLASSES)
+def _edges(square: NDArray[np.float32], slope: NDArray[np.float32]) -> tuple[float, float]:
+    """(variance of the cells' means on even ground, over that of the noise; error of the position [texels])."""
+    order = np.argsort(slope, kind="stable")
     x, y = np.empty(_CLASSES), np.empty(_CLASSES)
-    for number, part in enumerate(parts):
-        square = residual[part].astype(np.float64) ** 2
-        kept = square <= _OUTLIER**2 * max(float(np.median(square)), 1e-12)
-        x[number], y[number] = np.mean(steep[part].astype(np.float64) ** 2), square[kept].mean()
-    # Classes have equal numbers of pixels; a relative error of each square mean is alike.
+    for number, part in enumerate(np.array_split(order, _CLASSES)):
+        kept = square[part] <= _OUTLIER * max(float(np.mean(square[part])), 1e-12)
+        x[number], y[number] = slope[part][kept].mean(dtype=np.float64), square[part][kept].mean(dtype=np.float64)
+    # Classes have equal numbers of cells, so the relative errors of their means are alike.
     basis = np.stack([np.ones(_CLASSES), x], axis=1) / y[:, None]
     fit, *_ = np.linalg.lstsq(basis, np.ones(_CLASSES), rcond=None)
-    return float(np.sqrt(max(fit[0], 0.0))), float(np.sqrt(max(fit[1], 0.0)))
+    return float(max(fit[0], 0.0)), float(np.sqrt(max(fit[1], 0.0)))

@@ -305,3 +305,29 @@ def moved(pose: Floats, step: Floats) -> Floats:
     result[:3, 3] += step[:3]
     result[:3, :3] = Rotation.from_rotvec(step[3:]).as_matrix() @ pose[:3, :3]
     return result
+
+
+def sharpened(step: Floats, reach: float, terms: int) -> Floats:
+    """Return a step of the map, which the matrix finds without blur, after the first terms of the blur's inverse.
+
+    Parameters
+    ----------
+    step : (h, w) array
+    reach : float
+        Distance of the outer taps of a pixel [texels].
+    terms : int
+        Of 1 + (1 − B) + (1 − B)² + …, with B the blur of a pixel. A transfer b leaves (1 − b)^terms.
+    """
+    from scipy.ndimage import convolve1d
+
+    whole = int(reach)
+    line = np.zeros(2 * whole + 3)
+    for side in (-1, 1):
+        for at, share in ((whole, whole + 1.0 - reach), (whole + 1, reach - whole)):
+            line[whole + 1 + side * at] += share / 6.0
+    line[whole + 1] += 2.0 / 3.0
+    total, rest = step.copy(), step
+    for _ in range(terms - 1):
+        rest = rest - convolve1d(convolve1d(rest, line, axis=0), line, axis=1)
+        total += rest
+    return total
