@@ -129,7 +129,7 @@ def reconstruct(
     linear = LinearKelvin(camera.band_um, round(float(np.nanmedian(survey.kelvin)), 1))
     lattice = _window(renderer, camera, survey.poses, settings)
     light = kinetic.light_of(renderer, lattice, linear)
-    images = linear.of(survey.kelvin).astype(np.float32)
+    images = np.stack([linear.of(image).astype(np.float32) for image in survey.kelvin])
     problem = Problem(renderer, camera, images, survey.poses, lattice, _prior(light, settings), settings)
     state = _solved(problem, _key(scene, survey, camera, settings), folder, progress)
     state, spread = problem.last_round(state, progress)

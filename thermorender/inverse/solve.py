@@ -232,9 +232,10 @@ class Problem:
         if settings.pattern_k > 0.0 and state.rounds > 0:
             made = made + (pattern[0] / (pattern[1] + 1.0 / settings.pattern_k**2)).reshape(made.shape)
             made = _without(made, self.vignetting)
+        made_map = state.map + sharpened(found.map, self.reach, TERMS)
         return State(
-            state.map + sharpened(found.map, self.reach, TERMS), state.classes + found.classes,
-            state.offsets + found.frames[:, 0], state.vignette + found.common, made, poses, max(noise_k, settings.noise_k), state.rounds + 1,
+            made_map, state.classes + found.classes, state.offsets + found.frames[:, 0],
+            state.vignette + found.common, made, poses, max(noise_k, settings.noise_k), state.rounds + 1,
         )  # fmt: skip
 
 

@@ -30,6 +30,8 @@ _STEEPEST = 0.15
 _SAME = 0.01
 # Pixels closer to the map's edge are left out [texels], so that all of their taps are on it.
 _MARGIN = 2.0 * LONGEST_TEXELS
+# Pixels this close to an object are left out [px].
+_BESIDE_PX = 3
 # Frequency at which the taps have the transfer of lens and pixel [cycles per pixel].
 _MATCHED = 0.25
 
@@ -264,7 +266,7 @@ class Viewer:
         turn, origin = pose[:3, :3].astype(np.float32), pose[:3, 3]
         direction = self._direction @ pose[:3, :3].T
         distance, face = self.renderer.faces(np.broadcast_to(origin, direction.shape), direction)
-        pixel = np.flatnonzero((face >= 0) & (face < self._terrain))
+        pixel = np.flatnonzero(self._apart((face >= 0) & (face < self._terrain), face >= self._terrain))
         way = direction[pixel].T.astype(np.float32)
         length = self._length[pixel]
         depth = distance[pixel] / length
@@ -291,6 +293,15 @@ class Viewer:
         clear &= np.abs(column - 0.5 * width) < 0.5 * width - _MARGIN
         found = Sight(pixel, row, column, across, down, np.stack(slope), to)
         return found if clear.all() else found.chosen(clear)
+
+    def _apart(self, ground: NDArray[np.bool_], objects: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Pixels of the ground that are not beside an object, of which the blur carries a part into them."""
+        if not objects.any():
+            return ground
+        from scipy.ndimage import binary_dilation
+
+        shape = self.camera.height, self.camera.width
+        return ground & ~binary_dilation(objects.reshape(shape), iterations=_BESIDE_PX).ravel()
 
 
 def _product(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
