@@ -12,6 +12,7 @@
 import csv
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +86,9 @@ def _metashape(path: Path, text: str, scene: Scene) -> dict[str, Place]:
     lines = rest.splitlines()
     head = next((line[1:].split(",") for line in lines if line.startswith("#Label")), None)
     try:
-        crs = CRS.from_wkt(first[len(_METASHAPE) :].strip())
+        # The code at the end is that of the whole system; Metashape's own wording of some projections is not read.
+        code = re.search(r'AUTHORITY\["EPSG","(\d+)"\]\]\s*$', first)
+        crs = CRS.from_epsg(int(code[1])) if code else CRS.from_wkt(first[len(_METASHAPE) :].strip())
     except CRSError:
         raise ThermorenderError(
             f"{path}: its coordinate system cannot be read; export it in one with an EPSG code"

@@ -19,6 +19,8 @@ Image = NDArray[np.float32]
 _LEVELS = ((4.0, 4), (2.0, 3), (1.0, 3))
 # A search ends at so many standard deviations of the pose.
 _REACH = 3.0
+# Lowest correlation of a shift that is believed.
+_LEAST_ALIKE = 0.2
 # Structure coarser than this is left out of the search, as share of the image's height.
 _COARSEST = 1.0 / 6.0
 
@@ -125,7 +127,10 @@ def _highpass(image: Floats) -> Floats:
 
 
 def _shift(predicted: Floats, image: Floats, most: int) -> Floats:
-    """(right, down) [px] of the image against the prediction, up to `most`, at the highest correlation."""
+    """(right, down) [px] of the image against the prediction, up to `most`, at the highest correlation.
+
+    Zero where even that is low, such as for a map without structure.
+    """
     from scipy.fft import irfft2, next_fast_len, rfft2
 
     size = tuple(next_fast_len(side + most, real=True) for side in image.shape)
@@ -140,6 +145,8 @@ def _shift(predicted: Floats, image: Floats, most: int) -> Floats:
     floor = 0.05 * float((image**2).sum()), 0.05 * float((predicted**2).sum())
     score = product / np.sqrt(np.maximum(energy[0], floor[0] + 1e-12) * np.maximum(energy[1], floor[1] + 1e-12))
     row, column = np.unravel_index(int(np.argmax(score)), score.shape)
+    if score[row, column] < _LEAST_ALIKE:
+        return np.zeros(2)
     return np.array([column - most, row - most], np.float64)
 
 
