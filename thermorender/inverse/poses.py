@@ -93,7 +93,7 @@ def deviation(pose: Floats, measured: Floats) -> Floats:
 def _seen(viewer: Viewer, values: Floats, sight: Sight) -> Floats:
     """The map as an image, (H·W,); NaN where the frame does not show it."""
     whole = np.full(viewer.camera.height * viewer.camera.width, np.nan)
-    whole[sight.pixel] = sight.seen(values, taps_of(viewer.camera))
+    whole[sight.pixel] = sight.seen(values, taps_of())
     return whole
 
 
@@ -162,7 +162,7 @@ def _step(
     if sight.pixel.size < 100:
         return np.zeros(6)
     known = np.isfinite(image.ravel()[sight.pixel])
-    predicted = sight.seen(values, taps_of(camera))
+    predicted = sight.seen(values, taps_of())
     columns = np.concatenate([[image.ravel()[sight.pixel], predicted, np.ones_like(predicted)],
                               pose_columns(sight, *slope)])  # fmt: skip
     whole = np.zeros((len(columns), camera.height * camera.width))

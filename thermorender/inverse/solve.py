@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from thermorender.inverse.normal import Normal, Prior, Unknowns
 from thermorender.inverse.poses import PoseError, deviation, pose_columns, registered, slopes
 from thermorender.inverse.spread import Draws, Spread, spread_of
-from thermorender.inverse.weights import Lattice, Sight, Viewer, moved, sharpened, taps_of
+from thermorender.inverse.weights import Lattice, Sight, Viewer, moved, reach_px, sharpened, taps_of
 from thermorender.sensor.camera import Camera
 
 if TYPE_CHECKING:
@@ -39,8 +39,8 @@ class Settings:
     ----------
     texel_m : float
         Side of a texel of the map [m].
-    taps : {1, 9}
-        Points of a pixel.
+    taps : int
+        Points along a side of a pixel.
     rounds : int
         Joint solutions, after the registration to the prior.
     pose_error : PoseError
@@ -52,7 +52,7 @@ class Settings:
     """
 
     texel_m: float = 0.25
-    taps: int = 9
+    taps: int = 2
     rounds: int = 5
     pose_error: PoseError = field(default_factory=PoseError)
     noise_k: float = 0.07
@@ -121,7 +121,7 @@ class Problem:
     ) -> None:  # fmt: skip
         self.camera, self.images, self.poses, self.prior, self.settings = camera, images, poses, prior, settings
         self.viewer = Viewer(renderer, camera, lattice)
-        self.taps = taps_of(camera, settings.taps)
+        self.taps = taps_of(settings.taps)
         self.vignetting = vignetting(camera)
         self.reach = self._reach_texels()
         self.free = settings.pose_error.position_m > 0.0 or settings.pose_error.angle_deg > 0.0
@@ -132,7 +132,7 @@ class Problem:
         sights = [self.viewer.sight(self.poses[number]) for number in chosen]
         side = [np.sqrt(np.abs(s.across[0] * s.down[1] - s.across[1] * s.down[0])) for s in sights]
         known = [float(np.median(each)) for each in side if each.size]
-        return float(np.abs(self.taps[0]).max()) * float(np.median(known)) if known else 0.0
+        return reach_px(self.camera) * float(np.median(known)) if known else 0.0
 
     def start(self) -> State:
         """Return the State before any solution: the prior and the measured poses."""
@@ -146,8 +146,9 @@ class Problem:
 
     def predicted(self, state: State, number: int, sight: Sight) -> Floats:
         """Return the values of a frame's pixels, (N,), that a State predicts."""
-        lens = state.vignette @ self.vignetting[:, sight.pixel]
-        return sight.seen(state.map, self.taps) + state.offsets[number] + lens + state.pattern.ravel()[sight.pixel]
+        own = state.offsets[number] + state.vignette @ self.vignetting + state.pattern.ravel()
+        around = self.images[number] - own.reshape(state.pattern.shape)
+        return self.viewer.imaged(sight, state.map, self.taps, around) + own[sight.pixel]
 
     def register(self, state: State, search: bool = True, progress: Progress | None = None) -> State:
         """Return the State with each frame registered to its map, by images of a quarter of the pixels a side."""
@@ -173,7 +174,7 @@ class Problem:
 
     def last_round(self, state: State, progress: Progress | None = None) -> tuple[State, Spread]:
         """Return the State after one more joint solution, and its standard deviations."""
-        draws = Draws(self.prior.mean.shape, len(self.vignetting), self.prior.count)
+        draws = Draws(self.prior, len(self.vignetting), 1.0 / self.settings.offset_k**2)
         state, normal = self._round(state, self.free, progress, draws)
         return state, spread_of(normal, draws, np.hypot(*slopes(state.map)), self.reach, TERMS * state.rounds)
 
@@ -216,7 +217,7 @@ class Problem:
             cells = normal.add(sight, residual, precision, columns, lens, away)
             if draws is not None:
                 draws.add(cells, precision, columns, lens)
-                draws.add_residuals(cells, residual - level, steep, 1.0 / float(np.sqrt(precision.max())))
+                draws.add_half(number, sight, residual, precision)
             if progress is not None:
                 progress("solving the map", (number + 1) / (len(self.images) + 1))
         return normal, (total, weights), float(np.median(spreads))

@@ -1,9 +1,10 @@
 """The uncertainty of a reconstruction: standard deviation of each texel, without the common level.
 
-Three terms add up. Draws of the noise and of the prior, solved like the frames, give the errors that the normal
-equations know, those of free poses and offsets among them. Poses and optics are never exact, which shows at edges: the
-residuals of the pixels grow with the slope of the map, and the growth is fitted from the residuals themselves. The
-common level of all texels is removed from each draw, because no frame shows it.
+Draws of the noise and of the prior, solved like the frames, give the errors that the normal equations know, those of
+free poses and offsets among them. Poses and optics are never exact: the frames are therefore halved, each half is
+solved by itself, and the differences of the two maps scale the draws and give a second term, the slope of the map times
+an error of the position. Both numbers come from the frames, without the truth. The common level of all texels is
+removed, because no frame shows it.
 """
 
 from dataclasses import dataclass
@@ -11,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
+from scipy.optimize import nnls
 
-from thermorender.inverse.normal import Cells, Normal, Unknowns
-from thermorender.inverse.weights import sharpened
+from thermorender.inverse.normal import Cells, Normal, Prior, Unknowns
+from thermorender.inverse.weights import Sight, sharpened
 
 Floats = NDArray[np.float64]
 # Draws, and width of the smoothing of their variance [texels].
@@ -33,10 +35,10 @@ class Spread:
     ----------
     std : (h, w) float64
         Of each texel, without the common level [linear kelvin].
-    shared : float
-        Standard deviation of the mean residual of a frame's pixels in a cell on even ground, over that of white noise.
+    scale : float
+        Error of even ground by the halves, over that by the draws.
     edge_texels : float
-        Growth of that deviation with the slope of the map: error of a frame's position [texels].
+        Growth of the error with the slope of the map: error of the position [texels].
     views : (h, w) int32
         Frames that show each texel.
     residual : (h, w) float64
@@ -44,7 +46,7 @@ class Spread:
     """
 
     std: Floats
-    shared: float
+    scale: float
     edge_texels: float
     views: NDArray[np.int32]
     residual: Floats
@@ -55,22 +57,24 @@ class Draws:
 
     Parameters
     ----------
-    shape : (2,) ints
-        Of the map.
-    common, classes : int
-        Numbers of common parameters and of classes.
+    prior : Prior
+    common : int
+        Number of common parameters.
+    offset_precision : float
+        1 over the prior variance of a frame's offset.
     seed : int
     """
 
-    def __init__(self, shape: tuple[int, int], common: int, classes: int, seed: int = 0) -> None:
+    def __init__(self, prior: Prior, common: int, offset_precision: float, seed: int = 0) -> None:
+        shape, classes = prior.mean.shape, prior.count
         self._rng = np.random.default_rng(seed)
         self._map = np.zeros((DRAWS, *shape))
         self._frames: list[Floats] = []
         self._common, self._classes = np.zeros((DRAWS, common)), np.zeros((DRAWS, classes))
-        # Of each frame's cells: pixels times the square of their mean residual, and the sum of their squared slopes.
-        self.squares: list[NDArray[np.float32]] = []
         self.views = np.zeros(shape, np.int32)
         self._square, self._count = np.zeros(shape), np.zeros(shape)
+        offset = np.array([offset_precision])
+        self.halves = tuple(Normal(prior, offset, np.zeros(0)) for _ in range(2))
 
     def add(self, cells: Cells, precision: Floats, own: Floats, common: Floats) -> None:
         """Add a frame, as by `Normal.add`."""
@@ -82,19 +86,14 @@ class Draws:
             self._common[number] += common @ noise
         self._frames.append(np.array(frames))
 
-    def add_residuals(self, cells: Cells, residual: Floats, steep: Floats, noise_k: float) -> None:
-        """Add the residuals of a frame's pixels, at slopes of the map [K/texel], with the noise of their precision."""
+    def add_half(self, number: int, sight: Sight, residual: Floats, precision: Floats) -> None:
+        """Add the residuals of a frame's pixels, to the half of the frames with even or odd numbers."""
+        one, none = np.ones((1, residual.size)), np.zeros((0, residual.size))
+        cells = self.halves[number % 2].add(sight, residual, precision, one, none, np.zeros(1))
         count = cells.gathered(np.ones(residual.size))
         self.views[cells.window] += count > 0.0
         self._count[cells.window] += count
         self._square[cells.window] += cells.gathered(residual**2)
-        # Means over the pixels of a frame in a cell: errors that neighbours share stay in them.
-        size = cells.shape[0] * cells.shape[1]
-        pixels = np.bincount(cells.number, minlength=size)
-        total, slope = (np.bincount(cells.number, each, size) for each in (residual, steep**2))
-        full = pixels > 0
-        square = total[full] ** 2 / pixels[full]
-        self.squares.append(np.stack([square / noise_k**2, slope[full] / noise_k**2]).astype(np.float32))
 
     @property
     def residual(self) -> Floats:
@@ -140,20 +139,40 @@ def spread_of(normal: Normal, draws: Draws, slope: Floats, reach: float, terms: 
     weight = gaussian_filter(seen.astype(np.float64), _SMOOTH)
     smooth = gaussian_filter(np.where(seen, variance, 0.0), _SMOOTH) / np.maximum(weight, 1e-9)
     variance = np.where(seen, smooth, variance)
-    scale, edge = _edges(*np.concatenate(draws.squares, axis=1))
-    variance *= max(scale, 1.0)
-    std = np.sqrt(variance + (edge * slope) ** 2)
-    return Spread(std, float(np.sqrt(max(scale, 1.0))), edge, draws.views, draws.residual)
+    scale, edge = _fitted(_difference(draws, reach, terms), variance, slope)
+    std = np.sqrt(scale * variance + (edge * slope) ** 2)
+    return Spread(std, float(np.sqrt(scale)), edge, draws.views, draws.residual)
 
 
-def _edges(square: NDArray[np.float32], slope: NDArray[np.float32]) -> tuple[float, float]:
-    """(variance of the cells' means on even ground, over that of the noise; error of the position [texels])."""
-    order = np.argsort(slope, kind="stable")
-    x, y = np.empty(_CLASSES), np.empty(_CLASSES)
-    for number, part in enumerate(np.array_split(order, _CLASSES)):
-        kept = square[part] <= _OUTLIER * max(float(np.mean(square[part])), 1e-12)
-        x[number], y[number] = slope[part][kept].mean(dtype=np.float64), square[part][kept].mean(dtype=np.float64)
-    # Classes have equal numbers of cells, so the relative errors of their means are alike.
-    basis = np.stack([np.ones(_CLASSES), x], axis=1) / y[:, None]
-    fit, *_ = np.linalg.lstsq(basis, np.ones(_CLASSES), rcond=None)
-    return float(max(fit[0], 0.0)), float(np.sqrt(max(fit[1], 0.0)))
+def _difference(draws: Draws, reach: float, terms: int) -> Floats:
+    """Half the difference of the maps of both halves, (h, w); NaN where one of them shows nothing.
+
+    Its square is in the mean that of the error of the map from all frames.
+    """
+    prior = draws.halves[0].prior
+    both = np.ones(prior.mean.shape, bool)
+    step = np.zeros(prior.mean.shape)
+    for half, sign in zip(draws.halves, (0.5, -0.5), strict=True):
+        gradient = half.gradient(np.zeros(step.shape), np.zeros(prior.count), np.zeros(0))
+        x, _ = half.solved(gradient, _TOLERANCE)
+        step += sign * x.map
+        both &= half.stencil.link[0] > 0.0
+    return np.where(both, sharpened(np.where(both, step, 0.0), reach, terms), np.nan)
+
+
+def _fitted(difference: Floats, variance: Floats, slope: Floats) -> tuple[float, float]:
+    """(factor on the variance by the draws, error of the position [texels]) from the halves' differences."""
+    known = np.isfinite(difference)
+    if known.sum() < _CLASSES:
+        return 1.0, 0.0
+    square = (difference[known] - np.median(difference[known])) ** 2
+    variance, steep = variance[known], slope[known] ** 2
+    rows = np.empty((_CLASSES, 3))
+    for row, part in zip(rows, np.array_split(np.argsort(steep, kind="stable"), _CLASSES), strict=True):
+        kept = part[square[part] <= _OUTLIER * max(float(square[part].mean()), 1e-12)]
+        row[:] = [each[kept].mean() for each in (square, variance, steep)]
+    # Classes have equal numbers of texels, so the relative errors of their means are alike.
+    basis = rows[:, 1:] / rows[:, :1]
+    fit, _ = nnls(basis, np.ones(_CLASSES))
+    # The draws are the least that is possible.
+    return float(max(fit[0], 1.0)), float(np.sqrt(fit[1]))

@@ -2,7 +2,7 @@
 
 A ray through a pixel's middle meets a face of the terrain. On the plane of that face, the position on the map is an
 affine function of the ray, so the pixel's area, the blur of the lens and a small motion of the camera need no more
-rays. A pixel is the mean of several taps round its middle, and each tap is bilinear between four texels.
+
 """
 
 from dataclasses import dataclass, replace
@@ -16,6 +16,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.scene.raster import Grid
 from thermorender.scene.scene import Scene
 from thermorender.sensor.camera import Camera
+from thermorender.sensor.psf import blur_of, blurred, otf
 
 if TYPE_CHECKING:
     from thermorender.render.renderer import Renderer
@@ -139,29 +140,21 @@ def _means(first: int, count: int, side: float, most: int):  # type: ignore[no-u
     return csr_matrix(parts, shape=(count, most))
 
 
-def taps_of(camera: Camera, count: int = 9) -> tuple[Floats, Floats]:
-    """Return (offsets (n, 2) [px], weights (n,)) of points whose mean stands for a pixel's response.
-
-    The response is the mean over the pixel's area after the blur of the lens. `count` is 1 (the middle alone) or 9 (a
-    square). A cross of five would have a negative transfer at some frequencies, and the solution would diverge there.
-    """
-    if count == 1:
-        return np.zeros((1, 2)), np.ones(1)
-    if count != 9:
-        raise ThermorenderError(f"taps={count!r} is not allowed; give 1 or 9")
-    reach, sixth = _reach_px(camera), 1.0 / 6.0
-    line, share = np.array([-reach, 0.0, reach]), np.array([sixth, 1.0 - 2.0 * sixth, sixth])
-    return np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2), np.outer(share, share).ravel()
+def taps_of(side: int = 2) -> Floats:
+    """Return the offsets (side², 2) [px] of points that are spread evenly over a pixel."""
+    if side < 1:
+        raise ThermorenderError(f"taps={side!r} is not allowed; give the points along a side of a pixel, 1 or more")
+    line = (np.arange(side) + 0.5) / side - 0.5
+    return np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
 
 
 @lru_cache(maxsize=16)
-def _reach_px(camera: Camera) -> float:
-    """Distance of the outer taps [px]: three in a row have the response's transfer at half the Nyquist frequency.
+def reach_px(camera: Camera) -> float:
+    """Return the distance of three points in a row, with weights 1/6, 2/3, 1/6, that have a pixel's transfer [px].
 
-    Diffraction has no finite variance, so the transfer at one frequency stands for the width.
+    The transfer is that of lens and pixel area at half the Nyquist frequency. Diffraction has no finite variance, so
+    one frequency stands for the width.
     """
-    from thermorender.sensor.psf import otf
-
     transfer = float(otf(camera, np.array([_MATCHED]))[0]) * float(np.sinc(_MATCHED))
     return float(np.arccos(np.clip(3.0 * transfer - 2.0, -1.0, 1.0))) / (2.0 * np.pi * _MATCHED)
 
@@ -218,12 +211,9 @@ class Sight:
         lower += beside * (line.take(cell + 1) - lower)
         return upper + below * (lower - upper)
 
-    def seen(self, values: Floats, taps: tuple[Floats, Floats]) -> Floats:
-        """Return a map's values as the pixels see them, (N,): means over the taps."""
-        total = np.zeros(len(self.row))
-        for offset, weight in zip(*taps, strict=True):
-            total += weight * self.at(values, offset if offset.any() else None)
-        return total
+    def seen(self, values: Floats, taps: Floats) -> Floats:
+        """Return a map's values in front of the lens, (N,): means over the taps (n, 2) of each pixel."""
+        return np.asarray(sum(self.at(values, offset if offset.any() else None) for offset in taps) / len(taps))
 
     def chosen(self, which: NDArray[np.bool_]) -> "Sight":
         """Return the Sight of some of the pixels."""
@@ -242,6 +232,7 @@ class Viewer:
 
     def __init__(self, renderer: "Renderer", camera: Camera, lattice: Lattice) -> None:
         self.renderer, self.camera, self.lattice = renderer, camera, lattice
+        self._blur = blur_of(camera) if camera.diffraction or camera.defocus_um or camera.blur_sigma_px else None
         self._terrain = sum(len(surface.faces) for surface in renderer.scene.surfaces[: renderer.scene.terrain_count])
         own = renderer.face_maps[: self._terrain].astype(np.float64) / lattice.scene_texels
         own[:, 0, 3] -= lattice.column + 0.5
@@ -293,6 +284,18 @@ class Viewer:
         clear &= np.abs(column - 0.5 * width) < 0.5 * width - _MARGIN
         found = Sight(pixel, row, column, across, down, np.stack(slope), to)
         return found if clear.all() else found.chosen(clear)
+
+    def imaged(self, sight: Sight, values: Floats, taps: Floats, around: NDArray[np.floating]) -> Floats:
+        """Return a map's values as the pixels of a Sight measure them, (N,): `Sight.seen`, blurred by the lens.
+
+        `around` (H, W) stands for what the map does not show, such as sky and objects; NaN there is the median.
+        """
+        image = np.array(around, np.float32).ravel()
+        if not np.isfinite(image).all():
+            image[~np.isfinite(image)] = np.nanmedian(image)
+        image[sight.pixel] = sight.seen(values, taps)
+        made = blurred(image.reshape(self.camera.height, self.camera.width), self._blur)
+        return np.asarray(made.ravel()[sight.pixel], np.float64)
 
     def _apart(self, ground: NDArray[np.bool_], objects: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Pixels of the ground that are not beside an object, of which the blur carries a part into them."""

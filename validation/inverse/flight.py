@@ -84,7 +84,7 @@ def _miss(viewer: Viewer, values, image, pose) -> float:
     filled = np.where(np.isfinite(values), values, np.nanmedian(values))
     pose = registered(viewer, filled, image.astype(np.float32), pose, pose, ERROR, search=False)
     sight = viewer.sight(pose)
-    seen = sight.seen(filled, taps_of(viewer.camera))
-    known = sight.seen(np.isfinite(values).astype(float), taps_of(viewer.camera)) > 0.999
+    seen = viewer.imaged(sight, filled, taps_of(), image)
+    known = sight.seen(np.isfinite(values).astype(float), taps_of()) > 0.999
     miss = (image.ravel()[sight.pixel] - seen)[known]
     return float(np.std(miss[np.isfinite(miss)])) if miss.size else float("nan")
