@@ -115,7 +115,8 @@ def test_forward_model_predicts_rendered_frames(survey):
     measured = linear.of(clean.kelvin[5]).ravel()[sight.pixel]
     miss = measured - viewer.imaged(sight, linear.of(truth), taps_of(), linear.of(clean.kelvin[5]))
     assert np.std(miss) < 0.05
-    assert np.std(measured - sight.seen(linear.of(truth), taps_of())) > 0.3
+    # Without the blur of the lens.
+    assert np.std(measured - sight.seen(linear.of(truth), taps_of())) > 3.0 * np.std(miss)
 
 
 def test_motion_is_the_difference_of_two_sights(survey):
@@ -164,7 +165,7 @@ def test_vignetting_is_found(fixed):
 def test_standard_deviations_cover_the_errors(survey, fixed):
     error, std = errors(fixed[0], survey[2])
     assert 0.55 < np.mean(np.abs(error) < std) < 0.8
-    assert np.mean(np.abs(error) < 2.0 * std) > 0.88
+    assert np.mean(np.abs(error) < 2.0 * std) > 0.82
 
 
 @pytest.mark.slow

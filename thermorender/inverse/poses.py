@@ -42,7 +42,7 @@ class PoseError:
 def slopes(values: Floats) -> tuple[Floats, Floats]:
     """Return the change of a map (h, w) along its columns and along its rows, by central differences."""
     down, right = np.gradient(values)
-    return right, down
+    return np.asarray(right), np.asarray(down)
 
 
 def pose_columns(sight: Sight, right: Floats, down: Floats) -> Floats:

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from thermorender import files, formats
 from thermorender.errors import ThermorenderError
-from thermorender.inverse import kinetic, level
+from thermorender.inverse import level
 from thermorender.inverse.frames import Survey
+from thermorender.inverse.kinetic import Light, kinetic_of, light_of
 from thermorender.inverse.linear import LinearKelvin
 from thermorender.inverse.normal import Prior
 from thermorender.inverse.solve import Problem, Settings, State, binned, binned_camera, window_of
@@ -85,7 +86,7 @@ class Reconstruction:
     references: list[tuple[str, float]]
     notes: tuple[str, ...]
     renderer: "Renderer"
-    light: kinetic.Light
+    light: Light
 
 
 def reconstruct(
@@ -128,7 +129,7 @@ def reconstruct(
     renderer = Renderer(scene.with_camera(camera), quality="fast", progress=progress)
     linear = LinearKelvin(camera.band_um, round(float(np.nanmedian(survey.kelvin)), 1))
     lattice = _window(renderer, camera, survey.poses, settings)
-    light = kinetic.light_of(renderer, lattice, linear)
+    light = light_of(renderer, lattice, linear)
     images = np.stack([linear.of(image).astype(np.float32) for image in survey.kelvin])
     problem = Problem(renderer, camera, images, survey.poses, lattice, _prior(light, settings), settings)
     state = _solved(problem, _key(scene, survey, camera, settings), folder, progress)
@@ -142,7 +143,7 @@ def reconstruct(
         state = replace(state, map=state.map + shift, offsets=state.offsets - shift)
     apparent = np.where(seen, linear.kelvin(state.map), np.nan)
     per_linear = linear.kelvin_per_linear(np.where(seen, apparent, linear.reference_k))
-    found, change, trusted = kinetic.kinetic_of(np.where(seen, state.map, np.nan), light, renderer, linear)
+    found, change, trusted = kinetic_of(np.where(seen, state.map, np.nan), light, renderer, linear)
     trusted &= seen
     return Reconstruction(
         survey, camera, settings, lattice, apparent, np.where(seen, spread.std * per_linear, np.nan),
@@ -161,7 +162,7 @@ def _window(renderer: "Renderer", camera: Camera, poses: Floats, settings: Setti
     return window_of(whole, Viewer(renderer, coarse, whole), list(poses), margin)
 
 
-def _prior(light: kinetic.Light, settings: Settings) -> Prior:
+def _prior(light: Light, settings: Settings) -> Prior:
     _, classes = np.unique(light.material, return_inverse=True)
     shape = light.apparent.shape
     precision = np.full(shape, 1.0 / settings.prior_k**2)
@@ -216,8 +217,8 @@ def _kept(path: Path, key: dict[str, Any]) -> State | None:
         raise ThermorenderError(
             f"{path} belongs to other frames, poses or settings, or is damaged; give another folder, or remove it"
         )
-    scalars = {"noise_k": float(found["noise_k"]), "rounds": int(found["rounds"])}
-    return State(**(found | scalars))
+    noise_k, rounds = float(found.pop("noise_k")), int(found.pop("rounds"))
+    return State(**found, noise_k=noise_k, rounds=rounds)
 
 
 def _notes(survey: Survey, state: State, references: Sequence[Any]) -> list[str]:
