@@ -26,6 +26,7 @@ ROOMS = {
     "render": "the only importer of Mitsuba and Dr.Jit: bake, trace, budget, truth, reference",
     "output": "images, video, records, flights",
     "campaign": "data sets for learned maps",
+    "inverse": "from frames back to the scene: forward model, normal equations, poses, uncertainty, files",
     "compare": "learned translation against the render, maps on a data set, the cost of a frame, the self-test",
     "link": "frames to a simulator over a socket: protocol, server, sessions, client",
     "cluster": "flights by the workers of Dask: connecting, what they are sent, what comes back",

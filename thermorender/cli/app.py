@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from thermorender import defaults
-from thermorender.cli.camera import fit_camera
+from thermorender.cli.camera import fit_camera, reconstruct
 from thermorender.cli.compare import bench, compare
 from thermorender.cli.doctor import doctor
 from thermorender.cli.export import app as export
@@ -46,8 +46,8 @@ def demo(output: Results = Path("out/demo"), device: Device = "auto") -> None:
 
 app.add_typer(materials, name="materials")
 app.add_typer(export, name="export")
-for _verb in (fit_camera, prepare, dataset, train, evaluate, translate, doctor, import_terrain, make_scene, plan,
-              render, fly, day, serve, compare, bench, demo, map_materials):  # fmt: skip
+for _verb in (fit_camera, reconstruct, prepare, dataset, train, evaluate, translate, doctor, import_terrain, make_scene,
+              plan, render, fly, day, serve, compare, bench, demo, map_materials):  # fmt: skip
     app.command(_verb.__name__.replace("_", "-"))(_verb)
 
 

@@ -1,4 +1,4 @@
-"""The verb `fit-camera`: a camera file from real frames."""
+"""Verbs on real frames: `fit-camera` writes a camera file, `reconstruct` a map of temperatures."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,7 +6,9 @@ from typing import Annotated
 import typer
 
 from thermorender import defaults, files
-from thermorender.cli.terminal import output_option
+from thermorender.cli.options import SceneName
+from thermorender.cli.terminal import output_option, progress
+from thermorender.errors import ThermorenderError
 
 Frames = Annotated[list[Path], typer.Argument(help="Frames, or folders of them: 16-bit TIFF or radiometric JPEG.")]
 Base = Annotated[str, typer.Option(help="Camera model with the optics of the real one, or its .toml file.")]
@@ -33,6 +35,66 @@ def fit_camera(frames: Frames, output: Output, base: Base = defaults.CAMERA, sca
     for sentence in calibration.not_measured(base, estimates):
         typer.echo(sentence)
     typer.echo(str(output))
+
+
+def reconstruct(
+    scene: SceneName,
+    frames: Frames,
+    output: Annotated[
+        Path,
+        output_option("-o", "--output", help="New folder, or one to continue.", check=lambda path: _check(path)),
+    ],
+    poses: Annotated[
+        Path | None,
+        typer.Option(help="Poses of the frames: CSV, Metashape's text or OpenSfM's reconstruction.json; default: the "
+                     "frames' EXIF and XMP tags."),
+    ] = None,
+    camera: Annotated[
+        str | None, typer.Option(help="Camera that took them: a model or its .toml file; default: the scene's.")
+    ] = None,
+    texel_m: Annotated[
+        float | None, typer.Option(help="Side of a texel of the map [m]; default: the scene's texel.")
+    ] = None,
+    pose_error: Annotated[
+        str, typer.Option(help="METRES,DEGREES: standard deviations of the poses; 0,0 keeps them.")
+    ] = "1,0.7",
+    above_ground: Annotated[
+        float | None, typer.Option(help="Height of the first frame above the terrain [m]; shifts all heights.")
+    ] = None,
+    references: Annotated[
+        Path | None, typer.Option(help="CSV of places with known temperature, which fix the common level.")
+    ] = None,
+    rounds: Annotated[int, typer.Option(help="Joint solutions of map, offsets, lens and poses.")] = 5,
+    scale: Scale = None,
+) -> None:  # fmt: skip
+    """Reconstruct a map of temperatures with its uncertainty, and corrected poses, from the frames of a survey."""
+    from thermorender.inverse.run import Inputs, run
+    from thermorender.trajectory import parse_numbers
+
+    metres, degrees = parse_numbers("--pose-error", pose_error, ("METRES", "DEGREES"))
+    if min(metres, degrees) < 0.0 or rounds < 2:
+        raise ThermorenderError(
+            f"--pose-error={pose_error} and --rounds={rounds} are not allowed; give numbers from 0 on and 2 rounds or "
+            "more"
+        )
+    inputs = Inputs(scene, tuple(frames), poses, camera, texel_m, (metres, degrees), above_ground, references, rounds,
+                    parse_scale(scale))  # fmt: skip
+    with progress() as report:
+        facts = run(inputs, output, report)
+    typer.echo(
+        f"{facts['frames']} frames: a texel is known to {facts['std_median_k']:.3f} K in the median, the common level "
+        f"to {facts['level_std_k']:.2f} K from {facts['level_of']}"
+    )
+    for note in facts["notes"]:
+        typer.echo(f"note: {note}", err=True)
+    typer.echo(f"look at {output / 'report.html'}; {output / 'scene'} is the scene with these temperatures")
+
+
+def _check(path: Path) -> None:
+    """Refuse a folder that is neither new nor of a reconstruction."""
+    from thermorender.inverse.reconstruct import check_folder
+
+    check_folder(path)
 
 
 def parse_scale(text: str | None) -> tuple[float, float] | None:

@@ -38,8 +38,8 @@ def limits(kelvin: NDArray[Any]) -> tuple[float, float]:
     return float(middle - half), float(middle + half)
 
 
-def draw(figure: Any, kelvin: NDArray[Any], title: str) -> None:
-    """Draw temperatures (h, w) [K] with a colour bar into an empty Matplotlib figure."""
+def draw(figure: Any, kelvin: NDArray[Any], title: str, of: str = "apparent temperature [K]") -> None:
+    """Draw temperatures (h, w) [K] with a colour bar, labelled `of`, into an empty Matplotlib figure."""
     from matplotlib.colors import ListedColormap
 
     low, high = limits(kelvin)
@@ -48,17 +48,17 @@ def draw(figure: Any, kelvin: NDArray[Any], title: str) -> None:
     drawn = axes.imshow(kelvin, cmap=colours, vmin=low, vmax=high, interpolation="nearest")
     axes.set(xticks=[], yticks=[])
     axes.set_title(label(title), fontsize=9)
-    figure.colorbar(drawn, ax=axes, label="apparent temperature [K]", extend="both", shrink=0.85)
+    figure.colorbar(drawn, ax=axes, label=of, extend="both", shrink=0.85)
 
 
-def png(kelvin: NDArray[Any], title: str) -> bytes:
-    """Return the PNG of the picture of temperatures (h, w) [K]."""
+def png(kelvin: NDArray[Any], title: str, of: str = "apparent temperature [K]") -> bytes:
+    """Return the PNG of the picture of temperatures (h, w) [K], as by `draw`."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.5, 5.0), layout="constrained")
     FigureCanvasAgg(figure)
-    draw(figure, kelvin, title)
+    draw(figure, kelvin, title, of)
     file = io.BytesIO()
     figure.savefig(file, format="png", dpi=100)
     return file.getvalue()

@@ -10,9 +10,10 @@ from thermorender.formats import atomic_raster
 
 
 def write_kelvin(
-    path: str | PathLike[str], kelvin: NDArray[np.float32], crs: Any = None, transform: Any = None
-) -> None:
-    """Write (h, w) apparent temperatures [K] as a TIFF that states its unit; NaN is declared as no data."""
+    path: str | PathLike[str], kelvin: NDArray[np.float32], crs: Any = None, transform: Any = None,
+    name: str = "apparent temperature", unit: str = "K",
+) -> None:  # fmt: skip
+    """Write (h, w) temperatures [K] as a TIFF that states their name and unit; NaN is declared as no data."""
     import warnings
 
     import rasterio
@@ -29,4 +30,4 @@ def write_kelvin(
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         with atomic_raster(path) as part, rasterio.open(part, "w", **profile) as file:
             file.write(kelvin, 1)
-            file.descriptions, file.units = ("apparent temperature",), ("K",)
+            file.descriptions, file.units = (name,), (unit,)

@@ -57,6 +57,8 @@ class Geometry:
         Largest vertex coordinate along any axis [m].
     hair : float
         Smallest offset used between points [m]: 64 float32 steps at `reach`.
+    records : (8 F,) mi.Float
+        For each face, gradient and offset of the texel map's column, then of its row.
     levels : int
         Levels of the texels' averages over squares, see `averaged`; 1 where every surface has a single texel.
     """
@@ -92,7 +94,7 @@ class Geometry:
         self._surfaces, self._boxes = len(surfaces), dict[int, Floats]()
         parts = (start[:-1], shapes[:, 0], shapes[:, 1])
         self._lattice = tuple(mi.Int32(aligned(part, np.int32)) for part in parts)
-        self._record = mi.Float(aligned(of_faces(surfaces, _map_records, (8,))))
+        self.records = mi.Float(aligned(of_faces(surfaces, _map_records, (8,))))
 
     def cast(self, ray: Jit, coherent: bool = False) -> Hit:
         """Return the Hit of rays (an mi.Ray3f)."""
@@ -124,7 +126,7 @@ class Geometry:
 
     def record(self, face: Jit, active: Jit = True) -> tuple[Jit, ...]:
         """Return the records of faces, two Vector4f: gradient and offset of the column, then of the row."""
-        return tuple(dr.gather(self.mi.Vector4f, self._record, 2 * face + k, active) for k in (0, 1))
+        return tuple(dr.gather(self.mi.Vector4f, self.records, 2 * face + k, active) for k in (0, 1))
 
     def map_position(self, record: Sequence[Jit], point: Jit) -> tuple[Jit, Jit]:
         """Return (column, row) of points of a face on the texel map, in texels from the upper left corner."""

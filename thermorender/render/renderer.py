@@ -323,16 +323,31 @@ class Renderer:
         origin, direction : (N, 3) arrays
             Local positions [m], and directions of any length.
         """
-        mi, geometry = self._geometry.mi, self._geometry
-        start, way = (np.asarray(given, np.float64).T for given in (origin, direction))
-        way = way / np.linalg.norm(way, axis=0)
-        ray = mi.Ray3f(mi.Point3f(*map(aligned, start)), mi.Vector3f(*map(aligned, way)))
-        hit = geometry.cast(ray)
+        geometry, (hit, ray) = self._geometry, self._cast(origin, direction)
         place = geometry.map_position(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
         found = [dr.select(hit.valid, hit.distance, np.inf), geometry.nearest(hit.surface, *place, hit.valid)]
         dr.eval(found)
         distance, texel = (np.array(values) for values in found)
         return distance, np.where(np.isfinite(distance), texel.astype(np.int64), -1)
+
+    def faces(self, origin: ArrayLike, direction: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+        """Return (distance [m], infinite for a miss; number of the face, −1 for a miss) of rays as of `hits`."""
+        hit, _ = self._cast(origin, direction)
+        distance, face = np.array(hit.distance), np.array(hit.face).astype(np.int64)
+        return distance, np.where(np.isfinite(distance), face, -1)
+
+    @property
+    def face_maps(self) -> NDArray[np.float32]:
+        """The affine maps from points to texels, (F, 2, 4): gradient and offset of the column, then of the row."""
+        return np.array(self._geometry.records).reshape(-1, 2, 4)
+
+    def _cast(self, origin: ArrayLike, direction: ArrayLike) -> tuple[Any, Any]:
+        """The Hit of rays into the static scene, and the rays with directions of length 1."""
+        mi = self._geometry.mi
+        start, way = (np.asarray(given, np.float64).T for given in (origin, direction))
+        way = way / np.linalg.norm(way, axis=0)
+        ray = mi.Ray3f(mi.Point3f(*map(aligned, start)), mi.Vector3f(*map(aligned, way)))
+        return self._geometry.cast(ray), ray
 
     def objects_seen(
         self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None

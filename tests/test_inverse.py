@@ -1,0 +1,272 @@
+"""A reconstruction against the known truth of rendered frames: map, offsets, poses, level, and its files."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import rasterio
+from scipy.ndimage import uniform_filter
+
+import thermorender as tr
+from thermorender.campaign.procedural_truth import write
+from thermorender.errors import ThermorenderError
+from thermorender.footage.radiometric_files import write_tlinear
+from thermorender.inverse.frames import Survey, camera_rotation, frame_files, read_frames
+from thermorender.inverse.kinetic import light_of
+from thermorender.inverse.level import Reference
+from thermorender.inverse.linear import LinearKelvin
+from thermorender.inverse.pose_files import read_poses
+from thermorender.inverse.poses import PoseError, deviation
+from thermorender.inverse.products import write as write_products
+from thermorender.inverse.reconstruct import reconstruct
+from thermorender.inverse.solve import Settings, binned, binned_camera, vignetting
+from thermorender.inverse.weights import Lattice, Viewer, moved, taps_of
+from thermorender.physics.planck import brightness_temperature
+from thermorender.render.renderer import Renderer
+from thermorender.scene.spec import TemperatureSpec
+from thermorender.sensor.camera import load_camera
+from thermorender.sensor.psf import blur_of, blurred
+from thermorender.synthetic.procedural_scene import make
+
+NOISE_K, LEVEL_K = 0.05, 0.4
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory):
+    """A small heath and 12 frames of it: (scene, Survey without errors, truth of the texels [K], Renderer)."""
+    folder = tmp_path_factory.mktemp("survey") / "heath"
+    write(make("heath", 3, size_m=96.0, texel_m=1.0, post_m=4.0), folder, temperature_every=1)
+    full = load_camera("zenmuse-xt2")
+    camera = replace(full, width=80, height=64, pixel_pitch_um=8.0 * full.pixel_pitch_um)
+    scene = tr.load_scene(folder).with_camera(camera)
+    renderer = Renderer(scene, quality="standard")
+    poses = np.array([
+        scene.pose(east, north, 45.0, yaw_deg=yaw, pitch_deg=-90.0)
+        for yaw, north in ((0.0, -14.0), (180.0, 0.0), (0.0, 14.0)) for east in (-15.0, -5.0, 5.0, 15.0)
+    ])  # fmt: skip
+    radiance = [blurred(renderer.radiance(pose), blur_of(camera)) for pose in poses]
+    kelvin = brightness_temperature(np.array(radiance, np.float64), *camera.band_um)
+    names = tuple(f"frame_{number:02d}" for number in range(len(poses)))
+    linear = LinearKelvin(camera.band_um, 300.0)
+    truth = light_of(renderer, Lattice.of(scene, 1.0), linear).apparent
+    return scene, Survey(names, ("",) * len(names), kelvin.astype(np.float32), poses), linear.kelvin(truth), renderer
+
+
+def with_errors(survey, poses=(0.0, 0.0)):
+    """The Survey with noise, offsets, vignetting and errors of the poses: (Survey, offsets [K])."""
+    rng = np.random.default_rng(5)
+    count, height, width = survey.kelvin.shape
+    offsets = rng.normal(0.0, 0.5, count)
+    offsets += LEVEL_K - offsets.mean()
+    row, column = np.mgrid[:height, :width] + 0.5
+    radius = np.hypot(row - height / 2, column - width / 2)
+    lens = -0.8 * (radius / radius.max()) ** 2
+    lens -= lens.mean()
+    kelvin = survey.kelvin + rng.normal(0.0, NOISE_K, survey.kelvin.shape) + lens + offsets[:, None, None]
+    steps = np.concatenate(
+        [poses[0] * rng.normal(size=(count, 3)), np.radians(poses[1]) * rng.normal(size=(count, 3))], 1
+    )
+    measured = np.array([moved(pose, step) for pose, step in zip(survey.poses, steps, strict=True)])
+    return replace(survey, kelvin=kelvin.astype(np.float32), poses=measured), offsets
+
+
+def window(found):
+    """The map's rows and columns of the truth."""
+    corner = found.lattice.row, found.lattice.column
+    return (slice(at, at + side) for at, side in zip(corner, found.apparent.shape, strict=True))
+
+
+def errors(found, truth, least=4):
+    """Errors of the map without their median, where enough frames show it, and the standard deviations there."""
+    rows, columns = window(found)
+    error = found.apparent - truth[rows, columns]
+    seen = (found.views >= least) & np.isfinite(error)
+    return (error - np.median(error[seen]))[seen], found.apparent_std[seen]
+
+
+def ground_error(found, truth, renderer):
+    """Root mean square of the errors of the frames' positions on the ground [m]."""
+    viewer = Viewer(renderer, found.camera, found.lattice)
+    squares = []
+    for pose, known in zip(found.state.poses, truth, strict=True):
+        sight, one = viewer.sight(known), 1.0
+        step = deviation(pose, known)
+        east, south = (step @ sight.motion(*each).mean(axis=1) for each in ((one, 0.0), (0.0, one)))
+        squares.append(east**2 + south**2)
+    return np.sqrt(np.mean(squares)) * found.lattice.texel_m
+
+
+@pytest.fixture(scope="module")
+def fixed(survey):
+    """A reconstruction with true poses: (Reconstruction, offsets)."""
+    scene, clean, _, _ = survey
+    flown, offsets = with_errors(clean)
+    prior = scene.with_temperature(TemperatureSpec(source="constant", value=295.0))
+    settings = Settings(texel_m=1.0, rounds=4, pose_error=PoseError(0.0, 0.0), noise_k=NOISE_K)
+    return reconstruct(prior, flown, settings=settings), offsets
+
+
+def test_forward_model_predicts_rendered_frames(survey):
+    scene, clean, truth, renderer = survey
+    linear, lattice = LinearKelvin(scene.camera.band_um, 300.0), Lattice.of(scene, 1.0)
+    viewer = Viewer(renderer, scene.camera, lattice)
+    sight = viewer.sight(clean.poses[5])
+    measured = linear.of(clean.kelvin[5]).ravel()[sight.pixel]
+    miss = measured - viewer.imaged(sight, linear.of(truth), taps_of(), linear.of(clean.kelvin[5]))
+    assert np.std(miss) < 0.05
+    # Without the blur of the lens.
+    assert np.std(measured - sight.seen(linear.of(truth), taps_of())) > 3.0 * np.std(miss)
+
+
+def test_motion_is_the_difference_of_two_sights(survey):
+    scene, _, _, renderer = survey
+    viewer = Viewer(renderer, scene.camera, Lattice.of(scene, 1.0))
+    pose = scene.pose(0.0, -20.0, 45.0, look_at=(0.0, 0.0, 0.0))
+    step = np.array([0.02, -0.01, 0.03, 2e-4, -3e-4, 1e-4])
+    before, after = viewer.sight(pose), viewer.sight(moved(pose, step))
+    both, first, second = np.intersect1d(before.pixel, after.pixel, return_indices=True)
+    assert both.size > 1000
+    found = after.column[second] - before.column[first]
+    expected = (step @ before.motion(1.0, 0.0))[first]
+    # The terrain is not one plane, so pixels at edges of faces differ.
+    assert np.median(np.abs(found - expected)) < 0.02 * np.abs(expected).mean()
+
+
+def test_pixel_steps_reach_the_next_pixel(survey):
+    scene, clean, _, renderer = survey
+    sight = Viewer(renderer, scene.camera, Lattice.of(scene, 1.0)).sight(clean.poses[5])
+    beside = np.flatnonzero(np.diff(sight.pixel) == 1)
+    np.testing.assert_allclose(
+        np.median(np.diff(sight.column)[beside] - sight.across[0][beside]), 0.0, atol=2e-3
+    )  # fmt: skip
+
+
+def test_map_with_true_poses(survey, fixed):
+    found, _ = fixed
+    error, _ = errors(found, survey[2])
+    plain = survey[2][: found.apparent.shape[0]]
+    assert np.abs(error).mean() < 0.15
+    assert np.abs(error).mean() < 0.1 * np.std(plain)
+
+
+def test_offsets_of_the_frames_relative_to_each_other(fixed):
+    found, offsets = fixed
+    assert np.std(found.state.offsets - offsets) < 0.02
+
+
+def test_vignetting_is_found(fixed):
+    found, _ = fixed
+    lens = found.state.vignette @ vignetting(found.camera)
+    radius2 = vignetting(found.camera)[0]
+    assert np.abs(lens - -0.8 * radius2).max() < 0.05
+
+
+def test_standard_deviations_cover_the_errors(survey, fixed):
+    error, std = errors(fixed[0], survey[2])
+    assert 0.55 < np.mean(np.abs(error) < std) < 0.8
+    assert np.mean(np.abs(error) < 2.0 * std) > 0.82
+
+
+@pytest.mark.slow
+def test_poses_are_registered_to_the_prior_and_refined(survey):
+    scene, clean, truth, renderer = survey
+    flown, _ = with_errors(clean, (0.5, 0.5))
+    settings = Settings(texel_m=1.0, rounds=4, pose_error=PoseError(0.5, 0.5), noise_k=NOISE_K)
+    found = reconstruct(scene.with_temperature("balance"), flown, settings=settings)
+    before = replace(found, state=replace(found.state, poses=flown.poses))
+    assert ground_error(before, clean.poses, renderer) > 0.5
+    assert ground_error(found, clean.poses, renderer) < 0.1
+    assert np.abs(errors(found, truth)[0]).mean() < 0.25
+
+
+def test_a_reference_fixes_the_common_level(survey):
+    scene, clean, truth, _ = survey
+    flown, _ = with_errors(clean)
+    kelvin = scene.surfaces[0].temperature.astype(np.float64)
+    # The most uniform three by three texels in the middle: on others, the mean temperature is not that of the radiance.
+    mean, square = uniform_filter(kelvin, 3), uniform_filter(kelvin**2, 3)
+    row, column = np.unravel_index(np.argmin((square - mean**2)[34:62, 34:62]), (28, 28)) + np.array([34, 34])
+    known = Reference("pond", column - 47.5, 47.5 - row, 1.5, float(mean[row, column]), 0.05)
+    settings = Settings(texel_m=1.0, rounds=2, pose_error=PoseError(0.0, 0.0), noise_k=NOISE_K)
+    found = reconstruct(scene, flown, settings=settings, references=[known])
+    rows, columns = window(found)
+    assert abs(np.nanmedian(found.apparent - truth[rows, columns])) < 0.1
+    assert found.level_std_k < 0.3
+    assert abs(found.state.offsets.mean() - LEVEL_K) < 0.1
+
+
+@pytest.mark.slow
+def test_a_stopped_run_continues_to_the_same_bytes(survey, tmp_path):
+    scene, clean, _, _ = survey
+    flown, _ = with_errors(clean)
+    settings = Settings(texel_m=2.0, rounds=3, pose_error=PoseError(0.0, 0.0))
+    once = reconstruct(scene, flown, settings=settings, folder=tmp_path)
+    again = reconstruct(scene, flown, settings=settings, folder=tmp_path)
+    np.testing.assert_array_equal(once.state.map, again.state.map)
+    np.testing.assert_array_equal(once.apparent_std, again.apparent_std)
+    with pytest.raises(ThermorenderError, match="belongs to other frames"):
+        reconstruct(scene, clean, settings=settings, folder=tmp_path)
+
+
+def test_files_hold_the_reconstruction(survey, fixed, tmp_path):
+    found, _ = fixed
+    write_products(found, tmp_path)
+    with rasterio.open(tmp_path / "apparent.tif") as file:
+        np.testing.assert_array_equal(file.read(1), found.apparent.astype(np.float32))
+        assert file.units == ("K",)
+        assert file.crs == found.lattice.grid.crs
+    record = json.loads((tmp_path / "reconstruction.json").read_text())
+    assert record["frames"] == 12
+    made = tr.load_scene(tmp_path / "scene")
+    with rasterio.open(made.spec.temperature.raster) as file:
+        temperature = file.read(1)[tuple(window(found))]
+    known = np.isfinite(found.kinetic)
+    assert known.mean() > 0.4
+    np.testing.assert_allclose(temperature[known], found.kinetic[known], atol=1e-3)
+    places = read_poses(tmp_path / "poses.csv", made)
+    names = [f"frame_{number:02d}" for number in range(12)]
+    for name in names:
+        write_tlinear(tmp_path / f"{name}.tif", found.survey.kelvin[0])
+    again = read_frames(frame_files([tmp_path / f"{name}.tif" for name in names]), places, made)
+    np.testing.assert_allclose(again.poses, found.state.poses, atol=1e-3)
+
+
+@pytest.mark.slow
+def test_the_scene_moves_to_another_hour(survey, fixed, tmp_path):
+    scene, (found, _) = survey[0], fixed
+    write_products(found, tmp_path)
+    rows, columns = window(found)
+    known = np.isfinite(found.kinetic) & (found.views >= 4)
+    made = tr.load_scene(tmp_path / "scene")
+    now = Renderer(made, quality="fast").scene.surfaces[0].temperature[rows, columns]
+    np.testing.assert_allclose(now[known], found.kinetic[known], atol=0.02)
+    table = scene.with_temperature("balance")
+    later = "2018-09-12T14:44Z"
+    moved_map, before, after = (
+        Renderer(each, quality="fast").scene.surfaces[0].temperature[rows, columns]
+        for each in (made.at(later), table, table.at(later))
+    )
+    # The heat balance with the tables' values stands for the change between the hours.
+    change = (moved_map - now)[known]
+    assert np.corrcoef(change, (after - before)[known])[0, 1] > 0.8
+
+
+def test_linear_kelvin_is_inverted():
+    linear, kelvin = LinearKelvin((7.5, 13.5), 300.0), np.array([220.0, 300.0, 400.0, np.nan])
+    np.testing.assert_allclose(linear.kelvin(linear.of(kelvin)), kelvin, atol=1e-4)
+    assert linear.of(np.array([300.0]))[0] == pytest.approx(300.0, abs=1e-6)
+
+
+def test_binning_keeps_directions():
+    camera = replace(load_camera("zenmuse-xt2"), principal_offset_px=(3.0, -2.0))
+    small = binned_camera(camera, 3)
+    np.testing.assert_allclose(small.directions([10.0, 7.0]), camera.directions([30.0, 21.0]), atol=1e-12)
+    assert binned(np.arange(12.0).reshape(2, 6), 2).tolist() == [[3.5, 5.5, 7.5]]
+
+
+def test_a_camera_that_looks_down_has_the_top_of_its_image_ahead():
+    turn = camera_rotation(90.0, -90.0, 0.0)
+    np.testing.assert_allclose(
+        turn.apply([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0]]), [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], atol=1e-12
+    )

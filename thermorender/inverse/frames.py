@@ -1,0 +1,293 @@
+"""Frames of a survey: their temperatures, and positions and angles from the files themselves.
+
+Temperatures are read by `thermorender.footage`. A frame's own pose comes from its EXIF and XMP tags: those that
+`thermorender export geotiff` writes, and DJI's. Poses of other programs are read by `thermorender.inverse.pose_files`.
+"""
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from thermorender.errors import ThermorenderError
+from thermorender.footage.radiometric_files import FLIR_JPEG, SUFFIXES, read_temperature
+from thermorender.scene.scene import Scene
+from thermorender.trajectory.readers import enu_from_ned_at
+from thermorender.trajectory.rotations import BODY_FROM_CAMERA, rotation_from_angles
+
+Floats = NDArray[np.float64]
+# Heights above the take-off point, and those above the terrain, need the terrain; the others do not.
+HEIGHTS = ("up_m", "alt_ellipsoid_m", "above_ground_m", "above_takeoff_m")
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a frame was taken, before the scene's terrain is known.
+
+    Attributes
+    ----------
+    horizontal : (2,) floats
+        (east, north) in the scene's frame [m], or (latitude, longitude) [deg] if `geodetic`.
+    geodetic : bool
+    height_m : float
+    height_of : str
+        One of `HEIGHTS`, what the height counts from.
+    rotation : Rotation
+        From camera axes to local north, east, down.
+    time : str
+        As in the file; empty if unknown.
+    """
+
+    horizontal: tuple[float, float]
+    geodetic: bool
+    height_m: float
+    height_of: str
+    rotation: Rotation
+    time: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """Frames with their measured poses.
+
+    Attributes
+    ----------
+    names : tuple of str
+    times : tuple of str
+        Empty where unknown.
+    kelvin : (F, H, W) float32
+        Apparent temperature [K]; NaN where a pixel has none.
+    poses : (F, 4, 4) float64
+        world_from_camera in the scene's frame.
+    notes : tuple of str
+        What was assumed or left out, in sentences.
+    """
+
+    names: tuple[str, ...]
+    times: tuple[str, ...]
+    kelvin: NDArray[np.float32]
+    poses: Floats
+    notes: tuple[str, ...] = ()
+
+
+def frame_files(paths: Iterable[Path]) -> list[Path]:
+    """Return the frames among files and folders, sorted by name.
+
+    Raises
+    ------
+    ThermorenderError
+        There is none, or two have the same name.
+    """
+    found: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            found += [each for each in path.iterdir() if each.suffix.lower() in SUFFIXES and not each.is_dir()]
+        elif path.is_file():
+            found.append(path)
+        else:
+            raise ThermorenderError(f"{path} does not exist; give radiometric frames or folders of them")
+    if not found:
+        raise ThermorenderError(
+            f"{', '.join(map(str, paths))} holds no frame; give files that end in {', '.join(SUFFIXES)}"
+        )
+    found.sort(key=lambda path: (path.name, str(path)))
+    for one, other in zip(found, found[1:], strict=False):
+        if one.stem == other.stem:
+            raise ThermorenderError(f"{one} and {other} have the same name; give each frame once")
+    return found
+
+
+def read_frames(
+    files: Sequence[Path], places: Mapping[str, Place] | None, scene: Scene, scale: tuple[float, float] | None = None,
+    above_ground_m: float | None = None,
+) -> Survey:  # fmt: skip
+    """Return the Survey of frames.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        As from `frame_files`.
+    places : dict, optional
+        {name of a frame without suffix: Place}, as from `pose_files.read_poses`; by default each file's own tags.
+    scene : Scene
+        Its place and terrain.
+    scale : (2,) floats, optional
+        (kelvin per count, kelvin of count 0) of TIFFs that do not declare them.
+    above_ground_m : float, optional
+        Height of the first frame above the terrain. All heights are shifted to it, whatever they count from.
+
+    Raises
+    ------
+    ThermorenderError
+        A file that cannot be read, frames of different sizes, a frame without pose, or a scene without a place.
+    """
+    notes = []
+    if places is None:
+        own = {path.stem: tagged_place(path) for path in files}
+    else:
+        own = dict(places)
+        missing = [path.name for path in files if path.stem not in own]
+        if missing:
+            notes.append(f"{len(missing)} frames have no pose and are left out: {', '.join(missing[:5])}")
+        files = [path for path in files if path.stem in own]
+        if not files:
+            raise ThermorenderError(
+                "no frame has a pose in the file of poses; names must agree without their suffix, such as DJI_0001"
+            )
+    chosen = [own[path.stem] for path in files]
+    images: list[NDArray[np.float32]] = []
+    for path in files:
+        own_scale = None if path.suffix.lower() in FLIR_JPEG else scale
+        images.append(read_temperature(path, own_scale).astype(np.float32))
+        if images[0].shape != images[-1].shape:
+            raise ThermorenderError(
+                f"{path} has {images[-1].shape[1]}×{images[-1].shape[0]} pixels and {files[0]} "
+                f"{images[0].shape[1]}×{images[0].shape[0]}; give frames of one camera"
+            )
+    poses, said = poses_of(chosen, scene, above_ground_m)
+    names, times = tuple(path.stem for path in files), tuple(place.time for place in chosen)
+    return Survey(names, times, np.stack(images), poses, (*notes, *said))
+
+
+def poses_of(places: Sequence[Place], scene: Scene, above_ground_m: float | None = None) -> tuple[Floats, list[str]]:
+    """Return (world_from_camera (F, 4, 4), notes) of places over a scene.
+
+    Raises
+    ------
+    ThermorenderError
+        Latitudes without a place of the scene, or heights above a terrain that is not there.
+    """
+    frame, notes = scene.frame, []
+    if frame is None and any(place.geodetic for place in places):
+        raise ThermorenderError(
+            f"{scene.where}: poses in latitude and longitude need a place of the scene; add [frame] to it"
+        )
+    position = np.empty((len(places), 3))
+    for row, place in zip(position, places, strict=True):
+        if place.geodetic:
+            assert frame is not None
+            row[:] = frame.enu_from_geodetic(*place.horizontal, frame.height_m)
+            if place.height_of == "alt_ellipsoid_m":
+                row[:] = frame.enu_from_geodetic(*place.horizontal, place.height_m)
+        else:
+            row[:2] = place.horizontal
+        if place.height_of == "up_m":
+            row[2] = place.height_m
+        elif place.height_of == "alt_ellipsoid_m" and not place.geodetic:
+            row[2] = place.height_m - (0.0 if frame is None else frame.height_m)
+    ground = np.asarray(scene.ground(position[:, 0], position[:, 1]), np.float64)
+    kinds = {place.height_of for place in places}
+    if len(kinds) > 1:
+        raise ThermorenderError(f"heights of the frames count from {' and '.join(sorted(kinds))}; give one kind")
+    kind, height = kinds.pop(), np.array([place.height_m for place in places])
+    if kind == "above_ground_m":
+        position[:, 2] = ground + height
+    elif kind == "above_takeoff_m":
+        position[:, 2] = ground[0] + height
+        notes.append(f"heights count from the take-off; the terrain below the first frame, {ground[0]:.1f} m, is taken")
+    if above_ground_m is not None:
+        shift = ground[0] + above_ground_m - position[0, 2]
+        position[:, 2] += shift
+        notes.append(f"all heights are shifted by {shift:+.1f} m, so that the first frame is {above_ground_m:g} m high")
+    if not np.isfinite(position).all():
+        raise ThermorenderError(
+            "a frame is outside the terrain, which its height above ground needs; give a larger terrain or heights of "
+            "another kind"
+        )
+    above = position[:, 2] - ground
+    if np.nanmax(above) < 1.0 or not np.isfinite(above).any():
+        raise ThermorenderError(
+            f"the frames are up to {np.nanmax(above, initial=-np.inf):.0f} m above the terrain, so their heights count "
+            "from elsewhere; state the height of the first frame with --above-ground"
+        )
+    turn = enu_from_ned_at(position, frame) * Rotation.concatenate([place.rotation for place in places])
+    poses = np.tile(np.eye(4), (len(places), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = turn.as_matrix(), position
+    return poses, notes
+
+
+def tagged_place(path: Path) -> Place:
+    """Return the Place that a frame's EXIF and XMP tags state.
+
+    Raises
+    ------
+    ThermorenderError
+        No position, angles or height in the tags.
+    """
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            exif, xmp = image.getexif(), image.info.get("xmp", b"")
+            gps = dict(exif.get_ifd(34853))
+            time = str(exif.get_ifd(34665).get(36867, "") or exif.get(306, ""))
+            if not xmp and 700 in exif:
+                xmp = exif[700]
+    except (OSError, SyntaxError, ValueError) as error:
+        raise ThermorenderError(f"{path} cannot be read: {error}; give a TIFF or JPEG with its tags") from None
+    stated = xmp_values(xmp if isinstance(xmp, str) else bytes(xmp).decode("utf-8", "replace"))
+    where = _horizontal(gps, stated)
+    angles = [stated.get(f"Gimbal{name}Degree") for name in ("Yaw", "Pitch", "Roll")]
+    missing = [name for name, value in (("position", where), ("gimbal angles", angles[0] or angles[1])) if not value]
+    if where is None or missing:
+        raise ThermorenderError(
+            f"{path} states no {' and no '.join(missing)} in its EXIF and XMP tags; give the poses with --poses"
+        )
+    height, kind = _height(gps, stated)
+    if height is None:
+        raise ThermorenderError(f"{path} states no height in its EXIF and XMP tags; give the poses with --poses")
+    numbers = [_number(path, name, value or "0") for name, value in zip(("yaw", "pitch", "roll"), angles, strict=True)]
+    return Place(where, True, height, kind, camera_rotation(*numbers), time)
+
+
+def camera_rotation(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Rotation:
+    """Return the rotation from camera axes to north, east, down, of the optical axis's angles; pitch −90 looks down."""
+    return rotation_from_angles(yaw_deg, pitch_deg, roll_deg) * Rotation.from_matrix(BODY_FROM_CAMERA)
+
+
+def xmp_values(text: str) -> dict[str, str]:
+    """Return {name: value} of the attributes and simple elements of an XMP packet, without their namespaces."""
+    found = dict(re.findall(r'[\w-]+:(\w+)\s*=\s*"([^"]*)"', text))
+    return found | dict(re.findall(r"<[\w-]+:(\w+)>([^<]*)</", text))
+
+
+def _number(path: Path, name: str, value: str) -> float:
+    try:
+        found = float(value)
+    except ValueError:
+        found = float("nan")
+    if not np.isfinite(found):
+        raise ThermorenderError(f"{path} states {name}={value!r} in its tags, which is not a number; give --poses")
+    return found
+
+
+def _horizontal(gps: Mapping[int, Any], stated: Mapping[str, str]) -> tuple[float, float] | None:
+    if 2 in gps and 4 in gps:
+        latitude, longitude = (_degrees(gps[key]) for key in (2, 4))
+        latitude *= -1.0 if str(gps.get(1, "N")).upper().startswith("S") else 1.0
+        longitude *= -1.0 if str(gps.get(3, "E")).upper().startswith("W") else 1.0
+        return latitude, longitude
+    for names in (("GpsLatitude", "GpsLongitude"), ("GpsLatitude", "GpsLongtitude")):
+        if all(name in stated for name in names):
+            return float(stated[names[0]]), float(stated[names[1]])
+    return None
+
+
+def _degrees(value: Any) -> float:
+    degrees, minutes, seconds = (float(part) for part in value)
+    return degrees + minutes / 60.0 + seconds / 3600.0
+
+
+def _height(gps: Mapping[int, Any], stated: Mapping[str, str]) -> tuple[float | None, str]:
+    """(height [m], what it counts from). DJI's absolute heights are off by up to 100 m."""
+    if stated.get("VertCS") == "ellipsoidal" and 6 in gps:
+        below = gps.get(5, b"\x00") in (b"\x01", 1, "\x01")
+        return float(gps[6]) * (-1.0 if below else 1.0), "alt_ellipsoid_m"
+    if "RelativeAltitude" in stated:
+        return float(stated["RelativeAltitude"]), "above_takeoff_m"
+    return None, ""

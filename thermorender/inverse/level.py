@@ -1,0 +1,129 @@
+"""The common level of map and offsets, which only something of known temperature can fix.
+
+References are places on the terrain: water, a marker, a station's ground. Their temperatures are kinetic; the scene's
+emissivity and reflected light make them comparable with the map.
+"""
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.errors import ThermorenderError
+from thermorender.formats import read_text
+from thermorender.inverse.kinetic import Light, apparent_of
+from thermorender.inverse.linear import LinearKelvin
+from thermorender.inverse.weights import Lattice
+from thermorender.units import kelvin
+
+if TYPE_CHECKING:
+    from thermorender.render.renderer import Renderer
+
+Floats = NDArray[np.float64]
+_COLUMNS = ("name", "east_m", "north_m", "radius_m", "kelvin", "std_k")
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A disc of terrain with a known kinetic temperature [K], and its standard deviation."""
+
+    name: str
+    east_m: float
+    north_m: float
+    radius_m: float
+    kelvin: float
+    std_k: float
+
+
+def read_references(path: Path) -> list[Reference]:
+    """Return the References of a CSV with the columns name, east_m, north_m, radius_m, kelvin, std_k.
+
+    Raises
+    ------
+    ThermorenderError
+        A column is missing, a value is not a number or out of range, or there is no row.
+    """
+    rows = list(csv.DictReader(read_text(path, "CSV").splitlines()))
+    head = list(rows[0]) if rows else []
+    if not rows or any(name not in head for name in _COLUMNS):
+        raise ThermorenderError(
+            f"{path} has the columns {', '.join(head) or 'none'} and {len(rows)} rows; give {', '.join(_COLUMNS)} and "
+            "a row for each reference"
+        )
+    found = []
+    for number, row in enumerate(rows, 2):
+        values = []
+        for name in _COLUMNS[1:]:
+            try:
+                values.append(float(row[name]))
+            except (TypeError, ValueError):
+                values.append(np.nan)
+            if not np.isfinite(values[-1]) or (name in ("radius_m", "std_k") and values[-1] <= 0.0):
+                raise ThermorenderError(f"{path}, row {number}: {name}={row[name]!r} is not allowed; give a number, "
+                                        "above 0 for radius_m and std_k")  # fmt: skip
+        kelvin(f"{path}, row {number}: kelvin", values[3])
+        found.append(Reference(row["name"], *values))
+    return found
+
+
+def shift_of(
+    references: list[Reference], values: Floats, std: Floats, seen: NDArray[np.bool_], light: Light,
+    renderer: "Renderer", lattice: Lattice, linear: LinearKelvin,
+) -> tuple[float, float, list[tuple[str, float]]]:  # fmt: skip
+    """Return (shift of the level [linear kelvin], its standard deviation, [(name, residual after it), …]).
+
+    Parameters
+    ----------
+    references : list of Reference
+    values, std : (h, w) arrays
+        The map and its standard deviations, without the level.
+    seen : (h, w) bool
+    light, renderer, lattice, linear
+        Of the map.
+
+    Raises
+    ------
+    ThermorenderError
+        A reference that the frames do not show.
+    """
+    rows, columns = _positions(renderer, lattice)
+    misses, variances = [], []
+    for each in references:
+        row, column = rows(each.east_m, each.north_m), columns(each.east_m, each.north_m)
+        i, j = np.mgrid[: values.shape[0], : values.shape[1]]
+        inside = seen & (np.hypot(i - row, j - column) <= max(each.radius_m / lattice.texel_m, 0.71))
+        if not inside.any():
+            raise ThermorenderError(
+                f"reference {each.name!r} at east_m={each.east_m:g}, north_m={each.north_m:g} is on no texel that the "
+                "frames show; correct its position, or leave it out"
+            )
+        known = [
+            apparent_of(each.kelvin, int(number), float(reflected), renderer, linear)
+            for number, reflected in zip(light.material[inside], light.reflected[inside], strict=True)
+        ]
+        misses.append(float(np.mean(known) - values[inside].mean()))
+        # Errors of neighbouring texels are taken as common.
+        variances.append(each.std_k**2 + float(np.mean(std[inside] ** 2)))
+    weight = 1.0 / np.array(variances)
+    shift = float(weight @ np.array(misses) / weight.sum())
+    residuals = [(each.name, miss - shift) for each, miss in zip(references, misses, strict=True)]
+    return shift, float(np.sqrt(1.0 / weight.sum())), residuals
+
+
+def _positions(renderer: "Renderer", lattice: Lattice):  # type: ignore[no-untyped-def]
+    """Functions (east, north) → row and column on the map, by the scene's place."""
+    from thermorender.scene.georeference import place_of
+
+    scene = renderer.scene
+    place = place_of(scene.frame, scene.grid)
+    assert place is not None
+
+    def pixel(east: float, north: float) -> tuple[float, float]:
+        x, y = place.to_map(np.array([[east, north, float(scene.ground(east, north))]]))
+        column, row = lattice.grid.to_pixel(x[0], y[0])
+        return float(row) - 0.5, float(column) - 0.5
+
+    return (lambda east, north: pixel(east, north)[0]), (lambda east, north: pixel(east, north)[1])

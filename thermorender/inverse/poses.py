@@ -1,0 +1,188 @@
+"""Registration of single frames to a map: a search over shifts of the image, then Gauss–Newton steps, coarse to fine.
+
+The search turns the camera, because a turn and a shift of the camera hardly differ for a small field of view. The steps
+then divide the correction between position and angles by how well each of them is known. Contrast and level are free:
+the map may be a prior whose contrast differs from that of the frames.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.inverse.weights import Sight, Viewer, moved, taps_of
+
+Floats = NDArray[np.float64]
+Image = NDArray[np.float32]
+# Standard deviations of the blur of the levels [px], and steps of each.
+_LEVELS = ((4.0, 4), (2.0, 3), (1.0, 3))
+# A search ends at so many standard deviations of the pose.
+_REACH = 3.0
+# Lowest correlation of a shift that is believed.
+_LEAST_ALIKE = 0.2
+# Structure coarser than this is left out of the search, as share of the image's height.
+_COARSEST = 1.0 / 6.0
+
+
+@dataclass(frozen=True)
+class PoseError:
+    """Standard deviations of measured poses: along each axis [m], and about each axis [deg]."""
+
+    position_m: float = 1.0
+    angle_deg: float = 0.7
+
+    @property
+    def precision(self) -> Floats:
+        """1 over the variances of a step as of `moved`, (6,)."""
+        angle = np.radians(self.angle_deg)
+        return np.repeat(1.0 / np.maximum([self.position_m**2, angle**2], 1e-12), 3)
+
+
+def slopes(values: Floats) -> tuple[Floats, Floats]:
+    """Return the change of a map (h, w) along its columns and along its rows, by central differences."""
+    down, right = np.gradient(values)
+    return np.asarray(right), np.asarray(down)
+
+
+def pose_columns(sight: Sight, right: Floats, down: Floats) -> Floats:
+    """Return the change of the pixels with a step of the pose, (6, N), from the slopes of the map."""
+    return sight.motion(sight.at(right), sight.at(down))
+
+
+def registered(
+    viewer: Viewer, values: Floats, image: Image, pose: Floats, measured: Floats, error: PoseError, search: bool = True
+) -> Floats:  # fmt: skip
+    """Return the pose of a frame that fits it best to a map.
+
+    Parameters
+    ----------
+    viewer : Viewer
+        Of a camera with the image's pixels.
+    values : (h, w) array
+        The map.
+    image : (H, W) array
+        In units of the map; NaN where unknown.
+    pose : (4, 4) array
+        To begin with.
+    measured : (4, 4) array
+        The pose that `error` belongs to.
+    search : bool
+        Whether to begin with a search over shifts.
+    """
+    if search:
+        pose = _searched(viewer, values, image, pose, error)
+    right, down = slopes(values)
+    for sigma, steps in _LEVELS:
+        for _ in range(steps):
+            step = _step(viewer, values, (right, down), image, pose, measured, error, sigma)
+            pose = moved(pose, step)
+            if np.abs(step * np.sqrt(error.precision)).max() < 1e-4:
+                break
+    return pose
+
+
+def deviation(pose: Floats, measured: Floats) -> Floats:
+    """Return the step (6,) as of `moved` from a measured pose to another."""
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_matrix(pose[:3, :3] @ measured[:3, :3].T).as_rotvec()
+    return np.concatenate([pose[:3, 3] - measured[:3, 3], turn])
+
+
+def _seen(viewer: Viewer, values: Floats, sight: Sight) -> Floats:
+    """The map as an image, (H·W,); NaN where the frame does not show it."""
+    whole = np.full(viewer.camera.height * viewer.camera.width, np.nan)
+    whole[sight.pixel] = sight.seen(values, taps_of())
+    return whole
+
+
+def _searched(viewer: Viewer, values: Floats, image: Image, pose: Floats, error: PoseError) -> Floats:
+    """The pose after the turn that shifts the image to its best correlation with the map."""
+    camera = viewer.camera
+    sight = viewer.sight(pose)
+    if not sight.pixel.size:
+        return pose
+    predicted = _seen(viewer, values, sight).reshape(camera.height, camera.width)
+    distance = float(np.median(np.linalg.norm(sight.ray, axis=0)))
+    reach = _REACH * np.hypot(error.position_m / distance, np.radians(error.angle_deg)) * camera.focal_length_px
+    most = int(np.ceil(min(reach, 0.4 * min(camera.height, camera.width))))
+    shift = _shift(_highpass(predicted), _highpass(image.astype(np.float64)), most)
+    # A point that should appear `shift` further right and down: the camera turns the other way, about its own axes.
+    turn = np.array([shift[1], -shift[0], 0.0]) / camera.focal_length_px
+    return moved(pose, np.concatenate([np.zeros(3), pose[:3, :3] @ turn]))
+
+
+def _highpass(image: Floats) -> Floats:
+    """An image without coarse structure, 0 where it is unknown."""
+    import cv2
+
+    known = np.isfinite(image)
+    filled = np.where(known, image, 0.0)
+    sigma = _COARSEST * image.shape[0]
+    total, count = (cv2.GaussianBlur(each, (0, 0), sigma) for each in (filled, known.astype(np.float64)))
+    found: Any = np.where(known, image - total / np.maximum(count, 1e-9), 0.0)
+    limit = 3.0 * found.std()
+    return np.asarray(np.clip(found, -limit, limit))
+
+
+def _shift(predicted: Floats, image: Floats, most: int) -> Floats:
+    """(right, down) [px] of the image against the prediction, up to `most`, at the highest correlation.
+
+    Zero where even that is low, such as for a map without structure.
+    """
+    from scipy.fft import irfft2, next_fast_len, rfft2
+
+    size = tuple(next_fast_len(side + most, real=True) for side in image.shape)
+
+    def crossed(a: Floats, b: Floats) -> Floats:
+        found = irfft2(np.conj(rfft2(a, size)) * rfft2(b, size), size)
+        line = np.arange(-most, most + 1)
+        return np.asarray(found[np.ix_(line, line)])
+
+    product = crossed(predicted, image)
+    energy = crossed((predicted != 0.0).astype(float), image**2), crossed(predicted**2, (image != 0.0).astype(float))
+    floor = 0.05 * float((image**2).sum()), 0.05 * float((predicted**2).sum())
+    score = product / np.sqrt(np.maximum(energy[0], floor[0] + 1e-12) * np.maximum(energy[1], floor[1] + 1e-12))
+    row, column = np.unravel_index(int(np.argmax(score)), score.shape)
+    if score[row, column] < _LEAST_ALIKE:
+        return np.zeros(2)
+    return np.array([column - most, row - most], np.float64)
+
+
+def _step(
+    viewer: Viewer, values: Floats, slope: tuple[Floats, Floats], image: Image, pose: Floats, measured: Floats,
+    error: PoseError, sigma: float,
+) -> Floats:  # fmt: skip
+    """One Gauss–Newton step of a pose, (6,), with gain and offset of the map eliminated."""
+    import cv2
+
+    camera = viewer.camera
+    sight = viewer.sight(pose)
+    if sight.pixel.size < 100:
+        return np.zeros(6)
+    known = np.isfinite(image.ravel()[sight.pixel])
+    predicted = sight.seen(values, taps_of())
+    columns = np.concatenate([[image.ravel()[sight.pixel], predicted, np.ones_like(predicted)],
+                              pose_columns(sight, *slope)])  # fmt: skip
+    whole = np.zeros((len(columns), camera.height * camera.width))
+    whole[:, sight.pixel[known]] = columns[:, known]
+    smooth = np.array([
+        cv2.GaussianBlur(each.reshape(camera.height, camera.width), (0, 0), sigma).ravel() for each in whole
+    ])  # fmt: skip
+    # Where most of the blur is known.
+    inside = smooth[2] > 0.7
+    smooth = smooth[:, inside] / smooth[2, inside]
+    flat = np.stack([smooth[1] - smooth[1].mean(), smooth[2]])
+    basis, _ = np.linalg.qr(flat.T)
+    gain = float(flat[0] @ (smooth[0] - smooth[0].mean()) / max(float(flat[0] @ flat[0]), 1e-12))
+    rest = smooth[[0, *range(3, 9)]]
+    rest = rest - (rest @ basis) @ basis.T
+    rest[1:] *= np.clip(gain, 0.2, 3.0)
+    scale = np.median(np.abs(rest[0])) / 0.6745 + 1e-9
+    weight = 1.0 / (1.0 + (rest[0] / (2.0 * scale)) ** 2)
+    # Neighbours within the blur are not independent.
+    weight = weight / (scale**2 * max(4.0 * np.pi * sigma**2, 1.0))
+    matrix = (rest[1:] * weight) @ rest[1:].T + np.diag(error.precision)
+    pull = (rest[1:] * weight) @ rest[0] - error.precision * deviation(pose, measured)
+    return np.linalg.solve(matrix, pull)

@@ -1,0 +1,154 @@
+"""The files of a reconstruction: maps, poses, offsets, the camera's own errors, a record, and a scene that renders."""
+
+import csv
+import io
+import shutil
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from thermorender import formats
+from thermorender.frame.tiff import write_kelvin
+from thermorender.inverse.poses import deviation
+from thermorender.inverse.reconstruct import Reconstruction
+from thermorender.inverse.solve import vignetting
+from thermorender.inverse.weights import Lattice
+from thermorender.schema import read_toml, toml_text
+from thermorender.trajectory.readers import enu_from_ned_at
+from thermorender.trajectory.rotations import BODY_FROM_CAMERA, angles_from_rotation
+from thermorender.versions import versions
+
+Floats = NDArray[np.float64]
+
+
+def write(found: Reconstruction, folder: Path) -> None:
+    """Write the files of a Reconstruction, without its page, into a folder."""
+    for name, values, title in (
+        ("apparent", found.apparent, "apparent temperature"),
+        ("apparent_std", found.apparent_std, "standard deviation without the common level"),
+        ("kinetic", found.kinetic, "kinetic temperature"),
+        ("kinetic_std", found.kinetic_std, "standard deviation without the common level"),
+        ("residual", found.residual, "root mean square of the residuals"),
+    ):
+        _write(folder / f"{name}.tif", values, found.lattice, title)
+    _write(folder / "views.tif", np.where(found.views > 0, found.views, np.nan), found.lattice, "frames", "1")
+    _table(folder / "poses.csv", _poses(found))
+    _table(folder / "offsets.csv", _offsets(found))
+    lens = found.state.pattern + lens_of(found)
+    write_kelvin(folder / "lens.tif", lens.astype(np.float32), name="vignetting and fixed pattern")
+    formats.write_json(folder / "reconstruction.json", record(found))
+    _scene(found, folder / "scene")
+
+
+def lens_of(found: Reconstruction) -> Floats:
+    """Return the vignetting of a Reconstruction, (H, W) [linear kelvin], with mean 0."""
+    return np.asarray((found.state.vignette @ vignetting(found.camera)).reshape(found.state.pattern.shape))
+
+
+def record(found: Reconstruction) -> dict[str, Any]:
+    """Return what a Reconstruction assumed and found, as JSON."""
+    std = found.apparent_std[np.isfinite(found.apparent_std)]
+    moved = np.array([deviation(*pair) for pair in zip(found.state.poses, found.survey.poses, strict=True)])
+    texel = found.lattice.texel_m
+    return {
+        "scene": found.renderer.scene.name, "frames": len(found.survey.names), "camera": found.camera.name,
+        "settings": asdict(found.settings), "texel_m": texel, "texels": list(found.apparent.shape),
+        "texels_shown": int((found.views > 0).sum()),
+        "noise_k": found.state.noise_k, "error_over_draws": found.spread.scale,
+        "position_error_m": found.spread.edge_texels * texel,
+        "std_median_k": float(np.median(std)) if std.size else None,
+        "level_k": found.level_k, "level_std_k": found.level_std_k, "level_of": "references" if found.references else
+        "the camera's accuracy",
+        "references": [{"name": name, "residual_k": value} for name, value in found.references],
+        "offsets_std_k": float(found.state.offsets.std()),
+        "vignetting_k": float(np.ptp(lens_of(found))),
+        "poses_moved_m": float(np.linalg.norm(moved[:, :3], axis=1).mean()),
+        "poses_turned_deg": float(np.degrees(np.linalg.norm(moved[:, 3:], axis=1)).mean()),
+        "notes": list(found.notes), "versions": versions(),
+    }  # fmt: skip
+
+
+def _write(path: Path, values: Floats, lattice: Lattice, name: str, unit: str = "K") -> None:
+    grid = lattice.grid
+    write_kelvin(path, values.astype(np.float32), grid.crs, grid.transform, name, unit)
+
+
+def _table(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    formats.write_text(path, text.getvalue())
+
+
+def _poses(found: Reconstruction) -> list[dict[str, Any]]:
+    """Rows as `pose_files.read_poses` reads them, with the correction of each frame."""
+    poses = found.state.poses
+    ned = enu_from_ned_at(poses[:, :3, 3], found.renderer.scene.frame).inv() * Rotation.from_matrix(poses[:, :3, :3])
+    angles = angles_from_rotation(ned * Rotation.from_matrix(BODY_FROM_CAMERA).inv())
+    rows = []
+    for number, name in enumerate(found.survey.names):
+        step = deviation(poses[number], found.survey.poses[number])
+        place = dict(zip(("east_m", "north_m", "up_m"), poses[number, :3, 3], strict=True))
+        turn = dict(zip(("yaw_deg", "pitch_deg", "roll_deg"), angles[number], strict=True))
+        rows.append({
+            "frame": name, "time": found.survey.times[number], **_rounded(place, 4), **_rounded(turn, 6),
+            "moved_m": round(float(np.linalg.norm(step[:3])), 4),
+            "turned_deg": round(float(np.degrees(np.linalg.norm(step[3:]))), 5),
+        })  # fmt: skip
+    return rows
+
+
+def _rounded(values: dict[str, float], digits: int) -> dict[str, float]:
+    return {name: round(float(value), digits) for name, value in values.items()}
+
+
+def _offsets(found: Reconstruction) -> list[dict[str, Any]]:
+    return [
+        {"frame": name, "time": time, "offset_k": round(float(offset), 5)}
+        for name, time, offset in zip(found.survey.names, found.survey.times, found.state.offsets, strict=True)
+    ]
+
+
+def _scene(found: Reconstruction, folder: Path) -> None:
+    """Write a scene folder with the kinetic temperatures; where there are none, those of the scene itself."""
+    scene = found.renderer.scene
+    source = scene.spec.folder
+    folder.mkdir(exist_ok=True)
+    tables = read_toml(source / "scene.toml")
+    for name in _names(tables):
+        if (source / name).is_file():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source / name, folder / name)
+    whole = Lattice.of(scene, found.settings.texel_m)
+    values = whole.of_scene(scene.surfaces[0].temperature)
+    window = np.s_[found.lattice.row : found.lattice.row + found.lattice.shape[0],
+                   found.lattice.column : found.lattice.column + found.lattice.shape[1]]  # fmt: skip
+    # The common level of the prior is not that of the frames.
+    known = np.isfinite(found.kinetic)
+    values += float(np.mean((found.kinetic - values[window])[known])) if known.any() else 0.0
+    values[window] = np.where(known, found.kinetic, values[window])
+    _write(folder / "reconstructed.tif", values, whole, "kinetic temperature")
+    error = float(np.sqrt(np.nanmean(found.kinetic_std**2) + found.level_std_k**2)) if known.any() else None
+    tables["temperature"] = {"source": "raster", "raster": "reconstructed.tif"}
+    if "weather" in tables:
+        tables["temperature"] |= {"map_error_k": None if error is None else round(min(error, 50.0), 3)}
+        tables["temperature"] |= {"trained": dict(tables["weather"])}
+    formats.write_text(folder / "scene.toml", toml_text(tables, "Temperatures reconstructed from frames."))
+
+
+def _names(value: Any) -> Iterable[str]:
+    """All texts in the tables of a scene file, of which those that name files are copied."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict):
+        for each in value.values():
+            yield from _names(each)
+    elif isinstance(value, list):
+        for each in value:
+            yield from _names(each)

@@ -1,0 +1,72 @@
+"""A reconstruction from files to files: what the command `reconstruct` does."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from thermorender import files
+from thermorender.inverse import products
+from thermorender.inverse.frames import frame_files, read_frames
+from thermorender.inverse.level import read_references
+from thermorender.inverse.page import write_page
+from thermorender.inverse.pose_files import read_poses
+from thermorender.inverse.poses import PoseError
+from thermorender.inverse.reconstruct import Progress, reconstruct
+from thermorender.inverse.solve import Settings
+from thermorender.scene.load import load_scene
+from thermorender.sensor.camera import load_camera
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """The arguments of `reconstruct` on the command line.
+
+    Attributes
+    ----------
+    scene : str
+        Folder or name.
+    frames : tuple of Path
+        Files or folders.
+    poses : Path or None
+        File of poses; the frames' own tags by default.
+    camera : str or None
+    texel_m : float or None
+    pose_error : (2,) floats
+        [m], [deg].
+    above_ground_m : float or None
+        Of the first frame.
+    references : Path or None
+    rounds : int
+    scale : (2,) floats or None
+        (kelvin per count, kelvin of count 0).
+    """
+
+    scene: str
+    frames: tuple[Path, ...]
+    poses: Path | None = None
+    camera: str | None = None
+    texel_m: float | None = None
+    pose_error: tuple[float, float] = (1.0, 0.7)
+    above_ground_m: float | None = None
+    references: Path | None = None
+    rounds: int = 5
+    scale: tuple[float, float] | None = None
+
+
+def run(inputs: Inputs, folder: Path, progress: Progress | None = None) -> dict[str, Any]:
+    """Write a reconstruction into a folder, and return its record.
+
+    The folder keeps the state of each round, so a stopped run continues.
+    """
+    scene = load_scene(inputs.scene)
+    camera = scene.camera if inputs.camera is None else load_camera(inputs.camera, "--camera")
+    places = None if inputs.poses is None else read_poses(inputs.poses, scene)
+    survey = read_frames(frame_files(inputs.frames), places, scene, inputs.scale, inputs.above_ground_m)
+    references = read_references(inputs.references) if inputs.references else []
+    texel_m = inputs.texel_m or scene.surfaces[0].texel_m
+    settings = Settings(texel_m=texel_m, rounds=inputs.rounds, pose_error=PoseError(*inputs.pose_error))
+    with files.output_folder(folder) as out, files.in_use(out):
+        found = reconstruct(scene, survey, camera, settings, references, out, progress)
+        products.write(found, out)
+        write_page(found, out)
+    return products.record(found)

@@ -1,0 +1,303 @@
+"""The reconstruction: register the frames, then solve map, offsets, lens and poses together until they agree.
+
+The map is in *linear kelvin*: band radiance, scaled so that it is kelvin at one reference temperature. A pixel is a
+mean of radiances, so the forward model is exactly linear in it.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.inverse.normal import Normal, Prior, Unknowns
+from thermorender.inverse.poses import PoseError, deviation, pose_columns, registered, slopes
+from thermorender.inverse.spread import Draws, Spread, spread_of
+from thermorender.inverse.weights import Lattice, Sight, Viewer, moved, reach_px, sharpened, taps_of
+from thermorender.sensor.camera import Camera
+
+if TYPE_CHECKING:
+    from thermorender.render.renderer import Renderer
+
+Floats = NDArray[np.float64]
+Image = NDArray[np.float32]
+Progress = Callable[[str, float], object]
+# Residuals beyond so many standard deviations lose weight.
+_OUTLIER = 4.0
+# Terms of the blur's inverse in a step, and frames that its width is taken from.
+TERMS, _SAMPLED = 3, 5
+# Powers of the radius of the vignetting.
+_POWERS = (2, 4, 6)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a reconstruction assumes and how far it goes.
+
+    Attributes
+    ----------
+    texel_m : float
+        Side of a texel of the map [m].
+    taps : int
+        Points along a side of a pixel.
+    rounds : int
+        Joint solutions, after the registration to the prior.
+    pose_error : PoseError
+        Standard deviations of the measured poses; zeros keep them.
+    noise_k, offset_k, vignette_k, pattern_k, class_k, prior_k, level_k : float
+        Standard deviations of a pixel's noise, of a frame's offset, of a term of the vignetting at the corner, of the
+        fixed pattern, of a class in the prior, of a texel about its class, and of the camera's common level [K]. The
+        last is the accuracy of calibrated cameras, and is stated without a reference.
+    """
+
+    texel_m: float = 0.25
+    taps: int = 2
+    rounds: int = 5
+    pose_error: PoseError = field(default_factory=PoseError)
+    noise_k: float = 0.07
+    offset_k: float = 1.0
+    vignette_k: float = 2.0
+    pattern_k: float = 0.2
+    class_k: float = 3.0
+    prior_k: float = 2.0
+    level_k: float = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """A reconstruction after some rounds.
+
+    Attributes
+    ----------
+    map : (h, w) float64
+        Linear kelvin.
+    classes : (C,) float64
+        Offsets of the classes of the prior [K].
+    offsets : (F,) float64
+        Of the frames [K].
+    vignette : (V,) float64
+        Terms of the vignetting, each with its value at the corner [K].
+    pattern : (H, W) float64
+        Fixed pattern [K].
+    poses : (F, 4, 4) float64
+    noise_k : float
+        Standard deviation of the residuals of a pixel, robust [K].
+    rounds : int
+        Joint solutions so far.
+    """
+
+    map: Floats
+    classes: Floats
+    offsets: Floats
+    vignette: Floats
+    pattern: Floats
+    poses: Floats
+    noise_k: float
+    rounds: int
+
+
+class Problem:
+    """Frames over a scene, and what is assumed of them.
+
+    Parameters
+    ----------
+    renderer : Renderer
+        Of the scene.
+    camera : Camera
+    images : (F, H, W) float32
+        Linear kelvin; NaN where a pixel is not valid.
+    poses : (F, 4, 4) array
+        As measured.
+    lattice : Lattice
+    prior : Prior
+        Of the map, in linear kelvin.
+    settings : Settings
+    """
+
+    def __init__(
+        self, renderer: "Renderer", camera: Camera, images: Image, poses: Floats, lattice: Lattice, prior: Prior,
+        settings: Settings,
+    ) -> None:  # fmt: skip
+        self.camera, self.images, self.poses, self.prior, self.settings = camera, images, poses, prior, settings
+        self.viewer = Viewer(renderer, camera, lattice)
+        self.taps = taps_of(settings.taps)
+        self.vignetting = vignetting(camera)
+        self.reach = self._reach_texels()
+        self.free = settings.pose_error.position_m > 0.0 or settings.pose_error.angle_deg > 0.0
+
+    def _reach_texels(self) -> float:
+        """Distance of the outer taps of a pixel, in the median over some frames [texels]."""
+        chosen = np.linspace(0, len(self.poses) - 1, min(_SAMPLED, len(self.poses))).astype(int)
+        sights = [self.viewer.sight(self.poses[number]) for number in chosen]
+        side = [np.sqrt(np.abs(s.across[0] * s.down[1] - s.across[1] * s.down[0])) for s in sights]
+        known = [float(np.median(each)) for each in side if each.size]
+        return reach_px(self.camera) * float(np.median(known)) if known else 0.0
+
+    def start(self) -> State:
+        """Return the State before any solution: the prior and the measured poses."""
+        count, terms = len(self.images), len(self.vignetting)
+        offsets = np.zeros(count)
+        blank = np.zeros((self.camera.height, self.camera.width))
+        return State(
+            self.prior.mean.copy(), np.zeros(self.prior.count), offsets, np.zeros(terms), blank, self.poses.copy(),
+            max(1.0, self.settings.noise_k), 0,
+        )  # fmt: skip
+
+    def predicted(self, state: State, number: int, sight: Sight) -> Floats:
+        """Return the values of a frame's pixels, (N,), that a State predicts."""
+        own = state.offsets[number] + state.vignette @ self.vignetting + state.pattern.ravel()
+        around = self.images[number] - own.reshape(state.pattern.shape)
+        return self.viewer.imaged(sight, state.map, self.taps, around) + own[sight.pixel]
+
+    def register(self, state: State, search: bool = True, progress: Progress | None = None) -> State:
+        """Return the State with each frame registered to its map, by images of a quarter of the pixels a side."""
+        if not self.free:
+            return state
+        factor = max(1, round(self.camera.width / 160))
+        camera = binned_camera(self.camera, factor)
+        viewer = Viewer(self.viewer.renderer, camera, self.viewer.lattice)
+        lens = (state.vignette @ self.vignetting).reshape(state.pattern.shape) + state.pattern
+        poses = state.poses.copy()
+        for number, image in enumerate(self.images):
+            small = binned(image - lens, factor).astype(np.float32)
+            poses[number] = registered(
+                viewer, state.map, small, poses[number], self.poses[number], self.settings.pose_error, search
+            )
+            if progress is not None:
+                progress("registering the frames", (number + 1) / len(self.images))
+        return replace(state, poses=poses)
+
+    def round(self, state: State, free: bool | None = None, progress: Progress | None = None) -> State:
+        """Return the State after one joint solution of map, offsets, vignetting, classes and, if `free`, poses."""
+        return self._round(state, self.free if free is None else free, progress)[0]
+
+    def last_round(self, state: State, progress: Progress | None = None) -> tuple[State, Spread]:
+        """Return the State after one more joint solution, and its standard deviations."""
+        draws = Draws(self.prior, len(self.vignetting), 1.0 / self.settings.offset_k**2)
+        state, normal = self._round(state, self.free, progress, draws)
+        return state, spread_of(normal, draws, np.hypot(*slopes(state.map)), self.reach, TERMS * state.rounds)
+
+    def _round(
+        self, state: State, free: bool, progress: Progress | None, draws: Draws | None = None
+    ) -> tuple[State, Normal]:
+        normal, pattern, noise_k = self._equations(state, free, progress, draws)
+        gradient = normal.gradient(state.map - self.prior.mean, state.classes, state.vignette)
+        found, _ = normal.solved(gradient)
+        return self._updated(state, found, free, pattern, noise_k), normal
+
+    def _equations(
+        self, state: State, free: bool, progress: Progress | None, draws: Draws | None = None
+    ) -> tuple[Normal, tuple[Floats, Floats], float]:  # fmt: skip
+        """(Normal, sums of residuals and of weights of each pixel, standard deviation of the residuals)."""
+        settings = self.settings
+        own = np.concatenate([[1.0 / settings.offset_k**2], settings.pose_error.precision if free else []])
+        terms = np.full(len(self.vignetting), 1.0 / settings.vignette_k**2)
+        normal = Normal(self.prior, own, terms)
+        right, down = slopes(state.map)
+        total, weights, spreads = np.zeros(state.pattern.size), np.zeros(state.pattern.size), []
+        for number in range(len(self.images)):
+            sight = self.viewer.sight(state.poses[number])
+            measured = self.images[number].ravel()[sight.pixel].astype(np.float64)
+            residual = measured - self.predicted(state, number, sight)
+            known = np.isfinite(residual)
+            if not known.all():
+                sight, residual = sight.chosen(known), residual[known]
+            steep = np.hypot(sight.at(right), sight.at(down))
+            level = float(np.median(residual)) if residual.size else 0.0
+            precision, spread = _precision(residual - level, steep, state.noise_k, settings.noise_k)
+            spreads.append(spread)
+            total += np.bincount(sight.pixel, precision * residual, total.size)
+            weights += np.bincount(sight.pixel, precision, total.size)
+            columns, away = np.ones((1, residual.size)), np.array([state.offsets[number]])
+            if free:
+                columns = np.concatenate([columns, pose_columns(sight, right, down)])
+                away = np.concatenate([away, deviation(state.poses[number], self.poses[number])])
+            lens = self.vignetting[:, sight.pixel]
+            cells = normal.add(sight, residual, precision, columns, lens, away)
+            if draws is not None:
+                draws.add(cells, precision, columns, lens)
+                draws.add_half(number, sight, residual, precision)
+            if progress is not None:
+                progress("solving the map", (number + 1) / (len(self.images) + 1))
+        return normal, (total, weights), float(np.median(spreads))
+
+    def _updated(
+        self, state: State, found: Unknowns, free: bool, pattern: tuple[Floats, Floats], noise_k: float
+    ) -> State:  # fmt: skip
+        settings = self.settings
+        poses = state.poses
+        if free:
+            poses = np.array([moved(pose, step[1:]) for pose, step in zip(poses, found.frames, strict=True)])
+        made = state.pattern
+        if settings.pattern_k > 0.0 and state.rounds > 0:
+            made = made + (pattern[0] / (pattern[1] + 1.0 / settings.pattern_k**2)).reshape(made.shape)
+            made = _without(made, self.vignetting)
+        made_map = state.map + sharpened(found.map, self.reach, TERMS)
+        return State(
+            made_map, state.classes + found.classes, state.offsets + found.frames[:, 0],
+            state.vignette + found.common, made, poses, max(noise_k, settings.noise_k), state.rounds + 1,
+        )  # fmt: skip
+
+
+def _precision(residual: Floats, steep: Floats, before_k: float, least_k: float) -> tuple[Floats, float]:
+    """(1 over the variance of each pixel, standard deviation of the residuals), with less weight for outliers."""
+    if not residual.size:
+        return residual, least_k
+    spread = float(np.median(np.abs(residual))) / 0.6745
+    scale = max(min(spread, before_k), least_k)
+    # At edges a small error of the pose makes a large residual, which is no outlier.
+    allowed = np.hypot(scale, 0.5 * steep)
+    weight = 1.0 / np.maximum(1.0, np.abs(residual) / (_OUTLIER * allowed)) ** 2
+    return weight / scale**2, spread
+
+
+def vignetting(camera: Camera) -> Floats:
+    """Return powers of the distance from the principal point, (V, H·W), 1 at the farthest corner and with mean 0."""
+    row, column = np.mgrid[: camera.height, : camera.width] + 0.5
+    middle = camera.width / 2 + camera.principal_offset_px[0], camera.height / 2 + camera.principal_offset_px[1]
+    radius = np.hypot(column - middle[0], row - middle[1]).ravel()
+    terms = np.array([(radius / radius.max()) ** power for power in _POWERS])
+    return terms - terms.mean(axis=1, keepdims=True)
+
+
+def _without(image: Floats, terms: Floats) -> Floats:
+    """An image without its mean and the terms of the vignetting."""
+    basis = np.concatenate([np.ones((1, image.size)), terms])
+    fit, *_ = np.linalg.lstsq(basis.T, image.ravel(), rcond=None)
+    return (image.ravel() - fit @ basis).reshape(image.shape)
+
+
+def binned(image: NDArray[np.floating], factor: int) -> Floats:
+    """Return means over squares of `factor` pixels, NaN where one of them is unknown; rest rows and columns go."""
+    height, width = (side // factor * factor for side in image.shape)
+    parts = np.asarray(image[:height, :width], np.float64)
+    return np.asarray(parts.reshape(height // factor, factor, width // factor, factor).mean(axis=(1, 3)))
+
+
+def binned_camera(camera: Camera, factor: int) -> Camera:
+    """Return the Camera of images after `binned`."""
+    if factor == 1:
+        return camera
+    width, height = camera.width // factor, camera.height // factor
+    # Rows and columns that are left over move the middle.
+    lost = (camera.width - width * factor, camera.height - height * factor)
+    across, along = ((own + 0.5 * gone) / factor for own, gone in zip(camera.principal_offset_px, lost, strict=True))
+    return replace(
+        camera, width=width, height=height, pixel_pitch_um=camera.pixel_pitch_um * factor, principal_offset_px=(across, along),
+        blur_sigma_px=camera.blur_sigma_px / factor,
+    )  # fmt: skip
+
+
+def window_of(lattice: Lattice, viewer: Viewer, poses: Sequence[Floats], margin_m: float) -> Lattice:
+    """Return the part of a lattice that frames show, with a margin [m]."""
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for pose in poses:
+        sight = viewer.sight(pose)
+        if sight.pixel.size:
+            place = np.stack([sight.row, sight.column])
+            low, high = np.minimum(low, place.min(axis=1)), np.maximum(high, place.max(axis=1))
+    margin = margin_m / lattice.texel_m + 2.0
+    top, left = np.floor(low - margin).astype(int)
+    bottom, right = np.ceil(high + margin).astype(int) + 1
+    return lattice.cut(int(top), int(left), int(bottom), int(right))

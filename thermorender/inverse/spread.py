@@ -1,0 +1,178 @@
+"""The uncertainty of a reconstruction: standard deviation of each texel, without the common level.
+
+Draws of the noise and of the prior, solved like the frames, give the errors that the normal equations know, those of
+free poses and offsets among them. Poses and optics are never exact: the frames are therefore halved, each half is
+solved by itself, and the differences of the two maps scale the draws and give a second term, the slope of the map times
+an error of the position. Both numbers come from the frames, without the truth. The common level of all texels is
+removed, because no frame shows it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+from scipy.optimize import nnls
+
+from thermorender.inverse.normal import Cells, Normal, Prior, Unknowns
+from thermorender.inverse.weights import Sight, sharpened
+
+Floats = NDArray[np.float64]
+# Draws, and width of the smoothing of their variance [texels].
+DRAWS = 8
+_SMOOTH = 2.0
+# Relative residual of a draw's solution: a variance needs fewer digits than a map.
+_TOLERANCE = 1e-3
+# Classes of slope in the fit, and squares beyond so many means of their class that are left out.
+_CLASSES, _OUTLIER = 24, 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """The standard deviations of a reconstruction.
+
+    Attributes
+    ----------
+    std : (h, w) float64
+        Of each texel, without the common level [linear kelvin].
+    scale : float
+        Error of even ground by the halves, over that by the draws.
+    edge_texels : float
+        Growth of the error with the slope of the map: error of the position [texels].
+    views : (h, w) int32
+        Frames that show each texel.
+    residual : (h, w) float64
+        Root mean square of the residuals of the pixels on each texel [linear kelvin].
+    """
+
+    std: Floats
+    scale: float
+    edge_texels: float
+    views: NDArray[np.int32]
+    residual: Floats
+
+
+class Draws:
+    """Right-hand sides of the normal equations by random noise, of which the solutions have the covariance H⁻¹.
+
+    Parameters
+    ----------
+    prior : Prior
+    common : int
+        Number of common parameters.
+    offset_precision : float
+        1 over the prior variance of a frame's offset.
+    seed : int
+    """
+
+    def __init__(self, prior: Prior, common: int, offset_precision: float, seed: int = 0) -> None:
+        shape, classes = prior.mean.shape, prior.count
+        self._rng = np.random.default_rng(seed)
+        self._map = np.zeros((DRAWS, *shape))
+        self._frames: list[Floats] = []
+        self._common, self._classes = np.zeros((DRAWS, common)), np.zeros((DRAWS, classes))
+        self.views = np.zeros(shape, np.int32)
+        self._square, self._count = np.zeros(shape), np.zeros(shape)
+        offset = np.array([offset_precision])
+        self.halves = tuple(Normal(prior, offset, np.zeros(0)) for _ in range(2))
+
+    def add(self, cells: Cells, precision: Floats, own: Floats, common: Floats) -> None:
+        """Add a frame, as by `Normal.add`."""
+        root, frames = np.sqrt(precision), []
+        for number in range(DRAWS):
+            noise = root * (2.0 * self._rng.integers(0, 2, precision.size, dtype=np.int8) - 1.0)
+            self._map[number][cells.window] += cells.gathered(noise)
+            frames.append(own @ noise)
+            self._common[number] += common @ noise
+        self._frames.append(np.array(frames))
+
+    def add_half(self, number: int, sight: Sight, residual: Floats, precision: Floats) -> None:
+        """Add the residuals of a frame's pixels, to the half of the frames with even or odd numbers."""
+        one, none = np.ones((1, residual.size)), np.zeros((0, residual.size))
+        cells = self.halves[number % 2].add(sight, residual, precision, one, none, np.zeros(1))
+        count = cells.gathered(np.ones(residual.size))
+        self.views[cells.window] += count > 0.0
+        self._count[cells.window] += count
+        self._square[cells.window] += cells.gathered(residual**2)
+
+    @property
+    def residual(self) -> Floats:
+        """Root mean square of the residuals on each texel."""
+        return np.sqrt(self._square / np.maximum(self._count, 1e-9))
+
+    def gradient(self, normal: Normal, number: int) -> Unknowns:
+        """Return the right-hand side of one draw, with the noise of the prior."""
+        prior, rng = normal.prior, self._rng
+        pull = np.sqrt(prior.precision) * rng.standard_normal(prior.mean.shape)
+        classes = np.sqrt(prior.class_precision) * rng.standard_normal(prior.count)
+        classes -= np.bincount(prior.classes.ravel(), pull.ravel(), prior.count)
+        frames = np.array([each[number] for each in self._frames])
+        frames = frames + np.sqrt(normal.frame_precision) * rng.standard_normal(frames.shape)
+        common = self._common[number] + np.sqrt(normal.common_precision) * rng.standard_normal(self._common.shape[1])
+        return Unknowns(self._map[number] + pull, frames, common, classes)
+
+
+def spread_of(normal: Normal, draws: Draws, slope: Floats, reach: float, terms: int) -> Spread:
+    """Return the Spread of a solution.
+
+    Parameters
+    ----------
+    normal : Normal
+    draws : Draws
+        Of the same frames.
+    slope : (h, w) array
+        Of the map [K/texel].
+    reach, terms : float, int
+        As of `weights.sharpened`, over all rounds: removing the blur raises the noise of fine structure.
+
+    Notes
+    -----
+    The level is the mean of the texels that the frames show.
+    """
+    seen = draws.views > 0
+    variance = np.zeros(seen.shape)
+    for number in range(DRAWS):
+        x, _ = normal.solved(draws.gradient(normal, number), _TOLERANCE)
+        found = sharpened(x.map, reach, terms)
+        variance += (found - found[seen].mean()) ** 2 / DRAWS
+    # Beyond the texels that are seen the variance is that of the prior, which must not leak in.
+    weight = gaussian_filter(seen.astype(np.float64), _SMOOTH)
+    smooth = gaussian_filter(np.where(seen, variance, 0.0), _SMOOTH) / np.maximum(weight, 1e-9)
+    variance = np.where(seen, smooth, variance)
+    scale, edge = _fitted(_difference(draws, reach, terms), variance, slope)
+    std = np.sqrt(scale * variance + (edge * slope) ** 2)
+    return Spread(std, float(np.sqrt(scale)), edge, draws.views, draws.residual)
+
+
+def _difference(draws: Draws, reach: float, terms: int) -> Floats:
+    """Half the difference of the maps of both halves, (h, w); NaN where one of them shows nothing.
+
+    Its square is in the mean that of the error of the map from all frames.
+    """
+    prior = draws.halves[0].prior
+    both = np.ones(prior.mean.shape, bool)
+    step = np.zeros(prior.mean.shape)
+    for half, sign in zip(draws.halves, (0.5, -0.5), strict=True):
+        gradient = half.gradient(np.zeros(step.shape), np.zeros(prior.count), np.zeros(0))
+        x, _ = half.solved(gradient, _TOLERANCE)
+        step += sign * x.map
+        both &= half.stencil.link[0] > 0.0
+    return np.where(both, sharpened(np.where(both, step, 0.0), reach, terms), np.nan)
+
+
+def _fitted(difference: Floats, variance: Floats, slope: Floats) -> tuple[float, float]:
+    """(factor on the variance by the draws, error of the position [texels]) from the halves' differences."""
+    known = np.isfinite(difference)
+    if known.sum() < _CLASSES:
+        return 1.0, 0.0
+    square = (difference[known] - np.median(difference[known])) ** 2
+    variance, steep = variance[known], slope[known] ** 2
+    rows = np.empty((_CLASSES, 3))
+    for row, part in zip(rows, np.array_split(np.argsort(steep, kind="stable"), _CLASSES), strict=True):
+        kept = part[square[part] <= _OUTLIER * max(float(square[part].mean()), 1e-12)]
+        row[:] = [each[kept].mean() for each in (square, variance, steep)]
+    # Classes have equal numbers of texels, so the relative errors of their means are alike.
+    basis = rows[:, 1:] / rows[:, :1]
+    fit, _ = nnls(basis, np.ones(_CLASSES))
+    # The draws are the least that is possible.
+    return float(max(fit[0], 1.0)), float(np.sqrt(fit[1]))
