@@ -127,10 +127,11 @@ def test_motion_is_the_difference_of_two_sights(survey):
     before, after = viewer.sight(pose), viewer.sight(moved(pose, step))
     both, first, second = np.intersect1d(before.pixel, after.pixel, return_indices=True)
     assert both.size > 1000
-    found = after.column[second] - before.column[first]
-    expected = (step @ before.motion(1.0, 0.0))[first]
-    # The terrain is not one plane, so pixels at edges of faces differ.
-    assert np.median(np.abs(found - expected)) < 0.02 * np.abs(expected).mean()
+    for axis, along in (("column", (1.0, 0.0)), ("row", (0.0, 1.0))):
+        found = getattr(after, axis)[second] - getattr(before, axis)[first]
+        expected = (step @ before.motion(*along))[first]
+        # The terrain is not one plane, so pixels at edges of faces differ.
+        assert np.median(np.abs(found - expected)) < 0.02 * np.abs(expected).mean()
 
 
 def test_pixel_steps_reach_the_next_pixel(survey):

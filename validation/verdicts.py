@@ -212,6 +212,7 @@ STUDIES = (
           "referee/referee.json", ("referee/referee.png",), _referee, runs=False),
     Study("trainings", "validation.trainings", "Trainings of networks", "networks/campaign/trainings.json",
           ("networks/campaign/*.png",), runs=False),
+    Study("inverse", "validation.inverse", "Maps from frames, by setting", "inverse/inverse.json", runs=False),
     Study("link", "validation.link", "The cost of the link to a simulator", "link/link.json", runs=False),
     Study("closed_loop", "validation.closed_loop", "What guided vehicles miss, by rendered and translated frames",
           "closed_loop/closed_loop.json", ("closed_loop/closed_loop.png",), runs=False),

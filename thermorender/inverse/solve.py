@@ -284,8 +284,8 @@ def binned_camera(camera: Camera, factor: int) -> Camera:
     lost = (camera.width - width * factor, camera.height - height * factor)
     across, along = ((own + 0.5 * gone) / factor for own, gone in zip(camera.principal_offset_px, lost, strict=True))
     return replace(
-        camera, width=width, height=height, pixel_pitch_um=camera.pixel_pitch_um * factor, principal_offset_px=(across, along),
-        blur_sigma_px=camera.blur_sigma_px / factor,
+        camera, width=width, height=height, pixel_pitch_um=camera.pixel_pitch_um * factor,
+        principal_offset_px=(across, along), blur_sigma_px=camera.blur_sigma_px / factor,
     )  # fmt: skip
 
 
