@@ -22,6 +22,7 @@ from thermorender.synthetic.buildings import ROOFS, Window, house
 from thermorender.synthetic.canvas import Canvas
 from thermorender.synthetic.solids import Solids
 from thermorender.synthetic.world import make_world
+from validation.three_d import study
 
 
 def surface_of(vertices, faces):
@@ -159,3 +160,13 @@ def test_a_world_and_its_survey_are_the_same_from_above(tmp_path):
     assert {"brick_painted", "brick_clay"} & set(names)
     kelvin = np.concatenate([surface.temperature.ravel() for surface in world.surfaces])
     assert kelvin.min() > 280.0 and kelvin.max() < 345.0
+
+
+@pytest.mark.slow
+def test_the_study_finds_the_error_at_walls_and_none_on_open_ground():
+    found = study.run(seeds=(7,), views=1, size_m=56.0, maps=("constant", "fok-1to1"))
+    error = {(case["angle_deg"], case["kind"]): case.get("mae_k", 0.0) for case in found["cases"]}
+    for angle in study.ANGLES[:3]:
+        assert error[angle, "far ground"] < 0.5 < error[angle, "façade"]
+    assert set(found["ranking"]["mae_k"]) == {"constant", "fok-1to1"} and found["ranking"]["tau"]["3-D"] == 1.0
+    assert len(found["budget"]) == len(study.ANGLES) and len(study.rows(found)) > 12
