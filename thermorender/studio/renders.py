@@ -1,0 +1,231 @@
+"""Frames for the tabs, made in one thread in the background: the latest request of each tab counts.
+
+This is the only module of the studio that renders, and it calls the public interface of scenes and renderers. An edit
+shows first as a preview with its estimated error, where the renderer has one, and then exactly. The next edit cancels
+a solution under way; tabs that only look around are served in between.
+"""
+
+import threading
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.frame import Frame
+from thermorender.render.renderer import Renderer
+from thermorender.scene.scene import Scene
+from thermorender.studio.pictures import Picture, picture_of
+from thermorender.studio.view import View
+
+
+class _Newer(Exception):
+    """The solution under way is outdated."""
+
+
+@dataclass
+class Seen:
+    """What a tab looks at: its view, and whom to call with the picture."""
+
+    view: View
+    show: Callable[[Picture], object]
+
+
+@dataclass(frozen=True)
+class Light:
+    """A rendered state of the scene: the Renderer, the version of the edits, and what to say about it."""
+
+    renderer: Renderer
+    version: int
+    words: str
+    exact: bool
+
+
+@dataclass(eq=False)
+class Renders:
+    """The thread that renders.
+
+    Parameters
+    ----------
+    renderer : Renderer
+        Of the scene as saved.
+    """
+
+    renderer: Renderer
+    light: Light = field(init=False)
+    saved: Renderer = field(init=False)
+    _news: threading.Condition = field(default_factory=threading.Condition)
+    _edit: tuple[Scene, int, bool] | None = None
+    _tabs: dict[str, Seen] = field(default_factory=dict)
+    _waiting: dict[str, None] = field(default_factory=dict)
+    _jobs: list[Callable[[], object]] = field(default_factory=list)
+    _ended: bool = False
+    _last: dict[str, tuple[Any, Frame]] = field(default_factory=dict)
+    _pictures: dict[str, Picture] = field(default_factory=dict)
+    _solved: Renderer = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.saved = self._solved = self.renderer
+        self.light = Light(self.renderer, 0, "exact", True)
+        self._thread = threading.Thread(target=self._run, name="studio renders", daemon=True)
+
+    def start(self) -> None:
+        """Begin rendering."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End rendering, after what is under way."""
+        with self._news:
+            self._ended = True
+            self._news.notify()
+        self._thread.join(10.0)
+
+    def solve(self, scene: Scene, version: int, saved: bool = False) -> None:
+        """Show an edited scene in all tabs; with `saved` it is also what differences compare with."""
+        with self._news:
+            self._edit = (scene, version, saved)
+            self._news.notify()
+
+    def look(self, tab: str, view: View, show: Callable[[Picture], object]) -> None:
+        """Show a tab its view; `show` is called from the thread that renders."""
+        with self._news:
+            self._tabs[tab] = Seen(view, show)
+            self._waiting[tab] = None
+            self._news.notify()
+
+    def forget(self, tab: str) -> None:
+        """Drop a tab that was closed."""
+        with self._news:
+            for known in (self._tabs, self._waiting, self._last, self._pictures):
+                known.pop(tab, None)
+
+    def run(self, job: Callable[[], object]) -> None:
+        """Call a function in the thread that renders."""
+        with self._news:
+            self._jobs.append(job)
+            self._news.notify()
+
+    def picture(self, tab: str) -> Picture | None:
+        """Return the latest Picture of a tab."""
+        return self._pictures.get(tab)
+
+    def frame(self, tab: str) -> Frame | None:
+        """Return the latest Frame of a tab."""
+        known = self._last.get(tab)
+        return known[1] if known else None
+
+    def _run(self) -> None:
+        while True:
+            with self._news:
+                self._news.wait_for(lambda: self._ended or self._edit or self._waiting or self._jobs)
+                if self._ended:
+                    return
+                edit, self._edit = self._edit, None
+            try:
+                if edit:
+                    self._solve(*edit)
+                else:
+                    self._draw()
+            except _Newer:
+                pass
+            except Exception:  # a fault must not end the thread, and with it all pictures
+                traceback.print_exc()
+
+    def _between(self, what: str, share: float) -> None:
+        """Stop an outdated solution, and serve tabs that look elsewhere meanwhile."""
+        if self._edit or self._ended:
+            raise _Newer
+        if self._waiting or self._jobs:
+            self._draw()
+
+    def _solve(self, scene: Scene, version: int, saved: bool) -> None:
+        preview = getattr(self._solved, "preview_for", None)
+        if preview is not None and scene.temperature_state.solved:
+            try:
+                shown, error_mk = preview(scene)
+            except ThermorenderError:
+                pass
+            else:
+                self._show(Light(shown, version, f"preview ± {error_mk:.0f} mK", False))
+        if scene.temperature_state.solved:
+            made = Renderer.of(self._solved.baked.solved_for(scene, self._between), self.renderer.seed)
+        else:
+            plan = self._solved.plan
+            made = Renderer(
+                scene, samples=plan.samples, taps=plan.taps, edge_mk=plan.edge_mk, rays=plan.rays,
+                tolerance_mk=plan.tolerance_mk, seed=self.renderer.seed, progress=self._between, like=self._solved,
+            )  # fmt: skip
+            _ = made.baked
+        self._solved = made
+        if saved:
+            self.saved = made
+        self._show(Light(made, version, "exact", True))
+
+    def _show(self, light: Light) -> None:
+        self.light = light
+        with self._news:
+            self._waiting |= dict.fromkeys(self._tabs)
+        self._draw()
+
+    def _draw(self) -> None:
+        while True:
+            with self._news:
+                jobs, self._jobs = self._jobs, []
+                tab = next(iter(self._waiting), None)
+                if tab is not None:
+                    del self._waiting[tab]
+                seen = self._tabs.get(tab) if tab is not None else None
+            for job in jobs:
+                job()
+            if tab is None:
+                return
+            if seen is None:
+                continue
+            try:
+                made = self._picture(tab, seen.view)
+            except ThermorenderError as error:
+                made = Picture.of_fault(str(error), self.light.version)
+            self._pictures[tab] = made
+            seen.show(made)
+
+    def _picture(self, tab: str, view: View) -> Picture:
+        light = self.light
+        pose, time_s = view.pose.matrix(), view.time_s
+        frame = light.renderer.frame(pose, time_s)
+        self._last[tab] = (view, frame)
+        before = None
+        if view.mode == "difference":
+            before = self.saved.frame(pose, time_s).apparent_temperature
+        colour = light.renderer.visible(pose, time_s=time_s) if view.mode == "photograph" else None
+        number = (self._pictures[tab].number if tab in self._pictures else 0) + 1
+        blank = Picture(number, light.version, light.words, light.exact)
+        return picture_of(frame, view, blank, before, colour)
+
+
+def parts_at(renderer: Renderer, frame: Frame, pixel: tuple[int, int]) -> dict[str, float] | None:
+    """Return the parts of a pixel's radiance by name [W m⁻² sr⁻¹], or None where the renderer does not state them."""
+    ask = getattr(renderer, "parts_at", None)
+    return None if ask is None else dict(ask(frame.pose, pixel, frame.time_s))
+
+
+def figures(frame: Frame, column: int, row: int) -> dict[str, Any] | None:
+    """Return what a frame shows at a pixel; None outside the image."""
+    height, width = frame.radiance.shape
+    if not (0 <= column < width and 0 <= row < height):
+        return None
+    truth = frame.truth
+    number = int(truth["material"][row, column])
+    thing = int(truth["object"][row, column])
+    known = np.isfinite(truth["depth"][row, column])
+    return {
+        "apparent_k": float(frame.apparent_temperature[row, column]),
+        "radiance": float(frame.radiance[row, column]),
+        "kinetic_k": float(truth["kinetic_temperature"][row, column]),
+        "emissivity": float(truth["emissivity"][row, column]),
+        "depth_m": float(truth["depth"][row, column]),
+        "position": tuple(float(v) for v in truth["position"][row, column]),
+        "material": frame.materials[number] if known and number < len(frame.materials) else "",
+        "object": frame.objects[thing - 1] if thing else "",
+    }

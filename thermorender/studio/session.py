@@ -1,0 +1,124 @@
+"""The scene that a studio has open: its edits, what renders it, and the tabs that show it."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.materials.library import load_library, read_library
+from thermorender.materials.material import Material
+from thermorender.studio.document import Document, History
+from thermorender.studio.renders import Renders
+
+if TYPE_CHECKING:
+    from thermorender.render.renderer import Renderer
+    from thermorender.scene.scene import Scene
+
+# Temperature for band emissivities [K].
+BAND_K = 300.0
+
+
+class Shown(Protocol):
+    """A tab, as the session knows it."""
+
+    def refresh(self) -> None:
+        """Show the current version of the edits."""
+
+
+class Session:
+    """A scene and its edits, shared by all tabs.
+
+    Parameters
+    ----------
+    renderer : Renderer
+        Of the scene as its files describe it.
+
+    Attributes
+    ----------
+    base : Scene
+    history : History
+    renders : Renders
+    tabs : list of Shown
+    """
+
+    def __init__(self, renderer: "Renderer") -> None:
+        self.base: Scene = renderer.scene
+        self.history = History(document_of(self.base))
+        self.renders = Renders(renderer)
+        self.tabs: list[Shown] = []
+        self._band: dict[int, tuple[Material, float | None]] = {}
+        self._scene: Scene = self.base
+
+    @property
+    def document(self) -> Document:
+        """The Document that is shown."""
+        return self.history.document
+
+    def edit(self, version: int, what: str, change: Callable[[Document], Document]) -> None:
+        """Change the Document, render it, and refresh all tabs; ThermorenderError where it is refused."""
+        before = self.history.version
+        try:
+            self.history.edit(version, what, change, self._use)
+        finally:
+            if self.history.version != before:
+                self._render()
+
+    def step(self, version: int, by: int) -> None:
+        """Undo one edit (−1) or redo one (+1)."""
+        before = self.history.version
+        self.history.step(version, by)
+        if self.history.version != before:
+            self._use(self.document)
+            self._render()
+
+    def reload(self, scene: "Scene") -> None:
+        """Take over the scene as its files describe it now."""
+        self.base = self._scene = scene
+        self.history.loaded(document_of(scene))
+        self._render(saved=True)
+
+    def _use(self, document: Document) -> None:
+        scene = document.scene(self.base, self.history.saved)
+        scene.refuse_disagreement()
+        self._scene = scene
+
+    def _render(self, saved: bool = False) -> None:
+        self.renders.solve(self._scene, self.history.version, saved)
+        for tab in list(self.tabs):
+            tab.refresh()
+
+    @property
+    def scene(self) -> "Scene":
+        """The scene that is shown."""
+        return self._scene
+
+    def shares(self) -> dict[str, float]:
+        """Return the share of the terrain's texels that each material covers."""
+        numbers = [surface.material.ravel() for surface in self._scene.surfaces[: self._scene.terrain_count]]
+        count = np.sum([np.bincount(each, minlength=256) for each in numbers], axis=0)
+        names = [material.name for material in self._scene.materials]
+        shares: dict[str, float] = {}
+        for name, each in zip(names, count, strict=False):
+            shares[name] = shares.get(name, 0.0) + float(each / max(count.sum(), 1))
+        return shares
+
+    def band_mean(self, material: Material) -> float | None:
+        """Return the band emissivity for the scene's camera at 300 K; None where the band is not measured."""
+        known = self._band.get(id(material))
+        if known is None or known[0] is not material:
+            try:
+                value: float | None = float(material.band_emissivity(*self.base.camera.band_um, BAND_K))
+            except ThermorenderError:
+                value = None
+            if len(self._band) > 2000:
+                self._band.clear()
+            known = self._band[id(material)] = (material, value)
+        return known[1]
+
+
+def document_of(scene: "Scene") -> Document:
+    """Return the Document of a scene, with its library."""
+    folder = scene.spec.folder / "materials"
+    own = frozenset(read_library(folder)) if (folder / "index.csv").is_file() else frozenset[str]()
+    return Document.of(scene, load_library(folder if folder.is_dir() else None), own)
