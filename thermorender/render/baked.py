@@ -110,12 +110,38 @@ class BakedScene:
         ThermorenderError
             Surfaces differ, temperatures are not solved, or parts of the scene disagree.
         """
-        old = self.plan
+        self, old = self._uploaded.get("exact", self), self.plan
         plan = make_plan(
             scene, samples=old.samples, taps=old.taps, edge_mk=old.edge_mk, rays=old.rays,
             tolerance_mk=old.tolerance_mk,
         )  # fmt: skip
         return bake(scene, plan, like=self, progress=progress, start=self)
+
+    def preview_for(self, scene: Scene) -> "BakedScene":
+        """Return a preview of an edited scene: its change to first order, with an estimate of its error.
+
+        An edit of materials or temperatures is shown at once: the change of the light that changed surfaces send to
+        others, and of what these reflect, without further reflections. Under `errors_mk["preview"]` is an estimate
+        from above of its difference from `solved_for` on any surface. Other edits, and scenes with mirrors or with
+        objects on tracks, are solved as by `solved_for`, and have no such error.
+
+        A preview of a preview, and its solution, begin from the solution that it was made of.
+
+        Parameters
+        ----------
+        scene : Scene
+            Of the same surfaces.
+
+        Raises
+        ------
+        ThermorenderError
+            As of `solved_for`.
+        """
+        from thermorender.render.edits.preview import preview
+
+        refuse_other_surfaces(self.scene.surfaces, scene.surfaces)
+        exact = self._uploaded.get("exact", self)
+        return preview(exact, scene) or exact.solved_for(scene)
 
     def seen_as(self, scene: Scene, plan: Plan) -> "BakedScene | None":
         """Return this light under another camera or sampling, or None where `scene` and `plan` change the light."""
@@ -177,6 +203,8 @@ def bake(
     if plan.specular and plan.specular.number[material].any():
         black = mirrors.black_of(plan, plan.specular.number, material, temperature)
     uploaded: dict[str, Any] = {"geometry": geometry}
+    if like is not None and known is not None and "samples" in like._uploaded:
+        uploaded["samples"] = like._uploaded["samples"]
     if not plan.bake:
         none = dict.fromkeys(("solution", "noise", "faces", "texels"), 0.0)
         return BakedScene(scene, plan, None, None, tuple(texel), None, None, black, None, none, None, uploaded)

@@ -1,5 +1,6 @@
 """A baked scene on the ray-tracing device: the arrays uploaded once, and the layers of one view."""
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from thermorender.materials.mixture import Mixture
 from thermorender.physics.planck import band_radiance
 from thermorender.render.air import Air, AirView, Vacuum
-from thermorender.render.arrays import Channels, Floats, Jit, aligned, opaque_view
+from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned, opaque_view
 from thermorender.render.dynamic import DynamicObject, Placement
 from thermorender.render.geometry import Geometry, box_of
 from thermorender.render.labels import objects_of_surfaces
@@ -23,6 +24,8 @@ from thermorender.scene.surface import Surface
 
 if TYPE_CHECKING:
     from thermorender.render.baked import BakedScene
+    from thermorender.render.plan import Plan
+    from thermorender.scene.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -51,17 +54,27 @@ class DeviceScene:
         self._static_error = None if baked.face_error is None else mi.Float(aligned(baked.face_error))
         self.objects = [DynamicObject(mi, tracked, plan, scene.materials, tables) for tracked in scene.tracked_objects]
         self._corners = box_of(scene)
-        self._air: Vacuum | Air
-        if scene.air is None:
-            outside = np.array([scene.spec.sky_temperature, scene.surroundings_temperature])
-            self._air = Vacuum(mi, *band_radiance(outside, *plan.band_um)[:, None])
-        else:
-            self._air = Air(mi, scene, plan.spectrum)
+        self._air = _air(mi, scene, plan)
         self._scene, self._static_objects = scene, scene.surfaces[scene.terrain_count :]
         self._alone: dict[str, Geometry] = {}
         self._last_medium: tuple[Any, Any] = None, None
         self._last_light: tuple[Any, Any] = None, None
         self._last_outgoing: tuple[Any, Any] = None, None
+
+    def showing(self, baked: "BakedScene", outgoing: OutgoingRadiance) -> "DeviceScene":
+        """Return the DeviceScene of the same scene with other materials or temperatures, whose radiance is known.
+
+        It has no objects with a track, and the same air.
+        """
+        made, scene = copy.copy(self), baked.scene
+        for name in ("texels", "emissivities"):
+            vars(made).pop(name, None)
+        made._outgoing, made._faces, made._scene = outgoing, baked.faces, scene
+        made._static_objects = scene.surfaces[scene.terrain_count :]
+        if scene.surroundings_temperature != self._scene.surroundings_temperature:
+            made._air = _air(self._mi, scene, baked.plan)
+            made._last_medium = None, None
+        return made
 
     def layers(self, pose: Floats, placements: Sequence[Placement]) -> list[Layer]:
         """Return the Layers of a view from `pose`: the static scene and each object at its Placement."""
@@ -167,6 +180,14 @@ class DeviceScene:
             each = zip(self.objects, placements, light, strict=True)
             last = self._last_outgoing = shown, [item.outgoing(one.temperature, own) for item, one, own in each]
         return outgoing, last[1], errors
+
+
+def _air(mi: Mitsuba, scene: "Scene", plan: "Plan") -> Vacuum | Air:
+    """The medium of a scene."""
+    if scene.air is not None:
+        return Air(mi, scene, plan.spectrum)
+    outside = np.array([scene.spec.sky_temperature, scene.surroundings_temperature])
+    return Vacuum(mi, *band_radiance(outside, *plan.band_um)[:, None])
 
 
 def flat(surfaces: Sequence[Surface], name: str) -> NDArray[Any]:

@@ -138,12 +138,7 @@ class Geometry:
 
     def points_in_faces(self, pattern: ArrayLike) -> Iterator[tuple[Jit, Jit, Jit]]:
         """Yield (surface, column, row) on the texel maps of all faces, for each barycentric (u, v) of `pattern`."""
-        mi = self.mi
-        face_counts = np.diff(self.face_start)
-        surface = mi.UInt32(aligned(np.repeat(np.arange(len(face_counts)), face_counts), np.uint32))
-        size = [surface_.material.shape[::-1] for surface_ in self.surfaces]
-        corners = np.concatenate([s.uv * np.array(n, np.float32) for s, n in zip(self.surfaces, size, strict=True)])
-        corner = [[mi.Float(aligned(corners[:, k, axis])) for axis in (0, 1)] for k in range(3)]
+        mi, (surface, corner) = self.mi, self.face_maps()
         for u, v in np.asarray(pattern).tolist():
             # Opaque: literals would compile the kernel again for each point.
             u, v = dr.opaque(mi.Float, u), dr.opaque(mi.Float, v)
@@ -151,6 +146,14 @@ class Geometry:
                 (1.0 - u - v) * corner[0][axis] + u * corner[1][axis] + v * corner[2][axis] for axis in (0, 1)
             )
             yield surface, column, row
+
+    def face_maps(self) -> tuple[Jit, list[list[Jit]]]:
+        """Return the surface of every face, UInt32, and its corners' [column, row] on the texel map, Float."""
+        mi, face_counts = self.mi, np.diff(self.face_start)
+        surface = mi.UInt32(aligned(np.repeat(np.arange(len(face_counts)), face_counts), np.uint32))
+        size = [surface_.material.shape[::-1] for surface_ in self.surfaces]
+        corners = np.concatenate([s.uv * np.array(n, np.float32) for s, n in zip(self.surfaces, size, strict=True)])
+        return surface, [[mi.Float(aligned(corners[:, k, axis])) for axis in (0, 1)] for k in range(3)]
 
     def nearest(self, surface: Jit, column: Jit, row: Jit, active: Jit = True) -> Jit:
         """Return the flat number of the texel at a position on a surface's map; outside, of the texel at the edge."""

@@ -14,7 +14,7 @@ from thermorender.physics.planck import band_radiance, band_radiance_derivative,
 from thermorender.physics.sun import irradiance
 from thermorender.render.pixels.sampling import PATTERNS, STAGES
 from thermorender.render.reflection.reflectance import ReflectanceTables, make_tables
-from thermorender.render.spectrum import REFERENCE_K, Envelope, Spectrum, make_spectrum
+from thermorender.render.spectrum import REFERENCE_K, Envelope, Spectrum, kept_spectrum, make_spectrum
 from thermorender.scene.scene import Scene
 
 # Rays per pixel, texture taps per ray, error above which an edge pixel gets more rays [mK], and rays per face.
@@ -216,6 +216,7 @@ def checked(
 def make_plan(
     scene: Scene, quality: str = "standard", samples: int | None = None, taps: int | None = None,
     edge_mk: float | None = None, rays: int | None = None, tolerance_mk: float = 5.0,
+    kept: "tuple[Plan, Scene] | None" = None,
 ) -> Plan:  # fmt: skip
     """Return the Plan of a scene.
 
@@ -232,6 +233,8 @@ def make_plan(
     tolerance_mk : float
         Largest error on the scene's envelope allowed to the spectral nodes [mK]; reflection that adds less than a tenth
         of it to any pixel, at 300 K, is left out.
+    kept : (Plan, Scene), optional
+        Before an edit of materials or temperatures: spectral nodes and channels stay, whatever their error.
 
     Raises
     ------
@@ -261,7 +264,11 @@ def make_plan(
     if scene.sun is not None:
         light = irradiance(wavelength) / np.pi * (scene.sun.elevation_deg > 0.0)
         sun_mk = float((reflectance @ (light * weight)).max() / per_mk)
-    spectrum = make_spectrum(scene.materials, envelope, tolerance_mk, bake)
+    spectrum = None
+    if kept is not None and bake and kept[0].bake:
+        spectrum = kept_spectrum(kept[0].spectrum, kept[1].materials, scene.materials, envelope)
+    if spectrum is None:
+        spectrum = make_spectrum(scene.materials, envelope, tolerance_mk, bake)
     specular = make_tables(scene, spectrum, envelope)
     return Plan(
         band_um=band,

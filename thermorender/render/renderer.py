@@ -141,7 +141,17 @@ class Renderer:
 
     def solved_for(self, scene: Scene) -> "Renderer":
         """Return the Renderer of the same surfaces at other temperatures, by light already traced; see BakedScene."""
-        return Renderer.of(self.baked.solved_for(scene), self.seed)
+        return self._like_this(self.baked.solved_for(scene))
+
+    def preview_for(self, scene: Scene) -> "Renderer":
+        """Return the Renderer of a preview of an edited scene; see `BakedScene.preview_for`."""
+        return self._like_this(self.baked.preview_for(scene))
+
+    def _like_this(self, baked: BakedScene) -> "Renderer":
+        """The Renderer of another light on the same surfaces, with the cameras' rays of this one."""
+        made = Renderer.of(baked, self.seed)
+        made._rays_of = self._rays_of
+        return made
 
     def __repr__(self) -> str:
         state = "baked" if self._baked is not None else "not baked yet"

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
-from thermorender.materials.mixture import spectra_of
+from thermorender.materials.mixture import Mixture, spectra_of
 from thermorender.physics.band import Emissivity, RadianceTable, emitted_radiance, quadrature
 from thermorender.physics.planck import (
     Floats,
@@ -250,7 +250,7 @@ def make_spectrum(materials: Sequence[Material], envelope: Envelope, tolerance_m
     """
     points = Points.of(envelope.band_um, envelope.air)
     pure, shares = _pure(materials)
-    spectra = np.array([material.emissivity_at(points.wavelength_um) for material in pure])
+    spectra = spectra_at(points, pure)
     mixed = [(int(part), kelvin) for number, kelvin in envelope.objects for part in np.flatnonzero(shares[number])]
     envelope = replace(envelope, objects=list(dict.fromkeys(mixed)))
     case = _Case(points, spectra, envelope, envelope.paths())
@@ -271,6 +271,30 @@ def make_spectrum(materials: Sequence[Material], envelope: Envelope, tolerance_m
     )
 
 
+def kept_spectrum(
+    spectrum: Spectrum, before: Sequence[Material], materials: Sequence[Material], envelope: Envelope
+) -> Spectrum | None:
+    """Return the Spectrum of other materials with the nodes and channels of `spectrum`, whatever their error.
+
+    Band and air are the same. Materials with the emissivity of one in `before`, which `spectrum` was made for, reflect
+    as they did. None with mixtures.
+    """
+    if any(isinstance(material, Mixture) for material in (*before, *materials)):
+        return None
+    spectra, old = (spectra_at(spectrum.points, each) for each in (materials, before))
+    case = _Case(spectrum.points, spectra, envelope, envelope.paths())
+    basis, solver = spectrum.basis, spectrum.solver
+    channels_mk = 0.0 if envelope.air is None else _worst_mk(case, _shown(case), basis, solver)
+    found = [(new, row) for new, own in enumerate(spectra) for row in np.flatnonzero((old == own).all(axis=1))[:1]]
+    new, row = np.array(found, dtype=int).reshape(-1, 2).T
+    return case.spectrum(spectrum.label, basis, solver, channels_mk, case.wanted(basis), (new, spectrum.reflected[row]))
+
+
+def spectra_at(points: Points, materials: Sequence[Material]) -> Floats:
+    """Return the emissivity of each material at the points, (M, Q)."""
+    return np.array([material.emissivity_at(points.wavelength_um) for material in materials])
+
+
 def with_nodes(spectrum: Spectrum, materials: Sequence[Material], count: int) -> Spectrum:
     """Return a Spectrum with about `count` nodes, equal parts of its points by wavelength, whatever their error.
 
@@ -278,8 +302,7 @@ def with_nodes(spectrum: Spectrum, materials: Sequence[Material], count: int) ->
     """
     points = spectrum.points
     label = np.arange(len(points.node)) * min(count, len(points.node)) // len(points.node)
-    spectra = np.array([material.emissivity_at(points.wavelength_um) for material in materials])
-    emissivity, reflected, share = _means(points, spectra, spectrum.basis, label)
+    emissivity, reflected, share = _means(points, spectra_at(points, materials), spectrum.basis, label)
     return replace(spectrum, label=label, emissivity=emissivity, reflected=reflected, share=share)
 
 
@@ -338,9 +361,12 @@ class _Case:
 
     def spectrum(
         self, label: NDArray[np.integer], basis: Floats, solver: Floats, channels_mk: float,
-        wanted: Floats | None = None,
+        wanted: Floats | None = None, known: tuple[NDArray[np.integer], Floats] | None = None,
     ) -> Spectrum:  # fmt: skip
-        """Return the Spectrum of nodes, where `wanted` is given with a fit to these reflections and its error."""
+        """Return the Spectrum of nodes, where `wanted` is given with a fit to these reflections and its error.
+
+        `known` holds numbers of materials, and what they reflect in place of a fit.
+        """
         emissivity, reflected, share = _means(self.points, self.spectra, basis, label)
         nodes_mk = 0.0
         if wanted is not None:
@@ -350,6 +376,8 @@ class _Case:
             left, size, right = np.linalg.svd(light / self.per_mk.min(axis=0)[:, None], full_matrices=False)
             damped = size / (size**2 + (_RIDGE * size[0]) ** 2)
             reflected = reflected + missing @ left * damped @ right
+            if known is not None:
+                reflected[known[0]] = known[1]
             left_over = (wanted - reflected @ light.T) / self.per_mk[:, None]
             weights = self.passed[:: max(1, len(self.passed) // _JUDGED_PATHS)] @ solver
             nodes_mk = float(np.abs(np.einsum("pk,mkl->pml", weights, left_over, optimize=True)).max())
@@ -360,14 +388,7 @@ def _channels(case: _Case, tolerance_mk: float) -> tuple[Floats, Floats, float]:
     """(basis (K, n), solver (n, K), largest error [mK]) that represent the envelope's paths."""
     if case.envelope.air is None:
         return np.ones((1, 1)), np.ones((1, 1)), 0.0
-    # Radiance of surfaces: each at the extremes of the ground, or at its own temperature, reflecting any light.
-    ground, objects = case.sources[1:]
-    own = [(m, black) for m in range(len(case.spectra)) for black in ground]
-    own += [(m, black) for (m, _), black in zip(case.envelope.objects, objects, strict=True)]
-    node = case.points.node
-    reflected = [_gathered((1.0 - emissivity) * case.light, node) for emissivity in case.spectra]
-    shown = np.concatenate([_gathered(case.spectra[m] * black, node) + reflected[m] for m, black in own])
-    shown *= 1e3 * _kelvin(shown.sum(axis=1), case.envelope.band_um)[:, None]
+    shown = _shown(case)
     square = shown.T @ shown
     size, axes = np.linalg.eigh(square)
     left, size, _ = np.linalg.svd(case.passed @ (axes * np.sqrt(np.maximum(size, 0.0))), full_matrices=False)
@@ -376,10 +397,27 @@ def _channels(case: _Case, tolerance_mk: float) -> tuple[Floats, Floats, float]:
         # Scaled to the size of a radiance, to keep their digits in float32.
         basis /= np.abs(basis).max(axis=1, keepdims=True)
         solver = square @ basis.T @ np.linalg.pinv(basis @ square @ basis.T)
-        worst = float(np.abs((case.passed @ solver @ basis - case.passed) @ shown.T).max())
+        worst = _worst_mk(case, shown, basis, solver)
         if worst <= tolerance_mk:
             break
     return basis, solver, worst
+
+
+def _shown(case: _Case) -> Floats:
+    """Radiance of surfaces in the air's nodes [mK]."""
+    # Radiance of surfaces: each at the extremes of the ground, or at its own temperature, reflecting any light.
+    ground, objects = case.sources[1:]
+    own = [(m, black) for m in range(len(case.spectra)) for black in ground]
+    own += [(m, black) for (m, _), black in zip(case.envelope.objects, objects, strict=True)]
+    node = case.points.node
+    reflected = [_gathered((1.0 - emissivity) * case.light, node) for emissivity in case.spectra]
+    shown = np.concatenate([_gathered(case.spectra[m] * black, node) + reflected[m] for m, black in own])
+    return np.asarray(shown * (1e3 * _kelvin(shown.sum(axis=1), case.envelope.band_um)[:, None]))
+
+
+def _worst_mk(case: _Case, shown: Floats, basis: Floats, solver: Floats) -> float:
+    """Largest error of channels in `shown` radiance behind the envelope's paths [mK]."""
+    return float(np.abs((case.passed @ solver @ basis - case.passed) @ shown.T).max())
 
 
 def _kelvin(radiance: Floats, band_um: tuple[float, float]) -> Floats:

@@ -41,7 +41,7 @@ def face_means(
     coldest, step, last = (dr.opaque(mi.Float, float(value)) for value in (grid[0], grid[1] - grid[0], len(grid) - 2))
     # Position of each point on the temperature grid, and its material: five bytes a point.
     places = []
-    for found in geometry.points_in_faces(_pattern(geometry)):
+    for found in geometry.points_in_faces(pattern(geometry)):
         number = geometry.nearest(*found)
         position = (dr.gather(mi.Float, temperatures, number) - coldest) / step
         kind = dr.gather(mi.UInt8, materials, number)
@@ -120,14 +120,14 @@ def bake_channel(
     dr.eval(texel)
     face = dr.arange(mi.UInt32, count)
     mean, square = dr.zeros(mi.Float, count), dr.zeros(mi.Float, count)
-    pattern = _pattern(geometry)
-    for surface, column, row in geometry.points_in_faces(pattern):
+    points = pattern(geometry)
+    for surface, column, row in geometry.points_in_faces(points):
         missing = mi.Float(0.0)
         for number, weight in geometry.corners(geometry.lattice(surface), column, row):
             missing += weight * (reflected(face, number) - reflected(dr.gather(mi.UInt32, covers, number), number))
         mean, square = mean + missing, square + missing * missing
         dr.eval(mean, square)
-    mean, square = np.array(mean) / len(pattern), np.array(square) / len(pattern)
+    mean, square = np.array(mean) / len(points), np.array(square) / len(points)
     return texel.numpy(), mean, np.maximum(square - mean * mean, 0.0)
 
 
@@ -181,8 +181,8 @@ def variation(geometry: Geometry, reflected: NDArray[Any], noise: Floats, sample
     return float(np.sqrt(max(total / max(weight, 1e-300), 0.0) / 4.0))
 
 
-def _pattern(geometry: Geometry) -> list[tuple[float, float]]:
-    """Barycentric points (n, 2), evenly spread over a triangle."""
+def pattern(geometry: Geometry) -> list[tuple[float, float]]:
+    """Return barycentric points (n, 2), evenly spread over a triangle: those that represent a face."""
     texels, faces = np.diff(geometry.texel_start), np.diff(geometry.face_start)
     count = max(
         1 if t == 1 else int(np.clip(np.ceil(_PER_TEXEL * t / f), _FEWEST, _MOST))

@@ -1,0 +1,133 @@
+"""What an edit of materials or temperatures changes: texels, and the radiance that their faces send."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.render.arrays import Channels, Jit, aligned
+from thermorender.render.device import flat
+from thermorender.render.edits.known import Known, Tables
+from thermorender.render.plan import Plan
+from thermorender.render.spectrum import Spectrum, spectra_at
+from thermorender.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from thermorender.render.baked import BakedScene
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """Texels that an edit changes, and their faces, as the known light shows them.
+
+    Attributes
+    ----------
+    plan : Plan
+        Of the edited scene, with the nodes and channels of the one before.
+    kinds, kelvin : UInt8 and Float
+        Material and temperature of all texels after the edit.
+    changed : UInt8
+        1 for texels with another material, another spectrum of their material, or another temperature.
+    materials : (m,) int
+        Materials after the edit on these texels.
+    faces : (n,) int
+        Faces with such texels, ascending.
+    sent : (n, N) float32
+        Change of the radiance that these faces send at each node, in the light before the edit [W m⁻² sr⁻¹].
+    strongest : (n,) float32
+        Largest reflectance of a point of these faces at any node, after the edit.
+    """
+
+    plan: Plan
+    tables: Tables
+    kinds: Jit
+    kelvin: Jit
+    changed: Jit
+    materials: NDArray[np.intp]
+    faces: NDArray[np.intp]
+    sent: NDArray[np.float32]
+    strongest: NDArray[np.float32]
+
+
+def comparable(one: Scene, other: Scene) -> bool:
+    """Return whether two scenes of the same surfaces may differ in materials, temperatures and surroundings only."""
+    same = all(getattr(one, name) is getattr(other, name) for name in ("air", "camera"))
+    equal = all(getattr(one, name) == getattr(other, name) for name in ("sun", "altitude_m", "terrain_count"))
+    fixed = not (one.tracked_objects or other.tracked_objects)
+    return same and equal and fixed and one.spec.sky_temperature == other.spec.sky_temperature
+
+
+def change_of(baked: "BakedScene", known: Known, scene: Scene, plan: Plan) -> Change | None:
+    """Return the Change from a baked scene to an edited one; None where nodes or channels differ."""
+    before, after = baked.plan.spectrum, plan.spectrum
+    if not (np.array_equal(before.label, after.label) and np.array_equal(before.basis, after.basis)):
+        return None
+    mi = baked.geometry.mi
+    material, temperature = flat(scene.surfaces, "material"), flat(scene.surfaces, "temperature")
+    kinds, kelvin = known.kinds, known.kelvin
+    if not np.array_equal(material, known.material):
+        kinds = mi.UInt8(aligned(material, np.uint8))
+    warmer = not np.array_equal(temperature, known.temperature)
+    if warmer:
+        kelvin = mi.Float(aligned(temperature))
+    changed, materials = _changed(known, kinds, kelvin, _differ(baked, scene, before, after))
+    tables, faces = known.tables(plan), known.samples.with_any(changed)
+    sent, strongest = _sent(known, tables, (before, after), (kinds, kelvin, changed), faces, warmer)
+    return Change(plan, tables, kinds, kelvin, changed, materials, faces, sent, strongest)
+
+
+def _differ(baked: "BakedScene", scene: Scene, before: Spectrum, after: Spectrum) -> NDArray[np.uint8]:
+    """Whether each material before differs from each after in what it emits or reflects, (M, M')."""
+    one, other = (spectra_at(after.points, each.materials) for each in (baked.scene, scene))
+    same = (one[:, None] == other).all(axis=-1)
+    same &= (before.reflected[:, None] == after.reflected).all(axis=(-2, -1))
+    return (~same).astype(np.uint8)
+
+
+def _changed(known: Known, kinds: Jit, kelvin: Jit, differ: NDArray[np.uint8]) -> tuple[Jit, NDArray[np.intp]]:
+    """(flags of the changed texels, UInt8; numbers of their materials after the edit)."""
+    mi, count = known.samples.geometry.mi, differ.shape[1]
+    pair = mi.UInt32(known.kinds) * dr.opaque(mi.UInt32, count) + mi.UInt32(kinds)
+    flags = dr.gather(mi.UInt8, mi.UInt8(aligned(differ, np.uint8)), pair)
+    if kelvin is not known.kelvin:
+        flags = dr.select(known.kelvin != kelvin, mi.UInt8(1), flags)
+    present = dr.zeros(mi.UInt32, count)
+    dr.scatter(present, mi.UInt32(1), mi.UInt32(kinds), flags > 0)
+    dr.eval(flags, present)
+    return flags, np.flatnonzero(np.array(present))
+
+
+def _sent(
+    known: Known, tables: Tables, spectra: Sequence[Spectrum], new: tuple[Jit, Jit, Jit], faces: NDArray[np.intp],
+    warmer: bool,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:  # fmt: skip
+    """`Change.sent` and `Change.strongest` of faces."""
+    samples, (kinds, kelvin, changed) = known.samples, new
+    mi, nodes = samples.geometry.mi, spectra[1].nodes
+    if not len(faces):
+        return np.zeros((0, nodes), np.float32), np.zeros(0, np.float32)
+    before, after = (Channels(mi, spectrum.emissivity) for spectrum in spectra)
+    strong = mi.Float(aligned(1.0 - spectra[1].emissivity.min(axis=1)))
+    face = mi.UInt32(aligned(faces, np.uint32))
+    incident, last = known.incident.at(face), dr.opaque(mi.UInt32, samples.count)
+
+    def body(point: Jit, strongest: Jit, *total: Jit) -> tuple[Jit, ...]:
+        texel = samples.texel(face, point)
+        on = dr.gather(mi.UInt8, changed, texel) > 0
+        kind = mi.UInt32(dr.gather(mi.UInt8, kinds, texel))
+        own, old = after.at(kind, on), before.at(mi.UInt32(dr.gather(mi.UInt8, known.kinds, texel, on)), on)
+        black = tables.radiance(dr.gather(mi.Float, kelvin, texel, on), on)
+        was = tables.radiance(dr.gather(mi.Float, known.kelvin, texel, on), on) if warmer else black
+        added = (a + e * b - f * c + (f - e) * x
+                 for a, e, b, f, c, x in zip(total, own, black, old, was, incident, strict=True))  # fmt: skip
+        return (point + 1, dr.maximum(strongest, dr.gather(mi.Float, strong, kind)), *added)
+
+    zero = dr.zeros(mi.Float, len(faces))
+    start = (mi.UInt32(0), zero, *(dr.zeros(mi.Float, len(faces)) for _ in range(nodes)))
+    _, strongest, *total = dr.while_loop(start, lambda point, *_: point < last, body)
+    total = [value / mi.Float(last) for value in total]
+    dr.eval(total, strongest)
+    return np.stack([np.array(value) for value in total], axis=1), np.array(strongest)

@@ -1,0 +1,169 @@
+"""A baked scene on the device as edits need it: its texels, its light, and the points that represent its faces."""
+
+from concurrent.futures import Executor
+from typing import TYPE_CHECKING
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.physics.band import RadianceTable
+from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned
+from thermorender.render.device import flat
+from thermorender.render.geometry import Geometry
+from thermorender.render.light.radiosity import Transport
+from thermorender.render.light.texels import pattern
+from thermorender.render.plan import Plan
+
+if TYPE_CHECKING:
+    from thermorender.render.baked import BakedScene
+
+# Temperatures below the coldest and above the warmest of a scene that its tables have [K].
+_BELOW_K, _ABOVE_K = 10.0, 40.0
+
+
+class Samples:
+    """Points that represent the faces of a geometry, and the rays between its faces.
+
+    Attributes
+    ----------
+    count : int
+        Points of a face.
+    nearest : UInt32
+        The number of the texel at each point, of all faces, point after point.
+    seen : (F,) float32
+        Share of each face's hemisphere that shows other faces.
+    """
+
+    def __init__(self, geometry: Geometry, transport: Transport) -> None:
+        mi, points = geometry.mi, pattern(geometry)
+        self.geometry, self.transport, self.count = geometry, transport, len(points)
+        found = []
+        for place in geometry.points_in_faces(points):
+            number = geometry.nearest(*place)
+            dr.eval(number)
+            found.append(np.array(number))
+        self.nearest = mi.UInt32(aligned(np.concatenate(found), np.uint32))
+        self._pattern = [mi.Float(aligned([point[axis] for point in points])) for axis in (0, 1)]
+        self._surface, self._corner = geometry.face_maps()
+        self.faces = dr.opaque(mi.UInt32, geometry.face_count)
+        outside = transport.up.sum(axis=(1, 2), dtype=np.int64) + transport.down.sum(axis=1, dtype=np.int64)
+        self.seen = (1.0 - outside / (2.0 * transport.rays)).astype(np.float32)
+
+    def texel(self, face: Jit, point: Jit) -> Jit:
+        """Return the number of the texel at a point of faces, UInt32."""
+        return dr.gather(self.geometry.mi.UInt32, self.nearest, point * self.faces + face)
+
+    def corners(self, face: Jit, point: Jit) -> list[tuple[Jit, Jit]]:
+        """Return the four texels round a point of faces, as `Geometry.corners`."""
+        mi, geometry = self.geometry.mi, self.geometry
+        u, v = (dr.gather(mi.Float, values, point) for values in self._pattern)
+        at = [[dr.gather(mi.Float, values, face) for values in corner] for corner in self._corner]
+        place = [(1.0 - u - v) * at[0][axis] + u * at[1][axis] + v * at[2][axis] for axis in (0, 1)]
+        return geometry.corners(geometry.lattice(dr.gather(mi.UInt32, self._surface, face)), *place)
+
+    def with_any(self, flags: Jit) -> NDArray[np.intp]:
+        """Return the faces with a point whose texel has a flag (UInt8) above 0, ascending."""
+        mi = self.geometry.mi
+        face = dr.arange(mi.UInt32, self.geometry.face_count)
+        last = dr.opaque(mi.UInt32, self.count)
+
+        def body(point: Jit, found: Jit) -> tuple[Jit, Jit]:
+            return point + 1, found | mi.UInt32(dr.gather(mi.UInt8, flags, self.texel(face, point)))
+
+        start = mi.UInt32(0), dr.zeros(mi.UInt32, self.geometry.face_count)
+        _, found = dr.while_loop(start, lambda point, _: point < last, body)
+        return np.flatnonzero(np.array(found))
+
+    def received(self, sent: NDArray[np.float32], pool: Executor) -> NDArray[np.float32]:
+        """Return what faces receive from radiance that faces send, both (F, k) float32 [W m⁻² sr⁻¹]."""
+        from scipy.sparse import csr_array
+
+        transport, found = self.transport, np.empty_like(sent)
+        shares = sent / np.float32(2.0 * transport.rays)
+
+        def receive(part: slice) -> None:
+            start = transport.start[2 * part.start : 2 * part.stop + 1 : 2]
+            here = slice(int(start[0]), int(start[-1]))
+            hits, borders = transport.hits[here].astype(np.float32), (start - start[0]).astype(np.int32)
+            found[part] = csr_array((hits, transport.seen[here], borders), (len(start) - 1, len(sent))) @ shares
+
+        list(pool.map(receive, transport.parts()))
+        return found
+
+    def received_by(self, faces: NDArray[np.intp], sent: NDArray[np.float32]) -> Floats:
+        """Return what some faces (n,) receive from radiance (F,) that faces send, (n,) [W m⁻² sr⁻¹]."""
+        transport = self.transport
+        start, stop = transport.start[2 * faces], transport.start[2 * faces + 2]
+        count = stop - start
+        ends = np.cumsum(count)
+        place = np.arange(ends[-1]) + np.repeat(start - ends + count, count)
+        light = np.cumsum(transport.hits[place] * sent[transport.seen[place]], dtype=np.float64)
+        total = np.concatenate([[0.0], light])
+        return np.asarray((total[ends] - total[ends - count]) / (2.0 * transport.rays))
+
+
+class Tables:
+    """Blackbody radiance at the nodes of a spectrum against temperature.
+
+    Attributes
+    ----------
+    limits_k : (2,) floats
+        Coldest and warmest temperature [K].
+    black : Channels
+        At each node, for each temperature of `RadianceTable.grid`.
+    """
+
+    def __init__(self, mi: Mitsuba, plan: Plan) -> None:
+        self._mi = mi
+        self.limits_k = plan.coldest - _BELOW_K, plan.warmest + _ABOVE_K
+        grid = RadianceTable.grid(*self.limits_k)
+        self.black = Channels(mi, plan.spectrum.black(grid))
+        values = grid[0], grid[1] - grid[0], len(grid) - 2
+        self._steps = [dr.opaque(mi.Float, float(value)) for value in values]
+        self.count = dr.opaque(mi.UInt32, len(grid))
+
+    def interval(self, kelvin: Jit) -> tuple[Jit, Jit]:
+        """Return (lower index, share of the next) of temperatures in the tables."""
+        first, step, last = self._steps
+        place = (kelvin - first) / step
+        lower = self._mi.UInt32(dr.clip(place, 0.0, last))
+        return lower, place - self._mi.Float(lower)
+
+    def radiance(self, kelvin: Jit, active: Jit) -> list[Jit]:
+        """Return a blackbody's radiance at each node, [Float]; 0 where inactive."""
+        lower, share = self.interval(kelvin)
+        ends = (self.black.at(lower + k, active) for k in (0, 1))
+        return [dr.lerp(a, b, share) for a, b in zip(*ends, strict=True)]
+
+
+class Known:
+    """A BakedScene's texels and light on the device.
+
+    Attributes
+    ----------
+    material, temperature : (T,) uint8 and float32
+        Of all texels; `kinds` and `kelvin` on the device.
+    incident : Channels
+        Radiance at each node that faces receive, and its mean for texels without a face, as `texels.bake_channel`.
+    texels : list of Float
+        `BakedScene.texels`.
+    """
+
+    def __init__(self, baked: "BakedScene", samples: Samples) -> None:
+        mi, surfaces = baked.geometry.mi, baked.scene.surfaces
+        self.samples, self._mi = samples, mi
+        self.material, self.temperature = flat(surfaces, "material"), flat(surfaces, "temperature")
+        self.kinds, self.kelvin = mi.UInt8(aligned(self.material, np.uint8)), mi.Float(aligned(self.temperature))
+        assert baked.incident is not None
+        mean = baked.incident.mean(axis=0, keepdims=True, dtype=np.float64)
+        self.incident = Channels(mi, np.vstack([baked.incident, mean.astype(np.float32)]))
+        self.texels = [mi.Float(aligned(values)) for values in baked.texels]
+        self._tables = Tables(mi, baked.plan)
+
+    def tables(self, plan: Plan) -> Tables:
+        """Return Tables that have the temperatures of a Plan."""
+        found = self._tables
+        if plan.coldest < found.limits_k[0] or plan.warmest > found.limits_k[1]:
+            self._tables = found = Tables(self._mi, plan)
+        return found
