@@ -128,7 +128,8 @@ def studio(
             _ = renderer.baked
         print_cache_note(renderer)
         signal.signal(signal.SIGTERM, signal.default_int_handler)
-        run(renderer, socket, host, pose, lambda address: typer.echo(f"open {address} in a browser; stop with Ctrl-C"))
+        announce = "open {} in a browser; stop with Ctrl-C".format
+        run(renderer, socket, host, pose, quality, lambda address: typer.echo(announce(address)))
 
 
 def _bridge(

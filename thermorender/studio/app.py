@@ -27,7 +27,9 @@ def refuse_missing() -> None:
         ) from None
 
 
-def run(renderer: "Renderer", listening: "socket.socket", host: str, pose: str, announce: Any) -> None:
+def run(
+    renderer: "Renderer", listening: "socket.socket", host: str, pose: str, quality: str, announce: Any
+) -> None:  # fmt: skip
     """Serve the studio until Ctrl-C.
 
     Parameters
@@ -39,6 +41,8 @@ def run(renderer: "Renderer", listening: "socket.socket", host: str, pose: str, 
         Its address.
     pose : str
         E,N,U,YAW,PITCH,ROLL of the first view.
+    quality : str
+        Of the renderer.
     announce : callable (address)
         Called with the address that a browser opens.
     """
@@ -47,7 +51,7 @@ def run(renderer: "Renderer", listening: "socket.socket", host: str, pose: str, 
     from thermorender.studio.session import Session
 
     token, port = secrets.token_urlsafe(24), int(listening.getsockname()[1])
-    session = Session(renderer)
+    session = Session(renderer, quality)
     app = _application(session, pose)
     config = uvicorn.Config(
         Guard(app, token, host, port), log_level="error", access_log=False, lifespan="on",
@@ -79,12 +83,20 @@ def _application(session: Any, pose: str) -> Any:
             return Response(status_code=404)
         return Response(picture.data, media_type=picture.kind, headers={"cache-control": "no-store"})
 
+    @app.get("/map/{version}/{percent}")
+    def map_of(version: int, percent: int) -> Response:
+        from thermorender.studio.ground import map_picture
+
+        return Response(
+            map_picture(session.scene, percent), media_type="image/jpeg", headers={"cache-control": "no-store"}
+        )
+
     @app.get("/export/{tab}/{kind}")
-    def export(tab: str, kind: str) -> Response:
-        from thermorender.studio.exports import exported
+    def export(tab: str, kind: str, metres: float = 0.5) -> Response:
+        from thermorender.studio.saving import exported
 
         try:
-            data, name = exported(session, tab, kind)
+            data, name = exported(session, tab, kind, metres)
         except ThermorenderError as error:
             return Response(f"{error}\n", status_code=409, media_type="text/plain")
         headers = {"content-disposition": f'attachment; filename="{name}"', "cache-control": "no-store"}

@@ -101,6 +101,11 @@ class Document:
         find(self.library, material, f"object {name!r}")
         return replace(self, objects={**self.objects, name: (material, kelvin)})
 
+    def with_area(self, area: Painted) -> "Document":
+        """Return this Document with another material within an area."""
+        find(self.library, area.material, "the area")
+        return replace(self, painted=(*self.painted, area))
+
     def changed(self, saved: "Document") -> list[str]:
         """Return the names of the materials that differ from those of another Document, or are new."""
         return [name for name, each in self.library.items() if saved.library.get(name) is not each]

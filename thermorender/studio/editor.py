@@ -10,6 +10,7 @@ from thermorender.materials.material import Material
 from thermorender.studio import fields, spectrum
 from thermorender.studio.document import Document
 from thermorender.studio.fields import OPTICAL, THERMAL, Field, chosen, text_of
+from thermorender.studio.panels import Cover, Files
 from thermorender.studio.pictures import hexadecimal
 from thermorender.studio.session import BAND_K
 
@@ -70,6 +71,7 @@ class Editor:
             self.name = next(iter(self._session.document.library))
         self._fill_list()
         self._fill()
+        self._cover.refresh()
 
     # The list.
 
@@ -87,7 +89,7 @@ class Editor:
                     "padding:0 8px"
                 )
         with ui.element("div").classes("grow list"):
-            self._table = ui.table(rows=[], columns=_COLUMNS, row_key="name", pagination=0).props(
+            self._table: ui.table = ui.table(rows=[], columns=_COLUMNS, row_key="name", pagination=0).props(
                 'flat dense hide-pagination :rows-per-page-options="[0]" data-testid="materials"'
             )
             self._table.add_slot("body", _ROW)
@@ -155,9 +157,8 @@ class Editor:
             self._title = ui.label("").classes("big").props('data-testid="title"')
             self._subtitle = ui.label("").classes("soft")
         with ui.tabs().props("dense align=left no-caps") as tabs:
-            optical, thermal = ui.tab("Optical"), ui.tab("Thermal")
-            self.tabs = tabs
-        with ui.tab_panels(tabs, value=optical, animated=False).classes("grow") as self.panels:
+            optical, thermal, cover, files = map(ui.tab, ("Optical", "Thermal", "Cover", "Files"))
+        with ui.tab_panels(tabs, value=optical, animated=False).classes("grow"):
             with ui.tab_panel(optical):
                 self._spectrum_part()
                 with ui.element("div").classes("part"):
@@ -171,6 +172,10 @@ class Editor:
                         for one in THERMAL:
                             self._field(one)
                             self._about[one.key] = ui.html("", sanitize=False).classes("about")
+            with ui.tab_panel(cover):
+                self._cover = Cover(self._tab)
+            with ui.tab_panel(files):
+                Files(self._tab)
 
     def _spectrum_part(self) -> None:
         with ui.element("div").classes("part"):

@@ -131,6 +131,14 @@ def chosen(material: Material, key: str) -> bool:
     return key == "temperature_k" or f"{key}=" in material.note.partition("Set in the studio: ")[2]
 
 
+def _layers(material: Material) -> list[tuple[str, Thermal]]:
+    """The layers of a material from the surface down, with the names of their tables."""
+    if material.thermal is None:
+        return []
+    layers = material.thermal.layers
+    return list(zip((material.name, *(layer.beneath for layer in layers)), layers, strict=False))
+
+
 def _with_thermal(document: Document, material: Material, key: str, text: str) -> Document:
     """The Document with another thermal value, in all materials that lie on this one too."""
     thermal, faults = with_values(material.thermal, {key: text}, TYPED)
@@ -138,10 +146,7 @@ def _with_thermal(document: Document, material: Material, key: str, text: str) -
         raise ThermorenderError(faults[0])
     thermals: dict[str, Thermal] = {}
     for each in document.library.values():
-        layer, name = each.thermal, each.name
-        while layer is not None:
-            thermals.setdefault(name, layer)
-            layer, name = layer.below, layer.beneath
+        thermals |= {key: layer for key, layer in _layers(each) if key not in thermals}
     thermals[material.name] = thermal
     try:
         layered = stacked(thermals, "")

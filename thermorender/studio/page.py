@@ -13,6 +13,7 @@ from nicegui import ui
 
 from thermorender.errors import ThermorenderError
 from thermorender.studio.editor import Editor
+from thermorender.studio.panels import Map
 from thermorender.studio.pictures import NAMES, Picture
 from thermorender.studio.renders import figures, parts_at
 from thermorender.studio.session import Session
@@ -58,11 +59,15 @@ class Tab:
                 left = ui.element("div").classes("left").style("flex:1;min-height:0")
             with ui.element("section").classes("middle").props('aria-label="View"'):
                 self._tools()
-                self._stage()
-                self._below()
+                with ui.element("div") as self._camera_box:
+                    self._stage()
+                    self._below()
+                with ui.element("div").classes("mapside") as self._map_box:
+                    self.map = Map(self)
             with ui.element("section").classes("right").props('aria-label="Properties"'):
                 right = ui.element("div").classes("right").style("flex:1;min-height:0")
             self.editor = Editor(self, left, right)
+            self._map_box.set_visibility(False)
         for name, handler in (("move", self._move), ("hover", self._hover), ("pick", self._pick)):
             ui.on(f"studio_{name}", handler)
         session.tabs.append(self)
@@ -86,6 +91,12 @@ class Tab:
             self._redo_tip.set_text(f"Redo: {history.redoes}" if history.redoes else "Nothing to redo")
             self._version.set_text(f"version {history.version}")
             self.editor.refresh()
+            if self.view.mode == "map":
+                self.map.refresh()
+
+    def editor_name(self) -> str:
+        """Return the chosen material, for the tools of the map."""
+        return self.editor.name if hasattr(self, "editor") else ""
 
     def look(self) -> None:
         """Ask for a picture of the view."""
@@ -184,9 +195,9 @@ class Tab:
 
             def fix(now: bool) -> None:
                 shown = self._picture if now else None
-                given = shown.ends if shown and shown.ends and shown.unit == "K" else ("", "")
-                for each, value in zip(ends, given, strict=True):
-                    each.set_value(value and f"{value:.1f}")
+                given = shown.ends if shown and shown.ends and shown.unit == "K" else None
+                for k, each in enumerate(ends):
+                    each.set_value(f"{given[k]:.1f}" if given else "")
                 fixed()
 
     def _stage(self) -> None:
@@ -236,7 +247,13 @@ class Tab:
 
     def _set(self, **changes: Any) -> None:
         self.view = replace(self.view, **changes)
-        self.look()
+        on_map = self.view.mode == "map"
+        self._map_box.set_visibility(on_map)
+        self._camera_box.set_visibility(not on_map)
+        if on_map:
+            self.map.open()
+        else:
+            self.look()
 
     def turn_to(self, pose: Pose, time_s: float | None = None) -> None:
         """Show another pose."""
@@ -355,7 +372,7 @@ class Tab:
         self._parts.clear()
         self._parts_title.set_content("<h2>Radiance by origin</h2>" if parts else "")
         with self._parts:
-            for name, value in (parts or {}).items():
+            for name, part in (parts or {}).items():
                 ui.label(name).classes("k")
-                ui.label(f"{value:.4f} W m⁻² sr⁻¹").classes("r")
-                ui.label(f"{100.0 * value / found['radiance']:.1f} %").classes("r")
+                ui.label(f"{part:.4f} W m⁻² sr⁻¹").classes("r")
+                ui.label(f"{100.0 * part / found['radiance']:.1f} %").classes("r")

@@ -123,7 +123,7 @@ def picture_of(
     kelvin = frame.apparent_temperature
     if view.mode == "photograph" and colour is not None:
         image = np.where(colour[1][..., None], colour[0], np.array(_NO_SURFACE, np.uint8))
-        return replace(blank, data=_jpeg(image), kind="image/jpeg")
+        return replace(blank, data=jpeg(image), kind="image/jpeg")
     if view.mode == "materials":
         number, colours, legend = _materials(frame)
         return replace(blank, data=_png(number, colours), legend=legend)
@@ -148,13 +148,9 @@ def _levels(values: NDArray[np.float32], low: float, high: float) -> NDArray[np.
 
 def _materials(frame: Frame) -> tuple[NDArray[np.uint8], NDArray[np.uint8], tuple[tuple[str, str], ...]]:
     """The material number of each pixel, a colour for each, and the names of those in view, the largest first."""
-    from matplotlib import colormaps
-
     number = frame.truth["material"].copy()
     number[~np.isfinite(frame.truth["depth"])] = 255
-    colours = np.zeros((256, 3), np.uint8)
-    colours[:] = np.rint(255.0 * colormaps["tab20"](np.arange(256) % 20)[:, :3]).astype(np.uint8)
-    colours[255] = _NO_SURFACE
+    colours = colours_of_materials()
     count = np.bincount(number.ravel(), minlength=256)[: len(frame.materials)]
     order = [int(k) for k in np.argsort(-count, kind="stable") if count[k]]
     legend = tuple((frame.materials[k], hexadecimal(colours[k])) for k in order)
@@ -172,7 +168,18 @@ def _png(levels: NDArray[np.uint8], colours: NDArray[np.uint8]) -> bytes:
     return file.getvalue()
 
 
-def _jpeg(image: NDArray[np.uint8]) -> bytes:
+@cache
+def colours_of_materials() -> NDArray[np.uint8]:
+    """Return a colour for each material number, (256, 3) uint8 sRGB; 255 is no surface."""
+    from matplotlib import colormaps
+
+    colours = np.rint(255.0 * colormaps["tab20"](np.arange(256) % 20)[:, :3]).astype(np.uint8)
+    colours[255] = _NO_SURFACE
+    return colours
+
+
+def jpeg(image: NDArray[np.uint8]) -> bytes:
+    """Return the JPEG of an sRGB image, (H, W, 3) uint8."""
     import cv2
 
     return bytes(cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 92])[1])

@@ -8,8 +8,9 @@ a solution under way; tabs that only look around are served in between.
 import threading
 import traceback
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -19,6 +20,10 @@ from thermorender.render.renderer import Renderer
 from thermorender.scene.scene import Scene
 from thermorender.studio.pictures import Picture, picture_of
 from thermorender.studio.view import View
+
+_T = TypeVar("_T")
+# Longest wait for a job, such as an export behind a long solution.
+_ANSWERS_S = 120.0
 
 
 class _Newer(Exception):
@@ -107,6 +112,19 @@ class Renders:
             self._jobs.append(job)
             self._news.notify()
 
+    def call(self, job: Callable[[], _T]) -> _T:
+        """Return the result of a function that the thread that renders has called; not for that thread itself."""
+        made: Future[_T] = Future()
+
+        def run() -> None:
+            try:
+                made.set_result(job())
+            except BaseException as error:
+                made.set_exception(error)
+
+        self.run(run)
+        return made.result(_ANSWERS_S)
+
     def picture(self, tab: str) -> Picture | None:
         """Return the latest Picture of a tab."""
         return self._pictures.get(tab)
@@ -141,16 +159,12 @@ class Renders:
             self._draw()
 
     def _solve(self, scene: Scene, version: int, saved: bool) -> None:
-        preview = getattr(self._solved, "preview_for", None)
-        if preview is not None and scene.temperature_state.solved:
-            try:
-                shown, error_mk = preview(scene)
-            except ThermorenderError:
-                pass
-            else:
-                self._show(Light(shown, version, f"preview ± {error_mk:.0f} mK", False))
         if scene.temperature_state.solved:
-            made = Renderer.of(self._solved.baked.solved_for(scene, self._between), self.renderer.seed)
+            made = self._solved.preview_for(scene)
+            error_mk = made.baked.errors_mk.get("preview")
+            if error_mk is not None:
+                self._show(Light(made, version, f"preview ± {error_mk:.{0 if error_mk >= 10.0 else 1}f} mK", False))
+                made = self._solved.solved_for(scene, self._between)
         else:
             plan = self._solved.plan
             made = Renderer(

@@ -1,6 +1,7 @@
 """The scene that a studio has open: its edits, what renders it, and the tabs that show it."""
 
 from collections.abc import Callable
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -10,8 +11,11 @@ from thermorender.materials.library import load_library, read_library
 from thermorender.materials.material import Material
 from thermorender.studio.document import Document, History
 from thermorender.studio.renders import Renders
+from thermorender.studio.saving import snapshot
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from thermorender.render.renderer import Renderer
     from thermorender.scene.scene import Scene
 
@@ -33,6 +37,8 @@ class Session:
     ----------
     renderer : Renderer
         Of the scene as its files describe it.
+    quality : str
+        Its quality, for the lines that a user copies.
 
     Attributes
     ----------
@@ -40,11 +46,21 @@ class Session:
     history : History
     renders : Renders
     tabs : list of Shown
+    files : dict
+        Checksums of the scene's files as they were read or written.
+    class_raster : bytes
+        The file of the class raster as it was read; b"" without one.
+    areas : TemporaryDirectory
+        Painted areas.
     """
 
-    def __init__(self, renderer: "Renderer") -> None:
+    def __init__(self, renderer: "Renderer", quality: str) -> None:
+        self.quality = quality
         self.base: Scene = renderer.scene
-        self.history = History(document_of(self.base))
+        self._origin = document_of(self.base)
+        self.history = History(self._origin)
+        self.files, self.class_raster = snapshot(self.base), class_raster_of(self.base)
+        self.areas = TemporaryDirectory(prefix="thermorender-studio-")
         self.renders = Renders(renderer)
         self.tabs: list[Shown] = []
         self._band: dict[int, tuple[Material, float | None]] = {}
@@ -74,12 +90,21 @@ class Session:
 
     def reload(self, scene: "Scene") -> None:
         """Take over the scene as its files describe it now."""
+        self.files, self.class_raster = snapshot(scene), class_raster_of(scene)
         self.base = self._scene = scene
-        self.history.loaded(document_of(scene))
+        self._origin = document_of(scene)
+        self.history.loaded(self._origin)
         self._render(saved=True)
 
+    def saved(self, files: "dict[Path, str]") -> None:
+        """Count the edits as saved: differences begin from them, and undo still goes behind them."""
+        self.files, self.history.saved = files, self.document
+        self.renders.solve(self._scene, self.history.version, True)
+        for tab in list(self.tabs):
+            tab.refresh()
+
     def _use(self, document: Document) -> None:
-        scene = document.scene(self.base, self.history.saved)
+        scene = document.scene(self.base, self._origin)
         scene.refuse_disagreement()
         self._scene = scene
 
@@ -115,6 +140,12 @@ class Session:
                 self._band.clear()
             known = self._band[id(material)] = (material, value)
         return known[1]
+
+
+def class_raster_of(scene: "Scene") -> bytes:
+    """Return the contents of a scene's class raster; b"" without one."""
+    raster = scene.spec.emissivity.raster
+    return raster.read_bytes() if raster else b""
 
 
 def document_of(scene: "Scene") -> Document:

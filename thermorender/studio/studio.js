@@ -127,4 +127,53 @@ window.studio = {
     });
     zr.on("globalout", () => { held = null; });
   },
+  // The map: areas are drawn in shares of its width and height.
+  setUpMap() {
+    const image = document.getElementById("map"), box = document.getElementById("mapstage");
+    if (!box || box.dataset.ready) return;
+    box.dataset.ready = "yes";
+    let points = [], held = false;
+    const at = (e) => {
+      const r = image.getBoundingClientRect();
+      return [(e.clientX - r.left) / r.width, (e.clientY - r.top) / r.height];
+    };
+    const draw = () => {
+      document.getElementById("mapdraw").innerHTML =
+        `<polygon points="${points.map((p) => p.join(",")).join(" ")}" vector-effect="non-scaling-stroke"/>`;
+    };
+    const send = () => {
+      const tool = studio.mapTool;
+      if (tool === "fill" ? points.length === 1 : points.length > 2)
+        emitEvent("studio_area", { tool, points, version: studio.version });
+      points = [];
+      draw();
+    };
+    box.addEventListener("pointerdown", (e) => {
+      if (e.button) return;
+      held = true;
+      if (studio.mapTool === "lasso") points = [];
+      if (studio.mapTool !== "polygon") points = [at(e)];
+      else if (e.detail < 2) points.push(at(e));
+      draw();
+    });
+    box.addEventListener("pointermove", (e) => {
+      if (held && studio.mapTool === "lasso") points.push(at(e)), draw();
+    });
+    box.addEventListener("pointerup", () => {
+      held = false;
+      if (studio.mapTool !== "polygon") send();
+    });
+    box.addEventListener("dblclick", () => { if (studio.mapTool === "polygon") send(); });
+    studio.clearMap = () => { points = []; draw(); };
+  },
+  tool(name) {
+    studio.mapTool = name;
+    if (studio.clearMap) studio.clearMap();
+  },
+  showMap(source, version) {
+    const image = document.getElementById("map");
+    if (!image) return;
+    image.onload = () => { image.dataset.version = version; };
+    image.src = source;
+  },
 };

@@ -21,6 +21,7 @@ MODES = {
     "display": "Camera display",
     "photograph": "Photograph",
     "materials": "Material map",
+    "map": "Map to paint on",
 }
 POSE_PARTS = ("E", "N", "U", "YAW", "PITCH", "ROLL")
 _LEAST_ABOVE_M, _NEAREST_M, _FARTHEST_M = 2.0, 5.0, 20_000.0
