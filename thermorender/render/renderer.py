@@ -40,6 +40,7 @@ from thermorender.trajectory.rotations import checked_pose
 
 if TYPE_CHECKING:
     from thermorender.render.flight.frames import FlightFrames
+    from thermorender.render.pixels.parts import PixelParts
 
 # Error above which edge pixels of a visible view get more rays: a share of white, summed over the colours.
 _VISIBLE_EDGE = 0.03
@@ -232,6 +233,21 @@ class Renderer:
         it; `lit_objects` is `objects` at that time, by default the same.
         """
         return self._view(pose, time_s, objects, camera, lit_s, lit_objects).radiance(through_air)[0]
+
+    def parts_at(
+        self, pose: ArrayLike, pixels: ArrayLike, time_s: float = 0.0, objects: Objects | None = None,
+        camera: Camera | None = None,
+    ) -> "list[PixelParts]":  # fmt: skip
+        """Return the PixelParts at pixels (n, 2), each a row and a column: their surface and parts of their radiance.
+
+        Raises
+        ------
+        ThermorenderError
+            A pixel outside the image; pose, time and objects as of `frame`.
+        """
+        from thermorender.render.pixels.parts import parts_at
+
+        return parts_at(self._view(pose, time_s, objects, camera), pixels)
 
     def refuse_camera(self, positions: ArrayLike) -> None:
         """Raise for cameras at local positions (…, 3) outside the range of the air or above its clouds."""

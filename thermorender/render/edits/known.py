@@ -75,6 +75,14 @@ class Samples:
         _, found = dr.while_loop(start, lambda point, _: point < last, body)
         return np.flatnonzero(np.array(found))
 
+    def around(self, face: int) -> tuple[NDArray[np.uint32], Floats]:
+        """Return (texels, weights) of which a face's points are made; the weights sum to one."""
+        mi = self.geometry.mi
+        point = dr.arange(mi.UInt32, self.count)
+        found = self.corners(dr.full(mi.UInt32, face, self.count), point)
+        texel, weight = (np.concatenate([np.array(each[k]) for each in found]) for k in (0, 1))
+        return texel, weight.astype(np.float64) / self.count
+
     def received(self, sent: NDArray[np.float32], pool: Executor) -> NDArray[np.float32]:
         """Return what faces receive from radiance that faces send, both (F, k) float32 [W m⁻² sr⁻¹]."""
         from scipy.sparse import csr_array
@@ -101,6 +109,23 @@ class Samples:
         light = np.cumsum(transport.hits[place] * sent[transport.seen[place]], dtype=np.float64)
         total = np.concatenate([[0.0], light])
         return np.asarray((total[ends] - total[ends - count]) / (2.0 * transport.rays))
+
+
+def samples_of(baked: "BakedScene") -> Samples:
+    """Return the Samples of a BakedScene, which it keeps."""
+    kept = baked._uploaded
+    if "samples" not in kept:
+        assert baked.transport is not None
+        kept["samples"] = Samples(baked.geometry, baked.transport)
+    return kept["samples"]
+
+
+def known_of(baked: "BakedScene") -> "Known":
+    """Return the Known of a BakedScene, which it keeps."""
+    kept = baked._uploaded
+    if "known" not in kept:
+        kept["known"] = Known(baked, samples_of(baked))
+    return kept["known"]
 
 
 class Tables:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from thermorender.render.arrays import Channels, Floats, Jit, aligned
 from thermorender.render.edits.change import Change, change_of, comparable
-from thermorender.render.edits.known import Known, Samples
+from thermorender.render.edits.known import Known, Samples, known_of
 from thermorender.render.layers import OutgoingRadiance
 from thermorender.render.light.exchange import threads
 from thermorender.render.plan import Plan, make_plan
@@ -57,17 +57,6 @@ def edited_plan(baked: "BakedScene", scene: Scene) -> Plan:
         scene, samples=old.samples, taps=old.taps, edge_mk=old.edge_mk, rays=old.rays, tolerance_mk=old.tolerance_mk,
         kept=(old, baked.scene),
     )  # fmt: skip
-
-
-def known_of(baked: "BakedScene") -> Known:
-    """Return the Known of a BakedScene, which it keeps."""
-    kept = baked._uploaded
-    if "known" not in kept:
-        assert baked.transport is not None
-        if "samples" not in kept:
-            kept["samples"] = Samples(baked.geometry, baked.transport)
-        kept["known"] = Known(baked, kept["samples"])
-    return kept["known"]
 
 
 def _previewed(baked: "BakedScene", known: Known, scene: Scene, change: Change) -> "BakedScene":

@@ -194,7 +194,7 @@ def _reflected(
         own, tables, count = number == place, mirror.tables, mirror.black.count
         normal = mi.Vector3f(*geometry.normals.at(face, own))
         found = [
-            *_transformed(layer.view, first.view, None, normal)[1],
+            *transformed(layer.view, first.view, None, normal)[1],
             dr.select(own, dr.opaque(mi.Float, geometry.reach), 0.0),
             dr.gather(mi.UInt32, mirror.kind, row - 1, own),
             *mirror.black.at(row - 1, own),
@@ -222,7 +222,7 @@ def _seen(layers: Sequence[Layer], depth: int, origin: Jit, direction: Jit) -> t
     mi = first.geometry.mi
     for place, layer in enumerate(layers):
         geometry, outgoing = layer.geometry, layer.outgoing
-        ray = mi.Ray3f(*_transformed(first.view, layer.view, origin, direction))
+        ray = mi.Ray3f(*transformed(first.view, layer.view, origin, direction))
         hit = geometry.cast(ray, coherent=True)
         position = geometry.map_position(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
         away = dr.select(hit.valid, hit.distance, np.inf)
@@ -264,7 +264,7 @@ def _paths(mi: Mitsuba, air: Atmosphere, at_m: float, scene: Scene, spectrum: Sp
     return PathGrid(mi, air, at_m, (low, high), (1.0, farthest(scene)), cells)
 
 
-def _transformed(
+def transformed(
     one: tuple[list[Jit], Jit], other: tuple[list[Jit], Jit], point: Jit, direction: Jit
 ) -> tuple[Jit, Jit]:
     """(point, direction) of one view's frame in the frame of another view from the same camera."""
