@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from path_tracer import PathTracer
 
 import thermorender as tr
-from path_tracer import PathTracer
 from scenes import write_mesh, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.physics.band import emitted_radiance

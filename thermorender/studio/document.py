@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import NAME, find
 from thermorender.materials.material import Material
@@ -45,6 +47,8 @@ class Document:
         Material and temperature [K] of each object.
     painted : tuple of Painted
         The latest last.
+    time : datetime64 or None
+        Instant of temperatures that follow the weather; None: the scene's own. It is not saved.
     """
 
     library: Mapping[str, Material]
@@ -52,6 +56,7 @@ class Document:
     classes: Mapping[int, str]
     objects: Mapping[str, tuple[str, float]]
     painted: tuple[Painted, ...] = ()
+    time: "np.datetime64 | None" = None
 
     @classmethod
     def of(cls, scene: "Scene", library: Mapping[str, Material], own: frozenset[str]) -> "Document":
@@ -123,7 +128,8 @@ class Document:
                 replaced[number] = self.library[name]
         objects = {key: each for key, each in self.objects.items() if each != saved.objects[key]}
         replaced |= {key: self.library[name] for key, (name, _) in objects.items()}
-        scene = base.with_material(replaced) if replaced else base
+        scene = base if self.time is None else base.at(self.time)
+        scene = scene.with_material(replaced) if replaced else scene
         kelvin = {key: k for key, (_, k) in objects.items() if k != saved.objects[key][1]}
         scene = scene.with_objects(kelvin) if kelvin else scene
         for each in self.painted:

@@ -8,6 +8,7 @@ from nicegui import ui
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
 from thermorender.studio import fields, spectrum
+from thermorender.studio.access import MOST_BYTES
 from thermorender.studio.document import Document
 from thermorender.studio.fields import OPTICAL, THERMAL, Field, chosen, text_of
 from thermorender.studio.panels import Cover, Files
@@ -54,6 +55,7 @@ class Editor:
         self._inputs: dict[str, Any] = {}
         self._about: dict[str, ui.html] = {}
         self._all, self._width = False, 0.5
+        self._overlay: Material | None = None
         with left:
             self._list()
         with right:
@@ -184,10 +186,56 @@ class Editor:
                 self._band = ui.label("").classes("soft").props('data-testid="band"')
             self._chart = ui.echart({"series": []}).style("height:190px;width:100%").props('data-testid="spectrum"')
             self._chart.props('role="img" aria-label="Emissivity against wavelength, with the band of the camera"')
-            with ui.element("div").classes("titleline"):
-                self._hint = ui.label("Drag a point, with its surroundings:").classes("soft")
+            self._angles = ui.echart({"series": []}).style("height:150px;width:100%")
+            self._angles.props('role="img" aria-label="Band emissivity against the angle from the normal"')
+            with ui.element("div").classes("row"):
+                ui.label("Drag a point with its surroundings").classes("soft")
+                ui.button("Load or paste", on_click=self._load).props('outline dense data-testid="load"')
                 width = ui.select(_WIDTHS, value=self._width).props('dense borderless aria-label="Width of a drag"')
                 width.on_value_change(lambda e: setattr(self, "_width", float(e.value)))
+
+    def _load(self) -> None:
+        """Ask for a spectrum, to replace that of the material or to lay over it."""
+        name, given = self.name, {"name": "pasted text", "data": b""}
+
+        async def uploaded(event: Any) -> None:
+            given["name"], given["data"] = event.file.name, await event.file.read()
+
+        def read(document: Document) -> Material:
+            pasted = str(text.value or "").encode()
+            source, data = ("pasted text", pasted) if pasted else (str(given["name"]), bytes(given["data"]))
+            return fields.read_spectrum(source, data, document.library[name], str(column.value or "").strip())
+
+        def overlay() -> None:
+            try:
+                self._overlay = read(self._session.document)
+            except ThermorenderError as error:
+                fault.set_text(str(error))
+                return
+            dialog.close()
+            self._fill()
+
+        def use(event: Any) -> None:
+            change = f"{name}: spectrum of {given['name']}"
+            refused = self._tab.edit(int(event.args), change, lambda document: document.with_material(read(document)))
+            fault.set_text(refused)
+            if not refused:
+                dialog.close()
+
+        with ui.dialog() as dialog, ui.card().style("min-width:min(620px,90vw)"):
+            ui.label(f"Spectrum for {name}").style("font-weight:600")
+            ui.upload(label="ECOSTRESS, SLUM or CSV file", auto_upload=True, max_file_size=MOST_BYTES - 4096,
+                      max_files=1, on_upload=uploaded).style("width:100%")  # fmt: skip
+            text = ui.textarea("Or paste two columns with headings, such as wavelength_um,emissivity")
+            text.props('outlined data-testid="paste"').style("width:100%")
+            column = ui.input("Sample of a table with several").props("dense outlined").style("width:100%")
+            fault = ui.label("").classes("say").props('data-testid="load-fault"')
+            with ui.row():
+                replace = ui.button("Replace the spectrum").props('data-testid="replace"')
+                replace.on("click", use, js_handler="() => emit(studio.version)")
+                ui.button("Lay over it", on_click=overlay).props("outline")
+                ui.button("Cancel", on_click=dialog.close).props("flat")
+        dialog.open()
 
     def _field(self, one: Field, wide: bool = False) -> None:
         def fault(text: str) -> str | None:
@@ -244,8 +292,14 @@ class Editor:
             else f"not measured over {band[0]:g}–{band[1]:g} µm"
         )
         self._chart.options.clear()
-        self._chart.options.update(spectrum.options(material, saved, band))
+        self._chart.options.update(spectrum.options(material, saved, self._overlay, band))
         self._chart.update()
+        directional = material.emissivity_by_angle is not None and mean is not None
+        self._angles.set_visibility(directional)
+        if directional:
+            self._angles.options.clear()
+            self._angles.options.update(spectrum.by_angle(material, band, BAND_K))
+            self._angles.update()
         ui.run_javascript(f"studio.spectrum({self._chart.id}, {spectrum.HANDLES})")
 
     def _dragged(self, event: Any) -> None:

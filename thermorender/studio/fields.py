@@ -100,7 +100,7 @@ def changed(document: Document, name: str, key: str, text: str) -> Document:
     if key in NUMBERS or key in ("cover", "beneath", "texture"):
         return _with_thermal(document, material, key, text)
     if key == EMISSIVITY:
-        value = share_in_cell(name, 1, EMISSIVITY, text)
+        value = _share(text)
         grid = material.wavelength_um
         return document.with_material(with_spectrum(material, grid, np.full(grid.size, value), f"emissivity={text}"))
     row = {column: str(value) for column, value in index_row(material).items()} | {key: text}
@@ -112,6 +112,13 @@ def changed(document: Document, name: str, key: str, text: str) -> Document:
     number = float(text) if text else None
     note = _noted(material.note, f"{key}={text}")
     return document.with_material(replace(material, **{_NUMBERS[key]: number, "note": note}))  # type: ignore[arg-type]
+
+
+def _share(text: str) -> float:
+    try:
+        return share_in_cell("", 0, EMISSIVITY, text)
+    except ThermorenderError as error:
+        raise ThermorenderError(str(error).partition(": ")[2]) from None
 
 
 def _noted(note: str, what: str) -> str:
@@ -195,7 +202,7 @@ def dragged(material: Material, wavelength_um: float, emissivity: float, width_u
     width_um : float
         Standard deviation of the bell [µm].
     """
-    share_in_cell(material.name, 1, EMISSIVITY, f"{emissivity:g}")
+    _share(f"{emissivity:g}")
     grid = material.wavelength_um
     low, high = max(SHOWN_UM[0], float(grid[0])), min(SHOWN_UM[1], float(grid[-1]))
     # A coarse table, such as a grey one, gets rows that can follow.

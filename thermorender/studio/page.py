@@ -12,11 +12,13 @@ from typing import Any
 from nicegui import ui
 
 from thermorender.errors import ThermorenderError
+from thermorender.render.pixels.parts import PixelParts
 from thermorender.studio.editor import Editor
 from thermorender.studio.panels import Map
 from thermorender.studio.pictures import NAMES, Picture
-from thermorender.studio.renders import figures, parts_at
+from thermorender.studio.renders import figures
 from thermorender.studio.session import Session
+from thermorender.studio.timeline import Timeline
 from thermorender.studio.view import MODES, Pose, View, limits_of
 
 _FOLDER = Path(__file__).parent
@@ -25,6 +27,11 @@ _TURN_DEG = 120.0
 # The first view without --pose: from the south, looking down at 45°.
 _FIRST = "0,{south:.0f},{above:.0f},0,-45,0"
 _TICKS = 5
+# Parts of a pixel's radiance, in words.
+_ORIGINS = {
+    "emission": "Emission", "sky": "Reflected sky", "sun": "Reflected sun", "surroundings": "Reflected surroundings",
+    "air": "Air in between", "background": "Background",
+}  # fmt: skip
 
 
 def first_pose(session: Session) -> str:
@@ -100,7 +107,7 @@ class Tab:
 
     def look(self) -> None:
         """Ask for a picture of the view."""
-        self.session.renders.look(self.key, self.view, self._later(self._shown))
+        self.session.renders.look(self.key, self.view, self.later(self._shown))
 
     def edit(self, version: int, what: str, change: Callable[..., Any]) -> str:
         """Change the document; return the sentence of a refusal, else an empty text."""
@@ -118,7 +125,7 @@ class Tab:
         with self._client:
             ui.notify(sentence, type=kind, position="bottom", multi_line=True, timeout=8000, close_button="Close")  # type: ignore[arg-type]
 
-    def _later(self, function: Callable[..., Any]) -> Callable[..., Any]:
+    def later(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """`function`, to be called from another thread."""
 
         def call(*arguments: Any) -> None:
@@ -130,6 +137,16 @@ class Tab:
         if not self._client.is_deleted:
             with self._client:
                 function(*arguments)
+
+    @property
+    def closed(self) -> bool:
+        """Whether the tab has gone."""
+        return self._client.is_deleted
+
+    @property
+    def shown(self) -> int:
+        """The number of the latest picture."""
+        return self._picture.number if self._picture else 0
 
     def _connected(self) -> None:
         """Bring a page up to date, the first time and after its connection was lost."""
@@ -152,7 +169,7 @@ class Tab:
             self._state = ui.label("rendering …").classes("state").props('role="status" data-testid="state"')
             self._version = ui.label("").classes("soft").style("color:#c3d3df").props('data-testid="version"')
             for by, icon in ((-1, "undo"), (1, "redo")):
-                button = ui.button(icon=icon).props(f'flat dense round data-testid="{icon}"')
+                button = ui.button(icon=icon).props(f'flat dense round color=white data-testid="{icon}"')
                 button.on(
                     "click", lambda e, by=by: self._step(int(e.args), by), js_handler="() => emit(studio.version)"
                 )
@@ -173,32 +190,35 @@ class Tab:
     def _tools(self) -> None:
         with ui.element("div").classes("tools"):
             mode = ui.select(MODES, value="apparent", label="Show").props('dense outlined data-testid="mode"')
-            mode.style("width:176px").on_value_change(lambda e: self._set(mode=e.value))
-            colours = ui.select(list(NAMES), value=self.view.palette, label="Palette").props("dense outlined")
-            colours.style("width:104px").on_value_change(lambda e: self._set(palette=e.value))
-            ends = [
-                ui.input(label, placeholder="auto").props(f'dense outlined data-testid="{key}"').style("width:76px")
-                for label, key in (("From [K]", "low"), ("To [K]", "high"))
-            ]
+            mode.style("width:200px").on_value_change(lambda e: self._set(mode=e.value))
+            self._colour_tools = ui.element("div").classes("row")
+            with self._colour_tools:
+                colours = ui.select(list(NAMES), value=self.view.palette, label="Palette").props("dense outlined")
+                colours.style("width:126px").on_value_change(lambda e: self._set(palette=e.value))
+                self._ends = [
+                    ui.input(label, placeholder="auto").props(f'dense outlined data-testid="{key}"').style("width:84px")
+                    for label, key in (("From [K]", "low"), ("To [K]", "high"))
+                ]
+                for each in self._ends:
+                    each.on("change", lambda: self._fixed())
+                for icon, says, now in (("lock", "Fix the range", True), ("lock_open", "Automatic range", False)):
+                    button = ui.button(icon=icon, on_click=lambda now=now: self._fix(now))
+                    button.props(f'flat dense round aria-label="{says}"').tooltip(says)
 
-            def fixed() -> None:
-                try:
-                    self._set(limits=limits_of(*(each.value or "" for each in ends)))
-                except ThermorenderError as error:
-                    if all((each.value or "").strip() for each in ends):
-                        self.say(str(error))
+    def _fix(self, now: bool) -> None:
+        shown = self._picture if now else None
+        given = shown.ends if shown and shown.ends and shown.unit == "K" else None
+        for k, each in enumerate(self._ends):
+            each.set_value(f"{given[k]:.1f}" if given else "")
+        self._fixed()
 
-            for each in ends:
-                each.on("change", fixed)
-            ui.button("Fix", on_click=lambda: fix(True)).props("flat dense")
-            ui.button("Auto", on_click=lambda: fix(False)).props("flat dense")
-
-            def fix(now: bool) -> None:
-                shown = self._picture if now else None
-                given = shown.ends if shown and shown.ends and shown.unit == "K" else None
-                for k, each in enumerate(ends):
-                    each.set_value(f"{given[k]:.1f}" if given else "")
-                fixed()
+    def _fixed(self) -> None:
+        low, high = (each.value or "" for each in self._ends)
+        try:
+            self._set(limits=limits_of(low, high))
+        except ThermorenderError as error:
+            if low.strip() and high.strip():
+                self.say(str(error))
 
     def _stage(self) -> None:
         camera = self.session.base.camera
@@ -209,7 +229,8 @@ class Tab:
                     'it. Drag to orbit, with Shift to pan, wheel to zoom; arrow keys, + and − do the same."'
                 )
                 self._cross = ui.element("div").classes("cross").style("display:none")
-            with ui.element("div").classes("scale").props('data-testid="scale"'):
+            self._scale = ui.element("div").classes("scale").props('data-testid="scale"')
+            with self._scale:
                 self._unit = ui.label("")
                 with ui.element("div").classes("ramp"):
                     self._ramp = ui.element("div").classes("colours")
@@ -225,6 +246,7 @@ class Tab:
             self._pose.on("change", lambda: self._typed_pose())
             self._pose.set_value(self.view.pose.text(self.session.base))
             ui.button("Copy", on_click=self._copy_menu).props("flat dense")
+        self.timeline = Timeline(self)
         with ui.element("div").classes("cards"):
             with ui.element("div"):
                 ui.html("<h2>Pixel</h2>", sanitize=False)
@@ -249,6 +271,7 @@ class Tab:
         self.view = replace(self.view, **changes)
         on_map = self.view.mode == "map"
         self._map_box.set_visibility(on_map)
+        self._colour_tools.set_visibility(not on_map)
         self._camera_box.set_visibility(not on_map)
         if on_map:
             self.map.open()
@@ -294,13 +317,14 @@ class Tab:
 
     def _ask(self, pixel: Any, show: Callable[..., Any]) -> None:
         """Find a pixel's figures in the thread that renders, and show them."""
-        renders, later = self.session.renders, self._later(show)
+        renders, later = self.session.renders, self.later(show)
 
         def job() -> None:
             frame = renders.frame(self.key)
             found = None if frame is None else figures(frame, *pixel)
-            split = show == self._figures_shown and frame is not None and found is not None
-            later(found, parts_at(renders.light.renderer, frame, pixel) if split and frame is not None else None)
+            later(
+                found, renders.parts(self.key, (pixel[1], pixel[0])) if found and show == self._figures_shown else None
+            )
 
         renders.run(job)
 
@@ -315,6 +339,7 @@ class Tab:
         self._state.set_text(picture.words)
         self._state.classes(remove="preview" if picture.exact else "", add="" if picture.exact else "preview")
         self._unit.set_text(picture.unit)
+        self._scale.style(f"visibility:{'visible' if picture.ends else 'hidden'}")
         self._ramp.style(f"background:{picture.gradient or 'none'}")
         for tick, text in zip(self._ticks, picture.ticks(len(self._ticks)), strict=True):
             tick.set_text(text)
@@ -343,7 +368,7 @@ class Tab:
             what = f" · {found['object'] or found['material']}" if found["material"] else " · no surface"
             self._hovered.set_text(f"{found['apparent_k']:.2f} K apparent{what}")
 
-    def _figures_shown(self, found: dict[str, Any] | None, parts: dict[str, float] | None) -> None:
+    def _figures_shown(self, found: dict[str, Any] | None, parts: PixelParts | None) -> None:
         if found is None or self.pixel is None:
             return
         east, north, up = found["position"]
@@ -358,7 +383,7 @@ class Tab:
                 ("Band emissivity", f"{found['emissivity']:.4f}"),
                 ("Material", found["material"]),
                 *([("Object", found["object"])] if found["object"] else []),
-                *([("View angle", f"{found['angle_deg']:.1f}°")] if "angle_deg" in found else []),
+                *([("View angle", f"{parts.angle_deg:.1f}° from the normal")] if parts else []),
                 ("Position E, N, up", f"{east:.1f}, {north:.1f}, {up:.1f} m"),
             ]
         else:
@@ -370,9 +395,13 @@ class Tab:
                 ui.label(key).classes("k")
                 ui.label(value).props(f'data-key="{key}"')
         self._parts.clear()
-        self._parts_title.set_content("<h2>Radiance by origin</h2>" if parts else "")
+        self._parts_title.set_content("<h2>Radiance at its middle, by origin</h2>" if parts else "")
+        if parts is None:
+            return
         with self._parts:
-            for name, part in (parts or {}).items():
-                ui.label(name).classes("k")
-                ui.label(f"{part:.4f} W m⁻² sr⁻¹").classes("r")
-                ui.label(f"{100.0 * part / found['radiance']:.1f} %").classes("r")
+            for head in ("", "W m⁻² sr⁻¹", "K"):
+                ui.label(head).classes("k r")
+            for name, part in parts.radiance.items():
+                ui.label(_ORIGINS.get(name, name)).classes("k")
+                ui.label(f"{part:.4f}").classes("r").props(f'data-part="{name}"')
+                ui.label(f"{parts.kelvin[name]:.2f}").classes("r")

@@ -10,12 +10,14 @@ import traceback
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.frame import Frame
+from thermorender.render.pixels.parts import PixelParts
 from thermorender.render.renderer import Renderer
 from thermorender.scene.scene import Scene
 from thermorender.studio.pictures import Picture, picture_of
@@ -66,6 +68,7 @@ class Renders:
     _tabs: dict[str, Seen] = field(default_factory=dict)
     _waiting: dict[str, None] = field(default_factory=dict)
     _jobs: list[Callable[[], object]] = field(default_factory=list)
+    _long: Callable[[], object] | None = None
     _ended: bool = False
     _last: dict[str, tuple[Any, Frame]] = field(default_factory=dict)
     _pictures: dict[str, Picture] = field(default_factory=dict)
@@ -125,6 +128,22 @@ class Renders:
         self.run(run)
         return made.result(_ANSWERS_S)
 
+    def later(self, job: Callable[[Callable[[str, float], object]], object]) -> None:
+        """Call a function that takes long; what it reports to, (what, share), ends it after an edit or another one."""
+        with self._news:
+            self._long = partial(job, self._between_long)
+            self._news.notify()
+
+    def parts(self, tab: str, pixel: tuple[int, int]) -> PixelParts | None:
+        """Return the parts of the radiance at a (row, column) of a tab's frame; for the thread that renders."""
+        frame = self.frame(tab)
+        if frame is None:
+            return None
+        try:
+            return self.light.renderer.parts_at(frame.pose, [pixel], frame.time_s)[0]
+        except ThermorenderError:
+            return None
+
     def picture(self, tab: str) -> Picture | None:
         """Return the latest Picture of a tab."""
         return self._pictures.get(tab)
@@ -137,15 +156,18 @@ class Renders:
     def _run(self) -> None:
         while True:
             with self._news:
-                self._news.wait_for(lambda: self._ended or self._edit or self._waiting or self._jobs)
+                self._news.wait_for(lambda: self._ended or self._edit or self._waiting or self._jobs or self._long)
                 if self._ended:
                     return
                 edit, self._edit = self._edit, None
             try:
                 if edit:
                     self._solve(*edit)
-                else:
+                elif self._waiting or self._jobs:
                     self._draw()
+                elif long := self._long:
+                    self._long = None
+                    long()
             except _Newer:
                 pass
             except Exception:  # a fault must not end the thread, and with it all pictures
@@ -157,6 +179,11 @@ class Renders:
             raise _Newer
         if self._waiting or self._jobs:
             self._draw()
+
+    def _between_long(self, what: str, share: float) -> None:
+        if self._long:
+            raise _Newer
+        self._between(what, share)
 
     def _solve(self, scene: Scene, version: int, saved: bool) -> None:
         if scene.temperature_state.solved:
@@ -216,12 +243,6 @@ class Renders:
         number = (self._pictures[tab].number if tab in self._pictures else 0) + 1
         blank = Picture(number, light.version, light.words, light.exact)
         return picture_of(frame, view, blank, before, colour)
-
-
-def parts_at(renderer: Renderer, frame: Frame, pixel: tuple[int, int]) -> dict[str, float] | None:
-    """Return the parts of a pixel's radiance by name [W m⁻² sr⁻¹], or None where the renderer does not state them."""
-    ask = getattr(renderer, "parts_at", None)
-    return None if ask is None else dict(ask(frame.pose, pixel, frame.time_s))
 
 
 def figures(frame: Frame, column: int, row: int) -> dict[str, Any] | None:

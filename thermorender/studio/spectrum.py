@@ -9,20 +9,22 @@ from thermorender.studio.fields import SHOWN_UM
 
 # Number of the series whose points are dragged, and how many of them there are.
 HANDLES, _MOST_HANDLES = 0, 24
-_COLOUR, _SAVED, _BAND = "#0b6377", "#8a6d3b", "rgba(240, 190, 80, 0.22)"
+_COLOUR, _SAVED, _OTHER, _BAND = "#0b6377", "#8a6d3b", "#8a1f6d", "rgba(240, 190, 80, 0.22)"
 _ANGLES = np.arange(0.0, 88.0, 2.0)
 
 
-def options(material: Material, saved: Material | None, band_um: tuple[float, float]) -> dict[str, Any]:
+def options(
+    material: Material, saved: Material | None, other: Material | None, band_um: tuple[float, float]
+) -> dict[str, Any]:  # fmt: skip
     """Return the options of a chart of emissivity against wavelength.
 
-    The first series holds the handles; the others are the spectrum, its spread, and the saved spectrum where it
-    differs.
+    The first series holds the handles; the others are the spectrum, its spread, the saved spectrum where it differs,
+    and another one that was laid over it.
     """
     axis = _axis(material)
     value = material.emissivity_at(axis)
     std = np.interp(axis, material.wavelength_um, np.nan_to_num(material.emissivity_std))
-    low = min(float((value - std).min()), *_curve(saved)[1], 1.0)
+    low = min(float((value - std).min()), *_curve(saved)[1], *_curve(other)[1], 1.0)
     low = max(0.0, np.floor(10.0 * low - 0.5) / 10.0)
     handles = axis if axis.size <= _MOST_HANDLES else np.linspace(axis[0], axis[-1], _MOST_HANDLES)
     free = material.directional == "lambertian"
@@ -42,6 +44,7 @@ def options(material: Material, saved: Material | None, band_um: tuple[float, fl
         _line("lower", axis, value - std, {"stack": "spread", "lineStyle": {"opacity": 0}}),
         _line("spread", axis, 2.0 * std, {"stack": "spread", "lineStyle": {"opacity": 0},
                                           "areaStyle": {"color": _COLOUR, "opacity": 0.15}}),
+        _line("overlay", *_curve(other), {"lineStyle": {"color": _OTHER, "width": 1.5}}),
         _line("saved", *_curve(saved), {"lineStyle": {"color": _SAVED, "type": "dashed", "width": 1.5}}),
     ]  # fmt: skip
     return {
