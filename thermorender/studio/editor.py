@@ -1,6 +1,7 @@
 """The list of materials and the panels of the chosen one: its spectrum, its optical and its thermal properties."""
 
 from collections.abc import Callable
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 from nicegui import ui
@@ -189,7 +190,7 @@ class Editor:
             self._angles = ui.echart({"series": []}).style("height:150px;width:100%")
             self._angles.props('role="img" aria-label="Band emissivity against the angle from the normal"')
             with ui.element("div").classes("row"):
-                ui.label("Drag a point with its surroundings").classes("soft")
+                ui.label("Drag a point").classes("soft")
                 ui.button("Load or paste", on_click=self._load).props('outline dense data-testid="load"')
                 width = ui.select(_WIDTHS, value=self._width).props('dense borderless aria-label="Width of a drag"')
                 width.on_value_change(lambda e: setattr(self, "_width", float(e.value)))
@@ -281,7 +282,7 @@ class Editor:
             words = " · ".join(
                 filter(None, (f"± {spread:g}" if spread else "", source.removeprefix("chosen:").strip()))
             )
-            about.set_content(f"{flag}{_escaped(words)}")
+            about.set_content(f'<div title="{escape(words)}">{flag}{escape(words)}</div>')
 
     def _fill_spectrum(self, material: Material, saved: Material | None) -> None:
         band = self._session.base.camera.band_um
@@ -311,9 +312,3 @@ class Editor:
 
         if self._tab.edit(int(given["version"]), f"{name}: emissivity at {wavelength:.2f} µm {value:.3f}", change):
             self._fill()
-
-
-def _escaped(text: str) -> str:
-    from html import escape
-
-    return escape(text)

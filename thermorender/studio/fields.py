@@ -126,7 +126,8 @@ def _noted(note: str, what: str) -> str:
     key, begin = what.partition("=")[0], "Set in the studio: "
     before, _, set_ = note.partition(begin)
     parts = [each for each in set_.removesuffix(".").split(", ") if each and each.partition("=")[0] != key]
-    return f"{before.strip()} {begin}{', '.join([*parts, what])}.".strip()
+    first = f"{before.strip().rstrip('.;')}. " if before.strip() else ""
+    return f"{first}{begin}{', '.join([*parts, what])}."
 
 
 def chosen(material: Material, key: str) -> bool:

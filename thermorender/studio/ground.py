@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from thermorender.scene.scene import Scene
     from thermorender.studio.session import Session
 
-_MOST_PIXELS = 2000
+_LEAST_PIXELS, _MOST_PIXELS = 1000, 2000
 _MOST_CORNERS = 5000
 
 
@@ -27,9 +27,11 @@ def map_picture(scene: "Scene", percent: int) -> bytes:
     share = min(max(percent, 0), 100) / 100.0
     colours = colours_of_materials()[ground.material]
     mixed: Any = cv2.addWeighted(np.ascontiguousarray(ground.colour), 1.0 - share, colours, share, 0.0)
-    scale = _MOST_PIXELS / max(mixed.shape[:2])
-    if scale < 1.0:
-        mixed = cv2.resize(mixed, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    # A small map is enlarged, so that its texels can be hit.
+    scale = float(np.clip(1.0, _LEAST_PIXELS / max(mixed.shape[:2]), _MOST_PIXELS / max(mixed.shape[:2])))
+    if scale != 1.0:
+        how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_NEAREST
+        mixed = cv2.resize(mixed, None, fx=scale, fy=scale, interpolation=how)
     return jpeg(mixed)
 
 

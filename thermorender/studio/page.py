@@ -190,14 +190,14 @@ class Tab:
     def _tools(self) -> None:
         with ui.element("div").classes("tools"):
             mode = ui.select(MODES, value="apparent", label="Show").props('dense outlined data-testid="mode"')
-            mode.style("width:200px").on_value_change(lambda e: self._set(mode=e.value))
+            mode.style("width:216px").on_value_change(lambda e: self._set(mode=e.value))
             self._colour_tools = ui.element("div").classes("row")
             with self._colour_tools:
                 colours = ui.select(list(NAMES), value=self.view.palette, label="Palette").props("dense outlined")
-                colours.style("width:126px").on_value_change(lambda e: self._set(palette=e.value))
+                colours.style("width:116px").on_value_change(lambda e: self._set(palette=e.value))
                 self._ends = [
-                    ui.input(label, placeholder="auto").props(f'dense outlined data-testid="{key}"').style("width:84px")
-                    for label, key in (("From [K]", "low"), ("To [K]", "high"))
+                    ui.input(label, placeholder="auto").props(f'dense outlined data-testid="{key}"').style("width:72px")
+                    for label, key in (("From", "low"), ("To", "high"))
                 ]
                 for each in self._ends:
                     each.on("change", lambda: self._fixed())
@@ -383,7 +383,7 @@ class Tab:
                 ("Band emissivity", f"{found['emissivity']:.4f}"),
                 ("Material", found["material"]),
                 *([("Object", found["object"])] if found["object"] else []),
-                *([("View angle", f"{parts.angle_deg:.1f}° from the normal")] if parts else []),
+                *([("View angle", f"{parts.angle_deg:.1f}°")] if parts else []),
                 ("Position E, N, up", f"{east:.1f}, {north:.1f}, {up:.1f} m"),
             ]
         else:
@@ -395,7 +395,7 @@ class Tab:
                 ui.label(key).classes("k")
                 ui.label(value).props(f'data-key="{key}"')
         self._parts.clear()
-        self._parts_title.set_content("<h2>Radiance at its middle, by origin</h2>" if parts else "")
+        self._parts_title.set_content("<h2>Radiance by origin</h2>" if parts else "")
         if parts is None:
             return
         with self._parts:
@@ -403,5 +403,5 @@ class Tab:
                 ui.label(head).classes("k r")
             for name, part in parts.radiance.items():
                 ui.label(_ORIGINS.get(name, name)).classes("k")
-                ui.label(f"{part:.4f}").classes("r").props(f'data-part="{name}"')
-                ui.label(f"{parts.kelvin[name]:.2f}").classes("r")
+                ui.label(f"{round(part, 4) + 0.0:.4f}").classes("r").props(f'data-part="{name}"')
+                ui.label(f"{round(parts.kelvin[name], 2) + 0.0:.2f}").classes("r")
