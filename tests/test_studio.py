@@ -389,7 +389,7 @@ def test_a_pasted_spectrum_replaces_that_of_a_copy(page):
     page.part("load").click()
     page.part("paste").fill("wavelength_um,emissivity\n2,0.9\n14,1.2\n")
     page.part("replace").click()
-    page.part("load-fault").filter(has_text="sample pasted text of material 'grass_green'").wait_for(timeout=WAIT_MS)
+    page.part("load-fault").filter(has_text="sample pasted text of material 'meadow'").wait_for(timeout=WAIT_MS)
     assert "outside 0…100 %" in page.part("load-fault").inner_text()
     page.part("paste").fill("wavelength_um,emissivity\n2,0.9\n14,0.9\n20,0.9\n")
     page.part("replace").click()

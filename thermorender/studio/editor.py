@@ -136,7 +136,9 @@ class Editor:
 
         def done(event: Any) -> None:
             name = (given.value or "").strip()
-            if fault := self._tab.edit(int(event.args), f"{what} {name}", lambda document: change(document, name)):
+            if fault := self._tab.edit(
+                int(event.args), f"{what} {name}", lambda document: change(document, name), True
+            ):
                 given.error = fault
                 return
             dialog.close()
@@ -197,7 +199,8 @@ class Editor:
 
     def _load(self) -> None:
         """Ask for a spectrum, to replace that of the material or to lay over it."""
-        name, given = self.name, {"name": "pasted text", "data": b""}
+        name = self.name
+        given: dict[str, Any] = {"name": "pasted text", "data": b""}
 
         async def uploaded(event: Any) -> None:
             given["name"], given["data"] = event.file.name, await event.file.read()
@@ -218,7 +221,9 @@ class Editor:
 
         def use(event: Any) -> None:
             change = f"{name}: spectrum of {given['name']}"
-            refused = self._tab.edit(int(event.args), change, lambda document: document.with_material(read(document)))
+            refused = self._tab.edit(
+                int(event.args), change, lambda document: document.with_material(read(document)), True
+            )
             fault.set_text(refused)
             if not refused:
                 dialog.close()
@@ -249,7 +254,9 @@ class Editor:
         def done(event: Any) -> None:
             text, version, name = str(event.args[0] or ""), int(event.args[1]), self.name
             what = f"{name}: {one.label.lower()} {text}"
-            if refused := self._tab.edit(version, what, lambda document: fields.changed(document, name, one.key, text)):
+            if refused := self._tab.edit(
+                version, what, lambda document: fields.changed(document, name, one.key, text), True
+            ):
                 given.error = refused
 
         label = f"{one.label} [{one.unit}]" if one.unit else one.label

@@ -109,13 +109,15 @@ class Tab:
         """Ask for a picture of the view."""
         self.session.renders.look(self.key, self.view, self.later(self._shown))
 
-    def edit(self, version: int, what: str, change: Callable[..., Any]) -> str:
-        """Change the document; return the sentence of a refusal, else an empty text."""
+    def edit(self, version: int, what: str, change: Callable[..., Any], quiet: bool = False) -> str:
+        """Change the document; return the sentence of a refusal, else "", and show it unless `quiet` says who does."""
         try:
             self.session.edit(version, what, change)
         except ThermorenderError as error:
-            self.say(str(error))
-            if version != self.session.history.version:
+            outdated = version != self.session.history.version
+            if outdated or not quiet:
+                self.say(str(error))
+            if outdated:
                 self.refresh()
             return str(error)
         return ""
