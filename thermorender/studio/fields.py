@@ -38,7 +38,7 @@ class Field:
 
 EMISSIVITY = "emissivity"
 OPTICAL = (
-    Field(EMISSIVITY, "Emissivity, constant", "1"),
+    Field(EMISSIVITY, "Emissivity, flat", "1"),
     Field("solar_absorptance", "Solar absorptance", "1"),
     Field(SOLAR_STD_COLUMN, "± standard deviation", "1"),
     Field("temperature_k", "Typical temperature", "K"),

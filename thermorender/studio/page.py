@@ -60,7 +60,7 @@ class Tab:
         ui.add_head_html(f"<style>{(_FOLDER / 'studio.css').read_text('utf-8')}</style>")
         ui.add_head_html(f"<script>{(_FOLDER / 'studio.js').read_text('utf-8')}</script>")
         ui.query("html").props('lang="en"')
-        with ui.element("main").classes("studio"):
+        with ui.element("div").classes("studio"):
             self._header()
             with ui.element("section").classes("left").props('aria-label="Materials"'):
                 left = ui.element("div").classes("left").style("flex:1;min-height:0")
@@ -192,20 +192,20 @@ class Tab:
     def _tools(self) -> None:
         with ui.element("div").classes("tools"):
             mode = ui.select(MODES, value="apparent", label="Show").props('dense outlined data-testid="mode"')
-            mode.style("width:216px").on_value_change(lambda e: self._set(mode=e.value))
+            mode.style("width:228px").on_value_change(lambda e: self._set(mode=e.value))
             self._colour_tools = ui.element("div").classes("row")
             with self._colour_tools:
                 colours = ui.select(list(NAMES), value=self.view.palette, label="Palette").props("dense outlined")
-                colours.style("width:116px").on_value_change(lambda e: self._set(palette=e.value))
+                colours.style("width:122px").on_value_change(lambda e: self._set(palette=e.value))
                 self._ends = [
-                    ui.input(label, placeholder="auto").props(f'dense outlined data-testid="{key}"').style("width:72px")
+                    ui.input(label, placeholder="auto").props(f'dense outlined data-testid="{key}"').style("width:66px")
                     for label, key in (("From", "low"), ("To", "high"))
                 ]
                 for each in self._ends:
                     each.on("change", lambda: self._fixed())
                 for icon, says, now in (("lock", "Fix the range", True), ("lock_open", "Automatic range", False)):
                     button = ui.button(icon=icon, on_click=lambda now=now: self._fix(now))
-                    button.props(f'flat dense round aria-label="{says}"').tooltip(says)
+                    button.props(f'flat dense aria-label="{says}"').tooltip(says)
 
     def _fix(self, now: bool) -> None:
         shown = self._picture if now else None
@@ -256,10 +256,10 @@ class Tab:
                 with self._figures:
                     ui.label("Click a pixel in the picture.").classes("soft")
             with ui.element("div"):
+                self._notes = ui.label("").classes("soft").props('data-testid="notes"')
                 self._parts_title = ui.html("", sanitize=False)
                 self._parts = ui.element("div").classes("figures three").props('data-testid="parts"')
                 self._legend = ui.element("div").classes("legend").props('data-testid="legend"')
-                self._notes = ui.label("").props('data-testid="notes"')
 
     def _copy_menu(self) -> None:
         name, pose = self.session.base.spec.folder, self.view.pose.text(self.session.base)

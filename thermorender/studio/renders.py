@@ -170,8 +170,15 @@ class Renders:
                     long()
             except _Newer:
                 pass
-            except Exception:  # a fault must not end the thread, and with it all pictures
+            except ThermorenderError as error:
+                self._report(str(error))
+            except Exception as error:  # a fault must not end the thread, and with it all pictures
                 traceback.print_exc()
+                self._report(f"the studio failed here ({type(error).__name__}), its terminal says where; undo the edit")
+
+    def _report(self, sentence: str) -> None:
+        for seen in list(self._tabs.values()):
+            seen.show(Picture.of_fault(sentence, self.light.version))
 
     def _between(self, what: str, share: float) -> None:
         """Stop an outdated solution, and serve tabs that look elsewhere meanwhile."""

@@ -9,6 +9,7 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library, read_library
 from thermorender.materials.material import Material
+from thermorender.render.geometry import refuse_other_surfaces
 from thermorender.studio.document import Document, History
 from thermorender.studio.renders import Renders
 from thermorender.studio.saving import snapshot
@@ -89,7 +90,8 @@ class Session:
             self._render()
 
     def reload(self, scene: "Scene") -> None:
-        """Take over the scene as its files describe it now."""
+        """Take over the scene as its files describe it now; ThermorenderError if its surfaces are other ones."""
+        refuse_other_surfaces(self.base.surfaces, scene.surfaces)
         self.files, self.class_raster = snapshot(scene), class_raster_of(scene)
         self.base = self._scene = scene
         self._origin = document_of(scene)
