@@ -40,9 +40,12 @@ def served(folder, *options):
 def browser():
     if CHROMIUM is None:
         pytest.skip("needs Chromium (Debian: chromium)")
-    playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright")
-    pytest.importorskip("nicegui", reason="needs thermorender[studio]")
-    with playwright.sync_playwright() as started:
+    try:
+        import nicegui  # noqa: F401
+        from playwright.sync_api import sync_playwright
+    except ImportError as error:
+        pytest.skip(f"needs playwright and thermorender[studio] ({error})")
+    with sync_playwright() as started:
         made = started.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
         yield made
         made.close()
@@ -347,7 +350,7 @@ def test_save_writes_what_the_public_interface_reads_and_refuses_changed_files(b
         shown.wait_for(timeout=WAIT_MS)
         lines = shown.inner_text()
         assert re.search(r"grass_green  emissivity 0\.97\d\d → 0\.8500 .*wetness", lines)
-        assert '-2 = "sand_quartz"' in lines and '+2 = "snow"' in lines
+        assert '−2 = "sand_quartz"' in lines and '+2 = "snow"' in lines
         assert not (own / "materials").exists()
         # A file that changes meanwhile is not overwritten.
         text = (own / "scene.toml").read_text("utf-8")

@@ -3,9 +3,8 @@
 The shipped tables and scenes are never written. A file that changed on disk since it was read is not overwritten.
 """
 
-import difflib
 import re
-import sys
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -25,12 +24,8 @@ from thermorender.paths import data_folder, inside
 from thermorender.scene.georeference import place_of
 from thermorender.scene.parts.patch import areas, texels_in
 from thermorender.scene.raster import grid_of
+from thermorender.schema import parse_toml
 from thermorender.studio.document import Document
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 if TYPE_CHECKING:
     from thermorender.scene.scene import Scene
@@ -72,7 +67,7 @@ def planned(session: "Session") -> Save:
     refuse_changed(session)
     files, lines = _tables(folder, document, saved, scene.camera.band_um)
     text = old = read_text(folder / "scene.toml")
-    stated = tomllib.loads(text).get("emissivity", {}).get("classes", {})
+    stated = parse_toml(text.encode(), scene.where).get("emissivity", {}).get("classes", {})
     classes = {int(number): name for number, name in stated.items()} | dict(document.classes)
     if document.painted != saved.painted:
         raster, lines_of_map = _class_raster(session, classes)
@@ -89,9 +84,9 @@ def planned(session: "Session") -> Save:
     if text != old:
         _refuse_other_meaning(old, text, document, classes)
         files[folder / "scene.toml"] = text.encode()
-        pair = (old.splitlines(), text.splitlines())
-        changes = difflib.unified_diff(*pair, n=0, lineterm="")
-        lines += [f"scene.toml  {line}" for line in changes if line[:2] not in ("--", "++", "@@")]
+        before, after = (Counter(each.splitlines()) for each in (old, text))
+        lines += [f"scene.toml  −{line}" for line in before - after]
+        lines += [f"scene.toml  +{line}" for line in after - before]
     return Save(files, tuple(lines))
 
 
@@ -194,7 +189,7 @@ def _stated(text: str, table: str, name: str | None, key: str, value: str) -> st
 
 def _refuse_other_meaning(old: str, new: str, document: Document, classes: dict[int, str]) -> None:
     """Raise unless a changed scene file states exactly what is to change."""
-    wanted, found = tomllib.loads(old), tomllib.loads(new)
+    wanted, found = (parse_toml(text.encode(), "scene.toml") for text in (old, new))
     if classes:
         wanted["emissivity"]["classes"] = {str(number): name for number, name in classes.items()}
     for each in wanted.get("object", ()):
