@@ -8,7 +8,7 @@ import trimesh
 from path_tracer import PathTracer
 
 import thermorender as tr
-from scenes import write_mesh, write_terrain
+from scenes import narrow, write_mesh, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.physics.band import emitted_radiance
 from thermorender.physics.planck import band_radiance
@@ -25,9 +25,11 @@ material = "paint_black"
 POSE = {"pitch_deg": -60.0, "yaw_deg": 0.0}
 
 
-def plane(folder, track="", **more):
+def plane(folder, track="", side=24, **more):
     """A level plane of one temperature with a warm black wall on it, seen by a camera of few pixels."""
-    write_terrain(folder, np.zeros((24, 24)), np.full((48, 48), 300.0), extra=WALL + track, sky=250.0, **more)
+    write_terrain(
+        folder, np.zeros((side, side)), np.full((2 * side, 2 * side), 300.0), extra=WALL + track, sky=250.0, **more
+    )
     return small(tr.load_scene(folder)).with_material(wall=1.0)
 
 
@@ -71,23 +73,23 @@ def test_isothermal_enclosure_adds_up_to_a_blackbody(tmp_path):
 
 def test_parts_are_those_of_the_path_tracer(tmp_path):
     """Of a grey plane under the sky beside a black wall, each cause of light is one path tracing less the other."""
-    scene = plane(tmp_path / "s").with_material(grass_green=0.7, sand_quartz=0.7)
+    scene = plane(tmp_path / "s", side=12).with_material(grass_green=0.7, sand_quartz=0.7)
     pose, dark = tr.pose(0, -3, 6, pitch_deg=-80.0), scene.with_sky("0 K", surroundings=300.0)
     scene = scene.with_sky(250.0, surroundings=300.0)
     found = every(tr.Renderer(scene, quality="high", rays=1024), pose)
     assert not any(each.object for each in found)
-    images = [[PathTracer(each).image(pose, 64, seed) for seed in range(4)] for each in (scene, dark)]
+    images = [[PathTracer(each).image(pose, 96, seed) for seed in range(4)] for each in (scene, dark)]
     whole, without = (np.array(each).mean(axis=(1, 2)) for each in images)
     emitted = 0.7 * band_radiance(300.0, *BAND)
     expected = {"emission": np.full(4, emitted), "sky": whole - without, "surroundings": without - emitted}
     for part, values in expected.items():
         error = max(values.std(ddof=1) / 2.0, 5e-4)
-        assert error < 0.02 and abs(mean(found, part) - values.mean()) < 4.0 * error, part
+        assert error < 0.025 and abs(mean(found, part) - values.mean()) < 4.0 * error, part
 
 
 @pytest.mark.parametrize("case", ["plain", "air", "mirror", "track"])
 def test_parts_add_up_to_the_image(tmp_path, case):
-    """Where the plane is of one kind, a pixel's taps read what the ray through its middle meets."""
+    """Pixels smaller than texel and face read what the rays through their middles meet."""
     more = {
         "plain": {},
         "air": {"air": "midlatitude-summer"},
@@ -97,7 +99,8 @@ def test_parts_add_up_to_the_image(tmp_path, case):
     folder = tmp_path / "s"
     folder.mkdir()
     (folder / "t.csv").write_text("time_s,yaw_deg\n0,0\n", encoding="utf-8")
-    scene = plane(folder, track=more.get("track", ""), classes=np.ones((48, 48)))
+    plane(folder, track=more.get("track", ""), classes=np.ones((48, 48)))
+    scene = narrow(tr.load_scene(folder), 12, 10)
     if "air" in more:
         scene = scene.with_air(more["air"]).with_sun(50.0, 160.0)
     if "material" in more:
@@ -105,8 +108,7 @@ def test_parts_add_up_to_the_image(tmp_path, case):
     renderer, pose = tr.Renderer(scene, rays=256, edge_mk=np.inf), tr.pose(0, -6, 8, **POSE)
     image, found = renderer.radiance(pose), every(renderer, pose)
     off = [(sum(each.radiance.values()) - image[each.pixel]) / renderer.plan.radiance_per_mk for each in found]
-    # Noise of the light differs from face to face, and a pixel may show two of them.
-    assert np.median(np.abs(off)) < 2.0 and np.percentile(np.abs(off), 80) < 30.0
+    assert np.abs(off).max() < 1.0
     ground = [each for each in found if each.object == "" and each.material]
     assert ground and all(np.isfinite(each.range_m) and 0.0 <= each.angle_deg < 90.0 for each in ground)
     for each in ground:

@@ -7,25 +7,26 @@ first needed, in each process.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.render.arrays import Floats
 from thermorender.render.device import DeviceScene, flat
 from thermorender.render.dynamic import StaticLight
 from thermorender.render.geometry import Geometry, refuse_other_surfaces
-from thermorender.render.light import cache, environment, radiosity, texels
+from thermorender.render.light import cache, radiosity, texels
 from thermorender.render.light.absorbed import left_out
+from thermorender.render.light.solved import SolvedLight, solve_scene
 from thermorender.render.plan import Plan, make_plan
 from thermorender.render.reflection import mirrors
-from thermorender.render.spectrum import REFERENCE_K
 from thermorender.render.variant import activate
 from thermorender.scene.scene import Scene
 
 # Called with (what, share done).
 Progress = Callable[[str, float], object]
+_SOLVING = "solving the light between surfaces"
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,27 +104,33 @@ class BakedScene:
         scene : Scene
             Of the same surfaces.
         progress : callable, optional
-            As of `bake`.
+            As of `bake`; called every few milliseconds. An exception that it raises ends the solution.
 
         Raises
         ------
         ThermorenderError
             Surfaces differ, temperatures are not solved, or parts of the scene disagree.
         """
-        self, old = self._uploaded.get("exact", self), self.plan
+        from thermorender.render.edits.solution import solved_change
+
+        refuse_other_surfaces(self.scene.surfaces, scene.surfaces)
+        exact, old = self._uploaded.get("exact", self), self.plan
+        found = solved_change(exact, scene, partial(progress or _silent, _SOLVING, 0.0))
+        if found is not None:
+            return bake(scene, found[0], like=exact, progress=progress, solved=found[1])
         plan = make_plan(
             scene, samples=old.samples, taps=old.taps, edge_mk=old.edge_mk, rays=old.rays,
             tolerance_mk=old.tolerance_mk,
         )  # fmt: skip
-        return bake(scene, plan, like=self, progress=progress, start=self)
+        return bake(scene, plan, like=exact, progress=progress, start=exact)
 
     def preview_for(self, scene: Scene) -> "BakedScene":
         """Return a preview of an edited scene: its change to first order, with an estimate of its error.
 
         An edit of materials or temperatures is shown at once: the change of the light that changed surfaces send to
-        others, and of what these reflect, without further reflections. Under `errors_mk["preview"]` is an estimate
-        from above of its difference from `solved_for` on any surface. Other edits, and scenes with mirrors or with
-        objects on tracks, are solved as by `solved_for`, and have no such error.
+        others, and of what these reflect, without further reflections. `errors_mk` has an estimate from above of its
+        difference from `solved_for`: "preview" on any surface, and "preview_rms" over all. Other edits, and scenes with
+        mirrors or with objects on tracks, are solved as by `solved_for`, and have no such error.
 
         A preview of a preview, and its solution, begin from the solution that it was made of.
 
@@ -156,6 +163,10 @@ class BakedScene:
         return replace(self, scene=scene, plan=plan) if same else None
 
 
+def _silent(what: str, share: float) -> None:
+    """Report nothing."""
+
+
 def bake(
     scene: Scene,
     plan: Plan,
@@ -163,6 +174,7 @@ def bake(
     like: BakedScene | None = None,
     progress: Progress | None = None,
     start: BakedScene | None = None,
+    solved: SolvedLight | None = None,
 ) -> BakedScene:
     """Return the BakedScene of a scene.
 
@@ -180,6 +192,8 @@ def bake(
     start : BakedScene, optional
         Of the same surfaces and similar light, from which the solution begins. It saves time and changes the solution
         within its error bound.
+    solved : SolvedLight, optional
+        Its light, where it is known.
 
     Raises
     ------
@@ -208,17 +222,20 @@ def bake(
     if not plan.bake:
         none = dict.fromkeys(("solution", "noise", "faces", "texels"), 0.0)
         return BakedScene(scene, plan, None, None, tuple(texel), None, None, black, None, none, None, uploaded)
-    report_progress, note = progress or (lambda what, share: None), None
+    report_progress, note = progress or _silent, None
     if known is None:
         what = "tracing the light between surfaces"
         report_progress(what, 0.0)
         known, note = cache.traced(geometry, plan.rays, lambda share: report_progress(what, share))
-    report_progress("solving the light between surfaces", 0.0)
+    tick = partial(report_progress, _SOLVING, 0.5)
+    report_progress(_SOLVING, 0.0)
     per_mk, share = plan.radiance_per_mk, geometry.share
     guess = None
     if start is not None and start.incident is not None:
         guess = start.incident @ spectrum.of(start.plan.spectrum)
-    solved = _solve(scene, plan, geometry, known, material, temperature, guess)
+    if solved is None:
+        solved = solve_scene(scene, plan, geometry, known, (material, temperature), guess, tick)
+    uploaded["solution"] = solved.kept
     incident, noise = solved.incident, solved.noise
     lost: Any = 0.0 if scene.air is None else left_out(scene, known, solved.reflectance)
     face = np.empty((geometry.face_count, spectrum.channels), dtype=np.float32)
@@ -226,10 +243,11 @@ def bake(
     if spectrum.channels > 1:
         # Scatter is converted to kelvin in the band radiance without a path.
         light = texels.light(incident, np.tensordot(spectrum.solver.sum(axis=0), spectrum.reflected, (0, 1)))
-        _, _, scatter = texels.bake_channel(geometry, covers, texel[0], material, light)
+        _, _, scatter = texels.bake_channel(geometry, covers, texel[0], material, light, tick)
     for channel in range(spectrum.channels):
         light = texels.light(incident, spectrum.reflected[:, channel])
-        texel[channel], face[:, channel], left = texels.bake_channel(geometry, covers, texel[channel], material, light)
+        baked = texels.bake_channel(geometry, covers, texel[channel], material, light, tick)
+        texel[channel], face[:, channel], left = baked
     scatter = left if spectrum.channels == 1 else scatter
     varies = texels.variation(geometry, incident @ solved.mean_reflectance.astype(np.float32), noise)
     solution = ((1.0 - spectrum.emissivity).max(axis=0) * solved.bounds).sum()
@@ -238,47 +256,9 @@ def bake(
     if scene.air is not None:
         errors["air"] = np.sqrt(share @ lost**2)
     errors = {name: float(value / per_mk) for name, value in errors.items()}
-    report_progress("solving the light between surfaces", 1.0)
+    report_progress(_SOLVING, 1.0)
     # Per face, for the error budget of frames.
     square = (noise**2 + scatter + lost**2).astype(np.float32)
     return BakedScene(
         scene, plan, known, incident, tuple(texel), face, square, black, solved.static, errors, note, uploaded
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Light:
-    """Light between surfaces at all nodes."""
-
-    incident: NDArray[np.float32]  # (F, N) mean incident radiance of each face [W m⁻² sr⁻¹]
-    noise: Floats  # (F,) a draw of the Monte Carlo error of each face's reflected radiance [W m⁻² sr⁻¹]
-    reflectance: Floats  # (F,) mean over the nodes
-    bounds: Floats  # (N,) error bound of `incident` [W m⁻² sr⁻¹]
-    mean_reflectance: Floats  # (N,) mean over the faces
-    static: StaticLight | None  # None without dynamic objects
-
-
-def _solve(
-    scene: Scene, plan: Plan, geometry: Geometry, known: radiosity.Transport, material: NDArray[np.uint8],
-    temperature: NDArray[np.float32], guess: Floats | None,
-) -> _Light:  # fmt: skip
-    """The _Light of a scene with known Transport, solved in blocks of nodes."""
-    spectrum = plan.spectrum
-    around = environment.of_scene(scene, plan, geometry)
-    tolerance = 0.1 * plan.tolerance_mk * plan.radiance_per_mk / spectrum.nodes
-    shape = (geometry.face_count, spectrum.nodes)
-    incident, noise, mean = np.empty(shape, dtype=np.float32), np.zeros(shape[0]), np.zeros(shape[0])
-    bounds, mean_reflectance = np.empty(shape[1]), np.empty(shape[1])
-    black_share = spectrum.black([REFERENCE_K])[0] / spectrum.black([REFERENCE_K]).sum()
-    static = StaticLight.around(around, *shape) if scene.tracked_objects else None
-    blocks = radiosity.blocks(*shape)
-    means = texels.face_means(geometry, plan, material, temperature, blocks)
-    for nodes, (emitted, reflectance) in zip(blocks, means, strict=True):
-        near = None if guess is None else guess[:, nodes]
-        found, bounds[nodes], draw = radiosity.solve(known, emitted, reflectance, around.at(nodes), tolerance, near)
-        noise += draw
-        incident[:, nodes], mean_reflectance[nodes] = found, geometry.share @ reflectance
-        mean += reflectance @ black_share[nodes]
-        if static:
-            static.add(nodes, emitted + reflectance * found, reflectance)
-    return _Light(incident, noise, mean, bounds, mean_reflectance, static)

@@ -205,7 +205,7 @@ class Scene(Edits):
         assert self.spec.sky_temperature is not None
         return float(self.spec.sky_temperature)
 
-    @property
+    @cached_property
     def surroundings_temperature(self) -> float:
         """Temperature of the black background beyond the terrain's edge [K]: as stated, else its texels' mean."""
         if self.spec.surroundings_temperature is not None:

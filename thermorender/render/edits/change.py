@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from thermorender.render.baked import BakedScene
 
 
+# Numbers of pairs of materials are a byte.
+_MOST_PAIRS = 255
+
+
 @dataclass(frozen=True, eq=False)
 class Change:
     """Texels that an edit changes, and their faces, as the known light shows them.
@@ -33,6 +37,10 @@ class Change:
         1 for texels with another material, another spectrum of their material, or another temperature.
     materials : (m,) int
         Materials after the edit on these texels.
+    pair : UInt8
+        Number of the texel's pair of materials, before and after the edit.
+    pairs : (p, 2) int
+        Of each number.
     faces : (n,) int
         Faces with such texels, ascending.
     sent : (n, N) float32
@@ -47,6 +55,8 @@ class Change:
     kelvin: Jit
     changed: Jit
     materials: NDArray[np.intp]
+    pair: Jit
+    pairs: NDArray[np.intp]
     faces: NDArray[np.intp]
     sent: NDArray[np.float32]
     strongest: NDArray[np.float32]
@@ -73,31 +83,56 @@ def change_of(baked: "BakedScene", known: Known, scene: Scene, plan: Plan) -> Ch
     warmer = not np.array_equal(temperature, known.temperature)
     if warmer:
         kelvin = mi.Float(aligned(temperature))
-    changed, materials = _changed(known, kinds, kelvin, _differ(baked, scene, before, after))
-    tables, faces = known.tables(plan), known.samples.with_any(changed)
+    differ = _differ(baked, scene, before, after)
+    pair, pairs = _pairs(known, kinds, differ.shape)
+    if len(pairs) > _MOST_PAIRS:
+        return None
+    changed, materials = _changed(known, kelvin, pair, pairs, differ)
+    tables, faces = known.tables(plan), np.flatnonzero(known.samples.with_any(changed))
     sent, strongest = _sent(known, tables, (before, after), (kinds, kelvin, changed), faces, warmer)
-    return Change(plan, tables, kinds, kelvin, changed, materials, faces, sent, strongest)
+    return Change(plan, tables, kinds, kelvin, changed, materials, pair, pairs, faces, sent, strongest)
 
 
-def _differ(baked: "BakedScene", scene: Scene, before: Spectrum, after: Spectrum) -> NDArray[np.uint8]:
+def _differ(baked: "BakedScene", scene: Scene, before: Spectrum, after: Spectrum) -> NDArray[np.bool_]:
     """Whether each material before differs from each after in what it emits or reflects, (M, M')."""
     one, other = (spectra_at(after.points, each.materials) for each in (baked.scene, scene))
     same = (one[:, None] == other).all(axis=-1)
     same &= (before.reflected[:, None] == after.reflected).all(axis=(-2, -1))
-    return (~same).astype(np.uint8)
+    return np.asarray(~same)
 
 
-def _changed(known: Known, kinds: Jit, kelvin: Jit, differ: NDArray[np.uint8]) -> tuple[Jit, NDArray[np.intp]]:
+def _pairs(known: Known, kinds: Jit, shape: tuple[int, int]) -> tuple[Jit, NDArray[np.intp]]:
+    """(number of each texel's pair of materials, UInt8; the pairs (p, 2))."""
+    mi, (before, after) = known.samples.geometry.mi, shape
+    if kinds is known.kinds:
+        # The same numbers, which may be of other materials.
+        return kinds, np.repeat(np.arange(min(before, after))[:, None], 2, axis=1)
+    code = mi.UInt32(known.kinds) * dr.opaque(mi.UInt32, after) + mi.UInt32(kinds)
+    present = dr.zeros(mi.UInt32, before * after)
+    dr.scatter(present, mi.UInt32(1), code)
+    found = np.flatnonzero(np.array(present))
+    number = np.zeros(before * after, np.uint8)
+    number[found] = np.arange(len(found)) & 255
+    pair = dr.gather(mi.UInt8, mi.UInt8(aligned(number, np.uint8)), code)
+    dr.eval(pair)
+    return pair, np.stack(np.divmod(found, after), axis=1)
+
+
+def _changed(
+    known: Known, kelvin: Jit, pair: Jit, pairs: NDArray[np.intp], differ: NDArray[np.bool_]
+) -> tuple[Jit, NDArray[np.intp]]:
     """(flags of the changed texels, UInt8; numbers of their materials after the edit)."""
-    mi, count = known.samples.geometry.mi, differ.shape[1]
-    pair = mi.UInt32(known.kinds) * dr.opaque(mi.UInt32, count) + mi.UInt32(kinds)
-    flags = dr.gather(mi.UInt8, mi.UInt8(aligned(differ, np.uint8)), pair)
-    if kelvin is not known.kelvin:
-        flags = dr.select(known.kelvin != kelvin, mi.UInt8(1), flags)
-    present = dr.zeros(mi.UInt32, count)
-    dr.scatter(present, mi.UInt32(1), mi.UInt32(kinds), flags > 0)
+    mi = known.samples.geometry.mi
+    table = differ[pairs[:, 0], pairs[:, 1]]
+    flags = dr.gather(mi.UInt8, mi.UInt8(aligned(table, np.uint8)), mi.UInt32(pair))
+    if kelvin is known.kelvin:
+        dr.eval(flags)
+        return flags, np.unique(pairs[table, 1])
+    flags = dr.select(known.kelvin != kelvin, mi.UInt8(1), flags)
+    present = dr.zeros(mi.UInt32, len(pairs))
+    dr.scatter(present, mi.UInt32(1), mi.UInt32(pair), flags > 0)
     dr.eval(flags, present)
-    return flags, np.flatnonzero(np.array(present))
+    return flags, np.unique(pairs[np.array(present) > 0, 1])
 
 
 def _sent(

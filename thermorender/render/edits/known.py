@@ -11,6 +11,7 @@ from thermorender.physics.band import RadianceTable
 from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned
 from thermorender.render.device import flat
 from thermorender.render.geometry import Geometry
+from thermorender.render.light.exchange import Strong
 from thermorender.render.light.radiosity import Transport
 from thermorender.render.light.texels import pattern
 from thermorender.render.plan import Plan
@@ -20,6 +21,13 @@ if TYPE_CHECKING:
 
 # Temperatures below the coldest and above the warmest of a scene that its tables have [K].
 _BELOW_K, _ABOVE_K = 10.0, 40.0
+# Faces whose rays are handled at once.
+_FACES_AT_ONCE = 12000
+
+
+def _parts(count: int) -> list[slice]:
+    """Slices of a number of faces."""
+    return [slice(first, min(first + _FACES_AT_ONCE, count)) for first in range(0, count, _FACES_AT_ONCE)]
 
 
 class Samples:
@@ -33,6 +41,10 @@ class Samples:
         The number of the texel at each point, of all faces, point after point.
     seen : (F,) float32
         Share of each face's hemisphere that shows other faces.
+    area : (F,) float64
+        Area of all faces up to each [m²].
+    strong : Strong or None
+        Those of the last solution.
     """
 
     def __init__(self, geometry: Geometry, transport: Transport) -> None:
@@ -49,6 +61,8 @@ class Samples:
         self.faces = dr.opaque(mi.UInt32, geometry.face_count)
         outside = transport.up.sum(axis=(1, 2), dtype=np.int64) + transport.down.sum(axis=1, dtype=np.int64)
         self.seen = (1.0 - outside / (2.0 * transport.rays)).astype(np.float32)
+        self.area = np.cumsum(geometry.area)
+        self.strong: Strong | None = None
 
     def texel(self, face: Jit, point: Jit) -> Jit:
         """Return the number of the texel at a point of faces, UInt32."""
@@ -62,8 +76,8 @@ class Samples:
         place = [(1.0 - u - v) * at[0][axis] + u * at[1][axis] + v * at[2][axis] for axis in (0, 1)]
         return geometry.corners(geometry.lattice(dr.gather(mi.UInt32, self._surface, face)), *place)
 
-    def with_any(self, flags: Jit) -> NDArray[np.intp]:
-        """Return the faces with a point whose texel has a flag (UInt8) above 0, ascending."""
+    def with_any(self, flags: Jit) -> NDArray[np.bool_]:
+        """Return whether each face has a point whose texel has a flag (UInt8) above 0, (F,)."""
         mi = self.geometry.mi
         face = dr.arange(mi.UInt32, self.geometry.face_count)
         last = dr.opaque(mi.UInt32, self.count)
@@ -73,7 +87,7 @@ class Samples:
 
         start = mi.UInt32(0), dr.zeros(mi.UInt32, self.geometry.face_count)
         _, found = dr.while_loop(start, lambda point, _: point < last, body)
-        return np.flatnonzero(np.array(found))
+        return np.array(found > 0)
 
     def around(self, face: int) -> tuple[NDArray[np.uint32], Floats]:
         """Return (texels, weights) of which a face's points are made; the weights sum to one."""
@@ -84,19 +98,20 @@ class Samples:
         return texel, weight.astype(np.float64) / self.count
 
     def received(self, sent: NDArray[np.float32], pool: Executor) -> NDArray[np.float32]:
-        """Return what faces receive from radiance that faces send, both (F, k) float32 [W m⁻² sr⁻¹]."""
+        """Return what faces receive from radiance that faces send, both (k, F) float32 [W m⁻² sr⁻¹]."""
         from scipy.sparse import csr_array
 
         transport, found = self.transport, np.empty_like(sent)
-        shares = sent / np.float32(2.0 * transport.rays)
+        shares, count = np.ascontiguousarray(sent.T) / np.float32(2.0 * transport.rays), sent.shape[1]
 
         def receive(part: slice) -> None:
             start = transport.start[2 * part.start : 2 * part.stop + 1 : 2]
             here = slice(int(start[0]), int(start[-1]))
             hits, borders = transport.hits[here].astype(np.float32), (start - start[0]).astype(np.int32)
-            found[part] = csr_array((hits, transport.seen[here], borders), (len(start) - 1, len(sent))) @ shares
+            seen = csr_array((hits, transport.seen[here], borders), (len(start) - 1, count))
+            found[:, part] = seen @ shares[:, 0] if len(sent) == 1 else (seen @ shares).T
 
-        list(pool.map(receive, transport.parts()))
+        list(pool.map(receive, _parts(count)))
         return found
 
     def received_by(self, faces: NDArray[np.intp], sent: NDArray[np.float32]) -> Floats:

@@ -4,10 +4,10 @@ With K the share of a face's hemisphere that shows each other face and ρ the re
 changes by δ = K d + K ρ δ. Here d is the change of what changed faces send in the light known before. A preview shows
 K d, in the few spectral components that d has, and leaves out K ρ δ: light of the change that is reflected twice.
 
-Its error is estimated from the radiance K ρ |K d| of the second bounce on the faces that reflect most of what they
-receive, on those that change, and on some at random. Where the share q of reflected light is passed on at most, later
-bounces add a factor of 1 / (1 − q). Correction of faces of less than `_LEAST_MK` are left out, and components of d of
-less than `_LEFT_MK` in the light; both are added.
+Its error is estimated from the light of the second bounce, K ρ |K d|, and of the components left out. They are computed
+on the faces that reflect most of what they receive, on those that change, and on faces drawn by their area. Where a
+share q of reflected light is passed on at most, later bounces add a factor of 1 / (1 − q). Corrections of faces of less
+than `_LEAST_MK` are left out too.
 """
 
 from dataclasses import replace
@@ -28,10 +28,11 @@ from thermorender.scene.scene import Scene
 if TYPE_CHECKING:
     from thermorender.render.baked import BakedScene
 
-# Change of a face's correction that is left out, and of the light due to components left out [mK].
-_LEAST_MK, _LEFT_MK = 1.0, 2.0
-# Faces on which the second bounce is computed: most reflecting, changed, and any.
-_JUDGED = 8000
+# Change of a face's correction that is left out; what spectral components may leave out of what faces send [mK], and
+# their number.
+_LEAST_MK, _LEFT_MK, _MOST_SPECTRA = 1.0, 100.0, 2
+# Faces of each kind on which the second bounce is computed, and standard errors added to its mean square.
+_JUDGED, _SURE = 3000, 3.5
 # From this share of light passed on, a preview is of no use.
 _MOST_PASSED = 0.9
 
@@ -61,7 +62,7 @@ def edited_plan(baked: "BakedScene", scene: Scene) -> Plan:
 
 def _previewed(baked: "BakedScene", known: Known, scene: Scene, change: Change) -> "BakedScene":
     geometry, plan = baked.geometry, change.plan
-    basis, light, error = _light(baked, known, scene, change)
+    basis, light, errors = _light(baked, known, scene, change)
     tables = _Tables(baked, known, scene, change, basis, light)
     texels, added = tables.texels()
     faces = tables.corrected(added)
@@ -70,7 +71,7 @@ def _previewed(baked: "BakedScene", known: Known, scene: Scene, change: Change) 
     kept = {name: baked._uploaded[name] for name in ("geometry", "samples")}
     shown = replace(
         baked, scene=scene, plan=plan, incident=None, texels=tuple(texels), faces=faces,
-        errors_mk={**baked.errors_mk, "preview": error}, _uploaded=kept | {"exact": baked},
+        errors_mk=baked.errors_mk | errors, _uploaded=kept | {"exact": baked},
     )  # fmt: skip
     kept["scene"] = shown._uploaded["scene"] = baked.device.showing(shown, outgoing)
     return shown
@@ -78,67 +79,76 @@ def _previewed(baked: "BakedScene", known: Known, scene: Scene, change: Change) 
 
 def _light(
     baked: "BakedScene", known: Known, scene: Scene, change: Change
-) -> tuple[Floats, NDArray[np.float32], float]:
-    """(orthonormal spectra (k, N), change of the light on faces in them (F, k), error of the preview [mK])."""
+) -> tuple[Floats, NDArray[np.float32], dict[str, float]]:
+    """(orthonormal spectra (k, N), change of the light on faces in them (k, F), errors of the preview [mK])."""
     samples, plan, transport = known.samples, change.plan, baked.transport
     assert transport is not None
     outside = plan.spectrum.black([scene.surroundings_temperature])[0]
     outside = outside - baked.plan.spectrum.black([baked.scene.surroundings_temperature])[0]
     basis, left = _components(change.sent, outside, _LEFT_MK * plan.radiance_per_mk)
-    sent = np.zeros((len(samples.seen), len(basis)), np.float32)
-    sent[change.faces] = change.sent @ basis.T.astype(np.float32)
+    sent = np.zeros((len(basis), len(samples.seen)), np.float32)
+    sent[:, change.faces] = basis.astype(np.float32) @ change.sent.T
     with threads() as pool:
         light = samples.received(sent, pool)
     if outside.any():
-        light += transport.background[:, None] * (outside @ basis.T)
-    error = _error(baked, samples, change, basis, light, left) / plan.radiance_per_mk
+        light += transport.background * (basis @ outside)[:, None]
+    most, typical = (value / plan.radiance_per_mk for value in _errors(baked, samples, change, basis, light, left))
     nodes = plan.spectrum.nodes_mk
-    if nodes > plan.tolerance_mk:
-        # The solution has other nodes.
-        error += nodes + plan.tolerance_mk
-    return basis, light, error
+    # The solution has other nodes where these err too much.
+    more = 0.0 if nodes <= plan.tolerance_mk else nodes + plan.tolerance_mk
+    more += 2.0 * _LEAST_MK
+    return basis, light, {"preview": most + more, "preview_rms": typical + more}
 
 
-def _components(sent: NDArray[np.float32], outside: Floats, wanted: float) -> tuple[Floats, float]:
-    """(orthonormal spectra (k, N), largest sum over the nodes of what they leave out of any face's light)."""
-    sent = sent.astype(np.float64)
-    gram = sent.T @ sent + np.outer(outside, outside)
+def _components(
+    sent: NDArray[np.float32], outside: Floats, wanted: float
+) -> tuple[Floats, tuple[NDArray[np.float32], float]]:
+    """(orthonormal spectra (k, N), what they leave out, summed over the nodes: (of each face (n,), of the outside))."""
+    gram = (sent.T @ sent).astype(np.float64) + np.outer(outside, outside)
     axes = np.linalg.eigh(gram)[1][:, ::-1].T
-    left = np.inf
-    for count in range(1, len(axes) + 1):
-        basis = axes[:count]
-        rest = [values - values @ basis.T @ basis for values in (sent, outside[None])]
-        left = sum(float(np.abs(values).sum(axis=1).max(initial=0.0)) for values in rest)
-        if left <= wanted:
+    parts = [light @ axes.T.astype(light.dtype) for light in (sent, outside[None])]
+    for count in range(1, _MOST_SPECTRA + 1):
+        # The sum over the nodes is at most √N times the root of the sum of squares.
+        rest = [np.sqrt(len(axes) * np.einsum("nk,nk->n", part[:, count:], part[:, count:])) for part in parts]
+        if max(float(values.max(initial=0.0)) for values in rest) <= wanted:
             break
-    return basis, left
+    return axes[:count], (rest[0], float(rest[1][0]))
 
 
-def _error(
-    baked: "BakedScene", samples: Samples, change: Change, basis: Floats, light: NDArray[np.float32], left: float
-) -> float:
-    """Estimate of the preview's error from above [W m⁻² sr⁻¹]."""
-    strongest = _strongest(baked, samples).copy()
-    strongest[change.faces] = change.strongest
-    reflected = strongest * np.abs(light @ basis.astype(np.float32)).sum(axis=1)
-    passed = strongest * samples.seen
-    most = float(passed.max(initial=0.0))
-    if most >= _MOST_PASSED:
-        return np.inf
-    random = np.random.Generator(np.random.Philox(0))
-    chosen = [_most(passed, _JUDGED), random.integers(0, len(passed), _JUDGED)]
-    chosen.append(change.faces[_most(passed[change.faces], _JUDGED)])
-    faces = np.unique(np.concatenate(chosen))
-    second = float((strongest[faces] * samples.received_by(faces, reflected)).max())
-    return second / (1.0 - most) + most * left + 2.0 * _LEAST_MK * change.plan.radiance_per_mk
+def _errors(
+    baked: "BakedScene", samples: Samples, change: Change, basis: Floats, light: NDArray[np.float32],
+    left: tuple[NDArray[np.float32], float],
+) -> tuple[float, float]:  # fmt: skip
+    """Estimates of the preview's largest error and of its root mean square over all faces [W m⁻² sr⁻¹]."""
+    own, most_reflecting = _strongest(baked, samples)
+    strongest, changed = own.copy(), change.faces
+    strongest[changed] = change.strongest
+    # Light that is not followed: of the second bounce, and of spectra left out.
+    missing = strongest * (np.abs(basis).sum(axis=1).astype(np.float32) @ np.abs(light))
+    missing[changed] += left[0]
+    number = np.random.Generator(np.random.Philox(0)).random(_JUDGED)
+    drawn = np.searchsorted(samples.area, number * samples.area[-1])
+    faces = np.concatenate([drawn, most_reflecting, changed[_most(change.strongest * samples.seen[changed])]])
+    received = samples.received_by(faces, missing) + left[1] * (1.0 - samples.seen[faces])
+    passed = float((strongest[faces] * samples.seen[faces]).max())
+    error = strongest[faces] * received / (1.0 - min(passed, _MOST_PASSED))
+    square = error[:_JUDGED] ** 2
+    typical = np.sqrt(square.mean() + _SURE * square.std() / np.sqrt(_JUDGED))
+    return float(error.max()) if passed < _MOST_PASSED else np.inf, float(typical)
 
 
-def _most(values: NDArray[Any], count: int) -> NDArray[np.intp]:
-    return np.argpartition(values, len(values) - count)[-count:] if len(values) > count else np.arange(len(values))
+def _most(values: NDArray[Any]) -> NDArray[np.intp]:
+    """Places of the `_JUDGED` largest values."""
+    return (
+        np.argpartition(values, len(values) - _JUDGED)[-_JUDGED:] if len(values) > _JUDGED else np.arange(len(values))
+    )
 
 
-def _strongest(baked: "BakedScene", samples: Samples) -> NDArray[np.float32]:
-    """Largest reflectance of a point of each face at any node, (F,); kept with the baked scene."""
+def _strongest(baked: "BakedScene", samples: Samples) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
+    """(largest reflectance of a point of each face at any node, (F,); faces that reflect most of what they receive).
+
+    They are kept with the baked scene.
+    """
     kept = baked._uploaded
     if "strongest" not in kept:
         geometry, known = baked.geometry, kept["known"]
@@ -151,26 +161,35 @@ def _strongest(baked: "BakedScene", samples: Samples) -> NDArray[np.float32]:
             return point + 1, dr.maximum(found, dr.gather(mi.Float, table, kind))
 
         start = mi.UInt32(0), dr.zeros(mi.Float, geometry.face_count)
-        kept["strongest"] = np.array(dr.while_loop(start, lambda point, _: point < last, body)[1])
+        found = np.array(dr.while_loop(start, lambda point, _: point < last, body)[1])
+        kept["strongest"] = found, _most(found * samples.seen)
     return kept["strongest"]
 
 
 class _Tables:
-    """The change of texels and faces, from the change of the light on faces."""
+    """The change of texels and faces, from the change of the light on faces.
+
+    Texels differ in what they emit, and in what they reflect of the light before and of its change: these depend on the
+    pair of materials before and after the edit. Pairs that occur are numbered.
+    """
 
     def __init__(
         self, baked: "BakedScene", known: Known, scene: Scene, change: Change, basis: Floats, light: NDArray[np.float32]
     ) -> None:
         self._mi = mi = baked.geometry.mi
-        self._baked, self._known, self._change, self._count = baked, known, change, len(basis)
+        self._baked, self._known, self._change = baked, known, change
         before, after = baked.plan.spectrum, change.plan.spectrum
-        mean = light.mean(axis=0, keepdims=True, dtype=np.float64).astype(np.float32)
-        self._light = Channels(mi, np.vstack([light, mean]))
-        self._strength = np.abs(light).sum(axis=1)
-        self._reflects, self._reflected, self._shares = (
-            [Channels(mi, table[:, channel]) for channel in range(after.channels)]
-            for table in (before.reflected, after.reflected, after.reflected @ basis.T)
-        )
+        mean = light.mean(axis=1, dtype=np.float64).astype(np.float32)
+        self._light = Channels(mi, np.vstack([light.T, mean]))
+        self._strength = np.abs(light).sum(axis=0)
+        old, new = change.pairs.T
+        shares, more = after.reflected[new] @ basis.T, after.reflected[new] - before.reflected[old]
+        # Of each pair and channel: what it reflects of the light, and how much more than before.
+        self._reflects = [
+            Channels(mi, np.concatenate([shares[:, channel], more[:, channel]], axis=1))
+            for channel in range(after.channels)
+        ]
+        self._spectra = len(basis)
         # Emission of the materials of changed texels.
         row = np.zeros(len(scene.materials), dtype=np.uint32)
         row[change.materials] = np.arange(len(change.materials))
@@ -180,13 +199,13 @@ class _Tables:
         ]
         self._row = mi.UInt32(aligned(row, np.uint32))
         self._emitted = Channels(mi, np.concatenate(found) if found else np.zeros((1, after.channels)))
+        self._reflected = [Channels(mi, after.reflected[:, channel]) for channel in range(after.channels)]
 
     def texels(self) -> tuple[list[NDArray[np.float32]], list[Jit]]:
         """Return (radiance of texels, K arrays (T,); change of the light that they reflect, K of Float)."""
         mi, known, change = self._mi, self._known, self._change
         cover = self._baked.geometry.face_of_texel
-        on, kind = change.changed > 0, mi.UInt32(change.kinds)
-        old = dr.select(on, mi.UInt32(known.kinds), 0)
+        on, kind, pair = change.changed > 0, mi.UInt32(change.kinds), mi.UInt32(change.pair)
         lower, share = change.tables.interval(change.kelvin)
         lower += dr.gather(mi.UInt32, self._row, kind, on) * change.tables.count
         ends = (self._emitted.at(lower + k, on) for k in (0, 1))
@@ -194,36 +213,32 @@ class _Tables:
         incident, light = known.incident.at(cover, on), self._light.at(cover)
         found, added = [], []
         for channel, texel in enumerate(known.texels):
-            new, was = (_dot(table[channel].at(of, on), incident)
-                        for table, of in ((self._reflected, kind), (self._reflects, old)))  # fmt: skip
-            more = _dot(self._shares[channel].at(kind), light)
-            found.append(dr.select(on, emitted[channel] + new, texel) + more)
-            added.append(new - was + more)
+            table = self._reflects[channel].at(pair)
+            more = _dot(table[: self._spectra], light)
+            added.append(_dot(table[self._spectra :], incident) + more)
+            found.append(dr.select(on, emitted[channel] + _dot(self._reflected[channel].at(kind, on), incident), texel))
+            found[-1] += more
         dr.eval(found, added)
         return [value.numpy() for value in found], added
 
     def corrected(self, added: list[Jit]) -> NDArray[np.float32]:
         """Return the correction of faces, (F, K); `added` as of `texels`."""
-        mi, known, change, samples = self._mi, self._known, self._change, self._known.samples
-        faces, changed = self._baked.faces, change.changed
+        mi, samples, pairs = self._mi, self._known.samples, self._change.pair
+        faces = self._baked.faces
         assert faces is not None
         found = faces.copy()
         chosen = self._uneven(added)
         if not len(chosen):
             return found
         face, last = mi.UInt32(aligned(chosen, np.uint32)), dr.opaque(mi.UInt32, samples.count)
-        incident, light = known.incident.at(face), self._light.at(face)
+        light = [*self._light.at(face), *self._known.incident.at(face)]
 
         def body(point: Jit, *so_far: Jit) -> tuple[Jit, ...]:
             total = list(so_far)
             for texel, weight in samples.corners(face, point):
-                on = dr.gather(mi.UInt8, changed, texel) > 0
-                kind = mi.UInt32(dr.gather(mi.UInt8, change.kinds, texel))
-                old = mi.UInt32(dr.gather(mi.UInt8, known.kinds, texel, on))
-                for channel in range(len(total)):
-                    own = _dot(self._shares[channel].at(kind), light)
-                    own += _dot(self._reflected[channel].at(kind, on), incident)
-                    own -= _dot(self._reflects[channel].at(old, on), incident)
+                pair = mi.UInt32(dr.gather(mi.UInt8, pairs, texel))
+                for channel, table in enumerate(self._reflects):
+                    own = _dot(table.at(pair), light)
                     total[channel] += weight * (own - dr.gather(mi.Float, added[channel], texel))
             return (point + 1, *total)
 
@@ -234,22 +249,22 @@ class _Tables:
         return found
 
     def _uneven(self, added: list[Jit]) -> NDArray[np.intp]:
-        """Faces whose correction may change by more than `_LEAST_MK`."""
+        """Faces whose correction may change by more than twice `_LEAST_MK`."""
         import cv2
 
-        mi, samples, change = self._mi, self._known.samples, self._change
-        least = _LEAST_MK * change.plan.radiance_per_mk
+        mi, samples, plan = self._mi, self._known.samples, self._change.plan
+        least = _LEAST_MK * plan.radiance_per_mk
         band = sum(dr.abs(value) for value in added)
-        flags = dr.select((change.changed > 0) | (band > dr.opaque(mi.Float, least)), mi.UInt8(1), mi.UInt8(0))
+        flags = dr.select(band > dr.opaque(mi.Float, least), mi.UInt8(1), mi.UInt8(0))
         # Corners of a point's square of texels are neighbours of its texel.
         whole, geometry, near = flags.numpy(), samples.geometry, np.ones((3, 3), np.uint8)
         for first, surface in zip(geometry.texel_start, geometry.surfaces, strict=False):
             part = whole[first : first + surface.material.size].reshape(surface.material.shape)
-            if part.any():
+            if part.size > 1 and part.any():
                 part[...] = cv2.dilate(part, near)
         chosen = samples.with_any(mi.UInt8(aligned(whole, np.uint8)))
-        most = float((1.0 - change.plan.spectrum.emissivity).max())
-        return np.union1d(chosen, np.flatnonzero(most * self._strength > least))
+        chosen |= self._strength * np.float32((1.0 - plan.spectrum.emissivity).max()) > least
+        return np.flatnonzero(chosen)
 
 
 def _dot(one: list[Jit], other: list[Jit]) -> Jit:

@@ -10,9 +10,9 @@ round sends their principal components only, and the remainder stays a rest.
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Executor, ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from thermorender.render.light.environment import Environment
     from thermorender.render.light.radiosity import Transport
 
+_T = TypeVar("_T")
+# Numbers of faces, and what they see, as `Transport.among`.
+Strong = tuple[NDArray[np.intp], Any, Any]
 # Faces that reflect more than this exchange light among themselves first. One of less reflects a tenth or less of what
 # it receives, so that every round leaves a tenth of the rests or less.
 _STRONG = 0.1
@@ -36,6 +39,17 @@ _LEFT_OUT = 3e-4
 def threads() -> ThreadPoolExecutor:
     """Return a pool with a thread for each core that this process may use; SciPy's products release Python's lock."""
     return ThreadPoolExecutor(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count())
+
+
+def strong_reflectors(transport: "Transport", reflectance: NDArray[np.floating], known: Strong | None = None) -> Strong:
+    """Return the faces that exchange light among themselves first, with what they see, as `Transport.among`.
+
+    `reflectance` is (F, N); `known` is returned where its faces are the same.
+    """
+    faces = np.flatnonzero(reflectance.max(axis=1) > _STRONG)
+    if known is not None and np.array_equal(known[0], faces):
+        return known
+    return faces, *transport.among(faces)
 
 
 class Exchange:
@@ -52,6 +66,8 @@ class Exchange:
         Light from beyond all faces, if any.
     strong : optional
         That of another Exchange, whose strong reflectors are to be the same.
+    tick : callable, optional
+        Called every few milliseconds, without arguments; it may raise.
 
     Attributes
     ----------
@@ -67,15 +83,13 @@ class Exchange:
     """
 
     def __init__(
-        self, transport: "Transport", pool: Executor, emitted: Floats, reflectance: Floats,
-        environment: "Environment | None" = None, strong: tuple[NDArray[np.intp], Any, Any] | None = None,
+        self, transport: "Transport", pool: Executor, emitted: Floats, reflectance: NDArray[np.floating],
+        environment: "Environment | None" = None, strong: Strong | None = None,
+        tick: Callable[[], object] | None = None,
     ) -> None:  # fmt: skip
-        self._transport, self._pool, self._reflectance = transport, pool, reflectance
+        self._transport, self._pool, self._reflectance, self._tick = transport, pool, reflectance, tick
         self._parts = transport.parts()
-        if strong is None:
-            faces = np.flatnonzero(reflectance.max(axis=1) > _STRONG)
-            strong = faces, *transport.among(faces)
-        self.strong = strong
+        self.strong = strong_reflectors(transport, reflectance) if strong is None else strong
         self.incident, self.rest = np.zeros(emitted.shape), emitted.copy()
         self.noise = np.zeros(len(emitted))
 
@@ -89,7 +103,21 @@ class Exchange:
 
     def _measure(self, receive: Callable[[slice], tuple[float, float]]) -> None:
         """Let all parts of the faces receive light, and note the largest values."""
-        self.brightest, self.largest = map(max, zip(*self._pool.map(receive, self._parts), strict=True))
+        self.brightest, self.largest = map(max, zip(*self._each(receive, self._parts), strict=True))
+
+    def _each(self, job: Callable[[Any], _T], items: Iterable[Any]) -> list[_T]:
+        """Results of a job for all items; after a tick that raises, no other item is begun."""
+        found = []
+        results = self._pool.map(job, items)
+        try:
+            for result in results:
+                found.append(result)
+                if self._tick:
+                    self._tick()
+        finally:
+            # A generator, which cancels what waits.
+            results.close()  # type: ignore[attr-defined]
+        return found
 
     def _received(self, part: slice, light: Floats, difference: Floats) -> tuple[float, float]:
         """Add light to a part of the faces, and the difference of the halves of their rays; return largest values."""
@@ -114,7 +142,7 @@ class Exchange:
             if len(faces):
                 sent[faces, node] += own * gmres(mutual, own[:, None], received, left)[:, 0]
 
-        list(self._pool.map(settle, range(sent.shape[1])))
+        self._each(settle, range(sent.shape[1]))
         return sent.__getitem__
 
     def send(self, sent: Callable[[slice], Floats], basis: Floats | None = None) -> None:
@@ -135,12 +163,12 @@ class Exchange:
             self.rest[part] -= shares[part] @ (basis * rays)
             return self._received(part, (seen[:, 0] + seen[:, 1]) @ basis, (seen[:, 0] - seen[:, 1]) @ basis)
 
-        list(self._pool.map(divide, self._parts))
+        self._each(divide, self._parts)
         self._measure(receive)
 
     def _components(self, sent: Callable[[slice], Floats]) -> Floats:
         """Principal components of the spectra of all faces, (n, N) orthonormal, as many as represent them."""
-        gram = sum(self._pool.map(lambda part: sent(part).T @ sent(part), self._parts))
+        gram = sum(self._each(lambda part: sent(part).T @ sent(part), self._parts))
         size, axes = np.linalg.eigh(gram)
         kept = np.cumsum(np.maximum(size, 0.0)) > _LEFT_OUT * size.sum()
         # Without any light one is kept.

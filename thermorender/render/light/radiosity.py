@@ -50,7 +50,7 @@ _MOST_REFLECTED = 1.0 - 1e-7
 # Relative accuracy of the Monte Carlo error itself.
 _NOISE_ACCURACY = 0.05
 # Rounds of exchange; about 6 are needed.
-_ROUNDS = 20
+ROUNDS = 20
 # Faces handled at once. Products of matrices of so few rows stay in their thread, so that their sums have one order.
 _FACES_AT_ONCE = 3000
 # Steps of the table of chords of the unit disk.
@@ -179,6 +179,17 @@ def background_code(mi: Mitsuba, direction: Jit) -> Jit:
     return dr.select(direction.z >= 0.0, dr.minimum(position, SKY_BINS - 1), SKY_BINS)
 
 
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The light on faces, as `solve` returns it, and what is left of it."""
+
+    incident: Floats  # (F, N)
+    bound: float
+    noise: Floats  # (F,)
+    rest: Floats  # (F, N) light that faces have not sent
+    rounding: float  # error of the incident radiance apart from the rest
+
+
 def solve(
     transport: Transport, emitted: Floats, reflectance: Floats, environment: "Environment", tolerance: float,
     start: NDArray[np.floating] | None = None,
@@ -215,32 +226,64 @@ def solve(
     variance of their mean's error. But they fill each other's gaps, so it is 1.0 to 1.4 times too large in open scenes.
     The error is itself light and is reflected: δ = K ρ δ + (x₁ − x₂) / 2 to first order, which matters in cavities.
     """
+    found = solution(transport, emitted, reflectance, environment, tolerance, start)
+    return found.incident, found.bound, found.noise
+
+
+def solution(
+    transport: Transport, emitted: Floats, reflectance: Floats, environment: "Environment", tolerance: float,
+    start: NDArray[np.floating] | None = None, tick: Callable[[], object] | None = None,
+) -> Solution:  # fmt: skip
+    """Return the Solution that `solve` describes; `tick` is called every few milliseconds, and may raise."""
     with threads() as pool:
-        reflected = float(reflectance.max(initial=0.0))
-        if reflected > _MUCH_REFLECTED:
-            top = reflectance.max(axis=1) / (2.0 * transport.rays)
-            shares = [(transport.halves(part) @ top).reshape(-1, 2).sum(axis=1).max() for part in transport.parts()]
-            reflected = min(reflected, float(max(shares)))
-        if reflected > _MOST_REFLECTED:
-            raise ThermorenderError(
-                f"surfaces that face each other reflect {reflected:.8f} of the light between them, which never "
-                "leaves; give them an emissivity of 1e-6 or more"
-            )
-        amplification = 1.0 / (1.0 - reflected)
-        wanted = 0.5 * tolerance / amplification
-        rounding = np.finfo(float).eps * (2 * transport.rays + 4)
-        light = Exchange(transport, pool, emitted, reflectance, environment)
+        amplified = amplification(transport, reflectance)
+        wanted = 0.5 * tolerance / amplified
+        light = Exchange(transport, pool, emitted, reflectance, environment, tick=tick)
         if start is not None:
             light.send(lambda part: emitted[part] + reflectance[part] * start[part], np.eye(emitted.shape[1]))
-        for _ in range(_ROUNDS):
-            bound = amplification * (light.largest + rounding * light.brightest)
+        for _ in range(ROUNDS):
+            bound = amplified * (light.largest + rounding(transport) * light.brightest)
             if bound <= tolerance:
-                return light.incident, bound, _reflected_noise(transport, pool, reflectance, light)
+                noise = _reflected_noise(transport, pool, reflectance, light)
+                return Solution(light.incident, bound, noise, light.rest, rounding(transport) * light.brightest)
             light.send(light.settled(wanted))
-    raise ThermorenderError(
+    raise unsettled(bound, tolerance)
+
+
+def unsettled(bound: float, tolerance: float) -> ThermorenderError:
+    """Return the error of light that does not converge to a tolerance."""
+    return ThermorenderError(
         f"the light between surfaces does not converge: {bound:.3g} W m⁻² sr⁻¹ remain where "
         f"{tolerance:.3g} are allowed; give a larger tolerance"
     )
+
+
+def rounding(transport: Transport) -> float:
+    """Return the relative rounding error of the light that a face receives."""
+    return float(np.finfo(float).eps * (2 * transport.rays + 4))
+
+
+def amplification(transport: Transport, reflectance: NDArray[np.floating]) -> float:
+    """Return by how much light may exceed its sources, from a bound of the share that is passed on.
+
+    `reflectance` (F, N) is that of each face at each node.
+
+    Raises
+    ------
+    ThermorenderError
+        Light never leaves.
+    """
+    reflected = float(reflectance.max(initial=0.0))
+    if reflected > _MUCH_REFLECTED:
+        top = reflectance.max(axis=1) / (2.0 * transport.rays)
+        shares = [(transport.halves(part) @ top).reshape(-1, 2).sum(axis=1).max() for part in transport.parts()]
+        reflected = min(reflected, float(max(shares)))
+    if reflected > _MOST_REFLECTED:
+        raise ThermorenderError(
+            f"surfaces that face each other reflect {reflected:.8f} of the light between them, which never "
+            "leaves; give them an emissivity of 1e-6 or more"
+        )
+    return 1.0 / (1.0 - reflected)
 
 
 def _reflected_noise(transport: Transport, pool: Executor, reflectance: Floats, light: Exchange) -> Floats:

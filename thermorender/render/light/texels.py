@@ -6,7 +6,7 @@ one texel), a constant per face restores its mean. A pixel then needs one textur
 number of spectral nodes. The remaining scatter within faces is returned as an error.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import drjit as dr
@@ -27,11 +27,11 @@ _TEXELS_AT_ONCE = 1 << 18
 
 def face_means(
     geometry: Geometry, plan: Plan, material: NDArray[np.uint8], temperature: NDArray[np.float32],
-    blocks: Sequence[slice],
+    blocks: Sequence[slice], tick: Callable[[], object] = lambda: None,
 ) -> Iterator[tuple[Floats, Floats]]:  # fmt: skip
     """Yield, for each slice of nodes, mean emitted radiance and reflectance of each face, both (F, n) float64.
 
-    `material` and `temperature` are those of all texels, (T,) numbers and [K].
+    `material` and `temperature` are those of all texels, (T,) numbers and [K]. `tick` is called every few milliseconds.
     """
     mi, count, spectrum = geometry.mi, geometry.face_count, plan.spectrum
     grid = RadianceTable.grid(plan.coldest, plan.warmest)
@@ -47,6 +47,7 @@ def face_means(
         kind = dr.gather(mi.UInt8, materials, number)
         dr.eval(position, kind)
         places.append((position, kind))
+        tick()
     for block in blocks:
         nodes = range(*block.indices(spectrum.nodes))
         emitted, reflectance = np.empty((count, len(nodes))), np.empty((count, len(nodes)))
@@ -60,6 +61,7 @@ def face_means(
                 here = dr.gather(mi.Float, emissivity, mi.UInt32(kind))
                 leaving, epsilon = leaving + planck * here, epsilon + here
                 dr.eval(leaving, epsilon)
+            tick()
             emitted[:, column] = np.array(leaving, dtype=np.float64) / len(places)
             reflectance[:, column] = 1.0 - np.array(epsilon, dtype=np.float64) / len(places)
         yield emitted, reflectance
@@ -92,7 +94,7 @@ def emitted(
 
 def bake_channel(
     geometry: Geometry, covers: Jit, emitted: NDArray[np.float32], material: NDArray[np.uint8],
-    light: NDArray[np.float32],
+    light: NDArray[np.float32], tick: Callable[[], object] = lambda: None,
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:  # fmt: skip
     """Return (radiance of each texel (T,), correction of each face (F,), remaining scatter (F,)), float32.
 
@@ -107,6 +109,8 @@ def bake_channel(
         Emitted band radiance [W m⁻² sr⁻¹] and material of each texel.
     light : (F, M) float32
         Band radiance that each material would reflect on each face [W m⁻² sr⁻¹].
+    tick : callable
+        Called every few milliseconds, without arguments.
     """
     mi, count, kinds = geometry.mi, *light.shape
     # One more row, the mean, for texels without a face, which only blend into their neighbours.
@@ -127,6 +131,7 @@ def bake_channel(
             missing += weight * (reflected(face, number) - reflected(dr.gather(mi.UInt32, covers, number), number))
         mean, square = mean + missing, square + missing * missing
         dr.eval(mean, square)
+        tick()
     mean, square = np.array(mean) / len(points), np.array(square) / len(points)
     return texel.numpy(), mean, np.maximum(square - mean * mean, 0.0)
 

@@ -100,6 +100,8 @@ def _everywhere(baked: "BakedScene") -> dict[str, float]:
     parts = {"nodes": plan.spectrum.nodes_mk + baked.errors_mk["solution"]}
     if baked.scene.air is not None:
         parts["air"] = plan.spectrum.channels_mk
+    if "preview_rms" in baked.errors_mk:
+        parts["preview"] = baked.errors_mk["preview_rms"]
     if plan.specular:
         parts["mirrors"] = plan.specular.error_mk
     return parts

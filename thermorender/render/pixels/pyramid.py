@@ -38,7 +38,9 @@ def squares(values: NDArray[np.float32], covered: NDArray[np.bool_] | None = Non
 
 def _halved(values: NDArray[np.float32]) -> NDArray[np.float32]:
     """Means over squares of two texels a side; a side of odd length repeats its last texel."""
-    values = np.pad(values, [(0, side % 2) for side in values.shape[:2]] + [(0, 0)], mode="edge")
+    odd = [side % 2 for side in values.shape[:2]]
+    if any(odd):
+        values = np.pad(values, [*((0, side) for side in odd), (0, 0)], mode="edge")
     total = values[::2, ::2] + values[1::2, ::2]
     total += values[::2, 1::2]
     total += values[1::2, 1::2]

@@ -1,0 +1,128 @@
+"""The light of an edited scene from that of the scene before: only the change is solved, to the same error bound.
+
+The light x on the faces is known, with a rest of light that faces have not sent (`thermorender.render.light.exchange`).
+An edit adds to that rest what changed faces send more or less in the light x. Rounds of exchange send it on until its
+bound is as small as that of any solution.
+"""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.render.arrays import Channels, Jit, aligned
+from thermorender.render.edits.change import Change, change_of, comparable
+from thermorender.render.edits.known import Known, known_of
+from thermorender.render.edits.preview import edited_plan
+from thermorender.render.light import environment, radiosity
+from thermorender.render.light.exchange import Exchange, strong_reflectors, threads
+from thermorender.render.light.solved import Kept, SolvedLight, black_share, tolerance_of
+from thermorender.render.plan import Plan
+from thermorender.render.spectrum import Spectrum
+from thermorender.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from thermorender.render.baked import BakedScene
+
+# Where more texels change, solving for all light is as fast.
+_MOST_CHANGED = 0.5
+# Rounding of the light and of its change to float32, relative to the brightest light.
+_ROUNDED = float(np.finfo(np.float32).eps)
+# The tolerance is divided between the rounding of edits so far and what is left.
+_FOR_ROUNDING = 0.5
+
+
+def solved_change(
+    baked: "BakedScene", scene: Scene, tick: Callable[[], object]
+) -> tuple[Plan, SolvedLight] | None:  # fmt: skip
+    """Return (Plan, SolvedLight) of an edited scene; None where all light has to be solved.
+
+    `tick` is called every few milliseconds; it may raise.
+    """
+    kept, old = baked._uploaded.get("solution"), baked.plan
+    if kept is None or baked.incident is None or not comparable(baked.scene, scene) or _warmer(baked.scene, scene):
+        return None
+    plan = edited_plan(baked, scene)
+    spectrum = plan.spectrum
+    if not plan.bake or plan.sun != old.sun or max(spectrum.nodes_mk, spectrum.channels_mk) > plan.tolerance_mk:
+        return None
+    known = known_of(baked)
+    change = change_of(baked, known, scene, plan)
+    tick()
+    if change is None or len(change.faces) > _MOST_CHANGED * baked.geometry.face_count:
+        return None
+    found = _solved(baked, known, scene, change, kept, tick)
+    return None if found is None else (plan, found)
+
+
+def _warmer(one: Scene, other: Scene) -> bool:
+    """Whether most texels differ in temperature."""
+    pairs = [(a.temperature, b.temperature) for a, b in zip(one.surfaces, other.surfaces, strict=True)]
+    changed = sum(int(np.count_nonzero(a != b)) for a, b in pairs if a is not b)
+    return changed > _MOST_CHANGED * sum(a.size for a, _ in pairs)
+
+
+def _solved(
+    baked: "BakedScene", known: Known, scene: Scene, change: Change, kept: Kept, tick: Callable[[], object]
+) -> SolvedLight | None:
+    geometry, plan, transport, incident = baked.geometry, change.plan, baked.transport, baked.incident
+    assert transport is not None and incident is not None
+    before = kept.reflectance
+    if before is None:
+        everything = np.arange(geometry.face_count)
+        before = _reflectance(known, known.kinds, baked.plan.spectrum, everything)
+        tick()
+    reflectance = before.copy()
+    reflectance[change.faces] = _reflectance(known, change.kinds, plan.spectrum, change.faces)
+    residual = kept.residual + _ROUNDED * float(incident.max(initial=0.0))
+    tolerance, amplified = tolerance_of(plan), radiosity.amplification(transport, reflectance)
+    if amplified * residual > _FOR_ROUNDING * tolerance:
+        return None
+    tolerance = (1.0 - _FOR_ROUNDING) * tolerance
+    rest = np.asarray(kept.rest * kept.step, dtype=np.float64)
+    rest[change.faces] += change.sent
+    outside = plan.spectrum.black([scene.surroundings_temperature])[0]
+    outside = outside - baked.plan.spectrum.black([baked.scene.surroundings_temperature])[0]
+    around = environment.even(np.zeros(plan.spectrum.nodes), outside, geometry.face_count) if outside.any() else None
+    with threads() as pool:
+        samples = known.samples
+        samples.strong = strong_reflectors(transport, reflectance, samples.strong)
+        light = Exchange(transport, pool, rest, reflectance, around, samples.strong, tick)
+        for _ in range(radiosity.ROUNDS):
+            left = light.largest + radiosity.rounding(transport) * light.brightest
+            if amplified * left <= tolerance:
+                break
+            light.send(light.settled(0.5 * tolerance / amplified))
+        else:
+            raise radiosity.unsettled(amplified * left, tolerance)
+    # The noise of light known before is reflected as that light is.
+    shares, noise = black_share(plan), kept.noise.astype(np.float64)
+    mean, was = (values[change.faces] @ shares for values in (reflectance, before))
+    noise[change.faces] *= mean / np.maximum(was, 1e-6)
+    noise += light.noise
+    bounds = np.full(plan.spectrum.nodes, amplified * (left + residual))
+    new = Kept.of([light.rest], residual, noise, reflectance)
+    return SolvedLight(
+        (incident + light.incident).astype(np.float32), noise, reflectance @ shares, bounds,
+        geometry.share @ reflectance, None, new,
+    )  # fmt: skip
+
+
+def _reflectance(known: Known, kinds: Jit, spectrum: Spectrum, faces: NDArray[np.intp]) -> NDArray[np.float32]:
+    """Mean reflectance of faces at each node, (n, N), of the materials `kinds` of all texels."""
+    samples, mi = known.samples, known.samples.geometry.mi
+    table = Channels(mi, 1.0 - spectrum.emissivity)
+    face, last = mi.UInt32(aligned(faces, np.uint32)), dr.opaque(mi.UInt32, samples.count)
+
+    def body(point: Jit, *total: Jit) -> tuple[Jit, ...]:
+        own = table.at(mi.UInt32(dr.gather(mi.UInt8, kinds, samples.texel(face, point))))
+        return (point + 1, *(a + b for a, b in zip(total, own, strict=True)))
+
+    start = (mi.UInt32(0), *(dr.zeros(mi.Float, len(faces)) for _ in range(spectrum.nodes)))
+    _, *total = dr.while_loop(start, lambda point, *_: point < last, body)
+    dr.eval(total)
+    found = np.stack([np.array(value, dtype=np.float32) for value in total], axis=1)
+    found /= np.float32(samples.count)
+    return found

@@ -1,0 +1,114 @@
+"""The light between the surfaces of a scene, solved at all spectral nodes."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.render.arrays import Floats
+from thermorender.render.dynamic import StaticLight
+from thermorender.render.geometry import Geometry
+from thermorender.render.light import environment, radiosity, texels
+from thermorender.render.plan import Plan
+from thermorender.render.spectrum import REFERENCE_K
+from thermorender.scene.scene import Scene
+
+# Steps of the rests kept, on either side of 0.
+_STEPS = 127
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """What the solution of an edit begins from, beside the incident radiance.
+
+    Attributes
+    ----------
+    rest : (F, N) int8
+        Light that faces have not sent, in units of `step`.
+    step : float
+        [W m⁻² sr⁻¹].
+    residual : float
+        Error of the incident radiance, and so of what faces send, apart from the rest [W m⁻² sr⁻¹].
+    noise : (F,) float32
+        As of SolvedLight.
+    reflectance : (F, N) float32 or None
+        Of each face at each node, where it is known.
+    """
+
+    rest: NDArray[np.int8]
+    step: float
+    residual: float
+    noise: NDArray[np.float32]
+    reflectance: NDArray[np.float32] | None = None
+
+    @classmethod
+    def of(
+        cls, rests: Sequence[Floats], residual: float, noise: Floats, reflectance: NDArray[np.float32] | None = None
+    ) -> "Kept":
+        """Return the Kept of light that faces have not sent, (F, n) of each part of the nodes."""
+        step = max(1e-30, *(float(np.abs(rest).max(initial=0.0)) for rest in rests)) / _STEPS
+        whole = np.concatenate([np.rint(rest / step).astype(np.int8) for rest in rests], axis=1)
+        return cls(whole, step, residual + step, noise.astype(np.float32), reflectance)
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedLight:
+    """Light between surfaces at all nodes."""
+
+    incident: NDArray[np.float32]  # (F, N) mean incident radiance of each face [W m⁻² sr⁻¹]
+    noise: Floats  # (F,) a draw of the Monte Carlo error of each face's reflected radiance [W m⁻² sr⁻¹]
+    reflectance: Floats  # (F,) mean over the nodes
+    bounds: Floats  # (N,) error bound of `incident` [W m⁻² sr⁻¹]
+    mean_reflectance: Floats  # (N,) mean over the faces
+    static: StaticLight | None  # None without dynamic objects
+    kept: Kept
+
+
+def tolerance_of(plan: Plan) -> float:
+    """Return the error bound to reach at each node [W m⁻² sr⁻¹]."""
+    return 0.1 * plan.tolerance_mk * plan.radiance_per_mk / plan.spectrum.nodes
+
+
+def black_share(plan: Plan) -> Floats:
+    """Return the share of each node in a blackbody's light, (N,)."""
+    black = plan.spectrum.black([REFERENCE_K])
+    return black[0] / black.sum()
+
+
+def solve_scene(
+    scene: Scene, plan: Plan, geometry: Geometry, known: radiosity.Transport,
+    texel: tuple[NDArray[np.uint8], NDArray[np.float32]], guess: Floats | None, tick: Callable[[], object],
+) -> SolvedLight:  # fmt: skip
+    """Return the SolvedLight of a scene with known Transport, solved in blocks of nodes.
+
+    Parameters
+    ----------
+    texel : (T,) and (T,) arrays
+        Material and temperature of all texels [K].
+    guess : (F, N), optional
+        An incident radiance close to the solution.
+    tick : callable
+        Called every few milliseconds, without arguments.
+    """
+    spectrum = plan.spectrum
+    around = environment.of_scene(scene, plan, geometry)
+    tolerance, shares = tolerance_of(plan), black_share(plan)
+    shape = (geometry.face_count, spectrum.nodes)
+    incident, noise, mean = np.empty(shape, dtype=np.float32), np.zeros(shape[0]), np.zeros(shape[0])
+    bounds, mean_reflectance, residual, rests = np.empty(shape[1]), np.empty(shape[1]), 0.0, list[Floats]()
+    static = StaticLight.around(around, *shape) if scene.tracked_objects else None
+    blocks = radiosity.blocks(*shape)
+    means = texels.face_means(geometry, plan, *texel, blocks, tick)
+    for nodes, (emitted, reflectance) in zip(blocks, means, strict=True):
+        near = None if guess is None else guess[:, nodes]
+        found = radiosity.solution(known, emitted, reflectance, around.at(nodes), tolerance, near, tick)
+        noise += found.noise
+        rests.append(found.rest)
+        bounds[nodes], residual = found.bound, max(residual, found.rounding)
+        incident[:, nodes], mean_reflectance[nodes] = found.incident, geometry.share @ reflectance
+        mean += reflectance @ shares[nodes]
+        if static:
+            static.add(nodes, emitted + reflectance * found.incident, reflectance)
+    kept = Kept.of(rests, residual, noise)
+    return SolvedLight(incident, noise, mean, bounds, mean_reflectance, static, kept)
