@@ -69,3 +69,9 @@ def test_preview_differs_from_the_solution_by_its_stated_error_at_most(renderer,
     assert np.sqrt(np.mean(apart**2)) < preview.baked.errors_mk["preview_rms"] <= stated
     assert off(preview, exact) < stated < 0.5 * change
     assert "preview" not in exact.baked.errors_mk
+
+
+def test_an_edit_back_to_the_known_scene_changes_nothing(renderer):
+    edited = renderer.solved_for(EDITS["emissivity"](renderer.scene))
+    again = edited.solved_for(EDITS["emissivity"](renderer.scene))
+    assert off(edited, again) == 0.0

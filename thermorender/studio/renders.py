@@ -195,9 +195,10 @@ class Renders:
     def _solve(self, scene: Scene, version: int, saved: bool) -> None:
         if scene.temperature_state.solved:
             made = self._solved.preview_for(scene)
-            error_mk = made.baked.errors_mk.get("preview")
-            if error_mk is not None:
-                self._show(Light(made, version, f"preview ± {error_mk:.{0 if error_mk >= 10.0 else 1}f} mK", False))
+            errors = made.baked.errors_mk
+            if "preview" in errors:
+                words = f"preview ± {errors['preview']:.3g} mK, {errors['preview_rms']:.2g} mK RMS"
+                self._show(Light(made, version, words, False))
                 made = self._solved.solved_for(scene, self._between)
         else:
             plan = self._solved.plan
