@@ -64,7 +64,8 @@ class Renders:
     light: Light = field(init=False)
     saved: Renderer = field(init=False)
     _news: threading.Condition = field(default_factory=threading.Condition)
-    _edit: tuple[Scene, int, bool] | None = None
+    _edit: tuple[Scene, int] | None = None
+    _reference: Scene | None = None
     _tabs: dict[str, Seen] = field(default_factory=dict)
     _waiting: dict[str, None] = field(default_factory=dict)
     _jobs: list[Callable[[], object]] = field(default_factory=list)
@@ -90,10 +91,17 @@ class Renders:
             self._news.notify()
         self._thread.join(10.0)
 
-    def solve(self, scene: Scene, version: int, saved: bool = False) -> None:
-        """Show an edited scene in all tabs; with `saved` it is also what differences compare with."""
+    def solve(self, scene: Scene, version: int) -> None:
+        """Show an edited scene in all tabs."""
         with self._news:
-            self._edit = (scene, version, saved)
+            self._edit = (scene, version)
+            self._news.notify()
+
+    def compare_with(self, scene: Scene) -> None:
+        """Take a scene as what differences are to; it is solved when a tab first asks for one."""
+        with self._news:
+            self._reference = scene
+            self._waiting |= dict.fromkeys(self._tabs)
             self._news.notify()
 
     def look(self, tab: str, view: View, show: Callable[[Picture], object]) -> None:
@@ -192,25 +200,30 @@ class Renders:
             raise _Newer
         self._between(what, share)
 
-    def _solve(self, scene: Scene, version: int, saved: bool) -> None:
+    def _solve(self, scene: Scene, version: int) -> None:
         if scene.temperature_state.solved:
             made = self._solved.preview_for(scene)
             errors = made.baked.errors_mk
             if "preview" in errors:
                 words = f"preview ± {errors['preview']:.3g} mK, {errors['preview_rms']:.2g} mK RMS"
                 self._show(Light(made, version, words, False))
-                made = self._solved.solved_for(scene, self._between)
+                made = self._exact(scene)
         else:
-            plan = self._solved.plan
-            made = Renderer(
-                scene, samples=plan.samples, taps=plan.taps, edge_mk=plan.edge_mk, rays=plan.rays,
-                tolerance_mk=plan.tolerance_mk, seed=self.renderer.seed, progress=self._between, like=self._solved,
-            )  # fmt: skip
-            _ = made.baked
+            made = self._exact(scene)
         self._solved = made
-        if saved:
-            self.saved = made
         self._show(Light(made, version, "exact", True))
+
+    def _exact(self, scene: Scene) -> Renderer:
+        """The Renderer of a scene, solved from the latest solution."""
+        if scene.temperature_state.solved:
+            return self._solved.solved_for(scene, self._between)
+        plan = self._solved.plan
+        made = Renderer(
+            scene, samples=plan.samples, taps=plan.taps, edge_mk=plan.edge_mk, rays=plan.rays,
+            tolerance_mk=plan.tolerance_mk, seed=self.renderer.seed, progress=self._between, like=self._solved,
+        )  # fmt: skip
+        _ = made.baked
+        return made
 
     def _show(self, light: Light) -> None:
         self.light = light
@@ -246,6 +259,8 @@ class Renders:
         self._last[tab] = (view, frame)
         before = None
         if view.mode == "difference":
+            if self._reference is not None:
+                self.saved, self._reference = self._exact(self._reference), None
             before = self.saved.frame(pose, time_s).apparent_temperature
         colour = light.renderer.visible(pose, time_s=time_s) if view.mode == "photograph" else None
         number = (self._pictures[tab].number if tab in self._pictures else 0) + 1

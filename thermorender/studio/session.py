@@ -96,12 +96,13 @@ class Session:
         self.base = self._scene = scene
         self._origin = document_of(scene)
         self.history.loaded(self._origin)
-        self._render(saved=True)
+        self.renders.compare_with(scene)
+        self._render()
 
     def saved(self, files: "dict[Path, str]") -> None:
         """Count the edits as saved: differences begin from them, and undo still goes behind them."""
         self.files, self.history.saved = files, self.document
-        self.renders.solve(self._scene, self.history.version, True)
+        self.renders.compare_with(self._scene)
         for tab in list(self.tabs):
             tab.refresh()
 
@@ -110,8 +111,8 @@ class Session:
         scene.refuse_disagreement()
         self._scene = scene
 
-    def _render(self, saved: bool = False) -> None:
-        self.renders.solve(self._scene, self.history.version, saved)
+    def _render(self) -> None:
+        self.renders.solve(self._scene, self.history.version)
         for tab in list(self.tabs):
             tab.refresh()
 
