@@ -379,6 +379,44 @@ def test_save_writes_what_the_public_interface_reads_and_refuses_changed_files(b
         page.context.close()
 
 
+def test_painted_and_renamed_materials_are_saved_as_the_scene_reads_them(folder, tmp_path):
+    pytest.importorskip("nicegui", reason="needs thermorender[studio]")
+    from thermorender.studio import ground, saving
+    from thermorender.studio.session import Session
+
+    own = tmp_path / "own"
+    shutil.copytree(folder, own)
+    before = {path: path.read_bytes() for path in own.rglob("*") if path.is_file()}
+    session = Session(tr.Renderer(tr.load_scene(own), "fast"), "fast")
+
+    def covers(scene):
+        return [scene.materials[number].name for number in scene.surfaces[0].material[16, [8, 24]]]
+
+    def saved():
+        saving.write(session, saving.planned(session))
+        scene = tr.load_scene(own)
+        assert covers(scene) == covers(session.scene)
+        return covers(scene)
+
+    def painted(document):
+        return ground.painted(session, ground.filled(session.scene, 0.75, 0.5), "pond", document)
+
+    session.edit(0, "", lambda document: document.duplicated("water", "pond"))
+    session.edit(1, "", painted)
+    assert saved() == ["grass_green", "pond"]
+    session.edit(2, "", lambda document: document.renamed("pond", "lake"))
+    assert saved() == ["grass_green", "lake"]
+    assert sorted(path.name for path in (own / "materials" / "spectra").iterdir()) == ["lake.csv"]
+    assert saving.planned(session).files == {}
+    for version in (3, 4, 5):
+        session.step(version, -1)
+    assert saved() == ["grass_green", "sand_quartz"]
+    left = {path: path.read_bytes() for path in own.rglob("*") if path.is_file()}
+    assert left.pop(own / "scene.toml") == before.pop(own / "scene.toml")
+    assert {path: data for path, data in left.items() if path.suffix == ".csv"} == {}
+    session.close()
+
+
 def test_a_pasted_spectrum_replaces_that_of_a_copy(page):
     page.choose("grass_green")
     version = page.version

@@ -11,6 +11,7 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic
+from thermorender.formats import write_text
 from thermorender.materials.csv_tables import (
     INDEX_COLUMNS,
     INDEX_OF_REFRACTION_COLUMNS,
@@ -133,16 +134,16 @@ def drop_material(name: str, directory: str | Path) -> None:
     directory, index = Path(directory), Path(directory) / "index.csv"
     rows = [cells for _, cells in read_table(index, INDEX_COLUMNS)] if index.is_file() else []
     left = [cells for cells in rows if cells["name"] != name]
-    gone: dict[Path, bytes | None] = {directory / part / f"{name}.csv": None for part in ("spectra", "thermal")}
-    replace_files(gone | ({index: _index_text(left).encode() if left else None} if left != rows else {}))
+    gone: dict[Path, str | bytes | None] = {directory / part / f"{name}.csv": None for part in ("spectra", "thermal")}
+    replace_files(gone | ({index: _index_text(left) if left else None} if left != rows else {}))
 
 
 def _write_all(directory, texts):
     """Replace files of a folder, {path in it: text}; a failure restores those already written."""
-    replace_files({directory / name: text.encode() for name, text in texts.items()})
+    replace_files({directory / name: text for name, text in texts.items()})
 
 
-def replace_files(contents: Mapping[Path, bytes | None]) -> None:
+def replace_files(contents: Mapping[Path, str | bytes | None]) -> None:
     """Replace files by new contents (None: remove them); a failure restores those already replaced."""
     before = {path: path.read_bytes() if path.exists() else None for path in contents}
     done = []
@@ -159,6 +160,9 @@ def replace_files(contents: Mapping[Path, bytes | None]) -> None:
 def _replace(path, data):
     if data is None:
         path.unlink(missing_ok=True)
+        return
+    if isinstance(data, str):
+        write_text(path, data)
         return
     with atomic(path) as part:
         part.write_bytes(data)

@@ -65,7 +65,7 @@ def run(
         with contextlib.suppress(KeyboardInterrupt, asyncio.CancelledError):
             uvicorn.Server(config).run(sockets=[listening])
     finally:
-        session.renders.stop()
+        session.close()
 
 
 def _application(session: Any, pose: str) -> Any:

@@ -89,7 +89,8 @@ class Renders:
         with self._news:
             self._ended = True
             self._news.notify()
-        self._thread.join(10.0)
+        if self._thread.is_alive():
+            self._thread.join(10.0)
 
     def solve(self, scene: Scene, version: int) -> None:
         """Show an edited scene in all tabs."""

@@ -65,17 +65,18 @@ def planned(session: "Session") -> Save:
             "copy"
         )
     refuse_changed(session)
-    files, lines = _tables(folder, document, saved, scene.camera.band_um)
+    files, lines = _tables(session)
     text = old = read_text(folder / "scene.toml")
     stated = parse_toml(text.encode(), scene.where).get("emissivity", {}).get("classes", {})
-    classes = {int(number): name for number, name in stated.items()} | dict(document.classes)
-    if document.painted != saved.painted:
+    # Classes that an earlier save of painted areas added are given again, or dropped.
+    classes = dict(document.classes)
+    if document.painted or saved.painted:
         raster, lines_of_map = _class_raster(session, classes)
         files |= raster
         lines += lines_of_map
-    for number, name in classes.items():
+    for number, name in (dict.fromkeys(map(int, stated)) | classes).items():
         if name != stated.get(str(number)):
-            text = _stated(text, "[emissivity.classes]", None, str(number), f'"{name}"')
+            text = _stated(text, "[emissivity.classes]", None, str(number), name and f'"{name}"')
     for name, (material, kelvin) in document.objects.items():
         if material != saved.objects[name][0]:
             text = _stated(text, "[[object]]", name, "material", f'"{material}"')
@@ -105,16 +106,23 @@ def write(session: "Session", save: Save) -> None:
     """Write a Save, all files or none; the edits then count as saved."""
     refuse_changed(session)
     replace_files(save.files)
+    own = session.base.spec.folder / "materials"
+    for folder in (own / "spectra", own / "thermal", own):
+        if folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
     session.saved(snapshot(session.base))
 
 
-def _tables(
-    folder: Path, document: Document, saved: Document, band_um: tuple[float, float]
-) -> tuple[dict[Path, bytes | None], list[str]]:  # fmt: skip
+def _tables(session: "Session") -> tuple[dict[Path, bytes | None], list[str]]:
     """Contents of the tables that change, and the differences in words, by writing them beside the scene first."""
-    own = folder / "materials"
+    document, saved, origin = session.document, session.history.saved, session.origin
+    own, band_um = session.base.spec.folder / "materials", session.base.camera.band_um
     changed = document.changed(saved)
-    removed = [name for name in saved.library if name not in document.library]
+    # A shipped material that is as shipped again needs no table of the scene.
+    shipped = {
+        name for name in changed if name not in origin.own and document.library[name] is origin.library.get(name)
+    }
+    removed = [name for name in saved.library if name not in document.library or name in shipped]
     if not changed and not removed:
         return {}, []
     with TemporaryDirectory(prefix="thermorender-studio-") as scratch:
@@ -123,11 +131,11 @@ def _tables(
         replace_files({there / name: data for name, data in before.items()})
         for name in removed:
             drop_material(name, there)
-        for name in changed:
+        for name in [each for each in changed if each not in shipped]:
             tables = own if Path("spectra", f"{name}.csv") in before else data_folder("materials")
             _write(document.library[name], there, tables)
         try:
-            load_library(there)
+            load_library(there if any(there.rglob("*.csv")) else None)
         except ThermorenderError as error:
             raise ThermorenderError(str(error).replace(str(there), str(own))) from None
         after = {path.relative_to(there): path.read_bytes() for path in sorted(there.rglob("*.csv"))}
@@ -158,8 +166,8 @@ def _write(material: Material, folder: Path, tables: Path) -> None:
     store(index_row(material), read_text(path), folder, True, thermal)
 
 
-def _stated(text: str, table: str, name: str | None, key: str, value: str) -> str:
-    """Return a scene file in which a table states another value, in the same place; `name` is that of an object."""
+def _stated(text: str, table: str, name: str | None, key: str, value: str | None) -> str:
+    """Return a scene file in which a table states another value, or none, in the same place; `name` is an object's."""
     lines, here, start = text.splitlines(keepends=True), False, None
     named = name is None
     for number, line in enumerate(lines):
@@ -173,6 +181,8 @@ def _stated(text: str, table: str, name: str | None, key: str, value: str) -> st
             named = named or (known == "name" and given.strip("\"'") == name)
             if known.strip("\"'") == key:
                 start = number
+    if start is not None and named and value is None:
+        return "".join([*lines[:start], *lines[start + 1 :]])
     if start is not None and named:
         comment = re.search(r"\s*#[^\"']*$", lines[start].rstrip("\r\n"))
         lines[start] = f"{lines[start].partition('=')[0]}= {value}{comment[0] if comment else ''}\n"
@@ -238,6 +248,8 @@ def _class_raster(session: "Session", classes: dict[int, str]) -> tuple[dict[Pat
                 dataset.write_colormap(1, colours)
         data = path.read_bytes()
     count = int(np.count_nonzero(values != before))
+    if data == source.raster.read_bytes():
+        return {}, []
     words = f"{source.raster.name}  {count} texels of another class, {len(painted)} areas"
     return {source.raster: data}, [words]
 

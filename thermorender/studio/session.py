@@ -44,6 +44,8 @@ class Session:
     Attributes
     ----------
     base : Scene
+    origin : Document
+        Of the base scene.
     history : History
     renders : Renders
     tabs : list of Shown
@@ -58,14 +60,19 @@ class Session:
     def __init__(self, renderer: "Renderer", quality: str) -> None:
         self.quality = quality
         self.base: Scene = renderer.scene
-        self._origin = document_of(self.base)
-        self.history = History(self._origin)
+        self.origin = document_of(self.base)
+        self.history = History(self.origin)
         self.files, self.class_raster = snapshot(self.base), class_raster_of(self.base)
         self.areas = TemporaryDirectory(prefix="thermorender-studio-")
         self.renders = Renders(renderer)
         self.tabs: list[Shown] = []
         self._band: dict[int, tuple[Material, float | None]] = {}
         self._scene: Scene = self.base
+
+    def close(self) -> None:
+        """End rendering, and remove the painted areas."""
+        self.renders.stop()
+        self.areas.cleanup()
 
     @property
     def document(self) -> Document:
@@ -94,8 +101,8 @@ class Session:
         refuse_other_surfaces(self.base.surfaces, scene.surfaces)
         self.files, self.class_raster = snapshot(scene), class_raster_of(scene)
         self.base = self._scene = scene
-        self._origin = document_of(scene)
-        self.history.loaded(self._origin)
+        self.origin = document_of(scene)
+        self.history.loaded(self.origin)
         self.renders.compare_with(scene)
         self._render()
 
@@ -107,7 +114,7 @@ class Session:
             tab.refresh()
 
     def _use(self, document: Document) -> None:
-        scene = document.scene(self.base, self._origin)
+        scene = document.scene(self.base, self.origin)
         scene.refuse_disagreement()
         self._scene = scene
 
