@@ -184,6 +184,7 @@ def test_a_refused_value_has_the_sentence_of_the_command_line(page, call, folder
     assert page.version == 0 or not page.part("undo").is_enabled()
 
 
+@pytest.mark.slow
 def test_undo_and_redo_bring_values_and_pictures_back(page):
     page.click_pixel(200, 250)
     page.choose("grass_green")
@@ -199,6 +200,7 @@ def test_undo_and_redo_bring_values_and_pictures_back(page):
         assert page.part("field-emissivity").input_value() == text
 
 
+@pytest.mark.slow
 def test_a_dragged_point_changes_the_spectrum_and_the_pixel(page):
     page.click_pixel(200, 250)
     page.choose("grass_green")
@@ -227,6 +229,7 @@ def test_a_dragged_point_changes_the_spectrum_and_the_pixel(page):
     assert float(page.part("band").inner_text().split()[0]) == band
 
 
+@pytest.mark.slow
 def test_a_class_and_a_painted_area_get_another_material(page, folder):
     page.click_pixel(200, 250)
     version = page.version
@@ -252,6 +255,7 @@ def test_a_class_and_a_painted_area_get_another_material(page, folder):
     assert page.page.locator('tr[data-name="water"]').inner_text().split()[2] == "50.0"
 
 
+@pytest.mark.slow
 def test_a_tab_with_outdated_values_is_refused_and_refreshed(page, browser, address):
     page.choose("grass_green")
     other = Page(browser, address)
@@ -330,6 +334,7 @@ def test_a_taken_port_and_a_missing_extra_are_one_sentence(call, folder, monkeyp
     assert "pip install 'thermorender[studio]'" in " ".join(error.split())
 
 
+@pytest.mark.slow
 def test_save_writes_what_the_public_interface_reads_and_refuses_changed_files(browser, folder, tmp_path):
     own = tmp_path / "own"
     shutil.copytree(folder, own)
@@ -417,6 +422,7 @@ def test_painted_and_renamed_materials_are_saved_as_the_scene_reads_them(folder,
     session.close()
 
 
+@pytest.mark.slow
 def test_a_pasted_spectrum_replaces_that_of_a_copy(page):
     page.choose("grass_green")
     version = page.version

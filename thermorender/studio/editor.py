@@ -29,7 +29,7 @@ _ROW = """
       :aria-selected="props.row.chosen ? 'true' : 'false'"
       @click="$parent.$emit('pick', props.row.name)" @keydown.enter="$parent.$emit('pick', props.row.name)">
   <q-td><div class="name"><span class="swatch" :style="{background: props.row.colour}"></span>
-    <span class="text">{{ props.row.name }}</span>
+    <span class="text" :title="props.row.title">{{ props.row.name }}</span>
     <span v-if="props.row.edited" class="edited" title="edited, not saved">●</span></div></q-td>
   <q-td class="text-right">{{ props.row.band === null ? '–' : props.row.band.toFixed(3) }}</q-td>
   <q-td class="text-right">{{ props.row.share ? (100 * props.row.share).toFixed(1) + ' %' : '' }}</q-td>

@@ -38,7 +38,7 @@ def first_pose(session: Session) -> str:
     """Return the pose of the first view: over the middle of the terrain, from the south at 45°."""
     vertices = session.base.surfaces[0].vertices
     side = float((vertices[:, :2].max(axis=0) - vertices[:, :2].min(axis=0)).min())
-    return _FIRST.format(south=-0.3 * side, above=0.3 * side)
+    return _FIRST.format(south=-0.4 * side, above=0.4 * side)
 
 
 class Tab:

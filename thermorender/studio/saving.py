@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from thermorender.studio.session import Session
 
 _MOST_CLASSES = 255
+# Of a difference between the tables before and after.
+_WORDS = {"only in the second": "new material", "only in the first": "removed"}
 
 
 def snapshot(scene: "Scene") -> dict[Path, str]:
@@ -146,7 +148,7 @@ def _tables(session: "Session") -> tuple[dict[Path, bytes | None], list[str]]:
     for each in diff(dict(saved.library), dict(document.library), band_um):
         values = " → ".join("–" if value is None else f"{value:.4f}" for value in each.emissivity)
         shift = "" if each.millikelvin is None else f" ({each.millikelvin:+.1f} mK at 300 K)"
-        lines.append(f"{each.name}  emissivity {values}{shift}: {each.what}")
+        lines.append(f"{each.name}  emissivity {values}{shift}: {_WORDS.get(each.what, each.what)}")
     return files, lines + [f"materials/{path.relative_to(own)}  written" for path in files]
 
 
@@ -250,7 +252,7 @@ def _class_raster(session: "Session", classes: dict[int, str]) -> tuple[dict[Pat
     count = int(np.count_nonzero(values != before))
     if data == source.raster.read_bytes():
         return {}, []
-    words = f"{source.raster.name}  {count} texels of another class, {len(painted)} areas"
+    words = f"{source.raster.name}  {count} texels of another class; painted areas: {len(painted)}"
     return {source.raster: data}, [words]
 
 
@@ -276,7 +278,7 @@ def commands(session: "Session", view: Any, quality: str) -> tuple[str, str]:
     pose, place = view.pose.text(scene), str(scene.spec.folder)
     numbers = pose.replace(",", ", ")
     edits = {key: name for key, name in document.classes.items() if name != saved.classes.get(key)}
-    unsaved = document.changed(saved)
+    unsaved = document.changed(saved) + (["painted areas"] if document.painted != saved.painted else [])
     note = f"# not saved yet, so not in these lines: {', '.join(unsaved)}\n" if unsaved else ""
     python = (
         f"{note}import thermorender as tr\n\nscene = tr.load_scene({place!r})\n"
