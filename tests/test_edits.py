@@ -1,12 +1,20 @@
 """Edits of materials and temperatures: previews within their stated error, and solutions from the known light."""
 
+import gc
+import pickle
+import time
+import weakref
 from dataclasses import replace
+from unittest.mock import Mock
 
+import drjit as dr
 import numpy as np
 import pytest
 
 import thermorender as tr
 from scenes import write_terrain
+from thermorender.render.baked import bake
+from thermorender.render.light.solved import solve_scene
 
 DOWN = {"pitch_deg": -90.0}
 AREA = np.array([[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]])
@@ -69,6 +77,110 @@ def test_preview_differs_from_the_solution_by_its_stated_error_at_most(renderer,
     assert np.sqrt(np.mean(apart**2)) < preview.baked.errors_mk["preview_rms"] <= stated
     assert off(preview, exact) < stated < 0.5 * change
     assert "preview" not in exact.baked.errors_mk
+
+
+@pytest.mark.parametrize("name", EDITS)
+def test_solution_of_an_edit_is_that_of_the_edited_scene(renderer, name, monkeypatch):
+    """It begins from the light before, and its error bound is that of any solution."""
+    scene = EDITS[name](renderer.scene)
+    monkeypatch.setattr("thermorender.render.edits.solution._MOST_CHANGED", 1.0)
+    found = renderer.baked.solved_for(scene)
+    alone = bake(scene, found.plan, like=renderer.baked)
+    apart = np.abs(found.incident - alone.incident).max() / renderer.plan.radiance_per_mk
+    assert found.errors_mk["solution"] <= 0.1 * found.plan.tolerance_mk
+    assert apart <= 0.2 * found.plan.tolerance_mk / found.plan.nodes
+    assert found.errors_mk == pytest.approx(alone.errors_mk, rel=0.05, abs=0.5)
+
+
+def test_most_edits_are_solved_from_the_light_before(renderer, monkeypatch):
+    """All light is solved when rounding has added up, or when an edit needs other nodes."""
+    monkeypatch.setattr("thermorender.render.edits.solution._MOST_CHANGED", 1.0)
+    whole, baked = Mock(side_effect=solve_scene), renderer.baked
+    monkeypatch.setattr("thermorender.render.baked.solve_scene", whole)
+    for number in range(30):
+        scene = renderer.scene.with_material(sand_quartz=0.9 + 0.002 * number)
+        baked = baked.solved_for(warmer(scene, 0, 0.1 * number))
+        assert baked.errors_mk["solution"] <= 0.1 * baked.plan.tolerance_mk
+    assert whole.call_count <= 3
+    back = baked.solved_for(renderer.scene)
+    assert off(tr.Renderer.of(back), renderer) <= 0.2 * back.plan.tolerance_mk
+
+
+def test_edits_of_sky_are_solved_and_not_previewed(renderer):
+    scene = renderer.scene.with_sky(250.0)
+    preview = renderer.preview_for(scene)
+    assert "preview" not in preview.baked.errors_mk
+    assert off(preview, renderer.solved_for(scene)) == 0.0
+
+
+def test_previews_of_previews_begin_from_the_solution(renderer):
+    first, second = (renderer.scene.with_material(grass_green=value) for value in (0.5, 0.95))
+    chained = renderer.preview_for(first).preview_for(second)
+    assert off(chained, renderer.preview_for(second)) == 0.0
+    assert off(chained.solved_for(first), renderer.solved_for(first)) == 0.0
+    # Sent to another process, a preview has no light to begin from, and is solved.
+    sent = tr.Renderer.of(pickle.loads(pickle.dumps(chained.baked)))
+    assert "preview" not in sent.preview_for(first).baked.errors_mk
+    assert off(sent.preview_for(first), renderer.solved_for(first)) <= 0.2 * renderer.plan.tolerance_mk
+
+
+def test_a_frame_states_that_it_is_a_preview(renderer):
+    pose = tr.pose(0, 0, 40, **DOWN)
+    preview = renderer.preview_for(renderer.scene.with_material(sand_quartz=0.5))
+    budget = preview.frame(pose).budget_mk
+    assert budget["preview"] == preview.baked.errors_mk["preview_rms"] > 0.0
+    assert budget["total"] > renderer.frame(pose).budget_mk["total"]
+    assert "preview" not in renderer.frame(pose).budget_mk
+    truth = preview.frame(pose).truth
+    names = [material.name for material in preview.scene.materials]
+    new = truth["material"] == names.index("sand_quartz") if "sand_quartz" in names else truth["emissivity"] == 0.5
+    assert new.any()
+
+
+def test_a_solution_stops_where_its_progress_raises(renderer):
+    """And says something every few milliseconds, so that the next edit need not wait."""
+    calls = []
+
+    def stop(what, share):
+        calls.append(time.perf_counter())
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+
+    for scene in (renderer.scene.with_material(grass_green=0.9), renderer.scene.with_sky(250.0)):
+        calls.clear()
+        with pytest.raises(KeyboardInterrupt):
+            renderer.baked.solved_for(scene, stop)
+        assert len(calls) == 3
+        calls.clear()
+        renderer.baked.solved_for(scene, lambda *_: calls.append(time.perf_counter()))
+        assert len(calls) > 20
+
+
+def test_images_from_one_pose_cast_no_rays_again(renderer, monkeypatch):
+    pose, other = tr.pose(0, 0, 40, **DOWN), tr.pose(-6, 2, 30, pitch_deg=-60.0)
+    first = renderer.radiance(pose)
+    renderer.radiance(other)
+    preview = renderer.preview_for(renderer.scene.with_material(grass_green=0.9))
+    again = preview.radiance(other)
+    monkeypatch.setattr(type(preview.baked.geometry), "seen", lambda *_: pytest.fail("rays were cast"))
+    np.testing.assert_array_equal(preview.radiance(other), again)
+    monkeypatch.undo()
+    np.testing.assert_array_equal(renderer.radiance(pose), first)
+
+
+def test_memory_does_not_grow_with_previews(renderer):
+    pose, sizes = tr.pose(0, 0, 40, **DOWN), []
+    for number in range(50):
+        shown = renderer.preview_for(renderer.scene.with_material(grass_green=0.5 + 0.009 * number))
+        shown.radiance(pose)
+        known = weakref.ref(shown.baked)
+        del shown
+        if number % 10 == 9:
+            gc.collect()
+            assert known() is None
+            sizes.append((len(dr.whos(as_string=True).splitlines()), len(gc.get_objects())))
+    arrays, objects = np.array(sizes[1:]).T
+    assert np.ptp(arrays) <= 2 and np.ptp(objects) < 200
 
 
 def test_an_edit_back_to_the_known_scene_changes_nothing(renderer):

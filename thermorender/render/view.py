@@ -36,7 +36,7 @@ class View:
         shapes = [item.geometry for item in device.objects]
         parts = parts_of(self.baked.scene, self.baked.geometry, shapes, self.placements)
         thin = partial(slender.rectangles, parts, self.pose, self.rays.camera)
-        return Tracer(layers, self.rays, medium, self.baked.plan, thin)
+        return Tracer(layers, self.rays, medium, self.baked.plan, thin, self.pose)
 
     def radiance(self, through_air: bool = True) -> tuple[NDArray[np.float32], Sampling]:
         """Return (band radiance (H, W) float32 [W m⁻² sr⁻¹], Sampling)."""

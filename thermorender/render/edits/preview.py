@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 # Change of a face's correction that is left out; what spectral components may leave out of what faces send [mK], and
 # their number.
-_LEAST_MK, _LEFT_MK, _MOST_SPECTRA = 1.0, 100.0, 2
+_LEAST_MK, _LEFT_MK, _MOST_SPECTRA = 2.5, 200.0, 2
 # Faces of each kind on which the second bounce is computed, and standard errors added to its mean square.
 _JUDGED, _SURE = 3000, 3.5
 # From this share of light passed on, a preview is of no use.

@@ -100,9 +100,10 @@ class CameraRays:
         off = [(at - inside)[:, None] for at, inside in zip((row, column), beside, strict=True)]
         parts = (slopes(0.5, 0.5) + off[1] * across + off[0] * along, across, along)
         self._parts = [[mi.Float(aligned(part[:, axis])) for axis in (0, 1)] for part in parts]
-        # `Sampling.hit` of the image rendered last, and the Hit of its rays through the pixels' middles, with surfaces
-        # numbered over the layers. Kept here, so that frames in memory do not each hold it; set and read as a whole.
-        self.last_hits: tuple[NDArray[np.bool_], Any] | None = None
+        # `Sampling.hit` of the image rendered last, the Hit of its rays through the pixels' middles, with surfaces
+        # numbered over the layers, and its geometry and pose if no object moves. Kept here, so that frames in memory do
+        # not each hold it; set and read as a whole.
+        self.last_hits: tuple[NDArray[np.bool_], Any, tuple[Any, bytes] | None] | None = None
         self._offsets = _net()
         self._net = [mi.Float(aligned(values)) for values in self._offsets.T]
 

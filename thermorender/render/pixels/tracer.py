@@ -85,13 +85,16 @@ class Tracer:
         Between the camera and the surfaces.
     slender : callable
         Returns the Rectangles of pixels that may show details thinner than a pixel.
+    pose : (4, 4) array, optional
+        Of a view without moving objects: from the pose of the image before, its rays are not cast again.
     """
 
     def __init__(
         self, layers: Sequence[Layer], rays: CameraRays, medium: Vacuum | AirView, plan: Plan,
-        slender: Callable[[], Rectangles],
+        slender: Callable[[], Rectangles], pose: NDArray[Any] | None = None,
     ) -> None:  # fmt: skip
         self._slender = slender
+        self._place = None if pose is None or len(layers) > 1 else (layers[0].geometry, pose.tobytes())
         self._layers, self.rays, self._medium = layers, rays, medium
         self._samples, self._mi = plan.samples, layers[0].geometry.mi
         # Read here, since reading waits for all kernels that run.
@@ -112,8 +115,12 @@ class Tracer:
         uneven = any(layer.outgoing.faces is not None for layer in self._layers)
         several = uneven or sum(len(layer.geometry.surfaces) for layer in self._layers) > 1
         total: list[Jit] = []
+        # Read and replaced as a whole: another thread may render another view meanwhile.
+        single, known, last = self._samples == 1, None, rays.last_hits
+        if single and last and self._place is not None and last[2] == self._place:
+            known = last[1]
         for cell in rays.footprints(self._samples):
-            hit, values = self._shade(cell, self._reading, split=False)
+            hit, values = self._shade(cell, self._reading, False, known)
             total = [a + b for a, b in zip(total, values, strict=True)] if total else values
         channels = len(total)
         total = [value / self._samples for value in total]
@@ -130,7 +137,6 @@ class Tracer:
         targets = [dr.zeros(mi.Float, sides[0] * sides[1]) for _ in total]
         for target, value in zip(targets, total, strict=True):
             dr.scatter(target, value, rays.ringed)
-        single = self._samples == 1
         dr.eval(targets, (hit.valid, hit.distance, hit.face, hit.surface) if single else ())
         # While the kernel runs: both depend on the pose alone.
         crossed, thin = self._at_horizon(), self._slender() if edge_limit < np.inf else None
@@ -139,7 +145,8 @@ class Tracer:
         image, guide = ringed[inside][:channels].copy(), ringed[channels:]
         met = guide[inside][0] > 0.0
         if single:
-            rays.last_hits = met, hit
+            # Not what depends on the radiance.
+            rays.last_hits = met, Hit(hit.valid, hit.distance, hit.face, hit.surface), self._place
         flat = image.reshape(channels, -1)
         crossed = crossed[~met.flat[crossed]]
         if crossed.size:
@@ -245,15 +252,18 @@ class Tracer:
         span = np.where(out, guide, -np.inf).max(axis=1) - np.where(out, guide, np.inf).min(axis=1)
         return (values * out).sum(axis=2) / number, np.where(out.any(axis=1), span, 0.0)
 
-    def _shade(self, cell: Footprint, reading: Reading, split: bool = True) -> tuple[Hit, list[Jit]]:
+    def _shade(
+        self, cell: Footprint, reading: Reading, split: bool = True, known: Hit | None = None
+    ) -> tuple[Hit, list[Jit]]:
         """Return (hits of the rays of cells, mean radiance over the cells as channels).
 
-        Unless `split`, cells that the horizon crosses show the side of their ray only.
+        Unless `split`, cells that the horizon crosses show the side of their ray only. `known` are the hits in a scene
+        of a single layer, if they were cast before.
         """
         layers, mi = self._layers, self._mi
         best, surfaces = list[Any](), 0
         for place, layer in enumerate(layers):
-            hit, values, mirror = self._trace(layer, cell, reading)
+            hit, values, mirror = self._trace(layer, cell, reading, known)
             own = [hit.distance, hit.valid, hit.face, hit.surface + surfaces, mi.Bool(hit.strong), mi.UInt32(place)]
             own += [*mirror, *values]
             nearer = best and hit.distance < best[0]
@@ -268,12 +278,14 @@ class Tracer:
         climb = Climb.of(layers[0].view[0], ray.d.z, cell) if split else None
         return hit, self._medium.at_camera(hit, total, ray.o, ray.d, climb)
 
-    def _trace(self, layer: Layer, cell: Footprint, reading: Reading) -> tuple[Hit, list[Jit], tuple[Jit, Jit]]:
+    def _trace(
+        self, layer: Layer, cell: Footprint, reading: Reading, known: Hit | None
+    ) -> tuple[Hit, list[Jit], tuple[Jit, Jit]]:
         """(hit, channels, (texel, row) from `mirrors.met`) of one layer, without mirrors and before the medium."""
         mi, geometry, outgoing = self._mi, layer.geometry, layer.outgoing
         rotation, origin = layer.view
         ray = view_ray(mi, rotation, origin, *cell.slope)
-        hit = geometry.seen(ray)
+        hit = geometry.seen(ray) if known is None else known
         record = geometry.record(hit.face, hit.valid)
         position = geometry.map_position(record, ray.o + hit.distance * ray.d)
         on_map = OnMap.of(mi, rotation, ray.d, hit.distance, record, cell)
