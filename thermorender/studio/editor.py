@@ -92,9 +92,9 @@ class Editor:
                     "padding:0 8px"
                 )
         with ui.element("div").classes("grow list"):
-            self._table: ui.table = ui.table(rows=[], columns=_COLUMNS, row_key="name", pagination=0).props(
-                'flat dense hide-pagination :rows-per-page-options="[0]" data-testid="materials"'
-            )
+            self._table: ui.table = ui.table(rows=[], columns=_COLUMNS, row_key="name", pagination=0)
+            self._table.props('flat dense hide-pagination :rows-per-page-options="[0]" data-testid="materials"')
+            self._table.props('no-data-label="No material of the library is in use; All lists them"')
             self._table.add_slot("body", _ROW)
             self._table.on("pick", lambda e: self.choose(str(e.args)))
 

@@ -9,6 +9,7 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library, read_library
 from thermorender.materials.material import Material
+from thermorender.materials.mixture import parts_of
 from thermorender.render.geometry import refuse_other_surfaces
 from thermorender.studio.document import Document, History
 from thermorender.studio.renders import Renders
@@ -129,13 +130,13 @@ class Session:
         return self._scene
 
     def shares(self) -> dict[str, float]:
-        """Return the share of the terrain's texels that each material covers."""
+        """Return the share of the terrain's texels that each material covers; a mixture counts by its parts."""
         numbers = [surface.material.ravel() for surface in self._scene.surfaces[: self._scene.terrain_count]]
         count = np.sum([np.bincount(each, minlength=256) for each in numbers], axis=0)
-        names = [material.name for material in self._scene.materials]
         shares: dict[str, float] = {}
-        for name, each in zip(names, count, strict=False):
-            shares[name] = shares.get(name, 0.0) + float(each / max(count.sum(), 1))
+        for material, each in zip(self._scene.materials, count, strict=False):
+            for part, share in parts_of(material):
+                shares[part.name] = shares.get(part.name, 0.0) + float(share * each / max(count.sum(), 1))
         return shares
 
     def band_mean(self, material: Material) -> float | None:
