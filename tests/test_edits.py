@@ -106,6 +106,12 @@ def test_most_edits_are_solved_from_the_light_before(renderer, monkeypatch):
     assert off(tr.Renderer.of(back), renderer) <= 0.2 * back.plan.tolerance_mk
 
 
+def test_an_edit_of_nothing_changes_nothing(renderer):
+    scene = renderer.scene.with_material(grass_green="grass_green")
+    preview, exact = renderer.preview_for(scene), renderer.solved_for(scene)
+    assert off(preview, renderer) == 0.0 and off(exact, renderer) <= 0.2 * renderer.plan.tolerance_mk
+
+
 def test_edits_of_sky_are_solved_and_not_previewed(renderer):
     scene = renderer.scene.with_sky(250.0)
     preview = renderer.preview_for(scene)

@@ -20,13 +20,14 @@ from thermorender.render.light import cache
 from thermorender.render.reference import squared_error
 from thermorender.scene.scene import Scene
 from thermorender.sensor.camera import load_camera
-from validation import cavity
+from validation import cavity, verdicts
 from validation.air import study as air
 from validation.budget import study
 from validation.budget.scenes import made
 from validation.command import app_of
 from validation.convergence import study as convergence
 from validation.convergence.figure import pareto
+from validation.edits import study as edits
 from validation.emissivity import study as emissivity
 from validation.footage import study as sensor_statistics
 from validation.growth import study as growth
@@ -377,3 +378,14 @@ def test_bench_command_writes_its_result(tmp_path, monkeypatch):
     assert done.exit_code == 0 and "200 triangles" in done.output
     (measured,) = json.loads((tmp_path / "b.json").read_text())["scenes"].values()
     assert measured["triangles"] == 200 and set(measured["settings"]) == {"one"}
+
+
+def test_edits_measure_times_and_errors_of_each_kind(tmp_path, monkeypatch):
+    folder = write_terrain(tmp_path / "land", 2.0 * np.indices((40, 40))[0] % 7)
+    monkeypatch.setattr(edits, "_POSE", (0.0, -10.0, 30.0))
+    result = edits.run([folder], ["fast"], edits=2, exact_every=2)
+    assert [case["kind"] for case in result["cases"]] == list(edits.KINDS)
+    assert len(edits.rows(result)) == 4 and all(each.holds for each in verdicts._edits(result))
+    for case in result["cases"]:
+        assert ["solution_ms" in edit for edit in case["edits"]] == [True, False]
+        assert case["edits"][0]["true_rms_mk"] < case["edits"][0]["stated_rms_mk"]

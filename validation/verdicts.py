@@ -177,6 +177,16 @@ def _referee(found):
     return verdicts
 
 
+def _edits(found):
+    """Previews of edits against their solutions; the tolerance is the largest error that each preview states."""
+    source = "the solution of the edit, largest difference"
+    return [Verdict(f"{case['scene']}, {case['quality']}, {case['kind']}", source, 0.0, _MK * worst["true_mk"],
+                    _MK * worst["stated_mk"], _MK * worst["preview_ms"])
+            for case in found["cases"]
+            for worst in [max((edit for edit in case["edits"] if "true_mk" in edit),
+                              key=lambda edit: edit["true_mk"] / edit["stated_mk"])]]  # fmt: skip
+
+
 STUDIES = (
     Study("stability", "tests.robustness", "Cases at the edge", "stability/stability.json", (), _stability),
     Study("fuzz", "tests.robustness", "Damaged files", "fuzz/fuzz.json", (), _fuzz, runs=False),
@@ -200,6 +210,7 @@ STUDIES = (
           ("heights/heights.png",), continues=True),
     Study("growth", "validation.growth", "Cost against size", "growth/growth.json", ("growth/growth.png",),
           continues=True),
+    Study("edits", "validation.edits", "From an edit to its frame", "edits/edits.json", (), _edits, runs=False),
     Study("cluster", "validation.cluster", "Flights over many workers", "cluster/cluster.json",
           ("cluster/cluster.png",), runs=False),
     Study("maps", "validation.maps", "Learned maps on land, hours and weathers not trained on", "maps/maps.json",

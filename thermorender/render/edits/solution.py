@@ -113,9 +113,8 @@ def _solved(
 def _reflectance(known: Known, kinds: Jit, spectrum: Spectrum, faces: NDArray[np.intp]) -> NDArray[np.float32]:
     """Mean reflectance of faces at each node, (n, N), of the materials `kinds` of all texels."""
     samples, mi = known.samples, known.samples.geometry.mi
-    # An edit back to what is known changes no face.
     if not len(faces):
-        return np.empty((0, spectrum.nodes), dtype=np.float32)
+        return np.zeros((0, spectrum.nodes), np.float32)
     table = Channels(mi, 1.0 - spectrum.emissivity)
     face, last = mi.UInt32(aligned(faces, np.uint32)), dr.opaque(mi.UInt32, samples.count)
 
