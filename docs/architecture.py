@@ -30,6 +30,7 @@ ROOMS = {
     "compare": "learned translation against the render, maps on a data set, the cost of a frame, the self-test",
     "link": "frames to a simulator over a socket: protocol, server, sessions, client",
     "cluster": "flights by the workers of Dask: connecting, what they are sent, what comes back",
+    "studio": "materials edited in the browser: session, page, frames in the background",
     "cli": "every command, and code that commands share",
 }
 GROUND = {name.strip() for name in ROOMS["ground"].split(",")}

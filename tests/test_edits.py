@@ -187,3 +187,9 @@ def test_memory_does_not_grow_with_previews(renderer):
             sizes.append((len(dr.whos(as_string=True).splitlines()), len(gc.get_objects())))
     arrays, objects = np.array(sizes[1:]).T
     assert np.ptp(arrays) <= 2 and np.ptp(objects) < 200
+
+
+def test_an_edit_back_to_the_known_scene_changes_nothing(renderer):
+    edited = renderer.solved_for(EDITS["emissivity"](renderer.scene))
+    again = edited.solved_for(EDITS["emissivity"](renderer.scene))
+    assert off(edited, again) == 0.0

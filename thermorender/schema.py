@@ -331,9 +331,15 @@ def read_toml(path: Any, name: str | None = None) -> dict[str, Any]:
     name = path if name is None else name
     try:
         data = path.read_bytes()
-        return tomllib.loads(data.decode("utf-8-sig"))
     except OSError as error:
         raise ThermorenderError(f"{name} cannot be read: {error.strerror}") from None
+    return parse_toml(data, name)
+
+
+def parse_toml(data: bytes, name: Any) -> dict[str, Any]:
+    """Return the dict of the contents of a TOML file; messages begin with `name`, as of `read_toml`."""
+    try:
+        return tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise ThermorenderError(f"{name} is not valid TOML: line {line} is not UTF-8; save it as UTF-8") from None

@@ -16,7 +16,7 @@ from thermorender.cli.options import Device
 from thermorender.cli.process import run
 from thermorender.cli.render import day, fly, render
 from thermorender.cli.scenes import import_terrain, make_scene, map_materials, plan
-from thermorender.cli.serve import serve
+from thermorender.cli.serve import serve, studio
 from thermorender.cli.terminal import Results
 from thermorender.errors import ThermorenderError
 
@@ -46,8 +46,8 @@ def demo(output: Results = Path("out/demo"), device: Device = "auto") -> None:
 
 app.add_typer(materials, name="materials")
 app.add_typer(export, name="export")
-for _verb in (fit_camera, reconstruct, prepare, dataset, train, evaluate, translate, doctor, import_terrain, make_scene,
-              plan, render, fly, day, serve, compare, bench, demo, map_materials):  # fmt: skip
+for _verb in (fit_camera, reconstruct, prepare, dataset, train, evaluate, translate, doctor, import_terrain,
+              make_scene, plan, render, fly, day, serve, studio, compare, bench, demo, map_materials):  # fmt: skip
     app.command(_verb.__name__.replace("_", "-"))(_verb)
 
 

@@ -1,4 +1,4 @@
-"""The verb that serves frames to a simulator."""
+"""The verbs that serve frames: to a simulator, and to the page of the studio."""
 
 import signal
 from pathlib import Path
@@ -92,6 +92,44 @@ def serve(
             bridge.stop()
         drop_token(kept, server.token)
         typer.echo(f"stopped after {server.answered} frames")
+
+
+@flat
+def studio(
+    scene: SceneName,
+    *,
+    host: Annotated[
+        str,
+        typer.Option(help="Address to listen on. The default is reached from this machine only; the page is not "
+                     "encrypted, so use another one in a network that you trust."),
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="TCP port; 0: a free one.", min=0, max=65535)] = 47880,
+    pose: Annotated[
+        str, typer.Option(help="E,N,U,YAW,PITCH,ROLL of the first view: metres, U above the ground, and degrees.")
+    ] = "",
+    quality: Annotated[str, typer.Option(help="fast, standard or high: sampling of pixels and light.")] = "fast",
+    device: Device = "auto",
+) -> None:  # fmt: skip
+    """Edit the materials of a scene in the browser, and see the frame change, until Ctrl-C."""
+    from thermorender.studio.app import refuse_missing, run
+
+    refuse_missing()
+    from thermorender.link.access import listening
+    from thermorender.render.renderer import Renderer
+    from thermorender.scene.load import load_scene
+    from thermorender.studio.view import Pose
+
+    with listening(host, port) as socket:
+        with progress() as report:
+            loaded = load_scene(scene)
+            if pose:
+                Pose.typed(pose, loaded, "--pose")
+            renderer = Renderer(loaded, quality, device=device, progress=report)  # type: ignore[arg-type]
+            _ = renderer.baked
+        print_cache_note(renderer)
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        announce = "open {} in a browser; stop with Ctrl-C".format
+        run(renderer, socket, host, pose, quality, lambda address: typer.echo(announce(address)))
 
 
 def _bridge(

@@ -1,9 +1,10 @@
-"""Access to a server: a token in a file that only its owner can read."""
+"""Access to a server: the address it listens on, and a token in a file that only its owner can read."""
 
 import os
 import platform
 import re
 import secrets
+import socket
 from contextlib import suppress
 from os import PathLike
 from pathlib import Path
@@ -11,6 +12,28 @@ from pathlib import Path
 from thermorender.cache import cache_folder
 from thermorender.errors import ThermorenderError
 from thermorender.link.wire import TOKEN_BYTES
+
+
+def listening(host: str, port: int) -> socket.socket:
+    """Return a socket that listens on an address of this machine; port 0 chooses a free one.
+
+    Raises
+    ------
+    ThermorenderError
+        The address cannot be listened on.
+    """
+    if not host:
+        raise ThermorenderError("host is empty; give 0.0.0.0 for all addresses of this machine, or leave --host out")
+    try:
+        host.encode("idna")  # of a name that cannot be one, an open socket would be left
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        return socket.create_server((host, port), family=family, backlog=256)
+    except (OSError, UnicodeError) as error:
+        why = str(getattr(error, "strerror", "not a name of a machine")).partition(" (")[0]
+        raise ThermorenderError(
+            f"address {host} port {port} cannot be listened on ({why}); give an "
+            "address of this machine as --host, another --port, or stop the server that uses it"
+        ) from None
 
 
 def token_file(address: str, port: int) -> Path:

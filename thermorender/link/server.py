@@ -20,6 +20,7 @@ from dataclasses import replace
 from typing import Any
 
 from thermorender.errors import ThermorenderError
+from thermorender.link.access import listening
 from thermorender.link.connections import DEFAULT_LIMITS, Job, Limits, Peer, Seat, Shown, Stages
 from thermorender.link.messages import Open, Request, refuse_length
 from thermorender.link.wire import (
@@ -70,20 +71,7 @@ class Server:
         self._lock = threading.Lock()
         self._clients: set[Peer] = set()
         self._sessions = self._held = self.answered = 0
-        if not host:
-            raise ThermorenderError(
-                "host is empty; give 0.0.0.0 for all addresses of this machine, or leave --host out"
-            )
-        try:
-            host.encode("idna")  # of a name that cannot be one, an open socket would be left
-            family = socket.AF_INET6 if ":" in host else socket.AF_INET
-            self._socket = socket.create_server((host, port), family=family, backlog=256)
-        except (OSError, UnicodeError) as error:
-            why = str(getattr(error, "strerror", "not a name of a machine")).partition(" (")[0]
-            raise ThermorenderError(
-                f"address {host} port {port} cannot be listened on ({why}); give an "
-                "address of this machine as --host, another --port, or stop the server that uses it"
-            ) from None
+        self._socket = listening(host, port)
         self.address, self.port = str(self._socket.getsockname()[0]), int(self._socket.getsockname()[1])
         self._loop, self._space, self._ended = asyncio.new_event_loop(), asyncio.Event(), asyncio.Event()
         self._thread = threading.Thread(target=self._sockets, name="link sockets", daemon=True)

@@ -4,6 +4,7 @@ Reading a library stops at the first fault. The check continues, and also looks 
 units in nanometres, percent or wavenumbers, gaps, missing spreads, tables without a row in the index.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -86,7 +87,7 @@ def _check_library(folder):
         if name in seen:
             findings.append(Finding(True, where, f"material {name!r} is listed twice; delete one row or rename it"))
         seen.add(name)
-        findings += _check_row(where, cells)
+        findings += check_row(where, cells)
         findings += _check_spectrum(
             folder / "spectra" / f"{name}.csv", f"spectra/{name}.csv", cells["directional"], folder, cells["samples"]
         )
@@ -123,8 +124,8 @@ def _thermal_findings(where, faults):
     return [Finding(True, f"{where}, row {row}" if row else where, sentence) for row, sentence in faults]
 
 
-def _check_row(where, cells):
-    """Return the findings on one row of the index."""
+def check_row(where: str, cells: Mapping[str, str]) -> list[Finding]:
+    """Return the findings on one row of the index, {column: text}."""
     findings = [
         Finding(True, where, f"{column} of material {cells['name']!r} is missing; say where the numbers come from and "
                 "on what terms ('own measurement, 2024' will do)")

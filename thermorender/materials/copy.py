@@ -14,7 +14,7 @@ from thermorender.materials.csv_tables import (
 )
 from thermorender.materials.library import find, load_library
 from thermorender.materials.store import store
-from thermorender.materials.thermal import CHOSEN, PROPERTIES, parsed, table_text
+from thermorender.materials.thermal import CHOSEN, PROPERTIES, table_text, with_values
 from thermorender.paths import data_folder
 from thermorender.schema import did_you_mean
 
@@ -90,22 +90,10 @@ def _row(folder, name):
 
 def _thermal_text(material, settings):
     """Text of the thermal table with other values, or None without a table and values."""
-    thermal = material.thermal
-    if thermal is None and not settings:
+    if material.thermal is None and not settings:
         return None
-    cells = {}
-    for key in PROPERTIES:
-        value = "" if thermal is None else thermal.values.get(key)
-        cells[key] = {
-            "property": key,
-            "value": "" if value is None else f"{value:.9g}" if isinstance(value, float) else str(value),
-            "uncertainty": "" if thermal is None else str(thermal.uncertainty.get(key, "")),
-            "source": "" if thermal is None else thermal.source.get(key, ""),
-        }
-    for key, text in settings.items():
-        cells[key] |= {"value": text, "source": f"{CHOSEN} set in a copy of {material.name}"}
-        cells[key]["uncertainty"] = cells[key]["uncertainty"] or "0"
-    made, faults = parsed([(0, one) for one in cells.values() if one["value"] or one["source"]])
+    source = f"{CHOSEN} set in a copy of {material.name}"
+    made, faults = with_values(material.thermal, settings, source)
     if made is None:
-        raise ThermorenderError(f"--set: {faults[0][1]}")
+        raise ThermorenderError(f"--set: {faults[0]}")
     return table_text(made)

@@ -185,7 +185,7 @@ def read_emissivity(path: str | Path, directory: str | Path | None = None) -> di
     rows, wavelength = _rows(path, SPECTRUM_COLUMNS, directory)
     return {
         "wavelength_um": wavelength,
-        "emissivity": np.array([_share(path, row, "emissivity", cells["emissivity"]) for row, cells in rows]),
+        "emissivity": np.array([share_in_cell(path, row, "emissivity", cells["emissivity"]) for row, cells in rows]),
         "emissivity_std": np.array(
             [
                 number_in_cell(path, row, "emissivity_std", text, 0.0, 1.0, advice) if text else np.nan
@@ -232,7 +232,9 @@ def read_angles(path: str | Path, directory: str | Path | None = None) -> dict[s
             f"{path}, row 1: column at_{angle.max():g} is beyond 90 degrees; angles count from the normal, 0…90"
         )
     order = np.argsort(-angle)
-    by_angle = np.array([[_share(path, row, column, cells[column]) for column in columns] for row, cells in rows])
+    by_angle = np.array(
+        [[share_in_cell(path, row, column, cells[column]) for column in columns] for row, cells in rows]
+    )
     cosines = np.cos(np.radians(angle[order]))
     # cos 90° is 6e-17 by rounding.
     cosines[0] = 0.0
@@ -272,6 +274,7 @@ def _rows(path, columns, directory):
     return rows, np.array(wavelength)
 
 
-def _share(path, row, column, text):
+def share_in_cell(path: str | Path, row: int, column: str, text: str) -> float:
+    """Return an emissivity, absorptance or reflectance in a table's cell, checked to be within 0…1."""
     advice = "divide by 100 if the values are percent, take 1 minus them if they are reflectances"
     return number_in_cell(path, row, column, text, 0.0, 1.0, advice)

@@ -129,23 +129,43 @@ def _refuse_existing(directory, name, replace):
         )
 
 
+def drop_material(name: str, directory: str | Path) -> None:
+    """Remove a material's row and tables from a folder, all or none; nothing happens without them."""
+    directory, index = Path(directory), Path(directory) / "index.csv"
+    rows = [cells for _, cells in read_table(index, INDEX_COLUMNS)] if index.is_file() else []
+    left = [cells for cells in rows if cells["name"] != name]
+    gone: dict[Path, str | bytes | None] = {directory / part / f"{name}.csv": None for part in ("spectra", "thermal")}
+    replace_files(gone | ({index: _index_text(left) if left else None} if left != rows else {}))
+
+
 def _write_all(directory, texts):
     """Replace files of a folder, {path in it: text}; a failure restores those already written."""
-    paths = [directory / name for name in texts]
-    before = {path: path.read_bytes() if path.exists() else None for path in paths}
-    written = []
+    replace_files({directory / name: text for name, text in texts.items()})
+
+
+def replace_files(contents: Mapping[Path, str | bytes | None]) -> None:
+    """Replace files by new contents (None: remove them); a failure restores those already replaced."""
+    before = {path: path.read_bytes() if path.exists() else None for path in contents}
+    done = []
     try:
-        for path, text in zip(paths, texts.values(), strict=True):
-            write_text(path, text)
-            written.append(path)
+        for path, data in contents.items():
+            _replace(path, data)
+            done.append(path)
     except BaseException:
-        for path in written:
-            if (old := before[path]) is None:
-                path.unlink()
-            else:
-                with atomic(path) as part:
-                    part.write_bytes(old)
+        for path in done:
+            _replace(path, before[path])
         raise
+
+
+def _replace(path, data):
+    if data is None:
+        path.unlink(missing_ok=True)
+        return
+    if isinstance(data, str):
+        write_text(path, data)
+        return
+    with atomic(path) as part:
+        part.write_bytes(data)
 
 
 def _index_text(rows):

@@ -256,6 +256,36 @@ def _contradictions(values, given):
         yield f"melting_k of a snow cover is missing; write {ZERO_CELSIUS_K} for snow or ice"
 
 
+def with_values(
+    thermal: Thermal | None, settings: Mapping[str, str], source: str
+) -> tuple[Thermal | None, list[str]]:  # fmt: skip
+    """Return (Thermal or None, sentences on faults) of a table with other values.
+
+    Parameters
+    ----------
+    thermal : Thermal or None
+        None: no value is known yet.
+    settings : dict of str to str
+        Properties with their new text; an empty one removes the value.
+    source : str
+        Source of the new values. Their uncertainty stays; without one it is 0.
+    """
+    cells = {}
+    for key in PROPERTIES:
+        value = "" if thermal is None else thermal.values.get(key)
+        cells[key] = {
+            "property": key,
+            "value": "" if value is None else f"{value:.9g}" if isinstance(value, float) else str(value),
+            "uncertainty": "" if thermal is None else str(thermal.uncertainty.get(key, "")),
+            "source": "" if thermal is None else thermal.source.get(key, ""),
+        }
+    for key, text in settings.items():
+        cells[key] |= {"value": text, "source": source if text else ""}
+        cells[key]["uncertainty"] = cells[key]["uncertainty"] or "0"
+    made, faults = parsed([(0, one) for one in cells.values() if one["value"] or one["source"]])
+    return made, [sentence for _, sentence in faults]
+
+
 def table_text(thermal: Thermal) -> str:
     """Return the CSV text of a Thermal, one row per property with a value."""
     lines = [",".join(THERMAL_COLUMNS)]

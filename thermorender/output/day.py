@@ -110,12 +110,11 @@ def day(
     single = [product for product in products if product not in ("display", "video")]
     with files.atomic_folder(folder) as out:
         rows, counts = [], []
-        for index, frame, solved in _frames(scene, pose, times, report, device, settings):
+        for frame, row in day_frames(scene, pose, step_min, report, device, **settings):
             product_files.write(out, frame, single, None, thermography)
             formats.append_json(out / "frames.jsonl", record(frame))
             counts.append(frame.counts)
-            rows.append({"solar_hour": index * step_min / 60.0, **_row(solved, frame)})
-            report(f"frame {index + 1} of {len(times)}", (index + 1) / len(times))
+            rows.append(row)
         if "display" in products:
             _show(out, display, np.stack(counts), "video" in products)
         _write_table(out / "day.csv", rows)
@@ -131,6 +130,18 @@ def day(
         }
         formats.write_json(out / "day.json", about)
     return rows
+
+
+def day_frames(
+    scene: "Scene", pose: NDArray[np.float64], step_min: int = 60,
+    progress: Callable[[str, float], object] | None = None, device: str = "auto", **settings: Any,
+) -> "Iterator[tuple[Frame, dict[str, Any]]]":  # fmt: skip
+    """Yield (Frame, row of the table) of each step of the local solar day; arguments and rows as of `day`."""
+    times = _times(scene, step_min)
+    report = progress or (lambda what, share: None)
+    for index, frame, solved in _frames(scene, pose, times, report, device, settings):
+        yield frame, {"solar_hour": index * step_min / 60.0, **_row(solved, frame)}
+        report(f"frame {index + 1} of {len(times)}", (index + 1) / len(times))
 
 
 def _times(scene: "Scene", step_min: int) -> NDArray[np.datetime64]:

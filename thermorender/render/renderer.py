@@ -144,9 +144,9 @@ class Renderer:
         # Pickled with its light, as another process needs it.
         return Renderer.of, (self.baked, self.seed)
 
-    def solved_for(self, scene: Scene) -> "Renderer":
+    def solved_for(self, scene: Scene, progress: Progress | None = None) -> "Renderer":
         """Return the Renderer of the same surfaces at other temperatures, by light already traced; see BakedScene."""
-        return self._like_this(self.baked.solved_for(scene))
+        return self._like_this(self.baked.solved_for(scene, progress))
 
     def preview_for(self, scene: Scene) -> "Renderer":
         """Return the Renderer of a preview of an edited scene; see `BakedScene.preview_for`."""

@@ -1,0 +1,216 @@
+"""What a user edits: the materials, what they cover, and the history of both.
+
+A Document is a value. Each edit makes another one, so undo and redo only move along a list.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.materials.library import NAME, find
+from thermorender.materials.material import Material
+from thermorender.materials.mixture import parts_of
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from thermorender.scene.scene import Scene
+
+# Edits that undo can take back.
+MOST_EDITS = 300
+
+
+@dataclass(frozen=True, eq=False)
+class Painted:
+    """An area of the terrain with another material: a file of polygons, as `Scene.with_material_in` reads it."""
+
+    area: "Path"
+    material: str
+
+
+@dataclass(frozen=True, eq=False)
+class Document:
+    """Materials of a scene and what they cover.
+
+    Attributes
+    ----------
+    library : dict of str to Material
+        All materials, shipped and own, by name.
+    own : frozenset of str
+        Names that the shipped library does not have, or that the scene's own folder overrides.
+    classes : dict of int to str
+        Material of each class of the scene file.
+    objects : dict of str to (str, float)
+        Material and temperature [K] of each object.
+    painted : tuple of Painted
+        The latest last.
+    time : datetime64 or None
+        Instant of temperatures that follow the weather; None: the scene's own. It is not saved.
+    """
+
+    library: Mapping[str, Material]
+    own: frozenset[str]
+    classes: Mapping[int, str]
+    objects: Mapping[str, tuple[str, float]]
+    painted: tuple[Painted, ...] = ()
+    time: "np.datetime64 | None" = None
+
+    @classmethod
+    def of(cls, scene: "Scene", library: Mapping[str, Material], own: frozenset[str]) -> "Document":
+        """Return the Document of a scene as its files describe it."""
+        objects = {each.name: (each.material, each.temperature) for each in scene.spec.objects}
+        return cls(library, own, dict(scene.spec.emissivity.classes), objects)
+
+    def with_material(self, material: Material) -> "Document":
+        """Return this Document with a material in place of that of the same name, or in addition."""
+        return replace(self, library={**self.library, material.name: material})
+
+    def duplicated(self, name: str, copy: str) -> "Document":
+        """Return this Document with a copy of a material under another name."""
+        self._refuse(copy)
+        source = find(self.library, name, "duplicate")
+        note = " ".join(filter(None, (f"Copy of {name}.", source.note)))
+        made = self.with_material(replace(source, name=copy, title=f"{source.title} (copy)", note=note))
+        return replace(made, own=self.own | {copy})
+
+    def renamed(self, name: str, new: str) -> "Document":
+        """Return this Document with another name of one of the scene's own materials, wherever it is used."""
+        self._refuse(new)
+        if name not in self.own:
+            raise ThermorenderError(f"{name} is a shipped material and keeps its name; duplicate it under another name")
+        library = {new if key == name else key: each for key, each in self.library.items()}
+        library[new] = replace(library[new], name=new)
+        return replace(
+            self, library=library, own=(self.own - {name}) | {new},
+            classes={key: new if each == name else each for key, each in self.classes.items()},
+            objects={key: (new if each == name else each, k) for key, (each, k) in self.objects.items()},
+            painted=tuple(replace(each, material=new) if each.material == name else each for each in self.painted),
+        )  # fmt: skip
+
+    def _refuse(self, name: str) -> None:
+        if not NAME.fullmatch(name):
+            raise ThermorenderError(f"name={name!r} is not a material name; use letters, digits, _ and -")
+        if name in self.library:
+            raise ThermorenderError(f"there is a material {name!r} already; choose another name")
+
+    def of_class(self, number: int, name: str) -> "Document":
+        """Return this Document with another material of a class."""
+        find(self.library, name, f"class {number}")
+        return replace(self, classes={**self.classes, number: name})
+
+    def of_object(self, name: str, material: str, kelvin: float) -> "Document":
+        """Return this Document with another material or temperature of an object [K]."""
+        find(self.library, material, f"object {name!r}")
+        return replace(self, objects={**self.objects, name: (material, kelvin)})
+
+    def with_area(self, area: Painted) -> "Document":
+        """Return this Document with another material within an area."""
+        find(self.library, area.material, "the area")
+        return replace(self, painted=(*self.painted, area))
+
+    def changed(self, saved: "Document") -> list[str]:
+        """Return the names of the materials that differ from those of another Document, or are new."""
+        return [name for name, each in self.library.items() if saved.library.get(name) is not each]
+
+    def scene(self, base: "Scene", saved: "Document") -> "Scene":
+        """Return the Scene of this Document; `base` is the scene as loaded, and `saved` its Document."""
+        used = {part.name for each in base.materials for part, _ in parts_of(each)}
+        replaced: dict[int | str, Material] = {
+            name: self.library[name]
+            for name in used & set(self.library)
+            if self.library[name] is not saved.library.get(name)
+        }
+        for number, name in self.classes.items():
+            if name != saved.classes.get(number):
+                replaced[number] = self.library[name]
+        objects = {key: each for key, each in self.objects.items() if each != saved.objects[key]}
+        replaced |= {key: self.library[name] for key, (name, _) in objects.items()}
+        scene = base if self.time is None else base.at(self.time)
+        scene = scene.with_material(replaced) if replaced else scene
+        kelvin = {key: k for key, (_, k) in objects.items() if k != saved.objects[key][1]}
+        scene = scene.with_objects(kelvin) if kelvin else scene
+        for each in self.painted:
+            scene = scene.with_material_in(each.area, self.library[each.material])
+        return scene
+
+
+class History:
+    """The edits of a scene, and the number of the version that all tabs show.
+
+    Attributes
+    ----------
+    saved : Document
+        As the files hold it.
+    version : int
+        Counts every edit, undo and redo, so that no two states have the same number.
+    """
+
+    def __init__(self, saved: Document) -> None:
+        self.saved, self.version = saved, 0
+        self._steps: list[tuple[Document, str]] = [(saved, "")]
+        self._at = 0
+
+    @property
+    def document(self) -> Document:
+        """The Document that is shown."""
+        return self._steps[self._at][0]
+
+    @property
+    def undoes(self) -> str:
+        """What undo would take back; "" for nothing."""
+        return self._steps[self._at][1]
+
+    @property
+    def redoes(self) -> str:
+        """What redo would do again; "" for nothing."""
+        return self._steps[self._at + 1][1] if self._at + 1 < len(self._steps) else ""
+
+    def edit(
+        self, version: int, what: str, change: Callable[[Document], Document], check: Callable[[Document], object]
+    ) -> None:
+        """Change the Document.
+
+        Parameters
+        ----------
+        version : int
+            The version that the user saw.
+        what : str
+            The edit in words.
+        change : callable
+            Returns the changed Document.
+        check : callable
+            Raises where the changed Document cannot be used.
+
+        Raises
+        ------
+        ThermorenderError
+            The user saw another version than the current one, or `change` or `check` refuses.
+        """
+        self.refuse_outdated(version)
+        made = change(self.document)
+        if made is self.document:
+            return
+        check(made)
+        self._steps = [*self._steps[: self._at + 1], (made, what)][-MOST_EDITS:]
+        self._at, self.version = len(self._steps) - 1, self.version + 1
+
+    def refuse_outdated(self, version: int) -> None:
+        """Raise unless `version` is the current one."""
+        if version != self.version:
+            raise ThermorenderError(
+                f"this tab showed version {version}, and another tab has changed the tables since (version "
+                f"{self.version}); nothing was changed, look at the new values and repeat the edit"
+            )
+
+    def step(self, version: int, by: int) -> None:
+        """Undo one edit (−1) or redo one (+1)."""
+        self.refuse_outdated(version)
+        if 0 <= self._at + by < len(self._steps):
+            self._at, self.version = self._at + by, self.version + 1
+
+    def loaded(self, saved: Document) -> None:
+        """Take over a Document from files; edits before it are gone."""
+        self.saved, self._steps, self._at, self.version = saved, [(saved, "")], 0, self.version + 1

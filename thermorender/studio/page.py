@@ -1,0 +1,409 @@
+"""The page of a tab: its layout, its view of the scene, and what it says of a pixel."""
+
+import asyncio
+import json
+import math
+import secrets
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from nicegui import ui
+
+from thermorender.errors import ThermorenderError
+from thermorender.render.pixels.parts import PixelParts
+from thermorender.studio.editor import Editor
+from thermorender.studio.panels import Map
+from thermorender.studio.pictures import NAMES, Picture
+from thermorender.studio.renders import figures
+from thermorender.studio.session import Session
+from thermorender.studio.timeline import Timeline
+from thermorender.studio.view import MODES, Pose, View, limits_of
+
+_FOLDER = Path(__file__).parent
+# Degrees of an orbit over the width of the picture.
+_TURN_DEG = 120.0
+# The first view without --pose: from the south, looking down at 45°.
+_FIRST = "0,{south:.0f},{above:.0f},0,-45,0"
+_TICKS = 5
+# Parts of a pixel's radiance, in words.
+_ORIGINS = {
+    "emission": "Emission", "sky": "Reflected sky", "sun": "Reflected sun", "surroundings": "Reflected surroundings",
+    "air": "Air in between", "background": "Background",
+}  # fmt: skip
+
+
+def first_pose(session: Session) -> str:
+    """Return the pose of the first view: over the middle of the terrain, from the south at 45°."""
+    vertices = session.base.surfaces[0].vertices
+    side = float((vertices[:, :2].max(axis=0) - vertices[:, :2].min(axis=0)).min())
+    return _FIRST.format(south=-0.4 * side, above=0.4 * side)
+
+
+class Tab:
+    """A tab of the browser.
+
+    Parameters
+    ----------
+    session : Session
+    pose : str
+        E,N,U,YAW,PITCH,ROLL; "" for a view from the south.
+    """
+
+    def __init__(self, session: Session, pose: str) -> None:
+        self.session, self.key = session, secrets.token_hex(8)
+        self._client, self._loop = ui.context.client, asyncio.get_running_loop()
+        self.view = View(Pose.typed(pose or first_pose(session), session.base))
+        self.pixel: tuple[int, int] | None = None
+        self._picture: Picture | None = None
+        ui.add_head_html(f"<style>{(_FOLDER / 'studio.css').read_text('utf-8')}</style>")
+        ui.add_head_html(f"<script>{(_FOLDER / 'studio.js').read_text('utf-8')}</script>")
+        ui.query("html").props('lang="en"')
+        with ui.element("div").classes("studio"):
+            self._header()
+            with ui.element("section").classes("left").props('aria-label="Materials"'):
+                left = ui.element("div").classes("left").style("flex:1;min-height:0")
+            with ui.element("section").classes("middle").props('aria-label="View"'):
+                self._tools()
+                with ui.element("div") as self._camera_box:
+                    self._stage()
+                    self._below()
+                with ui.element("div").classes("mapside") as self._map_box:
+                    self.map = Map(self)
+            with ui.element("section").classes("right").props('aria-label="Properties"'):
+                right = ui.element("div").classes("right").style("flex:1;min-height:0")
+            self.editor = Editor(self, left, right)
+            self._map_box.set_visibility(False)
+        for name, handler in (("move", self._move), ("hover", self._hover), ("pick", self._pick)):
+            ui.on(f"studio_{name}", handler)
+        session.tabs.append(self)
+        self._client.on_connect(self._connected)
+        self._client.on_delete(self._leave)
+        ui.colors(primary="#0b6377")
+        self.refresh()
+        self.look()
+
+    # What the session and the renders call.
+
+    def refresh(self) -> None:
+        """Show the current version of the edits."""
+        history = self.session.history
+        with self._client:
+            ui.run_javascript(f"studio.version = {history.version}")
+            for button, what, word in ((self._undo, history.undoes, "Undo"), (self._redo, history.redoes, "Redo")):
+                button.set_enabled(bool(what))
+                button.props(f'aria-label="{word}"')
+            self._undo_tip.set_text(f"Undo: {history.undoes}" if history.undoes else "Nothing to undo")
+            self._redo_tip.set_text(f"Redo: {history.redoes}" if history.redoes else "Nothing to redo")
+            self._version.set_text(f"version {history.version}")
+            self.editor.refresh()
+            if self.view.mode == "map":
+                self.map.refresh()
+
+    def editor_name(self) -> str:
+        """Return the chosen material, for the tools of the map."""
+        return self.editor.name if hasattr(self, "editor") else ""
+
+    def look(self) -> None:
+        """Ask for a picture of the view."""
+        self.session.renders.look(self.key, self.view, self.later(self._shown))
+
+    def edit(self, version: int, what: str, change: Callable[..., Any], quiet: bool = False) -> str:
+        """Change the document; return the sentence of a refusal, else "", and show it unless `quiet` says who does."""
+        try:
+            self.session.edit(version, what, change)
+        except ThermorenderError as error:
+            outdated = version != self.session.history.version
+            if outdated or not quiet:
+                self.say(str(error))
+            if outdated:
+                self.refresh()
+            return str(error)
+        return ""
+
+    def say(self, sentence: str, kind: str = "negative") -> None:
+        """Show a sentence for a while."""
+        with self._client:
+            ui.notify(sentence, type=kind, position="bottom", multi_line=True, timeout=8000, close_button="Close")  # type: ignore[arg-type]
+
+    def later(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """`function`, to be called from another thread."""
+
+        def call(*arguments: Any) -> None:
+            self._loop.call_soon_threadsafe(self._inside, function, *arguments)
+
+        return call
+
+    def _inside(self, function: Callable[..., Any], *arguments: Any) -> None:
+        if not self._client.is_deleted:
+            with self._client:
+                function(*arguments)
+
+    @property
+    def closed(self) -> bool:
+        """Whether the tab has gone."""
+        return self._client.is_deleted
+
+    @property
+    def shown(self) -> int:
+        """The number of the latest picture."""
+        return self._picture.number if self._picture else 0
+
+    def _connected(self) -> None:
+        """Bring a page up to date, the first time and after its connection was lost."""
+        with self._client:
+            ui.run_javascript(f"studio.setUp(); studio.version = {self.session.history.version}")
+            if self._picture:
+                self._send(self._picture)
+
+    def _leave(self) -> None:
+        self.session.renders.forget(self.key)
+        if self in self.session.tabs:
+            self.session.tabs.remove(self)
+
+    # The parts of the page.
+
+    def _header(self) -> None:
+        with ui.element("header").classes("bar"):
+            ui.html("<h1>Material studio</h1>", sanitize=False)
+            ui.label(f"{self.session.base.name} · {self.session.base.spec.title or 'untitled'}").classes("scene")
+            self._state = ui.label("rendering …").classes("state").props('role="status" data-testid="state"')
+            self._version = ui.label("").classes("soft").style("color:#c3d3df").props('data-testid="version"')
+            for by, icon in ((-1, "undo"), (1, "redo")):
+                button = ui.button(icon=icon).props(f'flat dense round color=white data-testid="{icon}"')
+                button.on(
+                    "click", lambda e, by=by: self._step(int(e.args), by), js_handler="() => emit(studio.version)"
+                )
+                with button:
+                    tip = ui.tooltip("")
+                if by < 0:
+                    self._undo, self._undo_tip = button, tip
+                else:
+                    self._redo, self._redo_tip = button, tip
+
+    def _step(self, version: int, by: int) -> None:
+        try:
+            self.session.step(version, by)
+        except ThermorenderError as error:
+            self.say(str(error))
+            self.refresh()
+
+    def _tools(self) -> None:
+        with ui.element("div").classes("tools"):
+            mode = ui.select(MODES, value="apparent", label="Show").props('dense outlined data-testid="mode"')
+            mode.style("width:228px").on_value_change(lambda e: self._set(mode=e.value))
+            self._colour_tools = ui.element("div").classes("row")
+            with self._colour_tools:
+                colours = ui.select(list(NAMES), value=self.view.palette, label="Palette").props("dense outlined")
+                colours.style("width:122px").on_value_change(lambda e: self._set(palette=e.value))
+                self._ends = [
+                    ui.input(label, placeholder="auto").props(f'dense outlined data-testid="{key}"').style("width:66px")
+                    for label, key in (("From", "low"), ("To", "high"))
+                ]
+                for each in self._ends:
+                    each.on("change", lambda: self._fixed())
+                for icon, says, now in (("lock", "Fix the range", True), ("lock_open", "Automatic range", False)):
+                    button = ui.button(icon=icon, on_click=lambda now=now: self._fix(now))
+                    button.props(f'flat dense aria-label="{says}"').tooltip(says)
+
+    def _fix(self, now: bool) -> None:
+        shown = self._picture if now else None
+        given = shown.ends if shown and shown.ends and shown.unit == "K" else None
+        for k, each in enumerate(self._ends):
+            each.set_value(f"{given[k]:.1f}" if given else "")
+        self._fixed()
+
+    def _fixed(self) -> None:
+        low, high = (each.value or "" for each in self._ends)
+        try:
+            self._set(limits=limits_of(low, high))
+        except ThermorenderError as error:
+            if low.strip() and high.strip():
+                self.say(str(error))
+
+    def _stage(self) -> None:
+        camera = self.session.base.camera
+        with ui.element("div").classes("view"):
+            with ui.element("div").classes("stage").style(f"--ratio:{camera.width}/{camera.height}"):
+                ui.element("img").props(
+                    'id="frame" data-testid="frame" tabindex="0" draggable="false" alt="The scene as the camera sees '
+                    'it. Drag to orbit, with Shift to pan, wheel to zoom; arrow keys, + and − do the same."'
+                )
+                self._cross = ui.element("div").classes("cross").style("display:none")
+            self._scale = ui.element("div").classes("scale").props('data-testid="scale"')
+            with self._scale:
+                self._unit = ui.label("")
+                with ui.element("div").classes("ramp"):
+                    self._ramp = ui.element("div").classes("colours")
+                    with ui.element("div").classes("ticks"):
+                        self._ticks = [ui.label("") for _ in range(_TICKS)]
+        self._hovered = ui.label("Drag to orbit, Shift-drag to pan, wheel to zoom, click a pixel for its figures")
+        self._hovered.classes("hover").props('data-testid="hover"')
+
+    def _below(self) -> None:
+        with ui.element("div").classes("tools"):
+            self._pose = ui.input("Pose: E,N,U above ground,yaw,pitch,roll [m, deg]", validation=self._pose_fault)
+            self._pose.props('dense outlined hide-bottom-space data-testid="pose"').style("flex:1;min-width:280px")
+            self._pose.on("change", lambda: self._typed_pose())
+            self._pose.set_value(self.view.pose.text(self.session.base))
+            ui.button("Copy", on_click=self._copy_menu).props("flat dense")
+        self.timeline = Timeline(self)
+        with ui.element("div").classes("cards"):
+            with ui.element("div"):
+                ui.html("<h2>Pixel</h2>", sanitize=False)
+                self._figures = ui.element("div").classes("figures").props('data-testid="figures"')
+                with self._figures:
+                    ui.label("Click a pixel in the picture.").classes("soft")
+            with ui.element("div"):
+                self._notes = ui.label("").classes("soft").props('data-testid="notes"')
+                self._parts_title = ui.html("", sanitize=False)
+                self._parts = ui.element("div").classes("figures three").props('data-testid="parts"')
+                self._legend = ui.element("div").classes("legend").props('data-testid="legend"')
+
+    def _copy_menu(self) -> None:
+        name, pose = self.session.base.spec.folder, self.view.pose.text(self.session.base)
+        text = f"thermorender render {name} --pose={pose} -o out"
+        ui.run_javascript(f"navigator.clipboard.writeText({json.dumps(text)})")
+        self.say(f"Copied: {text}", "info")
+
+    # What a hand does.
+
+    def _set(self, **changes: Any) -> None:
+        self.view = replace(self.view, **changes)
+        on_map = self.view.mode == "map"
+        self._map_box.set_visibility(on_map)
+        self._colour_tools.set_visibility(not on_map)
+        self._camera_box.set_visibility(not on_map)
+        if on_map:
+            self.map.open()
+        else:
+            self.look()
+
+    def turn_to(self, pose: Pose, time_s: float | None = None) -> None:
+        """Show another pose."""
+        self._pose.set_value(pose.text(self.session.base))
+        self._set(pose=pose, time_s=self.view.time_s if time_s is None else time_s)
+
+    def _pose_fault(self, text: str) -> str | None:
+        try:
+            Pose.typed(text, self.session.base)
+        except ThermorenderError as error:
+            return str(error)
+        return None
+
+    def _typed_pose(self) -> None:
+        if self._pose_fault(self._pose.value) is None:
+            self._set(pose=Pose.typed(self._pose.value, self.session.base))
+
+    def _move(self, event: Any) -> None:
+        given, scene, pose = event.args, self.session.base, self.view.pose
+        right, down, zoom = (float(given[key]) for key in ("right", "down", "zoom"))
+        if not all(map(math.isfinite, (right, down, zoom))):
+            return
+        if zoom != 1.0:
+            pose = pose.zoomed(zoom, scene)
+        if given["pan"]:
+            pose = pose.moved(right, down, scene)
+        elif right or down:
+            pose = pose.turned(-_TURN_DEG * right, -_TURN_DEG * down, scene)
+        self.turn_to(pose)
+
+    def _hover(self, event: Any) -> None:
+        self._ask(tuple(map(int, event.args)), self._hover_shown)
+
+    def _pick(self, event: Any) -> None:
+        self.pixel = (int(event.args[0]), int(event.args[1]))
+        self._place_cross()
+        self._ask(self.pixel, self._figures_shown)
+
+    def _ask(self, pixel: Any, show: Callable[..., Any]) -> None:
+        """Find a pixel's figures in the thread that renders, and show them."""
+        renders, later = self.session.renders, self.later(show)
+
+        def job() -> None:
+            frame = renders.frame(self.key)
+            found = None if frame is None else figures(frame, *pixel)
+            later(
+                found, renders.parts(self.key, (pixel[1], pixel[0])) if found and show == self._figures_shown else None
+            )
+
+        renders.run(job)
+
+    # What comes back.
+
+    def _shown(self, picture: Picture) -> None:
+        if not picture.data:
+            self.say(picture.notes)
+            return
+        self._picture = picture
+        self._send(picture)
+        self._state.set_text(picture.words)
+        self._state.classes(remove="preview" if picture.exact else "", add="" if picture.exact else "preview")
+        self._unit.set_text(picture.unit)
+        self._scale.style(f"visibility:{'visible' if picture.ends else 'hidden'}")
+        self._ramp.style(f"background:{picture.gradient or 'none'}")
+        for tick, text in zip(self._ticks, picture.ticks(len(self._ticks)), strict=True):
+            tick.set_text(text)
+        self._notes.set_text(picture.notes)
+        self._legend.clear()
+        with self._legend:
+            for name, colour in picture.legend:
+                with ui.element("div"):
+                    ui.element("span").classes("swatch").style(f"background:{colour}")
+                    ui.label(name)
+        if self.pixel is not None:
+            self._ask(self.pixel, self._figures_shown)
+
+    def _send(self, picture: Picture) -> None:
+        address = f"/frame/{self.key}/{picture.number}"
+        ui.run_javascript(f"studio.show({json.dumps(address)}, {picture.version}, {picture.number})")
+
+    def _place_cross(self) -> None:
+        if self.pixel is not None:
+            camera = self.session.base.camera
+            left, top = (100.0 * (self.pixel[k] + 0.5) / size for k, size in ((0, camera.width), (1, camera.height)))
+            self._cross.style(f"display:block;left:{left:.3f}%;top:{top:.3f}%")
+
+    def _hover_shown(self, found: dict[str, Any] | None, _: Any) -> None:
+        if found:
+            what = f" · {found['object'] or found['material']}" if found["material"] else " · no surface"
+            self._hovered.set_text(f"{found['apparent_k']:.2f} K apparent{what}")
+
+    def _figures_shown(self, found: dict[str, Any] | None, parts: PixelParts | None) -> None:
+        if found is None or self.pixel is None:
+            return
+        east, north, up = found["position"]
+        rows = [
+            ("Pixel", f"column {self.pixel[0]}, row {self.pixel[1]}"),
+            ("Apparent temperature", f"{found['apparent_k']:.3f} K"),
+            ("Radiance", f"{found['radiance']:.4f} W m⁻² sr⁻¹"),
+        ]
+        if found["material"]:
+            rows += [
+                ("Kinetic temperature", f"{found['kinetic_k']:.3f} K"),
+                ("Band emissivity", f"{found['emissivity']:.4f}"),
+                ("Material", found["material"]),
+                *([("Object", found["object"])] if found["object"] else []),
+                *([("View angle", f"{parts.angle_deg:.1f}°")] if parts else []),
+                ("Position E, N, up", f"{east:.1f}, {north:.1f}, {up:.1f} m"),
+            ]
+        else:
+            rows.append(("Surface", "none: sky or surroundings"))
+        self._figures.clear()
+        self._figures.props(f"data-version={self._picture.version if self._picture else 0}")
+        with self._figures:
+            for key, value in rows:
+                ui.label(key).classes("k")
+                ui.label(value).props(f'data-key="{key}"')
+        self._parts.clear()
+        self._parts_title.set_content("<h2>Radiance by origin</h2>" if parts else "")
+        if parts is None:
+            return
+        with self._parts:
+            for head in ("", "W m⁻² sr⁻¹", "K"):
+                ui.label(head).classes("k r")
+            for name, part in parts.radiance.items():
+                ui.label(_ORIGINS.get(name, name)).classes("k")
+                ui.label(f"{round(part, 4) + 0.0:.4f}").classes("r").props(f'data-part="{name}"')
+                ui.label(f"{round(parts.kelvin[name], 2) + 0.0:.2f}").classes("r")

@@ -1,0 +1,248 @@
+"""Panels beside those of a material: what the materials cover, the map to paint on, and files."""
+
+import json
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from nicegui import run, ui
+
+from thermorender.errors import ThermorenderError
+from thermorender.scene.load import load_scene
+from thermorender.studio import ground, saving
+from thermorender.studio.document import Document
+from thermorender.units import kelvin
+
+if TYPE_CHECKING:
+    from thermorender.studio.page import Tab
+
+_TOOLS = {"fill": "Fill region", "polygon": "Polygon", "lasso": "Lasso"}
+_KINDS = {
+    "png": "PNG: the camera's display", "exr": "EXR: radiance, temperatures and truth",
+    "tif": "TIFF: apparent temperature [K]", "map": "GeoTIFF: orthorectified [K]", "npz": "NPZ: arrays",
+}  # fmt: skip
+
+
+class Cover:
+    """The material of each class and object, in place."""
+
+    def __init__(self, tab: "Tab") -> None:
+        self._tab, self._session, self._known = tab, tab.session, ("", "")
+        self._box = ui.element("div").classes("part")
+
+    def refresh(self) -> None:
+        """Show the current version of the edits."""
+        document = self._session.document
+        state = (repr(dict(document.classes)), repr(dict(document.objects)) + repr(sorted(document.library)))
+        if state == self._known:
+            return
+        self._known = state
+        self._box.clear()
+        names = sorted(document.library)
+        with self._box:
+            ui.html("<h2>Classes</h2>", sanitize=False)
+            if not document.classes:
+                ui.label("This scene's materials do not come from classes.").classes("soft")
+            with ui.element("div").classes("cover"):
+                for number, name in sorted(document.classes.items()):
+                    ui.label(f"Class {number}").classes("soft")
+                    self._choice(names, name, f"class-{number}", f"class {number}", partial(_of_class, number))
+            if not document.objects:
+                return
+            ui.html("<h2>Objects</h2>", sanitize=False)
+            with ui.element("div").classes("cover three"):
+                for thing, (name, temperature) in document.objects.items():
+                    ui.label(thing).classes("soft")
+                    self._choice(names, name, f"object-{thing}", thing, partial(_of_object, thing))
+                    self._kelvin(thing, temperature)
+
+    def _choice(self, names: list[str], now: str, test: str, what: str, change: Callable[..., Document]) -> None:
+        given = ui.select(names, value=now, with_input=True).props(
+            f'dense outlined options-dense hide-bottom-space aria-label="Material of {what}" data-testid="{test}"'
+        )
+
+        def done(event: Any) -> None:
+            chosen, version = event.args
+            if chosen and chosen != now:
+                if self._tab.edit(int(version), f"{what}: {chosen}", lambda document: change(document, str(chosen))):
+                    given.set_value(now)
+
+        given.on("update:model-value", done, js_handler="(one) => emit(one && one.label, studio.version)")
+
+    def _kelvin(self, thing: str, now: float) -> None:
+        def fault(text: str) -> str | None:
+            try:
+                kelvin(f"temperature of {thing}", float(text))
+            except ValueError:
+                return f"{text!r} is not a number of kelvin"
+            except ThermorenderError as error:
+                return str(error)
+            return None
+
+        def done(event: Any) -> None:
+            if fault(str(event.args[0])) is None:
+                change = partial(_warmed, thing, float(event.args[0]))
+                self._tab.edit(int(event.args[1]), f"{thing}: {event.args[0]} K", change)
+
+        given = ui.input(value=f"{now:g}", validation=fault, suffix="K").props(
+            f'dense outlined hide-bottom-space aria-label="Temperature of {thing} [K]" data-testid="kelvin-{thing}"'
+        )
+        given.on("change", done, js_handler="(value) => emit(value, studio.version)")
+
+
+def _of_class(number: int, document: Document, material: str) -> Document:
+    return document.of_class(number, material)
+
+
+def _of_object(thing: str, document: Document, material: str) -> Document:
+    return document.of_object(thing, material, document.objects[thing][1])
+
+
+def _warmed(thing: str, to: float, document: Document) -> Document:
+    return document.of_object(thing, document.objects[thing][0], to)
+
+
+class Map:
+    """The orthophoto with the materials over it, and tools to paint on it."""
+
+    def __init__(self, tab: "Tab") -> None:
+        self._tab, self._session = tab, tab.session
+        self.material, self._percent = tab.editor_name(), 45
+        with ui.element("div").classes("tools"):
+            self._tool = ui.select(_TOOLS, value="fill", label="Tool").props('dense outlined data-testid="tool"')
+            self._tool.style("width:130px").on_value_change(
+                lambda e: ui.run_javascript(f"studio.tool({json.dumps(e.value)})")
+            )
+            self._paint = ui.select([], label="Material to paint", with_input=True)
+            self._paint.props('dense outlined options-dense data-testid="paint"').style("width:180px")
+            ui.label("Materials over photograph").classes("soft")
+            slider = ui.slider(min=0, max=100, value=self._percent).props('aria-label="Opacity of the materials"')
+            slider.style("width:110px").on("change", lambda e: self._shown(int(e.args)))
+        with ui.element("div").classes("mapbox"):
+            ui.html(
+                '<div id="mapstage"><img id="map" alt="Map of the materials over the orthophoto" data-testid="map" '
+                'draggable="false"><svg id="mapdraw" viewBox="0 0 1 1" preserveAspectRatio="none"></svg></div>',
+                sanitize=False,
+            )
+        self._words = ui.label("").classes("hover")
+        ui.on("studio_area", self._area)
+
+    def _shown(self, percent: int) -> None:
+        self._percent = percent
+        self.refresh()
+
+    def open(self) -> None:
+        """Show the map of the current version."""
+        self._paint.set_options(sorted(self._session.document.library), value=self._tab.editor_name())
+        self._words.set_text("Fill: click a region. Polygon: click corners, double-click the last. Lasso: drag around.")
+        self.refresh()
+        ui.run_javascript(f"studio.setUpMap(); studio.tool({json.dumps(self._tool.value)})")
+
+    def refresh(self) -> None:
+        """Show the current version of the edits."""
+        address = f"/map/{self._session.history.version}/{self._percent}"
+        ui.run_javascript(f"studio.showMap({json.dumps(address)}, {self._session.history.version})")
+
+    def _area(self, event: Any) -> None:
+        given, scene, session = event.args, self._session.scene, self._session
+        material = self._paint.value
+        try:
+            if not material:
+                raise ThermorenderError("no material to paint with is chosen; choose one above the map")
+            ground.refuse_without_map(scene)
+            points = given["points"]
+            if given["tool"] == "fill":
+                shape = ground.filled(scene, *map(float, points[0]))
+            else:
+                shape = ground.polygon(scene, points)
+        except ThermorenderError as error:
+            self._tab.say(str(error))
+            return
+
+        def change(document: Document) -> Document:
+            return ground.painted(session, shape, material, document)
+
+        self._tab.edit(int(given["version"]), f"area of {material}", change)
+
+
+class Files:
+    """Save, reload, export, and the same as Python or on the command line."""
+
+    def __init__(self, tab: "Tab") -> None:
+        self._tab, self._session = tab, tab.session
+        with ui.element("div").classes("part"):
+            ui.html("<h2>Save</h2>", sanitize=False)
+            ui.label(f"Into {self._session.base.spec.folder}: its own materials/, scene.toml and class map.").classes(
+                "soft"
+            )
+            with ui.row().style("gap:8px;margin-top:6px"):
+                ui.button("Show changes", on_click=self._plan).props('outline dense data-testid="plan"')
+                save = ui.button("Save").props('dense data-testid="save"')
+                save.on("click", self._save, js_handler="() => emit(studio.version)")
+                ui.button("Reload", on_click=self._reload).props('outline dense data-testid="reload"')
+            self._diff = ui.label("").classes("diff").props('data-testid="diff"')
+        with ui.element("div").classes("part"):
+            ui.html("<h2>Export the view</h2>", sanitize=False)
+            with ui.row().style("gap:8px;align-items:center"):
+                kind = ui.select(_KINDS, value="png", label="Kind").props("dense outlined").style("width:200px")
+                metres = ui.number("Map pixel [m]", value=0.5, min=0.01).props("dense outlined").style("width:100px")
+                ui.button("Export", on_click=lambda: self._export(kind.value, metres.value)).props("dense")
+        with ui.element("div").classes("part"):
+            ui.html("<h2>The same without the page</h2>", sanitize=False)
+            ui.button("Show", on_click=self._commands).props("outline dense")
+            self._code = ui.label("").classes("diff").props('data-testid="code"')
+            self._code.set_visibility(False)
+        self._diff.set_visibility(False)
+
+    def _export(self, kind: Any, metres: Any) -> None:
+        ui.download(f"/export/{self._tab.key}/{kind}?metres={float(metres or 0.5):g}")
+
+    def _commands(self) -> None:
+        quality = self._session.quality
+        self._code.set_visibility(True)
+        self._code.set_text("\n".join(saving.commands(self._session, self._tab.view, quality)))
+
+    def _plan(self) -> saving.Save | None:
+        try:
+            save = saving.planned(self._session)
+        except ThermorenderError as error:
+            self._tell(str(error))
+            return None
+        self._tell("\n".join(save.lines) or "nothing to save: the files hold what is shown")
+        return save
+
+    def _tell(self, text: str) -> None:
+        self._diff.set_visibility(True)
+        self._diff.set_text(text)
+
+    async def _save(self, event: Any) -> None:
+        try:
+            self._session.history.refuse_outdated(int(event.args))
+        except ThermorenderError as error:
+            self._tell(str(error))
+            return
+        save = self._plan()
+        if save is None or not save.files:
+            return
+        with ui.dialog() as dialog, ui.card().style("min-width:min(760px,90vw)"):
+            ui.label("These changes will be written").style("font-weight:600")
+            ui.label("\n".join(save.lines)).classes("diff").style("max-height:55vh;overflow:auto;width:100%")
+            with ui.row():
+                ui.button("Write", on_click=lambda: dialog.submit(True)).props('data-testid="write"')
+                ui.button("Cancel", on_click=lambda: dialog.submit(False)).props("flat")
+        if not await dialog:
+            return
+        try:
+            saving.write(self._session, save)
+        except ThermorenderError as error:
+            self._tell(str(error))
+            return
+        self._tell(f"saved: {len(save.files)} files\n" + "\n".join(save.lines))
+
+    async def _reload(self) -> None:
+        try:
+            self._session.reload(await run.io_bound(load_scene, self._session.base.spec.folder))  # type: ignore[arg-type]
+        except ThermorenderError as error:
+            self._tell(str(error))
+            return
+        self._tell("read again from disk")

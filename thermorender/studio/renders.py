@@ -1,0 +1,290 @@
+"""Frames for the tabs, made in one thread in the background: the latest request of each tab counts.
+
+This is the only module of the studio that renders, and it calls the public interface of scenes and renderers. An edit
+shows first as a preview with its estimated error, where the renderer has one, and then exactly. The next edit cancels
+a solution under way; tabs that only look around are served in between.
+"""
+
+import threading
+import traceback
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, TypeVar
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.frame import Frame
+from thermorender.render.pixels.parts import PixelParts
+from thermorender.render.renderer import Renderer
+from thermorender.scene.scene import Scene
+from thermorender.studio.pictures import Picture, picture_of
+from thermorender.studio.view import View
+
+_T = TypeVar("_T")
+# Longest wait for a job, such as an export behind a long solution.
+_ANSWERS_S = 120.0
+
+
+class _Newer(Exception):
+    """The solution under way is outdated."""
+
+
+@dataclass
+class Seen:
+    """What a tab looks at: its view, and whom to call with the picture."""
+
+    view: View
+    show: Callable[[Picture], object]
+
+
+@dataclass(frozen=True)
+class Light:
+    """A rendered state of the scene: the Renderer, the version of the edits, and what to say about it."""
+
+    renderer: Renderer
+    version: int
+    words: str
+    exact: bool
+
+
+@dataclass(eq=False)
+class Renders:
+    """The thread that renders.
+
+    Parameters
+    ----------
+    renderer : Renderer
+        Of the scene as saved.
+    """
+
+    renderer: Renderer
+    light: Light = field(init=False)
+    saved: Renderer = field(init=False)
+    _news: threading.Condition = field(default_factory=threading.Condition)
+    _edit: tuple[Scene, int] | None = None
+    _reference: Scene | None = None
+    _tabs: dict[str, Seen] = field(default_factory=dict)
+    _waiting: dict[str, None] = field(default_factory=dict)
+    _jobs: list[Callable[[], object]] = field(default_factory=list)
+    _long: Callable[[], object] | None = None
+    _ended: bool = False
+    _last: dict[str, tuple[Any, Frame]] = field(default_factory=dict)
+    _pictures: dict[str, Picture] = field(default_factory=dict)
+    _solved: Renderer = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.saved = self._solved = self.renderer
+        self.light = Light(self.renderer, 0, "exact", True)
+        self._thread = threading.Thread(target=self._run, name="studio renders", daemon=True)
+
+    def start(self) -> None:
+        """Begin rendering."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End rendering, after what is under way."""
+        with self._news:
+            self._ended = True
+            self._news.notify()
+        if self._thread.is_alive():
+            self._thread.join(10.0)
+
+    def solve(self, scene: Scene, version: int) -> None:
+        """Show an edited scene in all tabs."""
+        with self._news:
+            self._edit = (scene, version)
+            self._news.notify()
+
+    def compare_with(self, scene: Scene) -> None:
+        """Take a scene as what differences are to; it is solved when a tab first asks for one."""
+        with self._news:
+            self._reference = scene
+            self._waiting |= dict.fromkeys(self._tabs)
+            self._news.notify()
+
+    def look(self, tab: str, view: View, show: Callable[[Picture], object]) -> None:
+        """Show a tab its view; `show` is called from the thread that renders."""
+        with self._news:
+            self._tabs[tab] = Seen(view, show)
+            self._waiting[tab] = None
+            self._news.notify()
+
+    def forget(self, tab: str) -> None:
+        """Drop a tab that was closed."""
+        with self._news:
+            for known in (self._tabs, self._waiting, self._last, self._pictures):
+                known.pop(tab, None)
+
+    def run(self, job: Callable[[], object]) -> None:
+        """Call a function in the thread that renders."""
+        with self._news:
+            self._jobs.append(job)
+            self._news.notify()
+
+    def call(self, job: Callable[[], _T]) -> _T:
+        """Return the result of a function that the thread that renders has called; not for that thread itself."""
+        made: Future[_T] = Future()
+
+        def run() -> None:
+            try:
+                made.set_result(job())
+            except BaseException as error:
+                made.set_exception(error)
+
+        self.run(run)
+        return made.result(_ANSWERS_S)
+
+    def later(self, job: Callable[[Callable[[str, float], object]], object]) -> None:
+        """Call a function that takes long; what it reports to, (what, share), ends it after an edit or another one."""
+        with self._news:
+            self._long = partial(job, self._between_long)
+            self._news.notify()
+
+    def parts(self, tab: str, pixel: tuple[int, int]) -> PixelParts | None:
+        """Return the parts of the radiance at a (row, column) of a tab's frame; for the thread that renders."""
+        frame = self.frame(tab)
+        if frame is None:
+            return None
+        try:
+            return self.light.renderer.parts_at(frame.pose, [pixel], frame.time_s)[0]
+        except ThermorenderError:
+            return None
+
+    def picture(self, tab: str) -> Picture | None:
+        """Return the latest Picture of a tab."""
+        return self._pictures.get(tab)
+
+    def frame(self, tab: str) -> Frame | None:
+        """Return the latest Frame of a tab."""
+        known = self._last.get(tab)
+        return known[1] if known else None
+
+    def _run(self) -> None:
+        while True:
+            with self._news:
+                self._news.wait_for(lambda: self._ended or self._edit or self._waiting or self._jobs or self._long)
+                if self._ended:
+                    return
+                edit, self._edit = self._edit, None
+            try:
+                if edit:
+                    self._solve(*edit)
+                elif self._waiting or self._jobs:
+                    self._draw()
+                elif long := self._long:
+                    self._long = None
+                    long()
+            except _Newer:
+                pass
+            except ThermorenderError as error:
+                self._report(str(error))
+            except Exception as error:  # a fault must not end the thread, and with it all pictures
+                traceback.print_exc()
+                self._report(f"the studio failed here ({type(error).__name__}), its terminal says where; undo the edit")
+
+    def _report(self, sentence: str) -> None:
+        for seen in list(self._tabs.values()):
+            seen.show(Picture.of_fault(sentence, self.light.version))
+
+    def _between(self, what: str, share: float) -> None:
+        """Stop an outdated solution, and serve tabs that look elsewhere meanwhile."""
+        if self._edit or self._ended:
+            raise _Newer
+        if self._waiting or self._jobs:
+            self._draw()
+
+    def _between_long(self, what: str, share: float) -> None:
+        if self._long:
+            raise _Newer
+        self._between(what, share)
+
+    def _solve(self, scene: Scene, version: int) -> None:
+        if scene.temperature_state.solved:
+            made = self._solved.preview_for(scene)
+            errors = made.baked.errors_mk
+            if "preview" in errors:
+                words = f"preview ± {errors['preview']:.3g} mK, {errors['preview_rms']:.2g} mK RMS"
+                self._show(Light(made, version, words, False))
+                made = self._exact(scene)
+        else:
+            made = self._exact(scene)
+        self._solved = made
+        self._show(Light(made, version, "exact", True))
+
+    def _exact(self, scene: Scene) -> Renderer:
+        """The Renderer of a scene, solved from the latest solution."""
+        if scene.temperature_state.solved:
+            return self._solved.solved_for(scene, self._between)
+        plan = self._solved.plan
+        made = Renderer(
+            scene, samples=plan.samples, taps=plan.taps, edge_mk=plan.edge_mk, rays=plan.rays,
+            tolerance_mk=plan.tolerance_mk, seed=self.renderer.seed, progress=self._between, like=self._solved,
+        )  # fmt: skip
+        _ = made.baked
+        return made
+
+    def _show(self, light: Light) -> None:
+        self.light = light
+        with self._news:
+            self._waiting |= dict.fromkeys(self._tabs)
+        self._draw()
+
+    def _draw(self) -> None:
+        while True:
+            with self._news:
+                jobs, self._jobs = self._jobs, []
+                tab = next(iter(self._waiting), None)
+                if tab is not None:
+                    del self._waiting[tab]
+                seen = self._tabs.get(tab) if tab is not None else None
+            for job in jobs:
+                job()
+            if tab is None:
+                return
+            if seen is None:
+                continue
+            try:
+                made = self._picture(tab, seen.view)
+            except ThermorenderError as error:
+                made = Picture.of_fault(str(error), self.light.version)
+            self._pictures[tab] = made
+            seen.show(made)
+
+    def _picture(self, tab: str, view: View) -> Picture:
+        light = self.light
+        pose, time_s = view.pose.matrix(), view.time_s
+        frame = light.renderer.frame(pose, time_s)
+        self._last[tab] = (view, frame)
+        before = None
+        if view.mode == "difference":
+            if self._reference is not None:
+                self.saved, self._reference = self._exact(self._reference), None
+            before = self.saved.frame(pose, time_s).apparent_temperature
+        colour = light.renderer.visible(pose, time_s=time_s) if view.mode == "photograph" else None
+        number = (self._pictures[tab].number if tab in self._pictures else 0) + 1
+        blank = Picture(number, light.version, light.words, light.exact)
+        return picture_of(frame, view, blank, before, colour)
+
+
+def figures(frame: Frame, column: int, row: int) -> dict[str, Any] | None:
+    """Return what a frame shows at a pixel; None outside the image."""
+    height, width = frame.radiance.shape
+    if not (0 <= column < width and 0 <= row < height):
+        return None
+    truth = frame.truth
+    number = int(truth["material"][row, column])
+    thing = int(truth["object"][row, column])
+    known = np.isfinite(truth["depth"][row, column])
+    return {
+        "apparent_k": float(frame.apparent_temperature[row, column]),
+        "radiance": float(frame.radiance[row, column]),
+        "kinetic_k": float(truth["kinetic_temperature"][row, column]),
+        "emissivity": float(truth["emissivity"][row, column]),
+        "depth_m": float(truth["depth"][row, column]),
+        "position": tuple(float(v) for v in truth["position"][row, column]),
+        "material": frame.materials[number] if known and number < len(frame.materials) else "",
+        "object": frame.objects[thing - 1] if thing else "",
+    }

@@ -1,0 +1,152 @@
+"""What a tab looks at: a pose that a hand can turn, and how the picture is drawn."""
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from thermorender.errors import ThermorenderError
+from thermorender.trajectory import parse_numbers
+from thermorender.trajectory.path import pose as local_pose
+from thermorender.trajectory.rotations import BODY_FROM_CAMERA, ENU_FROM_NED, angles_from_rotation
+
+if TYPE_CHECKING:
+    from thermorender.scene.scene import Scene
+
+MODES = {
+    "apparent": "Apparent temperature",
+    "difference": "Difference to saved",
+    "display": "Camera display",
+    "photograph": "Photograph",
+    "materials": "Material map",
+    "map": "Map to paint on",
+}
+POSE_PARTS = ("E", "N", "U", "YAW", "PITCH", "ROLL")
+_LEAST_ABOVE_M, _NEAREST_M, _FARTHEST_M = 2.0, 5.0, 20_000.0
+_STEEPEST_DEG, _FLATTEST_DEG = -90.0, 5.0
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A camera's local position [m] and angles [deg], and the distance of the point it turns around [m]."""
+
+    east: float
+    north: float
+    up: float
+    yaw_deg: float
+    pitch_deg: float
+    roll_deg: float
+    distance_m: float
+
+    @classmethod
+    def typed(cls, text: str, scene: "Scene", where: str = "pose") -> "Pose":
+        """Return the Pose of E,N,U,YAW,PITCH,ROLL, with U above the ground, as `--pose` on the command line."""
+        east, north, above, *angles = parse_numbers(where, text, POSE_PARTS)
+        return cls.seen(scene.pose(east, north, above, angles[0], angles[1], angles[2]), scene)
+
+    @classmethod
+    def seen(cls, matrix: NDArray[np.float64], scene: "Scene") -> "Pose":
+        """Return the Pose of a world_from_camera."""
+        turned = Rotation.from_matrix(ENU_FROM_NED.T @ matrix[:3, :3] @ BODY_FROM_CAMERA.T)
+        yaw, pitch, roll = (float(angle) for angle in angles_from_rotation(turned))
+        east, north, up = (float(v) for v in matrix[:3, 3])
+        made = cls(east, north, up, yaw % 360.0, pitch, roll, 200.0)
+        return replace(made, distance_m=made._to_ground(scene))
+
+    def matrix(self) -> NDArray[np.float64]:
+        """Return world_from_camera, (4, 4)."""
+        return local_pose(self.east, self.north, self.up, self.yaw_deg, self.pitch_deg, self.roll_deg)
+
+    def text(self, scene: "Scene") -> str:
+        """Return E,N,U,YAW,PITCH,ROLL with U above the ground."""
+        above = self.up - self._ground(scene, self.east, self.north)
+        numbers = (self.east, self.north, above, self.yaw_deg, self.pitch_deg, self.roll_deg)
+        return ",".join(f"{number:.1f}".replace("-0.0", "0.0").removesuffix(".0") for number in numbers)
+
+    def turned(self, right_deg: float, up_deg: float, scene: "Scene") -> "Pose":
+        """Return the Pose after an orbit around the point in the middle of the picture."""
+        pitch = float(np.clip(self.pitch_deg + up_deg, _STEEPEST_DEG, _FLATTEST_DEG))
+        yaw = (self.yaw_deg + right_deg) % 360.0
+        return self._around(replace(self, yaw_deg=yaw, pitch_deg=pitch), scene)
+
+    def moved(self, right: float, down: float, scene: "Scene") -> "Pose":
+        """Return the Pose after a pan along the ground, by shares of the distance."""
+        yaw = np.radians(self.yaw_deg)
+        east = self.distance_m * (-right * np.cos(yaw) + down * np.sin(yaw))
+        north = self.distance_m * (right * np.sin(yaw) + down * np.cos(yaw))
+        return replace(self, east=self.east + float(east), north=self.north + float(north))._above(scene)
+
+    def zoomed(self, factor: float, scene: "Scene") -> "Pose":
+        """Return the Pose at another distance from the point in the middle of the picture."""
+        distance = float(np.clip(self.distance_m * factor, _NEAREST_M, _FARTHEST_M))
+        return self._around(replace(self, distance_m=distance), scene)
+
+    def _around(self, other: "Pose", scene: "Scene") -> "Pose":
+        """`other`, moved so that it looks at this pose's point."""
+        target = self.matrix()[:3, 3] + self.distance_m * self.matrix()[:3, 2]
+        east, north, up = (float(v) for v in target - other.distance_m * other.matrix()[:3, 2])
+        return replace(other, east=east, north=north, up=up)._above(scene)
+
+    def _above(self, scene: "Scene") -> "Pose":
+        least = self._ground(scene, self.east, self.north) + _LEAST_ABOVE_M
+        return replace(self, up=max(self.up, least))
+
+    def _to_ground(self, scene: "Scene") -> float:
+        axis, distance = self.matrix()[:3, 2], 200.0
+        if axis[2] > -0.05:
+            return distance
+        for _ in range(3):
+            ground = self._ground(scene, self.east + distance * axis[0], self.north + distance * axis[1])
+            distance = float(np.clip((self.up - ground) / -axis[2], _NEAREST_M, _FARTHEST_M))
+        return distance
+
+    @staticmethod
+    def _ground(scene: "Scene", east: float, north: float) -> float:
+        ground = float(scene.ground(east, north))
+        return ground if ground == ground else 0.0
+
+
+@dataclass(frozen=True)
+class View:
+    """A pose and how its picture is drawn.
+
+    Attributes
+    ----------
+    pose : Pose
+    time_s : float
+        On the tracks of moving objects [s].
+    mode : str
+        One of `MODES`.
+    palette : str
+    limits : (float, float) or None
+        Fixed ends of the colours [K]; None: as the picture needs.
+    """
+
+    pose: Pose
+    time_s: float = 0.0
+    mode: str = "apparent"
+    palette: str = "ironbow"
+    limits: tuple[float, float] | None = None
+
+
+def limits_of(low: str, high: str) -> tuple[float, float] | None:
+    """Return the fixed ends of the colours from two texts [K]; None where both are empty.
+
+    Raises
+    ------
+    ThermorenderError
+        A text is not a number, or the ends are not in order.
+    """
+    if not low.strip() and not high.strip():
+        return None
+    try:
+        ends = float(low), float(high)
+    except ValueError:
+        raise ThermorenderError(
+            f"range={low!r}…{high!r} is not two numbers; give both ends in kelvin, or leave both empty"
+        ) from None
+    if not 0.0 <= ends[0] < ends[1]:
+        raise ThermorenderError(f"range={low}…{high} is not in order; give the colder end first, in kelvin")
+    return ends
