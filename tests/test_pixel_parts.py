@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from conftest import slow
 from path_tracer import PathTracer
 
 import thermorender as tr
@@ -71,6 +72,7 @@ def test_isothermal_enclosure_adds_up_to_a_blackbody(tmp_path):
         assert each.apparent_k == pytest.approx(300.0, abs=0.01)
 
 
+@slow
 def test_parts_are_those_of_the_path_tracer(tmp_path):
     """Of a grey plane under the sky beside a black wall, each cause of light is one path tracing less the other."""
     scene = plane(tmp_path / "s", side=12).with_material(grass_green=0.7, sand_quartz=0.7)

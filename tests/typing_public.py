@@ -74,6 +74,7 @@ def baked_scenes() -> None:
     again: tr.BakedScene = pickle.loads(pickle.dumps(baked))
     assert_type(tr.Renderer.of(again, seed=3), tr.Renderer)
     assert_type(baked.solved_for(tr.load_scene("heath").with_air("tropical")), tr.BakedScene)
+    assert_type(baked.preview_for(tr.load_scene("heath").with_material(water=0.9)), tr.BakedScene)
     tr.Renderer(renderer.scene, like=renderer)
 
     tr.Renderer.of(renderer.scene)  # type: ignore[arg-type]

@@ -237,6 +237,7 @@ def bake(
         solved = solve_scene(scene, plan, geometry, known, (material, temperature), guess, tick)
     uploaded["solution"] = solved.kept
     incident, noise = solved.incident, solved.noise
+    tick()
     lost: Any = 0.0 if scene.air is None else left_out(scene, known, solved.reflectance)
     face = np.empty((geometry.face_count, spectrum.channels), dtype=np.float32)
     covers = geometry.face_of_texel
@@ -246,9 +247,11 @@ def bake(
         _, _, scatter = texels.bake_channel(geometry, covers, texel[0], material, light, tick)
     for channel in range(spectrum.channels):
         light = texels.light(incident, spectrum.reflected[:, channel])
+        tick()
         baked = texels.bake_channel(geometry, covers, texel[channel], material, light, tick)
         texel[channel], face[:, channel], left = baked
     scatter = left if spectrum.channels == 1 else scatter
+    tick()
     varies = texels.variation(geometry, incident @ solved.mean_reflectance.astype(np.float32), noise)
     solution = ((1.0 - spectrum.emissivity).max(axis=0) * solved.bounds).sum()
     rms = [np.sqrt(share @ square) for square in (noise**2, scatter)]

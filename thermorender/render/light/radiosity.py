@@ -244,7 +244,7 @@ def solution(
         for _ in range(ROUNDS):
             bound = amplified * (light.largest + rounding(transport) * light.brightest)
             if bound <= tolerance:
-                noise = _reflected_noise(transport, pool, reflectance, light)
+                noise = _reflected_noise(transport, pool, reflectance, light, tick)
                 return Solution(light.incident, bound, noise, light.rest, rounding(transport) * light.brightest)
             light.send(light.settled(wanted))
     raise unsettled(bound, tolerance)
@@ -286,14 +286,16 @@ def amplification(transport: Transport, reflectance: NDArray[np.floating]) -> fl
     return 1.0 / (1.0 - reflected)
 
 
-def _reflected_noise(transport: Transport, pool: Executor, reflectance: Floats, light: Exchange) -> Floats:
+def _reflected_noise(
+    transport: Transport, pool: Executor, reflectance: Floats, light: Exchange, tick: Callable[[], object] | None
+) -> Floats:
     """`light.noise` and its own reflections, (F,).
 
     They are solved for all nodes together, with each face's mean reflectance of the light that it receives.
     """
     total = light.incident.sum(axis=1)
     mean = np.einsum("fn,fn->f", reflectance, light.incident) / np.where(total > 0.0, total, 1.0)
-    error = Exchange(transport, pool, light.noise[:, None], mean[:, None], strong=light.strong)
+    error = Exchange(transport, pool, light.noise[:, None], mean[:, None], strong=light.strong, tick=tick)
     error.send(error.settled(_NOISE_ACCURACY * error.largest))
     return light.noise + mean * error.incident[:, 0]
 
