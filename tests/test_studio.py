@@ -163,6 +163,9 @@ def test_an_edit_changes_the_pixel_as_the_public_interface_does(page, folder):
     change = kelvin(folder, grass_green=0.8)[row, column] - kelvin(folder)[row, column]
     assert abs(change) > 0.5
     assert page.apparent() - before == pytest.approx(change, abs=1e-3)
+    # The words below the picture follow the edit, too.
+    below = page.part("hover").filter(has_text=f"{page.apparent():.2f} K apparent · grass_green")
+    below.wait_for(timeout=WAIT_MS)
 
 
 def test_a_refused_value_has_the_sentence_of_the_command_line(page, call, folder, tmp_path):

@@ -56,6 +56,7 @@ class Tab:
         self._client, self._loop = ui.context.client, asyncio.get_running_loop()
         self.view = View(Pose.typed(pose or first_pose(session), session.base))
         self.pixel: tuple[int, int] | None = None
+        self._under: tuple[int, int] | None = None  # the pixel under the pointer
         self._picture: Picture | None = None
         ui.add_head_html(f"<style>{(_FOLDER / 'studio.css').read_text('utf-8')}</style>")
         ui.add_head_html(f"<script>{(_FOLDER / 'studio.js').read_text('utf-8')}</script>")
@@ -310,7 +311,8 @@ class Tab:
         self.turn_to(pose)
 
     def _hover(self, event: Any) -> None:
-        self._ask(tuple(map(int, event.args)), self._hover_shown)
+        self._under = (int(event.args[0]), int(event.args[1]))
+        self._ask(self._under, self._hover_shown)
 
     def _pick(self, event: Any) -> None:
         self.pixel = (int(event.args[0]), int(event.args[1]))
@@ -354,6 +356,8 @@ class Tab:
                     ui.label(name)
         if self.pixel is not None:
             self._ask(self.pixel, self._figures_shown)
+        if self._under is not None:
+            self._ask(self._under, self._hover_shown)
 
     def _send(self, picture: Picture) -> None:
         address = f"/frame/{self.key}/{picture.number}"
