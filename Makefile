@@ -42,8 +42,16 @@ demo: $(READY)
 test: $(READY)
 	$(BIN)/python $(PYTEST) -m "not slow"
 
+# A browser for the tests of the studio, which are skipped without one.
+.PHONY: browser
+browser:
+	@command -v chromium >/dev/null || { \
+	   if [ "$$(id -u)" = 0 ]; then apt-get update -q && apt-get install -y -q chromium; \
+	   elif sudo -n true 2>/dev/null; then sudo apt-get update -q && sudo apt-get install -y -q chromium; fi; } \
+	  || echo "Chromium could not be installed; the tests of the studio are skipped"
+
 # Every test, and more examples of each random one; prints the ten slowest. 40 minutes on two cores.
-test-all: $(READY)
+test-all: $(READY) browser
 	$(BIN)/python $(PYTEST) --hypothesis-profile slow --durations 10
 
 # Rules, format and types. Another release of ruff may format differently; .pre-commit-config.yaml names the same one.
