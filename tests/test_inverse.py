@@ -210,6 +210,26 @@ def test_a_stopped_run_continues_to_the_same_bytes(survey, tmp_path):
         reconstruct(scene, clean, settings=settings, folder=tmp_path)
 
 
+def test_a_single_frame_is_enough(survey):
+    scene, clean, _, _ = survey
+    one = Survey(clean.names[:1], clean.times[:1], clean.kelvin[:1], clean.poses[:1])
+    settings = Settings(texel_m=2.0, rounds=2, pose_error=PoseError(0.0, 0.0), noise_k=NOISE_K)
+    found = reconstruct(scene, one, settings=settings)
+    assert found.views.max() == 1
+    assert np.isfinite(found.apparent_std[found.views > 0]).all()
+    assert "common level" in found.notes[-1]
+
+
+def test_frames_of_another_camera_and_beside_the_terrain_are_refused(survey):
+    scene, clean, _, _ = survey
+    with pytest.raises(ThermorenderError, match="give the camera that took them"):
+        reconstruct(scene, replace(clean, kelvin=clean.kelvin[:, :32]))
+    away = clean.poses.copy()
+    away[:, 0, 3] += 5000.0
+    with pytest.raises(ThermorenderError, match="no frame shows the terrain"):
+        reconstruct(scene, replace(clean, poses=away))
+
+
 def test_files_hold_the_reconstruction(survey, fixed, tmp_path):
     found, _ = fixed
     write_products(found, tmp_path)
