@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from thermorender.inverse.linear import LinearKelvin
 from thermorender.inverse.weights import Lattice
 from thermorender.learned.apply import LOWEST_EMISSIVITY
-from thermorender.physics.band import RadianceTable
+from thermorender.physics.band import RadianceTable, emitted_radiance
+from thermorender.physics.surface import reflected_radiance
 
 if TYPE_CHECKING:
     from thermorender.render.renderer import Renderer
@@ -105,9 +106,21 @@ def kinetic_of(
 
 
 def apparent_of(kinetic_k: float, number: int, reflected: float, renderer: "Renderer", linear: LinearKelvin) -> float:
-    """Return linear kelvin of a texel of a material with a kinetic temperature [K] that reflects a radiance."""
-    emitted = _table(renderer, number, linear)(np.array([kinetic_k]))
-    return float(linear.of_radiance(emitted + reflected)[0])
+    """Return linear kelvin of a texel of a material with a kinetic temperature [K] that reflects a radiance.
+
+    Water and glass, which reflect by angle, are taken as seen from above under the scene's sky.
+    """
+    material = renderer.scene.materials[number]
+    if material.emissivity_by_angle is None:
+        emitted = float(_table(renderer, number, linear)(np.array([kinetic_k]))[0])
+    else:
+
+        def upward(wavelength_um: Floats) -> Floats:
+            return np.asarray(material.emissivity_at_angle(wavelength_um, 1.0))
+
+        emitted = float(emitted_radiance(upward, kinetic_k, *linear.band_um))
+        reflected = float(reflected_radiance(upward, renderer.scene.sky_temperature, *linear.band_um))
+    return float(linear.of_radiance(np.array([emitted + reflected]))[0])
 
 
 def _table(renderer: "Renderer", number: int, linear: LinearKelvin) -> RadianceTable:

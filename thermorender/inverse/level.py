@@ -5,6 +5,7 @@ emissivity and reflected light make them comparable with the map.
 """
 
 import csv
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -89,10 +90,10 @@ def shift_of(
     ThermorenderError
         A reference that the frames do not show.
     """
-    rows, columns = _positions(renderer, lattice)
+    position = _positions(renderer, lattice)
     misses, variances = [], []
     for each in references:
-        row, column = rows(each.east_m, each.north_m), columns(each.east_m, each.north_m)
+        row, column = position(each.east_m, each.north_m)
         i, j = np.mgrid[: values.shape[0], : values.shape[1]]
         inside = seen & (np.hypot(i - row, j - column) <= max(each.radius_m / lattice.texel_m, 0.71))
         if not inside.any():
@@ -113,17 +114,18 @@ def shift_of(
     return shift, float(np.sqrt(1.0 / weight.sum())), residuals
 
 
-def _positions(renderer: "Renderer", lattice: Lattice):  # type: ignore[no-untyped-def]
-    """Functions (east, north) → row and column on the map, by the scene's place."""
+def _positions(renderer: "Renderer", lattice: Lattice) -> Callable[[float, float], tuple[float, float]]:
+    """A function (east, north) → (row, column) on the map, by the scene's place."""
     from thermorender.scene.georeference import place_of
 
     scene = renderer.scene
     place = place_of(scene.frame, scene.grid)
     assert place is not None
 
-    def pixel(east: float, north: float) -> tuple[float, float]:
-        x, y = place.to_map(np.array([[east, north, float(scene.ground(east, north))]]))
+    def position(east: float, north: float) -> tuple[float, float]:
+        up = float(scene.ground(east, north))
+        x, y = place.to_map(np.array([[east, north, up if np.isfinite(up) else 0.0]]))
         column, row = lattice.grid.to_pixel(x[0], y[0])
         return float(row) - 0.5, float(column) - 0.5
 
-    return (lambda east, north: pixel(east, north)[0]), (lambda east, north: pixel(east, north)[1])
+    return position

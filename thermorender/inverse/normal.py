@@ -169,6 +169,11 @@ class Normal:
         self._gradient = Unknowns(np.zeros(self.shape), np.zeros((0, 0)), np.zeros(count), np.zeros(prior.count))
         self._frames: list[Floats] = []
 
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self._blocks)
+
     def add(
         self, sight: Sight, residual: Floats, precision: Floats, own: Floats, common: Floats, deviation: Floats
     ) -> Cells:  # fmt: skip

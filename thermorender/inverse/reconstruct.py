@@ -190,11 +190,17 @@ def _solved(
         _keep(path, key, state)
     while state.rounds < settings.rounds - 1:
         full = state.rounds >= settings.rounds - _FULL
-        if full and state.pattern.shape != problem.images.shape[1:]:
-            state = replace(state, pattern=np.zeros(problem.images.shape[1:]))
-        state = (problem if full else small).round(state, progress=progress)
+        state = (
+            problem.round(_whole(problem, state), progress=progress) if full else small.round(state, progress=progress)
+        )
         _keep(path, key, state)
-    return state
+    return _whole(problem, state)
+
+
+def _whole(problem: Problem, state: State) -> State:
+    """A State for all pixels: a fixed pattern of means of pixels is dropped."""
+    shape = problem.images.shape[1:]
+    return state if state.pattern.shape == shape else replace(state, pattern=np.zeros(shape))
 
 
 def _binned(problem: Problem) -> Problem:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.errors import ThermorenderError
 from thermorender.inverse.normal import Normal, Prior, Unknowns
 from thermorender.inverse.poses import PoseError, deviation, pose_columns, registered, slopes
 from thermorender.inverse.spread import Draws, Spread, spread_of
@@ -297,6 +298,10 @@ def window_of(lattice: Lattice, viewer: Viewer, poses: Sequence[Floats], margin_
         if sight.pixel.size:
             place = np.stack([sight.row, sight.column])
             low, high = np.minimum(low, place.min(axis=1)), np.maximum(high, place.max(axis=1))
+    if not np.isfinite(low).all():
+        raise ThermorenderError(
+            "no frame shows the terrain; check the poses, above all their heights and pitch (−90 looks down)"
+        )
     margin = margin_m / lattice.texel_m + 2.0
     top, left = np.floor(low - margin).astype(int)
     bottom, right = np.ceil(high + margin).astype(int) + 1

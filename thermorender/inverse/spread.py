@@ -152,6 +152,8 @@ def _difference(draws: Draws, reach: float, terms: int) -> Floats:
     prior = draws.halves[0].prior
     both = np.ones(prior.mean.shape, bool)
     step = np.zeros(prior.mean.shape)
+    if not all(half.frames for half in draws.halves):
+        return np.full(step.shape, np.nan)
     for half, sign in zip(draws.halves, (0.5, -0.5), strict=True):
         gradient = half.gradient(np.zeros(step.shape), np.zeros(prior.count), np.zeros(0))
         x, _ = half.solved(gradient, _TOLERANCE)

@@ -53,7 +53,7 @@ def read_flight(folder: Path, made: Path) -> tuple:
 
 
 def split(scene, camera, survey: Survey, which: int, texel_m: float = 0.12, rounds: int = 5) -> dict:
-    """Return the root mean squares of held-out frames, registered and levelled, by method [K]."""
+    """Return the root mean squares of held-out frames, registered and levelled, by method, and of each frame [K]."""
     held = np.arange(len(survey.names)) % EVERY == which
     part = Survey(*(tuple(np.array(values)[~held]) for values in (survey.names, survey.times)),
                   survey.kelvin[~held], survey.poses[~held])  # fmt: skip
@@ -76,7 +76,8 @@ def split(scene, camera, survey: Survey, which: int, texel_m: float = 0.12, roun
     for image, pose in zip(survey.kelvin[held], survey.poses[held], strict=True):
         for name, (values, shade) in maps.items():
             result[name].append(_miss(viewer, values, linear.of(image) - shade, pose))
-    return {name: float(np.sqrt(np.nanmean(np.square(each)))) for name, each in result.items()}
+    total = {name: float(np.sqrt(np.nanmean(np.square(each)))) for name, each in result.items()}
+    return total | {"frames": dict(zip(np.array(survey.names)[held].tolist(), result["reconstruction"], strict=True))}
 
 
 def _miss(viewer: Viewer, values, image, pose) -> float:
