@@ -179,3 +179,29 @@ def test_a_fault_beside_a_solution_does_not_end_it(session, capfd):
         time.sleep(0.02)
     assert renders.light.version == 3 and renders.light.exact and renders.call(lambda: 7) == 7
     assert "ZeroDivisionError" in capfd.readouterr().err
+
+
+def test_a_full_disk_is_one_sentence_and_changes_no_file(session, monkeypatch, tmp_path):
+    from thermorender.studio import ground, saving
+    from thermorender.studio.fields import read_spectrum
+
+    session.edit(0, "", lambda document: changed(document, "grass_green", "emissivity", "0.8"))
+    before = {path: path.read_bytes() for path in session.base.spec.folder.rglob("*") if path.is_file()}
+    shape = ground.filled(session.scene, 0.75, 0.5)
+    session.areas.cleanup()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "gone"))
+    for act in (
+        lambda: saving.planned(session),
+        lambda: read_spectrum("a.csv", b"wavelength_um,emissivity\n2,0.9\n20,0.9\n", session.document.library["snow"]),
+        lambda: session.edit(1, "", lambda document: ground.painted(session, shape, "snow", document)),
+    ):
+        with pytest.raises(ThermorenderError, match="cannot be written: .*; check the folder"):
+            act()
+    assert session.history.version == 1
+    assert {path: path.read_bytes() for path in session.base.spec.folder.rglob("*") if path.is_file()} == before
+
+
+def test_names_longer_than_a_file_name_are_refused(session):
+    with pytest.raises(ThermorenderError, match="use 1 … 100 letters"):
+        session.document.duplicated("snow", "a" * 101)
+    assert "a" * 100 in session.document.duplicated("snow", "a" * 100).library

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, shortened
 from thermorender.materials.library import NAME, find
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import parts_of
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 # Edits that undo can take back.
 MOST_EDITS = 300
+# Files are named after materials.
+_LONGEST_NAME = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +102,10 @@ class Document:
         )  # fmt: skip
 
     def _refuse(self, name: str) -> None:
-        if not NAME.fullmatch(name):
-            raise ThermorenderError(f"name={name!r} is not a material name; use letters, digits, _ and -")
+        if not NAME.fullmatch(name) or len(name) > _LONGEST_NAME:
+            raise ThermorenderError(
+                f"name={shortened(name)!r} is not a material name; use 1 … {_LONGEST_NAME} letters, digits, _ and -"
+            )
         if name in self.library:
             raise ThermorenderError(f"there is a material {name!r} already; choose another name")
 

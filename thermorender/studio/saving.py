@@ -9,7 +9,6 @@ from codecs import BOM_UTF8
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,6 +27,7 @@ from thermorender.scene.parts.patch import areas, texels_in
 from thermorender.scene.raster import grid_of
 from thermorender.schema import parse_toml
 from thermorender.studio.document import Document
+from thermorender.studio.fields import scratch_folder
 from thermorender.units import utc_text
 
 if TYPE_CHECKING:
@@ -151,7 +151,7 @@ def _tables(session: "Session") -> tuple[dict[Path, bytes | None], list[str]]:
     removed = [name for name in saved.library if name not in document.library or name in shipped]
     if not changed and not removed:
         return {}, []
-    with TemporaryDirectory(prefix="thermorender-studio-") as scratch:
+    with scratch_folder() as scratch:
         there = Path(scratch, "materials")
         before = {path.relative_to(own): path.read_bytes() for path in sorted(own.rglob("*.csv"))}
         replace_files({there / name: data for name, data in before.items()})
@@ -263,7 +263,7 @@ def _class_raster(session: "Session", classes: dict[int, str]) -> tuple[dict[Pat
             classes[number] = each.material
         for geometry, _ in areas(each.area, place, scene.ground):
             values[texels_in(geometry, grid, "the painted area")] = number
-    with TemporaryDirectory(prefix="thermorender-studio-") as scratch:
+    with scratch_folder() as scratch:
         path = Path(scratch, source.raster.name)
         with rasterio.open(path, "w", **profile) as dataset:
             dataset.write(values, 1)
@@ -286,7 +286,7 @@ def exported(session: "Session", tab: str, kind: str, metres: float) -> tuple[by
     name = f"{session.base.name}-{kind}.tif" if kind == "map" else f"{session.base.name}.{kind}"
 
     def made() -> bytes:
-        with TemporaryDirectory(prefix="thermorender-studio-") as scratch:
+        with scratch_folder() as scratch:
             path = Path(scratch, f"frame.{'tif' if kind == 'map' else kind}")
             (frame.orthorectified(metres) if kind == "map" else frame).save(path)
             return path.read_bytes()
