@@ -205,3 +205,21 @@ def test_names_longer_than_a_file_name_are_refused(session):
     with pytest.raises(ThermorenderError, match="use 1 … 100 letters"):
         session.document.duplicated("snow", "a" * 101)
     assert "a" * 100 in session.document.duplicated("snow", "a" * 100).library
+
+
+def test_a_scene_still_loads_after_a_save_that_failed(session, monkeypatch):
+    from thermorender.studio import saving
+
+    session.edit(0, "", lambda document: changed(document, "grass_green", "emissivity", "0.8"))
+    save = saving.planned(session)
+
+    def full(path, data):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        raise ThermorenderError("no space")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("thermorender.materials.store._replace", full)
+        with pytest.raises(ThermorenderError, match="no space"):
+            saving.write(session, save)
+    tr.load_scene(session.base.spec.folder)
+    assert {each.name: each for each in saved(session).materials}["grass_green"].emissivity.max() == 0.8

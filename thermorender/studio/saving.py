@@ -131,11 +131,14 @@ def write(session: "Session", save: Save) -> None:
             "another tab has changed the tables since these changes were listed; nothing was written, so press Save "
             "again to see all changes"
         )
-    replace_files(save.files)
     own = session.base.spec.folder / "materials"
-    for folder in (own / "spectra", own / "thermal", own):
-        if folder.is_dir() and not any(folder.iterdir()):
-            folder.rmdir()
+    try:
+        replace_files(save.files)
+    finally:
+        # A scene with an empty folder of materials is refused.
+        for folder in (own / "spectra", own / "thermal", own):
+            if folder.is_dir() and not any(folder.iterdir()):
+                folder.rmdir()
     session.saved(snapshot(session.base))
 
 
