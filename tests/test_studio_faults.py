@@ -195,7 +195,7 @@ def test_a_full_disk_is_one_sentence_and_changes_no_file(session, monkeypatch, t
         lambda: read_spectrum("a.csv", b"wavelength_um,emissivity\n2,0.9\n20,0.9\n", session.document.library["snow"]),
         lambda: session.edit(1, "", lambda document: ground.painted(session, shape, "snow", document)),
     ):
-        with pytest.raises(ThermorenderError, match="cannot be written: .*; check the folder"):
+        with pytest.raises(ThermorenderError, match=r"cannot be written: .*; check the folder"):
             act()
     assert session.history.version == 1
     assert {path: path.read_bytes() for path in session.base.spec.folder.rglob("*") if path.is_file()} == before
@@ -223,3 +223,25 @@ def test_a_scene_still_loads_after_a_save_that_failed(session, monkeypatch):
             saving.write(session, save)
     tr.load_scene(session.base.spec.folder)
     assert {each.name: each for each in saved(session).materials}["grass_green"].emissivity.max() == 0.8
+
+
+def test_a_new_name_is_not_saved_where_the_scene_names_the_old_one_elsewhere(folder):
+    from thermorender.studio import saving
+    from thermorender.studio.session import Session
+
+    path = folder / "scene.toml"
+    session = Session(tr.Renderer(tr.load_scene(folder), "fast"), "fast")
+    session.edit(0, "", lambda document: document.duplicated("snow", "mine"))
+    saved(session)
+    session.close()
+    text = path.read_text("utf-8")
+    path.write_text(text.replace('raster = "classes.tif"', 'raster = "classes.tif"\nfallback = "mine"'), "utf-8")
+    session = Session(tr.Renderer(tr.load_scene(folder), "fast"), "fast")
+    session.edit(0, "", lambda document: document.renamed("mine", "yours"))
+    with pytest.raises(ThermorenderError, match=r"scene\.toml names mine outside its classes and objects"):
+        saving.planned(session)
+    session.step(1, -1)
+    session.edit(2, "", lambda document: document.duplicated("mine", "yours"))
+    saved(session)
+    assert sorted(each.name for each in (folder / "materials" / "spectra").iterdir()) == ["mine.csv", "yours.csv"]
+    session.close()

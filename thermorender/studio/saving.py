@@ -91,6 +91,7 @@ def planned(session: "Session") -> Save:
             text = _stated(text, "[[object]]", name, "material", f'"{material}"')
         if kelvin != saved.objects[name][1]:
             text = _stated(text, "[[object]]", name, "temperature", f"{kelvin:.12g}")
+    _refuse_names_left(text, saved.library.keys() - document.library.keys())
     if text != old:
         _refuse_other_meaning(old, text, document, classes)
         files[path] = _as_in(path.read_bytes(), text)
@@ -98,6 +99,24 @@ def planned(session: "Session") -> Save:
         lines += [f"scene.toml  −{line}" for line in before - after]
         lines += [f"scene.toml  +{line}" for line in after - before]
     return Save(files, tuple(lines), document)
+
+
+def _refuse_names_left(text: str, gone: set[str]) -> None:
+    """Raise if a scene file names materials that a save would remove, such as renamed ones."""
+    left = sorted(gone & _words_of(parse_toml(text.encode(), "scene.toml")))
+    if left:
+        raise ThermorenderError(
+            f"scene.toml names {left[0]} outside its classes and objects, which the studio does not change; undo the "
+            "new name, or duplicate the material in its place"
+        )
+
+
+def _words_of(given: Any) -> set[str]:
+    """All keys and texts in the contents of a TOML file."""
+    if isinstance(given, str):
+        return {given}
+    parts = [*given, *given.values()] if isinstance(given, dict) else given if isinstance(given, list) else []
+    return set().union(*map(_words_of, parts))
 
 
 def _as_in(old: bytes, text: str) -> bytes:
@@ -204,10 +223,10 @@ def _stated(text: str, table: str, name: str | None, key: str, value: str | None
     if start is not None and named and value is None:
         return "".join([*lines[:start], *lines[start + 1 :]])
     if start is not None and named:
-        given = _ASSIGNED.fullmatch(lines[start].rstrip("\n"))
-        if given is None:
+        assigned = _ASSIGNED.fullmatch(lines[start].rstrip("\n"))
+        if assigned is None:
             raise _unstated(name or table, key, value)
-        lines[start] = f"{given['key']}{value}{given['comment']}\n"
+        lines[start] = f"{assigned['key']}{value}{assigned['comment']}\n"
         return "".join(lines)
     if table in (line.split("#")[0].strip() for line in lines) and name is None:
         at = next(k for k, line in enumerate(lines) if line.split("#")[0].strip() == table)
