@@ -2,9 +2,8 @@
 
 import hmac
 from collections.abc import Awaitable, Callable, MutableMapping
-from http.cookies import CookieError, SimpleCookie
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs
 
 Scope = MutableMapping[str, Any]
 Message = MutableMapping[str, Any]
@@ -59,10 +58,10 @@ class Guard:
     def _fault(self, headers: dict[str, str]) -> str:
         """Why the addresses of a request are not the studio's; "" if they are."""
         host = headers.get("host", "")
-        if self._names is not None and urlsplit(f"//{host}").netloc.rpartition(":")[0] not in self._names:
+        if self._names is not None and host.rpartition(":")[0] not in self._names:
             return f"host {host[:80]!r} is not the studio's; open the address that thermorender printed"
         origin = headers.get("origin")
-        if origin is not None and urlsplit(origin).netloc != host:
+        if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
             return f"origin {origin[:80]!r} is not the studio's page; open the address that thermorender printed"
         return ""
 
@@ -78,11 +77,9 @@ class Guard:
 
 
 def _cookie(text: str, name: str) -> str:
-    try:
-        found = SimpleCookie(text).get(name)
-    except CookieError:
-        return ""
-    return found.value if found else ""
+    """The value of a cookie; those that other programs set at this address may have any form."""
+    pairs = (pair.strip().partition("=") for pair in text.split(";"))
+    return next((value for key, _, value in pairs if key == name), "")
 
 
 def _limited(receive: Receive) -> Receive:

@@ -91,17 +91,6 @@ def _application(session: Any, pose: str) -> Any:
             map_picture(session.scene, percent), media_type="image/jpeg", headers={"cache-control": "no-store"}
         )
 
-    @app.get("/export/{tab}/{kind}")
-    def export(tab: str, kind: str, metres: float = 0.5) -> Response:
-        from thermorender.studio.saving import exported
-
-        try:
-            data, name = exported(session, tab, kind, metres)
-        except ThermorenderError as error:
-            return Response(f"{error}\n", status_code=409, media_type="text/plain")
-        headers = {"content-disposition": f'attachment; filename="{name}"', "cache-control": "no-store"}
-        return Response(data, media_type="application/octet-stream", headers=headers)
-
     @ui.page("/", title=f"{session.base.name} – thermorender studio", reconnect_timeout=30.0)
     def page() -> None:
         Tab(session, pose)

@@ -4,12 +4,12 @@ A Document is a value. Each edit makes another one, so undo and redo only move a
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, shortened
 from thermorender.materials.library import NAME, find
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import parts_of
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 # Edits that undo can take back.
 MOST_EDITS = 300
+# Files are named after materials.
+_LONGEST_NAME = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +51,8 @@ class Document:
         The latest last.
     time : datetime64 or None
         Instant of temperatures that follow the weather; None: the scene's own. It is not saved.
+    tables : dict of str to str
+        Text of the spectral table of each material that emits by angle.
     """
 
     library: Mapping[str, Material]
@@ -57,12 +61,15 @@ class Document:
     objects: Mapping[str, tuple[str, float]]
     painted: tuple[Painted, ...] = ()
     time: "np.datetime64 | None" = None
+    tables: dict[str, str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, scene: "Scene", library: Mapping[str, Material], own: frozenset[str]) -> "Document":
+    def of(
+        cls, scene: "Scene", library: Mapping[str, Material], own: frozenset[str], tables: dict[str, str]
+    ) -> "Document":
         """Return the Document of a scene as its files describe it."""
         objects = {each.name: (each.material, each.temperature) for each in scene.spec.objects}
-        return cls(library, own, dict(scene.spec.emissivity.classes), objects)
+        return cls(library, own, dict(scene.spec.emissivity.classes), objects, tables=tables)
 
     def with_material(self, material: Material) -> "Document":
         """Return this Document with a material in place of that of the same name, or in addition."""
@@ -74,7 +81,10 @@ class Document:
         source = find(self.library, name, "duplicate")
         note = " ".join(filter(None, (f"Copy of {name}.", source.note)))
         made = self.with_material(replace(source, name=copy, title=f"{source.title} (copy)", note=note))
-        return replace(made, own=self.own | {copy})
+        return replace(made, own=self.own | {copy}, tables=self._with_table(name, copy))
+
+    def _with_table(self, name: str, copy: str) -> dict[str, str]:
+        return self.tables | {copy: self.tables[name]} if name in self.tables else self.tables
 
     def renamed(self, name: str, new: str) -> "Document":
         """Return this Document with another name of one of the scene's own materials, wherever it is used."""
@@ -88,11 +98,14 @@ class Document:
             classes={key: new if each == name else each for key, each in self.classes.items()},
             objects={key: (new if each == name else each, k) for key, (each, k) in self.objects.items()},
             painted=tuple(replace(each, material=new) if each.material == name else each for each in self.painted),
+            tables=self._with_table(name, new),
         )  # fmt: skip
 
     def _refuse(self, name: str) -> None:
-        if not NAME.fullmatch(name):
-            raise ThermorenderError(f"name={name!r} is not a material name; use letters, digits, _ and -")
+        if not NAME.fullmatch(name) or len(name) > _LONGEST_NAME:
+            raise ThermorenderError(
+                f"name={shortened(name)!r} is not a material name; use 1 … {_LONGEST_NAME} letters, digits, _ and -"
+            )
         if name in self.library:
             raise ThermorenderError(f"there is a material {name!r} already; choose another name")
 
@@ -152,6 +165,13 @@ class History:
         self.saved, self.version = saved, 0
         self._steps: list[tuple[Document, str]] = [(saved, "")]
         self._at = 0
+        # Who made the current version, and the first version since which nobody else made one.
+        self._by, self._since = "", 0
+
+    def _count(self, by: str) -> None:
+        if by != self._by:
+            self._by, self._since = by, self.version
+        self.version += 1
 
     @property
     def document(self) -> Document:
@@ -169,8 +189,9 @@ class History:
         return self._steps[self._at + 1][1] if self._at + 1 < len(self._steps) else ""
 
     def edit(
-        self, version: int, what: str, change: Callable[[Document], Document], check: Callable[[Document], object]
-    ) -> None:
+        self, version: int, what: str, change: Callable[[Document], Document], check: Callable[[Document], object],
+        by: str = "",
+    ) -> None:  # fmt: skip
         """Change the Document.
 
         Parameters
@@ -183,34 +204,39 @@ class History:
             Returns the changed Document.
         check : callable
             Raises where the changed Document cannot be used.
+        by : str
+            The tab.
 
         Raises
         ------
         ThermorenderError
-            The user saw another version than the current one, or `change` or `check` refuses.
+            Another tab has made a version since the one that the user saw, or `change` or `check` refuses.
         """
-        self.refuse_outdated(version)
+        self.refuse_outdated(version, by)
         made = change(self.document)
         if made is self.document:
             return
         check(made)
         self._steps = [*self._steps[: self._at + 1], (made, what)][-MOST_EDITS:]
-        self._at, self.version = len(self._steps) - 1, self.version + 1
+        self._at = len(self._steps) - 1
+        self._count(by)
 
-    def refuse_outdated(self, version: int) -> None:
-        """Raise unless `version` is the current one."""
-        if version != self.version:
+    def refuse_outdated(self, version: int, by: str = "") -> None:
+        """Raise unless `version` is the current one, or all later ones are of the same tab."""
+        if version != self.version and not (by and by == self._by and self._since <= version < self.version):
             raise ThermorenderError(
                 f"this tab showed version {version}, and another tab has changed the tables since (version "
                 f"{self.version}); nothing was changed, look at the new values and repeat the edit"
             )
 
-    def step(self, version: int, by: int) -> None:
+    def step(self, version: int, steps: int, by: str = "") -> None:
         """Undo one edit (−1) or redo one (+1)."""
-        self.refuse_outdated(version)
-        if 0 <= self._at + by < len(self._steps):
-            self._at, self.version = self._at + by, self.version + 1
+        self.refuse_outdated(version, by)
+        if 0 <= self._at + steps < len(self._steps):
+            self._at += steps
+            self._count(by)
 
     def loaded(self, saved: Document) -> None:
         """Take over a Document from files; edits before it are gone."""
-        self.saved, self._steps, self._at, self.version = saved, [(saved, "")], 0, self.version + 1
+        self.saved, self._steps, self._at = saved, [(saved, "")], 0
+        self._by, self.version = "", self.version + 1

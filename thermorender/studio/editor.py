@@ -127,6 +127,7 @@ class Editor:
     def _named(self, title: str, proposal: str, change: Callable[[Document, str], Document], what: str) -> None:
         """Ask for a name, and change the document with it."""
         with ui.dialog() as dialog, ui.card():
+            dialog.on("hide", dialog.delete)
             ui.label(title)
             given = ui.input("Name", value=proposal).props('autofocus outlined dense data-testid="new-name"')
             given.style("min-width:260px")
@@ -228,10 +229,14 @@ class Editor:
             if not refused:
                 dialog.close()
 
+        def too_large() -> None:
+            fault.set_text(f"the file is larger than {MOST_BYTES // 1_000_000} MB; give a table of one spectrum")
+
         with ui.dialog() as dialog, ui.card().style("min-width:min(620px,90vw)"):
+            dialog.on("hide", dialog.delete)
             ui.label(f"Spectrum for {name}").style("font-weight:600")
             ui.upload(label="ECOSTRESS, SLUM or CSV file", auto_upload=True, max_file_size=MOST_BYTES - 4096,
-                      max_files=1, on_upload=uploaded).style("width:100%")  # fmt: skip
+                      max_files=1, on_upload=uploaded, on_rejected=too_large).style("width:100%")  # fmt: skip
             text = ui.textarea("Or paste two columns with headings, such as wavelength_um,emissivity")
             text.props('outlined data-testid="paste"').style("width:100%")
             column = ui.input("Sample of a table with several").props("dense outlined").style("width:100%")

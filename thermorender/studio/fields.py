@@ -3,14 +3,17 @@
 Checks are those of the material tables, so a fault has the sentence that the command line prints.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, gettempdir
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
+from thermorender.files import reported
 from thermorender.materials.check import check_row
 from thermorender.materials.csv_tables import SOLAR_STD_COLUMN, share_in_cell
 from thermorender.materials.from_samples import from_samples
@@ -217,6 +220,13 @@ def dragged(material: Material, wavelength_um: float, emissivity: float, width_u
     return with_spectrum(material, grid, np.round(moved, 6), f"emissivity_at_{grid[nearest]:.4g}_um={emissivity:.4g}")
 
 
+@contextmanager
+def scratch_folder() -> Iterator[str]:
+    """Yield a temporary folder; ThermorenderError where it cannot be written."""
+    with reported(gettempdir()), TemporaryDirectory(prefix="thermorender-studio-") as folder:
+        yield folder
+
+
 def read_spectrum(name: str, data: bytes, material: Material, column: str | None = None) -> Material:
     """Return a material with the spectrum of a file: CSV, SLUM or ECOSTRESS.
 
@@ -231,7 +241,7 @@ def read_spectrum(name: str, data: bytes, material: Material, column: str | None
     column : str, optional
         Sample of a table with several.
     """
-    with TemporaryDirectory(prefix="thermorender-studio-") as folder:
+    with scratch_folder() as folder:
         path = Path(folder, "spectrum.txt" if name.lower().endswith(".txt") else "spectrum.csv")
         path.write_bytes(data)
         try:

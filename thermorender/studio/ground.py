@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
+from thermorender.files import reported
 from thermorender.studio.document import Document, Painted
 from thermorender.studio.pictures import colours_of_materials, jpeg
 
@@ -85,10 +86,12 @@ def painted(session: "Session", geometry: dict[str, Any], material: str, documen
     """Return a Document with an area of another material; its file goes into the session's own folder."""
     grid = session.base.grid
     assert grid is not None
-    path = Path(session.areas.name, f"area-{len(list(Path(session.areas.name).iterdir())) + 1}.geojson")
     crs = {"type": "name", "properties": {"name": grid.crs.to_string()}}
     feature = {"type": "Feature", "geometry": geometry, "properties": {"material": material}}
-    path.write_text(json.dumps({"type": "FeatureCollection", "crs": crs, "features": [feature]}), encoding="utf-8")
+    folder = Path(session.areas.name)
+    with reported(folder):
+        path = folder / f"area-{len(list(folder.iterdir())) + 1}.geojson"
+        path.write_text(json.dumps({"type": "FeatureCollection", "crs": crs, "features": [feature]}), encoding="utf-8")
     return document.with_area(Painted(path, material))
 
 

@@ -1,6 +1,7 @@
 """The page of a tab: its layout, its view of the scene, and what it says of a pixel."""
 
 import asyncio
+import contextlib
 import json
 import math
 import secrets
@@ -17,6 +18,7 @@ from thermorender.studio.editor import Editor
 from thermorender.studio.panels import Map
 from thermorender.studio.pictures import NAMES, Picture
 from thermorender.studio.renders import figures
+from thermorender.studio.saving import command
 from thermorender.studio.session import Session
 from thermorender.studio.timeline import Timeline
 from thermorender.studio.view import MODES, Pose, View, limits_of
@@ -113,15 +115,22 @@ class Tab:
     def edit(self, version: int, what: str, change: Callable[..., Any], quiet: bool = False) -> str:
         """Change the document; return the sentence of a refusal, else "", and show it unless `quiet` says who does."""
         try:
-            self.session.edit(version, what, change)
+            self.session.edit(version, what, change, self.key)
         except ThermorenderError as error:
-            outdated = version != self.session.history.version
+            outdated = self._outdated(version)
             if outdated or not quiet:
                 self.say(str(error))
             if outdated:
                 self.refresh()
             return str(error)
         return ""
+
+    def _outdated(self, version: int) -> bool:
+        try:
+            self.session.history.refuse_outdated(version, self.key)
+        except ThermorenderError:
+            return True
+        return False
 
     def say(self, sentence: str, kind: str = "negative") -> None:
         """Show a sentence for a while."""
@@ -132,7 +141,9 @@ class Tab:
         """`function`, to be called from another thread."""
 
         def call(*arguments: Any) -> None:
-            self._loop.call_soon_threadsafe(self._inside, function, *arguments)
+            # The loop is closed where the studio ends.
+            with contextlib.suppress(RuntimeError):
+                self._loop.call_soon_threadsafe(self._inside, function, *arguments)
 
         return call
 
@@ -185,7 +196,7 @@ class Tab:
 
     def _step(self, version: int, by: int) -> None:
         try:
-            self.session.step(version, by)
+            self.session.step(version, by, self.key)
         except ThermorenderError as error:
             self.say(str(error))
             self.refresh()
@@ -263,8 +274,7 @@ class Tab:
                 self._legend = ui.element("div").classes("legend").props('data-testid="legend"')
 
     def _copy_menu(self) -> None:
-        name, pose = self.session.base.spec.folder, self.view.pose.text(self.session.base)
-        text = f"thermorender render {name} --pose={pose} -o out"
+        text = command(self.session, self.view).strip()
         ui.run_javascript(f"navigator.clipboard.writeText({json.dumps(text)})")
         self.say(f"Copied: {text}", "info")
 
@@ -336,6 +346,7 @@ class Tab:
 
     def _shown(self, picture: Picture) -> None:
         if not picture.data:
+            self._state.set_text("not rendered").classes(add="preview")
             self.say(picture.notes)
             return
         self._picture = picture

@@ -57,9 +57,9 @@ class Cover:
                     self._kelvin(thing, temperature)
 
     def _choice(self, names: list[str], now: str, test: str, what: str, change: Callable[..., Document]) -> None:
-        given = ui.select(names, value=now, with_input=True).props(
-            f'dense outlined options-dense hide-bottom-space aria-label="Material of {what}" data-testid="{test}"'
-        )
+        given = ui.select(names, value=now, with_input=True).props("dense outlined options-dense hide-bottom-space")
+        # Names of a scene file may hold any characters, so they are not parsed as properties.
+        given.props.update({"aria-label": f"Material of {what}", "data-testid": test})
 
         def done(event: Any) -> None:
             chosen, version = event.args
@@ -84,9 +84,8 @@ class Cover:
                 change = partial(_warmed, thing, float(event.args[0]))
                 self._tab.edit(int(event.args[1]), f"{thing}: {event.args[0]} K", change)
 
-        given = ui.input(value=f"{now:g}", validation=fault, suffix="K").props(
-            f'dense outlined hide-bottom-space aria-label="Temperature of {thing} [K]" data-testid="kelvin-{thing}"'
-        )
+        given = ui.input(value=f"{now:g}", validation=fault, suffix="K").props("dense outlined hide-bottom-space")
+        given.props.update({"aria-label": f"Temperature of {thing} [K]", "data-testid": f"kelvin-{thing}"})
         given.on("change", done, js_handler="(value) => emit(value, studio.version)")
 
 
@@ -194,13 +193,18 @@ class Files:
             self._code.set_visibility(False)
         self._diff.set_visibility(False)
 
-    def _export(self, kind: Any, metres: Any) -> None:
-        ui.download(f"/export/{self._tab.key}/{kind}?metres={float(metres or 0.5):g}")
+    async def _export(self, kind: str, metres: Any) -> None:
+        try:
+            made = await run.io_bound(saving.exported, self._session, self._tab.key, kind, float(metres or 0.5))
+        except ThermorenderError as error:
+            self._tell(str(error))
+            return
+        if made is not None:
+            ui.download.content(*made)
 
     def _commands(self) -> None:
-        quality = self._session.quality
         self._code.set_visibility(True)
-        self._code.set_text("\n".join(saving.commands(self._session, self._tab.view, quality)))
+        self._code.set_text("\n".join(saving.commands(self._session, self._tab.view)))
 
     def _plan(self) -> saving.Save | None:
         try:
@@ -217,7 +221,7 @@ class Files:
 
     async def _save(self, event: Any) -> None:
         try:
-            self._session.history.refuse_outdated(int(event.args))
+            self._session.history.refuse_outdated(int(event.args), self._tab.key)
         except ThermorenderError as error:
             self._tell(str(error))
             return

@@ -135,7 +135,13 @@ class Renders:
                 made.set_exception(error)
 
         self.run(run)
-        return made.result(_ANSWERS_S)
+        try:
+            return made.result(_ANSWERS_S)
+        except TimeoutError:
+            raise ThermorenderError(
+                f"the solution under way has taken longer than {_ANSWERS_S:g} s; wait until the state says exact, and "
+                "ask again"
+            ) from None
 
     def later(self, job: Callable[[Callable[[str, float], object]], object]) -> None:
         """Call a function that takes long; what it reports to, (what, share), ends it after an edit or another one."""
@@ -179,11 +185,8 @@ class Renders:
                     long()
             except _Newer:
                 pass
-            except ThermorenderError as error:
-                self._report(str(error))
             except Exception as error:  # a fault must not end the thread, and with it all pictures
-                traceback.print_exc()
-                self._report(f"the studio failed here ({type(error).__name__}), its terminal says where; undo the edit")
+                self._report(_sentence(error))
 
     def _report(self, sentence: str) -> None:
         for seen in list(self._tabs.values()):
@@ -241,17 +244,29 @@ class Renders:
                     del self._waiting[tab]
                 seen = self._tabs.get(tab) if tab is not None else None
             for job in jobs:
-                job()
+                self._guarded(job)
             if tab is None:
                 return
             if seen is None:
                 continue
-            try:
-                made = self._picture(tab, seen.view)
-            except ThermorenderError as error:
-                made = Picture.of_fault(str(error), self.light.version)
-            self._pictures[tab] = made
-            seen.show(made)
+            self._guarded(partial(self._show_in, tab, seen))
+
+    def _guarded(self, job: Callable[[], object]) -> None:
+        """Call a function whose fault must not end a solution under way."""
+        try:
+            job()
+        except _Newer:
+            raise
+        except Exception as error:
+            self._report(_sentence(error))
+
+    def _show_in(self, tab: str, seen: Seen) -> None:
+        try:
+            made = self._picture(tab, seen.view)
+        except ThermorenderError as error:
+            made = Picture.of_fault(str(error), self.light.version)
+        self._pictures[tab] = made
+        seen.show(made)
 
     def _picture(self, tab: str, view: View) -> Picture:
         light = self.light
@@ -267,6 +282,14 @@ class Renders:
         number = (self._pictures[tab].number if tab in self._pictures else 0) + 1
         blank = Picture(number, light.version, light.words, light.exact)
         return picture_of(frame, view, blank, before, colour)
+
+
+def _sentence(error: Exception) -> str:
+    """What a page says about a fault; the terminal shows where one of the studio itself was."""
+    if isinstance(error, ThermorenderError):
+        return str(error)
+    traceback.print_exception(error)
+    return f"the studio failed here ({type(error).__name__}), its terminal says where; undo the edit"
 
 
 def figures(frame: Frame, column: int, row: int) -> dict[str, Any] | None:

@@ -4,10 +4,11 @@ The shipped tables and scenes are never written. A file that changed on disk sin
 """
 
 import re
+import shlex
+from codecs import BOM_UTF8
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,12 +27,16 @@ from thermorender.scene.parts.patch import areas, texels_in
 from thermorender.scene.raster import grid_of
 from thermorender.schema import parse_toml
 from thermorender.studio.document import Document
+from thermorender.studio.fields import scratch_folder
+from thermorender.units import utc_text
 
 if TYPE_CHECKING:
     from thermorender.scene.scene import Scene
     from thermorender.studio.session import Session
 
 _MOST_CLASSES = 255
+# A line of TOML that assigns a string or a number.
+_ASSIGNED = re.compile(r"""(?P<key>[^=]*=\s*)("(\\.|[^"\\])*"|'[^']*'|[^\s"'#]+)(?P<comment>\s*(#.*)?)""")
 # Of a difference between the tables before and after.
 _WORDS = {"only in the second": "new material", "only in the first": "removed"}
 
@@ -45,10 +50,11 @@ def snapshot(scene: "Scene") -> dict[Path, str]:
 
 @dataclass(frozen=True, eq=False)
 class Save:
-    """A save: the new contents of files (None: removed), and what changes, in lines for people."""
+    """A save of a Document: the new contents of files (None: removed), and what changes, in lines for people."""
 
     files: dict[Path, bytes | None]
     lines: tuple[str, ...]
+    document: Document
 
 
 def planned(session: "Session") -> Save:
@@ -68,7 +74,8 @@ def planned(session: "Session") -> Save:
         )
     refuse_changed(session)
     files, lines = _tables(session)
-    text = old = read_text(folder / "scene.toml")
+    path = folder / "scene.toml"
+    text = old = read_text(path)
     stated = parse_toml(text.encode(), scene.where).get("emissivity", {}).get("classes", {})
     # Classes that an earlier save of painted areas added are given again, or dropped.
     classes = dict(document.classes)
@@ -83,14 +90,39 @@ def planned(session: "Session") -> Save:
         if material != saved.objects[name][0]:
             text = _stated(text, "[[object]]", name, "material", f'"{material}"')
         if kelvin != saved.objects[name][1]:
-            text = _stated(text, "[[object]]", name, "temperature", f"{kelvin:g}")
+            text = _stated(text, "[[object]]", name, "temperature", f"{kelvin:.12g}")
+    _refuse_names_left(text, saved.library.keys() - document.library.keys())
     if text != old:
         _refuse_other_meaning(old, text, document, classes)
-        files[folder / "scene.toml"] = text.encode()
+        files[path] = _as_in(path.read_bytes(), text)
         before, after = (Counter(each.splitlines()) for each in (old, text))
         lines += [f"scene.toml  −{line}" for line in before - after]
         lines += [f"scene.toml  +{line}" for line in after - before]
-    return Save(files, tuple(lines))
+    return Save(files, tuple(lines), document)
+
+
+def _refuse_names_left(text: str, gone: set[str]) -> None:
+    """Raise if a scene file names materials that a save would remove, such as renamed ones."""
+    left = sorted(gone & _words_of(parse_toml(text.encode(), "scene.toml")))
+    if left:
+        raise ThermorenderError(
+            f"scene.toml names {left[0]} outside its classes and objects, which the studio does not change; undo the "
+            "new name, or duplicate the material in its place"
+        )
+
+
+def _words_of(given: Any) -> set[str]:
+    """All keys and texts in the contents of a TOML file."""
+    if isinstance(given, str):
+        return {given}
+    parts = [*given, *given.values()] if isinstance(given, dict) else given if isinstance(given, list) else []
+    return set().union(*map(_words_of, parts))
+
+
+def _as_in(old: bytes, text: str) -> bytes:
+    """Return a text with the line ends and the byte order mark of a file."""
+    text = text.replace("\n", "\r\n") if b"\r\n" in old else text
+    return text.encode("utf-8-sig" if old.startswith(BOM_UTF8) else "utf-8")
 
 
 def refuse_changed(session: "Session") -> None:
@@ -105,13 +137,27 @@ def refuse_changed(session: "Session") -> None:
 
 
 def write(session: "Session", save: Save) -> None:
-    """Write a Save, all files or none; the edits then count as saved."""
+    """Write a Save, all files or none; the edits then count as saved.
+
+    Raises
+    ------
+    ThermorenderError
+        Files or edits have changed since the Save was planned, or a file cannot be written.
+    """
     refuse_changed(session)
-    replace_files(save.files)
+    if save.document is not session.document:
+        raise ThermorenderError(
+            "another tab has changed the tables since these changes were listed; nothing was written, so press Save "
+            "again to see all changes"
+        )
     own = session.base.spec.folder / "materials"
-    for folder in (own / "spectra", own / "thermal", own):
-        if folder.is_dir() and not any(folder.iterdir()):
-            folder.rmdir()
+    try:
+        replace_files(save.files)
+    finally:
+        # A scene with an empty folder of materials is refused.
+        for folder in (own / "spectra", own / "thermal", own):
+            if folder.is_dir() and not any(folder.iterdir()):
+                folder.rmdir()
     session.saved(snapshot(session.base))
 
 
@@ -127,15 +173,14 @@ def _tables(session: "Session") -> tuple[dict[Path, bytes | None], list[str]]:
     removed = [name for name in saved.library if name not in document.library or name in shipped]
     if not changed and not removed:
         return {}, []
-    with TemporaryDirectory(prefix="thermorender-studio-") as scratch:
+    with scratch_folder() as scratch:
         there = Path(scratch, "materials")
         before = {path.relative_to(own): path.read_bytes() for path in sorted(own.rglob("*.csv"))}
         replace_files({there / name: data for name, data in before.items()})
         for name in removed:
             drop_material(name, there)
         for name in [each for each in changed if each not in shipped]:
-            tables = own if Path("spectra", f"{name}.csv") in before else data_folder("materials")
-            _write(document.library[name], there, tables)
+            _write(document.library[name], there, document.tables.get(name))
         try:
             load_library(there if any(there.rglob("*.csv")) else None)
         except ThermorenderError as error:
@@ -152,20 +197,12 @@ def _tables(session: "Session") -> tuple[dict[Path, bytes | None], list[str]]:
     return files, lines + [f"materials/{path.relative_to(own)}  written" for path in files]
 
 
-def _write(material: Material, folder: Path, tables: Path) -> None:
-    """Write a material into a folder; the table of one that emits by angle is copied from another folder."""
-    if material.directional == "lambertian":
+def _write(material: Material, folder: Path, table: str | None) -> None:
+    """Write a material into a folder; `table` is the text of the spectral table of one that emits by angle."""
+    if table is None:
         write_material(material, folder, replace=True)
         return
-    name = material.name
-    thermal = table_text(material.thermal) if material.thermal else None
-    path = tables / "spectra" / f"{name}.csv"
-    if not path.is_file():
-        raise ThermorenderError(
-            f"{name} emits by angle ({material.directional}) and has no table under its new name; copy it with "
-            "`thermorender materials copy`"
-        )
-    store(index_row(material), read_text(path), folder, True, thermal)
+    store(index_row(material), table, folder, True, table_text(material.thermal) if material.thermal else None)
 
 
 def _stated(text: str, table: str, name: str | None, key: str, value: str | None) -> str:
@@ -186,15 +223,21 @@ def _stated(text: str, table: str, name: str | None, key: str, value: str | None
     if start is not None and named and value is None:
         return "".join([*lines[:start], *lines[start + 1 :]])
     if start is not None and named:
-        comment = re.search(r"\s*#[^\"']*$", lines[start].rstrip("\r\n"))
-        lines[start] = f"{lines[start].partition('=')[0]}= {value}{comment[0] if comment else ''}\n"
+        assigned = _ASSIGNED.fullmatch(lines[start].rstrip("\n"))
+        if assigned is None:
+            raise _unstated(name or table, key, value)
+        lines[start] = f"{assigned['key']}{value}{assigned['comment']}\n"
         return "".join(lines)
     if table in (line.split("#")[0].strip() for line in lines) and name is None:
         at = next(k for k, line in enumerate(lines) if line.split("#")[0].strip() == table)
         lines.insert(at + 1, f"{key} = {value}\n")
         return "".join(lines)
-    raise ThermorenderError(
-        f"scene.toml does not state {key} of {name or table} on a line of its own, so the studio cannot change it; "
+    raise _unstated(name or table, key, value)
+
+
+def _unstated(what: str, key: str, value: str | None) -> ThermorenderError:
+    return ThermorenderError(
+        f"scene.toml does not state {key} of {what} on a line of its own, so the studio cannot change it; "
         f"write {key} = {value} there by hand and press Reload"
     )
 
@@ -233,7 +276,8 @@ def _class_raster(session: "Session", classes: dict[int, str]) -> tuple[dict[Pat
     for each in painted:
         number = next((k for k, name in classes.items() if name == each.material), None)
         if number is None:
-            number = next((k for k in range(1, _MOST_CLASSES) if k not in classes), None)
+            used = {*classes, *np.unique(values).tolist(), profile.get("nodata")}
+            number = next((k for k in range(1, _MOST_CLASSES) if k not in used), None)
             if number is None:
                 raise ThermorenderError(
                     f"the class raster has no free number for {each.material}; assign a class to it instead"
@@ -241,7 +285,7 @@ def _class_raster(session: "Session", classes: dict[int, str]) -> tuple[dict[Pat
             classes[number] = each.material
         for geometry, _ in areas(each.area, place, scene.ground):
             values[texels_in(geometry, grid, "the painted area")] = number
-    with TemporaryDirectory(prefix="thermorender-studio-") as scratch:
+    with scratch_folder() as scratch:
         path = Path(scratch, source.raster.name)
         with rasterio.open(path, "w", **profile) as dataset:
             dataset.write(values, 1)
@@ -264,7 +308,7 @@ def exported(session: "Session", tab: str, kind: str, metres: float) -> tuple[by
     name = f"{session.base.name}-{kind}.tif" if kind == "map" else f"{session.base.name}.{kind}"
 
     def made() -> bytes:
-        with TemporaryDirectory(prefix="thermorender-studio-") as scratch:
+        with scratch_folder() as scratch:
             path = Path(scratch, f"frame.{'tif' if kind == 'map' else kind}")
             (frame.orthorectified(metres) if kind == "map" else frame).save(path)
             return path.read_bytes()
@@ -272,19 +316,32 @@ def exported(session: "Session", tab: str, kind: str, metres: float) -> tuple[by
     return session.renders.call(made), name
 
 
-def commands(session: "Session", view: Any, quality: str) -> tuple[str, str]:
+def commands(session: "Session", view: Any) -> tuple[str, str]:
     """Return (Python, command line) that render a view; unsaved edits of tables are named, not repeated."""
     scene, document, saved = session.base, session.document, session.history.saved
     pose, place = view.pose.text(scene), str(scene.spec.folder)
     numbers = pose.replace(",", ", ")
-    edits = {key: name for key, name in document.classes.items() if name != saved.classes.get(key)}
+    edits: dict[Any, str] = {key: name for key, name in document.classes.items() if name != saved.classes.get(key)}
+    objects = {key: each for key, each in document.objects.items() if each != saved.objects.get(key)}
+    edits |= {key: name for key, (name, _) in objects.items() if name != saved.objects[key][0]}
+    kelvin = {key: k for key, (_, k) in objects.items() if k != saved.objects[key][1]}
     unsaved = document.changed(saved) + (["painted areas"] if document.painted != saved.painted else [])
-    note = f"# not saved yet, so not in these lines: {', '.join(unsaved)}\n" if unsaved else ""
-    python = (
-        f"{note}import thermorender as tr\n\nscene = tr.load_scene({place!r})\n"
-        + (f"scene = scene.with_material({edits!r})\n" if edits else "")
-        + f"renderer = tr.Renderer(scene, {quality!r})\n"
-        f"frame = renderer.frame(scene.pose({numbers}), {view.time_s:g})\n"
-        'frame.save("frame.exr")\n'
-    )
-    return python, f"{note}thermorender render {place} --quality {quality} --pose={pose} -o out\n"
+    python = [_not_here(unsaved) + f"import thermorender as tr\n\nscene = tr.load_scene({place!r})"]
+    python += [f"scene = scene.at({utc_text(document.time)!r})"] if document.time is not None else []
+    python += [f"scene = scene.with_material({edits!r})"] if edits else []
+    python += [f"scene = scene.with_objects({kelvin!r})"] if kelvin else []
+    python += [f"renderer = tr.Renderer(scene, {session.quality!r})"]
+    python += [f"frame = renderer.frame(scene.pose({numbers}), {view.time_s:g})", 'frame.save("frame.exr")', ""]
+    return "\n".join(python), _not_here(unsaved + [str(key) for key in {**edits, **kelvin}]) + command(session, view)
+
+
+def _not_here(unsaved: list[str]) -> str:
+    return f"# not saved yet, so not in these lines: {', '.join(unsaved)}\n" if unsaved else ""
+
+
+def command(session: "Session", view: Any) -> str:
+    """Return the command line that renders a view of the saved scene."""
+    scene, time = session.base, session.document.time
+    options = [str(scene.spec.folder), "--quality", session.quality, f"--pose={view.pose.text(scene)}"]
+    options += ["--time", utc_text(time)] if time is not None else []
+    return shlex.join(["thermorender", "render", *options, "-o", "out"]) + "\n"

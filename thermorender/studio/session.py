@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from thermorender.errors import ThermorenderError
+from thermorender.materials.csv_tables import read_text
 from thermorender.materials.library import load_library, read_library
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import parts_of
+from thermorender.paths import data_folder
 from thermorender.render.geometry import refuse_other_surfaces
 from thermorender.studio.document import Document, History
 from thermorender.studio.renders import Renders
@@ -80,19 +82,19 @@ class Session:
         """The Document that is shown."""
         return self.history.document
 
-    def edit(self, version: int, what: str, change: Callable[[Document], Document]) -> None:
-        """Change the Document, render it, and refresh all tabs; ThermorenderError where it is refused."""
+    def edit(self, version: int, what: str, change: Callable[[Document], Document], by: str = "") -> None:
+        """Change the Document for a tab, render it, and refresh all tabs; ThermorenderError where it is refused."""
         before = self.history.version
         try:
-            self.history.edit(version, what, change, self._use)
+            self.history.edit(version, what, change, self._use, by)
         finally:
             if self.history.version != before:
                 self._render()
 
-    def step(self, version: int, by: int) -> None:
-        """Undo one edit (−1) or redo one (+1)."""
+    def step(self, version: int, steps: int, by: str = "") -> None:
+        """Undo one edit (−1) or redo one (+1) for a tab."""
         before = self.history.version
-        self.history.step(version, by)
+        self.history.step(version, steps, by)
         if self.history.version != before:
             self._use(self.document)
             self._render()
@@ -163,4 +165,9 @@ def document_of(scene: "Scene") -> Document:
     """Return the Document of a scene, with its library."""
     folder = scene.spec.folder / "materials"
     own = frozenset(read_library(folder)) if (folder / "index.csv").is_file() else frozenset[str]()
-    return Document.of(scene, load_library(folder if folder.is_dir() else None), own)
+    library, tables = load_library(folder if folder.is_dir() else None), {}
+    for name, each in library.items():
+        if each.directional != "lambertian":
+            path = (folder if name in own else data_folder("materials")) / "spectra" / f"{name}.csv"
+            tables[name] = read_text(path)
+    return Document.of(scene, library, own, tables)

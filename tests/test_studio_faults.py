@@ -1,0 +1,247 @@
+"""Faults around the material studio: odd requests, edits in quick succession, and what a save keeps of the files."""
+
+import asyncio
+import shlex
+import time
+
+import numpy as np
+import pytest
+
+import thermorender as tr
+from scenes import write_terrain
+from thermorender.errors import ThermorenderError
+from thermorender.studio.access import Guard
+from thermorender.studio.document import History
+from thermorender.studio.fields import changed
+from thermorender.studio.view import Pose, View
+
+HUT = """
+# The hut of the owner's brother.
+[[object]]
+name = "hut"
+shape = "box"
+size = [3.0, 3.0, 3.0]
+position = [0.0, 0.0, 1.5]
+temperature = 305.0 # the stove's "on"
+material = 'asphalt' # a felt roof's "bitumen"
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    columns = np.mgrid[:32, :32][1]
+    return write_terrain(tmp_path / "tiny scene", classes=np.where(columns < 16, 1, 2), extra=HUT)
+
+
+@pytest.fixture
+def session(folder):
+    from thermorender.studio.session import Session
+
+    made = Session(tr.Renderer(tr.load_scene(folder), "fast"), "fast")
+    yield made
+    made.close()
+
+
+def saved(session):
+    from thermorender.studio import saving
+
+    saving.write(session, saving.planned(session))
+    return tr.load_scene(session.base.spec.folder)
+
+
+def status_of(headers):
+    """The status that the guard of a studio at 127.0.0.1:8000 answers; its token is "secret"."""
+    answers = []
+
+    async def app(scope, receive, send):
+        await send({"type": "http.response.start", "status": 200})
+
+    async def send(message):
+        answers.append(message)
+
+    scope = {"type": "http", "headers": [(key.encode(), value.encode("latin-1")) for key, value in headers.items()]}
+    asyncio.run(Guard(app, "secret", "127.0.0.1", 8000)(scope, None, send))
+    return answers[0]["status"]
+
+
+def test_cookies_of_other_programs_do_not_hide_the_token():
+    own, host = "thermorender_studio_8000=secret", "127.0.0.1:8000"
+    for other in ('prefs={"a": 1, "b": "x"}', "a[b]=c", "x y=z", "=", 'open="', "thermorender_studio_9=secret"):
+        assert status_of({"host": host, "cookie": f"{other}; {own}"}) == 200
+        assert status_of({"host": host, "cookie": f"{own}; {other}"}) == 200
+        assert status_of({"host": host, "cookie": other}) == 403
+
+
+def test_broken_addresses_are_refused():
+    cookie = {"cookie": "thermorender_studio_8000=secret"}
+    for host in ("[::1", "[", "", "::", "127.0.0.1.example:8000", "user@127.0.0.1:8000"):
+        assert status_of({"host": host, **cookie}) == 403
+    for origin in ("http://[", "null", "", "ftp://127.0.0.1:8000", "http://127.0.0.1:8000.example"):
+        assert status_of({"host": "127.0.0.1:8000", "origin": origin, **cookie}) == 403
+    assert status_of({"host": "127.0.0.1:8000", "origin": "http://127.0.0.1:8000", **cookie}) == 200
+
+
+def test_a_tab_need_not_wait_for_its_own_edits(session):
+    first = session.document
+    history = History(first)
+
+    def edit(version, value, by):
+        history.edit(version, value, lambda document: changed(document, "asphalt", "emissivity", value), print, by)
+
+    edit(0, "0.5", "a")
+    edit(0, "0.6", "a")
+    history.step(0, -1, "a")
+    history.step(1, -1, "a")
+    assert history.document is first and history.version == 4
+    # Another tab has missed these edits, and then the first one those of the other.
+    with pytest.raises(ThermorenderError, match="another tab has changed the tables since"):
+        edit(0, "0.7", "b")
+    edit(4, "0.7", "b")
+    for version in (0, 3, 4):
+        with pytest.raises(ThermorenderError, match="another tab has changed the tables since"):
+            edit(version, "0.8", "a")
+    edit(5, "0.8", "a")
+    edit(5, "0.9", "a")
+    assert history.version == 7
+
+
+def test_a_save_does_not_count_later_edits_as_saved(session):
+    from thermorender.studio import saving
+
+    session.edit(0, "", lambda document: changed(document, "grass_green", "emissivity", "0.8"))
+    save = saving.planned(session)
+    session.edit(1, "", lambda document: changed(document, "grass_green", "emissivity", "0.7"))
+    with pytest.raises(ThermorenderError, match="nothing was written, so press Save again"):
+        saving.write(session, save)
+    assert not (session.base.spec.folder / "materials").exists()
+    assert {each.name: each.emissivity.max() for each in saved(session).materials}["grass_green"] == 0.7
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_a_save_keeps_comments_line_ends_and_digits(session, end):
+    path = session.base.spec.folder / "scene.toml"
+    text = path.read_text("utf-8").replace('1 = "grass_green"', '1 = "grass_green" # the owner\'s "lawn", # 7')
+    path.write_bytes(b"\xef\xbb\xbf" + text.replace("\n", end).encode())
+    session.reload(tr.load_scene(path.parent))
+    session.edit(1, "", lambda document: document.of_class(1, "snow"))
+    session.edit(2, "", lambda document: document.of_object("hut", "granite", 301.234567))
+    scene = saved(session)
+    assert scene.spec.objects[0].temperature == 301.234567 and scene.spec.objects[0].material == "granite"
+    expected = text.replace('1 = "grass_green"', '1 = "snow"').replace("305.0", "301.234567")
+    expected = expected.replace("'asphalt'", '"granite"')
+    assert path.read_bytes() == b"\xef\xbb\xbf" + expected.replace("\n", end).encode()
+
+
+def test_a_copy_of_a_material_that_emits_by_angle_is_saved(session):
+    session.edit(0, "", lambda document: document.duplicated("glass", "pane"))
+    session.edit(1, "", lambda document: document.of_class(1, "pane"))
+    first = {each.name: each for each in saved(session).materials}["pane"]
+    session.edit(2, "", lambda document: document.renamed("pane", "window"))
+    second = {each.name: each for each in saved(session).materials}["window"]
+    glass = session.origin.library["glass"]
+    for cosine in (1.0, 0.3):
+        wanted = glass.band_emissivity(7.5, 13.5, 300.0, cosine)
+        assert [each.band_emissivity(7.5, 13.5, 300.0, cosine) for each in (first, second)] == [wanted, wanted]
+
+
+def test_the_lines_without_the_page_name_or_repeat_all_edits(session):
+    from thermorender.studio import saving
+
+    session.edit(0, "", lambda document: document.of_class(1, "snow"))
+    session.edit(1, "", lambda document: document.of_object("hut", "granite", 301.25))
+    view = View(Pose.typed("0,-6,10,0,-55,0", session.base))
+    python, line = saving.commands(session, view)
+    found = {}
+    exec(python.partition("renderer =")[0], found)
+    for one, other in zip(found["scene"].surfaces, session.scene.surfaces, strict=True):
+        np.testing.assert_array_equal(one.temperature, other.temperature)
+        names = [np.array([each.name for each in of.materials]) for of in (found["scene"], session.scene)]
+        np.testing.assert_array_equal(names[0][one.material], names[1][other.material])
+    assert "hut" in line and "\nthermorender render " in line
+    assert shlex.split(line.partition("\n")[2])[2] == str(session.base.spec.folder)
+
+
+def test_a_fault_beside_a_solution_does_not_end_it(session, capfd):
+    shown, renders = [], session.renders
+    renders.start()
+
+    def show(picture):
+        shown.append(picture)
+        if picture.data:
+            raise RuntimeError("the page has gone")
+
+    renders.look("tab", View(Pose.typed("0,-6,10,0,-55,0", session.base)), show)
+    for version in range(3):
+        session.edit(version, "", lambda document, k=version: changed(document, "grass_green", "emissivity", f"0.{k}5"))
+        renders.run(lambda: 1 / 0)
+    end = time.monotonic() + 30.0
+    while not (renders.light.version == 3 and renders.light.exact) and time.monotonic() < end:
+        time.sleep(0.02)
+    assert renders.light.version == 3 and renders.light.exact and renders.call(lambda: 7) == 7
+    assert "ZeroDivisionError" in capfd.readouterr().err
+
+
+def test_a_full_disk_is_one_sentence_and_changes_no_file(session, monkeypatch, tmp_path):
+    from thermorender.studio import ground, saving
+    from thermorender.studio.fields import read_spectrum
+
+    session.edit(0, "", lambda document: changed(document, "grass_green", "emissivity", "0.8"))
+    before = {path: path.read_bytes() for path in session.base.spec.folder.rglob("*") if path.is_file()}
+    shape = ground.filled(session.scene, 0.75, 0.5)
+    session.areas.cleanup()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "gone"))
+    for act in (
+        lambda: saving.planned(session),
+        lambda: read_spectrum("a.csv", b"wavelength_um,emissivity\n2,0.9\n20,0.9\n", session.document.library["snow"]),
+        lambda: session.edit(1, "", lambda document: ground.painted(session, shape, "snow", document)),
+    ):
+        with pytest.raises(ThermorenderError, match=r"cannot be written: .*; check the folder"):
+            act()
+    assert session.history.version == 1
+    assert {path: path.read_bytes() for path in session.base.spec.folder.rglob("*") if path.is_file()} == before
+
+
+def test_names_longer_than_a_file_name_are_refused(session):
+    with pytest.raises(ThermorenderError, match="use 1 … 100 letters"):
+        session.document.duplicated("snow", "a" * 101)
+    assert "a" * 100 in session.document.duplicated("snow", "a" * 100).library
+
+
+def test_a_scene_still_loads_after_a_save_that_failed(session, monkeypatch):
+    from thermorender.studio import saving
+
+    session.edit(0, "", lambda document: changed(document, "grass_green", "emissivity", "0.8"))
+    save = saving.planned(session)
+
+    def full(path, data):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        raise ThermorenderError("no space")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("thermorender.materials.store._replace", full)
+        with pytest.raises(ThermorenderError, match="no space"):
+            saving.write(session, save)
+    tr.load_scene(session.base.spec.folder)
+    assert {each.name: each for each in saved(session).materials}["grass_green"].emissivity.max() == 0.8
+
+
+def test_a_new_name_is_not_saved_where_the_scene_names_the_old_one_elsewhere(folder):
+    from thermorender.studio import saving
+    from thermorender.studio.session import Session
+
+    path = folder / "scene.toml"
+    session = Session(tr.Renderer(tr.load_scene(folder), "fast"), "fast")
+    session.edit(0, "", lambda document: document.duplicated("snow", "mine"))
+    saved(session)
+    session.close()
+    text = path.read_text("utf-8")
+    path.write_text(text.replace('raster = "classes.tif"', 'raster = "classes.tif"\nfallback = "mine"'), "utf-8")
+    session = Session(tr.Renderer(tr.load_scene(folder), "fast"), "fast")
+    session.edit(0, "", lambda document: document.renamed("mine", "yours"))
+    with pytest.raises(ThermorenderError, match=r"scene\.toml names mine outside its classes and objects"):
+        saving.planned(session)
+    session.step(1, -1)
+    session.edit(2, "", lambda document: document.duplicated("mine", "yours"))
+    saved(session)
+    assert sorted(each.name for each in (folder / "materials" / "spectra").iterdir()) == ["mine.csv", "yours.csv"]
+    session.close()
