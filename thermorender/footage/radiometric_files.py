@@ -102,6 +102,12 @@ def read_temperature(
             f"{path} does not declare the unit of its counts; {scale_request(likely_scales(counts))}, or declare them "
             "in the file, for example with `gdal_edit.py -scale STEP -offset ZERO -units K`"
         )
+    if scale is not None and declared is not None and not np.allclose(scale, declared):
+        raise ThermorenderError(
+            f"{path} declares {declared[0]:g} K per count and {declared[1]:g} K at count 0, not the given "
+            f"{scale[0]:g},{scale[1]:g}; leave the scale out, or correct the file with "
+            "`gdal_edit.py -scale STEP -offset ZERO`"
+        )
     step, zero = scale or declared
     return counts * float(step) + float(zero)
 
