@@ -18,6 +18,7 @@ from thermorender.inverse.level import Reference
 from thermorender.inverse.linear import LinearKelvin
 from thermorender.inverse.pose_files import read_poses
 from thermorender.inverse.poses import PoseError, deviation
+from thermorender.inverse.products import files_of_scene
 from thermorender.inverse.products import write as write_products
 from thermorender.inverse.reconstruct import reconstruct
 from thermorender.inverse.solve import Settings, binned, binned_camera, vignetting
@@ -231,6 +232,17 @@ def test_files_hold_the_reconstruction(survey, fixed, tmp_path):
         write_tlinear(tmp_path / f"{name}.tif", found.survey.kelvin[0])
     again = read_frames(frame_files([tmp_path / f"{name}.tif" for name in names]), places, made)
     np.testing.assert_allclose(again.poses, found.state.poses, atol=1e-3)
+
+
+def test_the_scene_keeps_its_materials_and_what_lies_beside_its_files(tmp_path):
+    names = ("dem.tif", "dem.tif.aux.xml", "dem.tfw", "notes.txt", "scene.toml", "materials/thermal/own.csv",
+             "car/car.obj", "car/paint.mtl")  # fmt: skip
+    for path in (tmp_path / name for name in names):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    tables = {"terrain": {"elevation": "dem.tif"}, "object": [{"mesh": "car/car.obj", "name": "scene"}]}
+    found = {each.relative_to(tmp_path).as_posix() for each in files_of_scene(tmp_path, tables)}
+    assert found == set(names) - {"notes.txt", "scene.toml"}
 
 
 @pytest.mark.slow
