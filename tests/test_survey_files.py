@@ -194,3 +194,12 @@ def test_names_are_compared_beyond_neighbours_in_the_folder(tmp_path):
         (tmp_path / name).touch()
     with pytest.raises(ThermorenderError, match="have the same name"):
         frame_files([tmp_path])
+
+
+@pytest.mark.parametrize(("zero", "words"), [(0.0, r"--scale=1,0 for counts of 1 K"), (273.15, r"--scale=1,273\.15")])
+def test_fractions_without_a_unit_are_asked_for_with_the_likely_one(tmp_path, zero, words):
+    values = np.linspace(281.3, 299.2, 20, dtype=np.float32).reshape(4, 5) - np.float32(zero)
+    path = tiff(tmp_path / "a.tif", values)
+    with pytest.raises(ThermorenderError, match=words):
+        read_temperature(path)
+    assert read_temperature(path, (1.0, zero)).max() == pytest.approx(299.2, abs=1e-3)
