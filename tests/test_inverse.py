@@ -265,6 +265,40 @@ def test_the_scene_moves_to_another_hour(survey, fixed, tmp_path):
     assert np.corrcoef(change, (after - before)[known])[0, 1] > 0.8
 
 
+def few(survey, places):
+    """A Reconstruction of frames at places (east, north, height)."""
+    scene, _, _, renderer = survey
+    poses = np.array([scene.pose(0.0, 0.0, 45.0, yaw_deg=0.0, pitch_deg=-90.0) for _ in places])
+    poses[:, :3, 3] = places
+    poses[:, 2, 3] += scene.ground(0.0, 0.0)
+    radiance = np.array([renderer.radiance(pose) for pose in poses], np.float64)
+    kelvin = brightness_temperature(radiance, *scene.camera.band_um).astype(np.float32)
+    names = tuple(f"{number}" for number in range(len(poses)))
+    settings = Settings(texel_m=1.0, rounds=2, pose_error=PoseError(0.0, 0.0), noise_k=NOISE_K)
+    return reconstruct(scene, Survey(names, ("",) * len(names), kelvin, poses), settings=settings)
+
+
+def test_a_single_frame_is_a_map_and_says_what_nothing_tests(survey):
+    found = few(survey, [(0.0, 0.0, 45.0)])
+    assert (found.views == 1).sum() > 1000 and np.nanmedian(found.apparent_std) > 0.0
+    assert "one frame shows the terrain" in found.notes[0]
+
+
+def test_frames_apart_or_beyond_the_terrain_are_stated(survey):
+    found = few(survey, [(-25.0, -25.0, 20.0), (25.0, 25.0, 20.0), (900.0, 0.0, 45.0), (24.0, 25.0, 20.0)])
+    assert found.notes[0].startswith("1 frames show nothing of the terrain") and found.notes[0].endswith(": 2")
+    assert found.notes[1].startswith("the frames are 2 groups")
+
+
+@pytest.mark.parametrize(("pitch", "texel_m"), [(90.0, 1.0), (-90.0, 0.02), (-90.0, 8.0)])
+def test_frames_without_terrain_and_texels_of_no_use_are_refused(survey, pitch, texel_m):
+    scene, clean, _, _ = survey
+    poses = scene.pose(0.0, 0.0, 45.0, yaw_deg=0.0, pitch_deg=pitch)[None]
+    one = replace(clean, names=("a",), times=("",), kelvin=clean.kelvin[:1], poses=poses)
+    with pytest.raises(ThermorenderError, match=rf"texels of {texel_m:g} m.*quarter of a pixel"):
+        reconstruct(scene, one, settings=Settings(texel_m=texel_m, pose_error=PoseError(0.0, 0.0)))
+
+
 def test_linear_kelvin_is_inverted():
     linear, kelvin = LinearKelvin((7.5, 13.5), 300.0), np.array([220.0, 300.0, 400.0, np.nan])
     np.testing.assert_allclose(linear.kelvin(linear.of(kelvin)), kelvin, atol=1e-4)

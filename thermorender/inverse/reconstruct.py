@@ -149,7 +149,7 @@ def reconstruct(
         survey, camera, settings, lattice, apparent, np.where(seen, spread.std * per_linear, np.nan),
         np.where(trusted, found, np.nan), np.where(trusted, spread.std * np.abs(change), np.nan), spread.views,
         np.where(seen, spread.residual, np.nan), linear.kelvin(light.apparent), state, spread, shift, level_std,
-        residuals, (*survey.notes, *_notes(survey, blind, references)), renderer, light,
+        residuals, (*survey.notes, *_notes(survey, blind, spread.groups, references)), renderer, light,
     )  # fmt: skip
 
 
@@ -222,12 +222,20 @@ def _kept(path: Path, key: dict[str, Any]) -> State | None:
     return State(**found, noise_k=noise_k, rounds=rounds)
 
 
-def _notes(survey: Survey, blind: Sequence[int], references: Sequence[Any]) -> list[str]:
+def _notes(survey: Survey, blind: Sequence[int], groups: int, references: Sequence[Any]) -> list[str]:
     """Sentences on what the frames cannot show."""
     notes = []
     if blind:
         names = ", ".join(survey.names[number] for number in blind[:5])
         notes.append(f"{len(blind)} frames show nothing of the terrain and change nothing: {names}")
+    if len(survey.names) - len(blind) == 1:
+        notes.append("one frame shows the terrain: no other frame tests its offset, its pose and the lens, and the "
+                     "standard deviations hold noise only")  # fmt: skip
+    elif groups > 1:
+        notes.append(
+            f"the frames are {groups} groups that share no texel: the scene's own temperatures alone set the level of "
+            "each group, and the standard deviations leave it out; fly lines that overlap"
+        )
     if not references:
         notes.append("no reference fixes the common level: all temperatures may be off by one number, stated as level")
     east = survey.poses[:, :2, 0]

@@ -309,8 +309,9 @@ def window_of(lattice: Lattice, viewer: Viewer, poses: Sequence[Floats], margin_
             low, high = np.minimum(low, place.min(axis=1)), np.maximum(high, place.max(axis=1))
     if not np.isfinite(low).all():
         raise ThermorenderError(
-            "no frame shows the scene's terrain away from its edge; check positions and angles (pitch −90 looks down, "
-            "latitude comes before longitude), or give smaller texels"
+            f"no frame shows the scene's terrain in texels of {lattice.texel_m:g} m; check positions and angles (pitch "
+            "−90 looks down, latitude comes before longitude), and give texels of at least a quarter of a pixel on the "
+            "ground and at most a twentieth of the terrain's side"
         )
     margin = margin_m / lattice.texel_m + 2.0
     top, left = np.floor(low - margin).astype(int)
