@@ -15,6 +15,7 @@ from thermorender.scene.import_terrain import import_terrain
 from thermorender.scene.solids import found
 from thermorender.scene.solids.importing import ThreeD
 from thermorender.scene.surface import FILLED
+from thermorender.scene.terrain import read_elevation
 
 SIDE, CORNER = 48, (500000.0, 5780000.0)
 # A slope of 4 %; a house of 14 by 9 m with flat eaves at 6 m above the ground; a tree of 3.5 m radius, 9 m high.
@@ -140,3 +141,44 @@ def test_walls_of_a_courtyard_face_it(tmp_path, reverse):
     area = 0.5 * np.linalg.norm(across, axis=1)
     assert area[within].sum() == pytest.approx(32.0 * 12.5, rel=0.02)
     assert area[~within].sum() == pytest.approx(112.0 * 12.5, rel=0.02)
+
+
+def grid_of(folder):
+    return read_elevation(folder / "dsm.tif")[1]
+
+
+def test_holes_of_the_terrain_model_below_a_building_keep_it(model):
+    ground = np.where(HOUSE, np.nan, GROUND)
+    ground[:, 40:] = np.nan
+    bare = found.ground_given(ground, heights(), 1.0)
+    assert np.abs(bare - GROUND)[:, :40].max() < 0.05
+    assert np.abs(bare - GROUND)[:, 40:].max() < 0.5
+
+
+@pytest.mark.parametrize("shift", [-100.0, 30.0])
+def test_a_terrain_model_from_another_level_is_refused(shift):
+    with pytest.raises(ThermorenderError, match="count from different levels"):
+        found.ground_given(GROUND + shift, heights(), 1.0)
+
+
+def outlined(folder, path, rings):
+    """A file with one building of rings of columns and rows."""
+    corners = [[[CORNER[0] + x, CORNER[1] - y] for x, y in ring] for ring in rings]
+    feature = {"type": "Feature", "properties": {"building": "yes"},
+               "geometry": {"type": "Polygon", "coordinates": corners}}  # fmt: skip
+    crs = {"type": "name", "properties": {"name": "EPSG:32634"}}
+    path.write_text(json.dumps({"type": "FeatureCollection", "crs": crs, "features": [feature]}))
+    return found.outlines_in(path, grid_of(folder))
+
+
+def test_outlines_keep_their_corners_whether_closed_or_not(model, tmp_path):
+    corners = [(10, 12), (24, 12), (24, 21), (10, 21)]
+    for ring in (corners, [*corners, corners[0]], [corners[0], *corners, corners[0]]):
+        ((outer,),) = outlined(model, tmp_path / "k.geojson", [ring])
+        assert sorted(map(tuple, outer.round(6))) == sorted(corners)
+
+
+@pytest.mark.parametrize("rings", [[], [[(10, 12), (24, 12), (10, 12)]], [[(10, 12), (17, 12), (24, 12), (10, 12)]]])
+def test_outlines_without_area_are_refused(model, tmp_path, rings):
+    with pytest.raises(ThermorenderError, match="feature 1 has an outline without area"):
+        outlined(model, tmp_path / "k.geojson", rings)

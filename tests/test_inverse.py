@@ -18,6 +18,7 @@ from thermorender.inverse.level import Reference
 from thermorender.inverse.linear import LinearKelvin
 from thermorender.inverse.pose_files import read_poses
 from thermorender.inverse.poses import PoseError, deviation
+from thermorender.inverse.products import files_of_scene
 from thermorender.inverse.products import write as write_products
 from thermorender.inverse.reconstruct import reconstruct
 from thermorender.inverse.solve import Settings, binned, binned_camera, vignetting
@@ -253,6 +254,17 @@ def test_files_hold_the_reconstruction(survey, fixed, tmp_path):
     np.testing.assert_allclose(again.poses, found.state.poses, atol=1e-3)
 
 
+def test_the_scene_keeps_its_materials_and_what_lies_beside_its_files(tmp_path):
+    names = ("dem.tif", "dem.tif.aux.xml", "dem.tfw", "notes.txt", "scene.toml", "materials/thermal/own.csv",
+             "car/car.obj", "car/paint.mtl")  # fmt: skip
+    for path in (tmp_path / name for name in names):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    tables = {"terrain": {"elevation": "dem.tif"}, "object": [{"mesh": "car/car.obj", "name": "scene"}]}
+    found = {each.relative_to(tmp_path).as_posix() for each in files_of_scene(tmp_path, tables)}
+    assert found == set(names) - {"notes.txt", "scene.toml"}
+
+
 @pytest.mark.slow
 def test_the_scene_moves_to_another_hour(survey, fixed, tmp_path):
     scene, (found, _) = survey[0], fixed
@@ -273,6 +285,40 @@ def test_the_scene_moves_to_another_hour(survey, fixed, tmp_path):
     miss, of_table, kept = (np.abs(values - truth).mean() for values in (moved_map, table, now[known]))
     print(f"moved {miss:.3f} K, heat balance with tables {of_table:.3f} K, not moved {kept:.3f} K")
     assert miss < 0.75 * min(of_table, kept)
+
+
+def few(survey, places):
+    """A Reconstruction of frames at places (east, north, height)."""
+    scene, _, _, renderer = survey
+    poses = np.array([scene.pose(0.0, 0.0, 45.0, yaw_deg=0.0, pitch_deg=-90.0) for _ in places])
+    poses[:, :3, 3] = places
+    poses[:, 2, 3] += scene.ground(0.0, 0.0)
+    radiance = np.array([renderer.radiance(pose) for pose in poses], np.float64)
+    kelvin = brightness_temperature(radiance, *scene.camera.band_um).astype(np.float32)
+    names = tuple(f"{number}" for number in range(len(poses)))
+    settings = Settings(texel_m=1.0, rounds=2, pose_error=PoseError(0.0, 0.0), noise_k=NOISE_K)
+    return reconstruct(scene, Survey(names, ("",) * len(names), kelvin, poses), settings=settings)
+
+
+def test_a_single_frame_is_a_map_and_says_what_nothing_tests(survey):
+    found = few(survey, [(0.0, 0.0, 45.0)])
+    assert (found.views == 1).sum() > 1000 and np.nanmedian(found.apparent_std) > 0.0
+    assert "one frame shows the terrain" in found.notes[0]
+
+
+def test_frames_apart_or_beyond_the_terrain_are_stated(survey):
+    found = few(survey, [(-25.0, -25.0, 20.0), (25.0, 25.0, 20.0), (900.0, 0.0, 45.0), (24.0, 25.0, 20.0)])
+    assert found.notes[0].startswith("1 frames show nothing of the terrain") and found.notes[0].endswith(": 2")
+    assert found.notes[1].startswith("the frames are 2 groups")
+
+
+@pytest.mark.parametrize(("pitch", "texel_m"), [(90.0, 1.0), (-90.0, 0.02), (-90.0, 8.0)])
+def test_frames_without_terrain_and_texels_of_no_use_are_refused(survey, pitch, texel_m):
+    scene, clean, _, _ = survey
+    poses = scene.pose(0.0, 0.0, 45.0, yaw_deg=0.0, pitch_deg=pitch)[None]
+    one = replace(clean, names=("a",), times=("",), kelvin=clean.kelvin[:1], poses=poses)
+    with pytest.raises(ThermorenderError, match=rf"texels of {texel_m:g} m.*quarter of a pixel"):
+        reconstruct(scene, one, settings=Settings(texel_m=texel_m, pose_error=PoseError(0.0, 0.0)))
 
 
 def test_linear_kelvin_is_inverted():

@@ -22,11 +22,13 @@ TLINEAR_STEP_K = 0.04
 
 # Common scales of integer files, (kelvin per count, kelvin of 0): hundredths of a kelvin (FLIR Boson and others),
 # TLinear, tenths of a kelvin, and tenths and hundredths of a degree Celsius (DJI Thermal SDK, `dji_irp -a measure`:
-# int16 of 0.1 °C).
+# int16 of 0.1 °C); kelvin and degrees Celsius as fractions.
 _LIKELY = {
+    "1 K": (1.0, 0.0), "1 °C": (1.0, ZERO_CELSIUS_K),
     "0.01 K": (0.01, 0.0), "0.04 K": (TLINEAR_STEP_K, 0.0), "0.1 K": (0.1, 0.0), "0.1 °C": (0.1, ZERO_CELSIUS_K),
     "0.01 °C": (0.01, ZERO_CELSIUS_K),
 }  # fmt: skip
+_AS_FRACTION = ("1 K", "1 °C")
 _AS_INTENSITY = ("0.04 K", "0.01 °C")
 # A landscape in a picture: most pixels, and every pixel [K].
 _COMMON_K, _RARE_K = (238.0, 338.0), (150.0, 1000.0)
@@ -102,6 +104,12 @@ def read_temperature(
             f"{path} does not declare the unit of its counts; {scale_request(likely_scales(counts))}, or declare them "
             "in the file, for example with `gdal_edit.py -scale STEP -offset ZERO -units K`"
         )
+    if scale is not None and declared is not None and not np.allclose(scale, declared):
+        raise ThermorenderError(
+            f"{path} declares {declared[0]:g} K per count and {declared[1]:g} K at count 0, not the given "
+            f"{scale[0]:g},{scale[1]:g}; leave the scale out, or correct the file with "
+            "`gdal_edit.py -scale STEP -offset ZERO`"
+        )
     step, zero = scale or declared
     return counts * float(step) + float(zero)
 
@@ -127,9 +135,10 @@ def likely_scales(counts: ArrayLike, signed: bool = True) -> list[str]:
     if not known.size or (not signed and known.max() <= 255.0):
         return []
     low, high = np.percentile(known, (1.0, 99.0))
+    whole = bool((known == np.rint(known)).all())
     found = []
     for name, (step, zero) in _LIKELY.items():
-        if not signed and name in _AS_INTENSITY:
+        if (not signed and name in _AS_INTENSITY) or (whole and name in _AS_FRACTION):
             continue
         common = _COMMON_K[0] <= low * step + zero and high * step + zero <= _COMMON_K[1]
         rare = _RARE_K[0] <= known.min() * step + zero and known.max() * step + zero <= _RARE_K[1]

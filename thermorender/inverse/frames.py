@@ -22,7 +22,14 @@ from thermorender.trajectory.rotations import BODY_FROM_CAMERA, rotation_from_an
 
 Floats = NDArray[np.float64]
 # Heights above the take-off point, and those above the terrain, need the terrain; the others do not.
+# Temperatures of surfaces [K]; other values are not those of a scene.
+RANGE_K = (150.0, 700.0)
 HEIGHTS = ("up_m", "alt_ellipsoid_m", "above_ground_m", "above_takeoff_m")
+
+
+_ATTRIBUTE = re.compile(r"""[\w-]+:(\w+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
+# Datums within about 2 m of WGS 84.
+_DATUM = re.compile(r"WGS[ -]?(19)?84|ETRS|JGD2|GDA|NAD[ -]?83|ITRF|CGCS")
 
 
 @dataclass(frozen=True)
@@ -95,7 +102,7 @@ def frame_files(paths: Iterable[Path]) -> list[Path]:
         raise ThermorenderError(
             f"{', '.join(map(str, paths))} holds no frame; give files that end in {', '.join(SUFFIXES)}"
         )
-    found.sort(key=lambda path: (path.name, str(path)))
+    found.sort(key=lambda path: (path.stem, str(path)))
     for one, other in zip(found, found[1:], strict=False):
         if one.stem == other.stem:
             raise ThermorenderError(f"{one} and {other} have the same name; give each frame once")
@@ -141,17 +148,36 @@ def read_frames(
             )
     chosen = [own[path.stem] for path in files]
     images: list[NDArray[np.float32]] = []
+    invalid = 0
     for path in files:
         own_scale = None if path.suffix.lower() in FLIR_JPEG else scale
-        images.append(read_temperature(path, own_scale).astype(np.float32))
+        kelvin, outside = _known(path, read_temperature(path, own_scale))
+        images.append(kelvin)
+        invalid += outside
         if images[0].shape != images[-1].shape:
             raise ThermorenderError(
                 f"{path} has {images[-1].shape[1]}×{images[-1].shape[0]} pixels and {files[0]} "
                 f"{images[0].shape[1]}×{images[0].shape[0]}; give frames of one camera"
             )
+    if invalid:
+        low, high = RANGE_K
+        notes.append(f"{invalid} pixels outside {low:g}–{high:g} K are left out")
     poses, said = poses_of(chosen, scene, above_ground_m)
     names, times = tuple(path.stem for path in files), tuple(place.time for place in chosen)
     return Survey(names, times, np.stack(images), poses, (*notes, *said))
+
+
+def _known(path: Path, kelvin: Floats) -> tuple[NDArray[np.float32], int]:
+    """(A frame with NaN for what is not a temperature of a surface [K], number of such pixels with a value)."""
+    given = ~np.isnan(kelvin)
+    known = given & (kelvin >= RANGE_K[0]) & (kelvin <= RANGE_K[1])
+    if 2 * known.sum() <= given.sum():
+        raise ThermorenderError(
+            f"{path} has no temperature; leave it out" if not given.any() else
+            f"{path} holds {np.median(kelvin[given]):.6g} K in the median, outside {RANGE_K[0]:g}–{RANGE_K[1]:g} K; "
+            "correct the unit in the file, or --scale, or leave the frame out"
+        )  # fmt: skip
+    return np.where(known, kelvin, np.nan).astype(np.float32), int((given & ~known).sum())
 
 
 def poses_of(places: Sequence[Place], scene: Scene, above_ground_m: float | None = None) -> tuple[Floats, list[str]]:
@@ -171,6 +197,11 @@ def poses_of(places: Sequence[Place], scene: Scene, above_ground_m: float | None
     for row, place in zip(position, places, strict=True):
         if place.geodetic:
             assert frame is not None
+            if not (abs(place.horizontal[0]) <= 90.0 and abs(place.horizontal[1]) <= 360.0):
+                raise ThermorenderError(
+                    f"latitude {place.horizontal[0]:g}, longitude {place.horizontal[1]:g} is not a place; give degrees "
+                    "in this order, or east_m and north_m"
+                )
             row[:] = frame.enu_from_geodetic(*place.horizontal, frame.height_m)
             if place.height_of == "alt_ellipsoid_m":
                 row[:] = frame.enu_from_geodetic(*place.horizontal, place.height_m)
@@ -185,6 +216,11 @@ def poses_of(places: Sequence[Place], scene: Scene, above_ground_m: float | None
     if len(kinds) > 1:
         raise ThermorenderError(f"heights of the frames count from {' and '.join(sorted(kinds))}; give one kind")
     kind, height = kinds.pop(), np.array([place.height_m for place in places])
+    if kind == "above_ground_m" or above_ground_m is not None or kind == "above_takeoff_m":
+        needed = ground if kind == "above_ground_m" else ground[:1]
+        _check_inside(position, needed, scene)
+    if above_ground_m is not None and not 0.0 < above_ground_m < np.inf:
+        raise ThermorenderError(f"--above-ground={above_ground_m!r} is not allowed; give metres, above 0")
     if kind == "above_ground_m":
         position[:, 2] = ground + height
     elif kind == "above_takeoff_m":
@@ -195,20 +231,36 @@ def poses_of(places: Sequence[Place], scene: Scene, above_ground_m: float | None
         position[:, 2] += shift
         notes.append(f"all heights are shifted by {shift:+.1f} m, so that the first frame is {above_ground_m:g} m high")
     if not np.isfinite(position).all():
-        raise ThermorenderError(
-            "a frame is outside the terrain, which its height above ground needs; give a larger terrain or heights of "
-            "another kind"
-        )
+        raise ThermorenderError("a frame's position is not finite; give numbers")
     above = position[:, 2] - ground
-    if np.nanmax(above) < 1.0 or not np.isfinite(above).any():
+    over = np.isfinite(above)
+    if over.any() and above[over].max() < 1.0:
         raise ThermorenderError(
-            f"the frames are up to {np.nanmax(above, initial=-np.inf):.0f} m above the terrain, so their heights count "
-            "from elsewhere; state the height of the first frame with --above-ground"
+            f"the frames are up to {above[over].max():.0f} m above the terrain, so their heights count from elsewhere; "
+            "state the height of the first frame with --above-ground"
+        )
+    if (above[over] < 0.0).any():
+        number = int(np.flatnonzero(over & (above < 0.0))[0])
+        raise ThermorenderError(
+            f"frame {number + 1} of {len(places)} is {-above[number]:.0f} m below the terrain and others are above; "
+            "correct its height, or leave the frame out"
         )
     turn = enu_from_ned_at(position, frame) * Rotation.concatenate([place.rotation for place in places])
     poses = np.tile(np.eye(4), (len(places), 1, 1))
     poses[:, :3, :3], poses[:, :3, 3] = turn.as_matrix(), position
     return poses, notes
+
+
+def _check_inside(position: Floats, ground: Floats, scene: Scene) -> None:
+    """Raise if the terrain's height, (N,), is unknown below one of the first N positions."""
+    if np.isfinite(ground).all():
+        return
+    number = int(np.flatnonzero(~np.isfinite(ground))[0])
+    raise ThermorenderError(
+        f"frame {number + 1} is {position[number, 0]:.0f} m east and {position[number, 1]:.0f} m north of the middle "
+        f"of {scene.name}, outside its terrain, and its height counts from there; check the order of latitude and "
+        "longitude, and leave out frames beyond the terrain or give heights above the ellipsoid"
+    )
 
 
 def tagged_place(path: Path) -> Place:
@@ -229,19 +281,25 @@ def tagged_place(path: Path) -> Place:
             if not xmp and 700 in exif:
                 xmp = exif[700]
     except (OSError, SyntaxError, ValueError) as error:
-        raise ThermorenderError(f"{path} cannot be read: {error}; give a TIFF or JPEG with its tags") from None
+        raise ThermorenderError(f"the tags of {path} cannot be read: {error}; give the poses with --poses") from None
     stated = xmp_values(xmp if isinstance(xmp, str) else bytes(xmp).decode("utf-8", "replace"))
-    where = _horizontal(gps, stated)
+    where = _horizontal(path, gps, stated)
     angles = [stated.get(f"Gimbal{name}Degree") for name in ("Yaw", "Pitch", "Roll")]
-    missing = [name for name, value in (("position", where), ("gimbal angles", angles[0] or angles[1])) if not value]
+    absent = [name for name, value in zip(("yaw", "pitch", "roll"), angles, strict=True) if value is None]
+    gimbal = "gimbal angles" if len(absent) == 3 else f"gimbal {' and '.join(absent)}"
+    missing = [name for name, lacks in (("position", where is None), (gimbal, bool(absent))) if lacks]
     if where is None or missing:
         raise ThermorenderError(
             f"{path} states no {' and no '.join(missing)} in its EXIF and XMP tags; give the poses with --poses"
         )
-    height, kind = _height(gps, stated)
+    height, kind = _height(path, gps, stated)
     if height is None:
-        raise ThermorenderError(f"{path} states no height in its EXIF and XMP tags; give the poses with --poses")
-    numbers = [_number(path, name, value or "0") for name, value in zip(("yaw", "pitch", "roll"), angles, strict=True)]
+        sea = ", only one above sea level," if 6 in gps else ""
+        raise ThermorenderError(
+            f"{path} states no height above the take-off or the ellipsoid{sea} in its EXIF and XMP tags; give the "
+            "poses with --poses"
+        )
+    numbers = [_number(path, name, value) for name, value in zip(("yaw", "pitch", "roll"), angles, strict=True)]
     return Place(where, True, height, kind, camera_rotation(*numbers), time)
 
 
@@ -252,42 +310,66 @@ def camera_rotation(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Rotati
 
 def xmp_values(text: str) -> dict[str, str]:
     """Return {name: value} of the attributes and simple elements of an XMP packet, without their namespaces."""
-    found = dict(re.findall(r'[\w-]+:(\w+)\s*=\s*"([^"]*)"', text))
+    found = {name: double or single for name, double, single in _ATTRIBUTE.findall(text)}
     return found | dict(re.findall(r"<[\w-]+:(\w+)>([^<]*)</", text))
 
 
-def _number(path: Path, name: str, value: str) -> float:
+def _number(path: Path, name: str, value: Any) -> float:
     try:
         found = float(value)
-    except ValueError:
+    except (TypeError, ValueError, ZeroDivisionError):
         found = float("nan")
     if not np.isfinite(found):
         raise ThermorenderError(f"{path} states {name}={value!r} in its tags, which is not a number; give --poses")
     return found
 
 
-def _horizontal(gps: Mapping[int, Any], stated: Mapping[str, str]) -> tuple[float, float] | None:
+def _horizontal(path: Path, gps: Mapping[int, Any], stated: Mapping[str, str]) -> tuple[float, float] | None:
+    """(latitude, longitude) [deg] of the tags; None if they state none."""
+    found = _stated(path, gps, stated)
+    datum = str(gps.get(18, "")).strip("\0 ")
+    fault = None
+    if found == (0.0, 0.0) or str(gps.get(9, "A")).startswith("V"):
+        fault = "that its receiver had no fix (GPSStatus V, or latitude and longitude 0)"
+    elif datum and not _DATUM.match(datum.upper()):
+        fault = f"positions in the datum {datum!r}, not WGS 84"
+    if found is not None and fault:
+        raise ThermorenderError(f"{path} states {fault}; give the poses with --poses")
+    return found
+
+
+def _stated(path: Path, gps: Mapping[int, Any], stated: Mapping[str, str]) -> tuple[float, float] | None:
     if 2 in gps and 4 in gps:
-        latitude, longitude = (_degrees(gps[key]) for key in (2, 4))
-        latitude *= -1.0 if str(gps.get(1, "N")).upper().startswith("S") else 1.0
-        longitude *= -1.0 if str(gps.get(3, "E")).upper().startswith("W") else 1.0
-        return latitude, longitude
+        signs = []
+        for key, positive, negative in ((1, "N", "S"), (3, "E", "W")):
+            side = str(gps.get(key, "")).strip("\0 ").upper()[:1]
+            if side not in (positive, negative) or not side:
+                raise ThermorenderError(
+                    f"{path} states a GPS position without {positive} or {negative}; give the poses with --poses"
+                )
+            signs.append(1.0 if side == positive else -1.0)
+        latitude, longitude = (_degrees(path, gps[key]) for key in (2, 4))
+        return signs[0] * latitude, signs[1] * longitude
     for names in (("GpsLatitude", "GpsLongitude"), ("GpsLatitude", "GpsLongtitude")):
         if all(name in stated for name in names):
-            return float(stated[names[0]]), float(stated[names[1]])
+            return _number(path, names[0], stated[names[0]]), _number(path, names[1], stated[names[1]])
     return None
 
 
-def _degrees(value: Any) -> float:
-    degrees, minutes, seconds = (float(part) for part in value)
-    return degrees + minutes / 60.0 + seconds / 3600.0
+def _degrees(path: Path, value: Any) -> float:
+    parts = value if isinstance(value, (tuple, list)) else (value,)
+    numbers = [_number(path, "a GPS coordinate", part) for part in parts]
+    return sum(number / 60.0**power for power, number in enumerate(numbers))
 
 
-def _height(gps: Mapping[int, Any], stated: Mapping[str, str]) -> tuple[float | None, str]:
+def _height(path: Path, gps: Mapping[int, Any], stated: Mapping[str, str]) -> tuple[float | None, str]:
     """(height [m], what it counts from). DJI's absolute heights are off by up to 100 m."""
-    if stated.get("VertCS") == "ellipsoidal" and 6 in gps:
-        below = gps.get(5, b"\x00") in (b"\x01", 1, "\x01")
-        return float(gps[6]) * (-1.0 if below else 1.0), "alt_ellipsoid_m"
+    given = gps.get(5, 0)
+    # GPSAltitudeRef of Exif 3.0: 0 and 1 above and below sea level, 2 and 3 above and below the ellipsoid.
+    reference = given[0] if isinstance(given, bytes) and given else given
+    if 6 in gps and (stated.get("VertCS") == "ellipsoidal" or reference in (2, 3)):
+        below = -1.0 if reference in (1, 3) else 1.0
+        return below * _number(path, "GPSAltitude", gps[6]), "alt_ellipsoid_m"
     if "RelativeAltitude" in stated:
-        return float(stated["RelativeAltitude"]), "above_takeoff_m"
+        return _number(path, "RelativeAltitude", stated["RelativeAltitude"]), "above_takeoff_m"
     return None, ""

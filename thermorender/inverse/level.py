@@ -4,7 +4,6 @@ References are places on the terrain: water, a marker, a station's ground. Their
 emissivity and reflected light make them comparable with the map.
 """
 
-import csv
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.formats import read_text
 from thermorender.inverse.kinetic import Light, apparent_of
 from thermorender.inverse.linear import LinearKelvin
 from thermorender.inverse.weights import Lattice
+from thermorender.trajectory.tables import rows_of
 from thermorender.units import kelvin
 
 if TYPE_CHECKING:
@@ -47,15 +46,11 @@ def read_references(path: Path) -> list[Reference]:
     ThermorenderError
         A column is missing, a value is not a number or out of range, or there is no row.
     """
-    rows = list(csv.DictReader(read_text(path, "CSV").splitlines()))
-    head = list(rows[0]) if rows else []
-    if not rows or any(name not in head for name in _COLUMNS):
-        raise ThermorenderError(
-            f"{path} has the columns {', '.join(head) or 'none'} and {len(rows)} rows; give {', '.join(_COLUMNS)} and "
-            "a row for each reference"
-        )
+    head, rows = rows_of(path)
+    if any(name not in head for name in _COLUMNS):
+        raise ThermorenderError(f"{path} has the columns {', '.join(head)}; give {', '.join(_COLUMNS)}")
     found = []
-    for number, row in enumerate(rows, 2):
+    for where, row in rows:
         values = []
         for name in _COLUMNS[1:]:
             try:
@@ -63,9 +58,9 @@ def read_references(path: Path) -> list[Reference]:
             except (TypeError, ValueError):
                 values.append(np.nan)
             if not np.isfinite(values[-1]) or (name in ("radius_m", "std_k") and values[-1] <= 0.0):
-                raise ThermorenderError(f"{path}, row {number}: {name}={row[name]!r} is not allowed; give a number, "
+                raise ThermorenderError(f"{where}: {name}={row[name]!r} is not allowed; give a number, "
                                         "above 0 for radius_m and std_k")  # fmt: skip
-        kelvin(f"{path}, row {number}: kelvin", values[3])
+        kelvin(f"{where}: kelvin", values[3])
         found.append(Reference(row["name"], *values))
     return found
 

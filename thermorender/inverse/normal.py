@@ -207,6 +207,11 @@ class Normal:
         self._blocks.append(block)
         return cells
 
+    @property
+    def count(self) -> int:
+        """Number of frames."""
+        return len(self._blocks)
+
     def gradient(self, deviation: Floats, classes: Floats, common: Floats) -> Unknowns:
         """Return g where the map deviates from the prior mean by (h, w), classes are at (C,), common at (V,)."""
         prior = self.prior

@@ -9,8 +9,6 @@
   `reference_lla` to camera axes.
 """
 
-import csv
-import json
 import math
 import re
 from pathlib import Path
@@ -21,11 +19,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from thermorender.errors import ThermorenderError
+from thermorender.formats import finite_json, read_text
 from thermorender.inverse.frames import HEIGHTS, Place, camera_rotation
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene.georeference import pose_from_map
 from thermorender.scene.scene import Scene
 from thermorender.trajectory.rotations import ENU_FROM_NED, rotation_from_angles
+from thermorender.trajectory.tables import rows_of
 
 Floats = NDArray[np.float64]
 _ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
@@ -42,20 +42,16 @@ def read_poses(path: Path, scene: Scene) -> dict[str, Place]:
     ThermorenderError
         The file cannot be read, is of another kind, or states a pose twice or not as numbers.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ThermorenderError(f"{path} cannot be read as text: {error}; give a file of poses") from None
+    text = read_text(path, "CSV UTF-8")
     if path.suffix.lower() in (".json", ".geojson"):
         return _opensfm(path, text, scene)
     if text.startswith(_METASHAPE):
         return _metashape(path, text, scene)
-    return _own(path, text)
+    return _own(path)
 
 
-def _own(path: Path, text: str) -> dict[str, Place]:
-    rows = list(csv.DictReader(text.splitlines()))
-    head = list(rows[0]) if rows else []
+def _own(path: Path) -> dict[str, Place]:
+    head, rows = rows_of(path)
     local, geodetic = ("east_m", "north_m"), ("lat_deg", "lon_deg")
     pairs = [pair for pair in (local, geodetic) if all(name in head for name in pair)]
     heights = [name for name in HEIGHTS if name in head]
@@ -66,8 +62,7 @@ def _own(path: Path, text: str) -> dict[str, Place]:
             f"lon_deg, one of {', '.join(HEIGHTS)}, and {', '.join(_ANGLES)}"
         )
     found: dict[str, Place] = {}
-    for number, row in enumerate(rows, 2):
-        where = f"{path}, row {number}"
+    for where, row in rows:
         name = _name(row["frame"], found, where)
         horizontal = [_number(row, key, where) for key in pairs[0]]
         turn = camera_rotation(*(_number(row, key, where) for key in _ANGLES))
@@ -93,12 +88,16 @@ def _metashape(path: Path, text: str, scene: Scene) -> dict[str, Place]:
         raise ThermorenderError(
             f"{path}: its coordinate system cannot be read; export it in one with an EPSG code"
         ) from None
+    _check_system(path, crs)
     kinds = (("X_est", "Y_est", "Z_est", "Yaw_est", "Pitch_est", "Roll_est"),
              ("X/Easting", "Y/Northing", "Z/Altitude", "Yaw", "Pitch", "Roll"),
              ("X/Longitude", "Y/Latitude", "Z/Altitude", "Yaw", "Pitch", "Roll"))  # fmt: skip
     names = next((kind for kind in kinds if head and all(name in head for name in kind)), None)
     if names is None or head is None:
-        raise ThermorenderError(f"{path} lacks columns of positions and angles; export items Source or Estimated")
+        raise ThermorenderError(
+            f"{path} has the columns {', '.join(head or ()) or 'none'}, not a label with positions and the angles yaw, "
+            "pitch, roll; set those angles in Metashape's reference settings, and export separated by commas"
+        )
     if scene.frame is None:
         raise ThermorenderError(f"{scene.where}: poses on a map need a place of the scene; add [frame] to it")
     found: dict[str, Place] = {}
@@ -113,6 +112,21 @@ def _metashape(path: Path, text: str, scene: Scene) -> dict[str, Place]:
         axes = ENU_FROM_NED @ (rotation_from_angles(*angles) * Rotation.from_matrix(_BODY_FROM_NADIR)).as_matrix()
         found[name] = _on_map(scene.frame, crs, axes, (x, y, height))
     return found
+
+
+def _check_system(path: Path, crs: Any) -> None:
+    """Raise unless a coordinate system has heights in metres above the ellipsoid, and axes on a map or globe."""
+    fault = None
+    if not (crs.is_geographic or crs.is_projected):
+        fault = "is neither geographic nor projected"
+    elif crs.is_projected and abs(crs.linear_units_factor[1] - 1.0) > 1e-9:
+        fault = f"counts in {crs.linear_units_factor[0]}, not in metres"
+    elif "VERT_" in crs.to_wkt(version="WKT1_GDAL"):
+        fault = "has heights above sea level or another vertical datum"
+    if fault:
+        raise ThermorenderError(
+            f"{path}: its coordinate system {fault}; export in WGS 84 (EPSG::4326), with heights above the ellipsoid"
+        )
 
 
 def _on_map(frame: LocalFrame, crs: Any, axes: Floats, position: tuple[float, float, float]) -> Place:
@@ -141,7 +155,7 @@ def _local_axes(frame: LocalFrame, latitude: float, longitude: float) -> Floats:
 
 def _opensfm(path: Path, text: str, scene: Scene) -> dict[str, Place]:
     try:
-        given = json.loads(text)
+        given = finite_json(text)
         parts = given if isinstance(given, list) else []
         found: dict[str, Place] = {}
         for part in parts:
@@ -155,6 +169,8 @@ def _opensfm(path: Path, text: str, scene: Scene) -> dict[str, Place]:
                 turn = Rotation.from_matrix(ENU_FROM_NED.T @ axes)
                 name = _name(label, found, str(path))
                 found[name] = Place((latitude, longitude), True, height, "alt_ellipsoid_m", turn)
+    except ThermorenderError:
+        raise
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ThermorenderError(
             f"{path} is not a reconstruction.json of OpenSfM or OpenDroneMap ({type(error).__name__}: {error}); give "
@@ -179,5 +195,7 @@ def _number(row: dict[str, Any], key: str, where: str) -> float:
     except (TypeError, ValueError):
         value = math.nan
     if not math.isfinite(value):
-        raise ThermorenderError(f"{where}: {key}={row.get(key)!r} is not a finite number; give one")
+        raise ThermorenderError(
+            f"{where}: {key}={row.get(key)!r} is not a finite number; give one, with a point as decimal mark"
+        )
     return value

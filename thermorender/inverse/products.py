@@ -24,6 +24,8 @@ from thermorender.trajectory.rotations import BODY_FROM_CAMERA, angles_from_rota
 from thermorender.versions import versions
 
 Floats = NDArray[np.float64]
+# Meshes that name other files.
+_MESHES = (".obj", ".gltf", ".ply")
 
 
 def write(found: Reconstruction, folder: Path) -> None:
@@ -121,10 +123,10 @@ def _scene(found: Reconstruction, folder: Path) -> None:
     source = scene.spec.folder
     folder.mkdir(exist_ok=True)
     tables = read_toml(source / "scene.toml")
-    for name in _names(tables):
-        if (source / name).is_file():
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(source / name, folder / name)
+    for each in sorted(files_of_scene(source, tables)):
+        path = folder / each.relative_to(source)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(each, path)
     whole = Lattice.of(scene, found.settings.texel_m)
     values = whole.of_scene(scene.surfaces[0].temperature)
     window = np.s_[found.lattice.row : found.lattice.row + found.lattice.shape[0],
@@ -140,6 +142,20 @@ def _scene(found: Reconstruction, folder: Path) -> None:
         tables["temperature"] |= {"map_error_k": None if error is None else round(min(error, 50.0), 3)}
         tables["temperature"] |= {"trained": dict(tables["weather"])}
     formats.write_text(folder / "scene.toml", toml_text(tables, "Temperatures reconstructed from frames."))
+
+
+def files_of_scene(source: Path, tables: dict[str, Any]) -> set[Path]:
+    """Return the files of a scene's folder that its tables name, with what lies beside them, and its own materials.
+
+    A raster has files of the same stem beside it; a mesh has libraries and textures of any name.
+    """
+    found = {each for each in (source / "materials").rglob("*") if each.is_file()}
+    for named in (source / name for name in _names(tables)):
+        if named.is_file():
+            mesh = named.suffix.lower() in _MESHES
+            beside = [each for each in named.parent.iterdir() if each.is_file() and each.name != "scene.toml"]
+            found |= {each for each in beside if mesh or each.name.split(".")[0] == named.name.split(".")[0]}
+    return found
 
 
 def _names(value: Any) -> Iterable[str]:

@@ -128,7 +128,7 @@ def reconstruct(
         )
     renderer = Renderer(scene.with_camera(camera), quality="fast", progress=progress)
     linear = LinearKelvin(camera.band_um, round(float(np.nanmedian(survey.kelvin)), 1))
-    lattice = _window(renderer, camera, survey.poses, settings)
+    lattice, blind = _window(renderer, camera, survey.poses, settings)
     light = light_of(renderer, lattice, linear)
     images = np.stack([linear.of(image).astype(np.float32) for image in survey.kelvin])
     problem = Problem(renderer, camera, images, survey.poses, lattice, _prior(light, settings), settings)
@@ -149,11 +149,12 @@ def reconstruct(
         survey, camera, settings, lattice, apparent, np.where(seen, spread.std * per_linear, np.nan),
         np.where(trusted, found, np.nan), np.where(trusted, spread.std * np.abs(change), np.nan), spread.views,
         np.where(seen, spread.residual, np.nan), linear.kelvin(light.apparent), state, spread, shift, level_std,
-        residuals, (*survey.notes, *_notes(survey, state, references)), renderer, light,
+        residuals, (*survey.notes, *_notes(survey, blind, spread.groups, references)), renderer, light,
     )  # fmt: skip
 
 
-def _window(renderer: "Renderer", camera: Camera, poses: Floats, settings: Settings) -> Lattice:
+def _window(renderer: "Renderer", camera: Camera, poses: Floats, settings: Settings) -> tuple[Lattice, list[int]]:
+    """As `window_of`."""
     whole = Lattice.of(renderer.scene, settings.texel_m)
     error = settings.pose_error
     coarse = binned_camera(camera, max(1, camera.width // 80))
@@ -227,9 +228,20 @@ def _kept(path: Path, key: dict[str, Any]) -> State | None:
     return State(**found, noise_k=noise_k, rounds=rounds)
 
 
-def _notes(survey: Survey, state: State, references: Sequence[Any]) -> list[str]:
+def _notes(survey: Survey, blind: Sequence[int], groups: int, references: Sequence[Any]) -> list[str]:
     """Sentences on what the frames cannot show."""
     notes = []
+    if blind:
+        names = ", ".join(survey.names[number] for number in blind[:5])
+        notes.append(f"{len(blind)} frames show nothing of the terrain and change nothing: {names}")
+    if len(survey.names) - len(blind) == 1:
+        notes.append("one frame shows the terrain: no other frame tests its offset, its pose and the lens, and the "
+                     "standard deviations hold noise only")  # fmt: skip
+    elif groups > 1:
+        notes.append(
+            f"the frames are {groups} groups that share no texel: the scene's own temperatures alone set the level of "
+            "each group, and the standard deviations leave it out; fly lines that overlap"
+        )
     if not references:
         notes.append("no reference fixes the common level: all temperatures may be off by one number, stated as level")
     east = survey.poses[:, :2, 0]

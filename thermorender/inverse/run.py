@@ -63,7 +63,7 @@ def run(inputs: Inputs, folder: Path, progress: Progress | None = None) -> dict[
     places = None if inputs.poses is None else read_poses(inputs.poses, scene)
     survey = read_frames(frame_files(inputs.frames), places, scene, inputs.scale, inputs.above_ground_m)
     references = read_references(inputs.references) if inputs.references else []
-    texel_m = inputs.texel_m or scene.surfaces[0].texel_m
+    texel_m = scene.surfaces[0].texel_m if inputs.texel_m is None else inputs.texel_m
     settings = Settings(texel_m=texel_m, rounds=inputs.rounds, pose_error=PoseError(*inputs.pose_error))
     with files.output_folder(folder) as out, files.in_use(out):
         found = reconstruct(scene, survey, camera, settings, references, out, progress)

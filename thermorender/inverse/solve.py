@@ -290,19 +290,30 @@ def binned_camera(camera: Camera, factor: int) -> Camera:
     )  # fmt: skip
 
 
-def window_of(lattice: Lattice, viewer: Viewer, poses: Sequence[Floats], margin_m: float) -> Lattice:
-    """Return the part of a lattice that frames show, with a margin [m]."""
+def window_of(lattice: Lattice, viewer: Viewer, poses: Sequence[Floats], margin_m: float) -> tuple[Lattice, list[int]]:
+    """Return (the part of a lattice that frames show, with a margin [m]; numbers of the frames that show nothing).
+
+    Raises
+    ------
+    ThermorenderError
+        They show nothing of it.
+    """
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
-    for pose in poses:
+    blind = []
+    for number, pose in enumerate(poses):
         sight = viewer.sight(pose)
-        if sight.pixel.size:
+        if not sight.pixel.size:
+            blind.append(number)
+        else:
             place = np.stack([sight.row, sight.column])
             low, high = np.minimum(low, place.min(axis=1)), np.maximum(high, place.max(axis=1))
     if not np.isfinite(low).all():
         raise ThermorenderError(
-            "no frame shows the terrain; check the poses, above all their heights and pitch (−90 looks down)"
+            f"no frame shows the scene's terrain in texels of {lattice.texel_m:g} m; check positions and angles (pitch "
+            "−90 looks down, latitude comes before longitude), and give texels of at least a quarter of a pixel on the "
+            "ground and at most a twentieth of the terrain's side"
         )
     margin = margin_m / lattice.texel_m + 2.0
     top, left = np.floor(low - margin).astype(int)
     bottom, right = np.ceil(high + margin).astype(int) + 1
-    return lattice.cut(int(top), int(left), int(bottom), int(right))
+    return lattice.cut(int(top), int(left), int(bottom), int(right)), blind

@@ -43,6 +43,8 @@ class Spread:
         Frames that show each texel.
     residual : (h, w) float64
         Root mean square of the residuals of the pixels on each texel [linear kelvin].
+    groups : int
+        Groups of frames that share no texel; only the prior links their levels.
     """
 
     std: Floats
@@ -50,6 +52,7 @@ class Spread:
     edge_texels: float
     views: NDArray[np.int32]
     residual: Floats
+    groups: int = 1
 
 
 class Draws:
@@ -73,6 +76,7 @@ class Draws:
         self._common, self._classes = np.zeros((DRAWS, common)), np.zeros((DRAWS, classes))
         self.views = np.zeros(shape, np.int32)
         self._square, self._count = np.zeros(shape), np.zeros(shape)
+        self._group = np.full(shape, -1)
         offset = np.array([offset_precision])
         self.halves = tuple(Normal(prior, offset, np.zeros(0)) for _ in range(2))
 
@@ -91,9 +95,19 @@ class Draws:
         one, none = np.ones((1, residual.size)), np.zeros((0, residual.size))
         cells = self.halves[number % 2].add(sight, residual, precision, one, none, np.zeros(1))
         count = cells.gathered(np.ones(residual.size))
-        self.views[cells.window] += count > 0.0
+        shown, group = count > 0.0, self._group
+        self.views[cells.window] += shown
+        # A frame joins all groups that it shares a texel with.
+        joined = np.unique(group[cells.window][shown])
+        group[np.isin(group, joined[joined >= 0])] = number
+        group[cells.window][shown] = number
         self._count[cells.window] += count
         self._square[cells.window] += cells.gathered(residual**2)
+
+    @property
+    def groups(self) -> int:
+        """Number of groups of frames that share no texel."""
+        return int(np.unique(self._group[self._group >= 0]).size)
 
     @property
     def residual(self) -> Floats:
@@ -141,7 +155,7 @@ def spread_of(normal: Normal, draws: Draws, slope: Floats, reach: float, terms: 
     variance = np.where(seen, smooth, variance)
     scale, edge = _fitted(_difference(draws, reach, terms), variance, slope)
     std = np.sqrt(scale * variance + (edge * slope) ** 2)
-    return Spread(std, float(np.sqrt(scale)), edge, draws.views, draws.residual)
+    return Spread(std, float(np.sqrt(scale)), edge, draws.views, draws.residual, draws.groups)
 
 
 def _difference(draws: Draws, reach: float, terms: int) -> Floats:
@@ -152,7 +166,7 @@ def _difference(draws: Draws, reach: float, terms: int) -> Floats:
     prior = draws.halves[0].prior
     both = np.ones(prior.mean.shape, bool)
     step = np.zeros(prior.mean.shape)
-    if not all(half.frames for half in draws.halves):
+    if not all(half.count for half in draws.halves):
         return np.full(step.shape, np.nan)
     for half, sign in zip(draws.halves, (0.5, -0.5), strict=True):
         gradient = half.gradient(np.zeros(step.shape), np.zeros(prior.count), np.zeros(0))

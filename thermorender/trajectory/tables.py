@@ -113,6 +113,23 @@ def _is_finite_number(cell: str) -> bool:
         return False
 
 
+def rows_of(path: str | PathLike[str]) -> tuple[list[str], list[tuple[str, dict[str, str]]]]:
+    """Return (column names, [(file and row for messages, {column: text}), …]) of a CSV file.
+
+    Raises
+    ------
+    ThermorenderError
+        As `read_csv`, or two columns have the same name.
+    """
+    (table,) = read_csv(path)
+    head = list(table.header)
+    cells = zip(*(table.text(name) for name in head), strict=True)
+    return head, [
+        (f"{path}, row {number}", dict(zip(head, row, strict=True)))
+        for number, row in zip(table.row, cells, strict=True)
+    ]
+
+
 def read_csv(path: str | PathLike[str]) -> list[Table]:
     """Return the `Table` of a CSV file, in a list; blank rows are skipped.
 

@@ -59,6 +59,28 @@ def ground_below(height: NDArray[np.float64], post_m: float) -> NDArray[np.float
     return np.where(known, np.minimum(whole, height), np.nan)
 
 
+def ground_given(ground: NDArray[np.float64], height: NDArray[np.float64], post_m: float) -> NDArray[np.float64]:
+    """Return the heights of the ground by a terrain model; linear in its holes, and filtered beyond it.
+
+    Raises
+    ------
+    ThermorenderError
+        Both models count from different levels.
+    """
+    step = (height - ground)[np.isfinite(height) & np.isfinite(ground)]
+    if not step.size:
+        raise ThermorenderError("the ground's heights do not overlap the surface model; give those of the same area")
+    low, middle = np.percentile(step, (1.0, 50.0))
+    if low > LEAST_M or middle < -0.5 * LEAST_M:
+        raise ThermorenderError(
+            f"the surface model is {middle:.1f} m above the ground's heights in the median and {low:.1f} m at its "
+            "lowest posts, so both count from different levels; convert one of them, or leave --ground out"
+        )
+    whole, _ = filled(ground)
+    whole = np.where(np.isfinite(whole), whole, ground_below(height, post_m))
+    return np.where(np.isfinite(height), np.minimum(whole, height), whole)
+
+
 def outlines_in(path: Path, grid: Grid) -> list[list[Ring]]:
     """Return the outlines of a GeoJSON's buildings: for each its outer ring and holes, (N, 2) as (column, row).
 
@@ -75,16 +97,31 @@ def outlines_in(path: Path, grid: Grid) -> list[list[Ring]]:
             continue
         shapes = geometry["coordinates"] if geometry["type"] == "MultiPolygon" else [geometry["coordinates"]]
         for shape in shapes:
-            rings = [pixels_of(ring, crs, grid, f"{path}, feature {number}")[:-1] for ring in shape]
+            rings = [_ring(pixels_of(ring, crs, grid, f"{path}, feature {number}")) for ring in shape]
+            if not rings or any(len(ring) < 3 or abs(_area(ring)) < 1e-6 for ring in rings):
+                raise ThermorenderError(
+                    f"{path}, feature {number} has an outline without area; give it three corners or more, or delete it"
+                )
             low, high = rings[0].min(axis=0), rings[0].max(axis=0)
             if (high > 0.0).all() and (low < (grid.width, grid.height)).all():
-                found.append([ring for ring in rings if len(ring) >= 3])
+                found.append(rings)
     if not found:
         raise ThermorenderError(
             f"{path} has no polygon with a tag 'building' on {grid.name}; give one of this area, or leave known out so "
             "that buildings are found by height"
         )
     return found
+
+
+def _ring(corner: NDArray[np.float64]) -> Ring:
+    """Corners once each: without those that repeat the one before, and the first at the end."""
+    return corner[np.abs(corner - np.roll(corner, 1, axis=0)).max(axis=1) > 1e-9]
+
+
+def _area(ring: Ring) -> float:
+    """Sum of the absolute areas of the triangles from the first corner [squares of a post]."""
+    a, b = ring[1:-1] - ring[0], ring[2:] - ring[0]
+    return float(0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
 
 
 def outlines_by_height(height: NDArray[np.float64], ground: NDArray[np.float64], post_m: float) -> list[list[Ring]]:

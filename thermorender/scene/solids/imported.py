@@ -91,7 +91,7 @@ def imported(
     seed : int
         Of the leaves.
     """
-    bare = found.ground_below(height, post_m) if ground is None else np.fmin(ground, height)
+    bare = found.ground_below(height, post_m) if ground is None else found.ground_given(ground, height, post_m)
     outlines = found.outlines_in(known, grid) if known else found.outlines_by_height(height, bare, post_m)
     body = found.inside(outlines, grid)
     frame = terrain.frame_of(bare, grid)

@@ -1,0 +1,205 @@
+"""Files of surveys as they come from the field: tags, tables and values that differ from the expected form."""
+
+import warnings
+
+import numpy as np
+import pytest
+import rasterio
+from PIL import Image
+
+import thermorender as tr
+from thermorender.errors import ThermorenderError
+from thermorender.footage.radiometric_files import read_temperature
+from thermorender.inverse.frames import Place, camera_rotation, frame_files, poses_of, read_frames, tagged_place
+from thermorender.inverse.level import read_references
+from thermorender.inverse.pose_files import read_poses
+
+HEAD = "frame,east_m,north_m,above_ground_m,yaw_deg,pitch_deg,roll_deg\n"
+GOOD = {"GimbalYawDegree": "+190.0", "GimbalPitchDegree": "-90.0", "GimbalRollDegree": "+0.00",
+        "RelativeAltitude": "+60.0", "FlightYawDegree": "+10.0"}  # fmt: skip
+GPS = {1: "N", 2: (52.0, 12.0, 0.0), 3: "E", 4: (21.0, 0.0, 0.0), 5: b"\x00", 6: 190.0, 18: "WGS-84"}
+WGS84 = (
+    'GEOGCS["WGS 84",DATUM["World Geodetic System 1984",SPHEROID["WGS 84",6378137,298.257223563]],'
+    'PRIMEM["Greenwich",0],UNIT["degree",0.01745329251994328],AUTHORITY["EPSG","4326"]]'
+)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return tr.load_scene("heath")
+
+
+def written(path, text):
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def tagged(path, gps, values, quote='"'):
+    exif = Image.Exif()
+    exif[34853] = gps
+    attributes = " ".join(f"drone-dji:{name}={quote}{value}{quote}" for name, value in values.items())
+    xmp = f"<x:xmpmeta><rdf:Description {attributes}/></x:xmpmeta>".encode()
+    Image.fromarray(np.zeros((4, 4), np.uint8)).save(path, exif=exif, xmp=xmp)
+    return path
+
+
+def without(*names):
+    return {name: value for name, value in GOOD.items() if name not in names}
+
+
+@pytest.mark.parametrize("quote", ['"', "'"])
+def test_the_gimbal_s_angles_are_those_of_the_camera(tmp_path, quote):
+    place = tagged_place(tagged(tmp_path / "a.jpg", GPS, GOOD, quote))
+    assert (place.horizontal, place.height_m, place.height_of) == ((52.2, 21.0), 60.0, "above_takeoff_m")
+    # The top of the image is ahead: 190° from north, beyond the half turn.
+    top = place.rotation.apply([0.0, -1.0, 0.0])
+    angle = np.radians(190.0)
+    np.testing.assert_allclose(top, [np.cos(angle), np.sin(angle), 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize(("reference", "height"), [(2, 190.0), (3, -190.0)])  # Exif 3.0: above and below the ellipsoid.
+def test_heights_above_the_ellipsoid_keep_their_sign(tmp_path, reference, height):
+    place = tagged_place(tagged(tmp_path / "a.jpg", {**GPS, 5: bytes([reference])}, without("RelativeAltitude")))
+    assert (place.height_m, place.height_of) == (height, "alt_ellipsoid_m")
+
+
+@pytest.mark.parametrize(
+    ("gps", "values", "words"),
+    [
+        ({}, without("GimbalPitchDegree"), "no gimbal pitch"),
+        ({}, without("GimbalYawDegree", "GimbalRollDegree"), "no gimbal yaw and roll"),
+        ({}, without("RelativeAltitude"), "only one above sea level"),
+        ({}, GOOD | {"RelativeAltitude": "n/a"}, "RelativeAltitude='n/a'"),
+        ({}, GOOD | {"GimbalPitchDegree": "-90,0"}, "pitch='-90,0'"),
+        ({1: ""}, GOOD, "without N or S"),
+        ({2: (0.0, 0.0, 0.0), 4: (0.0, 0.0, 0.0)}, GOOD, "had no fix"),
+        ({9: "V"}, GOOD, "had no fix"),
+        ({18: "TOKYO"}, GOOD, "datum 'TOKYO'"),
+    ],
+)
+def test_tags_that_are_no_pose_are_refused(tmp_path, gps, values, words):
+    with pytest.raises(ThermorenderError, match=f"{words}.*--poses"):
+        tagged_place(tagged(tmp_path / "a.jpg", GPS | gps, values))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ((HEAD + "a,1,2,40,0,-90,0\n").replace(",", ";"), "separated by semicolons"),
+        (HEAD + "a,1,5,2,5,40,0,0,0,-90,0,0,0\n", "13 cells where row 1 names 7 columns"),
+        (HEAD.strip() + ",east_m\na,1,2,40,0,-90,0,7\n", "'east_m' 2 times"),
+        (HEAD + 'a,"1,5",2,40,0,-90,0\n', "point as decimal mark"),
+        (HEAD + "\n", "has no rows"),
+    ],
+)
+def test_tables_of_other_forms_are_refused(scene, tmp_path, text, words):
+    with pytest.raises(ThermorenderError, match=words):
+        read_poses(written(tmp_path / "p.csv", text), scene)
+    if "frame" not in words and "2 times" not in words:
+        table = text.replace("frame,", "name,").replace("frame;", "name;")
+        with pytest.raises(ThermorenderError):
+            read_references(written(tmp_path / "r.csv", table))
+
+
+def test_blanks_and_a_byte_order_mark_are_no_values(scene, tmp_path):
+    text = "\ufeff" + HEAD.replace(",", ", ") + "\na.tif, 1, +2, 40, -370, -90, 0\n"
+    (place,) = read_poses(written(tmp_path / "p.csv", text), scene).values()
+    assert (place.horizontal, place.height_m) == ((1.0, 2.0), 40.0)
+
+
+def test_places_and_heights_that_cannot_be_are_refused(scene, tmp_path):
+    frame = scene.frame
+    swapped = f"a,{frame.longitude_deg},{frame.latitude_deg},40,0,-90,0\n"
+    for row, words in (
+        (swapped, "outside its terrain.*order of latitude and longitude"),
+        ("a,5780000,500000,40,0,-90,0\n", "is not a place"),
+    ):
+        text = HEAD.replace("east_m,north_m", "lat_deg,lon_deg") + row
+        places = read_poses(written(tmp_path / "p.csv", text), scene)
+        with pytest.raises(ThermorenderError, match=words):
+            poses_of(list(places.values()), scene)
+    places = read_poses(written(tmp_path / "p.csv", HEAD + "a,0,0,40,0,-90,0\nb,0,0,-40,0,-90,0\n"), scene)
+    with pytest.raises(ThermorenderError, match="frame 2 of 2 is 40 m below the terrain"):
+        poses_of(list(places.values()), scene)
+    with pytest.raises(ThermorenderError, match="--above-ground=-5"):
+        poses_of([places["a"]], scene, -5.0)
+
+
+@pytest.mark.parametrize(
+    ("system", "columns", "words"),
+    [
+        (WGS84, "X/Longitude,Y/Latitude,Z/Altitude,Omega,Phi,Kappa", "angles yaw, pitch, roll"),
+        (f'COMPD_CS["with EGM96 height",{WGS84},VERT_CS["EGM96 height",VERT_DATUM["EGM96 geoid",2005],'
+         'UNIT["metre",1]]]', "X/Longitude,Y/Latitude,Z/Altitude,Yaw,Pitch,Roll", "above sea level"),
+        ('LOCAL_CS["Local Coordinates (m)",LOCAL_DATUM["Local Datum",0],UNIT["metre",1]]',
+         "X/Easting,Y/Northing,Z/Altitude,Yaw,Pitch,Roll", "neither geographic nor projected"),
+        ('PROJCS["feet",' + WGS84 + ',PROJECTION["Transverse_Mercator"],UNIT["US survey foot",0.3048006096012192]]',
+         "X/Easting,Y/Northing,Z/Altitude,Yaw,Pitch,Roll", "not in metres"),
+    ],
+)  # fmt: skip
+def test_systems_and_angles_of_metashape_that_are_not_read_are_named(scene, tmp_path, system, columns, words):
+    text = f"# CoordinateSystem: {system}\n#Label,{columns}\na,21.0,52.2,180,0,0,0\n"
+    with pytest.raises(ThermorenderError, match=words):
+        read_poses(written(tmp_path / "m.txt", text), scene)
+
+
+def tiff(path, values, **options):
+    unit, step = options.pop("unit", None), options.pop("step", None)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        with rasterio.open(path, "w", driver="GTiff", width=values.shape[1], height=values.shape[0], count=1,
+                           dtype=values.dtype, **options) as file:  # fmt: skip
+            file.write(values, 1)
+            file.units = (unit,)
+            if step is not None:
+                file.scales = (step,)
+    return path
+
+
+def survey_of(folder, scene, scale=None):
+    files = frame_files([folder])
+    place = Place((0.0, 0.0), False, 40.0, "above_ground_m", camera_rotation(0.0, -90.0, 0.0))
+    return read_frames(files, {path.stem: place for path in files}, scene, scale)
+
+
+def test_values_that_no_surface_has_are_left_out_and_counted(scene, tmp_path):
+    kelvin = np.full((4, 5), 290.0, np.float32)
+    kelvin[0, :4] = -9999.0, np.inf, np.nan, 0.0
+    tiff(tmp_path / "a.tif", kelvin, unit="K", tiled=True, blockxsize=16, blockysize=16, BIGTIFF="YES")
+    found = survey_of(tmp_path, scene)
+    assert np.isnan(found.kelvin[0, 0, :4]).all() and (found.kelvin[0, 1:] == 290.0).all()
+    assert found.notes[0].startswith("3 pixels outside 150–700 K")
+
+
+@pytest.mark.parametrize(
+    ("kelvin", "words"),
+    [(np.full((4, 5), 17.0, np.float32), "holds 17 K in the median"),
+     (np.full((4, 5), np.nan, np.float32), "has no temperature")],
+)  # fmt: skip
+def test_frames_without_temperatures_are_refused(scene, tmp_path, kelvin, words):
+    tiff(tmp_path / "a.tif", kelvin, unit="K")
+    with pytest.raises(ThermorenderError, match=words):
+        survey_of(tmp_path, scene)
+
+
+def test_a_scale_against_the_file_s_own_is_refused(tmp_path):
+    path = tiff(tmp_path / "a.tif", np.full((4, 5), 29000, np.uint16), unit="K", step=0.01)
+    assert read_temperature(path, (0.01, 0.0)) == pytest.approx(np.full((4, 5), 290.0))
+    with pytest.raises(ThermorenderError, match=r"declares 0\.01 K per count.*leave the scale out"):
+        read_temperature(path, (0.04, 0.0))
+
+
+def test_names_are_compared_beyond_neighbours_in_the_folder(tmp_path):
+    for name in ("a.jpg", "a.k.tif", "a.tif"):
+        (tmp_path / name).touch()
+    with pytest.raises(ThermorenderError, match="have the same name"):
+        frame_files([tmp_path])
+
+
+@pytest.mark.parametrize(("zero", "words"), [(0.0, r"--scale=1,0 for counts of 1 K"), (273.15, r"--scale=1,273\.15")])
+def test_fractions_without_a_unit_are_asked_for_with_the_likely_one(tmp_path, zero, words):
+    values = np.linspace(281.3, 299.2, 20, dtype=np.float32).reshape(4, 5) - np.float32(zero)
+    path = tiff(tmp_path / "a.tif", values)
+    with pytest.raises(ThermorenderError, match=words):
+        read_temperature(path)
+    assert read_temperature(path, (1.0, zero)).max() == pytest.approx(299.2, abs=1e-3)
