@@ -169,4 +169,7 @@ def test_the_study_finds_the_error_at_walls_and_none_on_open_ground():
     for angle in study.ANGLES[:3]:
         assert error[angle, "far ground"] < 0.5 < error[angle, "façade"]
     assert set(found["ranking"]["mae_k"]) == {"constant", "fok-1to1"} and found["ranking"]["tau"]["3-D"] == 1.0
-    assert len(found["budget"]) == len(study.ANGLES) and len(study.rows(found)) > 12
+    assert len(study.rows(found)) > 12 and len(study.budget_rows(found)) == len(study.ANGLES)
+    # Views of all angles, and in each the stated error exceeds the true one.
+    assert [view["angle_deg"] for view in found["budget"]] == list(study.ANGLES)
+    assert all(0.0 < view["true_mk"] < view["stated_mk"] for view in found["budget"]), found["budget"]
