@@ -5,12 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import ConvexHull
+from test_specular import item, own_materials
 
 import thermorender as tr
 from scenes import write_mesh, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render import reference
+from thermorender.scene.solids.plants import leaves
 
 BAND = (7.5, 13.5)
 MILLIKELVIN = band_radiance_derivative(300.0, *BAND) * 1e-3
@@ -56,6 +59,37 @@ def test_renderer_against_the_reference(tmp_path, relief):
     assert square - 4 * uncertainty < limit**2
     # The limit is meaningful: a change of 1 % of the radiance would exceed it.
     assert np.abs(seen.radiance[ground] * 0.99 - first[ground]).mean() / MILLIKELVIN > 5 * limit
+
+
+def test_thin_leaves_hide_their_projected_area(tmp_path):
+    """Black leaves of 280 K before black ground of 340 K: both engines show the areas of their silhouettes."""
+    folder = tmp_path / "s"
+    folder.mkdir()
+    middle = np.column_stack([*(each.ravel() for each in np.mgrid[-2:3, -2:3] * 0.6), np.full(25, 1.0)])
+    vertices, faces = leaves(np.random.default_rng(4), middle, 0.4)
+    trimesh.Trimesh(vertices, faces, process=False).export(folder / "leaves.ply")
+    own_materials(folder)
+    extra = item("leaves", "black", 280.0, [1, 1, 1], [0, 0, 0], shape="disc").replace(
+        'shape = "disc"', 'file = "leaves.ply"'
+    )
+    floor = trimesh.creation.box(extents=(40.0, 40.0, 0.1)).apply_translation([0.0, 0.0, -0.05])
+    scene = small(tr.load_scene(write_mesh(folder, floor, 340.0, 1.0, sky=0.0, extra=extra)))
+    pose = tr.pose(0, 0, 6, pitch_deg=-90)
+    corner = scene.camera.project((vertices - pose[:3, 3]) @ pose[:3, :3]).reshape(25, 4, 2)
+    pixels = sum(ConvexHull(leaf).volume for leaf in corner)
+    leaf, ground = band_radiance(np.array([280.0, 340.0]), *BAND)
+    share = pixels / (scene.camera.width * scene.camera.height)
+    exact = ground + share * (leaf - ground)
+    assert 0.05 < share < 0.3 and (corner > 0.0).all() and (corner < (80, 64)).all()
+    means = np.array([reference.render(scene, pose, samples=64, seed=seed).mean() for seed in range(5)])
+    error, noise = (means.mean() - exact) / MILLIKELVIN, means.std(ddof=1) / np.sqrt(5) / MILLIKELVIN
+    print("reference", error, noise)
+    assert abs(error) < 4.0 * noise < 15.0
+    frame = tr.Renderer(scene, quality="high", rays=1).frame(pose)
+    own = (frame.radiance.mean() - exact) / MILLIKELVIN
+    print("renderer", own, frame.budget_mk["sampling"])
+    # Errors of pixels are independent.
+    assert abs(own) < 4.0 * frame.budget_mk["sampling"] / np.sqrt(frame.radiance.size) < 25.0
 
 
 def test_reference_as_a_frame(tmp_path):

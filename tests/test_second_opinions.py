@@ -328,7 +328,7 @@ def _(folder):
     )
     scene = written(folder, quad(40.0, cells=32), "sand_quartz", 290.0, 280.0, extra=crown, plain=quad(40.0))
     (folder / "plain" / "crown.ply").write_bytes((folder / "crown.ply").read_bytes())
-    return Case(scene, tr.pose(0, -6, 9, pitch_deg=-45), 48)
+    return Case(scene, tr.pose(0, -6, 9, pitch_deg=-45), 48, stock=True)
 
 
 @case("clouds, from below")

@@ -74,6 +74,21 @@ def test_leaves_are_closed_bodies_of_their_stated_surface():
     assert (np.einsum("fi,fi->f", corner.mean(axis=1), across).reshape(5, 4).sum(axis=1) > 0.0).all()
 
 
+def test_a_trunk_has_a_texel_for_each_short_length():
+    """A gap of the crown then lights a part of the trunk, not a whole side."""
+    plants = Plants()
+    plants.trunk(2.0, 3.0, 1.0, 8.0, 0.2, np.full(3, 0.2), 1)
+    skin = plants.skin("trunk")
+    corner = skin.vertices[skin.faces]
+    assert np.ptp(corner[..., 2], axis=1).max() < 1.0
+    assert len(np.unique(skin.uv.mean(axis=1), axis=0)) == len(skin.faces) == plants.faces
+    across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    # Sides of a hexagonal frustum whose radius goes from 0.2 to 0.07 m: trapezia of the two edges.
+    height = np.hypot(7.0, (0.2 - 0.07) * np.cos(np.pi / 6.0))
+    assert 0.5 * np.linalg.norm(across, axis=1).sum() == pytest.approx(6.0 * 0.5 * (0.2 + 0.07) * height)
+    assert ((corner.mean(axis=1) - [2.0, 3.0, 4.5])[:, :2] * across[:, :2]).sum(axis=1).min() > 0.0
+
+
 def test_a_picture_is_upright_on_its_wall_and_comes_back_from_the_file(tmp_path):
     """A wall that faces south, 4 m wide and 2 m high: red at its foot, blue in its upper eastern quarter."""
 
@@ -169,4 +184,7 @@ def test_the_study_finds_the_error_at_walls_and_none_on_open_ground():
     for angle in study.ANGLES[:3]:
         assert error[angle, "far ground"] < 0.5 < error[angle, "façade"]
     assert set(found["ranking"]["mae_k"]) == {"constant", "fok-1to1"} and found["ranking"]["tau"]["3-D"] == 1.0
-    assert len(found["budget"]) == len(study.ANGLES) and len(study.rows(found)) > 12
+    assert len(study.rows(found)) > 12 and len(study.budget_rows(found)) == len(study.ANGLES)
+    # Views of all angles, and in each the stated error exceeds the true one.
+    assert [view["angle_deg"] for view in found["budget"]] == list(study.ANGLES)
+    assert all(0.0 < view["true_mk"] < view["stated_mk"] for view in found["budget"]), found["budget"]

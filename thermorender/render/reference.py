@@ -33,6 +33,8 @@ from thermorender.trajectory.rotations import checked_pose
 VARIANTS = {"llvm_ad_mono": "llvm_ad_spectral", "cuda_ad_mono": "cuda_ad_spectral"}
 _NAMES = itertools.count()
 _SAMPLES_AT_ONCE = 64
+# Distance of the copies behind the faces of objects, relative to the largest coordinate, and at most [m].
+_BEHIND, _MOST_BEHIND_M = 64.0 * 2.0**-24, 1e-3
 
 
 def render(
@@ -221,10 +223,12 @@ def _mesh(mi: Mitsuba, name: str, number: int, surface: Surface, terrain_count: 
     # Corners are not shared, as each face has its own map coordinates.
     corners, uv = surface.vertices[surface.faces], surface.uv
     if number >= terrain_count:
-        # A stock area emitter radiates to one side; a copy a millimetre behind it radiates to the other.
+        # A stock area emitter radiates to one side; a copy behind it radiates to the other. The copy sticks out round
+        # the edges of thin bodies, dark from one side, so it is as near as rays tell apart.
+        behind = min(_BEHIND * (1.0 + float(np.abs(corners).max())), _MOST_BEHIND_M)
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-        corners = np.concatenate([corners, (corners - 1e-3 * normal[:, None])[:, ::-1]])
+        corners = np.concatenate([corners, (corners - behind * normal[:, None])[:, ::-1]])
         uv = np.concatenate([uv, uv[:, ::-1]])
     corners = corners.reshape(-1, 3)
     mesh = mi.Mesh(f"s{number}", len(corners), len(corners) // 3, has_vertex_texcoords=True, props=properties)

@@ -23,6 +23,7 @@ def main(
         result = study.run(seeds_of(seeds), views, size_m, progress=report, device=device)
         formats.write_json(folder / "three_d.json", result)
     conclude("three_d", output, study.HEADER, study.rows(result), "numbers")
+    table(study.BUDGET_HEADER, study.budget_rows(result))
     table(("map", *(f"{world} [K]" for world in study.WORLDS)), study.ranking_rows(result))
 
 

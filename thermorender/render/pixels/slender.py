@@ -7,6 +7,7 @@ over the rest of the pixel by theirs. A spot of a thousandth of a pixel is then 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,17 +86,22 @@ def rectangles(parts: Sequence[tuple[Floats, Floats]], pose: Floats, camera: Cam
 
     `parts` holds boxes (n, 8, 3) from `boxes` with the pose of their frame, world_from_own (4, 4).
     """
-    corners = np.concatenate([corners @ own[:3, :3].T + own[:3, 3] for corners, own in parts])
+    still = np.eye(4)
+    placed = [corners if np.array_equal(own, still) else corners @ own[:3, :3].T + own[:3, 3] for corners, own in parts]
+    corners = placed[0] if len(placed) == 1 else np.concatenate(placed)
     local = (corners - pose[:3, 3]) @ pose[:3, :3]
     before = (local[..., 2] > _NEAR).all(axis=1)
-    image = camera.project(local[before])
+    image = camera.project(local if before.all() else local[before])
+    size = np.array([camera.width, camera.height])
+    # By corner: reductions over a short axis are slow.
+    low, high = (reduce(choose, np.moveaxis(image, 1, 0)) for choose in (np.minimum, np.maximum))
+    seen = ((high > 0.0) & (low < size)).all(axis=1)
+    image, low, high = image[seen], low[seen], high[seen]
     middle = image.mean(axis=1)
     offset = image - middle[:, None]
     axes = np.linalg.eigh(np.einsum("pci,pcj->pij", offset, offset))[1]
     across = np.abs(np.einsum("pci,pi->pc", offset, axes[..., 0])).max(axis=1)
-    size = np.array([camera.width, camera.height])
-    low, high = image.min(axis=1), image.max(axis=1)
-    thin = (2.0 * across < _WIDE) & ((high > 0.0) & (low < size)).all(axis=1)
+    thin = 2.0 * across < _WIDE
     return _cut(middle[thin], axes[thin, :, 1], across[thin], low[thin], high[thin], size)
 
 

@@ -25,6 +25,8 @@ from thermorender.scene.solids.skin import Skin
 DENSITY, DENSITY_CONIFER, DENSITY_HEDGE = 1.2, 2.5, 4.0
 # Radius of a trunk at its upper end as a share of that at the foot.
 _TAPER = 0.35
+# Length of the parts of a trunk, which have a temperature and light each [m].
+_LENGTH_M = 0.7
 # Materials of leaves, and why their tables differ from those of a closed canopy.
 LEAVES = ("broadleaf", "conifer")
 _CHOSEN = "chosen: leaves of a crown hang in the air"
@@ -127,16 +129,21 @@ class Plants:
 
     def trunk(self, east: float, north: float, low_m: float, high_m: float, radius_m: float,
               colour: NDArray[np.floating], material: int) -> None:  # fmt: skip
-        """Add the sides of a trunk of six faces."""
+        """Add a trunk of six sides, in lengths: light through gaps of the crown falls on parts of it."""
         angle = np.arange(6) * np.pi / 3.0
         ring = radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
+        count = max(1, round((high_m - low_m) / _LENGTH_M))
         vertices = np.concatenate([
-            np.column_stack([[east, north] + share * ring, np.full(6, z)])
-            for share, z in ((1.0, low_m), (_TAPER, high_m))
+            np.column_stack([[east, north] + (1.0 - (1.0 - _TAPER) * part) * ring,
+                             np.full(6, low_m + part * (high_m - low_m))])
+            for part in np.linspace(0.0, 1.0, count + 1)
         ])  # fmt: skip
         here, after = np.arange(6), (np.arange(6) + 1) % 6
-        lower, upper = np.stack([here, after, after + 6], axis=-1), np.stack([here, after + 6, here + 6], axis=-1)
-        self._add(vertices, np.concatenate([lower, upper]), np.broadcast_to(colour, (12, 3)), material)
+        sides = np.concatenate([
+            np.stack([here, after, after + 6], axis=-1), np.stack([here, after + 6, here + 6], axis=-1)
+        ])  # fmt: skip
+        faces = (sides + 6 * np.arange(count)[:, None, None]).reshape(-1, 3)
+        self._add(vertices, faces, np.broadcast_to(colour, (len(faces), 3)), material)
 
     def _add(self, vertices: NDArray[np.float64], faces: NDArray[np.int64], colour: NDArray[np.floating],
              material: int) -> None:  # fmt: skip
