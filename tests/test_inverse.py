@@ -227,7 +227,7 @@ def test_frames_of_another_camera_and_beside_the_terrain_are_refused(survey):
         reconstruct(scene, replace(clean, kelvin=clean.kelvin[:, :32]))
     away = clean.poses.copy()
     away[:, 0, 3] += 5000.0
-    with pytest.raises(ThermorenderError, match="no frame shows the scene.s terrain"):
+    with pytest.raises(ThermorenderError, match="no frame shows the scene's terrain"):
         reconstruct(scene, replace(clean, poses=away))
 
 
