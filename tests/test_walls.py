@@ -23,6 +23,16 @@ def mesh_scene(folder, mesh, material, weather=WEATHER):
     return tr.load_scene(folder)
 
 
+def faces_of(surface):
+    """(corners (F, 3, 3), normals (F, 3), temperatures (F,)) of faces that show one texel each."""
+    corner = surface.vertices[surface.faces]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    rows, columns = surface.material.shape
+    at = (surface.uv[:, 0] * (columns, rows)).astype(int)
+    return corner, normal, surface.temperature[at[:, 1], at[:, 0]]
+
+
 def test_every_face_with_a_colour_of_its_own_has_its_own_sun(tmp_path):
     """Faces that show one texel each: those of a box differ by orientation; each had the sun of the last face."""
     box = trimesh.creation.box((4.0, 4.0, 4.0))
@@ -30,13 +40,7 @@ def test_every_face_with_a_colour_of_its_own_has_its_own_sun(tmp_path):
     box.visual.face_colors = np.arange(12)[:, None] * np.array([10, 5, 3, 0]) + np.array([60, 60, 60, 255])
     scene = mesh_scene(tmp_path / "box", box, "roof_rubber")
     solved = heat.solved(scene, [AT])[0]
-    surface = solved.surfaces[0]
-    corner = surface.vertices[surface.faces]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    rows, columns = surface.material.shape
-    at = (surface.uv[:, 0] * (columns, rows)).astype(int)
-    kelvin = surface.temperature[at[:, 1], at[:, 0]]
+    _, normal, kelvin = faces_of(solved.surfaces[0])
     south, north, up = (kelvin[normal @ axis > 0.9].mean() for axis in ([0, -1, 0], [0, 1, 0], [0, 0, 1]))
     # The sun is 57° high in the south: 0.54 of the beam on the south wall, 0.84 on the roof, none on the north wall.
     assert up > south + 3.0 and south > north + 5.0
@@ -107,13 +111,7 @@ def yard(tmp_path_factory):
     times = [np.datetime64(f"2018-07-28T{hour:02}:00:00") for hour in HOURS]
     found = {}
     for hour, each in zip(HOURS, heat.solved(scene, times), strict=True):
-        surface = each.surfaces[0]
-        corner = surface.vertices[surface.faces]
-        normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        rows, columns = surface.material.shape
-        at = (surface.uv[:, 0] * (columns, rows)).astype(int)
-        kelvin = surface.temperature[at[:, 1], at[:, 0]]
+        corner, normal, kelvin = faces_of(each.surfaces[0])
         towards = {side: [np.sin(np.radians(a)), np.cos(np.radians(a)), 0.0] for side, a in SIDES.items()}
         walls = {side: float(kelvin[normal @ axis > 0.9].mean()) for side, axis in towards.items()}
         middle = corner.mean(axis=1)

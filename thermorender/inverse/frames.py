@@ -16,17 +16,14 @@ from scipy.spatial.transform import Rotation
 
 from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import FLIR_JPEG, SUFFIXES, read_temperature
+from thermorender.inverse.linear import RANGE_K
 from thermorender.scene.scene import Scene
 from thermorender.trajectory.readers import enu_from_ned_at
 from thermorender.trajectory.rotations import BODY_FROM_CAMERA, rotation_from_angles
 
 Floats = NDArray[np.float64]
 # Heights above the take-off point, and those above the terrain, need the terrain; the others do not.
-# Temperatures of surfaces [K]; other values are not those of a scene.
-RANGE_K = (150.0, 700.0)
 HEIGHTS = ("up_m", "alt_ellipsoid_m", "above_ground_m", "above_takeoff_m")
-
-
 _ATTRIBUTE = re.compile(r"""[\w-]+:(\w+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 # Datums within about 2 m of WGS 84.
 _DATUM = re.compile(r"WGS[ -]?(19)?84|ETRS|JGD2|GDA|NAD[ -]?83|ITRF|CGCS")

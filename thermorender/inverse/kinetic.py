@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.inverse.linear import LinearKelvin
+from thermorender.inverse.linear import RANGE_K, LinearKelvin
 from thermorender.inverse.weights import Lattice
 from thermorender.learned.apply import LOWEST_EMISSIVITY
 from thermorender.physics.band import RadianceTable, emitted_radiance
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from thermorender.render.renderer import Renderer
 
 Floats = NDArray[np.float64]
-# Temperatures of surfaces [K].
-_RANGE_K = (150.0, 700.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,4 +123,4 @@ def apparent_of(kinetic_k: float, number: int, reflected: float, renderer: "Rend
 
 def _table(renderer: "Renderer", number: int, linear: LinearKelvin) -> RadianceTable:
     material = renderer.scene.materials[number]
-    return RadianceTable.of(material.emissivity_at, *_RANGE_K, *linear.band_um)
+    return RadianceTable.of(material.emissivity_at, *RANGE_K, *linear.band_um)

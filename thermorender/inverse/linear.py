@@ -10,11 +10,13 @@ from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 
 Floats = NDArray[np.float64]
+# Temperatures of surfaces [K]; other values are not those of a scene.
+RANGE_K = (150.0, 700.0)
 
 
 @dataclass(frozen=True)
 class LinearKelvin:
-    """Band radiance scaled to kelvin at a reference temperature, between 150 K and 700 K."""
+    """Band radiance scaled to kelvin at a reference temperature, for temperatures in `RANGE_K`."""
 
     band_um: tuple[float, float]
     reference_k: float
@@ -48,4 +50,4 @@ class LinearKelvin:
 
     @cached_property
     def _table(self) -> RadianceTable:
-        return RadianceTable.of(np.ones_like, 150.0, 700.0, *self.band_um)
+        return RadianceTable.of(np.ones_like, *RANGE_K, *self.band_um)

@@ -18,7 +18,7 @@ from thermorender.render.edits.known import Known, known_of
 from thermorender.render.edits.preview import edited_plan
 from thermorender.render.light import environment, radiosity
 from thermorender.render.light.exchange import Exchange, strong_reflectors, threads
-from thermorender.render.light.solved import Kept, SolvedLight, black_share, tolerance_of
+from thermorender.render.light.solved import Kept, SolvedLight, black_share, in_steps, tolerance_of
 from thermorender.render.plan import Plan
 from thermorender.render.spectrum import Spectrum
 from thermorender.scene.scene import Scene
@@ -103,7 +103,7 @@ def _solved(
     noise[change.faces] *= mean / np.maximum(was, 1e-6)
     noise += light.noise
     bounds = np.full(plan.spectrum.nodes, amplified * (left + residual))
-    new = Kept.of([light.rest], residual, noise, reflectance)
+    new = Kept.of([in_steps(light.rest)], residual, noise, reflectance)
     return SolvedLight(
         (incident + light.incident).astype(np.float32), noise, reflectance @ shares, bounds,
         geometry.share @ reflectance, None, new,

@@ -16,6 +16,8 @@ from thermorender.scene.scene import Scene
 
 # Steps of the rests kept, on either side of 0.
 _STEPS = 127
+# Light (F, n) in whole steps, and the step of each node (n,).
+Steps = tuple[NDArray[np.int8], Floats]
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,8 +28,8 @@ class Kept:
     ----------
     rest : (F, N) int8
         Light that faces have not sent, in units of `step`.
-    step : float
-        [W m⁻² sr⁻¹].
+    step : (N,) float64
+        Of each node [W m⁻² sr⁻¹].
     residual : float
         Error of the incident radiance, and so of what faces send, apart from the rest [W m⁻² sr⁻¹].
     noise : (F,) float32
@@ -37,19 +39,25 @@ class Kept:
     """
 
     rest: NDArray[np.int8]
-    step: float
+    step: Floats
     residual: float
     noise: NDArray[np.float32]
     reflectance: NDArray[np.float32] | None = None
 
     @classmethod
     def of(
-        cls, rests: Sequence[Floats], residual: float, noise: Floats, reflectance: NDArray[np.float32] | None = None
-    ) -> "Kept":
-        """Return the Kept of light that faces have not sent, (F, n) of each part of the nodes."""
-        step = max(1e-30, *(float(np.abs(rest).max(initial=0.0)) for rest in rests)) / _STEPS
-        whole = np.concatenate([np.rint(rest / step).astype(np.int8) for rest in rests], axis=1)
-        return cls(whole, step, residual + step, noise.astype(np.float32), reflectance)
+        cls, rests: Sequence[Steps], residual: float, noise: Floats,
+        reflectance: NDArray[np.float32] | None = None,
+    ) -> "Kept":  # fmt: skip
+        """Return the Kept of light that faces have not sent, as of `in_steps` for each part of the nodes."""
+        whole, step = (np.concatenate(parts, axis=-1) for parts in zip(*rests, strict=True))
+        return cls(whole, step, residual + float(step.max()), noise.astype(np.float32), reflectance)
+
+
+def in_steps(rest: Floats) -> Steps:
+    """Return light that faces have not sent, (F, n), in Steps."""
+    step = np.maximum(np.abs(rest).max(axis=0, initial=0.0), 1e-30) / _STEPS
+    return np.rint(rest / step).astype(np.int8), step
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +104,7 @@ def solve_scene(
     tolerance, shares = tolerance_of(plan), black_share(plan)
     shape = (geometry.face_count, spectrum.nodes)
     incident, noise, mean = np.empty(shape, dtype=np.float32), np.zeros(shape[0]), np.zeros(shape[0])
-    bounds, mean_reflectance, residual, rests = np.empty(shape[1]), np.empty(shape[1]), 0.0, list[Floats]()
+    bounds, mean_reflectance, residual, rests = np.empty(shape[1]), np.empty(shape[1]), 0.0, list[Steps]()
     static = StaticLight.around(around, *shape) if scene.tracked_objects else None
     blocks = radiosity.blocks(*shape)
     means = texels.face_means(geometry, plan, *texel, blocks, tick)
@@ -104,7 +112,7 @@ def solve_scene(
         near = None if guess is None else guess[:, nodes]
         found = radiosity.solution(known, emitted, reflectance, around.at(nodes), tolerance, near, tick)
         noise += found.noise
-        rests.append(found.rest)
+        rests.append(in_steps(found.rest))
         bounds[nodes], residual = found.bound, max(residual, found.rounding)
         incident[:, nodes], mean_reflectance[nodes] = found.incident, geometry.share @ reflectance
         mean += reflectance @ shares[nodes]
