@@ -49,8 +49,8 @@ def solved(transport, emissivity, tolerance=1e-6, wall=WALL):
     emitted = np.broadcast_to(wall * np.asarray(emissivity), (len(transport.up), len(emissivity)))
     reflectance = np.broadcast_to(1.0 - np.asarray(emissivity), emitted.shape)
     outside = even(np.zeros(len(emissivity)), np.zeros(len(emissivity)), len(emitted))
-    incident, bound, _ = radiosity.solve(transport, emitted, reflectance, outside, tolerance)
-    return emitted + reflectance * incident, incident, bound
+    found = radiosity.solve(transport, emitted, reflectance, outside, tolerance)
+    return emitted + reflectance * found.incident, found.incident, found.bound
 
 
 def rough(count=25, seed=3):
@@ -166,11 +166,12 @@ def test_noise_estimate_matches_the_error_against_more_rays(tmp_path):
     emitted = np.column_stack([emitted, 0.5 * (20.0 - emitted)])
     reflectance = np.full(emitted.shape, 0.9)
     light = (emitted, reflectance, even(np.array([5.0, 97.5]), np.array([90.0, 55.0]), len(emitted)))
-    truth, *_ = radiosity.solve(traced(tmp_path / "t", mesh, 64 * 64, seed=9)[0], *light, 1e-5)
+    truth = radiosity.solve(traced(tmp_path / "t", mesh, 64 * 64, seed=9)[0], *light, 1e-5).incident
     ratios = []
     for seed in (0, 1):
         transport = traced(tmp_path / f"s{seed}", mesh, 64, seed)[0]
-        incident, _, each = radiosity.solve(transport, *light, 1e-5)
+        found = radiosity.solve(transport, *light, 1e-5)
+        incident, each = found.incident, found.noise
         assert each.shape == (len(mesh.faces),)
         error = (reflectance * (incident - truth)).sum(axis=1)
         ratios.append(np.sqrt(np.mean(each**2) / np.mean(error**2)))

@@ -148,7 +148,7 @@ def light():
         geometry, plan, surface.material.reshape(-1), surface.temperature.reshape(-1), [every]
     )
     tolerance = 1e-6 * plan.radiance_per_mk
-    incident, *_ = radiosity.solve(known, emitted, reflectance, around.at(every), tolerance)
+    incident = radiosity.solve(known, emitted, reflectance, around.at(every), tolerance).incident
     single = texels.light(incident.astype(np.float32), spectrum.reflected[:, 0])
     double = incident @ spectrum.reflected[:, 0].T
     found = max(_rms_k(one, other) for one, other in zip(np.array(single).T, double.T, strict=True))

@@ -50,8 +50,8 @@ def known(emissivity):
 def solved(emissivity, tolerance_k):
     """(largest error [K], bound [K]) of known light, solved to a tolerance [K]."""
     exact, rho, outside = known(emissivity)
-    found, bound, _ = radiosity.solve(closed(), np.zeros((_FACES, 1)), rho, outside, tolerance_k * _PER_K)
-    return float(np.abs(found - exact).max()) / _PER_K, bound / _PER_K
+    found = radiosity.solve(closed(), np.zeros((_FACES, 1)), rho, outside, tolerance_k * _PER_K)
+    return float(np.abs(found.incident - exact).max()) / _PER_K, found.bound / _PER_K
 
 
 @case("solver", "closed system, emissivity {:g}: its error by its bound", (0.5, 0.1, 1e-3, 1e-5, 1e-6))

@@ -181,24 +181,36 @@ def background_code(mi: Mitsuba, direction: Jit) -> Jit:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The light on faces, as `solve` returns it, and what is left of it."""
+    """The light on faces, all in W m⁻² sr⁻¹.
 
-    incident: Floats  # (F, N)
+    Attributes
+    ----------
+    incident : (F, N)
+        Mean incident radiance of each face.
+    bound : float
+        Its error bound at every node.
+    noise : (F,)
+        A draw of the Monte Carlo error of each face's reflected radiance, summed over the nodes. Only its root mean
+        square over many faces is meaningful: it is one standard error. Draws of other nodes of the same transport add
+        with their signs.
+    rest : (F, N)
+        Light that faces have not sent.
+    rounding : float
+        Error of `incident` apart from the rest.
+    """
+
+    incident: Floats
     bound: float
-    noise: Floats  # (F,)
-    rest: Floats  # (F, N) light that faces have not sent
-    rounding: float  # error of the incident radiance apart from the rest
+    noise: Floats
+    rest: Floats
+    rounding: float
 
 
 def solve(
     transport: Transport, emitted: Floats, reflectance: Floats, environment: "Environment", tolerance: float,
-    start: NDArray[np.floating] | None = None,
-) -> tuple[Floats, float, Floats]:  # fmt: skip
-    """Return (mean incident radiance of each face (F, N), its error bound, noise (F,)), all in W m⁻² sr⁻¹.
-
-    The bound holds at every node. The noise is a draw of the Monte Carlo error of each face's reflected radiance,
-    summed over the nodes. Only its root mean square over many faces is meaningful: it is one standard error. Draws of
-    other nodes of the same transport add with their signs.
+    start: NDArray[np.floating] | None = None, tick: Callable[[], object] | None = None,
+) -> Solution:  # fmt: skip
+    """Return the Solution of the light between the faces.
 
     Parameters
     ----------
@@ -210,6 +222,8 @@ def solve(
         Error bound to reach at each node [W m⁻² sr⁻¹].
     start : (F, N), optional
         An incident radiance close to the solution, which saves time; zeros by default.
+    tick : callable, optional
+        Called every few milliseconds, without arguments; it may raise.
 
     Raises
     ------
@@ -226,15 +240,6 @@ def solve(
     variance of their mean's error. But they fill each other's gaps, so it is 1.0 to 1.4 times too large in open scenes.
     The error is itself light and is reflected: δ = K ρ δ + (x₁ − x₂) / 2 to first order, which matters in cavities.
     """
-    found = solution(transport, emitted, reflectance, environment, tolerance, start)
-    return found.incident, found.bound, found.noise
-
-
-def solution(
-    transport: Transport, emitted: Floats, reflectance: Floats, environment: "Environment", tolerance: float,
-    start: NDArray[np.floating] | None = None, tick: Callable[[], object] | None = None,
-) -> Solution:  # fmt: skip
-    """Return the Solution that `solve` describes; `tick` is called every few milliseconds, and may raise."""
     with threads() as pool:
         amplified = amplification(transport, reflectance)
         wanted = 0.5 * tolerance / amplified

@@ -110,7 +110,7 @@ def solve_scene(
     means = texels.face_means(geometry, plan, *texel, blocks, tick)
     for nodes, (emitted, reflectance) in zip(blocks, means, strict=True):
         near = None if guess is None else guess[:, nodes]
-        found = radiosity.solution(known, emitted, reflectance, around.at(nodes), tolerance, near, tick)
+        found = radiosity.solve(known, emitted, reflectance, around.at(nodes), tolerance, near, tick)
         noise += found.noise
         rests.append(in_steps(found.rest))
         bounds[nodes], residual = found.bound, max(residual, found.rounding)
