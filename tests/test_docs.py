@@ -27,7 +27,8 @@ SLOW = {
     "README.md", "concepts/error-budget.md", "concepts/frame.md", "concepts/plan.md", "guides/terrain.md",
     "start/first-comparison.md", "start/first-flight.md", "guides/campaign.md", "guides/cameras.md",
     "guides/cluster.md", "guides/compare.md", "guides/export.md", "guides/flight-logs.md", "guides/learned-maps.md",
-    "guides/materials.md", "guides/python.md", "guides/simulator.md", "guides/survey.md", "guides/weather.md",
+    "guides/materials.md", "guides/python.md", "guides/simulator.md", "guides/studio.md", "guides/survey.md",
+    "guides/weather.md",
     "examples/01_first_frame.py", "examples/02_day_over_your_terrain.py", "examples/03_map_against_render.py",
 }  # fmt: skip
 _BLOCK = re.compile(r"^```(python|bash|text)\n(.*?)^```$", flags=re.S | re.M)

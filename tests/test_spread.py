@@ -93,6 +93,7 @@ def test_changed_work_is_refused(in_process, tmp_path):
                 list(found)
 
 
+@pytest.mark.slow
 def test_pairs_are_scored_alike_in_any_order(in_process, tmp_path):
     dataset = make_dataset(tmp_path / "d", pairs=5, test=3)
     save_map(linear_map(), tmp_path / "linear.npz")
