@@ -8,6 +8,8 @@ TORCH  ?= 'torch==2.13.0' --extra-index-url https://download.pytorch.org/whl/cpu
 READY  := $(VENV)/.ready
 # Processes that run tests, one core each; each takes about 1 GB of memory.
 WORKERS ?= auto
+# Python keeps what it compiled, even where the environment says otherwise: tests start many processes.
+export PYTHONDONTWRITEBYTECODE :=
 PYTEST := -m pytest -n $(WORKERS) --maxprocesses 8 --dist worksteal
 
 .PHONY: setup demo test test-all lint coverage validation docs maps clean

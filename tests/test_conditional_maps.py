@@ -241,6 +241,7 @@ assert frame.truth["mask"].any() and frame.time == baked.scene.time
 # --- verbs ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_verbs_accept_conditional_maps(tmp_path, call):
     folder = written(tmp_path / "s", above_air(5.0))
     (folder / "flight.csv").write_text("time_s,lat,lon,alt_m\n")

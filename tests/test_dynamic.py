@@ -29,7 +29,7 @@ def scene_with(folder, track=None, shape="box", size=(3, 3, 1.5), rest="", **key
     return tr.load_scene(write_terrain(folder, height=np.zeros((33, 33)), classes=sand, extra=extra, **keywords))
 
 
-@pytest.mark.parametrize(("shape", "size"), [*slow(("box", (3, 3, 1.5))), ("disc", (3, 3, 1))])
+@pytest.mark.parametrize(("shape", "size"), slow(("box", (3, 3, 1.5)), ("disc", (3, 3, 1))))
 def test_tracked_object_is_lit_as_a_static_one(tmp_path, shape, size):
     pose, rays = tr.pose(1, -6, 8, pitch_deg=-45), 1024
     scene = scene_with(tmp_path / "static", None, shape, size)

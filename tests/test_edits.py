@@ -174,6 +174,7 @@ def test_images_from_one_pose_cast_no_rays_again(renderer, monkeypatch):
     np.testing.assert_array_equal(renderer.radiance(pose), first)
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_previews(renderer):
     pose, sizes = tr.pose(0, 0, 40, **DOWN), []
     for number in range(50):

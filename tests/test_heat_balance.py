@@ -212,6 +212,7 @@ def sunny(t, **changed):
     return forcing(**(own | changed))
 
 
+@pytest.mark.slow
 def test_second_order_in_time():
     """The second day of soil under sun, wind and vapour: half the step, a quarter of the error; 1 mK at 15 min."""
     column, found = ground(layered([SOIL]), emissivity=0.95, resistance=200.0), {}

@@ -767,6 +767,7 @@ def test_shipped_map_is_small_and_labelled():
     assert shipped.texel_m == 0.5 and shipped.about["split"].startswith("one block of 12 m in 5")
 
 
+@pytest.mark.slow
 def test_shipped_map_is_better_than_simpler_methods_on_unseen_land(monkeypatch):
     monkeypatch.setattr(validation, "make", lambda kind, seed: make(kind, seed, *SMALL[kind]))
     result = validation.evaluate("procedural", (11,), kinds=("village",))

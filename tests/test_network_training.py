@@ -100,7 +100,7 @@ def test_the_spread_is_that_of_the_errors(tmp_path):
     assert stated == pytest.approx(np.sqrt((error**2).mean()), rel=0.35) and stated > np.sqrt(2.0)
 
 
-@pytest.mark.parametrize("name", ["compact", *slow("pix2pix")])
+@pytest.mark.parametrize("name", slow("compact", "pix2pix"))
 def test_the_cost_of_half_precision_is_reported(tmp_path, name):
     task = task_of(name, examples(), tmp_path / "r", **SMALL)
     found = train_network(task, name)
@@ -279,6 +279,7 @@ def test_two_processes_have_the_losses_of_one(tmp_path):
 # --- what goes wrong --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_training_that_explodes_keeps_its_best_state(tmp_path, monkeypatch):
     """The discriminator's weights explode half-way: the training stops, and the result is the best state so far."""
     task = task_of("pix2pix", examples(), tmp_path / "r", width=4, batch=2, crops=24, every=4)
@@ -464,6 +465,7 @@ def test_the_verb_trains_and_resumes(tmp_path, call):
     assert status == 2 and "--run and --resume belong to networks, and 'trees' is not one; leave them out" in err
 
 
+@pytest.mark.slow
 def test_a_network_is_trained_without_a_folder(tmp_path):
     dataset = write(tmp_path / "d", parts=("train",) * 11 + ("validation", "test"))
     model = train_map("m", "unet", dataset, {"width": 4, "batch": 2, "crops": 8})

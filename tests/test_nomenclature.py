@@ -16,21 +16,24 @@ CONVENTIONS, *ROOMS = re.split(r"^## ", PAGE, flags=re.M)[1:]
 ROOM_TEXT = {text.split("\n", 1)[0]: text for text in ROOMS}
 
 
-@functools.cache
 def names_of(room=None):
     """(identifiers of a room's code, with texts that are keys; "Class.member" of its classes); of all rooms if None."""
+    modules = architecture.modules().items()
+    parts = [names_in(path) for module, path in modules if room in (None, architecture.room_of(module))]
+    return tuple(set().union(*names) for names in zip(*parts, strict=True))
+
+
+@functools.cache
+def names_in(path):
     found, members = set(), set()
-    for module, path in architecture.modules().items():
-        if room not in (None, architecture.room_of(module)):
-            continue
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            for field in ("name", "id", "arg", "attr"):
-                found.add(getattr(node, field, None))
-            if isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.isidentifier():
-                found.add(node.value)
-            if isinstance(node, ast.ClassDef):
-                own = [getattr(each, "target", each) for each in node.body]
-                members |= {f"{node.name}.{getattr(each, 'id', getattr(each, 'name', None))}" for each in own}
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for field in ("name", "id", "arg", "attr"):
+            found.add(getattr(node, field, None))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.isidentifier():
+            found.add(node.value)
+        if isinstance(node, ast.ClassDef):
+            own = [getattr(each, "target", each) for each in node.body]
+            members |= {f"{node.name}.{getattr(each, 'id', getattr(each, 'name', None))}" for each in own}
     return found - {None}, members
 
 

@@ -1,6 +1,7 @@
 """One place for each: constants, shipped names, the reading of TOML, hints for misspelt names, extras."""
 
 import ast
+import functools
 import re
 import sys
 from pathlib import Path
@@ -20,11 +21,20 @@ else:
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PACKAGE = REPOSITORY / "thermorender"
-TREES = {str(path.relative_to(PACKAGE)): ast.parse(path.read_text("utf-8")) for path in PACKAGE.rglob("*.py")}
 
 
-def literals(tree):
+@functools.cache
+def trees():
+    return {str(path.relative_to(PACKAGE)): ast.parse(path.read_text("utf-8")) for path in PACKAGE.rglob("*.py")}
+
+
+@functools.cache
+def literals(name):
     """The literal values of a module, without its docstrings."""
+    return tuple(_literals(trees()[name]))
+
+
+def _literals(tree):
     documentation = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
     for node in ast.walk(tree):
         if isinstance(node, (ast.Constant, ast.Tuple)) and id(node) not in documentation:
@@ -43,7 +53,7 @@ def imported(tree):
 
 
 def writers(value):
-    return {name for name, tree in TREES.items() for found in literals(tree)
+    return {name for name in trees() for found in literals(name)
             if type(found) is type(value) and found == value}  # fmt: skip
 
 
@@ -66,7 +76,7 @@ def test_a_constant_is_written_once(value, homes):
 
 
 def test_no_message_repeats_a_constant():
-    texts = {name: [text for text in literals(tree) if isinstance(text, str)] for name, tree in TREES.items()}
+    texts = {name: [text for text in literals(name) if isinstance(text, str)] for name in trees()}
     for value in ("273.15", "7.5,13.5", "heath, village", "heath village", f" {defaults.TEMPERATURE_MAP}"):
         assert not {name for name, found in texts.items() if any(value in text for text in found)}, value
 
@@ -82,15 +92,15 @@ def test_lists_of_shipped_names_match_the_shipped_files():
 
 @pytest.mark.parametrize("library", ["tomllib", "tomli", "difflib"])
 def test_only_the_schema_reads_toml_and_guesses_names(library):
-    assert {name for name, tree in TREES.items() if library in imported(tree)} == {"schema.py"}
+    assert {name for name, tree in trees().items() if library in imported(tree)} == {"schema.py"}
 
 
 def test_the_schema_imports_only_the_ground_modules():
     ground = {"errors", "units", "paths", "versions"}
-    for node in ast.walk(TREES["schema.py"]):
+    for node in ast.walk(trees()["schema.py"]):
         if isinstance(node, ast.ImportFrom) and node.module.startswith("thermorender"):
             assert node.module.split(".")[1] in ground
-    assert set(imported(TREES["schema.py"])) - {"thermorender", "tomli"} <= sys.stdlib_module_names
+    assert set(imported(trees()["schema.py"])) - {"thermorender", "tomli"} <= sys.stdlib_module_names
 
 
 def test_every_extra_has_an_importer():
@@ -104,7 +114,7 @@ def test_every_extra_has_an_importer():
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text("utf-8"))["project"]
     texts = [path.read_text("utf-8") for path in (REPOSITORY / "tests").glob("*.py")]
     tests = {name for text in texts for name in imported(ast.parse(text))}
-    package = {name for tree in TREES.values() for name in imported(tree)}
+    package = {name for tree in trees().values() for name in imported(tree)}
     extras = {extra: needed for extra, needed in project["optional-dependencies"].items() if extra != "docs"}
     for extra, needed in {"": project["dependencies"], **extras}.items():
         for one in needed:

@@ -873,6 +873,7 @@ def test_provenance_is_read_from_the_file_of_a_map():
     assert "not audited" in own.audited
 
 
+@pytest.mark.slow
 def test_a_wrong_contrast_is_found_and_no_emissivity_is_blamed(ground, planted, tmp_path):
     def damped(kelvin, index):
         return kelvin.mean() + 0.8 * (kelvin - kelvin.mean())

@@ -553,6 +553,7 @@ def test_a_warning_for_an_hour_that_changes_nothing(tmp_path, call):
     assert status == 0 and "note: temperatures of source 'raster' do not change with --time" in errors
 
 
+@pytest.mark.slow
 def test_a_balance_is_the_truth_of_a_comparison_without_a_raster(scene, path, tmp_path):
     options = Options(settings={"rays": 4, "samples": 1})
     found = compare([Flight.of(scene, path, 0.01)], tmp_path / "c", ("fok-1to1",), options)
