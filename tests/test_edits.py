@@ -162,6 +162,32 @@ def test_a_solution_stops_where_its_progress_raises(renderer):
         assert len(calls) > 20
 
 
+@pytest.mark.parametrize("kind", ["mirror", "track"])
+def test_an_edit_without_a_preview_is_solved_and_stops_where_its_progress_raises(tmp_path, kind):
+    material = {"mirror": "gold_polished", "track": "paint_black"}[kind]
+    box = '[[object]]\nname = "box"\nshape = "box"\nsize = [3.0, 3.0, 2.0]\nposition = [0, 0, 0]\n'
+    box += f'temperature = 310.0\nmaterial = "{material}"\n' + ('track = "box.csv"\n' if kind == "track" else "")
+    folder = write_terrain(tmp_path / "s", np.add.outer(np.zeros(16), np.abs(np.arange(16.0) - 8.0)), extra=box)
+    (folder / "box.csv").write_text("time_s,east_m\n0,-3\n2,3\n", encoding="utf-8")
+    scene = tr.load_scene(folder)
+    renderer = tr.Renderer(scene.with_camera(replace(scene.camera, width=48, height=40)), rays=16, edge_mk=np.inf)
+    edited, calls = renderer.scene.with_material(grass_green=0.8), []
+
+    def stop(what, share):
+        calls.append(what)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        renderer.preview_for(edited, stop)
+    assert len(calls) == 3
+    shown = renderer.preview_for(edited, lambda *_: None)
+    assert "preview" not in shown.baked.errors_mk
+    fresh = tr.Renderer(edited, rays=16, edge_mk=np.inf)
+    limit = renderer.plan.tolerance_mk
+    assert off(shown, fresh) < limit < off(shown, renderer)
+
+
 def test_images_from_one_pose_cast_no_rays_again(renderer, monkeypatch):
     pose, other = tr.pose(0, 0, 40, **DOWN), tr.pose(-6, 2, 30, pitch_deg=-60.0)
     first = renderer.radiance(pose)

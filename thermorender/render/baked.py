@@ -124,7 +124,7 @@ class BakedScene:
         )  # fmt: skip
         return bake(scene, plan, like=exact, progress=progress, start=exact)
 
-    def preview_for(self, scene: Scene) -> "BakedScene":
+    def preview_for(self, scene: Scene, progress: Progress | None = None) -> "BakedScene":
         """Return a preview of an edited scene: its change to first order, with an estimate of its error.
 
         An edit of materials or temperatures is shown at once: the change of the light that changed surfaces send to
@@ -138,6 +138,8 @@ class BakedScene:
         ----------
         scene : Scene
             Of the same surfaces.
+        progress : callable, optional
+            As of `solved_for`, for edits that are solved.
 
         Raises
         ------
@@ -148,7 +150,7 @@ class BakedScene:
 
         refuse_other_surfaces(self.scene.surfaces, scene.surfaces)
         exact = self._uploaded.get("exact", self)
-        return preview(exact, scene) or exact.solved_for(scene)
+        return preview(exact, scene) or exact.solved_for(scene, progress)
 
     def seen_as(self, scene: Scene, plan: Plan) -> "BakedScene | None":
         """Return this light under another camera or sampling, or None where `scene` and `plan` change the light."""

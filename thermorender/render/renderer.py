@@ -148,9 +148,9 @@ class Renderer:
         """Return the Renderer of the same surfaces at other temperatures, by light already traced; see BakedScene."""
         return self._like_this(self.baked.solved_for(scene, progress))
 
-    def preview_for(self, scene: Scene) -> "Renderer":
+    def preview_for(self, scene: Scene, progress: Progress | None = None) -> "Renderer":
         """Return the Renderer of a preview of an edited scene; see `BakedScene.preview_for`."""
-        return self._like_this(self.baked.preview_for(scene))
+        return self._like_this(self.baked.preview_for(scene, progress))
 
     def _like_this(self, baked: BakedScene) -> "Renderer":
         """The Renderer of another light on the same surfaces, with the cameras' rays of this one."""

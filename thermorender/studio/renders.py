@@ -206,7 +206,7 @@ class Renders:
 
     def _solve(self, scene: Scene, version: int) -> None:
         if scene.temperature_state.solved:
-            made = self._solved.preview_for(scene)
+            made = self._solved.preview_for(scene, self._between)
             errors = made.baked.errors_mk
             if "preview" in errors:
                 words = f"preview ± {errors['preview']:.3g} mK, {errors['preview_rms']:.2g} mK RMS"
