@@ -1,9 +1,8 @@
 """Edits drawn at random: time from `Scene.with_…` to the radiance of a frame, and the errors of previews.
 
 A preview is the renderer of `preview_for`, the solution that of `solved_for`, each with one frame of 640×512 from the
-same pose. The true error of a preview is its difference from the solution, over all texels and over the frame. An edge
-pixel may get more rays in one of two frames only, so that these have the same rays, frames for the error have one per
-pixel.
+same pose. The true error of a preview is its difference from the solution, over all texels and over the frame, which
+has the rays of the preview's.
 """
 
 import os
@@ -108,7 +107,7 @@ def _measured(renderer, pose, edit, random, exact):
     start, spent = time.perf_counter(), time.process_time()
     scene = edit(renderer.scene, random)
     preview = renderer.preview_for(scene)
-    preview.radiance(pose)
+    frame = preview.frame(pose)
     shown = {"preview_ms": 1e3 * (time.perf_counter() - start), "preview_cpu_ms": 1e3 * (time.process_time() - spent)}
     errors = preview.baked.errors_mk
     shown |= {"stated_mk": errors["preview"], "stated_rms_mk": errors["preview_rms"]}
@@ -116,12 +115,10 @@ def _measured(renderer, pose, edit, random, exact):
         return shown
     start, spent = time.perf_counter(), time.process_time()
     solution = renderer.solved_for(scene)
-    solution.radiance(pose)
+    exact = solution.frame(pose, sampled_as=frame)
     shown |= {"solution_ms": 1e3 * (time.perf_counter() - start),
               "solution_cpu_ms": 1e3 * (time.process_time() - spent)}  # fmt: skip
-    plain = [tr.Renderer.of(replace(one.baked, plan=replace(one.plan, edge_mk=np.inf))) for one in (preview, solution)]
-    apart = [sum(one.baked.texels) - sum(other.baked.texels) for one, other in [plain]]
-    apart.append(np.subtract(*(one.radiance(pose) for one in plain)))
+    apart = [sum(preview.baked.texels) - sum(solution.baked.texels), frame.radiance - exact.radiance]
     per_mk = renderer.plan.radiance_per_mk
     shown["true_mk"] = max(float(np.abs(values).max()) for values in apart) / per_mk
     shown["true_rms_mk"] = max(float(np.sqrt(np.mean(np.square(values)))) for values in apart) / per_mk
