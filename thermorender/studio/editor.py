@@ -11,7 +11,7 @@ from thermorender.materials.material import Material
 from thermorender.studio import fields, spectrum
 from thermorender.studio.access import MOST_BYTES
 from thermorender.studio.document import Document
-from thermorender.studio.fields import OPTICAL, THERMAL, Field, chosen, text_of
+from thermorender.studio.fields import OPTICAL, THERMAL, Field, alike, chosen, text_of
 from thermorender.studio.panels import Cover, Files
 from thermorender.studio.pictures import hexadecimal
 from thermorender.studio.session import BAND_K
@@ -55,6 +55,9 @@ class Editor:
             self.name = next(iter(self._session.document.library))
         self._inputs: dict[str, Any] = {}
         self._about: dict[str, ui.html] = {}
+        # Material and text that each field was last filled with; key and text of the edit under way.
+        self._filled: dict[str, tuple[str, str]] = {}
+        self._typed = "", ""
         self._all, self._width = False, 0.5
         self._overlay: Material | None = None
         with left:
@@ -258,11 +261,13 @@ class Editor:
 
         def done(event: Any) -> None:
             text, version, name = str(event.args[0] or ""), int(event.args[1]), self.name
-            what = f"{name}: {one.label.lower()} {text}"
-            if refused := self._tab.edit(
-                version, what, lambda document: fields.changed(document, name, one.key, text), True
-            ):
-                given.error = refused
+            what, self._typed = f"{name}: {one.label.lower()} {text}", (one.key, text)
+            self._filled.pop(one.key, None)
+            given.error = (
+                self._tab.edit(version, what, lambda document: fields.changed(document, name, one.key, text), True)
+                or None
+            )
+            self._typed = "", ""
 
         label = f"{one.label} [{one.unit}]" if one.unit else one.label
         given = ui.input(label, validation=fault).props(f'dense outlined data-testid="field-{one.key}"')
@@ -276,10 +281,12 @@ class Editor:
         self._title.set_text(self.name)
         self._subtitle.set_text(material.title)
         for key, given in self._inputs.items():
-            text = text_of(material, key)
-            if given.value != text:
+            known, text = self._filled.get(key), text_of(material, key)
+            self._filled[key] = (self.name, text)
+            # A field whose edit this is keeps its own form of the value: what is typed next may be in it already.
+            if known != self._filled[key] and not (key == self._typed[0] and alike(text, self._typed[1])):
                 given.set_value(text)
-            given.error = None
+                given.error = None
         self._fill_spectrum(material, None if saved is material else saved)
         thermal = material.thermal
         self._thermal_note.set_text(

@@ -89,6 +89,14 @@ def text_of(material: Material, key: str) -> str:
     return str(index_row(material).get(key, ""))
 
 
+def alike(one: str, other: str) -> bool:
+    """Return whether two texts of a field stand for the same value, as 0.90 and 0.9 do."""
+    try:
+        return float(one) == float(other)
+    except ValueError:
+        return one.strip() == other.strip()
+
+
 def changed(document: Document, name: str, key: str, text: str) -> Document:
     """Return the Document with another text in a field of a material.
 
