@@ -50,9 +50,7 @@ class Editor:
 
     def __init__(self, tab: "Tab", left: ui.element, right: ui.element) -> None:
         self._tab, self._session = tab, tab.session
-        self.name = max(self._session.shares().items(), key=lambda each: each[1])[0]
-        if self.name not in self._session.document.library:
-            self.name = next(iter(self._session.document.library))
+        self.name = self._first()
         self._inputs: dict[str, Any] = {}
         self._about: dict[str, ui.html] = {}
         # Material and text that each field was last filled with; key and text of the edit under way.
@@ -74,10 +72,15 @@ class Editor:
     def refresh(self) -> None:
         """Show the current version of the edits."""
         if self.name not in self._session.document.library:
-            self.name = next(iter(self._session.document.library))
+            self.name = self._first()
         self._fill_list()
         self._fill()
         self._cover.refresh()
+
+    def _first(self) -> str:
+        """The material that covers most."""
+        library, shares = self._session.document.library, self._session.shares()
+        return max(library, key=lambda name: shares.get(name, 0.0))
 
     # The list.
 
@@ -94,6 +97,8 @@ class Editor:
                 ui.button(label, on_click=ask).props(f'outline dense data-testid="{label.lower()}"').style(
                     "padding:0 8px"
                 )
+            delete = ui.button("Delete").props('outline dense data-testid="delete"').style("padding:0 8px")
+            delete.on("click", self._delete, js_handler="() => emit(studio.version)")
         with ui.element("div").classes("grow list"):
             self._table: ui.table = ui.table(rows=[], columns=_COLUMNS, row_key="name", pagination=0)
             self._table.props('flat dense hide-pagination :rows-per-page-options="[0]" data-testid="materials"')
@@ -158,6 +163,10 @@ class Editor:
     def _rename(self) -> None:
         old = self.name
         self._named(f"New name of {old}", old, lambda document, name: document.renamed(old, name), f"{old} renamed")
+
+    def _delete(self, event: Any) -> None:
+        name = self.name
+        self._tab.edit(int(event.args), f"{name} deleted", lambda document: document.without(name))
 
     # The panels.
 
