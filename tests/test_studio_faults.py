@@ -272,3 +272,18 @@ def test_numbers_in_other_digits_are_refused_as_in_tables(session, text):
     for key in ("emissivity", "solar_absorptance", "conductivity_w_m_k"):
         with pytest.raises(ThermorenderError, match="is not a number"):
             changed(session.document, "grass_green", key, text)
+
+
+def test_a_file_that_changed_while_the_light_was_traced_is_not_overwritten(folder):
+    from thermorender.studio import saving
+    from thermorender.studio.session import Session
+
+    scene = tr.load_scene(folder)
+    files = saving.snapshot(scene)
+    path = folder / "scene.toml"
+    path.write_text(path.read_text("utf-8") + "# by hand\n", "utf-8")
+    session = Session(tr.Renderer(scene, "fast"), "fast", files)
+    session.edit(0, "", lambda document: changed(document, "grass_green", "emissivity", "0.8"))
+    with pytest.raises(ThermorenderError, match=r"scene\.toml has changed on disk since the studio read it"):
+        saving.planned(session)
+    session.close()
