@@ -68,6 +68,35 @@ def off(one, other):
     return max(float(np.abs(a - b).max()) for a, b in pairs) / one.plan.radiance_per_mk
 
 
+def test_a_frame_sampled_as_another_differs_by_its_light_alone(renderer):
+    edged = tr.Renderer(renderer.scene, quality="fast", rays=64, like=renderer)
+    pose = edged.scene.pose(-6, 2, 30, pitch_deg=-60.0, yaw_deg=90.0)
+    before = edged.frame(pose)
+    assert np.array_equal(edged.frame(pose, sampled_as=before).radiance, before.radiance)
+    scene = edged.scene.with_material(grass_green=0.5)
+    preview, exact = (made.frame(pose) for made in (edged.preview_for(scene), edged.solved_for(scene)))
+    alike = edged.solved_for(scene).frame(pose, sampled_as=preview)
+    # Rays of the frames' own choice differ.
+    assert not np.array_equal(before._sampling.finer, exact._sampling.finer)
+    assert np.array_equal(alike._sampling.finer, preview._sampling.finer) and alike._sampling.finer.any()
+    stated = edged.preview_for(scene).baked.errors_mk["preview"]
+    assert np.abs(alike.radiance - preview.radiance).max() < stated * edged.plan.radiance_per_mk
+
+
+@pytest.mark.parametrize("other", ["pose", "quality", "camera"])
+def test_a_frame_sampled_as_one_of_another_view_is_refused(renderer, other):
+    pose, scene = renderer.scene.pose(0, 0, 40, pitch_deg=-90.0), renderer.scene
+    frame = renderer.frame(pose)
+    if other == "pose":
+        pose = renderer.scene.pose(1, 0, 40, pitch_deg=-90.0)
+    elif other == "camera":
+        renderer = tr.Renderer(scene.with_camera(replace(scene.camera, width=60)), rays=64, like=renderer)
+    else:
+        renderer = tr.Renderer(scene, quality="high", rays=64, like=renderer)
+    with pytest.raises(tr.ThermorenderError, match=r"sampled_as=… is a frame of another view.*give one"):
+        renderer.frame(pose, sampled_as=frame)
+
+
 @pytest.mark.parametrize("name", EDITS)
 def test_preview_differs_from_the_solution_by_its_stated_error_at_most(renderer, name):
     scene = EDITS[name](renderer.scene)

@@ -92,3 +92,26 @@ def test_frame_of_mixed_materials_and_a_cold_texel_agrees_with_many_nodes(monkey
     budget = own.frame(pose).budget_mk
     assert np.sqrt(np.mean(change**2)) < np.hypot(budget["nodes"], budget["air"])
     assert np.abs(change).max() < TOLERANCE_MK + budget["air"]
+
+
+@pytest.mark.parametrize("edit", ["one coloured", "all grey", "another order", "colder sky"])
+def test_kept_nodes_state_the_error_of_edited_materials_and_of_light_from_them(edit):
+    materials = [LIBRARY[name] for name in (*STONES, "paint_metallic")]
+    scene = Envelope(BAND, (270.0, 298.0), [(5, 285.0)], 240.0, 280.0, None, (0.0, 10.0))
+    before = make_spectrum(materials, scene, TOLERANCE_MK, True)
+    edited, seen = list(materials), scene
+    if edit == "one coloured":
+        wavelength = np.linspace(7.0, 14.0, 71)
+        narrow = np.clip(0.98 - np.exp(-(((wavelength - 8.2) / 0.3) ** 2)), 0.01, 1.0)
+        edited[1] = replace(materials[1], name="narrow", wavelength_um=wavelength, emissivity=narrow)
+    elif edit == "all grey":
+        edited = [replace(each, emissivity=np.full_like(each.emissivity, 0.8)) for each in materials]
+    elif edit == "another order":
+        edited = materials[::-1]
+    else:
+        seen = replace(scene, sky_temperature=150.0)
+    found = spectrum.kept_spectrum(before, materials, edited, seen)
+    # Light of at most 300 K, where a millikelvin is that of 300 K.
+    assert largest_error_mk(found, edited, seen) <= found.nodes_mk * (1.0 + 1e-6)
+    assert (found.nodes_mk > before.nodes_mk) == (edit in ("one coloured", "colder sky"))
+    assert np.array_equal(found.label, before.label) and found.envelope is seen

@@ -168,6 +168,16 @@ def test_an_edit_changes_the_pixel_as_the_public_interface_does(page, folder):
     below.wait_for(timeout=WAIT_MS)
 
 
+def test_edits_in_quick_succession_are_all_made(page):
+    """The text of an edit, such as 0.83 for 0.830, must not replace what is typed meanwhile."""
+    page.choose("sand_quartz")
+    version, typed = page.version, [f"{0.8 + 0.001 * k:.3f}" for k in range(1, 32)]
+    for text in typed:
+        page.enter("emissivity", text)
+    page.settled(version + len(typed))
+    assert page.part("field-emissivity").input_value() == typed[-1]
+
+
 def test_a_refused_value_has_the_sentence_of_the_command_line(page, call, folder, tmp_path):
     page.choose("sand_quartz")
     for key, text in (("emissivity", "1.5"), ("solar_absorptance", "70"), ("conductivity_w_m_k", "900")):

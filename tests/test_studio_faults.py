@@ -245,3 +245,45 @@ def test_a_new_name_is_not_saved_where_the_scene_names_the_old_one_elsewhere(fol
     saved(session)
     assert sorted(each.name for each in (folder / "materials" / "spectra").iterdir()) == ["mine.csv", "yours.csv"]
     session.close()
+
+
+def test_a_material_of_the_scene_is_deleted_where_nothing_uses_it(session, folder):
+    def delete(name):
+        session.edit(session.history.version, f"{name} deleted", lambda document: document.without(name))
+
+    with pytest.raises(ThermorenderError, match="snow is a material of the shipped library, which stays"):
+        delete("snow")
+    session.edit(0, "", lambda document: document.duplicated("snow", "mine"))
+    session.edit(1, "", lambda document: document.of_class(1, "mine"))
+    saved(session)
+    assert (folder / "materials" / "spectra" / "mine.csv").is_file()
+    with pytest.raises(ThermorenderError, match="mine is the material of class 1; give that another one"):
+        delete("mine")
+    session.edit(2, "", lambda document: document.of_class(1, "grass_green"))
+    delete("mine")
+    assert "mine" not in {each.name for each in saved(session).materials}
+    assert not (folder / "materials").exists()
+    session.step(session.history.version, -1)
+    assert "mine" in session.document.library
+
+
+@pytest.mark.parametrize("text", ["1_0", "0.8_5", "٣", "０.９"])
+def test_numbers_in_other_digits_are_refused_as_in_tables(session, text):
+    for key in ("emissivity", "solar_absorptance", "conductivity_w_m_k"):
+        with pytest.raises(ThermorenderError, match="is not a number"):
+            changed(session.document, "grass_green", key, text)
+
+
+def test_a_file_that_changed_while_the_light_was_traced_is_not_overwritten(folder):
+    from thermorender.studio import saving
+    from thermorender.studio.session import Session
+
+    scene = tr.load_scene(folder)
+    files = saving.snapshot(scene)
+    path = folder / "scene.toml"
+    path.write_text(path.read_text("utf-8") + "# by hand\n", "utf-8")
+    session = Session(tr.Renderer(scene, "fast"), "fast", files)
+    session.edit(0, "", lambda document: changed(document, "grass_green", "emissivity", "0.8"))
+    with pytest.raises(ThermorenderError, match=r"scene\.toml has changed on disk since the studio read it"):
+        saving.planned(session)
+    session.close()

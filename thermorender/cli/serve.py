@@ -117,11 +117,14 @@ def studio(
     from thermorender.link.access import listening
     from thermorender.render.renderer import Renderer
     from thermorender.scene.load import load_scene
+    from thermorender.studio.saving import snapshot
     from thermorender.studio.view import Pose
 
     with listening(host, port) as socket:
         with progress() as report:
             loaded = load_scene(scene)
+            # Before the light is traced, which takes seconds in which a file may change.
+            files = snapshot(loaded)
             if pose:
                 Pose.typed(pose, loaded, "--pose")
             renderer = Renderer(loaded, quality, device=device, progress=report)  # type: ignore[arg-type]
@@ -129,7 +132,7 @@ def studio(
         print_cache_note(renderer)
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         announce = "open {} in a browser; stop with Ctrl-C".format
-        run(renderer, socket, host, pose, quality, lambda address: typer.echo(announce(address)))
+        run(renderer, files, socket, host, pose, quality, lambda address: typer.echo(announce(address)))
 
 
 def _bridge(

@@ -21,6 +21,7 @@ from thermorender.materials.csv_tables import (
     SPECTRUM_COLUMNS,
     beyond,
     csv_rows,
+    decimal,
     gaps,
     number_in_cell,
 )
@@ -311,7 +312,7 @@ def _column(where, numbers, column, texts):
     values = np.full(len(texts), np.nan)
     for index, text in enumerate(texts):
         try:
-            values[index] = float(text)
+            values[index] = decimal(text)
         except ValueError:
             continue
     bad = np.flatnonzero(~np.isfinite(values))
@@ -376,7 +377,7 @@ def _spread(where, numbers, texts, samples):
     if samples.isdigit() and int(samples) > 1 and not any(texts):
         text = f"emissivity_std is empty for {samples} samples; give their standard deviation"
         findings.append(Finding(False, where, text))
-    if samples == "1" and any(text and float(text) == 0.0 for text in texts if _is_number(text)):
+    if samples == "1" and any(text and decimal(text) == 0.0 for text in texts if _is_number(text)):
         text = "emissivity_std is 0 for one sample, whose spread is unknown; leave the column empty"
         findings.append(Finding(False, where, text))
     return findings
@@ -408,6 +409,6 @@ def _more(bad):
 
 def _is_number(text):
     try:
-        return np.isfinite(float(text))
+        return np.isfinite(decimal(text))
     except ValueError:
         return False

@@ -139,6 +139,13 @@ def csv_rows(text: str, path: str | Path, delimiter: str = ",") -> list[list[str
     return rows
 
 
+def decimal(text: str) -> float:
+    """Return the number that a text writes in the digits 0–9; ValueError for any other, such as Python's own 1_0."""
+    if "_" in text or not text.isascii():
+        raise ValueError
+    return float(text)
+
+
 def number_in_cell(path: str | Path, row: int, column: str, text: str, low: float, high: float, advice: str) -> float:
     """Return the number in a table's cell, checked to be within low…high.
 
@@ -148,7 +155,7 @@ def number_in_cell(path: str | Path, row: int, column: str, text: str, low: floa
         The text is not a number or out of range; the message names file, row, column, value, range and `advice`.
     """
     try:
-        value = float(text)
+        value = decimal(text)
     except ValueError:
         raise ThermorenderError(
             f"{path}, row {row}: {column}={shortened(repr(text))} is not a number; write {low:g}…{high:g} with a "

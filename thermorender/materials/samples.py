@@ -12,7 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.materials.csv_tables import LONGEST_WAVELENGTH_UM, csv_rows, number_in_cell, read_table, read_text
+from thermorender.materials.csv_tables import (
+    LONGEST_WAVELENGTH_UM,
+    csv_rows,
+    decimal,
+    number_in_cell,
+    read_table,
+    read_text,
+)
 
 # Library → (its title, citation, licence).
 LIBRARIES = {
@@ -161,7 +168,7 @@ def _check_extent(path, header, pairs):
     """Refuse pairs that are not as many, or do not begin and end, as a header states."""
     names = ("number of x values", "first x value", "last x value")
     try:
-        count, *ends = (float(header[name]) for name in names)
+        count, *ends = (decimal(header[name]) for name in names)
     except (KeyError, ValueError):
         return
     found = sorted((pairs[0][0], pairs[-1][0]))
@@ -205,7 +212,7 @@ def ecostress_lines(path: str | Path) -> tuple[dict[str, str], list[tuple[float,
             header[key.strip().lower()] = value.strip()
             continue
         try:
-            wavelength, percent = (float(cell) for cell in line.split())
+            wavelength, percent = (decimal(cell) for cell in line.split())
         except ValueError:
             continue
         pairs.append((wavelength, percent))

@@ -172,7 +172,10 @@ class Renderer:
             self._like = None
         return self._baked
 
-    def frame(self, pose: ArrayLike, time_s: float = 0.0, index: int = 0, objects: Objects | None = None) -> Frame:
+    def frame(
+        self, pose: ArrayLike, time_s: float = 0.0, index: int = 0, objects: Objects | None = None,
+        sampled_as: Frame | None = None,
+    ) -> Frame:  # fmt: skip
         """Return the Frame seen from `pose`.
 
         Parameters
@@ -185,15 +188,25 @@ class Renderer:
             Number of the frame; with the seed it determines the noise.
         objects : dict, optional
             {name of a dynamic object: {column of its track: value}} to use instead of the track's.
+        sampled_as : Frame, optional
+            A frame of the same view, before or after an edit. Each pixel gets the rays that it had there, so that the
+            two frames differ by their light alone. Otherwise the radiance decides which pixels get more.
 
         Raises
         ------
         ThermorenderError
-            The pose is not a rigid transform, the index is not a whole number from 0 on, or an object has no track or
-            leaves the terrain.
+            The pose is not a rigid transform, the index is not a whole number from 0 on, an object has no track or
+            leaves the terrain, or `sampled_as` has another view or other surfaces, or was not rendered here.
         """
-        view = self._view(pose, time_s, objects)
-        radiance, sampling = view.radiance()
+        view, like = self._view(pose, time_s, objects), None
+        if sampled_as is not None:
+            like = sampled_as._sampling
+            if like is None or not view.sees_as(sampled_as._view):
+                raise ThermorenderError(
+                    "sampled_as=… is a frame of another view, of other surfaces, or from another process; give one "
+                    "that this renderer, or one of its solved_for or preview_for, made of this pose, time and quality"
+                )
+        radiance, sampling = view.radiance(like=like)
         return self._frame(view, radiance, time_s, index, self.plan.as_dict(), sampling)
 
     def frames(

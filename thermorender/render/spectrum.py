@@ -107,6 +107,7 @@ class Spectrum:
     # Largest error of the nodes in reflected light, over the envelope's light and some of its paths [mK].
     nodes_mk: float
     channels_mk: float  # the same of the channels in radiance of surfaces, over all paths; 0 without air
+    envelope: "Envelope"  # of the scene
 
     @property
     def nodes(self) -> int:
@@ -189,6 +190,11 @@ class Envelope:
         skies = [] if self.sky_temperature is None else [self.sky_temperature]
         own = [temperature for _, temperature in self.objects]
         return [*self.ground, *own, *skies, self.surroundings_temperature]
+
+    def lit_as(self, other: "Envelope") -> bool:
+        """Return whether the light of two envelopes differs by the emissivity of materials alone."""
+        fields = "band_um", "ground", "objects", "sky_temperature", "surroundings_temperature", "altitude_m"
+        return self.air is other.air and all(getattr(self, name) == getattr(other, name) for name in fields)
 
     def sources(self, points: Points) -> tuple[Floats, Floats, Floats]:
         """Return emission at the points: (outside (n, Q), ground (2, Q), objects (t, Q)).
@@ -281,13 +287,29 @@ def kept_spectrum(
     """
     if any(isinstance(material, Mixture) for material in (*before, *materials)):
         return None
-    spectra, old = (spectra_at(spectrum.points, each) for each in (materials, before))
-    case = _Case(spectrum.points, spectra, envelope, envelope.paths())
-    basis, solver = spectrum.basis, spectrum.solver
-    channels_mk = 0.0 if envelope.air is None else _worst_mk(case, _shown(case), basis, solver)
-    found = [(new, row) for new, own in enumerate(spectra) for row in np.flatnonzero((old == own).all(axis=1))[:1]]
-    new, row = np.array(found, dtype=int).reshape(-1, 2).T
-    return case.spectrum(spectrum.label, basis, solver, channels_mk, case.wanted(basis), (new, spectrum.reflected[row]))
+    points, paths, channels_mk = spectrum.points, envelope.paths(), 0.0
+    spectra, old = (spectra_at(points, each) for each in (materials, before))
+    fits = spectrum.label, spectrum.basis, spectrum.solver
+    if envelope.air is not None:
+        case = _Case(points, spectra, envelope, paths)
+        channels_mk = _worst_mk(case, _shown(case), *fits[1:])
+    found = [(kept, row) for kept, own in enumerate(spectra) for row in np.flatnonzero((old == own).all(axis=1))[:1]]
+    kept, row = np.array(found, dtype=int).reshape(-1, 2).T
+    reflected = np.zeros((len(spectra), *spectrum.reflected.shape[1:]))
+    reflected[kept] = spectrum.reflected[row]
+    # Only what new materials reflect, and what reflects their light, has another error; in other light all has.
+    new, reach = np.setdiff1d(np.arange(len(spectra)), kept), spectrum.nodes_mk
+    if not envelope.lit_as(spectrum.envelope):
+        new, reach = np.arange(len(spectra)), 0.0
+    if len(new):
+        case = _Case(points, spectra[new], envelope, paths, spectra)
+        made = case.spectrum(*fits, channels_mk, case.wanted(spectrum.basis))
+        fresh = np.isin(new, kept, invert=True)
+        reflected[new[fresh]], reach = made.reflected[fresh], max(reach, made.nodes_mk)
+    objects = [(int(np.flatnonzero(new == m)[0]), kelvin) for m, kelvin in envelope.objects if m in new]
+    case = _Case(points, spectra, replace(envelope, objects=objects), paths, spectra[new])
+    made = case.spectrum(*fits, channels_mk, case.wanted(spectrum.basis), reflected)
+    return replace(made, envelope=envelope, nodes_mk=max(reach, made.nodes_mk))
 
 
 def spectra_at(points: Points, materials: Sequence[Material]) -> Floats:
@@ -326,13 +348,19 @@ def _mixed(spectrum: Spectrum, shares: Floats) -> Spectrum:
 
 
 class _Case:
-    """A scene's envelope at the points: its light, its reflections, and the radiance of a millikelvin."""
+    """A scene's envelope at the points: its light, its reflections, and the radiance of a millikelvin.
 
-    def __init__(self, points: Points, spectra: Floats, envelope: Envelope, passed: Floats) -> None:
+    Materials of `spectra` reflect, and those of `glowing` emit: all of a scene, or a part of them.
+    """
+
+    def __init__(
+        self, points: Points, spectra: Floats, envelope: Envelope, passed: Floats, glowing: Floats | None = None
+    ) -> None:
         self.points, self.spectra, self.envelope, self.passed = points, spectra, envelope, passed
+        self.glowing = spectra if glowing is None else glowing
         self.black = points.planck(REFERENCE_K)
         self.sources = envelope.sources(points)
-        self.light = envelope.light(spectra, *self.sources)
+        self.light = envelope.light(self.glowing, *self.sources)
 
     @cached_property
     def per_mk(self) -> Floats:
@@ -361,27 +389,30 @@ class _Case:
 
     def spectrum(
         self, label: NDArray[np.integer], basis: Floats, solver: Floats, channels_mk: float,
-        wanted: Floats | None = None, known: tuple[NDArray[np.integer], Floats] | None = None,
+        wanted: Floats | None = None, known: Floats | None = None,
     ) -> Spectrum:  # fmt: skip
         """Return the Spectrum of nodes, where `wanted` is given with a fit to these reflections and its error.
 
-        `known` holds numbers of materials, and what they reflect in place of a fit.
+        `known` is what the materials reflect in place of a fit.
         """
         emissivity, reflected, share = _means(self.points, self.spectra, basis, label)
         nodes_mk = 0.0
         if wanted is not None:
             # The bake solves for light at nodes, reflected with mean reflectances.
-            light = self.envelope.light(emissivity, *(_gathered(source, label) for source in self.sources))
-            missing = (wanted - reflected @ light.T) / self.per_mk.min(axis=0)
-            left, size, right = np.linalg.svd(light / self.per_mk.min(axis=0)[:, None], full_matrices=False)
-            damped = size / (size**2 + (_RIDGE * size[0]) ** 2)
-            reflected = reflected + missing @ left * damped @ right
-            if known is not None:
-                reflected[known[0]] = known[1]
+            glowing = _means(self.points, self.glowing, basis, label)[0]
+            light = self.envelope.light(glowing, *(_gathered(source, label) for source in self.sources))
+            if known is None:
+                missing = (wanted - reflected @ light.T) / self.per_mk.min(axis=0)
+                left, size, right = np.linalg.svd(light / self.per_mk.min(axis=0)[:, None], full_matrices=False)
+                damped = size / (size**2 + (_RIDGE * size[0]) ** 2)
+                known = reflected + missing @ left * damped @ right
+            reflected = known
             left_over = (wanted - reflected @ light.T) / self.per_mk[:, None]
             weights = self.passed[:: max(1, len(self.passed) // _JUDGED_PATHS)] @ solver
             nodes_mk = float(np.abs(np.einsum("pk,mkl->pml", weights, left_over, optimize=True)).max())
-        return Spectrum(self.points, label, emissivity, reflected, share, basis, solver, nodes_mk, channels_mk)
+        return Spectrum(
+            self.points, label, emissivity, reflected, share, basis, solver, nodes_mk, channels_mk, self.envelope
+        )  # fmt: skip
 
 
 def _channels(case: _Case, tolerance_mk: float) -> tuple[Floats, Floats, float]:

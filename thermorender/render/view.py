@@ -38,12 +38,19 @@ class View:
         thin = partial(slender.rectangles, parts, self.pose, self.rays.camera)
         return Tracer(layers, self.rays, medium, self.baked.plan, thin, self.pose)
 
-    def radiance(self, through_air: bool = True) -> tuple[NDArray[np.float32], Sampling]:
-        """Return (band radiance (H, W) float32 [W m⁻² sr⁻¹], Sampling)."""
+    def radiance(self, through_air: bool = True, like: Sampling | None = None) -> tuple[NDArray[np.float32], Sampling]:
+        """Return (band radiance (H, W) float32 [W m⁻² sr⁻¹], Sampling); `like` as of `Tracer.image`."""
         plan = self.baked.plan
         limit = plan.edge_mk * plan.radiance_per_mk
-        image, sampling = self.tracer(through_air).image(limit)
+        image, sampling = self.tracer(through_air).image(limit, like)
         return image[0], sampling
+
+    def sees_as(self, other: "View") -> bool:
+        """Return whether another view casts the same rays at the same surfaces."""
+        here, there = ([view.pose, *(each.pose for each in view.placements)] for view in (self, other))
+        same = np.array_equal(here, there) and self.rays.camera == other.rays.camera
+        one, two = self.baked, other.baked
+        return same and one.geometry is two.geometry and one.plan.samples == two.plan.samples
 
     def truth(self, sampling: Sampling | None) -> dict[str, NDArray[Any]]:
         """Return the ground truth, as `Frame.truth`, without the sensor's flags.

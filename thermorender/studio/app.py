@@ -11,6 +11,7 @@ from thermorender.studio.access import Guard
 
 if TYPE_CHECKING:
     import socket
+    from pathlib import Path
 
     from thermorender.render.renderer import Renderer
 
@@ -28,13 +29,16 @@ def refuse_missing() -> None:
 
 
 def run(
-    renderer: "Renderer", listening: "socket.socket", host: str, pose: str, quality: str, announce: Any
+    renderer: "Renderer", files: "dict[Path, str]", listening: "socket.socket", host: str, pose: str, quality: str,
+    announce: Any,
 ) -> None:  # fmt: skip
     """Serve the studio until Ctrl-C.
 
     Parameters
     ----------
     renderer : Renderer
+    files : dict
+        `thermorender.studio.saving.snapshot` of its scene, from when it was loaded.
     listening : socket
         Of `thermorender.link.access.listening`.
     host : str
@@ -51,7 +55,7 @@ def run(
     from thermorender.studio.session import Session
 
     token, port = secrets.token_urlsafe(24), int(listening.getsockname()[1])
-    session = Session(renderer, quality)
+    session = Session(renderer, quality, files)
     app = _application(session, pose)
     config = uvicorn.Config(
         Guard(app, token, host, port), log_level="error", access_log=False, lifespan="on",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.materials.library import NAME, find
+from thermorender.materials.library import NAME, find, load_library
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import parts_of
 
@@ -100,6 +100,22 @@ class Document:
             painted=tuple(replace(each, material=new) if each.material == name else each for each in self.painted),
             tables=self._with_table(name, new),
         )  # fmt: skip
+
+    def without(self, name: str) -> "Document":
+        """Return this Document without one of the scene's own materials that nothing uses."""
+        if name not in self.own or name in load_library():
+            raise ThermorenderError(
+                f"{name} is a material of the shipped library, which stays; undo takes back its edits"
+            )
+        uses = [f"class {key}" for key, each in self.classes.items() if each == name]
+        uses += [f"object {key!r}" for key, (each, _) in self.objects.items() if each == name]
+        uses += ["a painted area" for each in self.painted if each.material == name]
+        uses += [f"the ground beneath {key}" for key, each in self.library.items()
+                 if each.thermal is not None and each.thermal.beneath == name]  # fmt: skip
+        if uses:
+            raise ThermorenderError(f"{name} is the material of {uses[0]}; give that another one before you delete it")
+        library = {key: each for key, each in self.library.items() if key != name}
+        return replace(self, library=library, own=self.own - {name})
 
     def _refuse(self, name: str) -> None:
         if not NAME.fullmatch(name) or len(name) > _LONGEST_NAME:

@@ -11,7 +11,7 @@ from thermorender.materials.material import Material
 from thermorender.studio import fields, spectrum
 from thermorender.studio.access import MOST_BYTES
 from thermorender.studio.document import Document
-from thermorender.studio.fields import OPTICAL, THERMAL, Field, chosen, text_of
+from thermorender.studio.fields import OPTICAL, THERMAL, Field, alike, chosen, text_of
 from thermorender.studio.panels import Cover, Files
 from thermorender.studio.pictures import hexadecimal
 from thermorender.studio.session import BAND_K
@@ -50,11 +50,12 @@ class Editor:
 
     def __init__(self, tab: "Tab", left: ui.element, right: ui.element) -> None:
         self._tab, self._session = tab, tab.session
-        self.name = max(self._session.shares().items(), key=lambda each: each[1])[0]
-        if self.name not in self._session.document.library:
-            self.name = next(iter(self._session.document.library))
+        self.name = self._first()
         self._inputs: dict[str, Any] = {}
         self._about: dict[str, ui.html] = {}
+        # Material and text that each field was last filled with; key and text of the edit under way.
+        self._filled: dict[str, tuple[str, str]] = {}
+        self._typed = "", ""
         self._all, self._width = False, 0.5
         self._overlay: Material | None = None
         with left:
@@ -71,10 +72,15 @@ class Editor:
     def refresh(self) -> None:
         """Show the current version of the edits."""
         if self.name not in self._session.document.library:
-            self.name = next(iter(self._session.document.library))
+            self.name = self._first()
         self._fill_list()
         self._fill()
         self._cover.refresh()
+
+    def _first(self) -> str:
+        """The material that covers most."""
+        library, shares = self._session.document.library, self._session.shares()
+        return max(library, key=lambda name: shares.get(name, 0.0))
 
     # The list.
 
@@ -91,6 +97,8 @@ class Editor:
                 ui.button(label, on_click=ask).props(f'outline dense data-testid="{label.lower()}"').style(
                     "padding:0 8px"
                 )
+            delete = ui.button("Delete").props('outline dense data-testid="delete"').style("padding:0 8px")
+            delete.on("click", self._delete, js_handler="() => emit(studio.version)")
         with ui.element("div").classes("grow list"):
             self._table: ui.table = ui.table(rows=[], columns=_COLUMNS, row_key="name", pagination=0)
             self._table.props('flat dense hide-pagination :rows-per-page-options="[0]" data-testid="materials"')
@@ -155,6 +163,10 @@ class Editor:
     def _rename(self) -> None:
         old = self.name
         self._named(f"New name of {old}", old, lambda document, name: document.renamed(old, name), f"{old} renamed")
+
+    def _delete(self, event: Any) -> None:
+        name = self.name
+        self._tab.edit(int(event.args), f"{name} deleted", lambda document: document.without(name))
 
     # The panels.
 
@@ -258,11 +270,13 @@ class Editor:
 
         def done(event: Any) -> None:
             text, version, name = str(event.args[0] or ""), int(event.args[1]), self.name
-            what = f"{name}: {one.label.lower()} {text}"
-            if refused := self._tab.edit(
-                version, what, lambda document: fields.changed(document, name, one.key, text), True
-            ):
-                given.error = refused
+            what, self._typed = f"{name}: {one.label.lower()} {text}", (one.key, text)
+            self._filled.pop(one.key, None)
+            given.error = (
+                self._tab.edit(version, what, lambda document: fields.changed(document, name, one.key, text), True)
+                or None
+            )
+            self._typed = "", ""
 
         label = f"{one.label} [{one.unit}]" if one.unit else one.label
         given = ui.input(label, validation=fault).props(f'dense outlined data-testid="field-{one.key}"')
@@ -276,10 +290,12 @@ class Editor:
         self._title.set_text(self.name)
         self._subtitle.set_text(material.title)
         for key, given in self._inputs.items():
-            text = text_of(material, key)
-            if given.value != text:
+            known, text = self._filled.get(key), text_of(material, key)
+            self._filled[key] = (self.name, text)
+            # A field whose edit this is keeps its own form of the value: what is typed next may be in it already.
+            if known != self._filled[key] and not (key == self._typed[0] and alike(text, self._typed[1])):
                 given.set_value(text)
-            given.error = None
+                given.error = None
         self._fill_spectrum(material, None if saved is material else saved)
         thermal = material.thermal
         self._thermal_note.set_text(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.files import reported
 from thermorender.materials.check import check_row
-from thermorender.materials.csv_tables import SOLAR_STD_COLUMN, share_in_cell
+from thermorender.materials.csv_tables import SOLAR_STD_COLUMN, decimal, share_in_cell
 from thermorender.materials.from_samples import from_samples
 from thermorender.materials.material import Material
 from thermorender.materials.samples import read_sample
@@ -89,6 +89,14 @@ def text_of(material: Material, key: str) -> str:
     return str(index_row(material).get(key, ""))
 
 
+def alike(one: str, other: str) -> bool:
+    """Return whether two texts of a field stand for the same value, as 0.90 and 0.9 do."""
+    try:
+        return decimal(one) == decimal(other)
+    except ValueError:
+        return one.strip() == other.strip()
+
+
 def changed(document: Document, name: str, key: str, text: str) -> Document:
     """Return the Document with another text in a field of a material.
 
@@ -112,7 +120,7 @@ def changed(document: Document, name: str, key: str, text: str) -> Document:
             raise ThermorenderError(finding.text)
     if key not in _NUMBERS:
         return document.with_material(replace(material, **{key: text}))  # type: ignore[arg-type]
-    number = float(text) if text else None
+    number = decimal(text) if text else None
     note = _noted(material.note, f"{key}={text}")
     return document.with_material(replace(material, **{_NUMBERS[key]: number, "note": note}))  # type: ignore[arg-type]
 

@@ -85,7 +85,6 @@ class Tab:
         self._client.on_delete(self._leave)
         ui.colors(primary="#0b6377")
         self.refresh()
-        self.look()
 
     # What the session and the renders call.
 
@@ -163,11 +162,16 @@ class Tab:
         return self._picture.number if self._picture else 0
 
     def _connected(self) -> None:
-        """Bring a page up to date, the first time and after its connection was lost."""
+        """Bring a page up to date, the first time and after its connection was lost.
+
+        A page that is fetched and never connects costs no frame.
+        """
         with self._client:
             ui.run_javascript(f"studio.setUp(); studio.version = {self.session.history.version}")
             if self._picture:
                 self._send(self._picture)
+            else:
+                self.look()
 
     def _leave(self) -> None:
         self.session.renders.forget(self.key)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from nicegui import run, ui
 
 from thermorender.errors import ThermorenderError
+from thermorender.materials.csv_tables import decimal
 from thermorender.scene.load import load_scene
 from thermorender.studio import ground, saving
 from thermorender.studio.document import Document
@@ -72,7 +73,7 @@ class Cover:
     def _kelvin(self, thing: str, now: float) -> None:
         def fault(text: str) -> str | None:
             try:
-                kelvin(f"temperature of {thing}", float(text))
+                kelvin(f"temperature of {thing}", decimal(text))
             except ValueError:
                 return f"{text!r} is not a number of kelvin"
             except ThermorenderError as error:
@@ -81,7 +82,7 @@ class Cover:
 
         def done(event: Any) -> None:
             if fault(str(event.args[0])) is None:
-                change = partial(_warmed, thing, float(event.args[0]))
+                change = partial(_warmed, thing, decimal(str(event.args[0])))
                 self._tab.edit(int(event.args[1]), f"{thing}: {event.args[0]} K", change)
 
         given = ui.input(value=f"{now:g}", validation=fault, suffix="K").props("dense outlined hide-bottom-space")

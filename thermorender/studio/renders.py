@@ -71,7 +71,7 @@ class Renders:
     _jobs: list[Callable[[], object]] = field(default_factory=list)
     _long: Callable[[], object] | None = None
     _ended: bool = False
-    _last: dict[str, tuple[Any, Frame]] = field(default_factory=dict)
+    _last: dict[str, tuple[View, Frame, int]] = field(default_factory=dict)
     _pictures: dict[str, Picture] = field(default_factory=dict)
     _solved: Renderer = field(init=False)
 
@@ -269,15 +269,17 @@ class Renders:
         seen.show(made)
 
     def _picture(self, tab: str, view: View) -> Picture:
-        light = self.light
+        light, (known, last, version) = self.light, self._last.get(tab, (None, None, -1))
         pose, time_s = view.pose.matrix(), view.time_s
-        frame = light.renderer.frame(pose, time_s)
-        self._last[tab] = (view, frame)
+        # The exact frame after a preview has the rays of the preview, so that they differ by their light alone.
+        again = version == light.version and known is not None and (known.pose, known.time_s) == (view.pose, time_s)
+        frame = light.renderer.frame(pose, time_s, sampled_as=last if again else None)
+        self._last[tab] = (view, frame, light.version)
         before = None
         if view.mode == "difference":
             if self._reference is not None:
                 self.saved, self._reference = self._exact(self._reference), None
-            before = self.saved.frame(pose, time_s).apparent_temperature
+            before = self.saved.frame(pose, time_s, sampled_as=frame).apparent_temperature
         colour = light.renderer.visible(pose, time_s=time_s) if view.mode == "photograph" else None
         number = (self._pictures[tab].number if tab in self._pictures else 0) + 1
         blank = Picture(number, light.version, light.words, light.exact)

@@ -106,8 +106,8 @@ def _refuse_names_left(text: str, gone: set[str]) -> None:
     left = sorted(gone & _words_of(parse_toml(text.encode(), "scene.toml")))
     if left:
         raise ThermorenderError(
-            f"scene.toml names {left[0]} outside its classes and objects, which the studio does not change; undo the "
-            "new name, or duplicate the material in its place"
+            f"scene.toml names {left[0]} outside its classes and objects, which the studio does not change; undo "
+            "its deletion or new name, or give it another material there by hand and press Reload"
         )
 
 

@@ -43,6 +43,8 @@ class Session:
         Of the scene as its files describe it.
     quality : str
         Its quality, for the lines that a user copies.
+    files : dict, optional
+        `thermorender.studio.saving.snapshot` of the scene when it was loaded; by default as it is now.
 
     Attributes
     ----------
@@ -60,12 +62,13 @@ class Session:
         Painted areas.
     """
 
-    def __init__(self, renderer: "Renderer", quality: str) -> None:
+    def __init__(self, renderer: "Renderer", quality: str, files: "dict[Path, str] | None" = None) -> None:
         self.quality = quality
         self.base: Scene = renderer.scene
         self.origin = document_of(self.base)
         self.history = History(self.origin)
-        self.files, self.class_raster = snapshot(self.base), class_raster_of(self.base)
+        self.files = snapshot(self.base) if files is None else files
+        self.class_raster = class_raster_of(self.base)
         self.areas = TemporaryDirectory(prefix="thermorender-studio-")
         self.renders = Renders(renderer)
         self.tabs: list[Shown] = []

@@ -1,14 +1,14 @@
 """Edits drawn at random: time from `Scene.with_…` to the radiance of a frame, and the errors of previews.
 
 A preview is the renderer of `preview_for`, the solution that of `solved_for`, each with one frame of 640×512 from the
-same pose. The true error of a preview is its difference from the solution, over all texels and over the frame. An edge
-pixel may get more rays in one of two frames only, so that these have the same rays, frames for the error have one per
-pixel.
+same pose. The true error of a preview is its difference from the solution, over all texels and over the frame, which
+has the rays of the preview's.
 """
 
 import os
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -24,28 +24,28 @@ HEADER = ("scene", "quality", "edit", "preview [ms]", "95 %", "solution [ms]", "
           "RMS stated", "RMS true")  # fmt: skip
 
 
-def _emissivity(scene, random):
+def _emissivity(scene, random, shown):
     """A material becomes grey."""
-    return scene.with_material({_any(scene, random): float(random.uniform(0.8, 0.99))})
+    return scene.with_material({_any(scene, random, shown): float(random.uniform(0.8, 0.99))})
 
 
-def _spectrum(scene, random):
+def _spectrum(scene, random, shown):
     """A point of a material's spectrum is dragged."""
-    name, at_um = _any(scene, random), random.uniform(*scene.camera.band_um)
+    name, at_um = _any(scene, random, shown), random.uniform(*scene.camera.band_um)
     old = next(material for material in scene.materials if material.name == name)
     near = np.exp(-(((old.wavelength_um - at_um) / 0.3) ** 2)) * random.uniform(-0.2, 0.2)
     return scene.with_material({name: replace(old, emissivity=np.clip(old.emissivity + near, 0.01, 1.0))})
 
 
-def _assignment(scene, random):
+def _assignment(scene, random, shown):
     """A class gets the material of another."""
-    one, other = (_any(scene, random) for _ in range(2))
+    one, other = (_any(scene, random, shown) for _ in range(2))
     return scene.with_material({one: other})
 
 
-def _temperature(scene, random):
+def _temperature(scene, random, shown):
     """The texels of a class become warmer or colder."""
-    number, by = int(random.choice(_shown(scene))), random.uniform(-8.0, 8.0)
+    number, by = int(random.choice(shown)), random.uniform(-8.0, 8.0)
     kelvin = [np.where(each.material == number, each.temperature + by, each.temperature)
               for each in scene.surfaces[: scene.terrain_count]]  # fmt: skip
     return scene.with_temperature(scene.spec.temperature, kelvin=kelvin)
@@ -77,13 +77,17 @@ def run(scenes, qualities, edits=25, exact_every=5, seed=0, device="auto", progr
         renderer = tr.Renderer(tr.load_scene(name), quality=quality, device=device)
         pose = renderer.scene.pose(*_POSE, look_at=(0.0, 0.0, 0.0))
         renderer.radiance(pose)
+        shown = _shown(renderer.scene)
         for kind, edit in KINDS.items():
             random = np.random.default_rng(seed)
             for _ in range(_FIRST):
-                scene = edit(renderer.scene, random)
+                scene = edit(renderer.scene, random, shown)
                 renderer.preview_for(scene).radiance(pose)
             _ = renderer.solved_for(scene)
-            found = [_measured(renderer, pose, edit, random, k % exact_every == 0) for k in range(edits)]
+            found = [
+                _measured(renderer, pose, partial(edit, random=random, shown=shown), k % exact_every == 0)
+                for k in range(edits)
+            ]
             cases.append({"scene": name, "quality": quality, "kind": kind, "edits": found})
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     return {"cases": cases, "seed": seed, "load": load, "machine": machine(), "versions": versions()}
@@ -104,11 +108,11 @@ def rows(result):
     return found
 
 
-def _measured(renderer, pose, edit, random, exact):
+def _measured(renderer, pose, edit, exact):
     start, spent = time.perf_counter(), time.process_time()
-    scene = edit(renderer.scene, random)
+    scene = edit(renderer.scene)
     preview = renderer.preview_for(scene)
-    preview.radiance(pose)
+    frame = preview.frame(pose)
     shown = {"preview_ms": 1e3 * (time.perf_counter() - start), "preview_cpu_ms": 1e3 * (time.process_time() - spent)}
     errors = preview.baked.errors_mk
     shown |= {"stated_mk": errors["preview"], "stated_rms_mk": errors["preview_rms"]}
@@ -116,12 +120,10 @@ def _measured(renderer, pose, edit, random, exact):
         return shown
     start, spent = time.perf_counter(), time.process_time()
     solution = renderer.solved_for(scene)
-    solution.radiance(pose)
+    exact = solution.frame(pose, sampled_as=frame)
     shown |= {"solution_ms": 1e3 * (time.perf_counter() - start),
               "solution_cpu_ms": 1e3 * (time.process_time() - spent)}  # fmt: skip
-    plain = [tr.Renderer.of(replace(one.baked, plan=replace(one.plan, edge_mk=np.inf))) for one in (preview, solution)]
-    apart = [sum(one.baked.texels) - sum(other.baked.texels) for one, other in [plain]]
-    apart.append(np.subtract(*(one.radiance(pose) for one in plain)))
+    apart = [sum(preview.baked.texels) - sum(solution.baked.texels), frame.radiance - exact.radiance]
     per_mk = renderer.plan.radiance_per_mk
     shown["true_mk"] = max(float(np.abs(values).max()) for values in apart) / per_mk
     shown["true_rms_mk"] = max(float(np.sqrt(np.mean(np.square(values)))) for values in apart) / per_mk
@@ -133,6 +135,6 @@ def _shown(scene):
     return np.unique(np.concatenate([each.material.ravel() for each in scene.surfaces[: scene.terrain_count]]))
 
 
-def _any(scene, random):
+def _any(scene, random, shown):
     """The name of a material of the terrain."""
-    return scene.materials[int(random.choice(_shown(scene)))].name
+    return scene.materials[int(random.choice(shown))].name

@@ -43,7 +43,7 @@ class Change:
         Of each number.
     faces : (n,) int
         Faces with such texels, ascending.
-    sent : (n, N) float32
+    sent : (N, n) float32
         Change of the radiance that these faces send at each node, in the light before the edit [W m⁻² sr⁻¹].
     strongest : (n,) float32
         Largest reflectance of a point of these faces at any node, after the edit.
@@ -143,7 +143,7 @@ def _sent(
     samples, (kinds, kelvin, changed) = known.samples, new
     mi, nodes = samples.geometry.mi, spectra[1].nodes
     if not len(faces):
-        return np.zeros((0, nodes), np.float32), np.zeros(0, np.float32)
+        return np.zeros((nodes, 0), np.float32), np.zeros(0, np.float32)
     before, after = (Channels(mi, spectrum.emissivity) for spectrum in spectra)
     strong = mi.Float(aligned(1.0 - spectra[1].emissivity.min(axis=1)))
     face = mi.UInt32(aligned(faces, np.uint32))
@@ -165,4 +165,4 @@ def _sent(
     _, strongest, *total = dr.while_loop(start, lambda point, *_: point < last, body)
     total = [value / mi.Float(last) for value in total]
     dr.eval(total, strongest)
-    return np.stack([np.array(value) for value in total], axis=1), np.array(strongest)
+    return np.stack([np.array(value) for value in total]), np.array(strongest)

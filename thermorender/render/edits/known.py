@@ -1,6 +1,7 @@
 """A baked scene on the device as edits need it: its texels, its light, and the points that represent its faces."""
 
 from concurrent.futures import Executor
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import drjit as dr
@@ -21,13 +22,8 @@ if TYPE_CHECKING:
 
 # Temperatures below the coldest and above the warmest of a scene that its tables have [K].
 _BELOW_K, _ABOVE_K = 10.0, 40.0
-# Faces whose rays are handled at once.
-_FACES_AT_ONCE = 12000
-
-
-def _parts(count: int) -> list[slice]:
-    """Slices of a number of faces."""
-    return [slice(first, min(first + _FACES_AT_ONCE, count)) for first in range(0, count, _FACES_AT_ONCE)]
+# Faces between two that an edit changes, which are read with them; parts of the changed faces, handled side by side.
+_BETWEEN, _PARTS = 8, 4
 
 
 class Samples:
@@ -41,6 +37,8 @@ class Samples:
         The number of the texel at each point, of all faces, point after point.
     seen : (F,) float32
         Share of each face's hemisphere that shows other faces.
+    background : (F,) float64
+        Share that shows the surroundings below the horizon.
     area : (F,) float64
         Area of all faces up to each [m²].
     strong : Strong or None
@@ -61,6 +59,7 @@ class Samples:
         self.faces = dr.opaque(mi.UInt32, geometry.face_count)
         outside = transport.up.sum(axis=(1, 2), dtype=np.int64) + transport.down.sum(axis=1, dtype=np.int64)
         self.seen = (1.0 - outside / (2.0 * transport.rays)).astype(np.float32)
+        self.background = transport.background
         self.area = np.cumsum(geometry.area)
         self.strong: Strong | None = None
 
@@ -97,24 +96,50 @@ class Samples:
         texel, weight = (np.concatenate([np.array(each[k]) for each in found]) for k in (0, 1))
         return texel, weight.astype(np.float64) / self.count
 
-    def received(self, sent: NDArray[np.float32], pool: Executor) -> NDArray[np.float32]:
-        """Return what faces receive from radiance that faces send, both (k, F) float32 [W m⁻² sr⁻¹]."""
-        from scipy.sparse import csr_array
+    def received(self, sent: NDArray[np.float32], faces: NDArray[np.intp], pool: Executor) -> NDArray[np.float32]:
+        """Return what faces receive from radiance that some faces (n,), ascending, send.
 
-        transport, found = self.transport, np.empty_like(sent)
-        shares, count = sent / np.float32(2.0 * transport.rays), sent.shape[1]
+        Both are (k, F) float32 [W m⁻² sr⁻¹]; `sent` is 0 for other faces.
+        """
+        from scipy.sparse import csc_array
 
-        def receive(part: slice) -> None:
-            start = transport.start[2 * part.start : 2 * part.stop + 1 : 2]
-            here = slice(int(start[0]), int(start[-1]))
-            hits, borders = transport.hits[here].astype(np.float32), (start - start[0]).astype(np.int32)
-            seen = csr_array((hits, transport.seen[here], borders), (len(start) - 1, count))
+        if not len(faces):
+            return np.zeros_like(sent)
+        start, seen_by, hits = self._columns
+        # Runs of faces, with the few between them that send nothing.
+        first = np.flatnonzero(np.diff(faces, prepend=-2 - _BETWEEN) > 1 + _BETWEEN)
+        begin, end = faces[first], faces[np.append(first[1:], len(faces)) - 1] + 1
+        shares = sent / np.float32(2.0 * self.transport.rays)
+
+        def receive(part: slice) -> NDArray[np.float32]:
+            low, high = begin[part], end[part]
+            ends = np.cumsum(high - low)
+            columns = np.arange(ends[-1]) + np.repeat(high - ends, high - low)
+            rays = list(zip(start[low].tolist(), start[high].tolist(), strict=True))
+            borders = np.concatenate([[0], np.cumsum(start[columns + 1] - start[columns])]).astype(np.int32)
+            own = np.concatenate([hits[a:b] for a, b in rays]).astype(np.float32)
+            rows = np.concatenate([seen_by[a:b] for a, b in rays])
+            seen = csc_array((own, rows, borders), (sent.shape[1], len(columns)))
             # One after the other: SciPy's product with a few columns takes longer.
-            for own, all_shares in zip(found, shares, strict=True):
-                own[part] = seen @ all_shares
+            return np.stack([seen @ values for values in shares[:, columns]])
 
-        list(pool.map(receive, _parts(count)))
-        return found
+        work = np.cumsum(start[end] - start[begin])
+        cuts = np.searchsorted(work, np.arange(1, _PARTS) * work[-1] / _PARTS)
+        cuts = np.unique([0, *cuts, len(begin)])
+        parts = [slice(low, high) for low, high in zip(cuts[:-1], cuts[1:], strict=True)]
+        found, *more = pool.map(receive, parts)
+        for each in more:
+            found += each
+        return np.asarray(found)
+
+    @cached_property
+    def _columns(self) -> tuple[NDArray[np.integer], NDArray[np.int32], NDArray[np.uint16]]:
+        """(first ray on each face (F + 1,), faces that the rays are of, number of rays): the transport by what is hit.
+
+        An edit changes few faces: their columns are read, and not all rays.
+        """
+        found = self.transport.counted.tocsc()
+        return found.indptr.astype(np.int64), found.indices, found.data
 
     def received_by(self, faces: NDArray[np.intp], sent: NDArray[np.float32]) -> Floats:
         """Return what some faces (n,) receive from radiance (F,) that faces send, (n,) [W m⁻² sr⁻¹]."""

@@ -81,17 +81,16 @@ def _light(
     baked: "BakedScene", known: Known, scene: Scene, change: Change
 ) -> tuple[Floats, NDArray[np.float32], dict[str, float]]:
     """(orthonormal spectra (k, N), change of the light on faces in them (k, F), errors of the preview [mK])."""
-    samples, plan, transport = known.samples, change.plan, baked.transport
-    assert transport is not None
+    samples, plan = known.samples, change.plan
     outside = plan.spectrum.black([scene.surroundings_temperature])[0]
     outside = outside - baked.plan.spectrum.black([baked.scene.surroundings_temperature])[0]
     basis, left = _components(change.sent, outside, _LEFT_MK * plan.radiance_per_mk)
     sent = np.zeros((len(basis), len(samples.seen)), np.float32)
-    sent[:, change.faces] = basis.astype(np.float32) @ change.sent.T
+    sent[:, change.faces] = basis.astype(np.float32) @ change.sent
     with threads() as pool:
-        light = samples.received(sent, pool)
+        light = samples.received(sent, change.faces, pool)
     if outside.any():
-        light += transport.background * (basis @ outside)[:, None]
+        light += samples.background * (basis @ outside)[:, None]
     most, typical = (value / plan.radiance_per_mk for value in _errors(baked, samples, change, basis, light, left))
     nodes = plan.spectrum.nodes_mk
     # The solution has other nodes where these err too much.
@@ -104,12 +103,12 @@ def _components(
     sent: NDArray[np.float32], outside: Floats, wanted: float
 ) -> tuple[Floats, tuple[NDArray[np.float32], float]]:
     """(orthonormal spectra (k, N), what they leave out, summed over the nodes: (of each face (n,), of the outside))."""
-    gram = (sent.T @ sent).astype(np.float64) + np.outer(outside, outside)
+    gram = (sent @ sent.T).astype(np.float64) + np.outer(outside, outside)
     axes = np.linalg.eigh(gram)[1][:, ::-1].T
-    parts = [light @ axes.T.astype(light.dtype) for light in (sent, outside[None])]
+    parts: list[NDArray[Any]] = [axes.astype(np.float32) @ sent, axes @ outside[:, None]]
     for count in range(1, _MOST_SPECTRA + 1):
         # The sum over the nodes is at most √N times the root of the sum of squares.
-        rest = [np.sqrt(len(axes) * np.einsum("nk,nk->n", part[:, count:], part[:, count:])) for part in parts]
+        rest = [np.sqrt(len(axes) * np.einsum("kn,kn->n", part[count:], part[count:])) for part in parts]
         if max(float(values.max(initial=0.0)) for values in rest) <= wanted:
             break
     return axes[:count], (rest[0], float(rest[1][0]))

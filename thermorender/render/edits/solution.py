@@ -82,7 +82,7 @@ def _solved(
         return None
     tolerance = (1.0 - _FOR_ROUNDING) * tolerance
     rest = np.asarray(kept.rest * kept.step, dtype=np.float64)
-    rest[change.faces] += change.sent
+    rest[change.faces] += change.sent.T
     outside = plan.spectrum.black([scene.surroundings_temperature])[0]
     outside = outside - baked.plan.spectrum.black([baked.scene.surroundings_temperature])[0]
     around = environment.even(np.zeros(plan.spectrum.nodes), outside, geometry.face_count) if outside.any() else None

@@ -82,10 +82,10 @@ class Transport:
     @property
     def operator(self) -> Any:
         """Share of face i's cosine-weighted hemisphere that sees face j, (F, F) csr_array of float64."""
-        return self._counted / (2.0 * self.rays)
+        return self.counted / (2.0 * self.rays)
 
     @property
-    def _counted(self) -> Any:
+    def counted(self) -> Any:
         """Number of the rays of face i that hit face j, (F, F) csr_array that shares memory with `hits`."""
         from scipy.sparse import csr_array
 
@@ -127,7 +127,7 @@ class Transport:
         """Rows of `operator` of n ascending faces, (n, F), and their part between these faces, (n, n)."""
         if len(faces) == len(self.up):
             return self.operator, self.operator
-        rows = self._counted[faces]
+        rows = self.counted[faces]
         rows.data = rows.data / (2.0 * self.rays)
         return rows, rows[:, faces]
 

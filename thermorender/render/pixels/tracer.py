@@ -104,11 +104,12 @@ class Tracer:
         self._reading = Reading(self._mi, plan.taps, max(plan.taps, PLACES), 1.0 / plan.samples)
         self._once, self._judge = Reading(self._mi, 1, 1, 1.0), Reading(self._mi, PLACES, 1, 1.0, judges=True)
 
-    def image(self, edge_limit: float) -> tuple[NDArray[np.float32], Sampling]:
+    def image(self, edge_limit: float, like: Sampling | None = None) -> tuple[NDArray[np.float32], Sampling]:
         """Return (image (channels, H, W) float32, Sampling): the mean radiance over each pixel's rays.
 
         `edge_limit` is the error, in the unit of the sum of the channels, above which a pixel that shows an edge gets
-        more rays; infinite: never.
+        more rays; infinite: never. With `like`, the Sampling of another image of this view, each pixel gets the rays
+        that it had there.
         """
         mi, rays = self._mi, self.rays
         # Not whether some light is strong: other temperatures would then compile another kernel.
@@ -156,8 +157,9 @@ class Tracer:
         step = edge_step(ringed[:channels].sum(axis=0), *guide)
         on = typical_edge_estimate(step, self._samples).ravel() > edge_limit
         on[thin.pixels] = False
-        pixels = np.flatnonzero(on)
-        refined = self._refine(flat, pixels, UNSEEN * step.ravel()[pixels], edge_limit)
+        stages = None if like is None else [part.pixels for part in like.refined if part.within is None]
+        pixels = np.flatnonzero(on) if stages is None else stages[0] if stages else np.empty(0, np.int64)
+        refined = self._refine(flat, pixels, UNSEEN * step.ravel()[pixels], edge_limit, stages=stages)
         if thin.pixels.size:
             refined += self._refine(flat, thin.pixels, np.zeros(len(thin.pixels)), edge_limit, thin)
         return image, Sampling(met, step, refined)
@@ -193,12 +195,13 @@ class Tracer:
 
     def _refine(
         self, image: NDArray[np.float32], pixels: NDArray[Any], unseen: NDArray[Any], edge_limit: float,
-        within: Rectangles | None = None,
+        within: Rectangles | None = None, stages: Sequence[NDArray[Any]] | None = None,
     ) -> list[Refined]:  # fmt: skip
         """Replace pixels of an image (channels, H W) by the mean of more rays until their error is below `edge_limit`.
 
         `unseen` (n,) is the difference of radiance that each of the `pixels` may contain although no ray shows it. With
-        Rectangles `within` the rays go to these parts; the rest of the pixel counts by its area.
+        Rectangles `within` the rays go to these parts; the rest of the pixel counts by its area. `stages` gives the
+        pixels of each stage instead of the limit.
         """
         refined: list[Refined] = []
         total: Any = 0.0
@@ -223,7 +226,12 @@ class Tracer:
             if within is not None:
                 left = _ISLAND * share * left + spread
             refined.append(Refined(pixels, left, first, last, within))
-            on = typical_edge_estimate(left, last) > edge_limit
+            if stages is None:
+                on = typical_edge_estimate(left, last) > edge_limit
+            else:
+                on = (
+                    np.isin(pixels, stages[len(refined)]) if len(refined) < len(stages) else np.zeros(len(pixels), bool)
+                )
             pixels, low, high, unseen, share = (a[on] for a in (pixels, low, high, unseen, share))
             total, outside, first = total[:, on], outside[:, on], last
         return refined

@@ -202,8 +202,10 @@ def _raster_cover(
         colour, material = fill(colour, index), fill(material, index)
     if parts.filled is not None:
         valid &= ~parts.filled
-    flags = SURFACE | np.where(valid, 0, FILLED) | np.where(unknown, UNKNOWN, 0)
-    return Painted(material, colour, flags.astype(np.uint8))
+    flags = np.full(shape, SURFACE, np.uint8)
+    flags[~valid] |= FILLED
+    flags[unknown] |= UNKNOWN
+    return Painted(material, colour, flags)
 
 
 def _of_classes(
