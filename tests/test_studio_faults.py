@@ -12,7 +12,7 @@ from scenes import write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.studio.access import Guard
 from thermorender.studio.document import History
-from thermorender.studio.fields import changed
+from thermorender.studio.fields import changed, read_spectrum
 from thermorender.studio.view import Pose, View
 
 HUT = """
@@ -290,6 +290,8 @@ def test_a_map_learned_from_labels_shows_materials_and_their_uncertainty(tmp_pat
     assert {what for what, _ in said} >= {"fitting the network", "mapping the materials"}
     one, other = learned.layers["learned"][64, 20], learned.layers["learned"][64, 108]
     assert (one != other).any()
+    number = session.base.surfaces[0].material[64, [20, 108]]
+    assert (np.array([one, other]) == ground.colours_of_materials()[number]).all()
     assert (learned.layers["learned"][:, 4:54] == one).all(axis=-1).mean() > 0.95
     assert "Standard deviation of the emissivity: mean 0.0" in learned.words["uncertainty"]
     session.learned = learned
@@ -302,3 +304,9 @@ def test_a_map_learned_from_labels_shows_materials_and_their_uncertainty(tmp_pat
     with pytest.raises(ThermorenderError, match=r"^cancelled$"):
         ground.learned_from(session, cancelled)
     session.close()
+
+
+def test_a_long_pasted_text_is_refused_at_once(session):
+    rows = "".join(f"{8.0 + 1e-6 * k:.6f},0.9\n" for k in range(20_001))
+    with pytest.raises(ThermorenderError, match="pasted text has 20002 rows, more than the 20000 of the finest"):
+        read_spectrum("pasted text", f"wavelength_um,emissivity\n{rows}".encode(), session.document.library["snow"])

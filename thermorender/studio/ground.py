@@ -169,7 +169,10 @@ def learned_from(session: "Session", progress: Callable[[str, float], None]) -> 
     share = found.probability / np.maximum(found.probability.sum(axis=-1, keepdims=True, dtype=np.float32), 1.0)
     mean = share @ of_material
     std = np.sqrt(np.maximum(share @ of_material**2 - mean**2, 0.0))
-    colours, most = colours_of_materials(), max(float(std.max()), 1e-3)
+    # Materials of the scene keep the colours of the other layer; those beyond it get the next ones.
+    names = list(dict.fromkeys([*(each.name for each in session.base.materials), *model.materials]))
+    number = np.array([names.index(name) for name in model.materials])
+    colours, most = colours_of_materials()[number], max(float(std.max()), 1e-3)
     best = found.index[..., 0]
     covers = np.bincount(best.ravel(), minlength=len(model.materials)) / best.size
     accuracy = model.about["held_out_accuracy"]

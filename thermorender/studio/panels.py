@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from thermorender.studio.page import Tab
 
 _TOOLS = {"fill": "Fill region", "polygon": "Polygon", "lasso": "Lasso"}
-_LAYERS = {"materials": "Materials", "learned": "Learned materials", "uncertainty": "Learned: uncertainty"}
+_LAYERS = {"materials": "Materials", "learned": "Learned", "uncertainty": "Uncertainty"}
 _KINDS = {
     "png": "PNG: the camera's display", "exr": "EXR: radiance, temperatures and truth",
     "tif": "TIFF: apparent temperature [K]", "map": "GeoTIFF: orthorectified [K]", "npz": "NPZ: arrays",
