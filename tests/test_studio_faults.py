@@ -225,28 +225,6 @@ def test_a_scene_still_loads_after_a_save_that_failed(session, monkeypatch):
     assert {each.name: each for each in saved(session).materials}["grass_green"].emissivity.max() == 0.8
 
 
-def test_a_new_name_is_not_saved_where_the_scene_names_the_old_one_elsewhere(folder):
-    from thermorender.studio import saving
-    from thermorender.studio.session import Session
-
-    path = folder / "scene.toml"
-    session = Session(tr.Renderer(tr.load_scene(folder), "fast"), "fast")
-    session.edit(0, "", lambda document: document.duplicated("snow", "mine"))
-    saved(session)
-    session.close()
-    text = path.read_text("utf-8")
-    path.write_text(text.replace('raster = "classes.tif"', 'raster = "classes.tif"\nfallback = "mine"'), "utf-8")
-    session = Session(tr.Renderer(tr.load_scene(folder), "fast"), "fast")
-    session.edit(0, "", lambda document: document.renamed("mine", "yours"))
-    with pytest.raises(ThermorenderError, match=r"scene\.toml names mine outside its classes and objects"):
-        saving.planned(session)
-    session.step(1, -1)
-    session.edit(2, "", lambda document: document.duplicated("mine", "yours"))
-    saved(session)
-    assert sorted(each.name for each in (folder / "materials" / "spectra").iterdir()) == ["mine.csv", "yours.csv"]
-    session.close()
-
-
 def labelled(session):
     from thermorender.studio import ground
 
@@ -310,3 +288,25 @@ def test_a_long_pasted_text_is_refused_at_once(session):
     rows = "".join(f"{8.0 + 1e-6 * k:.6f},0.9\n" for k in range(20_001))
     with pytest.raises(ThermorenderError, match="pasted text has 20002 rows, more than the 20000 of the finest"):
         read_spectrum("pasted text", f"wavelength_um,emissivity\n{rows}".encode(), session.document.library["snow"])
+
+
+def test_a_new_name_is_not_saved_where_the_scene_names_the_old_one_elsewhere(folder):
+    from thermorender.studio import saving
+    from thermorender.studio.session import Session
+
+    path = folder / "scene.toml"
+    session = Session(tr.Renderer(tr.load_scene(folder), "fast"), "fast")
+    session.edit(0, "", lambda document: document.duplicated("snow", "mine"))
+    saved(session)
+    session.close()
+    text = path.read_text("utf-8")
+    path.write_text(text.replace('raster = "classes.tif"', 'raster = "classes.tif"\nfallback = "mine"'), "utf-8")
+    session = Session(tr.Renderer(tr.load_scene(folder), "fast"), "fast")
+    session.edit(0, "", lambda document: document.renamed("mine", "yours"))
+    with pytest.raises(ThermorenderError, match=r"scene\.toml names mine outside its classes and objects"):
+        saving.planned(session)
+    session.step(1, -1)
+    session.edit(2, "", lambda document: document.duplicated("mine", "yours"))
+    saved(session)
+    assert sorted(each.name for each in (folder / "materials" / "spectra").iterdir()) == ["mine.csv", "yours.csv"]
+    session.close()
