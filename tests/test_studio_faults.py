@@ -12,7 +12,7 @@ from scenes import write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.studio.access import Guard
 from thermorender.studio.document import History
-from thermorender.studio.fields import changed
+from thermorender.studio.fields import changed, read_spectrum
 from thermorender.studio.view import Pose, View
 
 HUT = """
@@ -223,6 +223,71 @@ def test_a_scene_still_loads_after_a_save_that_failed(session, monkeypatch):
             saving.write(session, save)
     tr.load_scene(session.base.spec.folder)
     assert {each.name: each for each in saved(session).materials}["grass_green"].emissivity.max() == 0.8
+
+
+def labelled(session):
+    from thermorender.studio import ground
+
+    scene = session.base
+    for material, left in (("grass_green", 0.05), ("sand_quartz", 0.55)):
+        corners = [[left, 0.05], [left + 0.4, 0.05], [left + 0.4, 0.95], [left, 0.95]]
+        session.labels.append(ground.Label(ground.polygon(scene, corners), material))
+
+
+def test_labels_of_the_map_are_a_file_that_training_reads(session, folder, tmp_path):
+    from thermorender.campaign.material_training import labelled_scene
+    from thermorender.studio import ground
+
+    labelled(session)
+    path = tmp_path / "labels.geojson"
+    path.write_text(ground.labels_text(session.base.grid, session.labels), "utf-8")
+    found = labelled_scene(folder, path)
+    names = np.array(["", *(found.names[number] for number in (1, 2))])[found.material]
+    assert (names[5:27, 3:13] == "grass_green").all() and (names[5:27, 19:29] == "sand_quartz").all()
+    assert (names[:, 15:17] == "").all()
+    left, right = (np.array(each) for each in ground.outlines(session.base.grid, session.labels))
+    assert left.min(axis=0) == pytest.approx([0.05, 0.05]) and right.max(axis=0) == pytest.approx([0.95, 0.95])
+
+
+@pytest.mark.slow
+def test_a_map_learned_from_labels_shows_materials_and_their_uncertainty(tmp_path, monkeypatch):
+    from thermorender.learned.emissivity import training
+    from thermorender.studio import ground
+    from thermorender.studio.session import Session
+
+    monkeypatch.setattr(training, "_EPOCHS", 5)
+    columns, random = np.mgrid[:128, :128][1], np.random.default_rng(1)
+    colour = np.where((columns < 64)[..., None], (60, 120, 50), (200, 180, 140)) + random.integers(-8, 9, (128, 128, 3))
+    made = write_terrain(
+        tmp_path / "halves", height=np.zeros((64, 64)), classes=np.where(columns < 64, 1, 2), colour=colour
+    )
+    session = Session(tr.Renderer(tr.load_scene(made), "fast"), "fast")
+    labelled(session)
+    said = []
+    learned = ground.learned_from(session, lambda what, share: said.append((what, share)))
+    assert {what for what, _ in said} >= {"fitting the network", "mapping the materials"}
+    one, other = learned.layers["learned"][64, 20], learned.layers["learned"][64, 108]
+    assert (one != other).any()
+    number = session.base.surfaces[0].material[64, [20, 108]]
+    assert (np.array([one, other]) == ground.colours_of_materials()[number]).all()
+    assert (learned.layers["learned"][:, 4:54] == one).all(axis=-1).mean() > 0.95
+    assert "Standard deviation of the emissivity: mean 0.0" in learned.words["uncertainty"]
+    session.learned = learned
+    pictures = {ground.map_picture(session, 100, layer) for layer in ("materials", "learned", "uncertainty")}
+    assert len(pictures) == 3
+
+    def cancelled(what, share):
+        raise ThermorenderError("cancelled")
+
+    with pytest.raises(ThermorenderError, match=r"^cancelled$"):
+        ground.learned_from(session, cancelled)
+    session.close()
+
+
+def test_a_long_pasted_text_is_refused_at_once(session):
+    rows = "".join(f"{8.0 + 1e-6 * k:.6f},0.9\n" for k in range(20_001))
+    with pytest.raises(ThermorenderError, match="pasted text has 20002 rows, more than the 20000 of the finest"):
+        read_spectrum("pasted text", f"wavelength_um,emissivity\n{rows}".encode(), session.document.library["snow"])
 
 
 def test_a_new_name_is_not_saved_where_the_scene_names_the_old_one_elsewhere(folder):

@@ -87,12 +87,12 @@ def _application(session: Any, pose: str) -> Any:
             return Response(status_code=404)
         return Response(picture.data, media_type=picture.kind, headers={"cache-control": "no-store"})
 
-    @app.get("/map/{version}/{percent}")
-    def map_of(version: int, percent: int) -> Response:
+    @app.get("/map/{layer}/{version}/{percent}")
+    def map_of(layer: str, version: int, percent: int) -> Response:
         from thermorender.studio.ground import map_picture
 
         return Response(
-            map_picture(session.scene, percent), media_type="image/jpeg", headers={"cache-control": "no-store"}
+            map_picture(session, percent, layer), media_type="image/jpeg", headers={"cache-control": "no-store"}
         )
 
     @ui.page("/", title=f"{session.base.name} – thermorender studio", reconnect_timeout=30.0)

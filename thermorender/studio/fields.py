@@ -28,6 +28,8 @@ TYPED = f"{CHOSEN} set in the studio"
 # Limits of a table that is drawn and dragged [µm].
 SHOWN_UM = (2.5, 16.0)
 _GRID_UM = 0.25
+# A laboratory's spectrum has some thousand rows; more would hold the page up.
+_MOST_ROWS = 20_000
 
 
 @dataclass(frozen=True)
@@ -249,6 +251,10 @@ def read_spectrum(name: str, data: bytes, material: Material, column: str | None
     column : str, optional
         Sample of a table with several.
     """
+    if (rows := data.count(b"\n")) > _MOST_ROWS:
+        raise ThermorenderError(
+            f"{name} has {rows} rows, more than the {_MOST_ROWS} of the finest spectra; give one spectrum, thinned out"
+        )
     with scratch_folder() as folder:
         path = Path(folder, "spectrum.txt" if name.lower().endswith(".txt") else "spectrum.csv")
         path.write_bytes(data)

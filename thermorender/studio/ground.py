@@ -1,6 +1,8 @@
 """The map: the orthophoto with the materials over it, and areas that a hand gives another material."""
 
 import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,8 +11,10 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.files import reported
+from thermorender.scene.raster import Grid
 from thermorender.studio.document import Document, Painted
-from thermorender.studio.pictures import colours_of_materials, jpeg
+from thermorender.studio.fields import scratch_folder
+from thermorender.studio.pictures import colours_of_materials, jpeg, table
 
 if TYPE_CHECKING:
     from thermorender.scene.scene import Scene
@@ -18,16 +22,46 @@ if TYPE_CHECKING:
 
 _LEAST_PIXELS, _MOST_PIXELS = 1000, 2000
 _MOST_CORNERS = 5000
+_UNCERTAIN = "inferno"
 
 
-def map_picture(scene: "Scene", percent: int) -> bytes:
-    """Return a JPEG of the orthophoto under the materials' colours, which cover `percent` of it."""
+@dataclass(frozen=True, eq=False)
+class Label:
+    """An area whose material is known, as a GeoJSON geometry."""
+
+    geometry: dict[str, Any]
+    material: str
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """What a map learned from labels says of the orthophoto.
+
+    Attributes
+    ----------
+    photograph : (h, w, 3) uint8
+        sRGB.
+    layers : dict of str to (h, w, 3) uint8
+        Colours of the most probable material, "learned", and of the emissivity's standard deviation, "uncertainty".
+    words : dict of str to str
+        What each layer shows.
+    """
+
+    photograph: NDArray[np.uint8]
+    layers: dict[str, NDArray[np.uint8]]
+    words: dict[str, str]
+
+
+def map_picture(session: "Session", percent: int, layer: str) -> bytes:
+    """Return a JPEG of the orthophoto under a layer's colours, which cover `percent` of it."""
     import cv2
 
-    ground = scene.surfaces[0]
+    ground, learned = session.scene.surfaces[0], session.learned
+    photograph, colours = ground.colour, colours_of_materials()[ground.material]
+    if learned is not None and layer in learned.layers:
+        photograph, colours = learned.photograph, learned.layers[layer]
     share = min(max(percent, 0), 100) / 100.0
-    colours = colours_of_materials()[ground.material]
-    mixed: Any = cv2.addWeighted(np.ascontiguousarray(ground.colour), 1.0 - share, colours, share, 0.0)
+    mixed: Any = cv2.addWeighted(np.ascontiguousarray(photograph), 1.0 - share, colours, share, 0.0)
     # A small map is enlarged, so that its texels can be hit.
     scale = float(np.clip(1.0, _LEAST_PIXELS / max(mixed.shape[:2]), _MOST_PIXELS / max(mixed.shape[:2])))
     if scale != 1.0:
@@ -77,7 +111,7 @@ def polygon(scene: "Scene", corners: Any) -> dict[str, Any]:
         raise ThermorenderError(f"an area needs 3 … {_MOST_CORNERS} corners on the map; draw it again")
     grid = scene.grid
     assert grid is not None
-    x, y = grid.transform * (points[:, 0] * grid.width, points[:, 1] * grid.height)
+    x, y = grid.to_map(points[:, 0] * grid.width, points[:, 1] * grid.height)
     ring = np.column_stack([x, y]).tolist()
     return {"type": "Polygon", "coordinates": [[*ring, ring[0]]]}
 
@@ -86,13 +120,70 @@ def painted(session: "Session", geometry: dict[str, Any], material: str, documen
     """Return a Document with an area of another material; its file goes into the session's own folder."""
     grid = session.base.grid
     assert grid is not None
-    crs = {"type": "name", "properties": {"name": grid.crs.to_string()}}
-    feature = {"type": "Feature", "geometry": geometry, "properties": {"material": material}}
     folder = Path(session.areas.name)
     with reported(folder):
         path = folder / f"area-{len(list(folder.iterdir())) + 1}.geojson"
-        path.write_text(json.dumps({"type": "FeatureCollection", "crs": crs, "features": [feature]}), encoding="utf-8")
+        path.write_text(labels_text(grid, [Label(geometry, material)]), encoding="utf-8")
     return document.with_area(Painted(path, material))
+
+
+def labels_text(grid: Grid, labels: Sequence[Label]) -> str:
+    """Return areas as a GeoJSON file, which `thermorender train emissivity --labels` reads."""
+    crs = {"type": "name", "properties": {"name": grid.crs.to_string()}}
+    features = [{"type": "Feature", "geometry": each.geometry, "properties": {"material": each.material}}
+                for each in labels]  # fmt: skip
+    return json.dumps({"type": "FeatureCollection", "crs": crs, "features": features}, indent=1)
+
+
+def outlines(grid: Grid, labels: Sequence[Label]) -> list[list[list[float]]]:
+    """Return the outer ring of each label as shares of the map's width and height."""
+    rings = [np.asarray(each.geometry["coordinates"][0], np.float64) for each in labels]
+    places = [np.column_stack(grid.to_pixel(ring[:, 0], ring[:, 1])) / (grid.width, grid.height) for ring in rings]
+    return [place.round(5).tolist() for place in places]
+
+
+def learned_from(session: "Session", progress: Callable[[str, float], None]) -> Learned:
+    """Return the map that the session's labels give on the scene as saved; `progress` may raise to end the training.
+
+    Raises
+    ------
+    ThermorenderError
+        As `thermorender.campaign.material_training.train_on`.
+    """
+    from thermorender.campaign.material_training import band_emissivity_of, train_on
+    from thermorender.learned.emissivity.mapping import map_materials
+    from thermorender.scene.material_map import orthophoto_of
+
+    refuse_without_map(session.base)
+    assert session.base.grid is not None
+    folder = session.base.spec.folder
+    with scratch_folder() as scratch:
+        path = Path(scratch, "labels.geojson")
+        path.write_text(labels_text(session.base.grid, session.labels), encoding="utf-8")
+        model, _ = train_on([folder], path, "studio", progress=progress)
+    picture = orthophoto_of(session.base.spec)
+    found = map_materials(
+        model, picture.colour, picture.texel_m, lambda share: progress("mapping the materials", share)
+    )
+    of_material = np.array([band_emissivity_of([folder])(name) for name in model.materials], np.float32)
+    share = found.probability / np.maximum(found.probability.sum(axis=-1, keepdims=True, dtype=np.float32), 1.0)
+    mean = share @ of_material
+    std = np.sqrt(np.maximum(share @ of_material**2 - mean**2, 0.0))
+    # Materials of the scene keep the colours of the other layer; those beyond it get the next ones.
+    names = list(dict.fromkeys([*(each.name for each in session.base.materials), *model.materials]))
+    number = np.array([names.index(name) for name in model.materials])
+    colours, most = colours_of_materials()[number], max(float(std.max()), 1e-3)
+    best = found.index[..., 0]
+    covers = np.bincount(best.ravel(), minlength=len(model.materials)) / best.size
+    accuracy = model.about["held_out_accuracy"]
+    tested = "not tested: no block was held out" if accuracy is None else f"{accuracy:.0%} of held-out texels right"
+    shown = ", ".join(f"{name} {part:.0%}" for name, part in zip(model.materials, covers, strict=True))
+    words = {
+        "learned": f"Most probable: {shown}; {tested}",
+        "uncertainty": f"Standard deviation of the emissivity: mean {std.mean():.4f}; black 0, yellow {most:.4f}",
+    }
+    layers = {"learned": colours[best], "uncertainty": table(_UNCERTAIN)[np.uint8(255.0 * std / most)]}
+    return Learned(picture.colour, layers, words)
 
 
 def _texel(scene: "Scene", x: float, y: float) -> tuple[int, int]:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from thermorender.studio.page import Tab
 
 _TOOLS = {"fill": "Fill region", "polygon": "Polygon", "lasso": "Lasso"}
+_LAYERS = {"materials": "Materials", "learned": "Learned", "uncertainty": "Uncertainty"}
 _KINDS = {
     "png": "PNG: the camera's display", "exr": "EXR: radiance, temperatures and truth",
     "tif": "TIFF: apparent temperature [K]", "map": "GeoTIFF: orthorectified [K]", "npz": "NPZ: arrays",
@@ -118,6 +119,7 @@ class Map:
             ui.label("Materials over photograph").classes("soft")
             slider = ui.slider(min=0, max=100, value=self._percent).props('aria-label="Opacity of the materials"')
             slider.style("width:110px").on("change", lambda e: self._shown(int(e.args)))
+        self._labels()
         with ui.element("div").classes("mapbox"):
             ui.html(
                 '<div id="mapstage"><img id="map" alt="Map of the materials over the orthophoto" data-testid="map" '
@@ -126,6 +128,82 @@ class Map:
             )
         self._words = ui.label("").classes("hover")
         ui.on("studio_area", self._area)
+
+    def _labels(self) -> None:
+        """Controls of areas that label the ground for training."""
+        with ui.element("div").classes("tools"):
+            self._use = ui.toggle({"paint": "Paint", "label": "Label"}, value="paint")
+            self._use.props('dense no-caps data-testid="use"').on_value_change(lambda: self._labelled())
+            self._layer = ui.select(_LAYERS, value="materials", label="Layer").props(
+                'dense outlined data-testid="layer"'
+            )
+            self._layer.style("width:180px").on_value_change(lambda: self._layered())
+            self._label_tools = ui.element("div").classes("row")
+            with self._label_tools:
+                self._count = ui.label("").classes("soft").props('role="status" data-testid="labels"')
+                for text, does in (("Remove last", self._remove), ("Train", self._train), ("Download", self._download)):
+                    test = text.lower().replace(" ", "-")
+                    ui.button(text, on_click=does).props(f'outline dense no-caps data-testid="{test}"')
+                self._cancel = ui.button("Cancel", on_click=self._session.stop_training.set)
+                self._cancel.props('flat dense no-caps data-testid="cancel-training"').set_visibility(False)
+        self._label_tools.set_visibility(False)
+
+    def _labelled(self) -> None:
+        """Show the labels, where areas are labels."""
+        labels, grid, on = self._session.labels, self._session.base.grid, self._use.value == "label"
+        self._label_tools.set_visibility(on)
+        self._count.set_text(f"{len(labels)} labels of {len({each.material for each in labels})} materials")
+        shapes = ground.outlines(grid, labels) if on and grid is not None else []
+        ui.run_javascript(f"studio.showLabels({json.dumps(shapes)})")
+
+    def _layered(self) -> None:
+        learned = self._session.learned
+        missing = "No map is learned yet: label areas of two or more materials, and press Train."
+        if self._layer.value != "materials":
+            self._words.set_text(learned.words[self._layer.value] if learned else missing)
+        self.refresh()
+
+    def _remove(self) -> None:
+        del self._session.labels[-1:]
+        self._labelled()
+
+    def _download(self) -> None:
+        grid = self._session.base.grid
+        if grid is not None:
+            text = ground.labels_text(grid, self._session.labels)
+            ui.download.content(text.encode(), "labels.geojson")
+
+    async def _train(self) -> None:
+        """Train a map on the labels beside the thread that renders, and show it."""
+        session, said = self._session, self._tab.later(self._count.set_text)
+
+        def progress(what: str, share: float) -> None:
+            if session.stop_training.is_set() or self._tab.closed:
+                raise ThermorenderError("the training was cancelled; press Train to begin again")
+            said(f"{what}: {share:.0%}")
+
+        if not session.training.acquire(blocking=False):
+            self._tab.say("a training is under way in this or another tab; wait for it, or cancel it there")
+            return
+        session.stop_training.clear()
+        self._cancel.set_visibility(True)
+        fault = ""
+        try:
+            session.learned = await run.io_bound(ground.learned_from, session, progress)
+        except ThermorenderError as error:
+            fault = str(error)
+        finally:
+            session.training.release()
+        if self._tab.closed:
+            return
+        self._cancel.set_visibility(False)
+        self._labelled()
+        if fault:
+            self._tab.say(fault)
+        elif self._layer.value == "materials":
+            self._layer.set_value("learned")
+        else:
+            self._layered()
 
     def _shown(self, percent: int) -> None:
         self._percent = percent
@@ -140,7 +218,7 @@ class Map:
 
     def refresh(self) -> None:
         """Show the current version of the edits."""
-        address = f"/map/{self._session.history.version}/{self._percent}"
+        address = f"/map/{self._layer.value}/{self._session.history.version}/{self._percent}"
         ui.run_javascript(f"studio.showMap({json.dumps(address)}, {self._session.history.version})")
 
     def _area(self, event: Any) -> None:
@@ -157,6 +235,11 @@ class Map:
                 shape = ground.polygon(scene, points)
         except ThermorenderError as error:
             self._tab.say(str(error))
+            return
+
+        if self._use.value == "label":
+            session.labels.append(ground.Label(shape, str(material)))
+            self._labelled()
             return
 
         def change(document: Document) -> Document:

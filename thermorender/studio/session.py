@@ -1,5 +1,6 @@
 """The scene that a studio has open: its edits, what renders it, and the tabs that show it."""
 
+import threading
 from collections.abc import Callable
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Protocol
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
     from thermorender.render.renderer import Renderer
     from thermorender.scene.scene import Scene
+    from thermorender.studio.ground import Label, Learned
 
 # Temperature for band emissivities [K].
 BAND_K = 300.0
@@ -60,6 +62,12 @@ class Session:
         The file of the class raster as it was read; b"" without one.
     areas : TemporaryDirectory
         Painted areas.
+    labels : list of Label
+        To train a map on.
+    learned : Learned or None
+        What the latest training gave.
+    training, stop_training : Lock, Event
+        Held by the training under way; set to end it.
     """
 
     def __init__(self, renderer: "Renderer", quality: str, files: "dict[Path, str] | None" = None) -> None:
@@ -72,11 +80,15 @@ class Session:
         self.areas = TemporaryDirectory(prefix="thermorender-studio-")
         self.renders = Renders(renderer)
         self.tabs: list[Shown] = []
+        self.labels: list[Label] = []
+        self.learned: Learned | None = None
+        self.training, self.stop_training = threading.Lock(), threading.Event()
         self._band: dict[int, tuple[Material, float | None]] = {}
         self._scene: Scene = self.base
 
     def close(self) -> None:
-        """End rendering, and remove the painted areas."""
+        """End rendering and training, and remove the painted areas."""
+        self.stop_training.set()
         self.renders.stop()
         self.areas.cleanup()
 

@@ -138,8 +138,9 @@ window.studio = {
       return [(e.clientX - r.left) / r.width, (e.clientY - r.top) / r.height];
     };
     const draw = () => {
-      document.getElementById("mapdraw").innerHTML =
-        `<polygon points="${points.map((p) => p.join(",")).join(" ")}" vector-effect="non-scaling-stroke"/>`;
+      document.getElementById("mapdraw").innerHTML = [...studio.labels, points]
+        .map((ring) => `<polygon points="${ring.map((p) => p.join(",")).join(" ")}" vector-effect="non-scaling-stroke"/>`)
+        .join("");
     };
     const send = () => {
       const tool = studio.mapTool;
@@ -165,6 +166,11 @@ window.studio = {
     });
     box.addEventListener("dblclick", () => { if (studio.mapTool === "polygon") send(); });
     studio.clearMap = () => { points = []; draw(); };
+  },
+  labels: [],
+  showLabels(rings) {
+    studio.labels = rings;
+    if (studio.clearMap) studio.clearMap();
   },
   tool(name) {
     studio.mapTool = name;

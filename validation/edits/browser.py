@@ -1,0 +1,176 @@
+"""Time from an edit in the studio's page to the new picture in the browser, memory, and CPU time while idle.
+
+Run it as `python -m validation.edits.browser SCENE…`. It needs the extra `studio`, playwright and Chromium.
+"""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+# The first edits compile kernels and do not count.
+_FIRST, _IDLE_S, _WAIT_MS = 4, 10.0, 60_000
+# Kept by the page: performance.now() when a picture is in place, by its version.
+_CLOCK = "addEventListener('studio-shown', e => (window.shown ??= {})[e.detail.version] ??= performance.now())"
+_SEND = "([name, value]) => { const at = performance.now(); emitEvent(name, value); return at; }"
+_SHOWN = "version => (window.shown ?? {})[version]"
+_HANDLE = "{wavelength: 10.0, value: %.4f, version: studio.version}"
+
+
+@contextmanager
+def studio(scene, quality):
+    """Serve a scene; yield (process number, address)."""
+    command = [sys.executable, "-m", "thermorender", "studio", scene, "--port", "0", "--quality", quality]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            yield process.pid, re.search(r"open (\S+)", process.stdout.readline())[1]
+        finally:
+            process.terminate()
+            process.wait(30)
+
+
+def memory_mb(number):
+    """Return the resident memory of a process [MB]."""
+    return int(re.search(r"VmRSS:\s+(\d+)", Path(f"/proc/{number}/status").read_text("utf-8"))[1]) / 1024.0
+
+
+def cpu_s(number):
+    """Return the CPU time of a process [s]."""
+    fields = Path(f"/proc/{number}/stat").read_text("utf-8").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / 100.0
+
+
+class Hand:
+    """Edits of a page, each with the time to its picture."""
+
+    def __init__(self, page, seed):
+        self.page, self.random = page, np.random.default_rng(seed)
+        self.name = page.get_by_test_id("title").inner_text()
+
+    def emissivity(self):
+        """Type an emissivity; the time begins with Enter."""
+        return self.typed("field-emissivity", f"{self.random.uniform(0.8, 0.99):.4f}")
+
+    def spectrum(self):
+        """Release a point of the spectrum."""
+        value = _HANDLE % self.random.uniform(0.8, 0.99)
+        return self.page.evaluate(f"() => ({_SEND})(['studio_spectrum', {value}])")
+
+    def material(self):
+        """Choose another material of a class."""
+        given = self.page.locator('[data-testid^="class-"]').first
+        name = "snow" if given.input_value() != "snow" else "grass_dry"
+        given.fill(name)
+        option = self.page.get_by_role("option", name=name, exact=True)
+        option.wait_for(timeout=_WAIT_MS)
+        at = self.page.evaluate("performance.now()")
+        option.click()
+        return at
+
+    def temperature(self):
+        """Type the temperature of an object."""
+        test = self.page.locator('[data-testid^="kelvin-"]').first.get_attribute("data-testid")
+        return self.typed(test, f"{self.random.uniform(280.0, 320.0):.3f}")
+
+    def typed(self, test, text):
+        """Type into a field; return the time of Enter."""
+        given = self.page.get_by_test_id(test)
+        given.fill(text)
+        at = self.page.evaluate("performance.now()")
+        given.press("Enter")
+        return at
+
+    def time_ms(self, kind):
+        """Return the time from an edit to its first picture [ms]."""
+        version = self.page.evaluate("studio.version") + 1
+        tab = "Optical" if kind in ("emissivity", "spectrum") else "Cover"
+        self.page.get_by_role("tab", name=tab).click()
+        at = getattr(self, kind)()
+        self.page.wait_for_function(_SHOWN, arg=version, timeout=_WAIT_MS)
+        return self.page.evaluate(_SHOWN, version) - at
+
+
+def measured(browser, scene, quality, edits, many, limit_s, seed):
+    """Return the figures of a scene: times by kind [ms], memory [MB] before and after many edits, idle CPU [1]."""
+    with studio(scene, quality) as (number, address):
+        page = browser.new_page(viewport={"width": 1280, "height": 800})
+        page.add_init_script(_CLOCK)
+        page.goto(address)
+        page.wait_for_selector("#frame[data-number]", timeout=_WAIT_MS)
+        hand, end = Hand(page, seed), time.monotonic() + limit_s
+        kinds = ["emissivity", "spectrum"]
+        page.get_by_role("tab", name="Cover").click()
+        page.wait_for_timeout(500)
+        kinds += ["material"] * (page.locator('[data-testid^="class-"]').count() > 0)
+        kinds += ["temperature"] * (page.locator('[data-testid^="kelvin-"]').count() > 0)
+        times = {kind: [] for kind in kinds}
+        for count in range(_FIRST + edits):
+            if time.monotonic() > end - 0.4 * limit_s:
+                break
+            kind = kinds[count % len(kinds)]
+            spent = hand.time_ms(kind)
+            if count < _FIRST or count % 10 == 0:
+                page.get_by_test_id("state").filter(has_text="exact").wait_for(timeout=_WAIT_MS)
+            if count >= _FIRST:
+                times[kind].append(spent)
+        before, first, made = memory_mb(number), page.evaluate("studio.version"), 0
+        page.get_by_role("tab", name="Optical").click()
+        while made < many and time.monotonic() < end - 1.5 * _IDLE_S:
+            made += 1
+            # Each value is another one, so that each is an edit.
+            hand.typed("field-emissivity", f"{0.8 + 0.0001 * made:.4f}")
+        page.get_by_test_id("state").filter(has_text="exact").wait_for(timeout=_WAIT_MS)
+        accepted = page.evaluate("studio.version") - first
+        after, spent = memory_mb(number), cpu_s(number)
+        time.sleep(_IDLE_S)
+        idle = (cpu_s(number) - spent) / _IDLE_S
+        page.close()
+    every = [one for each in times.values() for one in each]
+    return {
+        "scene": scene, "quality": quality, "edits": len(every), **_centre(every),
+        "kinds": {kind: {"edits": len(each), **_centre(each)} for kind, each in times.items()},
+        "typed": made, "accepted": accepted, "memory_mb": [round(before), round(after)],
+        "idle_cpu": round(idle, 4),
+    }  # fmt: skip
+
+
+def _centre(times):
+    if not times:
+        return {}
+    return {
+        "median_ms": round(float(np.median(times)), 1),
+        "percentile_95_ms": round(float(np.quantile(times, 0.95)), 1),
+    }
+
+
+def main(
+    scenes: list[str],
+    quality: Annotated[str, typer.Option(help="Quality of the renderer.")] = "fast",
+    edits: Annotated[int, typer.Option(help="Timed edits of all kinds together.", min=4)] = 100,
+    many: Annotated[int, typer.Option(help="Quick edits before memory is read again.", min=0)] = 1000,
+    limit_s: Annotated[
+        float, typer.Option(help="Longest time for a scene after it opened [s]; fewer edits are made then.")
+    ] = 150.0,
+    seed: Annotated[int, typer.Option(help="Seed of the edits.", min=0)] = 0,
+):
+    """Measure the studio's page in a headless Chromium, and print the figures as JSON."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as started:
+        arguments = ["--headless", "--no-sandbox", "--disable-gpu"]
+        browser = started.chromium.launch(executable_path=shutil.which("chromium"), args=arguments)
+        for scene in scenes:
+            print(json.dumps(measured(browser, scene, quality, edits, many, limit_s, seed), indent=1), flush=True)
+        browser.close()
+
+
+if __name__ == "__main__":
+    typer.run(main)
