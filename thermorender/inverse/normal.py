@@ -264,7 +264,8 @@ class Normal:
         one, other = self._in_parts(of)
         frames = np.array(one + other, np.float64).reshape(self.frames, len(self.frame_precision))
         classes = np.bincount(prior.classes.ravel(), -(prior.precision * values).ravel(), prior.count)
-        return Unknowns(values[:0], frames, np.tensordot(self._common_coupling, values, axes=2), classes)
+        common = np.tensordot(self._common_coupling, values, axes=2)
+        return Unknowns(values[:0], frames, common, np.asarray(classes, np.float64))
 
     def _in_parts(self, function: Callable[[slice], _T]) -> list[_T]:
         """The results of a function of a slice of the frames, for both halves of them, in two threads."""
