@@ -182,3 +182,15 @@ def test_outlines_keep_their_corners_whether_closed_or_not(model, tmp_path):
 def test_outlines_without_area_are_refused(model, tmp_path, rings):
     with pytest.raises(ThermorenderError, match="feature 1 has an outline without area"):
         outlined(model, tmp_path / "k.geojson", rings)
+
+
+def test_a_building_drawn_twice_is_one(model, tmp_path):
+    corners = [(10, 12), (24, 12), (24, 21), (10, 21)]
+    path = tmp_path / "k.geojson"
+    outlined(model, path, [corners])
+    once = json.loads(path.read_text())
+    again = json.loads(path.read_text())["features"][0]
+    ring = again["geometry"]["coordinates"][0]
+    again["geometry"]["coordinates"] = [[*ring[2:], *ring[:2]][::-1]]
+    path.write_text(json.dumps(once | {"features": [*once["features"], again]}))
+    assert len(found.outlines_in(path, grid_of(model))) == 1

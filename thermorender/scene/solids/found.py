@@ -90,7 +90,8 @@ def outlines_in(path: Path, grid: Grid) -> list[list[Ring]]:
         The file cannot be read, or holds no building on the grid.
     """
     features, crs = read_features(path)
-    found = []
+    found: list[list[Ring]] = []
+    sides: set[frozenset[frozenset[tuple[float, float]]]] = set()
     for number, feature in enumerate(features, 1):
         geometry, tags = tagged(feature, path, number)
         if tags.get("building", "no") == "no" or geometry.get("type") not in ("Polygon", "MultiPolygon"):
@@ -103,7 +104,10 @@ def outlines_in(path: Path, grid: Grid) -> list[list[Ring]]:
                     f"{path}, feature {number} has an outline without area; give it three corners or more, or delete it"
                 )
             low, high = rings[0].min(axis=0), rings[0].max(axis=0)
-            if (high > 0.0).all() and (low < (grid.width, grid.height)).all():
+            # The same building drawn twice would have each wall twice in one plane.
+            own = frozenset(side for ring in rings for side in _sides(ring))
+            if (high > 0.0).all() and (low < (grid.width, grid.height)).all() and own not in sides:
+                sides.add(own)
                 found.append(rings)
     if not found:
         raise ThermorenderError(
@@ -116,6 +120,12 @@ def outlines_in(path: Path, grid: Grid) -> list[list[Ring]]:
 def _ring(corner: NDArray[np.float64]) -> Ring:
     """Corners once each: without those that repeat the one before, and the first at the end."""
     return corner[np.abs(corner - np.roll(corner, 1, axis=0)).max(axis=1) > 1e-9]
+
+
+def _sides(ring: Ring) -> list[frozenset[tuple[float, float]]]:
+    """Sides of a ring, whatever its direction and its first corner."""
+    corner = [(round(float(x), 3), round(float(y), 3)) for x, y in ring]
+    return [frozenset(pair) for pair in zip(corner, [*corner[1:], corner[0]], strict=True)]
 
 
 def _area(ring: Ring) -> float:
