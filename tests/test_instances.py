@@ -113,6 +113,10 @@ def test_place_and_heading_of_the_object_move_all_copies(tmp_path):
         tr.Renderer(scene, "fast").baked.solved_for(moved)
 
 
+def test_scene_says_how_many_copies_it_has(tmp_path):
+    assert "trees (4 copies)" in str(tr.load_scene(write_copies(tmp_path / "s")))
+
+
 def test_light_is_kept_by_the_copies_too(tmp_path):
     scene = tr.load_scene(write_copies(tmp_path / "s"))
     trees = scene.surfaces[1]

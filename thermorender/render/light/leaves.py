@@ -117,8 +117,8 @@ def within(
     Notes
     -----
     The share of sky differs within a patch from triangle to triangle, by what the body itself hides. Light changes with
-    it as from patch to patch, by a straight line through all patches of a surface. Triangles count as a view from above sees
-    them.
+    it as from patch to patch, by a straight line through all patches of a surface. Triangles count as a view from above
+    sees them.
     """
     found = np.zeros(geometry.face_count)
     for start, surface in zip(geometry.face_start, geometry.surfaces, strict=False):
