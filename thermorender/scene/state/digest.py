@@ -48,8 +48,8 @@ def _digest(declared: Declared, derived: Derived, sun: Any, weather: Any) -> str
     for surface in (*derived.surfaces, *moved):
         values = {item.name: getattr(surface, item.name) for item in fields(surface)}
         # Without copies nothing is added, so that they change no fingerprint.
-        copies = values.pop("instances")
-        for value in (*values.values(), *(vars(copies).values() if copies else ())):
+        copies: Any = values.pop("instances")
+        for value in (*values.values(), *(vars(copies).values() if copies is not None else ())):
             state.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
     for material in derived.cover.materials:
         state.update(material.name.encode() + material.wavelength_um.tobytes() + material.emissivity.tobytes())

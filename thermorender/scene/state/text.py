@@ -49,7 +49,7 @@ def table_of(declared: Declared, derived: Derived) -> str:
 
 def _counted(name: str, derived: Derived) -> str:
     """The name of an object, with the number of its copies."""
-    copies = [len(s.instances) for s in derived.surfaces if s.instances and s.name.split(":")[0] == name]
+    copies = [len(s.instances) for s in derived.surfaces if s.instances is not None and s.name.split(":")[0] == name]
     return f"{name} ({copies[0]} copies)" if copies else name
 
 
