@@ -46,10 +46,10 @@ def _digest(declared: Declared, derived: Derived, sun: Any, weather: Any) -> str
     state, spec, air = hashlib.blake2b(digest_size=16), declared.spec, derived.air
     moved = [surface for tracked in derived.tracked_objects for surface in tracked.surfaces]
     for surface in (*derived.surfaces, *moved):
-        values = {item.name: getattr(surface, item.name) for item in fields(surface)}
+        parts: dict[str, Any] = {item.name: getattr(surface, item.name) for item in fields(surface)}
         # Without copies nothing is added, so that they change no fingerprint.
-        copies: Any = values.pop("instances")
-        for value in (*values.values(), *(vars(copies).values() if copies is not None else ())):
+        copies: Any = parts.pop("instances")
+        for value in (*parts.values(), *(vars(copies).values() if copies is not None else ())):
             state.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
     for material in derived.cover.materials:
         state.update(material.name.encode() + material.wavelength_um.tobytes() + material.emissivity.tobytes())
