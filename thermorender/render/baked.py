@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from thermorender.render.device import DeviceScene, flat
 from thermorender.render.dynamic import StaticLight
 from thermorender.render.geometry import Geometry, refuse_other_surfaces
-from thermorender.render.light import cache, radiosity, texels
+from thermorender.render.light import cache, leaves, radiosity, texels
 from thermorender.render.light.absorbed import left_out
 from thermorender.render.light.solved import SolvedLight, solve_scene
 from thermorender.render.plan import Plan, make_plan
@@ -254,7 +254,12 @@ def bake(
         texel[channel], face[:, channel], left = baked
     scatter = left if spectrum.channels == 1 else scatter
     tick()
-    varies = texels.variation(geometry, incident @ solved.mean_reflectance.astype(np.float32), noise)
+    reflected = incident @ solved.mean_reflectance.astype(np.float32)
+    varies = texels.variation(geometry, reflected, noise)
+    within: Any = 0.0
+    if geometry.has_copies:
+        within = leaves.within(geometry, radiosity.openness, known.sky.sum(axis=1), reflected)
+        varies = float(np.sqrt(varies**2 + share @ within**2))
     solution = ((1.0 - spectrum.emissivity).max(axis=0) * solved.bounds).sum()
     rms = [np.sqrt(share @ square) for square in (noise**2, scatter)]
     errors = {"solution": solution, "noise": rms[0], "faces": varies, "texels": rms[1]}
@@ -263,7 +268,7 @@ def bake(
     errors = {name: float(value / per_mk) for name, value in errors.items()}
     report_progress(_SOLVING, 1.0)
     # Per face, for the error budget of frames.
-    square = (noise**2 + scatter + lost**2).astype(np.float32)
+    square = (noise**2 + scatter + lost**2 + within**2).astype(np.float32)
     return BakedScene(
         scene, plan, known, incident, tuple(texel), face, square, black, solved.static, errors, note, uploaded
     )

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned
-from thermorender.render.pixels import pyramid, slender
+from thermorender.render.pixels import pyramid, shapes, slender
 from thermorender.scene.scene import Scene
 from thermorender.scene.surface import Surface
 
@@ -70,31 +70,44 @@ class Geometry:
         self.texel_start = np.cumsum([0] + [surface.material.size for surface in surfaces])
         self.face_count = int(self.face_start[-1])
         self.area = 0.5 * np.linalg.norm(of_faces(surfaces, _across, (3,), np.float64), axis=1)
+        for first, surface in zip(self.face_start, surfaces, strict=False):
+            if surface.instances is not None:
+                self.area[first : first + len(surface.faces)] = surface.instances.area
         self.share = self.area / max(self.area.sum(), 1e-300)
         self.reach = max(float(np.abs(surface.vertices).max()) for surface in surfaces)
         self.hair = 64.0 * 2.0**-24 * (1.0 + self.reach)
         meshes = {
-            f"s{number}": _mesh(mi, f"s{number}", surface.vertices, surface.faces)
+            f"s{number}": shapes.mesh(mi, f"s{number}", surface.vertices, surface.faces)
             for number, surface in enumerate(surfaces)
+            if surface.instances is None
         }
+        copies = shapes.Copies(mi, surfaces, self.face_start)
         # Without robust intersections rays leak through triangle edges and show the sky.
-        self.caster = mi.load_dict({"type": "scene", "embree_use_robust_intersections": True, **meshes})
+        self.caster = mi.load_dict({
+            "type": "scene", "embree_use_robust_intersections": True, **meshes, **copies.shapes
+        })  # fmt: skip
         # Mitsuba numbers shapes over the whole process; this maps its numbers to surfaces.
-        registry = [int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(mesh))[0]) for mesh in meshes.values()]
-        surface_of = np.zeros(max(registry) + 1, dtype=np.uint32)
-        surface_of[registry] = np.arange(len(registry))
+        registry = [shapes.number_of(mi, mesh) for mesh in meshes.values()]
+        surface_of = np.zeros(max([*registry, 0]) + 1, dtype=np.uint32)
+        surface_of[registry] = [int(name[1:]) for name in meshes]
         self._surface_of = mi.UInt32(aligned(surface_of, np.uint32))
+        self._copies = copies.uploaded() if copies.numbers else None
         self._face_start = mi.UInt32(aligned(self.face_start[:-1], np.uint32))
         # The squares are stored level after level, and in each level surface after surface.
         sizes = [pyramid.sizes(*surface.material.shape) for surface in surfaces]
         self.levels = max(map(len, sizes))
-        shapes = np.array([size + [(1, 1)] * (self.levels - len(size)) for size in sizes], dtype=np.int64)
-        shapes = shapes.transpose(1, 0, 2).reshape(-1, 2)
-        start = np.concatenate([[0], np.cumsum(shapes.prod(axis=1))])
+        squares = np.array([size + [(1, 1)] * (self.levels - len(size)) for size in sizes], dtype=np.int64)
+        squares = squares.transpose(1, 0, 2).reshape(-1, 2)
+        start = np.concatenate([[0], np.cumsum(squares.prod(axis=1))])
         self._surfaces, self._boxes = len(surfaces), dict[int, Floats]()
-        parts = (start[:-1], shapes[:, 0], shapes[:, 1])
+        parts = (start[:-1], squares[:, 0], squares[:, 1])
         self._lattice = tuple(mi.Int32(aligned(part, np.int32)) for part in parts)
         self.records = mi.Float(aligned(of_faces(surfaces, _map_records, (8,))))
+
+    @property
+    def has_copies(self) -> bool:
+        """Whether a surface consists of copies of a body."""
+        return self._copies is not None
 
     def cast(self, ray: Jit, coherent: bool = False) -> Hit:
         """Return the Hit of rays (an mi.Ray3f)."""
@@ -105,7 +118,19 @@ class Geometry:
         valid = found.is_valid()
         surface = dr.gather(mi.UInt32, self._surface_of, dr.reinterpret_array(mi.UInt32, found.shape), valid)
         face = dr.gather(mi.UInt32, self._face_start, surface, valid) + found.prim_index
+        if self._copies is not None:
+            surface, face = self._on_copies(found, valid, surface, face)
         return Hit(valid, found.t, dr.select(valid, face, 0), surface)
+
+    def _on_copies(self, found: Jit, valid: Jit, surface: Jit, face: Jit) -> tuple[Jit, Jit]:
+        """(surface, face) of hits, of which those on copies of a body get the patch of the copy."""
+        assert self._copies is not None
+        mi, (first_face, first_triangle, surface_of, patch) = self.mi, self._copies
+        number = dr.reinterpret_array(mi.UInt32, found.instance)
+        copy = valid & (number != 0)
+        triangle = dr.gather(mi.UInt32, first_triangle, number, copy) + found.prim_index
+        own = dr.gather(mi.UInt32, first_face, number, copy) + dr.gather(mi.UInt32, patch, triangle, copy)
+        return dr.select(copy, dr.gather(mi.UInt32, surface_of, number, copy), surface), dr.select(copy, own, face)
 
     def seen(self, ray: Jit) -> Hit:
         """Return the Hit of a view's rays (an mi.Ray3f), without distances of 0.
@@ -283,7 +308,7 @@ class Geometry:
         mi, (rows, columns) = self.mi, found.shape
         corner = uv.reshape(-1, 2).astype(np.float64) * (columns, rows)
         flat = np.column_stack([corner, np.zeros(len(corner))])
-        mesh = _mesh(mi, "map", flat, np.arange(len(flat)).reshape(-1, 3))
+        mesh = shapes.mesh(mi, "map", flat, np.arange(len(flat)).reshape(-1, 3))
         caster = mi.load_dict({"type": "scene", "embree_use_robust_intersections": True, "map": mesh})
         highest, lowest = (int(np.clip(edge, 0, rows)) for edge in (corner[:, 1].min(), np.ceil(corner[:, 1].max())))
         step = max(1, _RAYS_AT_ONCE // columns)
@@ -320,6 +345,8 @@ def refuse_other_surfaces(known: Sequence[Surface], surfaces: Sequence[Surface])
             first, second = getattr(one, name), getattr(other, name)
             if first is not second and not np.array_equal(first, second):
                 differ = differ or f"other {name} in surface {other.name!r}"
+        if not _same_copies(one, other):
+            differ = differ or f"other copies in surface {other.name!r}"
         if one.material.shape != other.material.shape:
             differ = differ or f"{one.material.shape} texels, not {other.material.shape}, in surface {other.name!r}"
     if differ:
@@ -353,7 +380,9 @@ def _across(surface: Surface, part: slice) -> Floats:
 
 
 def _unit_across(surface: Surface, part: slice) -> Floats:
-    """Unit normals of faces; zero where a face has no area."""
+    """Unit normals of faces; zero where a face has no area, and of copies, whose leaves face all directions."""
+    if surface.instances is not None:
+        return np.zeros((len(surface.faces[part]), 3))
     normal = _across(surface, part)
     return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
 
@@ -383,18 +412,9 @@ def _map_records(surface: Surface, part: slice) -> Floats:
     return np.concatenate([gradient, offset[..., None]], axis=-1).reshape(-1, 8)
 
 
-def positions(vertices: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Return vertices (V, 3) flat, (3 V,) float32, with the four bytes of padding that Embree reads."""
-    whole = np.empty(3 * len(vertices) + 1, np.float32)
-    whole[:-1] = np.ravel(vertices)
-    return whole[:-1]
-
-
-def _mesh(mi: Mitsuba, name: str, vertices: Floats, faces: NDArray[np.integer]) -> Jit:
-    mesh = mi.Mesh(name, len(vertices), len(faces))
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = positions(vertices)
-    # np.array drops array subclasses, which Mitsuba refuses.
-    parameters["faces"] = np.array(faces, dtype=np.uint32).ravel()
-    parameters.update()
-    return mesh
+def _same_copies(one: Surface, other: Surface) -> bool:
+    """Whether two surfaces have the same copies of a body, or none."""
+    first, second = one.instances, other.instances
+    if first is None or second is None:
+        return first is second
+    return all(np.array_equal(getattr(first, name), value) for name, value in vars(second).items())

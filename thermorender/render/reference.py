@@ -21,11 +21,13 @@ from thermorender.frame import Frame
 from thermorender.physics.fresnel import COSINES
 from thermorender.physics.planck import C1L, C2
 from thermorender.render.arrays import Floats, Jit, Mitsuba, aligned
-from thermorender.render.geometry import box_of, positions
+from thermorender.render.geometry import box_of
+from thermorender.render.pixels.shapes import positions
 from thermorender.render.reflection.reflectance import directional
 from thermorender.render.renderer import Renderer
 from thermorender.render.variant import activate, switch
 from thermorender.scene.scene import Scene
+from thermorender.scene.solids.instances import expanded
 from thermorender.scene.surface import Surface
 from thermorender.sensor.camera import Camera
 from thermorender.trajectory.rotations import checked_pose
@@ -221,6 +223,7 @@ def _mesh(mi: Mitsuba, name: str, number: int, surface: Surface, terrain_count: 
         properties["bsdf"] = mi.load_dict({"type": "twosided", "bsdf": diffuse})
     properties["emitter"] = mi.load_dict(emitter)
     # Corners are not shared, as each face has its own map coordinates.
+    surface = expanded(surface)
     corners, uv = surface.vertices[surface.faces], surface.uv
     if number >= terrain_count:
         # A stock area emitter radiates to one side; a copy behind it radiates to the other. The copy sticks out round

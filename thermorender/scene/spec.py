@@ -258,12 +258,15 @@ class ObjectSpec:
     material: str = key(text)
     colour: tuple[float, float, float] = key(number(0.0, 255.0, count=3, unit="(sRGB)"), (128.0, 128.0, 128.0))
     track: Path | None = key(file_inside, None)
+    instances: Path | None = key(file_inside, None)
 
     def check(self, where: Where, given: Mapping[str, Any]) -> None:
         """Refuse none or two kinds of solid, and a name that could be a part's."""
         where.exactly_one(given, ("shape", "file"))
         if ":" in self.name:
             where.of("name").refuse(self.name, "a name without ':', which separates the parts of an object")
+        if self.track and self.instances:
+            where.of("instances").refuse(str(self.instances), "it without track: copies do not move")
 
 
 @dataclass(frozen=True)

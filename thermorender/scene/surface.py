@@ -1,12 +1,15 @@
 """A surface of the scene: a triangle mesh and, per texel of its map, colour, material and kinetic temperature."""
 
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError
+
+if TYPE_CHECKING:
+    from thermorender.scene.solids.instances import Instances
 from thermorender.units import kelvin
 
 # Flags of texels, and of the pixels that show them (the truth mask of a frame).
@@ -48,6 +51,8 @@ class Surface:
         Bitwise or of the flags of this module.
     texel_m : float
         Side of a texel on the ground [m].
+    instances : Instances, optional
+        Copies of a body that rays meet; the faces then stand for their patches.
     """
 
     name: str
@@ -59,6 +64,7 @@ class Surface:
     temperature: NDArray[np.float32]
     flags: NDArray[np.uint8]
     texel_m: float
+    instances: "Instances | None" = None
 
     def __post_init__(self) -> None:
         """Make the arrays read-only: a scene does not change, and what follows from them must not become stale."""
@@ -76,10 +82,8 @@ class Surface:
         rows, columns = self.material.shape
         known = self.temperature[np.isfinite(self.temperature)]
         kelvin = f"{known.min():.1f}–{known.max():.1f} K" if known.size else "no temperature yet"
-        return (
-            f"Surface({self.name!r}, {len(self.faces)} triangles, {columns}×{rows} texels of {self.texel_m:.3g} m, "
-            f"{kelvin})"
-        )
+        what = f"{len(self.faces)} triangles" if self.instances is None else f"{len(self.instances)} copies"
+        return f"Surface({self.name!r}, {what}, {columns}×{rows} texels of {self.texel_m:.3g} m, {kelvin})"
 
 
 # Hotter than any flame: a higher value is a placeholder for "no data", or not a temperature.

@@ -64,6 +64,9 @@ def key(geometry: Geometry, rays: int, seed: int = 0) -> str:
     for surface in geometry.surfaces:
         for values in (surface.vertices, surface.faces):
             _feed(digest, values)
+        if surface.instances is not None:
+            for values in vars(surface.instances).values():
+                _feed(digest, values)
     return digest.hexdigest()
 
 

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.render.arrays import Floats, Jit, Mitsuba, aligned
 from thermorender.render.geometry import Geometry, of_faces
+from thermorender.render.light import leaves
 from thermorender.render.light.exchange import Exchange, threads
 from thermorender.render.light.gmres import STEPS
 from thermorender.scene.surface import Surface
@@ -53,6 +54,8 @@ _NOISE_ACCURACY = 0.05
 ROUNDS = 20
 # Faces handled at once. Products of matrices of so few rows stay in their thread, so that their sums have one order.
 _FACES_AT_ONCE = 3000
+# Rays per triangle of a body that find how open it is.
+_OPEN_RAYS = 64
 # Steps of the table of chords of the unit disk.
 _CHORDS = 4096
 
@@ -340,6 +343,9 @@ class FaceRays:
         share = 0.5 + (angle + np.sin(angle) * np.cos(angle)) / np.pi
         self._chord = self._mi.Float(aligned(np.interp(np.linspace(0.0, 1.0, _CHORDS + 1), share, angle)))
         found = of_faces(geometry.surfaces, _frames, (4, 3))
+        self._leaves = leaves.Leaves(geometry, openness) if geometry.has_copies else None
+        if self._leaves is not None:
+            found = np.concatenate([found, self._leaves.frames])
         self._faces = [self._mi.Float(aligned(found[:, k])) for k in range(4)]
         self._lift = dr.opaque(self._mi.Float, geometry.hair)
 
@@ -349,7 +355,10 @@ class FaceRays:
         index = dr.arange(mi.UInt32, count * self._rays)
         # Opaque: literals would compile the kernel again for each part.
         face, number = index // self._rays + dr.opaque(mi.UInt32, first), index % self._rays
-        corner, edge_u, edge_v, normal = (dr.gather(mi.Vector3f, values, face) for values in self._faces)
+        row = face if self._leaves is None else self._leaves.row(face, number)
+        corner, edge_u, edge_v, normal = (dr.gather(mi.Vector3f, values, row) for values in self._faces)
+        if self._leaves is not None:
+            corner, edge_u, edge_v, normal = self._leaves.placed(face, corner, edge_u, edge_v, normal)
         # One random shift per face decorrelates neighbours and keeps the even spread.
         key = dr.opaque(mi.UInt32, seed) * 2 + _SEED
         # With the usual 4 rounds the shifts of successive faces are correlated; with 6 no test finds a correlation.
@@ -391,12 +400,12 @@ def _counted(
     return np.bincount(first[surface] // rays, minlength=rows), seen[surface], hits[surface], missing
 
 
+def openness(geometry: Geometry) -> Floats:
+    """Return the shares of each face's hemisphere that see the sky and what is beyond all faces below it, (F, 2)."""
+    found = trace(geometry, _OPEN_RAYS)
+    return np.column_stack([found.sky.sum(axis=1), found.background])
+
+
 def _frames(surface: Surface, part: slice) -> Floats:
     """Corner, first edge, second edge and unit normal of faces, (n, 4, 3)."""
-    corners = surface.vertices[surface.faces[part]]
-    edge_u, edge_v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(edge_u, edge_v)
-    length = np.linalg.norm(normal, axis=-1, keepdims=True)
-    # The light on a face without area does not matter, but its rays need a direction.
-    normal = np.where(length > 0.0, normal / np.where(length > 0.0, length, 1.0), [0.0, 0.0, 1.0])
-    return np.stack([corners[:, 0], edge_u, edge_v, normal], axis=1)
+    return leaves.frames(surface.vertices[surface.faces[part]])

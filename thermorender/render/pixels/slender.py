@@ -51,6 +51,9 @@ def boxes(surfaces: Sequence[Surface]) -> Floats:
 
     found = []
     for surface in surfaces:
+        if surface.instances is not None:
+            # Leaves thinner than a pixel are many in each, so that its rays find them as they find a texture.
+            continue
         # Parts separated only by an edge of the texture are connected.
         vertices, index = np.unique(np.asarray(surface.vertices, np.float64), axis=0, return_inverse=True)
         faces = index.reshape(-1)[surface.faces]

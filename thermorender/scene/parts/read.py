@@ -17,6 +17,7 @@ from thermorender.scene.parts.orthophoto import read_colour
 from thermorender.scene.parts.textures import Texture, onto_texels, stating, texel_size_m
 from thermorender.scene.parts.tracks import TrackedObject, read_track
 from thermorender.scene.raster import Grid, bounds_in, grid_of, onto, read_classes
+from thermorender.scene.solids.instances import read_places
 from thermorender.scene.spec import ObjectSpec, SceneSpec
 from thermorender.scene.surface import FILLED, SURFACE, Surface
 
@@ -230,7 +231,8 @@ def _object(item: ObjectSpec, folder: Path) -> TrackedObject:
     lift = 0.02 if item.shape == "disc" else 0.0
     surfaces = tuple(_part_surface(replace(part, name=f"{item.name}:{part.name}")) for part in parts)
     time_s, columns = read_track(item.track) if item.track else (np.zeros(1), {})
-    return TrackedObject(item, surfaces, lift, time_s, columns)
+    places = read_places(item.instances) if item.instances else None
+    return TrackedObject(item, surfaces, lift, time_s, columns, places)
 
 
 def _part_surface(part: mesh.Part) -> Surface:

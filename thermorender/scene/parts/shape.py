@@ -14,6 +14,7 @@ from thermorender.scene.parts.refine import evened, refined
 from thermorender.scene.parts.textures import Texture
 from thermorender.scene.parts.tracks import TrackedObject
 from thermorender.scene.raster import Grid
+from thermorender.scene.solids import instances
 from thermorender.scene.spec import ObjectSpec
 from thermorender.scene.surface import Surface
 
@@ -81,26 +82,51 @@ def shape_of(parts: Parts, objects: Sequence[ObjectSpec], held: Held, where: str
     static, static_of = [], []
     for number, one in enumerate(posed):
         if not one.item.track:
-            own = placed(one, one.at(0.0))
+            own = _copies(one, ground, where) if one.places else placed(one, one.at(0.0))
             static += own
             static_of += [number] * len(own)
     tracked_of = [number for number, one in enumerate(posed) if one.item.track]
     tracked = [posed[number] for number in tracked_of]
     along = [surface for one in tracked for values in one.stations() for surface in placed(one, values)]
     highest = max(float(surface.vertices[:, 2].max()) for surface in (*parts.ground, *static, *along))
-    finer, done = refined(parts.ground, static + along)
+    # The light beside many copies is not resolved by finer ground: the budget has its error.
+    bodies = [surface for surface in static if surface.instances is None]
+    finer, done = refined(parts.ground, bodies + along)
+    whole = iter(done)
+    static = [next(whole) if surface.instances is None else surface for surface in static]
     return Shape(
         frame=parts.frame,
         grid=parts.grid,
         ground=tuple(evened(surface) for surface in finer),
         on_ground=parts.on_ground,
-        static=tuple(done[: len(static)]),
+        static=tuple(static),
         static_of=tuple(static_of),
         tracked=tuple(replace(one, surfaces=tuple(refined((), one.surfaces)[1])) for one in tracked),
         tracked_of=tuple(tracked_of),
         highest_m=highest,
         textures=parts.textures,
     )
+
+
+def _copies(one: TrackedObject, ground: Ground, where: str) -> list[Surface]:
+    """The surfaces of an object with instances: its position and heading are added to those of each copy."""
+    assert one.places is not None
+    item, row = one.item, one.places
+    east, north = row["east_m"] + item.position[0], row["north_m"] + item.position[1]
+    height = ground(east, north)
+    if not np.isfinite(height).all():
+        off = int(np.argmin(np.isfinite(height)))
+        raise ThermorenderError(
+            f"{where}: object {item.name!r} has a copy at {east[off]:g} m east, {north[off]:g} m north, where there is "
+            f"no terrain; leave that row out of {item.instances}"
+        )
+    up = height + row["above_ground_m"] + item.position[2] + one.lift_m
+    place = {
+        "position": np.column_stack([east, north, up]),
+        "yaw_deg": row["yaw_deg"] + item.yaw_deg,
+        "scale": row["scale"],
+    }
+    return [instances.placed(surface, place) for surface in one.surfaces]
 
 
 def _posed(part: TrackedObject, item: ObjectSpec, held: Held) -> TrackedObject:

@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +22,7 @@ _LIMITS = {
     **dict.fromkeys(COLUMNS[:3], (FARTHEST_M, "metres")),
     "yaw_deg": (1e6, "degrees"),
     "time_s": (1e12, "seconds"),
+    "scale": (1e3, "a factor"),
 }
 
 
@@ -41,6 +42,8 @@ class TrackedObject:
         Rising [s].
     columns : dict
         {name of COLUMNS: (n,) float64}.
+    places : dict or None
+        {column: (n,) float64} of the copies of an object with instances, from `read_places`.
     """
 
     item: ObjectSpec
@@ -48,6 +51,7 @@ class TrackedObject:
     lift_m: float
     time_s: NDArray[np.float64]
     columns: Mapping[str, NDArray[np.float64]]
+    places: Mapping[str, NDArray[np.float64]] | None = None
 
     @property
     def name(self) -> str:
@@ -135,13 +139,22 @@ class TrackedObject:
         return matrix
 
 
-def read_track(path: Path) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
-    """Return (time_s (n,), {column: (n,)}) of a track: a CSV with `time_s` and any of COLUMNS.
+def read_columns(
+    path: Path, needed: Sequence[str], others: Sequence[str], least: int = 0
+) -> tuple[dict[str, NDArray[np.float64]], list[int]]:
+    """Return ({column: (n,)}, number of each row in the file) of a CSV with a header and finite numbers.
+
+    Parameters
+    ----------
+    needed, others : sequence of str
+        Columns that the file must and may have.
+    least : int
+        Number of `others` that it must have.
 
     Raises
     ------
     ThermorenderError
-        An unreadable file, unknown or missing columns, cells that are not numbers, or time that does not rise.
+        An unreadable file, unknown or missing columns, or cells that are not numbers or out of range.
     """
     try:
         lines = list(csv.reader(io.StringIO(read_text(path, "CSV UTF-8"))))
@@ -150,12 +163,13 @@ def read_track(path: Path) -> tuple[NDArray[np.float64], dict[str, NDArray[np.fl
     numbers = [number for number, line in enumerate(lines, start=1) if any(map(str.strip, line))]
     rows = [lines[number - 1] for number in numbers]
     header = [cell.strip() for cell in rows[0]] if rows else []
-    allowed = ("time_s", *COLUMNS)
+    allowed = (*needed, *others)
     odd = next((name for name in header if name not in allowed or header.count(name) > 1), None)
-    if odd is not None or "time_s" not in header or len(header) < 2 or len(rows) < 2:
-        what = f"has the column {odd!r}" if odd is not None else "lacks time_s, another column or rows of numbers"
+    if odd is not None or not set(needed) <= set(header) or len(header) < len(needed) + least or len(rows) < 2:
+        more = ", another column" if least else ""
+        what = f"has the column {odd!r}" if odd is not None else f"lacks {', '.join(needed)}{more} or rows of numbers"
         raise ThermorenderError(
-            f"{path} {what}; give a header with time_s and any of {', '.join(COLUMNS)}, each once, "
+            f"{path} {what}; give a header with {', '.join(needed)} and any of {', '.join(others)}, each once, "
             "and rows of numbers below it"
         )
     values = np.empty((len(rows) - 1, len(header)))
@@ -176,9 +190,21 @@ def read_track(path: Path) -> tuple[NDArray[np.float64], dict[str, NDArray[np.fl
             raise ThermorenderError(
                 f"{path}: {name}={columns[name][far][0]:g} is out of range; give {unit}, up to {most:g}"
             )
+    return columns, numbers[1:]
+
+
+def read_track(path: Path) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
+    """Return (time_s (n,), {column: (n,)}) of a track: a CSV with `time_s` and any of COLUMNS.
+
+    Raises
+    ------
+    ThermorenderError
+        As of `read_columns`, or time that does not rise.
+    """
+    columns, numbers = read_columns(path, ("time_s",), COLUMNS, 1)
     time_s = columns.pop("time_s")
     if (np.diff(time_s) <= 0.0).any():
-        row = numbers[int(np.argmax(np.diff(time_s) <= 0.0)) + 2]
+        row = numbers[int(np.argmax(np.diff(time_s) <= 0.0)) + 1]
         raise ThermorenderError(f"{path}, row {row}: time_s does not rise; sort the rows and give each time once")
     if "yaw_deg" in columns:
         # Turn the shorter way between two rows.

@@ -134,6 +134,14 @@ def _combined(
     if parts is None:
         static, tracked = shape.static, shape.tracked
     else:
+        for surface, number in zip(shape.static, shape.static_of, strict=True):
+            material = cover.materials[cover.objects[number]]
+            if surface.instances is not None and material.emissivity_by_angle is not None:
+                raise ThermorenderError(
+                    f"{now.where}: object {surface.name.split(':')[0]!r} has instances of the material "
+                    f"{material.name!r}, whose emissivity depends on the angle, which copies do not support; give "
+                    "them another material"
+                )
         static = tuple(
             _covered(surface, cover.objects[number], now.spec.objects[number].temperature)
             for surface, number in zip(shape.static, shape.static_of, strict=True)

@@ -46,8 +46,10 @@ def _digest(declared: Declared, derived: Derived, sun: Any, weather: Any) -> str
     state, spec, air = hashlib.blake2b(digest_size=16), declared.spec, derived.air
     moved = [surface for tracked in derived.tracked_objects for surface in tracked.surfaces]
     for surface in (*derived.surfaces, *moved):
-        for item in fields(surface):
-            value = getattr(surface, item.name)
+        parts: dict[str, Any] = {item.name: getattr(surface, item.name) for item in fields(surface)}
+        # Without copies nothing is added, so that they change no fingerprint.
+        copies: Any = parts.pop("instances")
+        for value in (*parts.values(), *(vars(copies).values() if copies is not None else ())):
             state.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
     for material in derived.cover.materials:
         state.update(material.name.encode() + material.wavelength_um.tobytes() + material.emissivity.tobytes())
@@ -58,7 +60,9 @@ def _digest(declared: Declared, derived: Derived, sun: Any, weather: Any) -> str
         own = [{key: each for key, each in layer.values.items() if key != "texture" or each} for layer in layers]
         state.update(repr((material.solar_absorptance, own)).encode())
     for tracked in derived.tracked_objects:
-        state.update(repr((tracked.item, tracked.lift_m)).encode() + tracked.time_s.tobytes())
+        # What moves has no copies.
+        item_text = repr((tracked.item, tracked.lift_m)).replace(", instances=None", "")
+        state.update(item_text.encode() + tracked.time_s.tobytes())
         for name, values in tracked.columns.items():
             state.update(name.encode() + values.tobytes())
     skies = f"{spec.sky_temperature!r}, {spec.surroundings_temperature!r}"

@@ -38,13 +38,19 @@ def table_of(declared: Declared, derived: Derived) -> str:
         f"  temperature   {spec.temperature.source}, {_temperature(declared, derived)}",
         f"  materials     {_materials(derived)}",
         f"  sky           {_sky(declared, derived, True)}",
-        f"  objects       {_listed([item.name for item in spec.objects])}",
+        f"  objects       {_listed([_counted(item.name, derived) for item in spec.objects])}",
         f"  camera        {camera.name}, {camera.width}×{camera.height}",
     ]
     if frame:
         lines.insert(2, f"  origin        {frame.latitude_deg:.6f}°, {frame.longitude_deg:.6f}°, "
                         f"{frame.height_m:g} m above the ellipsoid")  # fmt: skip
     return "\n".join(lines)
+
+
+def _counted(name: str, derived: Derived) -> str:
+    """The name of an object, with the number of its copies."""
+    copies = [len(s.instances) for s in derived.surfaces if s.instances is not None and s.name.split(":")[0] == name]
+    return f"{name} ({copies[0]} copies)" if copies else name
 
 
 def html_of(declared: Declared, derived: Derived) -> str:

@@ -1,0 +1,137 @@
+"""Rays from the copies of bodies, such as crowns: a patch sends them from its triangles.
+
+Triangles are drawn by their area and by the share of their hemisphere that the body itself leaves open. The light of a
+patch is then that of the leaves that are seen from outside: a leaf that a camera sees also receives more of the sky
+than one within the crown.
+"""
+
+from collections.abc import Callable
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.render.arrays import Floats, Jit, aligned
+from thermorender.render.geometry import Geometry
+from thermorender.scene.solids.instances import Instances, alone
+
+# Triangles that represent a patch. Successive rays start from successive ones.
+_DRAWN = 256
+_SEED, _HASH = 0x1EAF, 2654435761
+# Least share of an open hemisphere, so that each patch has triangles to draw.
+_LEAST_OPEN = 1e-3
+
+
+def frames(corners: Floats) -> Floats:
+    """Return corner, first edge, second edge and unit normal of triangles (n, 3, 3), (n, 4, 3)."""
+    edge_u, edge_v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(edge_u, edge_v)
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    # The light on a face without area does not matter, but its rays need a direction.
+    normal = np.where(length > 0.0, normal / np.where(length > 0.0, length, 1.0), [0.0, 0.0, 1.0])
+    return np.stack([corners[:, 0], edge_u, edge_v, normal], axis=1)
+
+
+class Leaves:
+    """Triangles of patches, and the places of their copies.
+
+    Attributes
+    ----------
+    frames : (n, 4, 3) float64
+        Of the triangles that represent the patches, as `frames`, in the frame of their body.
+
+    Parameters
+    ----------
+    openness : callable
+        Returns the shares of each face's hemisphere that see sky and surroundings, (F, 2), of a body's Geometry.
+    """
+
+    def __init__(self, geometry: Geometry, openness: Callable[[Geometry], Floats]) -> None:
+        self._mi = mi = geometry.mi
+        first = np.arange(geometry.face_count, dtype=np.uint32)
+        drawn = np.ones(geometry.face_count, np.uint32)
+        turn = np.tile(np.array([1.0, 0.0, 1.0, 0.0], np.float32), (geometry.face_count, 1))
+        shift = np.zeros((geometry.face_count, 3), np.float32)
+        found: list[Floats] = []
+        random, count = np.random.Generator(np.random.Philox(_SEED)), geometry.face_count
+        for start, surface in zip(geometry.face_start, geometry.surfaces, strict=False):
+            body = surface.instances
+            if body is None:
+                continue
+            here = slice(int(start), int(start) + len(surface.faces))
+            first[here] = count + _DRAWN * np.tile(np.arange(body.patches), len(body))
+            drawn[here] = _DRAWN
+            matrix = np.repeat(body.matrices, body.patches, axis=0)
+            turn[here, 0], turn[here, 1] = matrix[:, 0, 0], matrix[:, 0, 1]
+            turn[here, 2], shift[here] = matrix[:, 2, 2], matrix[:, :, 3]
+            weight = body.face_area * np.maximum(openness(Geometry(mi, [alone(surface)])).sum(axis=1), _LEAST_OPEN)
+            for patch in range(body.patches):
+                found.append(frames(body.vertices[body.faces[_drawn(body, patch, weight, random)]]))
+                count += _DRAWN
+        self.frames = np.concatenate(found)
+        self._first, self._count = (mi.UInt32(aligned(values, np.uint32)) for values in (first, drawn))
+        self._turn, self._shift = mi.Float(aligned(turn)), mi.Float(aligned(shift))
+
+    def row(self, face: Jit, number: Jit) -> Jit:
+        """Return the row of the frames from which a ray of a face starts, by the ray's number; UInt32."""
+        mi = self._mi
+        first, count = dr.gather(mi.UInt32, self._first, face), dr.gather(mi.UInt32, self._count, face)
+        # Each patch begins elsewhere, so that like copies do not repeat their errors.
+        return first + (number + ((face * _HASH) >> 16)) % count
+
+    def placed(self, face: Jit, corner: Jit, edge_u: Jit, edge_v: Jit, normal: Jit) -> tuple[Jit, ...]:
+        """Return frames of triangles in the scene's frame, for the faces that they belong to."""
+        mi = self._mi
+        turn, shift = dr.gather(mi.Vector4f, self._turn, face), dr.gather(mi.Vector3f, self._shift, face)
+
+        def turned(vector: Jit) -> Jit:
+            return mi.Vector3f(
+                turn.x * vector.x + turn.y * vector.y, turn.x * vector.y - turn.y * vector.x, turn.z * vector.z
+            )
+
+        return turned(corner) + shift, turned(edge_u), turned(edge_v), turned(normal) / turn.z
+
+
+def _drawn(body: Instances, patch: int, weight: Floats, random: np.random.Generator) -> NDArray[np.intp]:
+    """Triangles of a patch, evenly by weight and in random order."""
+    own = np.flatnonzero(body.patch == patch)
+    share = np.cumsum(weight[own])
+    place = (random.permutation(_DRAWN) + 0.5) / _DRAWN * share[-1]
+    return own[np.minimum(np.searchsorted(share, place), len(own) - 1)]
+
+
+def within(
+    geometry: Geometry, openness: Callable[[Geometry], Floats], sky: Floats, reflected: NDArray[np.floating]
+) -> Floats:
+    """Return an estimate of the scatter of reflected light within the patches of copies, (F,); 0 for other faces.
+
+    Parameters
+    ----------
+    openness : callable
+        As of `Leaves`.
+    sky : (F,)
+        Share of each face's hemisphere that is sky.
+    reflected : (F,)
+        Light that each face reflects; the result has its unit.
+
+    Notes
+    -----
+    The share of sky differs within a patch from triangle to triangle, by what the body itself hides. Light changes with
+    it as from patch to patch, by a straight line through all patches of a surface. Triangles count as a view from above
+    sees them.
+    """
+    found = np.zeros(geometry.face_count)
+    for start, surface in zip(geometry.face_start, geometry.surfaces, strict=False):
+        body = surface.instances
+        if body is None:
+            continue
+        here = slice(int(start), int(start) + len(surface.faces))
+        up, down = openness(Geometry(geometry.mi, [alone(surface)])).T
+        weight = body.face_area * np.maximum(up + down, _LEAST_OPEN)
+        mean = np.bincount(body.patch, weight * up) / np.bincount(body.patch, weight)
+        seen = body.face_area * np.maximum(up, _LEAST_OPEN)
+        spread = np.bincount(body.patch, seen * (up - mean[body.patch]) ** 2) / np.bincount(body.patch, seen)
+        more = sky[here] - sky[here].mean()
+        slope = float(more @ (reflected[here] - reflected[here].mean())) / max(float(more @ more), 1e-12)
+        found[here] = abs(slope) * np.tile(np.sqrt(spread), len(body))
+    return found
