@@ -71,6 +71,7 @@ def test_boxes_enclose_connected_parts():
     other.apply_translation([10, 0, 0])
 
     class Surface:
+        instances = None
         vertices = np.concatenate([one.vertices, other.vertices])
         faces = np.concatenate([one.faces, other.faces + len(one.vertices)])
 
@@ -91,6 +92,7 @@ def test_rectangles_contain_all_pixels_that_a_band_covers():
         rod.apply_translation([*random.uniform(-100, 100, 2), 20])
 
         class Surface:
+            instances = None
             vertices, faces = rod.vertices, rod.faces
 
         found = rectangles([(boxes([Surface]), np.eye(4))], pose, camera)

@@ -116,18 +116,19 @@ class Geometry:
     def _hit(self, found: Jit) -> Hit:
         mi = self.mi
         valid = found.is_valid()
-        surface = dr.gather(mi.UInt32, self._surface_of, dr.reinterpret_array(mi.UInt32, found.shape), valid)
-        face = dr.gather(mi.UInt32, self._face_start, surface, valid) + found.prim_index
+        # Shapes of copies have numbers of their own.
+        whole = valid if self._copies is None else valid & (dr.reinterpret_array(mi.UInt32, found.instance) == 0)
+        surface = dr.gather(mi.UInt32, self._surface_of, dr.reinterpret_array(mi.UInt32, found.shape), whole)
+        face = dr.gather(mi.UInt32, self._face_start, surface, whole) + found.prim_index
         if self._copies is not None:
-            surface, face = self._on_copies(found, valid, surface, face)
+            surface, face = self._on_copies(found, valid & ~whole, surface, face)
         return Hit(valid, found.t, dr.select(valid, face, 0), surface)
 
-    def _on_copies(self, found: Jit, valid: Jit, surface: Jit, face: Jit) -> tuple[Jit, Jit]:
+    def _on_copies(self, found: Jit, copy: Jit, surface: Jit, face: Jit) -> tuple[Jit, Jit]:
         """(surface, face) of hits, of which those on copies of a body get the patch of the copy."""
         assert self._copies is not None
         mi, (first_face, first_triangle, surface_of, patch) = self.mi, self._copies
         number = dr.reinterpret_array(mi.UInt32, found.instance)
-        copy = valid & (number != 0)
         triangle = dr.gather(mi.UInt32, first_triangle, number, copy) + found.prim_index
         own = dr.gather(mi.UInt32, first_face, number, copy) + dr.gather(mi.UInt32, patch, triangle, copy)
         return dr.select(copy, dr.gather(mi.UInt32, surface_of, number, copy), surface), dr.select(copy, own, face)
