@@ -6,7 +6,7 @@ mean of radiances, so the forward model is exactly linear in it.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.inverse.normal import Normal, Prior, Unknowns
 from thermorender.inverse.poses import PoseError, deviation, pose_columns, registered, slopes
 from thermorender.inverse.spread import Draws, Spread, spread_of
-from thermorender.inverse.weights import Lattice, Sight, Viewer, moved, reach_px, sharpened, taps_of
+from thermorender.inverse.weights import Lattice, Sight, Viewer, bilinear, moved, reach_px, sharpened, taps_of
 from thermorender.sensor.camera import Camera
 
 if TYPE_CHECKING:
@@ -182,21 +182,21 @@ class Problem:
     def _round(
         self, state: State, free: bool, progress: Progress | None, draws: Draws | None = None
     ) -> tuple[State, Normal]:
-        normal, pattern, noise_k = self._equations(state, free, progress, draws)
+        normal, fits, noise_k = self._equations(state, free, progress, draws)
         gradient = normal.gradient(state.map - self.prior.mean, state.classes, state.vignette)
         found, _ = normal.solved(gradient)
-        return self._updated(state, found, free, pattern, noise_k), normal
+        return self._updated(state, found, free, fits, noise_k), normal
 
     def _equations(
         self, state: State, free: bool, progress: Progress | None, draws: Draws | None = None
-    ) -> tuple[Normal, tuple[Floats, Floats], float]:  # fmt: skip
-        """(Normal, sums of residuals and of weights of each pixel, standard deviation of the residuals)."""
+    ) -> tuple[Normal, list["_Fit"], float]:  # fmt: skip
+        """(Normal, residuals of the frames, standard deviation of the residuals)."""
         settings = self.settings
         own = np.concatenate([[1.0 / settings.offset_k**2], settings.pose_error.precision if free else []])
         terms = np.full(len(self.vignetting), 1.0 / settings.vignette_k**2)
         normal = Normal(self.prior, own, terms)
         right, down = slopes(state.map)
-        total, weights, spreads = np.zeros(state.pattern.size), np.zeros(state.pattern.size), []
+        fits, spreads = list[_Fit](), list[float]()
         for number in range(len(self.images)):
             sight = self.viewer.sight(state.poses[number])
             measured = self.images[number].ravel()[sight.pixel].astype(np.float64)
@@ -208,8 +208,8 @@ class Problem:
             level = float(np.median(residual)) if residual.size else 0.0
             precision, spread = _precision(residual - level, steep, state.noise_k, settings.noise_k)
             spreads.append(spread)
-            total += np.bincount(sight.pixel, precision * residual, total.size)
-            weights += np.bincount(sight.pixel, precision, total.size)
+            if settings.pattern_k > 0.0 and state.rounds > 0:
+                fits.append(_Fit.of(sight, residual, precision))
             columns, away = np.ones((1, residual.size)), np.array([state.offsets[number]])
             if free:
                 columns = np.concatenate([columns, pose_columns(sight, right, down)])
@@ -221,24 +221,52 @@ class Problem:
                 draws.add_half(number, sight, residual, precision)
             if progress is not None:
                 progress("solving the map", (number + 1) / (len(self.images) + 1))
-        return normal, (total, weights), float(np.median(spreads))
+        return normal, fits, float(np.median(spreads))
 
     def _updated(
-        self, state: State, found: Unknowns, free: bool, pattern: tuple[Floats, Floats], noise_k: float
+        self, state: State, found: Unknowns, free: bool, fits: list["_Fit"], noise_k: float
     ) -> State:  # fmt: skip
         settings = self.settings
         poses = state.poses
         if free:
             poses = np.array([moved(pose, step[1:]) for pose, step in zip(poses, found.frames, strict=True)])
         made = state.pattern
-        if settings.pattern_k > 0.0 and state.rounds > 0:
-            made = made + (pattern[0] / (pattern[1] + 1.0 / settings.pattern_k**2)).reshape(made.shape)
-            made = _without(made, self.vignetting)
+        if fits:
+            made = _without(made + _common(fits, found.map, settings.pattern_k, made.shape), self.vignetting)
         made_map = state.map + sharpened(found.map, self.reach, TERMS)
         return State(
             made_map, state.classes + found.classes, state.offsets + found.frames[:, 0],
             state.vignette + found.common, made, poses, max(noise_k, settings.noise_k), state.rounds + 1,
         )  # fmt: skip
+
+
+class _Fit(NamedTuple):
+    """Residuals of a frame's pixels before a solution, their places on the map, and 1 over their variances."""
+
+    pixel: NDArray[np.int32]
+    row: Image
+    column: Image
+    residual: Image
+    precision: Image
+
+    @classmethod
+    def of(cls, sight: Sight, residual: Floats, precision: Floats) -> "_Fit":
+        parts = (np.asarray(each, np.float32) for each in (sight.row, sight.column, residual, precision))
+        return cls(sight.pixel.astype(np.int32), *parts)
+
+
+def _common(fits: list[_Fit], step: Floats, pattern_k: float, shape: tuple[int, int]) -> Floats:
+    """The part of the residuals that is common to all frames after a step of the map, (H, W).
+
+    Before the step, map and pattern would both take what either of them explains, and alternate without an end where
+    the frames stand on a grid.
+    """
+    total, weights = np.zeros(shape[0] * shape[1]), np.full(shape[0] * shape[1], 1.0 / pattern_k**2)
+    for fit in fits:
+        rest = fit.precision * (fit.residual - bilinear(step, fit.row, fit.column))
+        total += np.bincount(fit.pixel, rest, total.size)
+        weights += np.bincount(fit.pixel, fit.precision, total.size)
+    return (total / weights).reshape(shape)
 
 
 def _precision(residual: Floats, steep: Floats, before_k: float, least_k: float) -> tuple[Floats, float]:

@@ -159,6 +159,20 @@ def reach_px(camera: Camera) -> float:
     return float(np.arccos(np.clip(3.0 * transfer - 2.0, -1.0, 1.0))) / (2.0 * np.pi * _MATCHED)
 
 
+def bilinear(values: Floats, row: NDArray[np.floating], column: NDArray[np.floating]) -> Floats:
+    """Return a map's values at positions (N,) [texels]."""
+    width, line = values.shape[1], values.ravel()
+    i, j = row.astype(np.int64), column.astype(np.int64)
+    below, beside = row - i, column - j
+    cell = i * width + j
+    upper = line.take(cell)
+    upper += beside * (line.take(cell + 1) - upper)
+    cell += width
+    lower = line.take(cell)
+    lower += beside * (line.take(cell + 1) - lower)
+    return upper + below * (lower - upper)
+
+
 @dataclass(frozen=True, eq=False)
 class Sight:
     """The pixels of a frame that show the map, N of them.
@@ -200,16 +214,7 @@ class Sight:
         if offset is not None:
             moved = offset[0] * self.across + offset[1] * self.down
             column, row = column + moved[0], row + moved[1]
-        width, line = values.shape[1], values.ravel()
-        i, j = row.astype(np.int64), column.astype(np.int64)
-        below, beside = row - i, column - j
-        cell = i * width + j
-        upper = line.take(cell)
-        upper += beside * (line.take(cell + 1) - upper)
-        cell += width
-        lower = line.take(cell)
-        lower += beside * (line.take(cell + 1) - lower)
-        return upper + below * (lower - upper)
+        return bilinear(values, row, column)
 
     def seen(self, values: Floats, taps: Floats) -> Floats:
         """Return a map's values in front of the lens, (N,): means over the taps (n, 2) of each pixel."""
