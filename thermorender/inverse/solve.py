@@ -175,9 +175,14 @@ class Problem:
 
     def last_round(self, state: State, progress: Progress | None = None) -> tuple[State, Spread]:
         """Return the State after one more joint solution, and its standard deviations."""
-        draws = Draws(self.prior, len(self.vignetting), 1.0 / self.settings.offset_k**2)
+        settings = self.settings
+        # Frames average their noise in the pattern.
+        known = np.isfinite(self.images).sum(axis=0).ravel() / max(state.noise_k, settings.noise_k) ** 2
+        left = np.sqrt(1.0 / (known + 1.0 / settings.pattern_k**2)) if settings.pattern_k > 0.0 else 0.0 * known
+        draws = Draws(self.prior, len(self.vignetting), 1.0 / settings.offset_k**2, left)
         state, normal = self._round(state, self.free, progress, draws)
-        return state, spread_of(normal, draws, np.hypot(*slopes(state.map)), self.reach, TERMS * state.rounds)
+        slope, terms = np.hypot(*slopes(state.map)), TERMS * state.rounds
+        return state, spread_of(normal, draws, slope, self.reach, terms, settings.noise_k)
 
     def _round(
         self, state: State, free: bool, progress: Progress | None, draws: Draws | None = None
@@ -217,7 +222,7 @@ class Problem:
             lens = self.vignetting[:, sight.pixel]
             cells = normal.add(sight, residual, precision, columns, lens, away)
             if draws is not None:
-                draws.add(cells, precision, columns, lens)
+                draws.add(cells, sight.pixel, precision, columns, lens)
                 draws.add_half(number, sight, residual, precision)
             if progress is not None:
                 progress("solving the map", (number + 1) / (len(self.images) + 1))

@@ -2,9 +2,10 @@
 
 Draws of the noise and of the prior, solved like the frames, give the errors that the normal equations know, those of
 free poses and offsets among them. Poses and optics are never exact: the frames are therefore halved, each half is
-solved by itself, and the differences of the two maps scale the draws and give a second term, the slope of the map times
-an error of the position. Both numbers come from the frames, without the truth. The common level of all texels is
-removed, because no frame shows it.
+solved by itself, and the differences of the two maps scale the draws and give two further terms: the slope of the map
+times an error of the position, and what the residuals of a texel exceed the noise. The latter shows structure within
+texels, which no map of such texels holds. All three factors come from the frames, without the truth. The common level
+of all texels is removed, because no frame shows it.
 """
 
 from dataclasses import dataclass
@@ -23,7 +24,12 @@ DRAWS = 8
 _SMOOTH = 2.0
 # Relative residual of a draw's solution: a variance needs fewer digits than a map.
 _TOLERANCE = 1e-3
-# Classes of slope in the fit, and squares beyond so many means of their class that are left out.
+# Structure within texels makes errors that are alike in all frames: the halves' differences shrink with more frames,
+# and the errors do not. Both agree at this many frames in one simulated flight over heath, by its truth.
+_ALIKE = 4.0
+# Width of the smoothing of the squares of residuals [texels].
+_NEAR = 1.0
+# Classes of each term in the fit, and squares beyond so many means of their class that are left out.
 _CLASSES, _OUTLIER = 24, 30.0
 
 
@@ -39,6 +45,8 @@ class Spread:
         Error of even ground by the halves, over that by the draws.
     edge_texels : float
         Growth of the error with the slope of the map: error of the position [texels].
+    misfit : float
+        Growth of the error with what the residuals exceed the noise.
     views : (h, w) int32
         Frames that show each texel.
     residual : (h, w) float64
@@ -50,6 +58,7 @@ class Spread:
     std: Floats
     scale: float
     edge_texels: float
+    misfit: float
     views: NDArray[np.int32]
     residual: Floats
     groups: int = 1
@@ -65,12 +74,16 @@ class Draws:
         Number of common parameters.
     offset_precision : float
         1 over the prior variance of a frame's offset.
+    pattern_k : (H·W,) array
+        Standard deviation of the fixed pattern that is left, which all frames share.
     seed : int
     """
 
-    def __init__(self, prior: Prior, common: int, offset_precision: float, seed: int = 0) -> None:
+    def __init__(self, prior: Prior, common: int, offset_precision: float, pattern_k: Floats, seed: int = 0) -> None:
         shape, classes = prior.mean.shape, prior.count
         self._rng = np.random.default_rng(seed)
+        self._pattern = [(pattern_k * self._rng.standard_normal(pattern_k.size)).astype(np.float32)
+                         for _ in range(DRAWS)]  # fmt: skip
         self._map = np.zeros((DRAWS, *shape))
         self._frames: list[Floats] = []
         self._common, self._classes = np.zeros((DRAWS, common)), np.zeros((DRAWS, classes))
@@ -80,11 +93,12 @@ class Draws:
         offset = np.array([offset_precision])
         self.halves = tuple(Normal(prior, offset, np.zeros(0)) for _ in range(2))
 
-    def add(self, cells: Cells, precision: Floats, own: Floats, common: Floats) -> None:
-        """Add a frame, as by `Normal.add`."""
+    def add(self, cells: Cells, pixel: NDArray[np.int64], precision: Floats, own: Floats, common: Floats) -> None:
+        """Add a frame, as by `Normal.add`, with the numbers of its pixels."""
         root, frames = np.sqrt(precision), []
         for number in range(DRAWS):
             noise = root * (2.0 * self._rng.integers(0, 2, precision.size, dtype=np.int8) - 1.0)
+            noise += precision * self._pattern[number][pixel]
             self._map[number][cells.window] += cells.gathered(noise)
             frames.append(own @ noise)
             self._common[number] += common @ noise
@@ -126,7 +140,9 @@ class Draws:
         return Unknowns(self._map[number] + pull, frames, common, classes)
 
 
-def spread_of(normal: Normal, draws: Draws, slope: Floats, reach: float, terms: int) -> Spread:
+def spread_of(
+    normal: Normal, draws: Draws, slope: Floats, reach: float, terms: int, noise_k: float
+) -> Spread:  # fmt: skip
     """Return the Spread of a solution.
 
     Parameters
@@ -138,6 +154,8 @@ def spread_of(normal: Normal, draws: Draws, slope: Floats, reach: float, terms: 
         Of the map [K/texel].
     reach, terms : float, int
         As of `weights.sharpened`, over all rounds: removing the blur raises the noise of fine structure.
+    noise_k : float
+        Standard deviation of a pixel's noise.
 
     Notes
     -----
@@ -150,12 +168,21 @@ def spread_of(normal: Normal, draws: Draws, slope: Floats, reach: float, terms: 
         found = sharpened(x.map, reach, terms)
         variance += (found - found[seen].mean()) ** 2 / DRAWS
     # Beyond the texels that are seen the variance is that of the prior, which must not leak in.
-    weight = gaussian_filter(seen.astype(np.float64), _SMOOTH)
-    smooth = gaussian_filter(np.where(seen, variance, 0.0), _SMOOTH) / np.maximum(weight, 1e-9)
-    variance = np.where(seen, smooth, variance)
-    scale, edge = _fitted(_difference(draws, reach, terms), variance, slope)
-    std = np.sqrt(scale * variance + (edge * slope) ** 2)
-    return Spread(std, float(np.sqrt(scale)), edge, draws.views, draws.residual, draws.groups)
+    variance = np.where(seen, _near(variance, seen, _SMOOTH), variance)
+    beyond = np.where(seen, np.maximum(_near(draws.residual**2, seen, _NEAR) - noise_k**2, 0.0), 0.0)
+    terms_of = np.stack([variance, slope**2, beyond])
+    shared = np.array([1.0, 1.0, _ALIKE])[:, None, None] * terms_of
+    shared[2] /= np.maximum(draws.views, 1)
+    factors = _fitted(_difference(draws, reach, terms), shared)
+    std = np.sqrt(np.tensordot(factors, terms_of, axes=1))
+    scale, edge, misfit = (float(each) for each in np.sqrt(factors))
+    return Spread(std, scale, edge, misfit, draws.views, draws.residual, draws.groups)
+
+
+def _near(values: Floats, seen: NDArray[np.bool_], width: float) -> Floats:
+    """Means of the texels that are seen around each texel."""
+    weight = gaussian_filter(seen.astype(np.float64), width)
+    return np.asarray(gaussian_filter(np.where(seen, values, 0.0), width) / np.maximum(weight, 1e-9))
 
 
 def _difference(draws: Draws, reach: float, terms: int) -> Floats:
@@ -176,19 +203,20 @@ def _difference(draws: Draws, reach: float, terms: int) -> Floats:
     return np.where(both, sharpened(np.where(both, step, 0.0), reach, terms), np.nan)
 
 
-def _fitted(difference: Floats, variance: Floats, slope: Floats) -> tuple[float, float]:
-    """(factor on the variance by the draws, error of the position [texels]) from the halves' differences."""
+def _fitted(difference: Floats, terms: Floats) -> Floats:
+    """Factors (3,) of the terms (3, h, w) in the squares of the halves' differences."""
     known = np.isfinite(difference)
     if known.sum() < _CLASSES:
-        return 1.0, 0.0
+        return np.array([1.0, 0.0, 0.0])
     square = (difference[known] - np.median(difference[known])) ** 2
-    variance, steep = variance[known], slope[known] ** 2
-    rows = np.empty((_CLASSES, 3))
-    for row, part in zip(rows, np.array_split(np.argsort(steep, kind="stable"), _CLASSES), strict=True):
-        kept = part[square[part] <= _OUTLIER * max(float(square[part].mean()), 1e-12)]
-        row[:] = [each[kept].mean() for each in (square, variance, steep)]
+    terms = terms[:, known]
+    rows = []
+    for order in (np.argsort(term, kind="stable") for term in terms[1:]):
+        for part in np.array_split(order, _CLASSES):
+            kept = part[square[part] <= _OUTLIER * max(float(square[part].mean()), 1e-12)]
+            rows.append([square[kept].mean(), *terms[:, kept].mean(axis=1)])
     # Classes have equal numbers of texels, so the relative errors of their means are alike.
-    basis = rows[:, 1:] / rows[:, :1]
-    fit, _ = nnls(basis, np.ones(_CLASSES))
+    table = np.maximum(rows, 1e-300)
+    fit, _ = nnls(table[:, 1:] / table[:, :1], np.ones(len(table)))
     # The draws are the least that is possible.
-    return float(max(fit[0], 1.0)), float(np.sqrt(fit[1]))
+    return np.array([max(fit[0], 1.0), fit[1], fit[2]])
