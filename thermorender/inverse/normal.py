@@ -29,6 +29,8 @@ _LINKS = (
     (1, 0, 1, (0, 0)), (1, 2, 3, (1, 0)), (2, 0, 2, (0, 0)), (2, 1, 3, (0, 1)),
     (3, 0, 3, (0, 0)), (4, 1, 2, (0, 1)),
 )  # fmt: skip
+# Two, whatever the machine has, so that sums have one order. They start with the first work.
+_THREADS = ThreadPoolExecutor(2)
 _SELF, _RIGHT, _BELOW, _BELOW_RIGHT, _BELOW_LEFT = range(5)
 
 
@@ -270,8 +272,7 @@ class Normal:
     def _in_parts(self, function: Callable[[slice], _T]) -> list[_T]:
         """The results of a function of a slice of the frames, for both halves of them, in two threads."""
         middle = self.frames // 2
-        with ThreadPoolExecutor(2) as pool:
-            return list(pool.map(function, (slice(0, middle), slice(middle, None))))
+        return list(_THREADS.map(function, (slice(0, middle), slice(middle, None))))
 
     @property
     def _class_own(self) -> Floats:

@@ -62,7 +62,7 @@ def record(found: Reconstruction) -> dict[str, Any]:
         "settings": asdict(found.settings), "texel_m": texel, "texels": list(found.apparent.shape),
         "texels_shown": int((found.views > 0).sum()),
         "noise_k": found.state.noise_k, "error_over_draws": found.spread.scale,
-        "position_error_m": found.spread.edge_texels * texel,
+        "position_error_m": found.spread.edge_texels * texel, "misfit": found.spread.misfit,
         "std_median_k": float(np.median(std)) if std.size else None,
         "level_k": found.level_k, "level_std_k": found.level_std_k, "level_of": "references" if found.references else
         "the camera's accuracy",
