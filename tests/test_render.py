@@ -13,9 +13,10 @@ from thermorender.compare.sampling_error import converged, rms_mk
 from thermorender.errors import ThermorenderError
 from thermorender.physics.band import emitted_radiance
 from thermorender.physics.planck import band_radiance, brightness_temperature
-from thermorender.render.geometry import Geometry, positions
+from thermorender.render.geometry import Geometry
 from thermorender.render.light import radiosity
 from thermorender.render.pixels.sampling import edge_step, morton_order
+from thermorender.render.pixels.shapes import positions
 from thermorender.render.plan import make_plan
 from thermorender.render.variant import activate
 from thermorender.scene.surface import BACKGROUND, FILLED, SURFACE
