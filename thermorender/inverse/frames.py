@@ -6,7 +6,7 @@ Temperatures are read by `thermorender.footage`. A frame's own pose comes from i
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from thermorender.errors import ThermorenderError
+from thermorender.footage.lens_files import Lens
 from thermorender.footage.radiometric_files import FLIR_JPEG, SUFFIXES, read_temperature
 from thermorender.inverse.linear import RANGE_K
 from thermorender.scene.scene import Scene
@@ -45,6 +46,8 @@ class Place:
         From camera axes to local north, east, down.
     time : str
         As in the file; empty if unknown.
+    lens : Lens or None
+        That the file of poses states with them.
     """
 
     horizontal: tuple[float, float]
@@ -53,6 +56,7 @@ class Place:
     height_of: str
     rotation: Rotation
     time: str = ""
+    lens: Lens | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +74,8 @@ class Survey:
         world_from_camera in the scene's frame.
     notes : tuple of str
         What was assumed or left out, in sentences.
+    lens : Lens or None
+        Of all frames, if their poses came with one.
     """
 
     names: tuple[str, ...]
@@ -77,6 +83,7 @@ class Survey:
     kelvin: NDArray[np.float32]
     poses: Floats
     notes: tuple[str, ...] = ()
+    lens: Lens | None = None
 
 
 def frame_files(paths: Iterable[Path]) -> list[Path]:
@@ -161,7 +168,16 @@ def read_frames(
         notes.append(f"{invalid} pixels outside {low:g}–{high:g} K are left out")
     poses, said = poses_of(chosen, scene, above_ground_m)
     names, times = tuple(path.stem for path in files), tuple(place.time for place in chosen)
-    return Survey(names, times, np.stack(images), poses, (*notes, *said))
+    return Survey(names, times, np.stack(images), poses, (*notes, *said), _common_lens(chosen))
+
+
+def _common_lens(places: Sequence[Place]) -> Lens | None:
+    """The lens of all frames, None if none is stated; raise if they differ."""
+    lenses = {place.lens and replace(place.lens, source=""): place.lens for place in places}
+    if len(lenses) > 1:
+        stated = " and ".join(lens.source if lens else "none" for lens in lenses.values())
+        raise ThermorenderError(f"the frames have different lenses, {stated}; reconstruct the frames of one camera")
+    return next(iter(lenses.values()))
 
 
 def _known(path: Path, kelvin: Floats) -> tuple[NDArray[np.float32], int]:
