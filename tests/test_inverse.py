@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import rasterio
+from PIL import Image
 from scipy.ndimage import uniform_filter
 
 import thermorender as tr
@@ -254,15 +255,20 @@ def test_files_hold_the_reconstruction(survey, fixed, tmp_path):
     np.testing.assert_allclose(again.poses, found.state.poses, atol=1e-3)
 
 
-def test_the_scene_keeps_its_materials_and_what_lies_beside_its_files(tmp_path):
+def test_the_scene_keeps_its_materials_and_the_files_that_its_files_need(tmp_path):
     names = ("dem.tif", "dem.tif.aux.xml", "dem.tfw", "notes.txt", "scene.toml", "materials/thermal/own.csv",
-             "car/car.obj", "car/paint.mtl")  # fmt: skip
+             "car/car.obj", "car/paint.mtl", "car/maps/red paint.png", "car/other.obj")  # fmt: skip
     for path in (tmp_path / name for name in names):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
+    (tmp_path / "car/car.obj").write_text(
+        "mtllib paint.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nusemtl a\nf 1/1 2/1 3/1\n"
+    )
+    (tmp_path / "car/paint.mtl").write_text("newmtl a\nmap_Kd maps\\red paint.png\n")
+    Image.new("RGB", (2, 2)).save(tmp_path / "car/maps/red paint.png")
     tables = {"terrain": {"elevation": "dem.tif"}, "object": [{"mesh": "car/car.obj", "name": "scene"}]}
     found = {each.relative_to(tmp_path).as_posix() for each in files_of_scene(tmp_path, tables)}
-    assert found == set(names) - {"notes.txt", "scene.toml"}
+    assert found == set(names) - {"notes.txt", "scene.toml", "car/other.obj"}
 
 
 @pytest.mark.slow

@@ -1,7 +1,10 @@
 """Files of surveys as they come from the field: tags, tables and values that differ from the expected form."""
 
+import io
 import json
+import struct
 import warnings
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -14,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 import thermorender as tr
 from thermorender.errors import ThermorenderError
+from thermorender.footage.flir_jpeg import read_flir_jpeg
 from thermorender.footage.radiometric_files import read_temperature
 from thermorender.inverse.frames import Place, camera_rotation, frame_files, poses_of, read_frames, tagged_place
 from thermorender.inverse.level import read_references
@@ -306,3 +310,58 @@ def test_fractions_without_a_unit_are_asked_for_with_the_likely_one(tmp_path, ze
     with pytest.raises(ThermorenderError, match=words):
         read_temperature(path)
     assert read_temperature(path, (1.0, zero)).max() == pytest.approx(299.2, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["a.tif", "big.tif", "a.jpg"])
+def test_frames_that_are_stored_turned_are_refused(scene, tmp_path, name):
+    path = tmp_path / name
+    if name == "a.jpg":
+        flir(path)
+        exif = Image.Exif()
+        exif[274] = 6
+        block = exif.tobytes()
+        path.write_bytes(b"\xff\xd8\xff\xe1" + struct.pack(">H", len(block) + 2) + block + path.read_bytes()[2:])
+    else:
+        # GDAL does not write this tag, so one of the same form takes its place.
+        tiff(path, np.full((4, 5), 290.0, np.float64), unit="K", BIGTIFF="YES" if name == "big.tif" else "NO")
+        entry = "<HHQQ" if name == "big.tif" else "<HHII"
+        planar, turned = struct.pack(entry, 284, 3, 1, 1), struct.pack(entry, 274, 3, 1, 6)
+        assert planar in path.read_bytes()
+        path.write_bytes(path.read_bytes().replace(planar, turned))
+    with pytest.raises(ThermorenderError, match=r"orientation 6 in its tags.*exiftool -n -Orientation=1"):
+        survey_of(tmp_path, scene)
+
+
+def flir(path, emissivity=0.8, distance_m=40.0):
+    """A radiometric JPEG of 8×6 pixels with its settings, and a picture of 4×4."""
+    block = bytearray(0x340)
+    for at, value in {
+        0x20: emissivity, 0x24: distance_m, 0x28: 265.0, 0x2C: 290.15, 0x30: 293.15, 0x34: 1.0, 0x3C: 0.4,
+        0x58: 17096.5, 0x5C: 1428.0, 0x60: 1.0, 0x70: 0.006569, 0x74: 0.01262, 0x78: -0.002276, 0x7C: -0.00667,
+        0x80: 1.9, 0x90: 408.0, 0x94: 248.0, 0x30C: 0.0468,
+    }.items():  # fmt: skip
+        struct.pack_into(">f", block, at, value)
+    struct.pack_into(">i", block, 0x308, -124)
+    raw = struct.pack(">HHH", 3, 8, 6) + bytes(26) + np.full(48, 3050, ">u2").tobytes()
+    body, entries = b"", b""
+    for kind, data in ((0x01, raw), (0x20, bytes(block))):
+        entries += struct.pack(">HHIIIIII", kind, 0, 0, 0, 128 + len(body), len(data), 0, 0).ljust(32, b"\0")
+        body += data
+    segment = b"FLIR\0\x01\0\0FFF\0" + b"test".ljust(16, b"\0") + struct.pack(">III", 100, 64, 2) + bytes(32)
+    segment += entries + body
+    picture = io.BytesIO()
+    Image.fromarray(np.zeros((4, 4), np.uint8)).save(picture, "JPEG")
+    path.write_bytes(b"\xff\xd8\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment + picture.getvalue()[2:])
+    return path
+
+
+def test_the_emissivity_in_a_radiometric_jpeg_is_not_removed_beside_the_scene_s(scene, tmp_path):
+    picture = read_flir_jpeg(flir(tmp_path / "a.jpg"))
+    found = survey_of(tmp_path, scene)
+    apparent = picture.temperature(replace(picture.thermography, emissivity=1.0))
+    assert found.kelvin.shape == (1, 6, 8)
+    np.testing.assert_allclose(found.kelvin[0], apparent, atol=1e-3)
+    assert picture.temperature()[0, 0] - apparent[0, 0] > 5.0
+    assert any(
+        "distance 40 m, air 17 °C, humidity 0.4" in note and "emissivity 0.8 is not" in note for note in found.notes
+    )

@@ -5,6 +5,7 @@ degree Celsius for others. The scale of a file is used if it is declared with it
 it.
 """
 
+import struct
 import warnings
 from collections.abc import Iterable, Sequence
 from os import PathLike
@@ -34,6 +35,8 @@ _AS_INTENSITY = ("0.04 K", "0.01 °C")
 _COMMON_K, _RARE_K = (238.0, 338.0), (150.0, 1000.0)
 FLIR_JPEG = (".jpg", ".jpeg")
 SUFFIXES = (".tif", ".tiff", *FLIR_JPEG)
+# The tag of EXIF and TIFF.
+_ORIENTATION = 274
 _SEQUENCES = (".seq", ".csq", ".ats", ".fcf", ".sfmov")
 
 
@@ -112,6 +115,34 @@ def read_temperature(
         )
     step, zero = scale or declared
     return counts * float(step) + float(zero)
+
+
+def check_upright(path: Path) -> None:
+    """Raise if a file's tags state that its pixels are stored turned or mirrored."""
+    from PIL import Image, TiffImagePlugin
+
+    value = 1
+    try:
+        if path.suffix.lower() in FLIR_JPEG:
+            with Image.open(path) as image:
+                value = image.getexif().get(_ORIENTATION, 1)
+        else:
+            # Pillow opens fewer kinds of pixels than TIFF has.
+            with path.open("rb") as file:
+                start = file.read(8)
+                big = start[2:3] == b"+" or start[3:4] == b"+"
+                tags = TiffImagePlugin.ImageFileDirectory_v2(start + (file.read(8) if big else b""))
+                file.seek(tags.next)
+                tags.load(file)
+                value = tags.get(_ORIENTATION, 1)
+    except (OSError, SyntaxError, ValueError, struct.error):
+        return  # `read_temperature` says what is wrong with the file.
+    if value != 1:
+        raise ThermorenderError(
+            f"{path} states orientation {value} in its tags, so its pixels are stored turned or mirrored; if its pose "
+            f"is that of the stored pixels, as in OpenSfM's files, set it to 1 with `exiftool -n -Orientation=1 "
+            f"{path}`, otherwise turn the pixels"
+        )
 
 
 def sequence_hint(paths: Iterable[Path]) -> str:
