@@ -78,6 +78,8 @@ class Survey:
         What was assumed or left out, in sentences.
     lens : Lens or None
         Of all frames, if their poses came with one.
+    air_removed : tuple of bool
+        Whether the file of a frame removed the air between camera and ground; empty if none did.
     """
 
     names: tuple[str, ...]
@@ -86,6 +88,7 @@ class Survey:
     poses: Floats
     notes: tuple[str, ...] = ()
     lens: Lens | None = None
+    air_removed: tuple[bool, ...] = ()
 
 
 def frame_files(paths: Iterable[Path]) -> list[Path]:
@@ -180,7 +183,8 @@ def read_frames(
         notes.append(_said(settings))
     poses, said = poses_of(chosen, scene, above_ground_m)
     names, times = tuple(path.stem for path in files), tuple(place.time for place in chosen)
-    return Survey(names, times, np.stack(images), poses, (*notes, *said), _common_lens(chosen))
+    removed = tuple(path.suffix.lower() in FLIR_JPEG for path in files)
+    return Survey(names, times, np.stack(images), poses, (*notes, *said), _common_lens(chosen), removed)
 
 
 def _said(settings: Sequence[ThermographySettings]) -> str:
