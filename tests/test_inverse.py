@@ -306,6 +306,20 @@ def few(survey, places):
     return reconstruct(scene, Survey(names, ("",) * len(names), kelvin, poses), settings=settings)
 
 
+@pytest.mark.slow
+def test_frames_through_air_are_solved_for_the_ground(survey):
+    scene, measured, _, _ = survey
+    through = scene.with_air("tropical")
+    renderer = Renderer(through, quality="standard")
+    pose = measured.poses[4]
+    radiance = (renderer.radiance(pose, through_air=air).astype(np.float64) for air in (True, False))
+    seen, at_ground = (brightness_temperature(each, *scene.camera.band_um) for each in radiance)
+    settings = Settings(texel_m=1.0, rounds=2, pose_error=PoseError(0.0, 0.0), noise_k=NOISE_K)
+    found = reconstruct(through, Survey(("a",), ("",), seen[None].astype(np.float32), pose[None]), settings=settings)
+    assert np.abs(found.survey.kelvin[0] - at_ground).mean() < 0.05 < 0.3 < np.abs(seen - at_ground).mean()
+    assert any("air is removed from 1 frames" in note for note in found.notes)
+
+
 def test_a_single_frame_is_a_map_and_says_what_nothing_tests(survey):
     found = few(survey, [(0.0, 0.0, 45.0)])
     assert (found.views == 1).sum() > 1000 and np.nanmedian(found.apparent_std) > 0.0
