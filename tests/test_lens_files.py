@@ -98,12 +98,15 @@ def test_affinity_of_metashape_is_fitted_in_its_own_convention(tmp_path, points)
     [
         ({"projection_type": "spherical"}, "projection_type='spherical' is not read"),
         ({"focal_y": 1.3}, "differs from this lens by"),
-        ({"focal_x": "long"}, "focal_x='long' is not a finite number"),
+        ({"focal_x": "long"}, "focal_x='long' is not a number of a lens"),
         ({"focal_x": -1.2, "focal_y": -1.2}, "give a length above 0"),
         ({"k4": 0.1}, "'k4' is not a key of the model brown"),
         ({"width": 640.5}, "width=640.5 is not allowed"),
         ({"width": 4000, "height": 3000}, "is of 4000×3000 pixels and camera"),
         ({"k1": -6.0}, "folds the image"),
+        # Lengths in pixels, and a principal point from the corner.
+        ({"focal_x": 768.0, "focal_y": 768.0}, "focal length of 491520 pixels"),
+        ({"c_x": 0.513, "c_y": 0.392}, "a point inside the image"),
     ],
 )
 def test_lenses_that_cannot_be_used_are_refused(tmp_path, change, words):

@@ -312,6 +312,17 @@ def test_fractions_without_a_unit_are_asked_for_with_the_likely_one(tmp_path, ze
     assert read_temperature(path, (1.0, zero)).max() == pytest.approx(299.2, abs=1e-3)
 
 
+def test_pictures_for_display_are_not_temperatures(tmp_path):
+    with pytest.raises(ThermorenderError, match="8 bits a pixel, which is a picture for display"):
+        read_temperature(tiff(tmp_path / "a.tif", np.full((4, 5), 200, np.uint8)))
+
+
+def test_thousandths_of_a_degree_are_a_likely_scale(tmp_path):
+    path = tiff(tmp_path / "a.tif", np.linspace(19_000, 43_000, 20).astype(np.uint16).reshape(4, 5))
+    with pytest.raises(ThermorenderError, match=r"look like --scale=0\.001,273\.15"):
+        read_temperature(path)
+
+
 @pytest.mark.parametrize("name", ["a.tif", "big.tif", "a.jpg"])
 def test_frames_that_are_stored_turned_are_refused(scene, tmp_path, name):
     path = tmp_path / name

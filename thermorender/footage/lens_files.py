@@ -24,6 +24,10 @@ from thermorender.sensor.camera import MOST_PIXELS, Camera, edge_directions
 Floats = NDArray[np.float64]
 # The largest difference between a lens and its Brown model [px], and the largest that goes without a note.
 MOST_MISFIT_PX, _EXACT_PX = 0.25, 0.01
+# Focal lengths of lenses, as shares of the longer side.
+_FOCAL_SHARES = 0.05, 200.0
+# No length [px] and no coefficient of a lens is larger.
+_LARGEST = 1e6
 # Directions up to this angle from the axis are tried [deg]; a lens that shows more has no Brown model.
 _WIDEST_DEG = 80.0
 # The keys that each of OpenSfM's models requires, and those that are 0 by default.
@@ -83,6 +87,16 @@ class Lens:
             raise ThermorenderError(
                 f"{self.source} is of {self.width}×{self.height} pixels and camera {camera.name} has "
                 f"{camera.width}×{camera.height}; give the lens of the thermal camera"
+            )
+        low, high = (share * max(self.width, self.height) for share in _FOCAL_SHARES)
+        if not low <= self.focal_px <= high or any(
+            abs(offset) > 0.5 * side
+            for offset, side in zip(self.principal_offset_px, (self.width, self.height), strict=True)
+        ):
+            raise ThermorenderError(
+                f"{self.source} has a focal length of {self.focal_px:.6g} pixels and a principal point "
+                f"{self.principal_offset_px[0]:.6g}, {self.principal_offset_px[1]:.6g} pixels from the middle of "
+                f"{self.width}×{self.height} pixels; give {low:g} to {high:g} pixels and a point inside the image"
             )
         scale = camera.width / self.width
         x, y = (scale * value for value in self.principal_offset_px)
@@ -218,7 +232,8 @@ def _fitted(model: Callable[[Floats], Floats], size: tuple[int, int], source: st
     angle = np.tan(np.radians(np.linspace(0.0, _WIDEST_DEG, 641)))
     azimuth = np.radians(np.arange(0.0, 360.0, 5.0))[:, None, None]
     slopes = angle[None, :, None] * np.concatenate([np.cos(azimuth), np.sin(azimuth)], axis=-1)
-    points = model(slopes.reshape(-1, 2)).reshape(slopes.shape)
+    with np.errstate(all="ignore"):
+        points = model(slopes.reshape(-1, 2)).reshape(slopes.shape)
     # Beyond the first point outside the image, a model may fold back into it.
     inside = np.logical_and.accumulate((np.abs(points) <= 0.5 * np.array(size)).all(axis=-1), axis=1)
     if inside[:, -1].any() or not inside[:, 1].all():
@@ -252,8 +267,8 @@ def _value(value: Any, name: str, source: str) -> float:
         number = float("nan") if value is None or isinstance(value, bool) else float(value)
     except (TypeError, ValueError):
         number = float("nan")
-    if not np.isfinite(number):
-        raise ThermorenderError(f"{source}: {name}={value!r} is not a finite number; give one")
+    if not abs(number) <= _LARGEST:
+        raise ThermorenderError(f"{source}: {name}={value!r} is not a number of a lens; give one up to {_LARGEST:g}")
     return number
 
 

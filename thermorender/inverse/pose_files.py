@@ -212,8 +212,8 @@ def _opensfm(path: Path, given: Any) -> dict[str, Place]:
         used = {shot["camera"] for shot in part["shots"].values() if "camera" in shot}
         lenses = {name: opensfm_lens(part["cameras"][name], f"{path}, camera {name!r}") for name in used}
         for label, shot in part["shots"].items():
-            camera_from_world = Rotation.from_rotvec(np.array(shot["rotation"], np.float64))
-            origin = -camera_from_world.inv().apply(np.array(shot["translation"], np.float64))
+            camera_from_world = _rotation(shot["rotation"])
+            origin = -camera_from_world.inv().apply(_vector(shot["translation"], 1e8))
             latitude, longitude, height = (float(value) for value in frame.geodetic_from_enu(origin))
             axes = _local_axes(frame, latitude, longitude).T @ camera_from_world.inv().as_matrix()
             turn = Rotation.from_matrix(ENU_FROM_NED.T @ axes)
@@ -230,9 +230,9 @@ def _shots(path: Path, given: Any, scene: Scene) -> dict[str, Place]:
         stated = feature["properties"]
         name = _name(stated["filename"], found, str(path))
         longitude, latitude, _ = (float(value) for value in feature["geometry"]["coordinates"])
-        x, y, height = (float(value) for value in stated["translation"])
+        x, y, height = _vector(stated["translation"], 1e8).tolist()
         crs = _utm(path, name, (longitude, latitude), (x, y))
-        axes = Rotation.from_rotvec(np.array(stated["rotation"], np.float64)).inv().as_matrix()
+        axes = _rotation(stated["rotation"]).inv().as_matrix()
         width, tall = int(stated["width"]), int(stated["height"])
         focal = float(stated["focal"]) * max(width, tall)
         lens = Lens(width, tall, focal, (0.0, 0.0), None, 0.0, str(path))
@@ -245,6 +245,11 @@ def _utm(path: Path, name: str, degrees: tuple[float, float], metres: tuple[floa
     from rasterio.crs import CRS
     from rasterio.warp import transform
 
+    if not (abs(degrees[0]) <= 180.0 and abs(degrees[1]) <= 90.0):
+        raise ThermorenderError(
+            f"{path}: longitude {degrees[0]:g}, latitude {degrees[1]:g} of {name} is not a place; give degrees in this "
+            "order"
+        )
     natural = math.floor((degrees[0] + 180.0) / 6.0)
     # A project on the border of two zones has one of them.
     for zone in (natural, natural - 1, natural + 1):
@@ -257,6 +262,19 @@ def _utm(path: Path, name: str, degrees: tuple[float, float], metres: tuple[floa
         f"{metres[0]:.1f}, {metres[1]:.1f} in UTM, so the project has no georeference or another map; give "
         "opensfm/reconstruction.json of the same project"
     )
+
+
+def _vector(value: Any, largest: float) -> Floats:
+    """Three numbers of a file, (3,)."""
+    found = np.array(value, np.float64)
+    if found.shape != (3,) or not (np.abs(found) <= largest).all():
+        raise ValueError(f"{value!r:.60} is not three numbers up to {largest:g}")
+    return found
+
+
+def _rotation(value: Any) -> Rotation:
+    """The rotation of a vector along its axis, of the angle's length [rad]."""
+    return Rotation.from_rotvec(_vector(value, 100.0))
 
 
 def _name(label: str, found: dict[str, Place], where: str) -> str:
