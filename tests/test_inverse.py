@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import rasterio
+from PIL import Image
 from scipy.ndimage import uniform_filter
 
 import thermorender as tr
@@ -271,15 +272,20 @@ def test_files_hold_the_reconstruction(survey, fixed, tmp_path):
     np.testing.assert_allclose(again.poses, found.state.poses, atol=1e-3)
 
 
-def test_the_scene_keeps_its_materials_and_what_lies_beside_its_files(tmp_path):
+def test_the_scene_keeps_its_materials_and_the_files_that_its_files_need(tmp_path):
     names = ("dem.tif", "dem.tif.aux.xml", "dem.tfw", "notes.txt", "scene.toml", "materials/thermal/own.csv",
-             "car/car.obj", "car/paint.mtl")  # fmt: skip
+             "car/car.obj", "car/paint.mtl", "car/maps/red paint.png", "car/other.obj")  # fmt: skip
     for path in (tmp_path / name for name in names):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
+    (tmp_path / "car/car.obj").write_text(
+        "mtllib paint.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nusemtl a\nf 1/1 2/1 3/1\n"
+    )
+    (tmp_path / "car/paint.mtl").write_text("newmtl a\nmap_Kd maps\\red paint.png\n")
+    Image.new("RGB", (2, 2)).save(tmp_path / "car/maps/red paint.png")
     tables = {"terrain": {"elevation": "dem.tif"}, "object": [{"mesh": "car/car.obj", "name": "scene"}]}
     found = {each.relative_to(tmp_path).as_posix() for each in files_of_scene(tmp_path, tables)}
-    assert found == set(names) - {"notes.txt", "scene.toml"}
+    assert found == set(names) - {"notes.txt", "scene.toml", "car/other.obj"}
 
 
 @pytest.mark.slow
@@ -315,6 +321,20 @@ def few(survey, places):
     names = tuple(f"{number}" for number in range(len(poses)))
     settings = Settings(texel_m=1.0, rounds=2, pose_error=PoseError(0.0, 0.0), noise_k=NOISE_K)
     return reconstruct(scene, Survey(names, ("",) * len(names), kelvin, poses), settings=settings)
+
+
+@pytest.mark.slow
+def test_frames_through_air_are_solved_for_the_ground(survey):
+    scene, measured, _, _ = survey
+    through = scene.with_air("tropical")
+    renderer = Renderer(through, quality="standard")
+    pose = measured.poses[4]
+    radiance = (renderer.radiance(pose, through_air=air).astype(np.float64) for air in (True, False))
+    seen, at_ground = (brightness_temperature(each, *scene.camera.band_um) for each in radiance)
+    settings = Settings(texel_m=1.0, rounds=2, pose_error=PoseError(0.0, 0.0), noise_k=NOISE_K)
+    found = reconstruct(through, Survey(("a",), ("",), seen[None].astype(np.float32), pose[None]), settings=settings)
+    assert np.abs(found.survey.kelvin[0] - at_ground).mean() < 0.05 < 0.3 < np.abs(seen - at_ground).mean()
+    assert any("air is removed from 1 frames" in note for note in found.notes)
 
 
 def test_a_single_frame_is_a_map_and_says_what_nothing_tests(survey):

@@ -113,7 +113,7 @@ def test_bad_poses_are_refused(scene, tmp_path, text, words):
 
 
 def test_a_file_of_other_json_is_refused(scene, tmp_path):
-    with pytest.raises(ThermorenderError, match=r"is not a reconstruction\.json|has no shots"):
+    with pytest.raises(ThermorenderError, match=r"is neither a reconstruction\.json|has no shots"):
         read_poses(written(tmp_path / "a.json", '{"type": "FeatureCollection"}'), scene)
 
 

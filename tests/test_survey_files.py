@@ -1,18 +1,28 @@
 """Files of surveys as they come from the field: tags, tables and values that differ from the expected form."""
 
+import io
+import json
+import struct
 import warnings
+from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import rasterio
 from PIL import Image
+from rasterio.crs import CRS
+from rasterio.warp import transform
+from scipy.spatial.transform import Rotation
 
 import thermorender as tr
 from thermorender.errors import ThermorenderError
+from thermorender.footage.flir_jpeg import read_flir_jpeg
 from thermorender.footage.radiometric_files import read_temperature
 from thermorender.inverse.frames import Place, camera_rotation, frame_files, poses_of, read_frames, tagged_place
 from thermorender.inverse.level import read_references
 from thermorender.inverse.pose_files import read_poses
+from thermorender.physics.geodesy import LocalFrame
 
 HEAD = "frame,east_m,north_m,above_ground_m,yaw_deg,pitch_deg,roll_deg\n"
 GOOD = {"GimbalYawDegree": "+190.0", "GimbalPitchDegree": "-90.0", "GimbalRollDegree": "+0.00",
@@ -128,7 +138,7 @@ def test_places_and_heights_that_cannot_be_are_refused(scene, tmp_path):
 @pytest.mark.parametrize(
     ("system", "columns", "words"),
     [
-        (WGS84, "X/Longitude,Y/Latitude,Z/Altitude,Omega,Phi,Kappa", "angles yaw, pitch, roll"),
+        (WGS84, "X/Longitude,Y/Latitude,Z/Altitude,Alpha,Nu,Kappa", "angles yaw, pitch, roll or omega, phi, kappa"),
         (f'COMPD_CS["with EGM96 height",{WGS84},VERT_CS["EGM96 height",VERT_DATUM["EGM96 geoid",2005],'
          'UNIT["metre",1]]]', "X/Longitude,Y/Latitude,Z/Altitude,Yaw,Pitch,Roll", "above sea level"),
         ('LOCAL_CS["Local Coordinates (m)",LOCAL_DATUM["Local Datum",0],UNIT["metre",1]]',
@@ -141,6 +151,103 @@ def test_systems_and_angles_of_metashape_that_are_not_read_are_named(scene, tmp_
     text = f"# CoordinateSystem: {system}\n#Label,{columns}\na,21.0,52.2,180,0,0,0\n"
     with pytest.raises(ThermorenderError, match=words):
         read_poses(written(tmp_path / "m.txt", text), scene)
+
+
+# (omega, phi, kappa) and (yaw, pitch, roll) of the optical axis [deg]. Down with the top to north and to 30°, ahead to
+# north and to east 30° from the vertical, and down with the horizon turned by 5° about the north axis.
+TURNS = [((0, 0, 0), (0, -90, 0)), ((0, 0, -30), (30, -90, 0)), ((30, 0, 0), (0, -60, 0)),
+         ((0, -30, -90), (90, -60, 0)), ((0, 5, 0), (270, -85, 90))]  # fmt: skip
+
+
+@pytest.mark.parametrize(("turns", "angles"), TURNS)
+def test_omega_phi_kappa_are_the_angles_of_the_optical_axis(scene, tmp_path, turns, angles):
+    expected = camera_rotation(*angles).as_matrix()
+    head = HEAD.replace("yaw_deg,pitch_deg,roll_deg", "omega_deg,phi_deg,kappa_deg")
+    row = ",".join(map(str, turns))
+    (own,) = read_poses(written(tmp_path / "p.csv", f"{head}a,1,2,40,{row}\n"), scene).values()
+    columns = "X/Longitude,Y/Latitude,Z/Altitude,Omega,Phi,Kappa"
+    text = f"# CoordinateSystem: {WGS84}\n#Label,{columns}\na,21.0,52.2,180,{row}\n"
+    (metashape,) = read_poses(written(tmp_path / "m.txt", text), scene).values()
+    np.testing.assert_allclose(own.rotation.as_matrix(), expected, atol=1e-12)
+    np.testing.assert_allclose(metashape.rotation.as_matrix(), expected, atol=1e-12)
+
+
+def test_angles_of_both_kinds_are_refused(scene, tmp_path):
+    head = HEAD.strip() + ",omega_deg,phi_deg,kappa_deg\n"
+    with pytest.raises(ThermorenderError, match="yaw_deg, pitch_deg, roll_deg or omega_deg, phi_deg, kappa_deg"):
+        read_poses(written(tmp_path / "p.csv", head + "a,1,2,40,0,-90,0,0,0,0\n"), scene)
+
+
+LENS = {"projection_type": "brown", "width": 640, "height": 512, "focal_x": 1.2, "focal_y": 1.2, "k1": -0.1}
+
+
+def odm_project(scene):
+    """Two shots of one project as reconstruction.json and, by OpenDroneMap's definition, as shots.geojson."""
+    origin = (scene.frame.latitude_deg, scene.frame.longitude_deg, 120.0)
+    frame = LocalFrame(*origin)
+    zone = CRS.from_epsg(32600 + int((origin[1] + 180.0) // 6.0) + 1)
+
+    def to_map(local):
+        latitude, longitude, height = frame.geodetic_from_enu(np.asarray(local))
+        (x,), (y,) = transform(CRS.from_epsg(4326), zone, [float(longitude)], [float(latitude)])
+        return np.array([x, y, float(height)]), [float(longitude), float(latitude), float(height)]
+
+    middle = to_map(np.zeros(3))[0]
+    map_from_local = np.stack([(to_map(10.0 * axis)[0] - middle) / 10.0 for axis in np.eye(3)], axis=-1)
+    shots, features = {}, []
+    for name, position, turn in (
+        ("DJI_0001.JPG", (30.0, -20.0, 40.0), (170, 10, 20)),
+        ("b.tif", (0, 9, 41), (180, 0, 0)),
+    ):
+        rotation = Rotation.from_euler("xyz", turn, degrees=True)
+        shots[name] = {"camera": "c", "rotation": rotation.as_rotvec().tolist(),
+                       "translation": (-rotation.apply(position)).tolist()}  # fmt: skip
+        on_map, degrees = to_map(position)
+        turned = cv2.Rodrigues(rotation.as_matrix() @ np.linalg.inv(map_from_local))[0].ravel()
+        features.append({"type": "Feature", "geometry": {"type": "Point", "coordinates": degrees},
+                         "properties": {"filename": name, "focal": 1.2, "width": 640, "height": 512,
+                                        "translation": on_map.tolist(), "rotation": turned.tolist()}})  # fmt: skip
+    lla = dict(zip(("latitude", "longitude", "altitude"), origin, strict=True))
+    whole = [{"reference_lla": lla, "cameras": {"c": LENS}, "shots": shots, "points": {}}]
+    return whole, {"type": "FeatureCollection", "features": features}
+
+
+def test_shots_and_reconstruction_of_one_project_are_the_same_poses(scene, tmp_path):
+    whole, shots = odm_project(scene)
+    one = read_poses(written(tmp_path / "reconstruction.json", json.dumps(whole)), scene)
+    other = read_poses(written(tmp_path / "shots.geojson", json.dumps(shots)), scene)
+    assert list(one) == list(other) == ["DJI_0001", "b"]
+    first, second = (poses_of(list(places.values()), scene)[0] for places in (one, other))
+    # OpenDroneMap's map is linear about the origin of the project.
+    np.testing.assert_allclose(second[:, :3, 3], first[:, :3, 3], atol=0.002)
+    np.testing.assert_allclose(second[:, :3, :3], first[:, :3, :3], atol=2e-5)
+    assert one["b"].lens.distortion == (-0.1, 0.0, 0.0, 0.0, 0.0)
+    assert other["b"].lens.focal_px == one["b"].lens.focal_px == 768.0
+    with pytest.raises(ThermorenderError, match=r"768\.0 pixels without the distortion; give cameras\.json"):
+        other["b"].lens.applied(scene.camera)
+
+
+def test_shots_away_from_their_coordinates_are_refused(scene, tmp_path):
+    _, shots = odm_project(scene)
+    shots["features"][1]["geometry"]["coordinates"][:2] = shots["features"][1]["geometry"]["coordinates"][1::-1]
+    with pytest.raises(ThermorenderError, match=r"of b is not at its translation.*reconstruction\.json"):
+        read_poses(written(tmp_path / "shots.geojson", json.dumps(shots)), scene)
+    del shots["features"][0]["properties"]["rotation"]
+    with pytest.raises(ThermorenderError, match="KeyError: 'rotation'"):
+        read_poses(written(tmp_path / "shots.geojson", json.dumps(shots)), scene)
+
+
+def test_frames_of_two_lenses_are_refused(scene, tmp_path):
+    whole, _ = odm_project(scene)
+    whole[0]["cameras"]["d"] = LENS | {"k1": 0.0}
+    whole[0]["shots"]["b.tif"]["camera"] = "d"
+    places = read_poses(written(tmp_path / "reconstruction.json", json.dumps(whole)), scene)
+    for name in places:
+        tiff(tmp_path / f"{name}.tif", np.full((4, 5), 290.0, np.float32), unit="K")
+    with pytest.raises(ThermorenderError, match=r"different lenses.*'c'.*'d'"):
+        read_frames(frame_files([tmp_path]), places, scene)
+    found = read_frames([tmp_path / "b.tif"], places, scene)
+    assert found.lens.distortion == (0.0,) * 5
 
 
 def tiff(path, values, **options):
@@ -203,3 +310,69 @@ def test_fractions_without_a_unit_are_asked_for_with_the_likely_one(tmp_path, ze
     with pytest.raises(ThermorenderError, match=words):
         read_temperature(path)
     assert read_temperature(path, (1.0, zero)).max() == pytest.approx(299.2, abs=1e-3)
+
+
+def test_pictures_for_display_are_not_temperatures(tmp_path):
+    with pytest.raises(ThermorenderError, match="8 bits a pixel, which is a picture for display"):
+        read_temperature(tiff(tmp_path / "a.tif", np.full((4, 5), 200, np.uint8)))
+
+
+def test_thousandths_of_a_degree_are_a_likely_scale(tmp_path):
+    path = tiff(tmp_path / "a.tif", np.linspace(19_000, 43_000, 20).astype(np.uint16).reshape(4, 5))
+    with pytest.raises(ThermorenderError, match=r"look like --scale=0\.001,273\.15"):
+        read_temperature(path)
+
+
+@pytest.mark.parametrize("name", ["a.tif", "big.tif", "a.jpg"])
+def test_frames_that_are_stored_turned_are_refused(scene, tmp_path, name):
+    path = tmp_path / name
+    if name == "a.jpg":
+        flir(path)
+        exif = Image.Exif()
+        exif[274] = 6
+        block = exif.tobytes()
+        path.write_bytes(b"\xff\xd8\xff\xe1" + struct.pack(">H", len(block) + 2) + block + path.read_bytes()[2:])
+    else:
+        # GDAL does not write this tag, so one of the same form takes its place.
+        tiff(path, np.full((4, 5), 290.0, np.float64), unit="K", BIGTIFF="YES" if name == "big.tif" else "NO")
+        entry = "<HHQQ" if name == "big.tif" else "<HHII"
+        planar, turned = struct.pack(entry, 284, 3, 1, 1), struct.pack(entry, 274, 3, 1, 6)
+        assert planar in path.read_bytes()
+        path.write_bytes(path.read_bytes().replace(planar, turned))
+    with pytest.raises(ThermorenderError, match=r"orientation 6 in its tags.*exiftool -n -Orientation=1"):
+        survey_of(tmp_path, scene)
+
+
+def flir(path, emissivity=0.8, distance_m=40.0):
+    """A radiometric JPEG of 8×6 pixels with its settings, and a picture of 4×4."""
+    block = bytearray(0x340)
+    for at, value in {
+        0x20: emissivity, 0x24: distance_m, 0x28: 265.0, 0x2C: 290.15, 0x30: 293.15, 0x34: 1.0, 0x3C: 0.4,
+        0x58: 17096.5, 0x5C: 1428.0, 0x60: 1.0, 0x70: 0.006569, 0x74: 0.01262, 0x78: -0.002276, 0x7C: -0.00667,
+        0x80: 1.9, 0x90: 408.0, 0x94: 248.0, 0x30C: 0.0468,
+    }.items():  # fmt: skip
+        struct.pack_into(">f", block, at, value)
+    struct.pack_into(">i", block, 0x308, -124)
+    raw = struct.pack(">HHH", 3, 8, 6) + bytes(26) + np.full(48, 3050, ">u2").tobytes()
+    body, entries = b"", b""
+    for kind, data in ((0x01, raw), (0x20, bytes(block))):
+        entries += struct.pack(">HHIIIIII", kind, 0, 0, 0, 128 + len(body), len(data), 0, 0).ljust(32, b"\0")
+        body += data
+    segment = b"FLIR\0\x01\0\0FFF\0" + b"test".ljust(16, b"\0") + struct.pack(">III", 100, 64, 2) + bytes(32)
+    segment += entries + body
+    picture = io.BytesIO()
+    Image.fromarray(np.zeros((4, 4), np.uint8)).save(picture, "JPEG")
+    path.write_bytes(b"\xff\xd8\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment + picture.getvalue()[2:])
+    return path
+
+
+def test_the_emissivity_in_a_radiometric_jpeg_is_not_removed_beside_the_scene_s(scene, tmp_path):
+    picture = read_flir_jpeg(flir(tmp_path / "a.jpg"))
+    found = survey_of(tmp_path, scene)
+    apparent = picture.temperature(replace(picture.thermography, emissivity=1.0))
+    assert found.kelvin.shape == (1, 6, 8)
+    np.testing.assert_allclose(found.kelvin[0], apparent, atol=1e-3)
+    assert picture.temperature()[0, 0] - apparent[0, 0] > 5.0
+    assert any(
+        "distance 40 m, air 17 °C, humidity 0.4" in note and "emissivity 0.8 is not" in note for note in found.notes
+    )

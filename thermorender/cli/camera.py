@@ -46,11 +46,15 @@ def reconstruct(
     ],
     poses: Annotated[
         Path | None,
-        typer.Option(help="Poses of the frames: CSV, Metashape's text or OpenSfM's reconstruction.json; default: the "
-                     "frames' EXIF and XMP tags."),
+        typer.Option(help="Poses of the frames: CSV, Metashape's text, OpenSfM's reconstruction.json or OpenDroneMap's "
+                     "shots.geojson; default: the frames' EXIF and XMP tags."),
     ] = None,
     camera: Annotated[
         str | None, typer.Option(help="Camera that took them: a model or its .toml file; default: the scene's.")
+    ] = None,
+    lens: Annotated[
+        Path | None, typer.Option(help="Lens of the frames: cameras.json of OpenDroneMap or Metashape's calibration as "
+                                  ".xml; default: that of reconstruction.json, or the camera's.")
     ] = None,
     texel_m: Annotated[
         float | None, typer.Option(help="Side of a texel of the map [m]; default: the scene's texel.")
@@ -78,7 +82,7 @@ def reconstruct(
             "more"
         )
     inputs = Inputs(scene, tuple(frames), poses, camera, texel_m, (metres, degrees), above_ground, references, rounds,
-                    parse_scale(scale))  # fmt: skip
+                    parse_scale(scale), lens)  # fmt: skip
     with progress() as report:
         facts = run(inputs, output, report)
     typer.echo(

@@ -5,6 +5,7 @@ degree Celsius for others. The scale of a file is used if it is declared with it
 it.
 """
 
+import struct
 import warnings
 from collections.abc import Iterable, Sequence
 from os import PathLike
@@ -21,19 +22,21 @@ from thermorender.units import ZERO_CELSIUS_K, kelvin_scale
 TLINEAR_STEP_K = 0.04
 
 # Common scales of integer files, (kelvin per count, kelvin of 0): hundredths of a kelvin (FLIR Boson and others),
-# TLinear, tenths of a kelvin, and tenths and hundredths of a degree Celsius (DJI Thermal SDK, `dji_irp -a measure`:
-# int16 of 0.1 °C); kelvin and degrees Celsius as fractions.
+# TLinear, tenths of a kelvin, and tenths, hundredths and thousandths of a degree Celsius (DJI Thermal SDK,
+# `dji_irp -a measure`: int16 of 0.1 °C); kelvin and degrees Celsius as fractions.
 _LIKELY = {
     "1 K": (1.0, 0.0), "1 °C": (1.0, ZERO_CELSIUS_K),
     "0.01 K": (0.01, 0.0), "0.04 K": (TLINEAR_STEP_K, 0.0), "0.1 K": (0.1, 0.0), "0.1 °C": (0.1, ZERO_CELSIUS_K),
-    "0.01 °C": (0.01, ZERO_CELSIUS_K),
+    "0.01 °C": (0.01, ZERO_CELSIUS_K), "0.001 °C": (0.001, ZERO_CELSIUS_K),
 }  # fmt: skip
 _AS_FRACTION = ("1 K", "1 °C")
-_AS_INTENSITY = ("0.04 K", "0.01 °C")
+_AS_INTENSITY = ("0.04 K", "0.01 °C", "0.001 °C")
 # A landscape in a picture: most pixels, and every pixel [K].
 _COMMON_K, _RARE_K = (238.0, 338.0), (150.0, 1000.0)
 FLIR_JPEG = (".jpg", ".jpeg")
 SUFFIXES = (".tif", ".tiff", *FLIR_JPEG)
+# The tag of EXIF and TIFF.
+_ORIENTATION = 274
 _SEQUENCES = (".seq", ".csq", ".ats", ".fcf", ".sfmov")
 
 
@@ -98,7 +101,12 @@ def read_temperature(
         return read_flir_jpeg(path).temperature(thermography)
     if path.suffix.lower() not in SUFFIXES:
         raise ThermorenderError(f"{path} is of unknown kind; give one of {', '.join(SUFFIXES)}{sequence_hint([path])}")
-    counts, declared, _ = read_tiff(path)
+    counts, declared, kind = read_tiff(path)
+    if scale is None and declared is None and kind in ("uint8", "int8"):
+        raise ThermorenderError(
+            f"{path} has 8 bits a pixel, which is a picture for display; give the radiometric file, or state kelvin "
+            "per count and kelvin of count 0 with --scale"
+        )
     if scale is None and declared is None:
         raise ThermorenderError(
             f"{path} does not declare the unit of its counts; {scale_request(likely_scales(counts))}, or declare them "
@@ -112,6 +120,34 @@ def read_temperature(
         )
     step, zero = scale or declared
     return counts * float(step) + float(zero)
+
+
+def check_upright(path: Path) -> None:
+    """Raise if a file's tags state that its pixels are stored turned or mirrored."""
+    from PIL import Image, TiffImagePlugin
+
+    value = 1
+    try:
+        if path.suffix.lower() in FLIR_JPEG:
+            with Image.open(path) as image:
+                value = image.getexif().get(_ORIENTATION, 1)
+        else:
+            # Pillow opens fewer kinds of pixels than TIFF has.
+            with path.open("rb") as file:
+                start = file.read(8)
+                big = start[2:3] == b"+" or start[3:4] == b"+"
+                tags = TiffImagePlugin.ImageFileDirectory_v2(start + (file.read(8) if big else b""))
+                file.seek(tags.next)
+                tags.load(file)
+                value = tags.get(_ORIENTATION, 1)
+    except (OSError, SyntaxError, ValueError, struct.error):
+        return  # `read_temperature` says what is wrong with the file.
+    if value != 1:
+        raise ThermorenderError(
+            f"{path} states orientation {value} in its tags, so its pixels are stored turned or mirrored; if its pose "
+            f"is that of the stored pixels, as in OpenSfM's files, set it to 1 with `exiftool -n -Orientation=1 "
+            f"{path}`, otherwise turn the pixels"
+        )
 
 
 def sequence_hint(paths: Iterable[Path]) -> str:

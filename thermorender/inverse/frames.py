@@ -6,7 +6,7 @@ Temperatures are read by `thermorender.footage`. A frame's own pose comes from i
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from thermorender.errors import ThermorenderError
-from thermorender.footage.radiometric_files import FLIR_JPEG, SUFFIXES, read_temperature
+from thermorender.footage.flir_jpeg import read_flir_jpeg
+from thermorender.footage.lens_files import Lens
+from thermorender.footage.radiometric_files import FLIR_JPEG, SUFFIXES, check_upright, read_temperature
 from thermorender.inverse.linear import RANGE_K
 from thermorender.scene.scene import Scene
+from thermorender.sensor.radiometry import ThermographySettings
 from thermorender.trajectory.readers import enu_from_ned_at
 from thermorender.trajectory.rotations import BODY_FROM_CAMERA, rotation_from_angles
 
@@ -45,6 +48,8 @@ class Place:
         From camera axes to local north, east, down.
     time : str
         As in the file; empty if unknown.
+    lens : Lens or None
+        That the file of poses states with them.
     """
 
     horizontal: tuple[float, float]
@@ -53,6 +58,7 @@ class Place:
     height_of: str
     rotation: Rotation
     time: str = ""
+    lens: Lens | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +76,10 @@ class Survey:
         world_from_camera in the scene's frame.
     notes : tuple of str
         What was assumed or left out, in sentences.
+    lens : Lens or None
+        Of all frames, if their poses came with one.
+    air_removed : tuple of bool
+        Whether the file of a frame removed the air between camera and ground; empty if none did.
     """
 
     names: tuple[str, ...]
@@ -77,6 +87,8 @@ class Survey:
     kelvin: NDArray[np.float32]
     poses: Floats
     notes: tuple[str, ...] = ()
+    lens: Lens | None = None
+    air_removed: tuple[bool, ...] = ()
 
 
 def frame_files(paths: Iterable[Path]) -> list[Path]:
@@ -145,10 +157,18 @@ def read_frames(
             )
     chosen = [own[path.stem] for path in files]
     images: list[NDArray[np.float32]] = []
+    settings: list[ThermographySettings] = []
     invalid = 0
     for path in files:
-        own_scale = None if path.suffix.lower() in FLIR_JPEG else scale
-        kelvin, outside = _known(path, read_temperature(path, own_scale))
+        check_upright(path)
+        if path.suffix.lower() in FLIR_JPEG:
+            picture = read_flir_jpeg(path)
+            settings.append(picture.thermography)
+            # The scene has emissivities, so that of a setting for all surfaces is not removed as well.
+            read = picture.temperature(replace(picture.thermography, emissivity=1.0))
+        else:
+            read = read_temperature(path, scale)
+        kelvin, outside = _known(path, read)
         images.append(kelvin)
         invalid += outside
         if images[0].shape != images[-1].shape:
@@ -159,9 +179,35 @@ def read_frames(
     if invalid:
         low, high = RANGE_K
         notes.append(f"{invalid} pixels outside {low:g}–{high:g} K are left out")
+    if settings:
+        notes.append(_said(settings))
     poses, said = poses_of(chosen, scene, above_ground_m)
     names, times = tuple(path.stem for path in files), tuple(place.time for place in chosen)
-    return Survey(names, times, np.stack(images), poses, (*notes, *said))
+    removed = tuple(path.suffix.lower() in FLIR_JPEG for path in files)
+    return Survey(names, times, np.stack(images), poses, (*notes, *said), _common_lens(chosen), removed)
+
+
+def _said(settings: Sequence[ThermographySettings]) -> str:
+    """What was done with the settings in radiometric JPEGs, as a sentence."""
+    parts = []
+    for name, label, unit in (("distance_m", "distance", " m"), ("air_c", "air", " °C"), ("humidity", "humidity", ""),
+                              ("emissivity", "emissivity", "")):  # fmt: skip
+        values = {round(getattr(each, name), 3) for each in settings}
+        low, high = min(values), max(values)
+        parts.append(f"{label} {low:g}{unit}" if low == high else f"{label} {low:g}–{high:g}{unit}")
+    return (
+        f"the radiometric JPEGs correct the air by their own settings ({', '.join(parts[:3])}); their {parts[3]} is "
+        "not used, since the scene has emissivities"
+    )
+
+
+def _common_lens(places: Sequence[Place]) -> Lens | None:
+    """The lens of all frames, None if none is stated; raise if they differ."""
+    lenses = {place.lens and replace(place.lens, source=""): place.lens for place in places}
+    if len(lenses) > 1:
+        stated = " and ".join(lens.source if lens else "none" for lens in lenses.values())
+        raise ThermorenderError(f"the frames have different lenses, {stated}; reconstruct the frames of one camera")
+    return next(iter(lenses.values()))
 
 
 def _known(path: Path, kelvin: Floats) -> tuple[NDArray[np.float32], int]:

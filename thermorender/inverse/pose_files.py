@@ -1,16 +1,25 @@
-"""Poses of a survey's frames from one file: thermorender's CSV, Metashape's text, OpenSfM's reconstruction.json.
+"""Poses of a survey's frames from one file: CSV, Metashape's text, and what OpenSfM and OpenDroneMap write.
 
 - CSV: `frame` names the frame, with or without suffix. Position `east_m, north_m` or `lat_deg, lon_deg`; one height of
   `up_m`, `alt_ellipsoid_m`, `above_ground_m`, `above_takeoff_m`; angles of the optical axis `yaw_deg, pitch_deg,
-  roll_deg`, where pitch −90 looks down. `time` is optional. `poses.csv` of a reconstruction has this form.
+  roll_deg`, where pitch −90 looks down, or `omega_deg, phi_deg, kappa_deg`. `time` is optional. `poses.csv` of a
+  reconstruction has this form.
 - Metashape: the text of "Export reference", with its coordinate system in the first line. Estimated columns (X_est …)
   take precedence over measured ones. Angles 0, 0, 0 are a camera that looks down with the top of its image to north.
-- OpenSfM, as OpenDroneMap writes it: each shot has the rotation vector and the translation from topocentric axes at
-  `reference_lla` to camera axes.
+- OpenSfM's reconstruction.json: each shot has the rotation vector and the translation from topocentric axes at
+  `reference_lla` to camera axes, and a lens.
+- OpenDroneMap's shots.geojson: each shot has its longitude, latitude and height, its position in a UTM zone that the
+  file does not name, and the rotation vector from the axes of that map to camera axes.
+
+Omega, phi and kappa turn east, north, up axes, or those of the map, about the first, then the turned second, then the
+turned third axis, into image axes right, top and backwards. Source: Agisoft, "What are yaw, pitch, roll and omega, phi,
+kappa angles".
 """
 
 import math
 import re
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +28,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from thermorender.errors import ThermorenderError
+from thermorender.footage.lens_files import Lens, opensfm_lens
 from thermorender.formats import finite_json, read_text
 from thermorender.inverse.frames import HEIGHTS, Place, camera_rotation
 from thermorender.physics.geodesy import LocalFrame
@@ -29,9 +39,21 @@ from thermorender.trajectory.tables import rows_of
 
 Floats = NDArray[np.float64]
 _ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
+_YPR, _OPK = ("Yaw", "Pitch", "Roll"), ("Omega", "Phi", "Kappa")
+_TURNS = ("omega_deg", "phi_deg", "kappa_deg")
+# Camera axes right, down, forwards in image axes right, top, backwards.
+_IMAGE_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])
+# The two positions of a shot agree to this [m].
+_SAME_M = 1.0
 # Camera axes in those of a vehicle that flies north, for a camera that looks down with the top of its image ahead.
 _BODY_FROM_NADIR = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 _METASHAPE = "# CoordinateSystem:"
+# Estimates first.
+_METASHAPE_COLUMNS = (
+    *(("X_est", "Y_est", "Z_est", *(f"{name}_est" for name in names)) for names in (_YPR, _OPK)),
+    *((*pair, "Z/Altitude", *names) for pair in (("X/Easting", "Y/Northing"), ("X/Longitude", "Y/Latitude"))
+      for names in (_YPR, _OPK)),
+)  # fmt: skip
 
 
 def read_poses(path: Path, scene: Scene) -> dict[str, Place]:
@@ -44,7 +66,7 @@ def read_poses(path: Path, scene: Scene) -> dict[str, Place]:
     """
     text = read_text(path, "CSV UTF-8")
     if path.suffix.lower() in (".json", ".geojson"):
-        return _opensfm(path, text, scene)
+        return _json(path, text, scene)
     if text.startswith(_METASHAPE):
         return _metashape(path, text, scene)
     return _own(path)
@@ -55,17 +77,22 @@ def _own(path: Path) -> dict[str, Place]:
     local, geodetic = ("east_m", "north_m"), ("lat_deg", "lon_deg")
     pairs = [pair for pair in (local, geodetic) if all(name in head for name in pair)]
     heights = [name for name in HEIGHTS if name in head]
-    missing = [name for name in ("frame", *_ANGLES) if name not in head]
-    if missing or len(pairs) != 1 or len(heights) != 1:
+    angles = [names for names in (_ANGLES, _TURNS) if all(name in head for name in names)]
+    if "frame" not in head or not len(pairs) == len(heights) == len(angles) == 1:
         raise ThermorenderError(
             f"{path} has the columns {', '.join(head) or 'none'}; give frame, east_m and north_m or lat_deg and "
-            f"lon_deg, one of {', '.join(HEIGHTS)}, and {', '.join(_ANGLES)}"
+            f"lon_deg, one of {', '.join(HEIGHTS)}, and {', '.join(_ANGLES)} or {', '.join(_TURNS)}"
         )
     found: dict[str, Place] = {}
     for where, row in rows:
         name = _name(row["frame"], found, where)
         horizontal = [_number(row, key, where) for key in pairs[0]]
-        turn = camera_rotation(*(_number(row, key, where) for key in _ANGLES))
+        numbers = [_number(row, key, where) for key in angles[0]]
+        turn = (
+            Rotation.from_matrix(ENU_FROM_NED.T) * _turned(numbers)
+            if angles[0] is _TURNS
+            else camera_rotation(*numbers)
+        )
         height = _number(row, heights[0], where)
         found[name] = Place(
             (horizontal[0], horizontal[1]), pairs[0] is geodetic, height, heights[0], turn, row.get("time") or ""
@@ -89,14 +116,12 @@ def _metashape(path: Path, text: str, scene: Scene) -> dict[str, Place]:
             f"{path}: its coordinate system cannot be read; export it in one with an EPSG code"
         ) from None
     _check_system(path, crs)
-    kinds = (("X_est", "Y_est", "Z_est", "Yaw_est", "Pitch_est", "Roll_est"),
-             ("X/Easting", "Y/Northing", "Z/Altitude", "Yaw", "Pitch", "Roll"),
-             ("X/Longitude", "Y/Latitude", "Z/Altitude", "Yaw", "Pitch", "Roll"))  # fmt: skip
-    names = next((kind for kind in kinds if head and all(name in head for name in kind)), None)
+    names = next((kind for kind in _METASHAPE_COLUMNS if head and all(name in head for name in kind)), None)
     if names is None or head is None:
         raise ThermorenderError(
             f"{path} has the columns {', '.join(head or ()) or 'none'}, not a label with positions and the angles yaw, "
-            "pitch, roll; set those angles in Metashape's reference settings, and export separated by commas"
+            "pitch, roll or omega, phi, kappa; set those angles in Metashape's reference settings, and export "
+            "separated by commas"
         )
     if scene.frame is None:
         raise ThermorenderError(f"{scene.where}: poses on a map need a place of the scene; add [frame] to it")
@@ -109,9 +134,16 @@ def _metashape(path: Path, text: str, scene: Scene) -> dict[str, Place]:
             continue
         name = _name(row["Label"], found, where)
         x, y, height, *angles = (_number(row, key, where) for key in names)
-        axes = ENU_FROM_NED @ (rotation_from_angles(*angles) * Rotation.from_matrix(_BODY_FROM_NADIR)).as_matrix()
+        nadir = Rotation.from_matrix(_BODY_FROM_NADIR)
+        axes = (_turned(angles).as_matrix() if names[3].startswith("Omega") else
+                ENU_FROM_NED @ (rotation_from_angles(*angles) * nadir).as_matrix())  # fmt: skip
         found[name] = _on_map(scene.frame, crs, axes, (x, y, height))
     return found
+
+
+def _turned(angles_deg: Sequence[float]) -> Rotation:
+    """From camera axes to east, north, up, of omega, phi and kappa [deg]."""
+    return Rotation.from_euler("XYZ", angles_deg, degrees=True) * Rotation.from_matrix(_IMAGE_FROM_CAMERA)
 
 
 def _check_system(path: Path, crs: Any) -> None:
@@ -153,32 +185,96 @@ def _local_axes(frame: LocalFrame, latitude: float, longitude: float) -> Floats:
     return np.asarray(frame.enu_from_ecef_rotation @ here.enu_from_ecef_rotation.T)
 
 
-def _opensfm(path: Path, text: str, scene: Scene) -> dict[str, Place]:
+def _json(path: Path, text: str, scene: Scene) -> dict[str, Place]:
     try:
         given = finite_json(text)
-        parts = given if isinstance(given, list) else []
-        found: dict[str, Place] = {}
-        for part in parts:
-            lla = part["reference_lla"]
-            frame = LocalFrame(float(lla["latitude"]), float(lla["longitude"]), float(lla["altitude"]))
-            for label, shot in part["shots"].items():
-                camera_from_world = Rotation.from_rotvec(np.array(shot["rotation"], np.float64))
-                origin = -camera_from_world.inv().apply(np.array(shot["translation"], np.float64))
-                latitude, longitude, height = (float(value) for value in frame.geodetic_from_enu(origin))
-                axes = _local_axes(frame, latitude, longitude).T @ camera_from_world.inv().as_matrix()
-                turn = Rotation.from_matrix(ENU_FROM_NED.T @ axes)
-                name = _name(label, found, str(path))
-                found[name] = Place((latitude, longitude), True, height, "alt_ellipsoid_m", turn)
+        shots = isinstance(given, dict) and given.get("type") == "FeatureCollection"
+        found = _shots(path, given, scene) if shots else _opensfm(path, given)
     except ThermorenderError:
         raise
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
         raise ThermorenderError(
-            f"{path} is not a reconstruction.json of OpenSfM or OpenDroneMap ({type(error).__name__}: {error}); give "
-            "that file, or poses as CSV"
+            f"{path} is neither a reconstruction.json of OpenSfM nor a shots.geojson of OpenDroneMap "
+            f"({type(error).__name__}: {error}); give one of them, or poses as CSV"
         ) from None
     if not found:
-        raise ThermorenderError(f"{path} has no shots; give reconstruction.json of OpenSfM or OpenDroneMap")
+        raise ThermorenderError(
+            f"{path} has no shots; give reconstruction.json of OpenSfM or shots.geojson of OpenDroneMap"
+        )
     return found
+
+
+def _opensfm(path: Path, given: Any) -> dict[str, Place]:
+    found: dict[str, Place] = {}
+    for part in given if isinstance(given, list) else []:
+        lla = part["reference_lla"]
+        frame = LocalFrame(float(lla["latitude"]), float(lla["longitude"]), float(lla["altitude"]))
+        used = {shot["camera"] for shot in part["shots"].values() if "camera" in shot}
+        lenses = {name: opensfm_lens(part["cameras"][name], f"{path}, camera {name!r}") for name in used}
+        for label, shot in part["shots"].items():
+            camera_from_world = _rotation(shot["rotation"])
+            origin = -camera_from_world.inv().apply(_vector(shot["translation"], 1e8))
+            latitude, longitude, height = (float(value) for value in frame.geodetic_from_enu(origin))
+            axes = _local_axes(frame, latitude, longitude).T @ camera_from_world.inv().as_matrix()
+            turn = Rotation.from_matrix(ENU_FROM_NED.T @ axes)
+            name, lens = _name(label, found, str(path)), lenses.get(shot.get("camera"))
+            found[name] = Place((latitude, longitude), True, height, "alt_ellipsoid_m", turn, "", lens)
+    return found
+
+
+def _shots(path: Path, given: Any, scene: Scene) -> dict[str, Place]:
+    if scene.frame is None:
+        raise ThermorenderError(f"{scene.where}: poses on a map need a place of the scene; add [frame] to it")
+    found: dict[str, Place] = {}
+    for feature in given["features"]:
+        stated = feature["properties"]
+        name = _name(stated["filename"], found, str(path))
+        longitude, latitude, _ = (float(value) for value in feature["geometry"]["coordinates"])
+        x, y, height = _vector(stated["translation"], 1e8).tolist()
+        crs = _utm(path, name, (longitude, latitude), (x, y))
+        axes = _rotation(stated["rotation"]).inv().as_matrix()
+        width, tall = int(stated["width"]), int(stated["height"])
+        focal = float(stated["focal"]) * max(width, tall)
+        lens = Lens(width, tall, focal, (0.0, 0.0), None, 0.0, str(path))
+        found[name] = replace(_on_map(scene.frame, crs, axes, (x, y, height)), lens=lens)
+    return found
+
+
+def _utm(path: Path, name: str, degrees: tuple[float, float], metres: tuple[float, float]) -> Any:
+    """The CRS of the UTM zone in which (longitude, latitude) is (east, north)."""
+    from rasterio.crs import CRS
+    from rasterio.warp import transform
+
+    if not (abs(degrees[0]) <= 180.0 and abs(degrees[1]) <= 90.0):
+        raise ThermorenderError(
+            f"{path}: longitude {degrees[0]:g}, latitude {degrees[1]:g} of {name} is not a place; give degrees in this "
+            "order"
+        )
+    natural = math.floor((degrees[0] + 180.0) / 6.0)
+    # A project on the border of two zones has one of them.
+    for zone in (natural, natural - 1, natural + 1):
+        crs = CRS.from_epsg((32600 if degrees[1] >= 0.0 else 32700) + zone % 60 + 1)
+        (east,), (north,) = transform(CRS.from_epsg(4326), crs, [degrees[0]], [degrees[1]])
+        if math.hypot(east - metres[0], north - metres[1]) < _SAME_M:
+            return crs
+    raise ThermorenderError(
+        f"{path}: longitude {degrees[0]:g}, latitude {degrees[1]:g} of {name} is not at its translation "
+        f"{metres[0]:.1f}, {metres[1]:.1f} in UTM, so the project has no georeference or another map; give "
+        "opensfm/reconstruction.json of the same project"
+    )
+
+
+def _vector(value: Any, largest: float) -> Floats:
+    """Three numbers of a file, (3,)."""
+    found = np.array(value, np.float64)
+    if found.shape != (3,) or not (np.abs(found) <= largest).all():
+        raise ValueError(f"{value!r:.60} is not three numbers up to {largest:g}")
+    return found
+
+
+def _rotation(value: Any) -> Rotation:
+    """The rotation of a vector along its axis, of the angle's length [rad]."""
+    return Rotation.from_rotvec(_vector(value, 100.0))
 
 
 def _name(label: str, found: dict[str, Place], where: str) -> str:

@@ -18,14 +18,13 @@ from thermorender.inverse.poses import deviation
 from thermorender.inverse.reconstruct import Reconstruction
 from thermorender.inverse.solve import vignetting
 from thermorender.inverse.weights import Lattice
+from thermorender.scene.parts import mesh
 from thermorender.schema import read_toml, toml_text
 from thermorender.trajectory.readers import enu_from_ned_at
 from thermorender.trajectory.rotations import BODY_FROM_CAMERA, angles_from_rotation
 from thermorender.versions import versions
 
 Floats = NDArray[np.float64]
-# Meshes that name other files.
-_MESHES = (".obj", ".gltf", ".ply")
 
 
 def write(found: Reconstruction, folder: Path) -> None:
@@ -145,16 +144,17 @@ def _scene(found: Reconstruction, folder: Path) -> None:
 
 
 def files_of_scene(source: Path, tables: dict[str, Any]) -> set[Path]:
-    """Return the files of a scene's folder that its tables name, with what lies beside them, and its own materials.
+    """Return the files of a scene's folder that its tables name, with those that these need, and its own materials.
 
-    A raster has files of the same stem beside it; a mesh has libraries and textures of any name.
+    A raster has files of the same stem beside it; a mesh names its libraries and textures.
     """
     found = {each for each in (source / "materials").rglob("*") if each.is_file()}
     for named in (source / name for name in _names(tables)):
-        if named.is_file():
-            mesh = named.suffix.lower() in _MESHES
+        if named.is_file() and named.suffix.lower() in mesh.FORMATS:
+            found |= mesh.files_of(named, source)
+        elif named.is_file():
             beside = [each for each in named.parent.iterdir() if each.is_file() and each.name != "scene.toml"]
-            found |= {each for each in beside if mesh or each.name.split(".")[0] == named.name.split(".")[0]}
+            found |= {each for each in beside if each.name.split(".")[0] == named.name.split(".")[0]}
     return found
 
 

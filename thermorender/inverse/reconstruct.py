@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from thermorender import files, formats
 from thermorender.errors import ThermorenderError
 from thermorender.inverse import level
+from thermorender.inverse.air import without_air
 from thermorender.inverse.frames import Survey
 from thermorender.inverse.kinetic import Light, kinetic_of, light_of
 from thermorender.inverse.linear import LinearKelvin
@@ -127,6 +128,7 @@ def reconstruct(
             "camera that took them with --camera"
         )
     renderer = Renderer(scene.with_camera(camera), quality="fast", progress=progress)
+    survey = without_air(survey, camera, renderer)
     linear = LinearKelvin(camera.band_um, round(float(np.nanmedian(survey.kelvin)), 1))
     lattice, blind = _window(renderer, camera, survey.poses, settings)
     light = light_of(renderer, lattice, linear)

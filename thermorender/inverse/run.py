@@ -1,10 +1,11 @@
 """A reconstruction from files to files: what the command `reconstruct` does."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from thermorender import files
+from thermorender.footage.lens_files import read_lens
 from thermorender.inverse import products
 from thermorender.inverse.frames import frame_files, read_frames
 from thermorender.inverse.level import read_references
@@ -39,6 +40,8 @@ class Inputs:
     rounds : int
     scale : (2,) floats or None
         (kelvin per count, kelvin of count 0).
+    lens : Path or None
+        File of a lens, in place of that of the poses or the camera.
     """
 
     scene: str
@@ -51,6 +54,7 @@ class Inputs:
     references: Path | None = None
     rounds: int = 5
     scale: tuple[float, float] | None = None
+    lens: Path | None = None
 
 
 def run(inputs: Inputs, folder: Path, progress: Progress | None = None) -> dict[str, Any]:
@@ -62,6 +66,11 @@ def run(inputs: Inputs, folder: Path, progress: Progress | None = None) -> dict[
     camera = scene.camera if inputs.camera is None else load_camera(inputs.camera, "--camera")
     places = None if inputs.poses is None else read_poses(inputs.poses, scene)
     survey = read_frames(frame_files(inputs.frames), places, scene, inputs.scale, inputs.above_ground_m)
+    lens = survey.lens if inputs.lens is None else read_lens(inputs.lens)
+    # A camera that the user names has the distortion that the poses lack.
+    if lens is not None and not (lens.distortion is None and inputs.camera):
+        camera, said = lens.applied(camera)
+        survey = replace(survey, notes=(*survey.notes, said))
     references = read_references(inputs.references) if inputs.references else []
     texel_m = scene.surfaces[0].texel_m if inputs.texel_m is None else inputs.texel_m
     settings = Settings(texel_m=texel_m, rounds=inputs.rounds, pose_error=PoseError(*inputs.pose_error))

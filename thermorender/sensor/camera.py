@@ -185,10 +185,8 @@ class Camera:
             raise where.error(
                 f"{', '.join(temporal)} leave nothing of {name}={self.gain_netd_mk:g}, which contains them; lower them"
             )
-        # Checked here, since otherwise only the first frame would report it, after the scene is baked. Newton's steps
-        # diverge at a fold before they are refused.
-        with np.errstate(all="ignore"):
-            self.directions(_image_edge(self.width, self.height))
+        # Checked here, since otherwise only the first frame would report it, after the scene is baked.
+        edge_directions(self)
 
     def __repr__(self) -> str:
         across, along = self.field_of_view_deg
@@ -382,6 +380,13 @@ def load_camera(name: str | PathLike[str], where: str = "camera model") -> Camer
     """
     path = model_path(name, where)
     return read(Camera, read_toml(path), Where(path), name=path.stem)
+
+
+def edge_directions(camera: Camera) -> NDArray[np.float64]:
+    """Return the directions along the border of the image, (N, 2); raise if the distortion folds the image."""
+    # Newton's steps diverge at a fold before they are refused.
+    with np.errstate(all="ignore"):
+        return camera.directions(_image_edge(camera.width, camera.height))
 
 
 def _image_edge(width: int, height: int) -> NDArray[np.float64]:

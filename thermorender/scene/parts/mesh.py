@@ -89,7 +89,7 @@ def load(path: Path | str, folder: Path | None = None, named: Collection[str] = 
     try:
         # `_parts` checks for values that are not finite.
         with _largest_image(MOST_TEXELS), np.errstate(all="ignore"):
-            return _parts(path, _pieces(path, path.parent if folder is None else folder, named), named)
+            return _parts(path, _pieces(path, Beside(path, folder or path.parent), named), named)
     except ThermorenderError:
         raise
     except Exception as error:  # a broken file breaks its reader in many ways
@@ -112,8 +112,15 @@ def _largest_image(pixels: int) -> Iterator[None]:
         Image.MAX_IMAGE_PIXELS = before
 
 
-def _pieces(path: Path, folder: Path, named: Collection[str]) -> list[Piece]:
-    beside, kind = Beside(path, folder), path.suffix.lower()
+def files_of(path: Path, folder: Path) -> set[Path]:
+    """Return the files that a mesh in a scene's folder is read from: itself, its libraries and its textures."""
+    beside = Beside(path, folder)
+    _pieces(path, beside, ())
+    return {path, *beside.used}
+
+
+def _pieces(path: Path, beside: Beside, named: Collection[str]) -> list[Piece]:
+    kind = path.suffix.lower()
     if kind == ".obj":
         return obj.read(path, beside, named)
     reader = {".glb": gltf.read, ".gltf": gltf.read, ".ply": ply.read}.get(kind)

@@ -82,10 +82,10 @@ class Piece:
 
 
 class Beside:
-    """The files that a mesh names: relative to the mesh, and inside a folder only."""
+    """The files that a mesh names: relative to the mesh, and inside a folder only. `used` are those that were read."""
 
     def __init__(self, path: Path, folder: Path) -> None:
-        self.path, self.folder = path, folder
+        self.path, self.folder, self.used = path, folder, set[Path]()
 
     def find(self, name: str) -> Path:
         """Return the path of a file; glTF writes a blank as %20, and Windows a backslash between folders."""
@@ -110,6 +110,7 @@ class Beside:
                 if any(sign in name for sign in "/\\"):
                     reason += " and name it without its folder"
             else:
+                self.used.add(path)
                 return path.read_bytes()
         except (OSError, ValueError) as error:  # too long, with a NUL in it, or not permitted
             reason = f"cannot be read ({getattr(error, 'strerror', None) or error})"
