@@ -8,10 +8,8 @@ matrix without blur then only sets the path to the solution, as in deferred corr
 """
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +17,6 @@ from numpy.typing import NDArray
 from thermorender.inverse.weights import Sight
 
 Floats = NDArray[np.float64]
-_T = TypeVar("_T")
 # Corners of a cell, (row, column), in the order of the weights.
 _CORNERS = ((0, 0), (0, 1), (1, 0), (1, 1))
 # The links between the corners of a cell: index in the stencil, of corners a and b, and the texel that holds the link.
@@ -29,8 +26,6 @@ _LINKS = (
     (1, 0, 1, (0, 0)), (1, 2, 3, (1, 0)), (2, 0, 2, (0, 0)), (2, 1, 3, (0, 1)),
     (3, 0, 3, (0, 0)), (4, 1, 2, (0, 1)),
 )  # fmt: skip
-# Two, whatever the machine has, so that sums have one order. They start with the first work.
-_THREADS = ThreadPoolExecutor(2)
 _SELF, _RIGHT, _BELOW, _BELOW_RIGHT, _BELOW_LEFT = range(5)
 
 
@@ -198,7 +193,6 @@ class Normal:
             Of the frame's parameters from their prior means.
         """
         cells = cells_of(sight)
-        self.__dict__.pop("_preconditioned", None)
         self.stencil.add(cells, precision)
         weighted = precision * residual
         self._gradient.map[cells.window] += cells.gathered(weighted)
@@ -228,154 +222,63 @@ class Normal:
             self._gradient.common - self.common_precision * common, own,
         )  # fmt: skip
 
-    def __call__(self, x: Unknowns, shown: Floats | None = None) -> Unknowns:
-        """Return H x; `shown` is `_shown` of x, where it is known."""
+    def __call__(self, x: Unknowns) -> Unknowns:
+        """Return H x."""
         prior = self.prior
-        shown, own = self._shown(x) if shown is None else shown, self._seen(x.map)
-        frames, common = own.frames, own.common + self._common_own @ x.common
+        free = prior.precision * (x.map - x.classes[prior.classes])
+        total = self.stencil(x.map) + free
+        classes = prior.class_precision * x.classes - np.bincount(prior.classes.ravel(), free.ravel(), prior.count)
+        total += np.tensordot(x.common, self._common_coupling, axes=1)
+        common = self._common_own @ x.common + np.tensordot(self._common_coupling, x.map, axes=2)
+        frames = np.empty_like(x.frames)
         for number, block in enumerate(self._blocks):
-            frames[number] += block.own @ x.frames[number] + block.common @ x.common
-            common += x.frames[number] @ block.common
-        classes = own.classes + self._class_own * x.classes
-        return Unknowns(self.stencil(x.map) + prior.precision * x.map + shown, frames, common, classes)
+            own = x.frames[number]
+            inside = x.map[block.window]
+            total[block.window] += (own.astype(np.float32) @ block.coupling).reshape(inside.shape)
+            frames[number] = (
+                block.coupling @ inside.ravel().astype(np.float32) + block.own @ own + block.common @ x.common
+            )
+            common += own @ block.common
+        return Unknowns(total, frames, common, classes)
 
-    def _shown(self, x: Unknowns) -> Floats:
-        """The part of H x on the map, (h, w), of all but the map."""
-        # What float32 leaves of a parameter would act on all texels of its frame alike.
-        upper = x.frames.astype(np.float32)
-        both = np.stack([upper, (x.frames - upper).astype(np.float32)], axis=1)
-
-        def of(part: slice) -> Floats:
-            total = np.zeros(self.shape)
-            for own, block in zip(both[part], self._blocks[part], strict=True):
-                inside = total[block.window]
-                inside += (own @ block.coupling).sum(axis=0, dtype=np.float64).reshape(inside.shape)
-            return total
-
-        prior, (one, other) = self.prior, self._in_parts(of)
-        rest = np.tensordot(x.common, self._common_coupling, axes=1) - prior.precision * x.classes[prior.classes]
-        return np.asarray(one + other + rest)
-
-    def _seen(self, values: Floats) -> Unknowns:
-        """The part of H x on all but the map of a map (h, w), which is left out."""
+    def _preconditioned(self) -> Callable[[Unknowns], Unknowns]:
         prior = self.prior
+        diagonal = self.stencil.link[_SELF] + prior.precision
+        own = [np.linalg.inv(block.own) for block in self._blocks]
+        common = np.linalg.inv(self._common_own) if len(self._common_own) else self._common_own
+        classes = prior.class_precision + np.bincount(prior.classes.ravel(), prior.precision.ravel(), prior.count)
+        inverse = np.array(own)
 
-        def of(part: slice) -> list[NDArray[np.float32]]:
-            return [block.coupling @ values[block.window].ravel().astype(np.float32) for block in self._blocks[part]]
-
-        one, other = self._in_parts(of)
-        frames = np.array(one + other, np.float64).reshape(self.frames, len(self.frame_precision))
-        classes = np.bincount(prior.classes.ravel(), -(prior.precision * values).ravel(), prior.count)
-        common = np.tensordot(self._common_coupling, values, axes=2)
-        return Unknowns(values[:0], frames, common, np.asarray(classes, np.float64))
-
-    def _in_parts(self, function: Callable[[slice], _T]) -> list[_T]:
-        """The results of a function of a slice of the frames, for both halves of them, in two threads."""
-        middle = self.frames // 2
-        return list(_THREADS.map(function, (slice(0, middle), slice(middle, None))))
-
-    @property
-    def _class_own(self) -> Floats:
-        prior = self.prior
-        own = np.bincount(prior.classes.ravel(), prior.precision.ravel(), prior.count)
-        return np.asarray(prior.class_precision + own, np.float64)
-
-    @cached_property
-    def _preconditioned(self) -> Callable[[Unknowns], tuple[Unknowns, Floats]]:
-        """The inverse of H with the links between texels added to the texels themselves, and `_shown` of its result.
-
-        Bilinear weights link close neighbours only, so this changes fine structure alone, by a factor of up to 9. The
-        large scales, which offsets and poses share with the map, are exact, and conjugate gradients need few steps.
-        """
-        from scipy.linalg import cho_factor, cho_solve
-
-        diagonal = self.stencil(np.ones(self.shape)) + self.prior.precision
-        factor, shape = cho_factor(self._without_map(diagonal), lower=True), (self.frames, len(self.frame_precision))
-
-        def apply(r: Unknowns) -> tuple[Unknowns, Floats]:
-            own = self._seen(r.map / diagonal)
-            right = [(one - other).ravel() for one, other in zip(r[1:], own[1:], strict=True)]
-            frames, common, classes = np.split(cho_solve(factor, np.concatenate(right)), self._ends)
-            found = Unknowns(r.map, frames.reshape(shape), common, classes)
-            shown = self._shown(found)
-            return found._replace(map=(r.map - shown) / diagonal), shown
+        def apply(r: Unknowns) -> Unknowns:
+            frames = np.einsum("fpq,fq->fp", inverse, r.frames)
+            return Unknowns(r.map / diagonal, frames, common @ r.common, r.classes / classes)
 
         return apply
 
-    @property
-    def _ends(self) -> list[int]:
-        """Where the common parameters and the classes begin among all unknowns but the map."""
-        first = self.frames * len(self.frame_precision)
-        return [first, first + len(self.common_precision)]
-
-    def _without_map(self, diagonal: Floats) -> Floats:
-        """The equations of all but the map, (n, n), after elimination of a map whose texels have no links."""
-        prior, (first, second) = self.prior, self._ends
-        each, count = len(self.frame_precision), prior.count
-        left = np.zeros((second + count, second + count))
-        weak, number = 1.0 / np.sqrt(diagonal), prior.classes.ravel()
-        pull = prior.precision * weak
-        common = self._common_coupling * weak
-        place = [slice(k * each, (k + 1) * each) for k in range(self.frames)]
-        for k, block in enumerate(self._blocks):
-            rows, columns = block.window
-            scaled = block.coupling.reshape(each, rows.stop - rows.start, columns.stop - columns.start)
-            scaled = scaled * weak[block.window].astype(np.float32)
-            left[place[k], place[k]] = block.own
-            left[place[k], first:second] = block.common
-            left[place[k], first:second] -= np.tensordot(scaled, common[:, rows, columns], axes=((1, 2), (1, 2)))
-            kind, drawn = prior.classes[block.window].ravel(), pull[block.window].ravel()
-            left[place[k], second:] = [np.bincount(kind, drawn * row.ravel(), count) for row in scaled]
-            for other in range(k + 1):
-                both = _overlap(block.window, self._blocks[other].window)
-                if both is None:
-                    continue
-                here, there = ((slice(r.start - w[0].start, r.stop - w[0].start),
-                                slice(c.start - w[1].start, c.stop - w[1].start))
-                               for w in (block.window, self._blocks[other].window) for r, c in (both,))  # fmt: skip
-                second_one = self._blocks[other]
-                h, w = (side.stop - side.start for side in second_one.window)
-                beside = second_one.coupling.reshape(each, h, w)[:, there[0], there[1]] * weak[both].astype(np.float32)
-                own = scaled[:, here[0], here[1]].reshape(each, -1) @ beside.reshape(each, -1).T
-                left[place[k], place[other]] -= own
-        left[first:second, first:second] = self._common_own - np.tensordot(common, common, axes=((1, 2), (1, 2)))
-        for row, own in zip(left[first:second, second:], common, strict=True):
-            row[:] = np.bincount(number, (pull * own).ravel(), count)
-        left[second:, second:] = np.diag(self._class_own - np.bincount(number, (pull**2).ravel(), count))
-        lower = np.tril(left[:first, :first], -1)
-        left[:first, :first] += lower.T
-        left[first:, :first] = left[:first, first:].T
-        left[second:, first:second] = left[first:second, second:].T
-        return left
-
     def solved(
-        self, gradient: Unknowns, tolerance: float = 1e-4, most: int = 2000
+        self, gradient: Unknowns, tolerance: float = 1e-6, most: int = 2000
     ) -> tuple[Unknowns, int]:  # fmt: skip
-        """Return (x, steps) by preconditioned conjugate gradients, to a relative error of about `tolerance`.
+        """Return (x, steps) by preconditioned conjugate gradients, to a relative residual below `tolerance`.
 
-        The error is that of fine structure which the frames hardly show. Offsets, which overlap the map's large scales,
-        are exact to a thousandth of it.
+        A larger tolerance than 1e-6, or too few steps, leaves errors in the offsets, which overlap the map's large
+        scales.
         """
-        precondition = self._preconditioned
-        x, r = Unknowns(*map(np.zeros_like, gradient)), gradient
-        p, shown = precondition(r)
-        rz = _dot(r, p)
-        limit, steps = tolerance**2 * rz, 0
+        precondition = self._preconditioned()
+        x = Unknowns(*map(np.zeros_like, gradient))
+        r = gradient
+        z = precondition(r)
+        p, rz = z, _dot(r, z)
+        limit = tolerance**2 * rz
+        steps = 0
         while rz > limit and steps < most:
-            q = self(p, shown)
+            q = self(p)
             alpha = rz / _dot(p, q)
             x, r = _sum(x, alpha, p), _sum(r, -alpha, q)
-            z, more = precondition(r)
+            z = precondition(r)
             rz, before = _dot(r, z), rz
-            p, shown = _sum(z, rz / before, p), more + rz / before * shown
+            p = _sum(z, rz / before, p)
             steps += 1
         return x, steps
-
-
-def _overlap(one: tuple[slice, slice], other: tuple[slice, slice]) -> tuple[slice, slice] | None:
-    """The texels in both of two windows; None for none."""
-    both = tuple(slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(one, other, strict=True))
-    return (both[0], both[1]) if all(side.start < side.stop for side in both) else None
 
 
 def _dot(a: Unknowns, b: Unknowns) -> float:
