@@ -14,7 +14,7 @@ ROWS = {cells[0]: cells for cells in re.findall(r"^\| (.+?) \| (.+?) \| (.+?) \|
 
 
 def test_each_kind_names_the_tests_that_hold_it():
-    kinds = "mesh, raster, weather, log, air, spectrum, thermal picture, poses of frames, video"
+    kinds = "mesh, raster, weather, log, air, spectrum, thermal picture, poses of frames, lenses of frames, video"
     assert list(ROWS) == kinds.split(", ")
     for kind, *_, held in ROWS.values():
         files = re.findall(r"`(tests/[^`]+)`", held)

@@ -256,6 +256,7 @@ class _Fit(NamedTuple):
 
     @classmethod
     def of(cls, sight: Sight, residual: Floats, precision: Floats) -> "_Fit":
+        """Return the _Fit of a frame's N pixels, in single precision to save memory."""
         parts = (np.asarray(each, np.float32) for each in (sight.row, sight.column, residual, precision))
         return cls(sight.pixel.astype(np.int32), *parts)
 

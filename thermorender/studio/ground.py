@@ -165,7 +165,8 @@ def learned_from(session: "Session", progress: Callable[[str, float], None]) -> 
     found = map_materials(
         model, picture.colour, picture.texel_m, lambda share: progress("mapping the materials", share)
     )
-    of_material = np.array([band_emissivity_of([folder])(name) for name in model.materials], np.float32)
+    emissivity_of = band_emissivity_of([folder])
+    of_material = np.array([emissivity_of(name) for name in model.materials], np.float32)
     share = found.probability / np.maximum(found.probability.sum(axis=-1, keepdims=True, dtype=np.float32), 1.0)
     mean = share @ of_material
     std = np.sqrt(np.maximum(share @ of_material**2 - mean**2, 0.0))
