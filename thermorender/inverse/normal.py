@@ -9,6 +9,7 @@ matrix without blur then only sets the path to the solution, as in deferred corr
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -90,12 +91,13 @@ class Stencil:
             self.link[entry, top : top + rows, left : left + columns] += part
 
     def __call__(self, x: Floats) -> Floats:
-        """Return the product with x, (h, w)."""
+        """Return the product with x, (…, h, w)."""
         link = self.link
         y = link[_SELF] * x
         for entry, here, there in (
-            (_RIGHT, np.s_[:, :-1], np.s_[:, 1:]), (_BELOW, np.s_[:-1, :], np.s_[1:, :]),
-            (_BELOW_RIGHT, np.s_[:-1, :-1], np.s_[1:, 1:]), (_BELOW_LEFT, np.s_[:-1, 1:], np.s_[1:, :-1]),
+            (_RIGHT, np.s_[..., :, :-1], np.s_[..., :, 1:]), (_BELOW, np.s_[..., :-1, :], np.s_[..., 1:, :]),
+            (_BELOW_RIGHT, np.s_[..., :-1, :-1], np.s_[..., 1:, 1:]),
+            (_BELOW_LEFT, np.s_[..., :-1, 1:], np.s_[..., 1:, :-1]),
         ):  # fmt: skip
             between = link[entry][here]
             y[here] += between * x[there]
@@ -137,14 +139,39 @@ class Unknowns(NamedTuple):
     common: Floats
     classes: Floats
 
+    @property
+    def parameters(self) -> Floats:
+        """All but the map, in one line."""
+        return np.concatenate([self.frames.ravel(), self.common, self.classes])
+
+    def like(self, values: Floats, parameters: Floats) -> "Unknowns":
+        """Return the Unknowns of a map and a line of parameters, with the shapes of these."""
+        frames, common, classes = np.split(parameters, np.cumsum([self.frames.size, self.common.size]))
+        return Unknowns(values, frames.reshape(self.frames.shape), common, classes)
+
 
 class _Block(NamedTuple):
     """A frame's part of the equations."""
 
     window: tuple[slice, slice]
-    coupling: NDArray[np.float32]  # (P, texels of the window)
+    coupling: Floats  # (P, texels of the window)
     own: Floats  # (P, P)
     common: Floats  # (P, V)
+
+    def shared(self, other: "_Block") -> tuple[slice, slice] | None:
+        """Return the window that two frames share, or None."""
+        rows, columns = (
+            slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(self.window, other.window, strict=True)
+        )
+        return (rows, columns) if rows.start < rows.stop and columns.start < columns.stop else None
+
+    def on(self, window: tuple[slice, slice]) -> Floats:
+        """Return the coupling (P, rows, columns) on a window within the frame's own."""
+        rows, columns = (
+            (each.start - own.start, each.stop - own.start) for each, own in zip(window, self.window, strict=True)
+        )
+        sides = (each.stop - each.start for each in self.window)
+        return self.coupling.reshape(-1, *sides)[:, slice(*rows), slice(*columns)]
 
 
 class Normal:
@@ -168,11 +195,6 @@ class Normal:
         self._common_own = np.diag(common_precision).astype(np.float64)
         self._gradient = Unknowns(np.zeros(self.shape), np.zeros((0, 0)), np.zeros(count), np.zeros(prior.count))
         self._frames: list[Floats] = []
-
-    @property
-    def frames(self) -> int:
-        """Number of frames."""
-        return len(self._blocks)
 
     def add(
         self, sight: Sight, residual: Floats, precision: Floats, own: Floats, common: Floats, deviation: Floats
@@ -203,7 +225,7 @@ class Normal:
             row[cells.window] += cells.gathered(precision * each)
         self._common_own += (common * precision) @ common.T
         matrix = (own * precision) @ own.T + np.diag(self.frame_precision)
-        block = _Block(cells.window, coupling.astype(np.float32), matrix, (own * precision) @ common.T)
+        block = _Block(cells.window, coupling, matrix, (own * precision) @ common.T)
         self._blocks.append(block)
         return cells
 
@@ -222,68 +244,132 @@ class Normal:
             self._gradient.common - self.common_precision * common, own,
         )  # fmt: skip
 
-    def __call__(self, x: Unknowns) -> Unknowns:
-        """Return H x."""
-        prior = self.prior
-        free = prior.precision * (x.map - x.classes[prior.classes])
-        total = self.stencil(x.map) + free
-        classes = prior.class_precision * x.classes - np.bincount(prior.classes.ravel(), free.ravel(), prior.count)
-        total += np.tensordot(x.common, self._common_coupling, axes=1)
-        common = self._common_own @ x.common + np.tensordot(self._common_coupling, x.map, axes=2)
-        frames = np.empty_like(x.frames)
-        for number, block in enumerate(self._blocks):
-            own = x.frames[number]
-            inside = x.map[block.window]
-            total[block.window] += (own.astype(np.float32) @ block.coupling).reshape(inside.shape)
-            frames[number] = (
-                block.coupling @ inside.ravel().astype(np.float32) + block.own @ own + block.common @ x.common
-            )
-            common += own @ block.common
-        return Unknowns(total, frames, common, classes)
+    @cached_property
+    def _own(self) -> Floats:
+        """The equations of the parameters among themselves: of frames, of what is common, and of classes."""
+        prior, blocks = self.prior, self._blocks
+        ends = np.cumsum([0, *(len(block.own) for block in blocks), len(self._common_own), prior.count])
+        matrix = np.zeros((ends[-1], ends[-1]))
+        shared = slice(ends[-3], ends[-2])
+        for block, start, end in zip(blocks, ends, ends[1:], strict=False):
+            matrix[start:end, start:end] = block.own
+            matrix[start:end, shared], matrix[shared, start:end] = block.common, block.common.T
+        matrix[shared, shared] = self._common_own
+        classes = np.bincount(prior.classes.ravel(), prior.precision.ravel(), prior.count)
+        matrix[ends[-2] :, ends[-2] :] = np.diag(prior.class_precision + classes)
+        return matrix
 
-    def _preconditioned(self) -> Callable[[Unknowns], Unknowns]:
+    def _spread(self, parameters: Floats) -> Floats:
+        """B p: what parameters (K, n) add to the equations of the map, (K, h, w)."""
         prior = self.prior
-        diagonal = self.stencil.link[_SELF] + prior.precision
-        own = [np.linalg.inv(block.own) for block in self._blocks]
-        common = np.linalg.inv(self._common_own) if len(self._common_own) else self._common_own
-        classes = prior.class_precision + np.bincount(prior.classes.ravel(), prior.precision.ravel(), prior.count)
-        inverse = np.array(own)
+        frames, common, classes = np.split(parameters, self._splits, axis=1)
+        total = np.tensordot(common, self._common_coupling, axes=1) - prior.precision * classes[:, prior.classes]
+        for block, own in zip(self._blocks, np.split(frames, max(self.count, 1), axis=1), strict=False):
+            inside = total[(slice(None), *block.window)]
+            inside += (own @ block.coupling).reshape(inside.shape)
+        return np.asarray(total)
 
-        def apply(r: Unknowns) -> Unknowns:
-            frames = np.einsum("fpq,fq->fp", inverse, r.frames)
-            return Unknowns(r.map / diagonal, frames, common @ r.common, r.classes / classes)
+    def _gathered(self, values: Floats) -> Floats:
+        """Bᵀ m: what maps (K, h, w) add to the equations of the parameters, (K, n)."""
+        prior, count = self.prior, len(values)
+        frames = [values[(slice(None), *block.window)].reshape(count, -1) @ block.coupling.T for block in self._blocks]
+        common = np.tensordot(values, self._common_coupling, axes=((1, 2), (1, 2)))
+        pulls = (prior.precision * values).reshape(count, -1)
+        classes = [-np.bincount(prior.classes.ravel(), pull, prior.count) for pull in pulls]
+        return np.concatenate([*frames, common, classes], axis=1)
+
+    @property
+    def _splits(self) -> tuple[int, int]:
+        """Where the parameters of frames end, and the common ones."""
+        frames = sum(len(block.own) for block in self._blocks)
+        return frames, frames + len(self._common_own)
+
+    def _eliminated(self, inverse: Floats) -> Floats:
+        """Bᵀ D⁻¹ B of the parameters, with the diagonal D⁻¹ (h, w)."""
+        prior, blocks = self.prior, self._blocks
+        classes = [np.where(prior.classes == each, -prior.precision, 0.0) for each in range(prior.count)]
+        shared = np.concatenate([self._common_coupling, classes])
+        ends = np.cumsum([0, *(len(block.own) for block in blocks), len(shared)])
+        matrix = np.zeros((ends[-1], ends[-1]))
+        for number, block in enumerate(blocks):
+            own = slice(ends[number], ends[number + 1])
+            scaled = block._replace(coupling=block.coupling * inverse[block.window].ravel())
+            for other, start, end in zip(blocks[number:], ends[number:], ends[number + 1 :], strict=False):
+                both = block.shared(other)
+                if both is not None:
+                    matrix[own, start:end] = _product(scaled.on(both), other.on(both))
+            matrix[own, ends[-2] :] = _product(scaled.on(block.window), shared[(slice(None), *block.window)])
+        matrix[ends[-2] :, ends[-2] :] = _product(shared * inverse, shared)
+        return np.triu(matrix) + np.triu(matrix, 1).T
+
+    @cached_property
+    def _lumped(self) -> Floats:
+        """Sums of a texel's links, (h, w)."""
+        return self.stencil(np.ones(self.shape))
+
+    @cached_property
+    def _nearly_inverse(self) -> Callable[[Floats], Floats]:
+        """The inverse, for maps (K, h, w), of the equations without parameters and with lumped links.
+
+        All links are positive, so the lumped matrix exceeds the linked one in the sense of quadratic forms, and what is
+        left of the parameters' matrix stays positive. For smooth maps both are the same, and smooth maps are what
+        offsets, poses and lens are hard to tell from.
+        """
+        from scipy.linalg import cho_factor, cho_solve
+
+        inverse = 1.0 / (self._lumped + self.prior.precision)
+        factor = cho_factor(self._own - self._eliminated(inverse), lower=True)
+
+        def apply(maps: Floats) -> Floats:
+            first = inverse * maps
+            return first + inverse * self._spread(cho_solve(factor, self._gathered(first).T).T)
 
         return apply
 
     def solved(
-        self, gradient: Unknowns, tolerance: float = 1e-6, most: int = 2000
-    ) -> tuple[Unknowns, int]:  # fmt: skip
-        """Return (x, steps) by preconditioned conjugate gradients, to a relative residual below `tolerance`.
+        self, *gradients: Unknowns, tolerance: float = 1e-4, most: int = 2000
+    ) -> tuple[list[Unknowns], int]:  # fmt: skip
+        """Return (x of each gradient, steps) by preconditioned conjugate gradients, to a relative residual `tolerance`.
 
-        A larger tolerance than 1e-6, or too few steps, leaves errors in the offsets, which overlap the map's large
-        scales.
+        The parameters are eliminated: steps are made in the map alone. The preconditioner differs from the matrix only
+        in the links between texels, so the product with z = M⁻¹ r is r plus that difference times z. What converges
+        last is fine structure where pixels are few; offsets and poses are exact long before.
         """
-        precondition = self._preconditioned()
-        x = Unknowns(*map(np.zeros_like, gradient))
-        r = gradient
-        z = precondition(r)
-        p, rz = z, _dot(r, z)
-        limit = tolerance**2 * rz
-        steps = 0
-        while rz > limit and steps < most:
-            q = self(p)
-            alpha = rz / _dot(p, q)
-            x, r = _sum(x, alpha, p), _sum(r, -alpha, q)
-            z = precondition(r)
-            rz, before = _dot(r, z), rz
-            p = _sum(z, rz / before, p)
-            steps += 1
-        return x, steps
+        from scipy.linalg import cho_factor, cho_solve
+
+        own = cho_factor(self._own, lower=True)
+        pulls = np.array([each.parameters for each in gradients])
+        r = np.array([each.map for each in gradients]) - self._spread(cho_solve(own, pulls.T).T)
+        x, p, product = (np.zeros_like(r) for _ in range(3))
+        before, steps = np.full(len(r), np.inf), 0
+        while steps <= most:
+            z = self._nearly_inverse(r)
+            rz = _dots(r, z)
+            if steps == 0:
+                limit = tolerance**2 * rz
+            if (rz <= limit).all():
+                break
+            # A solution that is done goes on with the others, without harm.
+            ratio = _each(rz / np.maximum(before, 1e-300))
+            p = z + ratio * p
+            product = r + self.stencil(z) - self._lumped * z + ratio * product
+            step = _each(rz / np.maximum(_dots(p, product), 1e-300))
+            x += step * p
+            r -= step * product
+            before, steps = rz, steps + 1
+        parameters = cho_solve(own, (pulls - self._gathered(x)).T).T
+        return [each.like(*found) for each, *found in zip(gradients, x, parameters, strict=True)], steps
 
 
-def _dot(a: Unknowns, b: Unknowns) -> float:
-    return float(sum(np.vdot(one, other) for one, other in zip(a, b, strict=True)))
+def _each(values: Floats) -> Floats:
+    return values[:, None, None]
 
 
-def _sum(a: Unknowns, factor: float, b: Unknowns) -> Unknowns:
-    return Unknowns(*(one + factor * other for one, other in zip(a, b, strict=True)))
+def _dots(a: Floats, b: Floats) -> Floats:
+    """Scalar products of maps (K, h, w)."""
+    return np.einsum("khw,khw->k", a, b)
+
+
+def _product(a: Floats, b: Floats) -> Floats:
+    """Sums (n, m) over the texels of the products of maps a (n, h, w) and b (m, h, w)."""
+    return a.reshape(len(a), -1) @ b.reshape(len(b), -1).T

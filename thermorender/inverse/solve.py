@@ -189,7 +189,7 @@ class Problem:
     ) -> tuple[State, Normal]:
         normal, fits, noise_k = self._equations(state, free, progress, draws)
         gradient = normal.gradient(state.map - self.prior.mean, state.classes, state.vignette)
-        found, _ = normal.solved(gradient)
+        (found,), _ = normal.solved(gradient)
         return self._updated(state, found, free, fits, noise_k), normal
 
     def _equations(

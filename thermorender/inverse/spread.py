@@ -19,8 +19,8 @@ from thermorender.inverse.normal import Cells, Normal, Prior, Unknowns
 from thermorender.inverse.weights import Sight, sharpened
 
 Floats = NDArray[np.float64]
-# Draws, and width of the smoothing of their variance [texels].
-DRAWS = 8
+# Draws, how many are solved together, and width of the smoothing of their variance [texels].
+DRAWS, _TOGETHER = 8, 4
 _SMOOTH = 2.0
 # Relative residual of a draw's solution: a variance needs fewer digits than a map.
 _TOLERANCE = 1e-3
@@ -163,10 +163,11 @@ def spread_of(
     """
     seen = draws.views > 0
     variance = np.zeros(seen.shape)
-    for number in range(DRAWS):
-        x, _ = normal.solved(draws.gradient(normal, number), _TOLERANCE)
-        found = sharpened(x.map, reach, terms)
-        variance += (found - found[seen].mean()) ** 2 / DRAWS
+    for first in range(0, DRAWS, _TOGETHER):
+        gradients = (draws.gradient(normal, number) for number in range(first, first + _TOGETHER))
+        for x in normal.solved(*gradients, tolerance=_TOLERANCE)[0]:
+            found = sharpened(x.map, reach, terms)
+            variance += (found - found[seen].mean()) ** 2 / DRAWS
     # Beyond the texels that are seen the variance is that of the prior, which must not leak in.
     variance = np.where(seen, _near(variance, seen, _SMOOTH), variance)
     beyond = np.where(seen, np.maximum(_near(draws.residual**2, seen, _NEAR) - noise_k**2, 0.0), 0.0)
@@ -197,7 +198,7 @@ def _difference(draws: Draws, reach: float, terms: int) -> Floats:
         return np.full(step.shape, np.nan)
     for half, sign in zip(draws.halves, (0.5, -0.5), strict=True):
         gradient = half.gradient(np.zeros(step.shape), np.zeros(prior.count), np.zeros(0))
-        x, _ = half.solved(gradient, _TOLERANCE)
+        (x,), _ = half.solved(gradient, tolerance=_TOLERANCE)
         step += sign * x.map
         both &= half.stencil.link[0] > 0.0
     return np.where(both, sharpened(np.where(both, step, 0.0), reach, terms), np.nan)
