@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from thermorender.inverse.normal import Normal, Prior, Stencil, Unknowns, cells_of
+from thermorender.inverse.normal import Normal, Prior, Stencil, Sums, Unknowns, footprint, links
 from thermorender.inverse.weights import Sight
 
 SHAPE = (7, 6)
@@ -26,7 +26,8 @@ def test_stencil_is_the_normal_matrix_of_bilinear_weights():
     rng = np.random.default_rng(1)
     sight, precision = seen_at(rng), rng.uniform(0.5, 2.0, 60)
     stencil = Stencil(SHAPE)
-    stencil.add(cells_of(sight), precision)
+    seen = footprint(sight)
+    stencil.link[(slice(None), *seen.window)] += links(seen, precision)
     weights = dense(sight)
     expected = weights.T @ (precision[:, None] * weights)
     found = np.stack([stencil(texel.reshape(SHAPE)).ravel() for texel in np.eye(SHAPE[0] * SHAPE[1])])
@@ -56,7 +57,7 @@ def made_problem(pixel=1.0, prior_precision=0.2, offset_precision=0.4):
         sight, weight = seen_at(rng), pixel * rng.uniform(0.5, 2.0, 60)
         own = np.stack([np.ones(60), rng.normal(size=60)])
         common, residual, deviation = rng.normal(size=(1, 60)), rng.normal(size=60), rng.normal(size=2)
-        normal.add(sight, residual, weight, own, common, deviation)
+        normal.add(Sums.of(footprint(sight), residual, weight, own, common), deviation)
         part = np.zeros((60, count))
         part[:, :size] = dense(sight)
         part[:, size + 2 * number : size + 2 * number + 2] = own.T

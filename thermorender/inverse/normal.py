@@ -7,66 +7,71 @@ links: 40 bytes a texel, however many frames there are. Residuals come from the 
 matrix without blur then only sets the path to the solution, as in deferred correction.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.inverse.weights import Sight
 
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
+
 Floats = NDArray[np.float64]
-# Corners of a cell, (row, column), in the order of the weights.
-_CORNERS = ((0, 0), (0, 1), (1, 0), (1, 1))
-# The links between the corners of a cell: index in the stencil, of corners a and b, and the texel that holds the link.
-# The stencil's entries are: the texel itself, its neighbour to the right, below, below right, and below left.
-_LINKS = (
-    (0, 0, 0, (0, 0)), (0, 1, 1, (0, 1)), (0, 2, 2, (1, 0)), (0, 3, 3, (1, 1)),
-    (1, 0, 1, (0, 0)), (1, 2, 3, (1, 0)), (2, 0, 2, (0, 0)), (2, 1, 3, (0, 1)),
-    (3, 0, 3, (0, 0)), (4, 1, 2, (0, 1)),
-)  # fmt: skip
+# Entries of the stencil: the texel itself, and its neighbours to the right, below, below right and below left.
 _SELF, _RIGHT, _BELOW, _BELOW_RIGHT, _BELOW_LEFT = range(5)
 
 
-class Cells(NamedTuple):
-    """The cells of a window of the map that hold the pixels of a frame, and the pixels' weights in them.
-
-    `shape` counts cells; the window has one texel more along each side.
-    """
+class Footprint(NamedTuple):
+    """The weights (N, texels) of the pixels of a frame in a window of the map, whose first texel is (top, left)."""
 
     top: int
     left: int
     shape: tuple[int, int]
-    number: NDArray[np.int64]  # (N,) of each pixel's cell in the window
-    weight: Floats  # (4, N) bilinear, in the order of `_CORNERS`
+    weights: "csr_matrix"
 
     @property
     def window(self) -> tuple[slice, slice]:
         """The texels of the window on the map."""
         rows, columns = self.shape
-        return slice(self.top, self.top + rows + 1), slice(self.left, self.left + columns + 1)
+        return slice(self.top, self.top + rows), slice(self.left, self.left + columns)
 
     def gathered(self, values: Floats) -> Floats:
-        """Return the sums over pixels (N,) of their weights times `values`, on the window's texels."""
-        rows, columns = self.shape
-        total = np.zeros((rows + 1, columns + 1))
-        for (down, right), weight in zip(_CORNERS, self.weight, strict=True):
-            part = np.bincount(self.number, weight * values, rows * columns).reshape(self.shape)
-            total[down : down + rows, right : right + columns] += part
-        return total
+        """Return the sums over pixels of their weights times `values` (n, N), on the window's texels (n, …)."""
+        return np.asarray((self.weights.T @ values.T).T).reshape(len(values), *self.shape)
 
 
-def cells_of(sight: Sight) -> Cells:
-    """Return the Cells of a frame's pixels."""
-    row, column = np.floor(sight.row).astype(np.int64), np.floor(sight.column).astype(np.int64)
+def footprint(sight: Sight) -> Footprint:
+    """Return the Footprint of a frame's pixels, by bilinear weights."""
+    from scipy.sparse import csr_matrix
+
+    row, column = np.floor(sight.row).astype(np.int32), np.floor(sight.column).astype(np.int32)
     (top, rows), (left, columns) = (
-        (int(values.min()), int(np.ptp(values)) + 1) if values.size else (0, 1) for values in (row, column)
+        (int(values.min()), int(np.ptp(values)) + 2) if values.size else (0, 2) for values in (row, column)
     )
     down, right = sight.row - row, sight.column - column
-    weight = np.stack([(1 - down) * (1 - right), (1 - down) * right, down * (1 - right), down * right])
-    return Cells(top, left, (rows, columns), (row - top) * columns + column - left, weight)
+    weight = np.stack([(1 - down) * (1 - right), (1 - down) * right, down * (1 - right), down * right], axis=1)
+    first = (row - top) * np.int32(columns) + (column - left)
+    texel = first[:, None] + np.array([0, 1, columns, columns + 1], np.int32)
+    ends = np.arange(0, 4 * len(row) + 1, 4, dtype=np.int32)
+    weights = csr_matrix((weight.ravel(), texel.ravel(), ends), shape=(len(row), rows * columns))
+    return Footprint(top, left, (rows, columns), weights)
+
+
+def links(seen: Footprint, precision: Floats) -> Floats:
+    """Return Aᵀ W A of the pixels of a frame on its window, (5, …) as in a Stencil, with the diagonal (N,) of W."""
+    scaled = seen.weights.copy()
+    scaled.data *= np.repeat(precision, 4)
+    product, columns = seen.weights.T @ scaled, seen.shape[1]
+    found = np.zeros((5, seen.shape[0] * columns))
+    for entry, away in (
+        (_SELF, 0), (_RIGHT, 1), (_BELOW, columns), (_BELOW_RIGHT, columns + 1), (_BELOW_LEFT, columns - 1),
+    ):  # fmt: skip
+        line = product.diagonal(away)
+        found[entry, : line.size] = line
+    return found.reshape(5, *seen.shape)
 
 
 class Stencil:
@@ -80,15 +85,6 @@ class Stencil:
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.link = np.zeros((5, *shape))
-
-    def add(self, cells: Cells, precision: Floats) -> None:
-        """Add Aᵀ W A of the pixels of a frame, with the diagonal (N,) of W."""
-        rows, columns = cells.shape
-        for entry, a, b, (down, right) in _LINKS:
-            values = precision * cells.weight[a] * cells.weight[b]
-            part = np.bincount(cells.number, values, rows * columns).reshape(cells.shape)
-            top, left = cells.top + down, cells.left + right
-            self.link[entry, top : top + rows, left : left + columns] += part
 
     def __call__(self, x: Floats) -> Floats:
         """Return the product with x, (…, h, w)."""
@@ -150,7 +146,7 @@ class Unknowns(NamedTuple):
         return Unknowns(values, frames.reshape(self.frames.shape), common, classes)
 
 
-class _Block(NamedTuple):
+class Block(NamedTuple):
     """A frame's part of the equations."""
 
     window: tuple[slice, slice]
@@ -158,7 +154,7 @@ class _Block(NamedTuple):
     own: Floats  # (P, P)
     common: Floats  # (P, V)
 
-    def shared(self, other: "_Block") -> tuple[slice, slice] | None:
+    def shared(self, other: "Block") -> tuple[slice, slice] | None:
         """Return the window that two frames share, or None."""
         rows, columns = (
             slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(self.window, other.window, strict=True)
@@ -172,6 +168,55 @@ class _Block(NamedTuple):
         )
         sides = (each.stop - each.start for each in self.window)
         return self.coupling.reshape(-1, *sides)[:, slice(*rows), slice(*columns)]
+
+
+class Sums(NamedTuple):
+    """What a frame adds to the normal equations: sums over its N pixels.
+
+    `links`, `pull` and `shared` are on the texels of the frame's window: Aᵀ W A as of `links`, Aᵀ W r, and Aᵀ W times
+    the columns of the common parameters. The other three belong to parameters: pulls (P,) and (V,), matrix (V, V).
+    """
+
+    block: Block
+    links: Floats
+    pull: Floats
+    shared: Floats
+    own_pull: Floats
+    common_pull: Floats
+    common_own: Floats
+
+    @classmethod
+    def of(cls, seen: Footprint, residual: Floats, precision: Floats, own: Floats, common: Floats) -> "Sums":
+        """Return the Sums of a frame.
+
+        Parameters
+        ----------
+        seen : Footprint
+            Of its N pixels.
+        residual : (N,) array
+            Measured minus predicted.
+        precision : (N,) array
+            1 over the variance of each pixel.
+        own, common : (P, N) and (V, N) arrays
+            Change of the prediction with the frame's parameters and with the common ones.
+        """
+        count = len(own)
+        columns = np.concatenate([own, common])
+        weighted = precision * columns
+        pulled = precision * residual
+        pull, *parts = seen.gathered(np.concatenate([[pulled], weighted]))
+        matrix, pulls = weighted @ columns.T, columns @ pulled
+        coupling = np.array(parts[:count]).reshape(count, -1)
+        block = Block(seen.window, coupling, matrix[:count, :count], matrix[:count, count:])
+        shared = np.array(parts[count:]).reshape(-1, *seen.shape)
+        return cls(block, links(seen, precision), pull, shared, pulls[:count], pulls[count:], matrix[count:, count:])
+
+    @property
+    def of_offset(self) -> "Sums":
+        """The Sums with the first of the frame's parameters only."""
+        window, coupling, own, _ = self.block
+        block = Block(window, coupling[:1], own[:1, :1], np.zeros((1, 0)))
+        return Sums(block, self.links, self.pull, self.shared[:0], self.own_pull[:1], np.zeros(0), np.zeros((0, 0)))
 
 
 class Normal:
@@ -189,45 +234,24 @@ class Normal:
         self.prior, self.shape = prior, prior.mean.shape
         self.frame_precision, self.common_precision = frame_precision, common_precision
         self.stencil = Stencil(self.shape)
-        self._blocks: list[_Block] = []
+        self._blocks: list[Block] = []
         count = len(common_precision)
         self._common_coupling = np.zeros((count, *self.shape))
         self._common_own = np.diag(common_precision).astype(np.float64)
         self._gradient = Unknowns(np.zeros(self.shape), np.zeros((0, 0)), np.zeros(count), np.zeros(prior.count))
         self._frames: list[Floats] = []
 
-    def add(
-        self, sight: Sight, residual: Floats, precision: Floats, own: Floats, common: Floats, deviation: Floats
-    ) -> Cells:  # fmt: skip
-        """Add a frame.
-
-        Parameters
-        ----------
-        sight : Sight
-            Of its N pixels.
-        residual : (N,) array
-            Measured minus predicted.
-        precision : (N,) array
-            1 over the variance of each pixel.
-        own, common : (P, N) and (V, N) arrays
-            Change of the prediction with the frame's parameters and with the common ones.
-        deviation : (P,) array
-            Of the frame's parameters from their prior means.
-        """
-        cells = cells_of(sight)
-        self.stencil.add(cells, precision)
-        weighted = precision * residual
-        self._gradient.map[cells.window] += cells.gathered(weighted)
-        self._gradient.common[:] += common @ weighted
-        self._frames.append(own @ weighted - self.frame_precision * deviation)
-        coupling = np.array([cells.gathered(precision * each) for each in own]).reshape(len(own), -1)
-        for row, each in zip(self._common_coupling, common, strict=True):
-            row[cells.window] += cells.gathered(precision * each)
-        self._common_own += (common * precision) @ common.T
-        matrix = (own * precision) @ own.T + np.diag(self.frame_precision)
-        block = _Block(cells.window, coupling, matrix, (own * precision) @ common.T)
-        self._blocks.append(block)
-        return cells
+    def add(self, sums: Sums, deviation: Floats) -> None:
+        """Add a frame, of which the parameters deviate by (P,) from their prior means."""
+        block = sums.block
+        inside = (slice(None), *block.window)
+        self.stencil.link[inside] += sums.links
+        self._common_coupling[inside] += sums.shared
+        self._common_own += sums.common_own
+        self._gradient.map[block.window] += sums.pull
+        self._gradient.common[:] += sums.common_pull
+        self._frames.append(sums.own_pull - self.frame_precision * deviation)
+        self._blocks.append(block._replace(own=block.own + np.diag(self.frame_precision)))
 
     @property
     def count(self) -> int:
@@ -263,7 +287,8 @@ class Normal:
         """B p: what parameters (K, n) add to the equations of the map, (K, h, w)."""
         prior = self.prior
         frames, common, classes = np.split(parameters, self._splits, axis=1)
-        total = np.tensordot(common, self._common_coupling, axes=1) - prior.precision * classes[:, prior.classes]
+        total = np.tensordot(common, self._common_coupling, axes=1)
+        total -= prior.precision * classes.take(prior.classes, axis=1)
         for block, own in zip(self._blocks, np.split(frames, max(self.count, 1), axis=1), strict=False):
             inside = total[(slice(None), *block.window)]
             inside += (own @ block.coupling).reshape(inside.shape)
@@ -308,23 +333,25 @@ class Normal:
         return self.stencil(np.ones(self.shape))
 
     @cached_property
-    def _nearly_inverse(self) -> Callable[[Floats], Floats]:
+    def _lumped_factors(self) -> tuple[Floats, tuple[Floats, bool]]:
+        """(inverse of the map's equations with lumped links, (h, w); factor of what is left of the parameters')."""
+        from scipy.linalg import cho_factor
+
+        inverse = 1.0 / (self._lumped + self.prior.precision)
+        return inverse, cho_factor(self._own - self._eliminated(inverse), lower=True)
+
+    def _nearly_inverse(self, maps: Floats) -> Floats:
         """The inverse, for maps (K, h, w), of the equations without parameters and with lumped links.
 
         All links are positive, so the lumped matrix exceeds the linked one in the sense of quadratic forms, and what is
         left of the parameters' matrix stays positive. For smooth maps both are the same, and smooth maps are what
         offsets, poses and lens are hard to tell from.
         """
-        from scipy.linalg import cho_factor, cho_solve
+        from scipy.linalg import cho_solve
 
-        inverse = 1.0 / (self._lumped + self.prior.precision)
-        factor = cho_factor(self._own - self._eliminated(inverse), lower=True)
-
-        def apply(maps: Floats) -> Floats:
-            first = inverse * maps
-            return first + inverse * self._spread(cho_solve(factor, self._gathered(first).T).T)
-
-        return apply
+        inverse, factor = self._lumped_factors
+        first = inverse * maps
+        return first + inverse * self._spread(cho_solve(factor, self._gathered(first).T).T)
 
     def solved(
         self, *gradients: Unknowns, tolerance: float = 1e-4, most: int = 2000

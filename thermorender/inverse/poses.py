@@ -45,11 +45,6 @@ def slopes(values: Floats) -> tuple[Floats, Floats]:
     return np.asarray(right), np.asarray(down)
 
 
-def pose_columns(sight: Sight, right: Floats, down: Floats) -> Floats:
-    """Return the change of the pixels with a step of the pose, (6, N), from the slopes of the map."""
-    return sight.motion(sight.at(right), sight.at(down))
-
-
 def registered(
     viewer: Viewer, values: Floats, image: Image, pose: Floats, measured: Floats, error: PoseError, search: bool = True
 ) -> Floats:  # fmt: skip
@@ -164,7 +159,7 @@ def _step(
     known = np.isfinite(image.ravel()[sight.pixel])
     predicted = sight.seen(values, taps_of())
     columns = np.concatenate([[image.ravel()[sight.pixel], predicted, np.ones_like(predicted)],
-                              pose_columns(sight, *slope)])  # fmt: skip
+                              sight.motion(*(sight.at(each) for each in slope))])  # fmt: skip
     whole = np.zeros((len(columns), camera.height * camera.width))
     whole[:, sight.pixel[known]] = columns[:, known]
     smooth = np.array([

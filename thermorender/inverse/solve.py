@@ -4,18 +4,20 @@ The map is in *linear kelvin*: band radiance, scaled so that it is kelvin at one
 mean of radiances, so the forward model is exactly linear in it.
 """
 
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.inverse.normal import Normal, Prior, Unknowns
-from thermorender.inverse.poses import PoseError, deviation, pose_columns, registered, slopes
-from thermorender.inverse.spread import Draws, Spread, spread_of
+from thermorender.inverse.normal import Normal, Prior, Sums, Unknowns, footprint
+from thermorender.inverse.poses import PoseError, deviation, registered, slopes
+from thermorender.inverse.spread import Drawn, Draws, Spread, spread_of
 from thermorender.inverse.weights import Lattice, Sight, Viewer, bilinear, moved, reach_px, sharpened, taps_of
+from thermorender.render.light.exchange import threads
 from thermorender.sensor.camera import Camera
 
 if TYPE_CHECKING:
@@ -24,10 +26,13 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Image = NDArray[np.float32]
 Progress = Callable[[str, float], object]
+_T = TypeVar("_T")
 # Residuals beyond so many standard deviations lose weight.
 _OUTLIER = 4.0
 # Terms of the blur's inverse in a step, and frames that its width is taken from.
 TERMS, _SAMPLED = 3, 5
+# Frames under way at the same time.
+_UNDER_WAY = 3
 # Powers of the radius of the vignetting.
 _POWERS = (2, 4, 6)
 
@@ -159,14 +164,17 @@ class Problem:
         camera = binned_camera(self.camera, factor)
         viewer = Viewer(self.viewer.renderer, camera, self.viewer.lattice)
         lens = (state.vignette @ self.vignetting).reshape(state.pattern.shape) + state.pattern
+        error = self.settings.pose_error
+
+        def found(number: int) -> Floats:
+            small = binned(self.images[number] - lens, factor).astype(np.float32)
+            return registered(viewer, state.map, small, state.poses[number], self.poses[number], error, search)
+
         poses = state.poses.copy()
-        for number, image in enumerate(self.images):
-            small = binned(image - lens, factor).astype(np.float32)
-            poses[number] = registered(
-                viewer, state.map, small, poses[number], self.poses[number], self.settings.pose_error, search
-            )
+        for number, pose in enumerate(_ahead(found, len(poses))):
+            poses[number] = pose
             if progress is not None:
-                progress("registering the frames", (number + 1) / len(self.images))
+                progress("registering the frames", (number + 1) / len(poses))
         return replace(state, poses=poses)
 
     def round(self, state: State, free: bool | None = None, progress: Progress | None = None) -> State:
@@ -187,57 +195,89 @@ class Problem:
     def _round(
         self, state: State, free: bool, progress: Progress | None, draws: Draws | None = None
     ) -> tuple[State, Normal]:
-        normal, fits, noise_k = self._equations(state, free, progress, draws)
+        normal, noise_k = self._equations(state, free, progress, draws)
         gradient = normal.gradient(state.map - self.prior.mean, state.classes, state.vignette)
         (found,), _ = normal.solved(gradient)
-        return self._updated(state, found, free, fits, noise_k), normal
+        return self._updated(state, found, free, noise_k), normal
 
     def _equations(
         self, state: State, free: bool, progress: Progress | None, draws: Draws | None = None
-    ) -> tuple[Normal, list["_Fit"], float]:  # fmt: skip
-        """(Normal, residuals of the frames, standard deviation of the residuals)."""
+    ) -> tuple[Normal, float]:  # fmt: skip
+        """(Normal, standard deviation of the residuals)."""
         settings = self.settings
         own = np.concatenate([[1.0 / settings.offset_k**2], settings.pose_error.precision if free else []])
         terms = np.full(len(self.vignetting), 1.0 / settings.vignette_k**2)
         normal = Normal(self.prior, own, terms)
         right, down = slopes(state.map)
-        fits, spreads = list[_Fit](), list[float]()
-        for number in range(len(self.images)):
-            sight = self.viewer.sight(state.poses[number])
-            measured = self.images[number].ravel()[sight.pixel].astype(np.float64)
-            residual = measured - self.predicted(state, number, sight)
-            known = np.isfinite(residual)
-            if not known.all():
-                sight, residual = sight.chosen(known), residual[known]
-            steep = np.hypot(sight.at(right), sight.at(down))
-            level = float(np.median(residual)) if residual.size else 0.0
-            precision, spread = _precision(residual - level, steep, state.noise_k, settings.noise_k)
-            spreads.append(spread)
-            if settings.pattern_k > 0.0 and state.rounds > 0:
-                fits.append(_Fit.of(sight, residual, precision))
-            columns, away = np.ones((1, residual.size)), np.array([state.offsets[number]])
+        slope = np.hypot(right, down)
+
+        def summed(number: int) -> tuple[Sums, Drawn | None, float]:
+            sight, residual, precision, spread = self._measured(state, number, slope)
+            columns = np.ones((1, residual.size))
             if free:
-                columns = np.concatenate([columns, pose_columns(sight, right, down)])
+                columns = np.concatenate([columns, sight.motion(sight.at(right), sight.at(down))])
+            given = residual, precision, columns, self.vignetting[:, sight.pixel]
+            seen = footprint(sight)
+            drawn = draws.of_frame(number, seen, sight.pixel, *given) if draws is not None else None
+            return Sums.of(seen, *given), drawn, spread
+
+        spreads = list[float]()
+        for number, (sums, drawn, spread) in enumerate(_ahead(summed, len(self.images))):
+            spreads.append(spread)
+            away = np.array([state.offsets[number]])
+            if free:
                 away = np.concatenate([away, deviation(state.poses[number], self.poses[number])])
-            lens = self.vignetting[:, sight.pixel]
-            cells = normal.add(sight, residual, precision, columns, lens, away)
-            if draws is not None:
-                draws.add(cells, sight.pixel, precision, columns, lens)
-                draws.add_half(number, sight, residual, precision)
+            normal.add(sums, away)
+            if draws is not None and drawn is not None:
+                draws.add(number, drawn, sums)
             if progress is not None:
                 progress("solving the map", (number + 1) / (len(self.images) + 1))
-        return normal, fits, float(np.median(spreads))
+        return normal, float(np.median(spreads))
 
-    def _updated(
-        self, state: State, found: Unknowns, free: bool, fits: list["_Fit"], noise_k: float
-    ) -> State:  # fmt: skip
+    def _measured(self, state: State, number: int, slope: Floats) -> tuple[Sight, Floats, Floats, float]:
+        """(pixels of a frame, their residuals, 1 over their variances, standard deviation of the residuals).
+
+        `slope` (h, w) is that of the state's map.
+        """
+        sight = self.viewer.sight(state.poses[number])
+        measured = self.images[number].ravel()[sight.pixel].astype(np.float64)
+        residual = measured - self.predicted(state, number, sight)
+        known = np.isfinite(residual)
+        if not known.all():
+            sight, residual = sight.chosen(known), residual[known]
+        steep = sight.at(slope)
+        level = float(np.median(residual)) if residual.size else 0.0
+        precision, spread = _precision(residual - level, steep, state.noise_k, self.settings.noise_k)
+        return sight, residual, precision, spread
+
+    def _common(self, state: State, step: Floats) -> Floats:
+        """The part of the residuals that is common to all frames after a step of the map, (H, W).
+
+        Before the step, map and pattern would both take what either of them explains, and alternate without an end
+        where the frames stand on a grid. The residuals are made again: keeping them takes more memory than all else.
+        """
+        slope = np.hypot(*slopes(state.map))
+
+        def left(number: int) -> Floats:
+            sight, residual, precision, _ = self._measured(state, number, slope)
+            found = np.zeros((2, state.pattern.size))
+            found[:, sight.pixel] = precision * (residual - bilinear(step, sight.row, sight.column)), precision
+            return found
+
+        total, weights = np.zeros(state.pattern.size), np.full(state.pattern.size, 1.0 / self.settings.pattern_k**2)
+        for rest, precision in _ahead(left, len(self.images)):
+            total += rest
+            weights += precision
+        return (total / weights).reshape(state.pattern.shape)
+
+    def _updated(self, state: State, found: Unknowns, free: bool, noise_k: float) -> State:
         settings = self.settings
         poses = state.poses
         if free:
             poses = np.array([moved(pose, step[1:]) for pose, step in zip(poses, found.frames, strict=True)])
         made = state.pattern
-        if fits:
-            made = _without(made + _common(fits, found.map, settings.pattern_k, made.shape), self.vignetting)
+        if settings.pattern_k > 0.0 and state.rounds > 0:
+            made = _without(made + self._common(state, found.map), self.vignetting)
         made_map = state.map + sharpened(found.map, self.reach, TERMS)
         return State(
             made_map, state.classes + found.classes, state.offsets + found.frames[:, 0],
@@ -245,34 +285,17 @@ class Problem:
         )  # fmt: skip
 
 
-class _Fit(NamedTuple):
-    """Residuals of a frame's pixels before a solution, their places on the map, and 1 over their variances."""
-
-    pixel: NDArray[np.int32]
-    row: Image
-    column: Image
-    residual: Image
-    precision: Image
-
-    @classmethod
-    def of(cls, sight: Sight, residual: Floats, precision: Floats) -> "_Fit":
-        """Return the _Fit of a frame's N pixels, in single precision to save memory."""
-        parts = (np.asarray(each, np.float32) for each in (sight.row, sight.column, residual, precision))
-        return cls(sight.pixel.astype(np.int32), *parts)
-
-
-def _common(fits: list[_Fit], step: Floats, pattern_k: float, shape: tuple[int, int]) -> Floats:
-    """The part of the residuals that is common to all frames after a step of the map, (H, W).
-
-    Before the step, map and pattern would both take what either of them explains, and alternate without an end where
-    the frames stand on a grid.
-    """
-    total, weights = np.zeros(shape[0] * shape[1]), np.full(shape[0] * shape[1], 1.0 / pattern_k**2)
-    for fit in fits:
-        rest = fit.precision * (fit.residual - bilinear(step, fit.row, fit.column))
-        total += np.bincount(fit.pixel, rest, total.size)
-        weights += np.bincount(fit.pixel, fit.precision, total.size)
-    return (total / weights).reshape(shape)
+def _ahead(job: Callable[[int], _T], count: int) -> Iterator[_T]:
+    """Yield the results of a job for 0…count−1 in order, with the next ones under way in threads."""
+    with threads() as pool:
+        coming = deque(pool.submit(job, number) for number in range(min(_UNDER_WAY, count)))
+        for number in range(_UNDER_WAY, count + _UNDER_WAY):
+            if not coming:
+                return
+            result = coming.popleft().result()
+            if number < count:
+                coming.append(pool.submit(job, number))
+            yield result
 
 
 def _precision(residual: Floats, steep: Floats, before_k: float, least_k: float) -> tuple[Floats, float]:

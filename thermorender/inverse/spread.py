@@ -9,14 +9,15 @@ of all texels is removed, because no frame shows it.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.optimize import nnls
 
-from thermorender.inverse.normal import Cells, Normal, Prior, Unknowns
-from thermorender.inverse.weights import Sight, sharpened
+from thermorender.inverse.normal import Footprint, Normal, Prior, Sums, Unknowns
+from thermorender.inverse.weights import sharpened
 
 Floats = NDArray[np.float64]
 # Draws, how many are solved together, and width of the smoothing of their variance [texels].
@@ -64,6 +65,19 @@ class Spread:
     groups: int = 1
 
 
+class Drawn(NamedTuple):
+    """Right-hand sides of a frame's draws: on its window (DRAWS, …), of its own and of the common parameters.
+
+    Then come the numbers of pixels on each texel and the sums of the squares of their residuals.
+    """
+
+    maps: Floats
+    frames: Floats
+    common: Floats
+    pixels: Floats
+    square: Floats
+
+
 class Draws:
     """Right-hand sides of the normal equations by random noise, of which the solutions have the covariance H⁻¹.
 
@@ -80,43 +94,49 @@ class Draws:
     """
 
     def __init__(self, prior: Prior, common: int, offset_precision: float, pattern_k: Floats, seed: int = 0) -> None:
-        shape, classes = prior.mean.shape, prior.count
+        shape, self._seed = prior.mean.shape, seed
         self._rng = np.random.default_rng(seed)
-        self._pattern = [(pattern_k * self._rng.standard_normal(pattern_k.size)).astype(np.float32)
-                         for _ in range(DRAWS)]  # fmt: skip
+        self._pattern = pattern_k.astype(np.float32) * self._rng.standard_normal(
+            (DRAWS, pattern_k.size), dtype=np.float32
+        )
         self._map = np.zeros((DRAWS, *shape))
         self._frames: list[Floats] = []
-        self._common, self._classes = np.zeros((DRAWS, common)), np.zeros((DRAWS, classes))
+        self._common = np.zeros((DRAWS, common))
         self.views = np.zeros(shape, np.int32)
         self._square, self._count = np.zeros(shape), np.zeros(shape)
         self._group = np.full(shape, -1)
         offset = np.array([offset_precision])
         self.halves = tuple(Normal(prior, offset, np.zeros(0)) for _ in range(2))
 
-    def add(self, cells: Cells, pixel: NDArray[np.int64], precision: Floats, own: Floats, common: Floats) -> None:
-        """Add a frame, as by `Normal.add`, with the numbers of its pixels."""
-        root, frames = np.sqrt(precision), []
-        for number in range(DRAWS):
-            noise = root * (2.0 * self._rng.integers(0, 2, precision.size, dtype=np.int8) - 1.0)
-            noise += precision * self._pattern[number][pixel]
-            self._map[number][cells.window] += cells.gathered(noise)
-            frames.append(own @ noise)
-            self._common[number] += common @ noise
-        self._frames.append(np.array(frames))
+    def of_frame(
+        self, number: int, seen: Footprint, pixel: NDArray[np.int64], residual: Floats, precision: Floats, own: Floats,
+        common: Floats,
+    ) -> "Drawn":  # fmt: skip
+        """Return what a frame adds, with arguments as of `Sums.of` and the numbers of its pixels."""
+        rng = np.random.default_rng((self._seed, number))
+        signs = 2.0 * rng.integers(0, 2, (DRAWS, precision.size), dtype=np.int8) - 1.0
+        noise = np.sqrt(precision) * signs + precision * self._pattern[:, pixel]
+        *maps, count, square = seen.gathered(np.concatenate([noise, [np.ones_like(residual), residual**2]]))
+        return Drawn(np.array(maps), noise @ own.T, noise @ common.T, count, square)
 
-    def add_half(self, number: int, sight: Sight, residual: Floats, precision: Floats) -> None:
-        """Add the residuals of a frame's pixels, to the half of the frames with even or odd numbers."""
-        one, none = np.ones((1, residual.size)), np.zeros((0, residual.size))
-        cells = self.halves[number % 2].add(sight, residual, precision, one, none, np.zeros(1))
-        count = cells.gathered(np.ones(residual.size))
-        shown, group = count > 0.0, self._group
-        self.views[cells.window] += shown
+    def add(self, number: int, drawn: "Drawn", sums: Sums) -> None:
+        """Add a frame, also to the half of the frames with even or odd numbers."""
+        self.halves[number % 2].add(sums.of_offset, np.zeros(1))
+        window = sums.block.window
+        self._map[(slice(None), *window)] += drawn.maps
+        self._frames.append(drawn.frames)
+        self._common += drawn.common
+        self._count[window] += drawn.pixels
+        self._square[window] += drawn.square
+        shown, group = drawn.pixels > 0.0, self._group
+        self.views[window] += shown
         # A frame joins all groups that it shares a texel with.
-        joined = np.unique(group[cells.window][shown])
-        group[np.isin(group, joined[joined >= 0])] = number
-        group[cells.window][shown] = number
-        self._count[cells.window] += count
-        self._square[cells.window] += cells.gathered(residual**2)
+        joined = np.unique(group[window][shown])
+        joined = joined[joined >= 0]
+        if joined.size > 1 or not joined.size:
+            group[np.isin(group, joined)] = number
+            joined = np.array([number])
+        group[window][shown] = joined[0]
 
     @property
     def groups(self) -> int:

@@ -5,6 +5,7 @@ affine function of the ray, so the pixel's area, the blur of the lens and a smal
 
 """
 
+import threading
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -222,7 +223,8 @@ class Sight:
 
     def chosen(self, which: NDArray[np.bool_]) -> "Sight":
         """Return the Sight of some of the pixels."""
-        return Sight(*(values[..., which] for values in vars(self).values()))
+        kept = np.flatnonzero(which)
+        return Sight(*(values.take(kept, axis=-1) for values in vars(self).values()))
 
 
 class Viewer:
@@ -237,6 +239,7 @@ class Viewer:
 
     def __init__(self, renderer: "Renderer", camera: Camera, lattice: Lattice) -> None:
         self.renderer, self.camera, self.lattice = renderer, camera, lattice
+        self._casting = threading.Lock()
         self._blur = blur_of(camera) if camera.diffraction or camera.defocus_um or camera.blur_sigma_px else None
         self._terrain = sum(len(surface.faces) for surface in renderer.scene.surfaces[: renderer.scene.terrain_count])
         own = renderer.face_maps[: self._terrain].astype(np.float64) / lattice.scene_texels
@@ -261,7 +264,8 @@ class Viewer:
         """Return the Sight of a frame taken from a pose, (4, 4) world_from_camera."""
         turn, origin = pose[:3, :3].astype(np.float32), pose[:3, 3]
         direction = self._direction @ pose[:3, :3].T
-        distance, face = self.renderer.faces(np.broadcast_to(origin, direction.shape), direction)
+        with self._casting:
+            distance, face = self.renderer.faces(np.broadcast_to(origin, direction.shape), direction)
         pixel = np.flatnonzero(self._apart((face >= 0) & (face < self._terrain), face >= self._terrain))
         way = direction[pixel].T.astype(np.float32)
         length = self._length[pixel]
