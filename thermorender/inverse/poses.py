@@ -5,6 +5,7 @@ then divide the correction between position and angles by how well each of them 
 the map may be a prior whose contrast differs from that of the frames.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +22,8 @@ _LEVELS = ((4.0, 4), (2.0, 3), (1.0, 3))
 _REACH = 3.0
 # Lowest correlation of a shift that is believed.
 _LEAST_ALIKE = 0.2
+# Features with a smaller standard deviation are constant, and share of its variance that a feature loses in a fit.
+_FLAT, _RIDGE = 1e-6, 1e-4
 # Structure coarser than this is left out of the search, as share of the image's height.
 _COARSEST = 1.0 / 6.0
 
@@ -75,6 +78,43 @@ def registered(
             if np.abs(step * np.sqrt(error.precision)).max() < 1e-4:
                 break
     return pose
+
+
+def explained(
+    viewer: Viewer, images: Sequence[Image], poses: Floats, features: Floats, lens: Floats, error: PoseError
+) -> Floats:  # fmt: skip
+    """Return the combination of features (K, h, w), a map without level, that explains the images of frames best.
+
+    Each image has its own level, and all have the terms `lens` (V, H·W) in common. The features are smoothed by the
+    error of the poses for the fit: what is finer would seem to explain nothing.
+    """
+    import cv2
+
+    spread = [feature.std() for feature in features]
+    features = np.array([
+        (feature - feature.mean()) / each for feature, each in zip(features, spread, strict=True) if each > _FLAT
+    ])  # fmt: skip
+    if not len(features):
+        return np.zeros(viewer.lattice.shape)
+    size = len(features) + len(lens)
+    matrix, pull, smooth = np.zeros((size, size)), np.zeros(size), None
+    for image, pose in zip(images, poses, strict=True):
+        sight = viewer.sight(pose)
+        known = np.isfinite(image.ravel()[sight.pixel])
+        if not known.any():
+            continue
+        if smooth is None:
+            away = np.hypot(
+                error.position_m, np.radians(error.angle_deg) * np.median(np.linalg.norm(sight.ray, axis=0))
+            )
+            width = max(float(away) / viewer.lattice.texel_m, 0.1)
+            smooth = [cv2.GaussianBlur(feature, (0, 0), width) for feature in features]
+        columns = np.array([*(sight.at(each) for each in smooth), *lens[:, sight.pixel]])[:, known]
+        columns -= columns.mean(axis=1, keepdims=True)
+        matrix += columns @ columns.T
+        pull += columns @ image.ravel()[sight.pixel[known]]
+    factors = np.linalg.solve(matrix + np.diag(_RIDGE * matrix.diagonal() + 1e-12), pull)
+    return np.asarray(np.tensordot(factors[: len(features)], features, axes=1))
 
 
 def deviation(pose: Floats, measured: Floats) -> Floats:

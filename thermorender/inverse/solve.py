@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.inverse.normal import Normal, Prior, Sums, Unknowns, footprint
-from thermorender.inverse.poses import PoseError, deviation, registered, slopes
+from thermorender.inverse.poses import PoseError, deviation, explained, registered, slopes
 from thermorender.inverse.spread import Drawn, Draws, Spread, spread_of
 from thermorender.inverse.weights import Lattice, Sight, Viewer, bilinear, moved, reach_px, sharpened, taps_of
 from thermorender.render.light.exchange import threads
@@ -156,19 +156,22 @@ class Problem:
         around = self.images[number] - own.reshape(state.pattern.shape)
         return self.viewer.imaged(sight, state.map, self.taps, around) + own[sight.pixel]
 
-    def register(self, state: State, search: bool = True, progress: Progress | None = None) -> State:
-        """Return the State with each frame registered to its map, by images of a quarter of the pixels a side."""
+    def register(self, state: State, progress: Progress | None = None) -> State:
+        """Return a State at the start with each frame registered, by images of a quarter of the pixels a side.
+
+        Frames are registered to what prior and orthophoto together explain of them: the prior may lack the contrasts
+        of that day.
+        """
         if not self.free:
             return state
         factor = max(1, round(self.camera.width / 160))
         camera = binned_camera(self.camera, factor)
         viewer = Viewer(self.viewer.renderer, camera, self.viewer.lattice)
-        lens = (state.vignette @ self.vignetting).reshape(state.pattern.shape) + state.pattern
-        error = self.settings.pose_error
+        error, images = self.settings.pose_error, [binned(each, factor).astype(np.float32) for each in self.images]
+        values = explained(viewer, images, state.poses, self._features(state.map), vignetting(camera), error)
 
         def found(number: int) -> Floats:
-            small = binned(self.images[number] - lens, factor).astype(np.float32)
-            return registered(viewer, state.map, small, state.poses[number], self.poses[number], error, search)
+            return registered(viewer, values, images[number], state.poses[number], self.poses[number], error)
 
         poses = state.poses.copy()
         for number, pose in enumerate(_ahead(found, len(poses))):
@@ -176,6 +179,14 @@ class Problem:
             if progress is not None:
                 progress("registering the frames", (number + 1) / len(poses))
         return replace(state, poses=poses)
+
+    def _features(self, values: Floats) -> Floats:
+        """A map and the orthophoto's colours with their products, (K, h, w)."""
+        colour = self.viewer.renderer.scene.surfaces[0].colour
+        red, green, blue = (self.viewer.lattice.of_scene(colour[..., band] / 255.0) for band in range(3))
+        return np.array([
+            values, red, green, blue, red * red, green * green, blue * blue, red * green, red * blue, green * blue,
+        ])  # fmt: skip
 
     def round(self, state: State, free: bool | None = None, progress: Progress | None = None) -> State:
         """Return the State after one joint solution of map, offsets, vignetting, classes and, if `free`, poses."""
