@@ -213,6 +213,27 @@ def test_poses_are_registered_to_the_orthophoto_where_the_prior_has_no_contrast(
     assert ground_error(found, clean.poses, renderer) < 0.15
 
 
+def test_tilts_of_frames_are_found_where_they_exceed_the_noise(survey):
+    scene, clean, truth, _ = survey
+    flown, offsets = with_errors(clean)
+    _, height, width = flown.kelvin.shape
+    given = np.random.default_rng(7).normal(0.0, 0.6, (len(offsets), 2))
+    down, right = np.meshgrid(*((2.0 * np.arange(side) + 1.0) / side - 1.0 for side in (height, width)), indexing="ij")
+    planes = given[:, :1, None] * right + given[:, 1:, None] * down
+    settings = Settings(texel_m=1.0, rounds=4, pose_error=PoseError(0.0, 0.0), noise_k=NOISE_K)
+    found = reconstruct(
+        scene.with_temperature("balance"), replace(flown, kelvin=(flown.kelvin + planes).astype(np.float32)),
+        settings=settings,
+    )  # fmt: skip
+    assert 0.3 < found.state.tilt_k < 0.6
+    # Lines run east: tilts to the right that grow along them look like a curved scene. Tilts down do not.
+    assert np.std(found.state.tilts - given, axis=0)[1] < 0.15
+    assert np.abs(errors(found, truth)[0]).mean() < 0.22
+    without = reconstruct(scene.with_temperature("balance"), flown, settings=settings)
+    assert without.state.tilt_k == 0.0
+    assert not without.state.tilts.any()
+
+
 def test_a_reference_fixes_the_common_level(survey):
     scene, clean, truth, _ = survey
     flown, _ = with_errors(clean)

@@ -26,7 +26,8 @@ def write_page(found: Reconstruction, folder: Path) -> Path:
         f"standard deviation of a texel {facts['std_median_k']:.3f} K in the median, without the common level",
         f"common level ± {facts['level_std_k']:.2f} K, from {facts['level_of']}",
         f"noise of a pixel {facts['noise_k']:.3f} K; error of the positions {facts['position_error_m']:.3f} m",
-        f"offsets of the frames ± {facts['offsets_std_k']:.3f} K; vignetting and shading {facts['vignetting_k']:.2f} K",
+        f"offsets of the frames ± {facts['offsets_std_k']:.3f} K, tilts ± {facts['tilts_rms_k']:.3f} K; vignetting and "
+        f"shading {facts['vignetting_k']:.2f} K",
         f"poses moved by {facts['poses_moved_m']:.2f} m and turned by {facts['poses_turned_deg']:.2f}° on average",
     ]
     unknown = "".join(f"<li>{text(note)}</li>" for note in found.notes)

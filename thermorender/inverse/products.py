@@ -66,7 +66,7 @@ def record(found: Reconstruction) -> dict[str, Any]:
         "level_k": found.level_k, "level_std_k": found.level_std_k, "level_of": "references" if found.references else
         "the camera's accuracy",
         "references": [{"name": name, "residual_k": value} for name, value in found.references],
-        "offsets_std_k": float(found.state.offsets.std()),
+        "offsets_std_k": float(found.state.offsets.std()), "tilts_rms_k": found.state.tilt_k,
         "vignetting_k": float(np.ptp(lens_of(found))),
         "poses_moved_m": float(np.linalg.norm(moved[:, :3], axis=1).mean()),
         "poses_turned_deg": float(np.degrees(np.linalg.norm(moved[:, 3:], axis=1)).mean()),
@@ -111,8 +111,10 @@ def _rounded(values: dict[str, float], digits: int) -> dict[str, float]:
 
 def _offsets(found: Reconstruction) -> list[dict[str, Any]]:
     return [
-        {"frame": name, "time": time, "offset_k": round(float(offset), 5)}
-        for name, time, offset in zip(found.survey.names, found.survey.times, found.state.offsets, strict=True)
+        {"frame": name, "time": time} | _rounded({"offset_k": offset, "tilt_right_k": right, "tilt_down_k": down}, 5)
+        for name, time, offset, (right, down) in zip(
+            found.survey.names, found.survey.times, found.state.offsets, found.state.tilts, strict=True
+        )
     ]
 
 

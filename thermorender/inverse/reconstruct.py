@@ -35,7 +35,7 @@ _REACH = 3.0
 # Rounds on all pixels, the last included; those before them take means of pixels.
 _FULL = 2
 # Files of states have a form of their own.
-_FORM = 1
+_FORM = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +155,7 @@ def reconstruct(
         survey, camera, settings, lattice, apparent, np.where(seen, spread.std * per_linear, np.nan),
         np.where(trusted, found, np.nan), np.where(trusted, spread.std * np.abs(change), np.nan), spread.views,
         np.where(seen, spread.residual, np.nan), linear.kelvin(light.apparent), state, spread, shift, level_std,
-        residuals, (*survey.notes, *_notes(survey, blind, spread.groups, references)), renderer, light,
+        residuals, (*survey.notes, *_notes(survey, blind, spread.groups, state.tilt_k, references)), renderer, light,
     )  # fmt: skip
 
 
@@ -230,11 +230,14 @@ def _kept(path: Path, key: dict[str, Any]) -> State | None:
         raise ThermorenderError(
             f"{path} belongs to other frames, poses or settings, or is damaged; give another folder, or remove it"
         )
-    noise_k, rounds = float(found.pop("noise_k")), int(found.pop("rounds"))
-    return State(**found, noise_k=noise_k, rounds=rounds)
+    tilt_k, noise_k = (float(found.pop(name)) for name in ("tilt_k", "noise_k"))
+    rounds = int(found.pop("rounds"))
+    return State(**found, tilt_k=tilt_k, noise_k=noise_k, rounds=rounds)
 
 
-def _notes(survey: Survey, blind: Sequence[int], groups: int, references: Sequence[Any]) -> list[str]:
+def _notes(
+    survey: Survey, blind: Sequence[int], groups: int, tilt_k: float, references: Sequence[Any]
+) -> list[str]:  # fmt: skip
     """Sentences on what the frames cannot show."""
     notes = []
     if blind:
@@ -247,6 +250,11 @@ def _notes(survey: Survey, blind: Sequence[int], groups: int, references: Sequen
         notes.append(
             f"the frames are {groups} groups that share no texel: the scene's own temperatures alone set the level of "
             "each group, and the standard deviations leave it out; fly lines that overlap"
+        )
+    if tilt_k > 0.0:
+        notes.append(
+            f"from the middle to the edge, frames differ from the map by {tilt_k:.2f} K: the ground changed between "
+            "passes, or the camera drifted; the map is a mean over the flight"
         )
     if not references:
         notes.append("no reference fixes the common level: all temperatures may be off by one number, stated as level")

@@ -82,6 +82,10 @@ class State:
         Offsets of the classes of the prior [K].
     offsets : (F,) float64
         Of the frames [K].
+    tilts : (F, 2) float64
+        Change of a frame's offset from the middle to the right and to the lower edge [K].
+    tilt_k : float
+        Standard deviation of the tilts, by the residuals; 0 in the first rounds [K].
     vignette : (V,) float64
         Terms of the vignetting, each with its value at the corner [K].
     pattern : (H, W) float64
@@ -96,6 +100,8 @@ class State:
     map: Floats
     classes: Floats
     offsets: Floats
+    tilts: Floats
+    tilt_k: float
     vignette: Floats
     pattern: Floats
     poses: Floats
@@ -128,7 +134,7 @@ class Problem:
         self.camera, self.images, self.poses, self.prior, self.settings = camera, images, poses, prior, settings
         self.viewer = Viewer(renderer, camera, lattice)
         self.taps = taps_of(settings.taps)
-        self.vignetting = vignetting(camera)
+        self.vignetting, self.tilting = vignetting(camera), tilting(camera)
         self.reach = self._reach_texels()
         self.free = settings.pose_error.position_m > 0.0 or settings.pose_error.angle_deg > 0.0
 
@@ -146,13 +152,14 @@ class Problem:
         offsets = np.zeros(count)
         blank = np.zeros((self.camera.height, self.camera.width))
         return State(
-            self.prior.mean.copy(), np.zeros(self.prior.count), offsets, np.zeros(terms), blank, self.poses.copy(),
-            max(1.0, self.settings.noise_k), 0,
+            self.prior.mean.copy(), np.zeros(self.prior.count), offsets, np.zeros((count, 2)), 0.0,
+            np.zeros(terms), blank, self.poses.copy(), max(1.0, self.settings.noise_k), 0,
         )  # fmt: skip
 
     def predicted(self, state: State, number: int, sight: Sight) -> Floats:
         """Return the values of a frame's pixels, (N,), that a State predicts."""
-        own = state.offsets[number] + state.vignette @ self.vignetting + state.pattern.ravel()
+        own = state.offsets[number] + state.tilts[number] @ self.tilting
+        own += state.vignette @ self.vignetting + state.pattern.ravel()
         around = self.images[number] - own.reshape(state.pattern.shape)
         return self.viewer.imaged(sight, state.map, self.taps, around) + own[sight.pixel]
 
@@ -206,36 +213,49 @@ class Problem:
     def _round(
         self, state: State, free: bool, progress: Progress | None, draws: Draws | None = None
     ) -> tuple[State, Normal]:
-        normal, noise_k = self._equations(state, free, progress, draws)
+        settings = self.settings
+        normal, planes, noise_k = self._equations(state, free, progress, draws)
         gradient = normal.gradient(state.map - self.prior.mean, state.classes, state.vignette)
         (found,), _ = normal.solved(gradient)
-        return self._updated(state, found, free, noise_k), normal
+        made = self._updated(state, found, free)
+        # The first round has the poses of the registration, of which the errors look like tilts.
+        tilt_k = float(np.sqrt(np.mean((state.tilts + planes) ** 2))) if state.rounds > 0 else 0.0
+        made = replace(made, noise_k=max(noise_k, settings.noise_k), tilt_k=tilt_k)
+        if tilt_k < settings.noise_k:
+            # Below the noise, tilts would only share in what the offsets hold.
+            made = replace(made, tilts=np.zeros_like(state.tilts), tilt_k=0.0)
+        return made, normal
 
     def _equations(
         self, state: State, free: bool, progress: Progress | None, draws: Draws | None = None
-    ) -> tuple[Normal, float]:  # fmt: skip
-        """(Normal, standard deviation of the residuals)."""
+    ) -> tuple[Normal, Floats, float]:  # fmt: skip
+        """(Normal, tilts of the frames' residuals (F, 2), standard deviation of the residuals)."""
         settings = self.settings
-        own = np.concatenate([[1.0 / settings.offset_k**2], settings.pose_error.precision if free else []])
+        tilted = [1.0 / state.tilt_k**2] * 2 if state.tilt_k > 0.0 else []
+        own = np.concatenate([[1.0 / settings.offset_k**2], tilted, settings.pose_error.precision if free else []])
         terms = np.full(len(self.vignetting), 1.0 / settings.vignette_k**2)
         normal = Normal(self.prior, own, terms)
         right, down = slopes(state.map)
         slope = np.hypot(right, down)
 
-        def summed(number: int) -> tuple[Sums, Drawn | None, float]:
+        def summed(number: int) -> tuple[Sums, Drawn | None, Floats, float]:
             sight, residual, precision, spread = self._measured(state, number, slope)
-            columns = np.ones((1, residual.size))
+            columns = plane = np.concatenate([np.ones((1, residual.size)), self.tilting[:, sight.pixel]])
+            tilt = np.linalg.lstsq((plane * precision) @ plane.T, (plane * precision) @ residual, rcond=None)[0][1:]
+            if not tilted:
+                columns = plane[:1]
             if free:
                 columns = np.concatenate([columns, sight.motion(sight.at(right), sight.at(down))])
             given = residual, precision, columns, self.vignetting[:, sight.pixel]
             seen = footprint(sight)
             drawn = draws.of_frame(number, seen, sight.pixel, *given) if draws is not None else None
-            return Sums.of(seen, *given), drawn, spread
+            return Sums.of(seen, *given), drawn, tilt, spread
 
-        spreads = list[float]()
-        for number, (sums, drawn, spread) in enumerate(_ahead(summed, len(self.images))):
+        spreads, planes = list[float](), list[Floats]()
+        for number, (sums, drawn, tilt, spread) in enumerate(_ahead(summed, len(self.images))):
             spreads.append(spread)
-            away = np.array([state.offsets[number]])
+            planes.append(tilt)
+            away = np.array([state.offsets[number], *(state.tilts[number] if tilted else ())])
             if free:
                 away = np.concatenate([away, deviation(state.poses[number], self.poses[number])])
             normal.add(sums, away)
@@ -243,7 +263,7 @@ class Problem:
                 draws.add(number, drawn, sums)
             if progress is not None:
                 progress("solving the map", (number + 1) / (len(self.images) + 1))
-        return normal, float(np.median(spreads))
+        return normal, np.array(planes), float(np.median(spreads))
 
     def _measured(self, state: State, number: int, slope: Floats) -> tuple[Sight, Floats, Floats, float]:
         """(pixels of a frame, their residuals, 1 over their variances, standard deviation of the residuals).
@@ -281,18 +301,20 @@ class Problem:
             weights += precision
         return (total / weights).reshape(state.pattern.shape)
 
-    def _updated(self, state: State, found: Unknowns, free: bool, noise_k: float) -> State:
+    def _updated(self, state: State, found: Unknowns, free: bool) -> State:
         settings = self.settings
-        poses = state.poses
+        poses, tilts = state.poses, state.tilts
+        if state.tilt_k > 0.0:
+            tilts = tilts + found.frames[:, 1:3]
         if free:
-            poses = np.array([moved(pose, step[1:]) for pose, step in zip(poses, found.frames, strict=True)])
+            poses = np.array([moved(pose, step[-6:]) for pose, step in zip(poses, found.frames, strict=True)])
         made = state.pattern
         if settings.pattern_k > 0.0 and state.rounds > 0:
             made = _without(made + self._common(state, found.map), self.vignetting)
         made_map = state.map + sharpened(found.map, self.reach, TERMS)
         return State(
-            made_map, state.classes + found.classes, state.offsets + found.frames[:, 0],
-            state.vignette + found.common, made, poses, max(noise_k, settings.noise_k), state.rounds + 1,
+            made_map, state.classes + found.classes, state.offsets + found.frames[:, 0], tilts, state.tilt_k,
+            state.vignette + found.common, made, poses, state.noise_k, state.rounds + 1,
         )  # fmt: skip
 
 
@@ -328,6 +350,12 @@ def vignetting(camera: Camera) -> Floats:
     radius = np.hypot(column - middle[0], row - middle[1]).ravel()
     terms = np.array([(radius / radius.max()) ** power for power in _POWERS])
     return terms - terms.mean(axis=1, keepdims=True)
+
+
+def tilting(camera: Camera) -> Floats:
+    """Return the distance from the middle to the right and down, (2, H·W), 1 at the edges."""
+    row, column = np.mgrid[: camera.height, : camera.width] + 0.5
+    return np.array([2.0 * column.ravel() / camera.width - 1.0, 2.0 * row.ravel() / camera.height - 1.0])
 
 
 def _without(image: Floats, terms: Floats) -> Floats:

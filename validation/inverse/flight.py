@@ -12,7 +12,7 @@ from thermorender.inverse.pose_files import read_poses
 from thermorender.inverse.poses import PoseError, registered
 from thermorender.inverse.products import lens_of
 from thermorender.inverse.reconstruct import reconstruct
-from thermorender.inverse.solve import Settings, binned, binned_camera
+from thermorender.inverse.solve import Settings, binned, binned_camera, tilting
 from thermorender.inverse.weights import Viewer, taps_of
 from thermorender.scene.import_terrain import import_terrain
 from thermorender.scene.load import load_scene
@@ -73,9 +73,13 @@ def split(scene, camera, survey: Survey, which: int, texel_m: float = 0.12, roun
         "reconstruction": (np.where(found.views > 0, found.state.map, np.nan), own),
     }
     result: dict = {name: [] for name in maps}
-    for image, pose in zip(survey.kelvin[held], survey.poses[held], strict=True):
+    number = np.array([int(name[-4:]) for name in survey.names])
+    for image, pose, at in zip(survey.kelvin[held], survey.poses[held], number[held], strict=True):
+        # Frames before and after a held-out frame know its tilt.
+        tilts = [np.interp(at, number[~held], each) for each in found.state.tilts.T]
         for name, (values, shade) in maps.items():
-            result[name].append(_miss(viewer, values, linear.of(image) - shade, pose))
+            tilt = (tilts @ tilting(camera)).reshape(own.shape) if name == "reconstruction" else nothing
+            result[name].append(_miss(viewer, values, linear.of(image) - shade - tilt, pose))
     total = {name: float(np.sqrt(np.nanmean(np.square(each)))) for name, each in result.items()}
     return total | {"frames": dict(zip(np.array(survey.names)[held].tolist(), result["reconstruction"], strict=True))}
 
