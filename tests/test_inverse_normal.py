@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from thermorender.inverse.normal import Normal, Prior, Stencil, Sums, Unknowns, footprint, links
-from thermorender.inverse.weights import Sight
+from thermorender.inverse.weights import Sight, bilinear, texel_means
 
 SHAPE = (7, 6)
 
@@ -102,3 +102,12 @@ def test_solutions_found_together_are_those_found_alone():
     found, _ = normal.solved(gradient, nothing, doubled, tolerance=1e-9)
     for one, factor in zip(found, (1.0, 0.0, 2.0), strict=True):
         np.testing.assert_allclose(flat(one), factor * expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_texel_means_are_those_of_the_bilinear_map_at_the_scene_s_texels(count):
+    values = np.random.default_rng(4).normal(size=SHAPE)
+    fine = (np.arange(count) + 0.5) / count - 0.5
+    row, column = (3 + fine)[:, None] + 0.0 * fine, (2 + fine)[None, :] + 0.0 * fine[:, None]
+    expected = bilinear(values, row.ravel(), column.ravel()).mean()
+    assert abs(texel_means(values, float(count))[3, 2] - expected) < 1e-12

@@ -20,7 +20,7 @@ from thermorender.inverse.linear import LinearKelvin
 from thermorender.inverse.normal import Prior
 from thermorender.inverse.solve import Problem, Settings, State, binned, binned_camera, window_of
 from thermorender.inverse.spread import Spread
-from thermorender.inverse.weights import Lattice, Viewer
+from thermorender.inverse.weights import Lattice, Viewer, texel_means
 from thermorender.scene.scene import Scene
 from thermorender.sensor.camera import Camera
 
@@ -142,14 +142,15 @@ def reconstruct(
     state, spread = problem.last_round(state, progress)
     shift, level_std, residuals = 0.0, settings.level_k, list[tuple[str, float]]()
     seen = spread.views > 0
+    means = texel_means(state.map, lattice.scene_texels)
     if references:
         shift, level_std, residuals = level.shift_of(
-            list(references), state.map, spread.std, seen, light, renderer, lattice, linear
+            list(references), means, spread.std, seen, light, renderer, lattice, linear
         )
-        state = replace(state, map=state.map + shift, offsets=state.offsets - shift)
-    apparent = np.where(seen, linear.kelvin(state.map), np.nan)
+        state, means = replace(state, map=state.map + shift, offsets=state.offsets - shift), means + shift
+    apparent = np.where(seen, linear.kelvin(means), np.nan)
     per_linear = linear.kelvin_per_linear(np.where(seen, apparent, linear.reference_k))
-    found, change, trusted = kinetic_of(np.where(seen, state.map, np.nan), light, renderer, linear)
+    found, change, trusted = kinetic_of(np.where(seen, means, np.nan), light, renderer, linear)
     trusted &= seen
     return Reconstruction(
         survey, camera, settings, lattice, apparent, np.where(seen, spread.std * per_linear, np.nan),

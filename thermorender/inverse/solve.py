@@ -16,7 +16,17 @@ from thermorender.errors import ThermorenderError
 from thermorender.inverse.normal import Normal, Prior, Sums, Unknowns, footprint
 from thermorender.inverse.poses import PoseError, deviation, explained, registered, slopes
 from thermorender.inverse.spread import Drawn, Draws, Spread, spread_of
-from thermorender.inverse.weights import Lattice, Sight, Viewer, bilinear, moved, reach_px, sharpened, taps_of
+from thermorender.inverse.weights import (
+    Lattice,
+    Sight,
+    Viewer,
+    bilinear,
+    moved,
+    reach_px,
+    sharpened,
+    taps_of,
+    texel_means,
+)
 from thermorender.render.light.exchange import threads
 from thermorender.sensor.camera import Camera
 
@@ -77,7 +87,7 @@ class State:
     Attributes
     ----------
     map : (h, w) float64
-        Linear kelvin.
+        Linear kelvin at the middles of the texels; between them the map is bilinear.
     classes : (C,) float64
         Offsets of the classes of the prior [K].
     offsets : (F,) float64
@@ -207,8 +217,9 @@ class Problem:
         left = np.sqrt(1.0 / (known + 1.0 / settings.pattern_k**2)) if settings.pattern_k > 0.0 else 0.0 * known
         draws = Draws(self.prior, len(self.vignetting), 1.0 / settings.offset_k**2, left)
         state, normal = self._round(state, self.free, progress, draws)
-        slope, terms = np.hypot(*slopes(state.map)), TERMS * state.rounds
-        return state, spread_of(normal, draws, slope, self.reach, terms, settings.noise_k)
+        side, terms = self.viewer.lattice.scene_texels, TERMS * state.rounds
+        slope = np.hypot(*slopes(texel_means(state.map, side)))
+        return state, spread_of(normal, draws, slope, self.reach, terms, side, settings.noise_k)
 
     def _round(
         self, state: State, free: bool, progress: Progress | None, draws: Draws | None = None

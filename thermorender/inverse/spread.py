@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.optimize import nnls
 
 from thermorender.inverse.normal import Footprint, Normal, Prior, Sums, Unknowns
-from thermorender.inverse.weights import sharpened
+from thermorender.inverse.weights import sharpened, texel_means
 
 Floats = NDArray[np.float64]
 # Draws, how many are solved together, and width of the smoothing of their variance [texels].
@@ -161,7 +161,7 @@ class Draws:
 
 
 def spread_of(
-    normal: Normal, draws: Draws, slope: Floats, reach: float, terms: int, noise_k: float
+    normal: Normal, draws: Draws, slope: Floats, reach: float, terms: int, side: float, noise_k: float
 ) -> Spread:  # fmt: skip
     """Return the Spread of a solution.
 
@@ -174,6 +174,8 @@ def spread_of(
         Of the map [K/texel].
     reach, terms : float, int
         As of `weights.sharpened`, over all rounds: removing the blur raises the noise of fine structure.
+    side : float
+        Of a texel, in texels of the scene.
     noise_k : float
         Standard deviation of a pixel's noise.
 
@@ -186,7 +188,7 @@ def spread_of(
     for first in range(0, DRAWS, _TOGETHER):
         gradients = (draws.gradient(normal, number) for number in range(first, first + _TOGETHER))
         for x in normal.solved(*gradients, tolerance=_TOLERANCE)[0]:
-            found = sharpened(x.map, reach, terms)
+            found = texel_means(sharpened(x.map, reach, terms), side)
             variance += (found - found[seen].mean()) ** 2 / DRAWS
     # Beyond the texels that are seen the variance is that of the prior, which must not leak in.
     variance = np.where(seen, _near(variance, seen, _SMOOTH), variance)
@@ -194,7 +196,7 @@ def spread_of(
     terms_of = np.stack([variance, slope**2, beyond])
     shared = np.array([1.0, 1.0, _ALIKE])[:, None, None] * terms_of
     shared[2] /= np.maximum(draws.views, 1)
-    factors = _fitted(_difference(draws, reach, terms), shared)
+    factors = _fitted(_difference(draws, reach, terms, side), shared)
     std = np.sqrt(np.tensordot(factors, terms_of, axes=1))
     scale, edge, misfit = (float(each) for each in np.sqrt(factors))
     return Spread(std, scale, edge, misfit, draws.views, draws.residual, draws.groups)
@@ -206,7 +208,7 @@ def _near(values: Floats, seen: NDArray[np.bool_], width: float) -> Floats:
     return np.asarray(gaussian_filter(np.where(seen, values, 0.0), width) / np.maximum(weight, 1e-9))
 
 
-def _difference(draws: Draws, reach: float, terms: int) -> Floats:
+def _difference(draws: Draws, reach: float, terms: int, side: float) -> Floats:
     """Half the difference of the maps of both halves, (h, w); NaN where one of them shows nothing.
 
     Its square is in the mean that of the error of the map from all frames.
@@ -221,7 +223,7 @@ def _difference(draws: Draws, reach: float, terms: int) -> Floats:
         (x,), _ = half.solved(gradient, tolerance=_TOLERANCE)
         step += sign * x.map
         both &= half.stencil.link[0] > 0.0
-    return np.where(both, sharpened(np.where(both, step, 0.0), reach, terms), np.nan)
+    return np.where(both, texel_means(sharpened(np.where(both, step, 0.0), reach, terms), side), np.nan)
 
 
 def _fitted(difference: Floats, terms: Floats) -> Floats:

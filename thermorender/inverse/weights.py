@@ -330,6 +330,19 @@ def moved(pose: Floats, step: Floats) -> Floats:
     return result
 
 
+def texel_means(values: Floats, side: float) -> Floats:
+    """Return the means (h, w) over the scene's texels in each texel of a map that is bilinear between its middles.
+
+    `side` is a texel's side in texels of the scene. For one texel of the scene the mean is the value in the middle.
+    """
+    from scipy.ndimage import convolve1d
+
+    count = max(round(side), 1)
+    away = np.abs((np.arange(count) + 0.5) / count - 0.5).mean()
+    line = np.array([0.5 * away, 1.0 - away, 0.5 * away])
+    return np.asarray(convolve1d(convolve1d(values, line, axis=0, mode="nearest"), line, axis=1, mode="nearest"))
+
+
 def sharpened(step: Floats, reach: float, terms: int) -> Floats:
     """Return a step of the map, which the matrix finds without blur, after the first terms of the blur's inverse.
 
