@@ -35,21 +35,20 @@ def main(
     results: list[dict] = []
     path = output / "inverse.json"
     with continued_results(output) as report, tempfile.TemporaryDirectory() as made:
-        for kind in kinds.split(","):
-            for seed in seeds_of(seeds):
-                folder = write(make(kind, seed), Path(made) / f"{kind}{seed}", temperature_every=1)
-                simulated = study.Simulated(folder, every, seed)
-                for number, (name, step, keys) in enumerate(_CASES[:only]):
-                    report(f"{kind} {seed}: {name}", number / len(_CASES))
-                    settings = Settings(**({"texel_m": texel_m, "pose_error": study.ERROR} | keys))
-                    results.append(simulated.case(f"{kind} {seed}, {name}", settings, step))
-                    formats.write_json(path, {"simulated": results})
         splits = {}
         if real is not None:
             scene, camera, survey = flight.read_flight(real, Path(made) / "flight")
             for which in flight.SPLITS:
                 splits[which] = flight.split(scene, camera, survey, which)
-        formats.write_json(path, {"simulated": results, "flight": splits})
+        cases = [(seed, kind) for seed in seeds_of(seeds) for kind in kinds.split(",")]
+        for done, (seed, kind) in enumerate(cases):
+            folder = write(make(kind, seed), Path(made) / f"{kind}{seed}", temperature_every=1)
+            simulated = study.Simulated(folder, every, seed)
+            for number, (name, step, keys) in enumerate(_CASES[:only]):
+                report(f"{kind} {seed}: {name}", (done + number / len(_CASES)) / len(cases))
+                settings = Settings(**({"texel_m": texel_m, "pose_error": study.ERROR} | keys))
+                results.append(simulated.case(f"{kind} {seed}, {name}", settings, step))
+                formats.write_json(path, {"simulated": results, "flight": splits})
     conclude("inverse", output, study.HEADER, study.rows(results), "numbers")
 
 
