@@ -41,6 +41,8 @@ _FLIGHT_S = 20.0
 _Bounds = tuple[float, float, float, float]
 # Name of the shapes of OpenStreetMap in the scene's folder.
 _KNOWN = "known.geojson"
+# Of a scene in three dimensions: values of `Imported` in the summary.
+_FOUND = ("buildings", "trees", "flat_outlines", "stated_walls", "unmatched")
 
 
 def import_terrain(
@@ -87,7 +89,7 @@ def import_terrain(
     known : path, optional
         GeoJSON of OpenStreetMap shapes, as `emissivity.known`; needs an orthophoto. The scene then has the materials
         that a learned map finds in the orthophoto. With `three_d` its buildings are the outlines to extrude instead,
-        and no orthophoto is needed.
+        or those of a raster of classes, and no orthophoto is needed.
     three_d : ThreeD, optional
         The scene is a mesh with walls below its roofs, and porous trees, all found in the heights. Posts of 1 m or less
         serve.
@@ -99,7 +101,8 @@ def import_terrain(
         flight_m (height of flight.csv above the ground), share_without_height, share_filled (of the posts),
         share_without_colour, share_collar (not empty, but near black or white up to the edge), share_clipped (black or
         white in some band), the last three None without orthophoto, and known, sentences on its shapes; with `three_d`
-        also buildings, trees and flat_outlines, outlines without anything as high as a building.
+        also buildings, trees, flat_outlines (without anything as high as a building), stated_walls (buildings whose
+        outlines declare their walls) and unmatched, {declared wall without a match: count}.
 
     Raises
     ------
@@ -172,7 +175,7 @@ def import_terrain(
         "height_reference_stated": stated,
         "flight_m": flight_m,
         "known": shapes,
-        **({name: getattr(solid, name) for name in ("buildings", "trees", "flat_outlines")} if solid else {}),
+        **({name: getattr(solid, name) for name in _FOUND} if solid else {}),
         "share_without_height": float(1.0 - after.mean()),
         "share_filled": float((after & ~given).mean()),
         **_colour_shares(*picture[:2] if picture else (None, None)),
