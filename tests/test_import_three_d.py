@@ -323,3 +323,10 @@ def test_a_class_of_a_raster_is_the_outline_of_buildings(terrace, tmp_path):
             import_terrain(
                 terrace / "dsm.tif", None, tmp_path / "t", known=known, three_d=ThreeD(building_class=number)
             )
+
+
+def test_a_building_of_three_corners_covers_its_posts(model):
+    corner = np.array([[4, 4], [20, 4], [4, 20]], float)
+    covered = found.inside([found.Outline([corner])], grid_of(model))
+    # Half of 16 by 16 posts, but for those on the long side.
+    assert 112 <= covered.sum() <= 136 and covered[6, 6] and not covered[18, 18]

@@ -16,7 +16,7 @@ NewFolder = Annotated[
 
 
 def import_terrain(
-    elevation: Annotated[Path, typer.Argument(help="GeoTIFF of heights, in metres or the unit it declares.")],
+    elevation: Annotated[Path, typer.Argument(help="GeoTIFF of heights in metres or the unit it declares, or LAS.")],
     output: NewFolder,
     orthophoto: Annotated[
         Path | None, typer.Argument(help="GeoTIFF in colour; without one the ground has its material's colour.")

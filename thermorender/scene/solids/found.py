@@ -158,7 +158,7 @@ def area_of(ring: Ring) -> float:
 
 def outlines_by_height(height: NDArray[np.float64], ground: NDArray[np.float64], post_m: float) -> list[Outline]:
     """Return the Outlines of buildings: high and smooth parts of the surface model."""
-    from scipy.ndimage import binary_closing, binary_dilation, binary_opening, label, uniform_filter
+    from scipy.ndimage import binary_closing, binary_dilation, binary_opening, uniform_filter
 
     above = np.nan_to_num(height - ground)
     high = above > LEAST_M
@@ -170,11 +170,18 @@ def outlines_by_height(height: NDArray[np.float64], ground: NDArray[np.float64],
     steps = max(1, round(1.5 / post_m))
     mask = binary_dilation(binary_closing(seed, np.ones((3, 3)), iterations=steps), np.ones((3, 3)), iterations=steps)
     mask &= high
+    return outlines_of(large(mask, post_m))
+
+
+def large(mask: NDArray[np.bool_], post_m: float) -> NDArray[np.bool_]:
+    """Return the parts of a mask that are as large as a building, without threads of single posts."""
+    from scipy.ndimage import binary_opening, label
+
     mask = binary_opening(mask, np.ones((3, 3)))
     parts, count = label(mask)
     size = np.bincount(parts.ravel(), minlength=count + 1) * post_m**2
-    keep = (size >= _LEAST_AREA_M2)[parts] & mask
-    return outlines_of(keep)
+    kept: NDArray[np.bool_] = (size >= _LEAST_AREA_M2)[parts] & mask
+    return kept
 
 
 def outlines_of(mask: NDArray[np.bool_]) -> list[Outline]:
@@ -198,7 +205,7 @@ def inside(outlines: Sequence[Outline], grid: Grid) -> NDArray[np.bool_]:
     """Return which posts of a grid have their middle in one of some outlines, (h, w)."""
     everywhere = slice(0, grid.height), slice(0, grid.width)
     return (
-        burnt([list(each.rings) for each in outlines], everywhere)
+        burnt([[np.append(ring, ring[:1], axis=0) for ring in each.rings] for each in outlines], everywhere)
         if outlines
         else np.zeros((grid.height, grid.width), bool)
     )

@@ -12,6 +12,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.materials.library import find, load_library
 from thermorender.scene.raster import Grid, onto
 from thermorender.scene.solids import found
+from thermorender.scene.solids.clouds import Cloud
 from thermorender.scene.solids.imported import INFERRED, PLANTS, ROOF, ROOFS, WALLS, Imported, Walls, imported
 from thermorender.scene.solids.plants import write_leaf_tables
 from thermorender.scene.solids.skin import MESH, write_skins
@@ -43,9 +44,12 @@ class ThreeD:
 
     def made(
         self, height: NDArray[np.float64], grid: Grid, post_m: float, undulation_m: float, known: Path | None,
-        picture: tuple[NDArray[np.uint8], NDArray[np.bool_], Grid] | None, material: str,
+        picture: tuple[NDArray[np.uint8], NDArray[np.bool_], Grid] | None, material: str, cloud: Cloud | None = None,
     ) -> Imported:  # fmt: skip
-        """Return the Imported world of heights above the geoid or ellipsoid; `undulation_m` lies between [m]."""
+        """Return the Imported world of heights above the geoid or ellipsoid; `undulation_m` lies between [m].
+
+        The ground and the buildings of a cloud's classes are used where no file states them.
+        """
         library = load_library()
         for name in (self.wall, *self.wall_by_kind.values()):
             find(library, name, "wall").known_thermal()
@@ -56,7 +60,12 @@ class ThreeD:
             if not np.isfinite(bare).any():
                 raise ThermorenderError(f"{self.ground} does not overlap the surface model; give one of the same area")
             bare = bare + undulation_m
+        elif cloud is not None and cloud.ground is not None:
+            bare = onto(cloud.ground, cloud.grid, grid, "average") + undulation_m
         outlines = None if known is None else self._outlines(known, grid)
+        if known is None and cloud is not None and cloud.building is not None:
+            house = onto(cloud.building.astype(np.float32), cloud.grid, grid, "nearest") == 1.0
+            outlines = found.outlines_of(found.large(house, post_m))
         walls, colour = Walls(self.wall, self.wall_by_kind), library[material].colour
         return imported(height + undulation_m, grid, post_m, bare, outlines, picture, colour, walls, library)
 
