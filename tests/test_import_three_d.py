@@ -330,3 +330,31 @@ def test_a_building_of_three_corners_covers_its_posts(model):
     covered = found.inside([found.Outline([corner])], grid_of(model))
     # Half of 16 by 16 posts, but for those on the long side.
     assert 112 <= covered.sum() <= 136 and covered[6, 6] and not covered[18, 18]
+
+
+@pytest.mark.parametrize("coordinates", [5, [5], [[5]], None])
+def test_a_polygon_without_corners_is_refused(model, tmp_path, coordinates):
+    path = features(tmp_path / "k.geojson", [(ring_of(10, 12, 24, 21), {"building": "yes"})])
+    content = json.loads(path.read_text())
+    content["features"][0]["geometry"]["coordinates"] = coordinates
+    path.write_text(json.dumps(content))
+    with pytest.raises(ThermorenderError, match="feature 1 "):
+        found.outlines_in(path, grid_of(model))
+
+
+def test_buildings_outside_of_the_model_are_counted(model, tmp_path):
+    path = features(tmp_path / "k.geojson", [(ring_of(500, 500, 520, 520), {"building:part": "yes"})])
+    with pytest.raises(ThermorenderError, match=r"no polygon with a tag 'building' on .* \(1 are outside of it\)"):
+        found.outlines_in(path, grid_of(model))
+
+
+def test_posts_far_apart_need_outlines(tmp_path):
+    """At 2 m, a house of 8 by 16 m was taken for a tree."""
+    height = np.full((30, 30), 20.0, np.float32)
+    height[10:14, 10:18] = 28.0
+    write_raster(tmp_path / "dsm.tif", height[None], step=2.0, corner=CORNER)
+    with pytest.raises(ThermorenderError, match=r"posts 2 m apart.*give a finer model, or the buildings' outlines"):
+        import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", three_d=ThreeD())
+    known = features(tmp_path / "k.geojson", [(ring_of(20, 20, 36, 28), {"building": "yes"})])
+    made = import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", known=known, three_d=ThreeD())
+    assert (made["buildings"], made["trees"]) == (1, 0)

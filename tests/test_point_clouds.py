@@ -1,5 +1,6 @@
 """Point clouds in LAS and LAZ: surface, ground and buildings, and what their headers declare."""
 
+import laspy
 import numpy as np
 import pytest
 from rasterio.crs import CRS
@@ -9,8 +10,6 @@ from thermorender.errors import ThermorenderError
 from thermorender.scene.import_terrain import import_terrain
 from thermorender.scene.solids.clouds import read_cloud
 from thermorender.scene.solids.importing import ThreeD
-
-laspy = pytest.importorskip("laspy")
 
 LEFT, BOTTOM, SIDE = 500000.0, 5780000.0, 40.0
 

@@ -99,26 +99,38 @@ def outlines_in(path: Path, grid: Grid) -> list[Outline]:
     """
     features, crs = read_features(path)
     found: list[Outline] = []
+    outside = 0
     for number, feature in enumerate(features, 1):
         geometry, tags = tagged(feature, path, number)
         if not is_building(tags) or geometry.get("type") not in ("Polygon", "MultiPolygon"):
             continue
-        shapes = geometry["coordinates"] if geometry["type"] == "MultiPolygon" else [geometry["coordinates"]]
-        for shape in shapes:
-            rings = [_ring(pixels_of(ring, crs, grid, f"{path}, feature {number}")) for ring in shape]
-            if not rings or any(len(ring) < 3 or area_of(ring) < 1e-6 for ring in rings):
-                raise ThermorenderError(
-                    f"{path}, feature {number} has an outline without area; give it three corners or more, or delete it"
-                )
+        for rings in _rings(geometry, crs, grid, f"{path}, feature {number}"):
             low, high = rings[0].min(axis=0), rings[0].max(axis=0)
             if (high > 0.0).all() and (low < (grid.width, grid.height)).all():
                 found.append(Outline(rings, tags))
+            else:
+                outside += 1
     if not found:
         raise ThermorenderError(
-            f"{path} has no polygon with a tag 'building' on {grid.name}; give one of this area, or leave known out so "
-            "that buildings are found by height"
+            f"{path} has no polygon with a tag 'building' on {grid.name} ({outside} are outside of it); give one of "
+            "this area, or leave known out so that buildings are found by height"
         )
     return found
+
+
+def _rings(geometry: Mapping[str, Any], crs: Any, grid: Grid, where: str) -> list[list[Ring]]:
+    """The rings of each polygon of a geometry."""
+    try:
+        given = geometry["coordinates"]
+        shapes = [
+            [list(ring) for ring in shape] for shape in (given if geometry["type"] == "MultiPolygon" else [given])
+        ]
+    except (KeyError, TypeError):
+        raise ThermorenderError(f"{where} is not a polygon with corners; export polygons from a GIS") from None
+    made = [[_ring(pixels_of(ring, crs, grid, where)) for ring in shape] for shape in shapes]
+    if any(not rings or any(len(ring) < 3 or area_of(ring) < 1e-6 for ring in rings) for rings in made):
+        raise ThermorenderError(f"{where} has an outline without area; give it three corners or more, or delete it")
+    return made
 
 
 def outlines_in_classes(path: Path, number: int, grid: Grid) -> list[Outline]:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.physics.srgb import linear_from_bytes
@@ -29,6 +30,8 @@ INFERRED = (WALLS, PLANTS)
 # Material of roofs where no orthophoto says more, and of leaves and trunks.
 ROOF, LEAVES, BARK = "roof_tile_clay", "broadleaf", "bark"
 _TEXEL_M, _EDGE_M, _BELOW_M = 0.3, 2.0, 0.5
+# Largest distance of posts in which roofs differ from crowns [m].
+_FINE_M = 1.2
 # Lower steps between roofs of adjoining buildings have no wall [m].
 _STEP_M = 0.05
 # Roofs are those of posts this far inside the outline; nearer ones are mixed with the street [posts].
@@ -113,7 +116,17 @@ def imported(
         For materials of walls, and colours of walls and roofs.
     seed : int
         Of the leaves.
+
+    Raises
+    ------
+    ThermorenderError
+        Posts too far apart to find buildings in.
     """
+    if known is None and post_m > _FINE_M:
+        raise ThermorenderError(
+            f"the surface model has posts {post_m:.3g} m apart, and buildings are found by height in posts of "
+            f"{_FINE_M} m or less; give a finer model, or the buildings' outlines as --known"
+        )
     bare = found.ground_below(height, post_m) if ground is None else found.ground_given(ground, height, post_m)
     outlines = found.outlines_by_height(height, bare, post_m) if known is None else list(known)
     body = found.inside(outlines, grid)
