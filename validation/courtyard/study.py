@@ -8,9 +8,9 @@ Nothing is fitted.
 
 The weather is that of one day, which is repeated so that walls are in balance with it. The long-wave of the sky is
 modelled first. From the measurement from above, without the modelled light of the walls there, follows the sky of a
-second case; at night it keeps the mean ratio of both. A third case has walls of red brick in place of painted ones.
-Hours of the weather begin at their label, in UTC+1, and those of the measurement end at it: the sun in the courtyard
-and the sum of direct and diffuse light say so.
+second case; at night it keeps the mean ratio of both. What the walls are made of is not known: they are painted brick,
+then red brick. Hours of the weather begin at their label, in UTC+1, and those of the measurement end at it: the sun in
+the courtyard and the sum of direct and diffuse light say so.
 
 A side's sensor gets half of its light from the ground. What the walls radiate follows from the measurement without the
 measured light of the ground and that of the case's sky, each by its share of the sensor's view.
@@ -49,6 +49,7 @@ SENSORS = {
 }  # fmt: skip
 _COLUMNS = {"north": "Ln", "east": "Le", "south": "Ls", "west": "Lw", "up": "Ldown", "down": "Lup"}
 SIDES = ("north", "east", "south", "west")
+SKIES = ("modelled", "measured")
 # Days of the same weather before the day itself, reflections that are followed, and steps of the sun in an hour.
 _REPEATS, _BOUNCES, _STEPS = 3, 3, 12
 
@@ -63,7 +64,7 @@ def run(folder, rays=16384, walls=("brick_painted", "brick_clay"), progress=None
     rays : int
         Of each sensor.
     walls : sequence of str
-        Materials of all walls; the first one is used with both skies.
+        Materials of all walls, one after another, each with both skies.
 
     Raises
     ------
@@ -77,17 +78,12 @@ def run(folder, rays=16384, walls=("brick_painted", "brick_clay"), progress=None
     table = _measured(folder / FILES[4])
     times = [np.datetime64(f"{DAY}T00:00") + np.timedelta64(int(60 * (float(row["hour"]) - 1.5)), "m") for row in table]
     measured = {name: np.array([float(row[_COLUMNS[name]]) for row in table]) for name in SENSORS}
-    report("walls, sky modelled", 0.0)
-    first, weather, found = _modelled(folder, walls[0], times, rays)
-    cases = {f"{walls[0]}, modelled": first}
-    above = first["up"]
-    sky = (measured["up"] - above["total"] + above["shares"]["sky"] * first["sky"]) / above["shares"]["sky"]
-    ratio = sky / first["sky"]
-    for number, wall in enumerate(walls, 1):
-        report(f"{wall}, sky measured", number / (1 + len(walls)))
-        light = np.interp(*(np.array(each, "M8[s]").astype(float) for each in (weather.time, times)), ratio,
-                          left=ratio.mean(), right=ratio.mean()) * weather.longwave_w_m2  # fmt: skip
-        cases[f"{wall}, measured"], _, _ = _modelled(folder, wall, times, rays, light)
+    cases, sky = {}, None
+    for number, (wall, kind) in enumerate((wall, kind) for kind in SKIES for wall in walls):
+        report(f"{wall}, sky {kind}", number / (len(SKIES) * len(walls)))
+        cases[f"{wall}, {kind}"], weather, found = _modelled(folder, wall, times, rays, sky)
+        if kind == SKIES[0] and wall == walls[-1]:
+            sky = _sky_behind(cases[f"{walls[0]}, {kind}"], weather, times, measured["up"])
     return {
         "versions": versions(), "site": "Kronenhuset, Gothenburg, 7 October 2005", "buildings": found["buildings"],
         "hours": [float(row["hour"]) for row in table], "sunlit": found["sunlit"],
@@ -96,6 +92,14 @@ def run(folder, rays=16384, walls=("brick_painted", "brick_clay"), progress=None
                          "sensors": {sensor: _scores(measured, each, sensor) for sensor in SENSORS}}
                   for name, each in cases.items()},
     }  # fmt: skip
+
+
+def _sky_behind(case, weather, times, measured):
+    """Long-wave of the sky (n,) [W m⁻²] at a Weather's rows: what is measured from above without the walls' share."""
+    share = case["up"]["shares"]["sky"]
+    ratio = (measured - case["up"]["total"] + share * case["sky"]) / share / case["sky"]
+    rows, hours = (np.array(each, "M8[s]").astype(float) for each in (weather.time, times))
+    return np.interp(rows, hours, ratio, left=ratio.mean(), right=ratio.mean()) * weather.longwave_w_m2
 
 
 def rows(result):
