@@ -231,6 +231,25 @@ def test_each_piece_of_wall_stands_once(outlines, expected):
         assert not loops or 0.5 * (x * y1 - x1 * y).sum() < 0.0
 
 
+def test_terraces_drawn_by_hand_have_no_walls_inside():
+    """Corners are 0.1 m off, so that houses of a row overlap or leave gaps, some at others' sides."""
+    random, outlines = np.random.default_rng(0), []
+    for row in (5, 27, 49):
+        for left in range(5, 105, 20):
+            corner = np.array([[0, 0], [20, 0], [20, 12], [10, 12], [10, 16], [0, 16]], float) + [left, row]
+            outlines.append(found.Outline([corner + random.uniform(-0.1, 0.1, corner.shape)]))
+    made = borders(outlines, (120, 120), 1.0)
+    for number, loops in enumerate(made):
+        (loop,) = loops
+        x, y = loop.point.T
+        assert -0.5 * (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() == pytest.approx(280.0, abs=8.0)
+        in_row = {number + k for k in (-1, 1) if 0 <= (number % 5) + k < 5}
+        assert set(loop.beyond.tolist()) == in_row | {OPEN}
+        shared = lengths(loops)[1]
+        # Walls to neighbours are 12 m long, where the other is not deeper.
+        assert all(length == pytest.approx(12.0, abs=0.5) for length in shared.values())
+
+
 def features(path, shapes):
     """Write a GeoJSON of [(ring of columns and rows, tags)]."""
     made = [

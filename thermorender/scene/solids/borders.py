@@ -31,7 +31,8 @@ class Loop(NamedTuple):
     point : (n, 2) float64
         (column, row).
     beyond : (n,) int64
-        Building on the other hand of the piece from each point to the next; OPEN for none.
+        Building on the other hand of the piece from each point to the next; OPEN for none, and the building itself
+        where no wall stands.
     side : (n,) int64
         Number of the side of an outline that the piece is a part of.
     along : (n, 2) float64
@@ -94,7 +95,7 @@ def _snapped(rings: list[list[NDArray[np.float64]]], near: float) -> list[list[N
             continue
         fixed = np.concatenate(rings[first])
         a, b = (np.concatenate(each) for each in zip(*((r, np.roll(r, -1, axis=0)) for r in rings[first]), strict=True))
-        for ring in rings[second]:
+        for index, ring in enumerate(rings[second]):
             away = np.linalg.norm(ring[:, None] - fixed[None], axis=2)
             best = away.argmin(axis=1)
             at_corner = away[np.arange(len(ring)), best] < near
@@ -105,7 +106,21 @@ def _snapped(rings: list[list[NDArray[np.float64]]], near: float) -> list[list[N
             at_side = ~at_corner & (apart[rows, nearest] < near)
             ring[at_side] = foot[rows, nearest][at_side]
             ring[at_corner] = fixed[best][at_corner]
+            rings[second][index] = _bent(ring, fixed, near)
     return rings
+
+
+def _bent(ring: NDArray[np.float64], fixed: NDArray[np.float64], near: float) -> NDArray[np.float64]:
+    """A ring whose sides also pass through others' corners (n, 2) that are near to them, but not to its own."""
+    apart = np.linalg.norm(fixed[:, None] - _feet(fixed, ring, np.roll(ring, -1, axis=0)), axis=2)
+    own = np.linalg.norm(fixed[:, None] - ring, axis=2).min(axis=1)
+    added = np.flatnonzero((apart.min(axis=1) < near) & (own > _SAME))
+    if not added.size:
+        return ring
+    side = apart[added].argmin(axis=1)
+    along = np.roll(ring, -1, axis=0)[side] - ring[side]
+    order = np.lexsort((((fixed[added] - ring[side]) * along).sum(axis=1), side))
+    return np.insert(ring, side[order] + 1, fixed[added[order]], axis=0)
 
 
 def _feet(point: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -255,4 +270,11 @@ def _chains(pair: NDArray[np.int64]) -> list[list[int]]:
 def _loop(
     point: NDArray[np.float64], table: NDArray[np.int64], along: NDArray[np.float64], chain: Sequence[int]
 ) -> Loop:
-    return Loop(point[table[chain, 0]], table[chain, 3], table[chain, 4], along[chain])
+    """The Loop of a chain of rows; one that is not closed, at a gap thinner than a probe, is closed without a wall."""
+    found = Loop(point[table[chain, 0]], table[chain, 3], table[chain, 4], along[chain])
+    if table[chain[-1], 1] == table[chain[0], 0]:
+        return found
+    return Loop(
+        np.append(found.point, point[table[chain[-1:], 1]], axis=0), np.append(found.beyond, table[chain[0], 2]),
+        np.append(found.side, found.side[-1]), np.append(found.along, [[0.0, 0.0]], axis=0),
+    )  # fmt: skip
