@@ -6,6 +6,7 @@ from pathlib import Path
 from thermorender.footage.radiometric_files import SUFFIXES
 from thermorender.learned.translate import VIDEOS
 from thermorender.scene.parts.mesh import FORMATS
+from thermorender.scene.solids.clouds import SUFFIXES as CLOUDS
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs" / "reference" / "file-formats.md").read_text(encoding="utf-8")
@@ -14,8 +15,8 @@ ROWS = {cells[0]: cells for cells in re.findall(r"^\| (.+?) \| (.+?) \| (.+?) \|
 
 
 def test_each_kind_names_the_tests_that_hold_it():
-    kinds = "mesh, raster, weather, log, air, spectrum, thermal picture, poses of frames, lenses of frames, video"
-    assert list(ROWS) == kinds.split(", ")
+    kinds = "mesh, raster, point cloud, weather, log, air, spectrum, thermal picture, poses of frames"
+    assert list(ROWS) == [*kinds.split(", "), "lenses of frames", "video"]
     for kind, *_, held in ROWS.values():
         files = re.findall(r"`(tests/[^`]+)`", held)
         assert files, kind
@@ -23,7 +24,12 @@ def test_each_kind_names_the_tests_that_hold_it():
 
 
 def test_each_suffix_that_a_reader_takes_is_in_its_row():
-    for kind, suffixes in (("mesh", FORMATS), ("video", VIDEOS), ("thermal picture", SUFFIXES)):
+    for kind, suffixes in (
+        ("mesh", FORMATS),
+        ("video", VIDEOS),
+        ("thermal picture", SUFFIXES),
+        ("point cloud", CLOUDS),
+    ):
         same = {"jpg": "jpeg", "tif": "tiff"}
         for suffix in {same.get(one[1:], one[1:]) for one in suffixes}:
             assert re.search(rf"\b{suffix}\b", ROWS[kind][1], flags=re.I) or suffix in ROWS[kind][1].lower(), suffix

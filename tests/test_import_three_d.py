@@ -13,6 +13,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.render.plan import make_plan
 from thermorender.scene.import_terrain import import_terrain
 from thermorender.scene.solids import found
+from thermorender.scene.solids.borders import OPEN, borders
 from thermorender.scene.solids.importing import ThreeD
 from thermorender.scene.surface import FILLED
 from thermorender.scene.terrain import read_elevation
@@ -110,7 +111,7 @@ def test_wrong_arguments(model, tmp_path):
         import_terrain(model / "dsm.tif", None, tmp_path / "s", known=tmp_path / "none.geojson", three_d=ThreeD())
     done = CliRunner().invoke(cli.app, ["import-terrain", str(model / "dsm.tif"), "-o", str(tmp_path / "s"),
                                         "--wall", "brick_clay"])  # fmt: skip
-    assert done.exit_code != 0 and "--ground and --wall are for scenes" in str(done.exception)
+    assert done.exit_code != 0 and "--ground, --wall and --building-class are for scenes" in str(done.exception)
     assert not (tmp_path / "s").exists()
 
 
@@ -174,7 +175,7 @@ def outlined(folder, path, rings):
 def test_outlines_keep_their_corners_whether_closed_or_not(model, tmp_path):
     corners = [(10, 12), (24, 12), (24, 21), (10, 21)]
     for ring in (corners, [*corners, corners[0]], [corners[0], *corners, corners[0]]):
-        ((outer,),) = outlined(model, tmp_path / "k.geojson", [ring])
+        ((outer,),) = (each.rings for each in outlined(model, tmp_path / "k.geojson", [ring]))
         assert sorted(map(tuple, outer.round(6))) == sorted(corners)
 
 
@@ -184,13 +185,195 @@ def test_outlines_without_area_are_refused(model, tmp_path, rings):
         outlined(model, tmp_path / "k.geojson", rings)
 
 
-def test_a_building_drawn_twice_is_one(model, tmp_path):
-    corners = [(10, 12), (24, 12), (24, 21), (10, 21)]
-    path = tmp_path / "k.geojson"
-    outlined(model, path, [corners])
-    once = json.loads(path.read_text())
-    again = json.loads(path.read_text())["features"][0]
-    ring = again["geometry"]["coordinates"][0]
-    again["geometry"]["coordinates"] = [[*ring[2:], *ring[:2]][::-1]]
-    path.write_text(json.dumps(once | {"features": [*once["features"], again]}))
-    assert len(found.outlines_in(path, grid_of(model))) == 1
+def boxes(*given):
+    """[Outline] of rectangles (left, top, right, bottom) in posts."""
+    return [found.Outline([np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], float)]) for x0, y0, x1, y1 in given]
+
+
+def lengths(loops):
+    """(Length of a building's border on open ground, and to each other building) [posts]."""
+    open_ground, shared = 0.0, {}
+    for loop in loops:
+        piece = np.linalg.norm(np.roll(loop.point, -1, axis=0) - loop.point, axis=1)
+        for length, other in zip(piece, loop.beyond.tolist(), strict=True):
+            if other == OPEN:
+                open_ground += length
+            else:
+                shared[other] = shared.get(other, 0.0) + length
+    return round(open_ground, 6), {other: round(length, 6) for other, length in shared.items()}
+
+
+@pytest.mark.parametrize(
+    ("outlines", "expected"),
+    [
+        # Terraced houses, one deeper than the other; drawn 0.2 m apart; overlapping by a metre.
+        (boxes((5, 5, 15, 15), (15, 5, 25, 20)), [(30.0, {1: 10.0}), (40.0, {0: 10.0})]),
+        (boxes((5, 5, 15, 15), (15.2, 5, 25, 15)), [(30.0, {1: 10.0}), (30.0, {0: 10.0})]),
+        (boxes((5, 5, 15, 15), (14, 5, 34, 15)), [(30.0, {1: 10.0}), (48.0, {0: 10.0})]),
+        # A tower inside a block, and the same block twice.
+        (boxes((5, 5, 25, 25), (10, 10, 15, 15)), [(80.0, {1: 20.0}), (0.0, {0: 20.0})]),
+        (boxes((5, 5, 25, 25), (5, 5, 25, 25)), [(0.0, {}), (80.0, {})]),
+        # Buildings cross each other.
+        (boxes((5, 10, 35, 14), (15, 5, 20, 30)), [(58.0, {1: 10.0}), (52.0, {0: 10.0})]),
+        # Over the edge of the grid.
+        (boxes((-9, 10, 10.5, 20)), [(40.0, {})]),
+        # Corners in an order that crosses itself: two triangles.
+        ([found.Outline([np.array([[5, 5], [15, 15], [15, 5], [5, 15]], float)])], [(48.284271, {})]),
+    ],
+)
+def test_each_piece_of_wall_stands_once(outlines, expected):
+    made = borders(outlines, (48, 48), 1.0)
+    assert [lengths(loops) for loops in made] == expected
+    # Buildings lie to the left of their borders in the world, so that the area in (column, row) is negative.
+    for loops in made:
+        x, y = np.concatenate([loop.point for loop in loops]).T if loops else np.zeros((2, 0))
+        x1, y1 = np.concatenate([np.roll(loop.point, -1, axis=0) for loop in loops]).T if loops else (x, y)
+        assert not loops or 0.5 * (x * y1 - x1 * y).sum() < 0.0
+
+
+def test_terraces_drawn_by_hand_have_no_walls_inside():
+    """Corners are 0.1 m off, so that houses of a row overlap or leave gaps, some at others' sides."""
+    random, outlines = np.random.default_rng(0), []
+    for row in (5, 27, 49):
+        for left in range(5, 105, 20):
+            corner = np.array([[0, 0], [20, 0], [20, 12], [10, 12], [10, 16], [0, 16]], float) + [left, row]
+            outlines.append(found.Outline([corner + random.uniform(-0.1, 0.1, corner.shape)]))
+    made = borders(outlines, (120, 120), 1.0)
+    for number, loops in enumerate(made):
+        (loop,) = loops
+        x, y = loop.point.T
+        assert -0.5 * (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() == pytest.approx(280.0, abs=8.0)
+        in_row = {number + k for k in (-1, 1) if 0 <= (number % 5) + k < 5}
+        assert set(loop.beyond.tolist()) == in_row | {OPEN}
+        shared = lengths(loops)[1]
+        # Walls to neighbours are 12 m long, where the other is not deeper.
+        assert all(length == pytest.approx(12.0, abs=0.5) for length in shared.values())
+
+
+def features(path, shapes):
+    """Write a GeoJSON of [(ring of columns and rows, tags)]."""
+    made = [
+        {"type": "Feature", "properties": tags, "geometry": {"type": "Polygon", "coordinates": [
+            [[CORNER[0] + x, CORNER[1] - y] for x, y in ring]]}}
+        for ring, tags in shapes
+    ]  # fmt: skip
+    crs = {"type": "name", "properties": {"name": "EPSG:32634"}}
+    path.write_text(json.dumps({"type": "FeatureCollection", "crs": crs, "features": made}))
+    return path
+
+
+def ring_of(left, top, right, bottom):
+    return [(left, top), (right, top), (right, bottom), (left, bottom)]
+
+
+@pytest.fixture(scope="module")
+def terrace(tmp_path_factory):
+    """A surface model of two adjoining houses, 5 and 9 m high, on level ground."""
+    folder = tmp_path_factory.mktemp("terrace")
+    height = np.full((SIDE, SIDE), 20.0, np.float32)
+    height[15:30, 10:20], height[15:30, 20:30] = 25.0, 29.0
+    write_raster(folder / "dsm.tif", height[None], corner=CORNER)
+    return folder
+
+
+def wall_areas(scene):
+    """{rounded east of the plane or None: area} of walls that face east or west, and the sum of all."""
+    walls = surfaces(scene)["walls"]
+    corner = walls.vertices[walls.faces]
+    across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    area = 0.5 * np.linalg.norm(across, axis=1)
+    facing = np.abs(across[:, 0]) > 0.9 * 2.0 * area
+    east = corner.mean(axis=1)[:, 0].round().astype(int)
+    return {int(e): float(area[facing & (east == e)].sum()) for e in np.unique(east[facing])}, float(area.sum())
+
+
+@pytest.mark.parametrize("overlap", [0.0, 0.2, 2.0])
+def test_the_wall_between_two_houses_is_the_step_between_their_roofs(terrace, tmp_path, overlap):
+    """10 m wide each, 15 m deep: the party wall has 15 by 4 m, above the lower roof, and faces it."""
+    known = features(tmp_path / "k.geojson", [(ring_of(10, 15, 20 + overlap, 30), {"building": "house"}),
+                                              (ring_of(20, 15, 30, 30), {"building": "house"})])  # fmt: skip
+    made = import_terrain(terrace / "dsm.tif", None, tmp_path / "s", known=known, three_d=ThreeD())
+    assert made["buildings"] == 2
+    planes, total = wall_areas(tr.load_scene(tmp_path / "s"))
+    expected = {-14: 15 * 5.5, -4: 15 * 4.0, 6: 15 * 9.5}
+    assert planes == pytest.approx(expected, rel=0.02)
+    assert total == pytest.approx(sum(expected.values()) + 2 * 10 * 5.5 + 2 * 10 * 9.5, rel=0.02)
+
+
+def test_walls_are_those_that_outlines_declare(terrace, tmp_path):
+    known = features(tmp_path / "k.geojson", [
+        (ring_of(10, 15, 20, 30), {"building": "garage", "building:material": "reed", "building:colour": "#ff0000"}),
+        (ring_of(20, 15, 30, 30), {"building": "yes", "building:material": "brick", "building:colour": "striped"}),
+    ])  # fmt: skip
+    three_d = ThreeD(wall_by_kind={"garage": "concrete", "barn": "wood"})
+    made = import_terrain(terrace / "dsm.tif", None, tmp_path / "s", known=known, three_d=three_d)
+    # Each has one declaration with a match.
+    assert made["stated_walls"] == 2
+    assert made["unmatched"] == {
+        "building:material=reed": 1, "building:colour=striped": 1, "building=barn of --wall": 0
+    }  # fmt: skip
+    scene = tr.load_scene(tmp_path / "s")
+    walls = surfaces(scene)["walls"]
+    names = np.array([material.name for material in scene.materials])[walls.material]
+    assert {"concrete", "brick_clay"} <= set(names.ravel()) and "brick_painted" not in names
+    # The garage is red, up to stains and the frames of windows.
+    red, green, blue = np.moveaxis(walls.colour[names == "concrete"].astype(int), -1, 0)
+    assert np.median(red) > 200 and np.median(green) == np.median(blue) == 0
+    plain = features(tmp_path / "p.geojson", [(ring_of(10, 15, 20, 30), {"building": "yes", "material": "granite"})])
+    made = import_terrain(terrace / "dsm.tif", None, tmp_path / "t", known=plain, three_d=ThreeD())
+    assert (made["stated_walls"], made["unmatched"]) == (1, {})
+    assert "granite" in {material.name for material in tr.load_scene(tmp_path / "t").materials}
+
+
+def test_a_class_of_a_raster_is_the_outline_of_buildings(terrace, tmp_path):
+    classes = np.ones((SIDE, SIDE), np.uint8)
+    classes[15:30, 10:30] = 2
+    write_raster(tmp_path / "classes.tif", classes[None], corner=CORNER)
+    known = tmp_path / "classes.tif"
+    made = import_terrain(terrace / "dsm.tif", None, tmp_path / "s", known=known, three_d=ThreeD(building_class=2))
+    assert made["buildings"] == 1
+    planes, _ = wall_areas(tr.load_scene(tmp_path / "s"))
+    assert planes == pytest.approx({-14: 15 * 5.5, 6: 15 * 9.5}, rel=0.03)
+    for number, words in (
+        (None, "give the number of its buildings as --building-class"),
+        (7, r"holds the classes \[1, 2\]"),
+    ):
+        with pytest.raises(ThermorenderError, match=words):
+            import_terrain(
+                terrace / "dsm.tif", None, tmp_path / "t", known=known, three_d=ThreeD(building_class=number)
+            )
+
+
+def test_a_building_of_three_corners_covers_its_posts(model):
+    corner = np.array([[4, 4], [20, 4], [4, 20]], float)
+    covered = found.inside([found.Outline([corner])], grid_of(model))
+    # Half of 16 by 16 posts, but for those on the long side.
+    assert 112 <= covered.sum() <= 136 and covered[6, 6] and not covered[18, 18]
+
+
+@pytest.mark.parametrize("coordinates", [5, [5], [[5]], None])
+def test_a_polygon_without_corners_is_refused(model, tmp_path, coordinates):
+    path = features(tmp_path / "k.geojson", [(ring_of(10, 12, 24, 21), {"building": "yes"})])
+    content = json.loads(path.read_text())
+    content["features"][0]["geometry"]["coordinates"] = coordinates
+    path.write_text(json.dumps(content))
+    with pytest.raises(ThermorenderError, match="feature 1 "):
+        found.outlines_in(path, grid_of(model))
+
+
+def test_buildings_outside_of_the_model_are_counted(model, tmp_path):
+    path = features(tmp_path / "k.geojson", [(ring_of(500, 500, 520, 520), {"building:part": "yes"})])
+    with pytest.raises(ThermorenderError, match=r"no polygon with a tag 'building' on .* \(1 are outside of it\)"):
+        found.outlines_in(path, grid_of(model))
+
+
+def test_posts_far_apart_need_outlines(tmp_path):
+    """At 2 m, a house of 8 by 16 m was taken for a tree."""
+    height = np.full((30, 30), 20.0, np.float32)
+    height[10:14, 10:18] = 28.0
+    write_raster(tmp_path / "dsm.tif", height[None], step=2.0, corner=CORNER)
+    with pytest.raises(ThermorenderError, match=r"posts 2 m apart.*give a finer model, or the buildings' outlines"):
+        import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", three_d=ThreeD())
+    known = features(tmp_path / "k.geojson", [(ring_of(20, 20, 36, 28), {"building": "yes"})])
+    made = import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", known=known, three_d=ThreeD())
+    assert (made["buildings"], made["trees"]) == (1, 0)

@@ -204,6 +204,8 @@ STUDIES = (
           _heat),
     Study("longwave", "validation.longwave", "The sky's long-wave against pyrgeometers", "longwave/longwave.json",
           runs=False),
+    Study("courtyard", "validation.courtyard", "Walls of a courtyard against radiometers by direction",
+          "courtyard/courtyard.json", runs=False),
     Study("moved", "validation.moved", "Learned maps at another hour", "moved/moved.json", ("moved/moved.png",),
           _moved),
     Study("three_d", "validation.three_d", "What a draped orthophoto costs", "three_d/three_d.json", runs=False),

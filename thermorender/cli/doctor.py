@@ -18,6 +18,7 @@ OPTIONAL = (
     ("torch", "networks", "learned maps that are networks"),
     ("pyulog", "logs", "PX4 logs in ULog"),
     ("pymavlink", "logs", "ArduPilot logs"),
+    ("laspy", "clouds", "point clouds"),
 )
 VARIANTS = ("scalar_rgb", "llvm_ad_mono", "llvm_ad_spectral", "cuda_ad_mono")
 

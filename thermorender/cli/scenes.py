@@ -16,7 +16,7 @@ NewFolder = Annotated[
 
 
 def import_terrain(
-    elevation: Annotated[Path, typer.Argument(help="GeoTIFF of heights, in metres or the unit it declares.")],
+    elevation: Annotated[Path, typer.Argument(help="GeoTIFF of heights in metres or the unit it declares, or LAS.")],
     output: NewFolder,
     orthophoto: Annotated[
         Path | None, typer.Argument(help="GeoTIFF in colour; without one the ground has its material's colour.")
@@ -58,19 +58,27 @@ def import_terrain(
     ground: Annotated[
         Path | None, typer.Option(help="With --three-d: GeoTIFF of the ground's heights; default: filtered.")
     ] = None,
-    wall: Annotated[str | None, typer.Option(help="With --three-d: material of all walls.")] = None,
+    wall: Annotated[
+        list[str] | None, typer.Option(help="With --three-d: material of walls, or KIND=MATERIAL of the buildings with "
+                                       "the tag building=KIND; may be repeated.")
+    ] = None,
+    building_class: Annotated[
+        int | None, typer.Option(help="With --three-d: number of buildings, where --known is a raster of classes.")
+    ] = None,
 ) -> None:  # fmt: skip
     """Make a scene from an elevation model and an orthophoto, or from an elevation model alone."""
     from thermorender.scene.import_terrain import import_terrain as run
-    from thermorender.scene.solids.importing import WALL, ThreeD
+    from thermorender.scene.solids.importing import ThreeD
     from thermorender.sensor.camera import load_camera
     from thermorender.trajectory import parse_numbers
 
     if height_reference not in (None, "ellipsoid", "geoid"):
         raise ThermorenderError(f"--height-reference={height_reference!r} is not allowed; give ellipsoid or geoid")
-    if (ground is not None or wall is not None) and not three_d:
-        raise ThermorenderError("--ground and --wall are for scenes in three dimensions; give --three-d too")
-    solids = ThreeD(ground, wall or WALL) if three_d else None
+    if not three_d and (ground is not None or wall or building_class is not None):
+        raise ThermorenderError(
+            "--ground, --wall and --building-class are for scenes in three dimensions; give --three-d too"
+        )
+    solids = ThreeD(ground, *_walls(wall or []), building_class) if three_d else None
     chosen = [int(value) for value in parse_numbers("--bands", bands, ("RED", "GREEN", "BLUE"))] if bands else None
     ends = parse_numbers("--colour-range", colour_range, ("BLACK", "WHITE")) if colour_range else None
     summary = run(elevation, orthophoto, output, max_vertices, max_texels, height_reference, geoid_undulation_m, model,
@@ -87,17 +95,39 @@ def import_terrain(
     for note in summary["known"]:
         typer.echo(note)
     if solids:
-        typer.echo(
-            f"{summary['buildings']} buildings with walls of {solids.wall}, {summary['trees']} trees; walls, "
-            "trunks and leaves are inferred from heights"
-            + (f"; {summary['flat_outlines']} outlines left out, nothing high is in them" if summary["flat_outlines"]
-               else "")
-        )  # fmt: skip
+        typer.echo(_solid_words(summary, solids.wall))
     typer.echo(_temperatures(weather, time, model, material, orthophoto is not None))
     typer.echo(
         f"flight.csv flies along the middle, {summary['flight_m']:.0f} m above the ground; a texel covers one pixel of "
         f"the {defaults.CAMERA} from {summary['texel_m'] * load_camera(defaults.CAMERA).focal_length_px:.0f} m"
     )
+
+
+def _walls(given: list[str]) -> tuple[str, dict[str, str]]:
+    """(Usual material, {kind of building: material}) of --wall."""
+    from thermorender.scene.solids.importing import WALL
+
+    pairs = [each.split("=", 1) for each in given]
+    usual = [each[0] for each in pairs if len(each) == 1]
+    if len(usual) > 1:
+        raise ThermorenderError(
+            f"--wall has the materials {', '.join(usual)}; give one, and others as --wall KIND=MATERIAL"
+        )
+    return usual[0] if usual else WALL, {each[0]: each[1] for each in pairs if len(each) == 2}
+
+
+def _solid_words(summary: dict[str, Any], wall: str) -> str:
+    """A sentence on what an import in three dimensions has found."""
+    stated, unmatched = summary["stated_walls"], summary["unmatched"]
+    words = [f"{summary['buildings']} buildings with walls of {wall}"
+             + (f" ({stated} as their outlines declare)" if stated else "")
+             + f", {summary['trees']} trees; walls, trunks and leaves are inferred from heights"]  # fmt: skip
+    if summary["flat_outlines"]:
+        words.append(f"{summary['flat_outlines']} outlines left out, nothing high is in them")
+    if unmatched:
+        listed = ", ".join(f"{count} {name}" for name, count in unmatched.items())
+        words.append(f"declared walls without a match have the usual material or colour: {listed}")
+    return "; ".join(words)
 
 
 def _temperatures(weather: Path | None, time: str | None, model: str, material: str, pictured: bool) -> str:

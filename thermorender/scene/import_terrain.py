@@ -17,9 +17,11 @@ from thermorender import defaults, formats
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic_folder, check_new_folder
 from thermorender.formats import write_text
+from thermorender.materials.extended import within_band
 from thermorender.scene.parts.known_cover import read_known
 from thermorender.scene.parts.orthophoto import COLLAR, empty_border, read_colour
 from thermorender.scene.raster import Grid, bounds_in, grid_of, lon_lat, onto
+from thermorender.scene.solids.clouds import SUFFIXES, read_cloud
 from thermorender.scene.solids.importing import ThreeD, write_solid
 from thermorender.scene.spec import WeatherSpec
 from thermorender.scene.surface import scene_kelvin
@@ -41,6 +43,8 @@ _FLIGHT_S = 20.0
 _Bounds = tuple[float, float, float, float]
 # Name of the shapes of OpenStreetMap in the scene's folder.
 _KNOWN = "known.geojson"
+# Of a scene in three dimensions: values of `Imported` in the summary.
+_FOUND = ("buildings", "trees", "flat_outlines", "stated_walls", "unmatched")
 
 
 def import_terrain(
@@ -56,7 +60,8 @@ def import_terrain(
     Parameters
     ----------
     elevation : path
-        GeoTIFF of heights in one band, in metres or the unit it declares.
+        GeoTIFF of heights in one band, in metres or the unit it declares; or a point cloud, LAS or LAZ, whose highest
+        points are the heights. With `three_d`, its points of class 2 are the ground, and those of class 6 buildings.
     orthophoto : path or None
         GeoTIFF in colour; without one the ground has the colour of its material.
     folder : path
@@ -87,7 +92,7 @@ def import_terrain(
     known : path, optional
         GeoJSON of OpenStreetMap shapes, as `emissivity.known`; needs an orthophoto. The scene then has the materials
         that a learned map finds in the orthophoto. With `three_d` its buildings are the outlines to extrude instead,
-        and no orthophoto is needed.
+        or those of a raster of classes, and no orthophoto is needed.
     three_d : ThreeD, optional
         The scene is a mesh with walls below its roofs, and porous trees, all found in the heights. Posts of 1 m or less
         serve.
@@ -99,7 +104,8 @@ def import_terrain(
         flight_m (height of flight.csv above the ground), share_without_height, share_filled (of the posts),
         share_without_colour, share_collar (not empty, but near black or white up to the edge), share_clipped (black or
         white in some band), the last three None without orthophoto, and known, sentences on its shapes; with `three_d`
-        also buildings, trees and flat_outlines, outlines without anything as high as a building.
+        also buildings, trees, flat_outlines (without anything as high as a building), stated_walls (buildings whose
+        outlines declare their walls) and unmatched, {declared wall without a match: count}.
 
     Raises
     ------
@@ -116,7 +122,8 @@ def import_terrain(
         raise ThermorenderError(
             f"max_vertices={max_vertices}, max_texels={max_texels} are too small; give at least 4 and 2"
         )
-    height, height_grid = read_elevation(elevation)
+    cloud = read_cloud(elevation) if Path(elevation).suffix.lower() in SUFFIXES else None
+    height, height_grid = (cloud.surface, cloud.grid) if cloud else read_elevation(elevation)
     stated = height_reference is not None or _has_vertical_datum(height_grid.crs)
     if height_reference is None:
         height_reference = "geoid" if stated else "ellipsoid"
@@ -140,7 +147,7 @@ def import_terrain(
     solid = None
     if three_d:
         undulation_m = (geoid_undulation_m or 0.0) if height_reference == "geoid" else 0.0
-        solid = three_d.made(height, target, _step(crs, target), undulation_m, known, picture, material)
+        solid = three_d.made(height, target, _step(crs, target), undulation_m, known, picture, material, cloud)
         known = None
     shapes = read_known(known, texels, _step(crs, texels)).notes if known is not None else ()
     flight_m, flight = _flight(bounds, _step(crs, texels))
@@ -171,8 +178,8 @@ def import_terrain(
         "height_reference": height_reference,
         "height_reference_stated": stated,
         "flight_m": flight_m,
-        "known": shapes,
-        **({name: getattr(solid, name) for name in ("buildings", "trees", "flat_outlines")} if solid else {}),
+        "known": (*(cloud.notes if cloud else ()), *shapes),
+        **({name: getattr(solid, name) for name in _FOUND} if solid else {}),
         "share_without_height": float(1.0 - after.mean()),
         "share_filled": float((after & ~given).mean()),
         **_colour_shares(*picture[:2] if picture else (None, None)),
@@ -187,7 +194,8 @@ def _check(
     from thermorender.materials.library import find, load_library
 
     load_model(model)
-    find(load_library(), material, "material").emissivity_at(np.array(defaults.BAND_UM))
+    library = load_library()
+    within_band(find(library, material, "material"), defaults.BAND_UM, library, "material")
     if height_reference not in (None, "ellipsoid", "geoid"):
         raise ThermorenderError(f"height_reference={height_reference!r} is not allowed; give ellipsoid or geoid")
     _finite("geoid_undulation_m", geoid_undulation_m)

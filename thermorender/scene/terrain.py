@@ -1,6 +1,7 @@
 """Terrain from an elevation raster: a mesh in the scene's local frame, mapped by the orthophoto's pixel grid."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,9 +49,30 @@ def _metres(path: Path) -> float:
     """Metres in the unit of a raster's heights, by its band and its vertical CRS."""
     with opened(path) as dataset:
         unit = (dataset.units[0] if dataset.count else None) or ""
-        crs = dataset.crs.to_dict(projjson=True)
-        map_unit = dataset.crs.linear_units if dataset.crs.is_projected else "metre"
-    declare = "declare the right unit with `rio edit-info --bidx 1 --units m FILE` (or ft, or us-ft)"
+        declare = "declare the right unit with `rio edit-info --bidx 1 --units m FILE` (or ft, or us-ft)"
+        return metres_of_heights(path, dataset.crs, unit, declare)
+
+
+def metres_of_heights(path: Path, crs: Any, unit: str, declare: str) -> float:
+    """Return the metres in the unit of a file's heights.
+
+    Parameters
+    ----------
+    path : path
+    crs : rasterio CRS
+        With a vertical part or without one.
+    unit : str
+        As the file declares it beside the CRS; empty if it does not.
+    declare : str
+        How to declare it, for messages.
+
+    Raises
+    ------
+    ThermorenderError
+        The unit is not known, contradictory, or not declared on a map in feet; or the CRS counts downward.
+    """
+    map_unit = crs.linear_units if crs.is_projected else "metre"
+    crs = crs.to_dict(projjson=True)
     factor = _METRES.get(unit.strip().lower()) if unit else None
     if unit and factor is None:
         raise ThermorenderError(f"{path} holds heights in {unit!r}; give metres or feet, or {declare}")

@@ -110,7 +110,7 @@ def solved(
             report_progress(_WHAT, (n + share) * share_done)
 
         # Emissions of a mixture's parts add up. Few texels have as many parts as the largest mixture.
-        kelvin = simulation.run(of, weight[simulation.material] > 0.0, report)
+        kelvin = simulation.run(of, (weight[simulation.material] > 0.0) & simulation.shown, report)
         found = kelvin if most == 1 else found + weight[simulation.material] * kelvin.astype(np.float64) ** 4
     kelvin = simulation.covered(found if most == 1 else found**0.25)
     report_progress(_WHAT, 1.0)
@@ -169,6 +169,9 @@ class _Simulation:
         self.normal = (across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)).astype(np.float32)
         self.snow_m = lying_snow(scene.materials, self.weather, asked[0])
         self.covers = geometry.face_showing(scene.terrain_count)
+        self.shown = self.covers < geometry.face_count
+        for part in np.split(self.shown, geometry.texel_start[1 : scene.terrain_count]):
+            part |= not part.any()
         self.reflects = self._brightness() * (1.0 if self.deviations is None else self.deviations[0])
         self.start = max(asked[0] - np.timedelta64(int(_BEFORE_S), "s"), self.weather.time[0])
         # Change of the ground over the last day of settling [K], the largest of all runs.
@@ -226,14 +229,11 @@ class _Simulation:
         return found
 
     def covered(self, found: NDArray[Any]) -> NDArray[Any]:
-        """Return temperatures of all texels, (n, T) [K], where texels without a face take the nearest covered texel's.
-
-        They only blend into their neighbours.
-        """
+        """Return temperatures of all texels, (n, T) [K]; those without a face, which only blend, take the nearest's."""
         for number, surface in enumerate(self.scene.surfaces[: self.scene.terrain_count]):
             part = slice(*self.geometry.texel_start[number : number + 2])
-            valid = (self.covers[part] < self.geometry.face_count).reshape(surface.material.shape)
-            if not valid.all() and valid.any():
+            valid = self.shown[part].reshape(surface.material.shape)
+            if not valid.all():
                 near = nearest_valid(valid)
                 for values in found[:, part]:
                     values[:] = fill(values.reshape(valid.shape), near).ravel()

@@ -1,10 +1,12 @@
-"""Pictures of façades: plaster or brick, with windows by storey and a door."""
+"""Pictures of façades: plaster or brick, with windows by storey and a door; and the walls that tags declare."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.materials.material import Material
 from thermorender.physics.srgb import linear_from_bytes
 from thermorender.scene.solids.quads import Paint
 
@@ -14,9 +16,74 @@ WALLS = (
     ("brick_clay", (150, 96, 78)), ("brick_clay", (164, 118, 92)), ("brick_painted", (190, 194, 190)),
 )  # fmt: skip
 GLASS, DOOR = "glass", "wood"
+# Materials of the library by the values of OpenStreetMap's tags `building:cladding` and `building:material`, in the
+# order of preference: what covers a wall is what radiates.
+TAGS, COLOURS = ("building:cladding", "building:material"), ("building:colour", "building:color")
+OF_TAG = {
+    "brick": "brick_clay", "bricks": "brick_clay", "clinker": "brick_clay", "plaster": "brick_painted",
+    "render": "brick_painted", "stucco": "brick_painted", "timber_framing": "brick_painted", "cement": "cement",
+    "concrete": "concrete_urban", "reinforced_concrete": "concrete_urban", "cement_block": "concrete_urban",
+    "wood": "wood", "timber": "wood", "metal": "metal_painted", "metal_plates": "metal_painted",
+    "steel": "steel_galvanised", "aluminium": "aluminium_weathered", "glass": "glass", "mirror": "glass",
+    "stone": "sandstone_building", "sandstone": "sandstone_building", "limestone": "limestone_building",
+    "granite": "granite", "slate": "roof_slate", "marble": "marble", "tiles": "roof_tile_clay",
+    "vinyl": "pvc_roofing", "plastic": "pvc_roofing",
+}  # fmt: skip
 # Height of a storey, and sill, height, width and spacing of windows [m].
 _STOREY_M, _SILL_M, _WINDOW_M, _WIDE_M, _EVERY_M = 2.7, 0.9, 1.3, 1.1, 2.7
 _PANE, _FRAME, _LEAF = (52, 60, 70), (232, 230, 224), (112, 78, 56)
+
+
+@dataclass(frozen=True)
+class Wall:
+    """The walls of a building: material, and sRGB colour where it is not the material's own."""
+
+    material: str
+    colour: tuple[int, int, int] | None = None
+
+
+def wall_of(
+    tags: Mapping[str, str], by_kind: Mapping[str, str], usual: str, library: Mapping[str, Material]
+) -> tuple[Wall, tuple[str, ...]]:
+    """Return (Wall, tags without a match such as "building:material=reed") of a building.
+
+    Parameters
+    ----------
+    tags : mapping
+        Of the building: `material` names one of the library; else OpenStreetMap's tags.
+    by_kind : mapping
+        {value of the tag `building`: material}, used where the building declares none itself.
+    usual : str
+        Material of all others.
+    library : mapping
+    """
+    unmatched = []
+    material = by_kind.get(tags.get("building", ""), usual)
+    for key in ("material", *TAGS):
+        if key not in tags:
+            continue
+        name = tags[key] if key == "material" else OF_TAG.get(tags[key].lower().replace(" ", "_"), "")
+        if name in library and library[name].thermal is not None:
+            material = name
+            break
+        unmatched.append(f"{key}={tags[key]}")
+    colour = None
+    for key in COLOURS:
+        if key in tags:
+            colour = _colour(tags[key])
+            unmatched += [] if colour else [f"{key}={tags[key]}"]
+    return Wall(material, colour), tuple(unmatched)
+
+
+def _colour(text: str) -> tuple[int, int, int] | None:
+    """The sRGB colour of a name of HTML or of #rrggbb, or None."""
+    from PIL import ImageColor
+
+    try:
+        red, green, blue = ImageColor.getrgb(text.strip().replace("_", "").replace(" ", ""))[:3]
+        return red, green, blue
+    except ValueError:
+        return None
 
 
 def facade(

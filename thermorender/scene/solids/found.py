@@ -1,7 +1,7 @@
 """What stands on the ground, found in a surface model: the ground below, outlines of buildings, and single trees."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.scene.parts.known_cover import tagged
 from thermorender.scene.parts.patch import burnt, pixels_of, read_features
-from thermorender.scene.raster import Grid
+from thermorender.scene.raster import Grid, grid_of, onto, read_classes
 from thermorender.scene.surface import fill, nearest_valid
 from thermorender.scene.terrain import filled
 
@@ -26,6 +26,14 @@ _SMOOTH_M = 0.45
 _BLUR_M, _APART_M = 0.8, 3.0
 
 Ring = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """The outer ring and the holes of a building, (N, 2) as (column, row), and what its file says on it."""
+
+    rings: Sequence[Ring]
+    tags: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +89,8 @@ def ground_given(ground: NDArray[np.float64], height: NDArray[np.float64], post_
     return np.where(np.isfinite(height), np.minimum(whole, height), whole)
 
 
-def outlines_in(path: Path, grid: Grid) -> list[list[Ring]]:
-    """Return the outlines of a GeoJSON's buildings: for each its outer ring and holes, (N, 2) as (column, row).
+def outlines_in(path: Path, grid: Grid) -> list[Outline]:
+    """Return the Outlines of a GeoJSON's buildings and their parts.
 
     Raises
     ------
@@ -90,31 +98,63 @@ def outlines_in(path: Path, grid: Grid) -> list[list[Ring]]:
         The file cannot be read, or holds no building on the grid.
     """
     features, crs = read_features(path)
-    found: list[list[Ring]] = []
-    sides: set[frozenset[frozenset[tuple[float, float]]]] = set()
+    found: list[Outline] = []
+    outside = 0
     for number, feature in enumerate(features, 1):
         geometry, tags = tagged(feature, path, number)
-        if tags.get("building", "no") == "no" or geometry.get("type") not in ("Polygon", "MultiPolygon"):
+        if not is_building(tags) or geometry.get("type") not in ("Polygon", "MultiPolygon"):
             continue
-        shapes = geometry["coordinates"] if geometry["type"] == "MultiPolygon" else [geometry["coordinates"]]
-        for shape in shapes:
-            rings = [_ring(pixels_of(ring, crs, grid, f"{path}, feature {number}")) for ring in shape]
-            if not rings or any(len(ring) < 3 or abs(_area(ring)) < 1e-6 for ring in rings):
-                raise ThermorenderError(
-                    f"{path}, feature {number} has an outline without area; give it three corners or more, or delete it"
-                )
+        for rings in _rings(geometry, crs, grid, f"{path}, feature {number}"):
             low, high = rings[0].min(axis=0), rings[0].max(axis=0)
-            # The same building drawn twice would have each wall twice in one plane.
-            own = frozenset(side for ring in rings for side in _sides(ring))
-            if (high > 0.0).all() and (low < (grid.width, grid.height)).all() and own not in sides:
-                sides.add(own)
-                found.append(rings)
+            if (high > 0.0).all() and (low < (grid.width, grid.height)).all():
+                found.append(Outline(rings, tags))
+            else:
+                outside += 1
     if not found:
         raise ThermorenderError(
-            f"{path} has no polygon with a tag 'building' on {grid.name}; give one of this area, or leave known out so "
-            "that buildings are found by height"
+            f"{path} has no polygon with a tag 'building' on {grid.name} ({outside} are outside of it); give one of "
+            "this area, or leave known out so that buildings are found by height"
         )
     return found
+
+
+def _rings(geometry: Mapping[str, Any], crs: Any, grid: Grid, where: str) -> list[list[Ring]]:
+    """The rings of each polygon of a geometry."""
+    try:
+        given = geometry["coordinates"]
+        shapes = [
+            [list(ring) for ring in shape] for shape in (given if geometry["type"] == "MultiPolygon" else [given])
+        ]
+    except (KeyError, TypeError):
+        raise ThermorenderError(f"{where} is not a polygon with corners; export polygons from a GIS") from None
+    made = [[_ring(pixels_of(ring, crs, grid, where)) for ring in shape] for shape in shapes]
+    if any(not rings or any(len(ring) < 3 or area_of(ring) < 1e-6 for ring in rings) for rings in made):
+        raise ThermorenderError(f"{where} has an outline without area; give it three corners or more, or delete it")
+    return made
+
+
+def outlines_in_classes(path: Path, number: int, grid: Grid) -> list[Outline]:
+    """Return the Outlines of connected pixels of a raster that have a class number.
+
+    Raises
+    ------
+    ThermorenderError
+        The file cannot be read, or has no such pixel on the grid.
+    """
+    classes = onto(read_classes(path).astype(np.float32), grid_of(path), grid, "nearest")
+    found = outlines_of(classes == number)
+    if not found:
+        held = np.unique(classes[np.isfinite(classes)]).astype(int).tolist()
+        raise ThermorenderError(
+            f"{path} has no building of class {number} on {grid.name}; it holds the classes {held[:20]}, so give the "
+            "one of buildings as --building-class, or a raster of this area"
+        )
+    return found
+
+
+def is_building(tags: Mapping[str, str]) -> bool:
+    """Whether tags of OpenStreetMap are those of a building or of a part of one."""
+    return any(tags.get(key, "no") != "no" for key in ("building", "building:part"))
 
 
 def _ring(corner: NDArray[np.float64]) -> Ring:
@@ -122,23 +162,15 @@ def _ring(corner: NDArray[np.float64]) -> Ring:
     return corner[np.abs(corner - np.roll(corner, 1, axis=0)).max(axis=1) > 1e-9]
 
 
-def _sides(ring: Ring) -> list[frozenset[tuple[float, float]]]:
-    """Sides of a ring, whatever its direction and its first corner."""
-    corner = [(round(float(x), 3), round(float(y), 3)) for x, y in ring]
-    return [frozenset(pair) for pair in zip(corner, [*corner[1:], corner[0]], strict=True)]
-
-
-def _area(ring: Ring) -> float:
-    """Sum of the absolute areas of the triangles from the first corner [squares of a post]."""
+def area_of(ring: Ring) -> float:
+    """Return the sum of the absolute areas of the triangles from the first corner [squares of a post]."""
     a, b = ring[1:-1] - ring[0], ring[2:] - ring[0]
     return float(0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
 
 
-def outlines_by_height(height: NDArray[np.float64], ground: NDArray[np.float64], post_m: float) -> list[list[Ring]]:
-    """Return the outlines of buildings as `outlines_in`: high and smooth parts of the surface model."""
-    import cv2
-    from rasterio.features import shapes
-    from scipy.ndimage import binary_closing, binary_dilation, binary_opening, label, uniform_filter
+def outlines_by_height(height: NDArray[np.float64], ground: NDArray[np.float64], post_m: float) -> list[Outline]:
+    """Return the Outlines of buildings: high and smooth parts of the surface model."""
+    from scipy.ndimage import binary_closing, binary_dilation, binary_opening, uniform_filter
 
     above = np.nan_to_num(height - ground)
     high = above > LEAST_M
@@ -150,27 +182,44 @@ def outlines_by_height(height: NDArray[np.float64], ground: NDArray[np.float64],
     steps = max(1, round(1.5 / post_m))
     mask = binary_dilation(binary_closing(seed, np.ones((3, 3)), iterations=steps), np.ones((3, 3)), iterations=steps)
     mask &= high
+    return outlines_of(large(mask, post_m))
+
+
+def large(mask: NDArray[np.bool_], post_m: float) -> NDArray[np.bool_]:
+    """Return the parts of a mask that are as large as a building, without threads of single posts."""
+    from scipy.ndimage import binary_opening, label
+
     mask = binary_opening(mask, np.ones((3, 3)))
     parts, count = label(mask)
     size = np.bincount(parts.ravel(), minlength=count + 1) * post_m**2
-    keep = (size >= _LEAST_AREA_M2)[parts] & mask
+    kept: NDArray[np.bool_] = (size >= _LEAST_AREA_M2)[parts] & mask
+    return kept
+
+
+def outlines_of(mask: NDArray[np.bool_]) -> list[Outline]:
+    """Return the Outlines of connected posts, with straightened sides."""
+    import cv2
+    from rasterio.features import shapes
+
     found = []
-    for shape, _ in shapes(keep.astype(np.uint8), mask=keep):
+    for shape, _ in shapes(mask.astype(np.uint8), mask=mask):
         rings = []
         for ring in shape["coordinates"]:
             line = cv2.approxPolyDP(np.array(ring[:-1], np.float32)[:, None], 1.0, closed=True)[:, 0]
             if len(line) >= 3:
                 rings.append(line.astype(np.float64))
         if rings:
-            found.append(rings)
+            found.append(Outline(rings))
     return found
 
 
-def inside(outlines: Sequence[Sequence[Ring]], grid: Grid) -> NDArray[np.bool_]:
+def inside(outlines: Sequence[Outline], grid: Grid) -> NDArray[np.bool_]:
     """Return which posts of a grid have their middle in one of some outlines, (h, w)."""
     everywhere = slice(0, grid.height), slice(0, grid.width)
     return (
-        burnt([list(each) for each in outlines], everywhere) if outlines else np.zeros((grid.height, grid.width), bool)
+        burnt([[np.append(ring, ring[:1], axis=0) for ring in each.rings] for each in outlines], everywhere)
+        if outlines
+        else np.zeros((grid.height, grid.width), bool)
     )
 
 

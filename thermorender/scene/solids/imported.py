@@ -3,21 +3,23 @@
 Walls, trunks and the places of leaves are inferred: no survey from above sees them.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.physics.srgb import linear_from_bytes
 from thermorender.scene import terrain
 from thermorender.scene.raster import Grid, lon_lat
 from thermorender.scene.solids import found
-from thermorender.scene.solids.facades import DOOR, GLASS, facade
+from thermorender.scene.solids.borders import OPEN, Loop, borders
+from thermorender.scene.solids.facades import COLOURS, DOOR, GLASS, TAGS, facade, wall_of
 from thermorender.scene.solids.plants import DENSITY, Plants, edge_of
 from thermorender.scene.solids.quads import Quads
 from thermorender.scene.solids.skin import Skin
@@ -28,6 +30,10 @@ INFERRED = (WALLS, PLANTS)
 # Material of roofs where no orthophoto says more, and of leaves and trunks.
 ROOF, LEAVES, BARK = "roof_tile_clay", "broadleaf", "bark"
 _TEXEL_M, _EDGE_M, _BELOW_M = 0.3, 2.0, 0.5
+# Largest distance of posts in which roofs differ from crowns [m].
+_FINE_M = 1.2
+# Lower steps between roofs of adjoining buildings have no wall [m].
+_STEP_M = 0.05
 # Roofs are those of posts this far inside the outline; nearer ones are mixed with the street [posts].
 _WITHIN = 0.8
 # Triangles of roofs are larger than this in the plan, in squares of posts.
@@ -37,14 +43,34 @@ _LEAF_COLOUR, _BARK_COLOUR = (72, 96, 48), (104, 88, 72)
 
 @dataclass(frozen=True, eq=False)
 class Imported:
-    """Skins with their class names, and what was found."""
+    """Skins with their class names, and what was found.
+
+    Attributes
+    ----------
+    flat_outlines : int
+        Outlines without a post of a roof inside, left out.
+    stated_walls : int
+        Buildings whose outlines declare the material or colour of their walls.
+    unmatched : dict of str to int
+        Declared materials and colours without a match, with their counts.
+    """
 
     skins: tuple[Skin, ...]
     classes: dict[int, str]
     frame: LocalFrame
     buildings: int
-    flat_outlines: int  # outlines without a post of a roof inside, left out
+    flat_outlines: int
     trees: int
+    stated_walls: int
+    unmatched: dict[str, int]
+
+
+@dataclass(frozen=True)
+class Walls:
+    """Materials of walls: the usual one, and those by the value of the tag `building`."""
+
+    usual: str
+    by_kind: Mapping[str, str] = field(default_factory=dict)
 
 
 class _Local:
@@ -63,9 +89,9 @@ class _Local:
 
 
 def imported(
-    height: NDArray[np.float64], grid: Grid, post_m: float, ground: NDArray[np.float64] | None, known: Path | None,
-    picture: tuple[NDArray[np.uint8], NDArray[np.bool_], Grid] | None, ground_colour: Sequence[int],
-    wall: str, library: Mapping[str, Material], seed: int = 0,
+    height: NDArray[np.float64], grid: Grid, post_m: float, ground: NDArray[np.float64] | None,
+    known: Sequence[found.Outline] | None, picture: tuple[NDArray[np.uint8], NDArray[np.bool_], Grid] | None,
+    ground_colour: Sequence[int], walls: Walls, library: Mapping[str, Material], seed: int = 0,
 ) -> Imported:  # fmt: skip
     """Return the Imported world of a surface model.
 
@@ -78,43 +104,79 @@ def imported(
         Distance of posts [m].
     ground : (h, w) float64, optional
         Terrain model on the same grid; found by a filter otherwise.
-    known : path, optional
-        GeoJSON with outlines of buildings; found by height otherwise.
+    known : sequence of Outline, optional
+        Outlines of buildings; found by height otherwise.
     picture : (rgb, valid, Grid), optional
         Orthophoto.
     ground_colour : (3,)
         sRGB of the ground without an orthophoto.
-    wall : str
-        Material of the walls, one for all.
+    walls : Walls
+        Materials of walls that the outlines do not declare.
     library : dict of str to Material
-        For colours of walls and roofs.
+        For materials of walls, and colours of walls and roofs.
     seed : int
         Of the leaves.
+
+    Raises
+    ------
+    ThermorenderError
+        Posts too far apart to find buildings in.
     """
+    if known is None and post_m > _FINE_M:
+        raise ThermorenderError(
+            f"the surface model has posts {post_m:.3g} m apart, and buildings are found by height in posts of "
+            f"{_FINE_M} m or less; give a finer model, or the buildings' outlines as --known"
+        )
     bare = found.ground_below(height, post_m) if ground is None else found.ground_given(ground, height, post_m)
-    outlines = found.outlines_in(known, grid) if known else found.outlines_by_height(height, bare, post_m)
+    outlines = found.outlines_by_height(height, bare, post_m) if known is None else list(known)
     body = found.inside(outlines, grid)
     frame = terrain.frame_of(bare, grid)
     at, draw = _Local(grid, frame), np.random.default_rng(seed)
     texels = picture[2] if picture else grid
-    names = {1: wall, 2: GLASS, 3: DOOR, 4: LEAVES, 5: BARK}
-    number = {name: value for value, name in reversed(names.items())}
     tree_cells = _dilated(body, max(1, round(1.0 / post_m)))
     trees = found.trees_in(height - bare, tree_cells, post_m)
     covered = np.isfinite(height) & (height - bare > found.LEAST_M)
     skins = [_ground(bare, grid, frame, texels, picture, covered, ground_colour)]
-    roofs, quads, flat = _Roofs(grid, texels), Quads(_TEXEL_M, _EDGE_M), 0
-    tint = linear_from_bytes(np.array(library[wall].colour, np.uint8))
-    for rings in outlines:
-        paint = {"value": number.__getitem__, "draw": draw, "material": wall,
-                 "colour": tint * np.exp(draw.normal(0.0, 0.12))}  # fmt: skip
-        flat += not _building(rings, height, bare, at, roofs, quads, paint, post_m)
+    high = [each for each in outlines if _posts_inside(each.rings, height, bare)[1].any()]
+    roofs, quads, built = _Roofs(grid, texels), Quads(_TEXEL_M, _EDGE_M), {}
+    for index, loops in enumerate(borders(high, height.shape, post_m)):
+        if loops:
+            built[index] = _raised(loops, height, bare, at, roofs, post_m)
+    unmatched: Counter[str] = Counter()
+    names = {1: walls.usual, 2: GLASS, 3: DOOR, 4: LEAVES, 5: BARK}
+    stated = 0
+    tops = {index: body.top_by_place() for index, body in built.items()}
+    for index, raised in built.items():
+        wall, without = wall_of(high[index].tags, walls.by_kind, walls.usual, library)
+        unmatched.update(without)
+        stated += _declared(high[index].tags) > len(without)
+        if wall.material not in names.values():
+            names[len(names) + 1] = wall.material
+        tint = linear_from_bytes(np.array(wall.colour or library[wall.material].colour, np.uint8))
+        paint = {"value": _numbers(names).__getitem__, "draw": draw, "material": wall.material,
+                 "colour": tint if wall.colour else tint * np.exp(draw.normal(0.0, 0.12))}  # fmt: skip
+        for loop, base, top in raised.parts():
+            _walls(quads, loop, base, top, tops, paint)
+    kinds = {each.tags.get("building") for each in high}
+    unmatched.update({f"building={kind} of --wall": 0 for kind in walls.by_kind if kind not in kinds})
     if roofs.faces:
         skins.append(roofs.skin(picture, library[ROOF].colour))
+    if len(quads):
         skins.append(quads.skin(WALLS))
     if trees:
-        skins.append(_plants(trees, height, bare, at, draw, post_m, number, _colours(picture, grid)))
-    return Imported(tuple(skins), names, frame, len(outlines) - flat, flat, len(trees))
+        skins.append(_plants(trees, height, bare, at, draw, post_m, _numbers(names), _colours(picture, grid)))
+    flat = len(outlines) - len(high)
+    return Imported(tuple(skins), names, frame, len(built), flat, len(trees), stated, dict(unmatched))
+
+
+def _numbers(names: dict[int, str]) -> dict[str, int]:
+    """Class numbers by material; the first of several."""
+    return {name: value for value, name in reversed(names.items())}
+
+
+def _declared(tags: Mapping[str, str]) -> int:
+    """Number of tags that declare the material or the colour of walls."""
+    return sum(key in tags for key in ("material", *TAGS, *COLOURS))
 
 
 def _dilated(mask: NDArray[np.bool_], posts: int) -> NDArray[np.bool_]:
@@ -185,90 +247,135 @@ class _Roofs:
                     np.zeros(shape, np.uint8))  # fmt: skip
 
 
-def _building(
-    rings: Sequence[found.Ring], height: NDArray[np.float64], bare: NDArray[np.float64], at: _Local, roofs: _Roofs,
-    quads: Quads, paint: dict[str, Any], post_m: float,
-) -> bool:  # fmt: skip
-    """Add the roof and walls of one outline; return whether a roof was found."""
-    from scipy.ndimage import median_filter
-    from scipy.spatial import Delaunay, cKDTree
+@dataclass(frozen=True, eq=False)
+class _Raised:
+    """Borders of a building with their local points at the eaves and at the foot of the walls, (n, 3) each."""
 
-    fine = [_resampled(ring) for ring in rings]
+    loops: Sequence[Loop]
+    base: NDArray[np.float64]
+    top: NDArray[np.float64]
+
+    def parts(self) -> Iterator[tuple[Loop, NDArray[np.float64], NDArray[np.float64]]]:
+        """Yield (loop, base, top) of each loop."""
+        ends = np.cumsum([len(each.point) for each in self.loops])[:-1]
+        yield from zip(self.loops, np.split(self.base, ends), np.split(self.top, ends), strict=True)
+
+    def top_by_place(self) -> dict[tuple[float, float], float]:
+        """Height of the eaves at each point of the borders."""
+        point = np.concatenate([each.point for each in self.loops])
+        return {_place(each): float(up) for each, up in zip(point, self.top[:, 2], strict=True)}
+
+
+def _place(point: NDArray[np.float64]) -> tuple[float, float]:
+    return float(point[0]), float(point[1])
+
+
+def _posts_inside(
+    rings: Sequence[found.Ring], height: NDArray[np.float64], bare: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """(posts (n, 2) as (column, row) around rings, which of them are of a roof inside)."""
     rows, columns = height.shape
-    low, high = np.floor(rings[0].min(axis=0)).astype(int), np.ceil(rings[0].max(axis=0)).astype(int)
+    corner = np.concatenate(list(rings))
+    low, high = np.floor(corner.min(axis=0)).astype(int), np.ceil(corner.max(axis=0)).astype(int)
     column, row = np.meshgrid(np.arange(max(low[0], 0), min(high[0], columns)),
                               np.arange(max(low[1], 0), min(high[1], rows)))  # fmt: skip
     post = np.column_stack([column.ravel(), row.ravel()])
-    middle = post + 0.5
     level, ground = height[post[:, 1], post[:, 0]], bare[post[:, 1], post[:, 0]]
-    edge = np.concatenate(fine)
-    away, _ = cKDTree(edge).query(middle) if len(middle) else (np.empty(0), None)
-    roof = found.even_odd(middle, rings) & np.isfinite(level) & (level - ground > found.LEAST_M)
-    inner = roof & (away > _WITHIN)
+    inside = found.even_odd(post + 0.5, rings)
+    return post, inside & np.isfinite(level) & (level - ground > found.LEAST_M)
+
+
+def _raised(
+    loops: Sequence[Loop], height: NDArray[np.float64], bare: NDArray[np.float64], at: _Local, roofs: _Roofs,
+    post_m: float,
+) -> _Raised:  # fmt: skip
+    """Add the roof within the borders of a building, and return their eaves."""
+    from scipy.ndimage import median_filter
+    from scipy.spatial import Delaunay, cKDTree
+
+    rings = [each.point for each in loops]
+    edge = np.concatenate(rings)
+    post, roof = _posts_inside(rings, height, bare)
+    if not roof.any():
+        # Smaller buildings have all posts.
+        post, roof = _nearest_post(edge, height, bare)
+    middle, level = post + 0.5, height[post[:, 1], post[:, 0]]
+    inner = roof & (cKDTree(edge).query(middle)[0] > _WITHIN)
     # A building narrower than two posts has no other than mixed ones.
     inner = inner if inner.any() else roof
-    if not inner.any():
-        return False
     nearest = cKDTree(middle[inner]).query(edge)[1]
     # A median along each ring leaves corners of gables and no single peaks.
-    borders = np.cumsum([len(each) for each in fine])[:-1]
-    top = np.concatenate([median_filter(each, 5, mode="wrap") for each in np.split(level[inner][nearest], borders)])
-    foot = np.nanmin(np.concatenate([ground[np.isfinite(ground)], [np.inf]]))
-    # Points on the outline are at the edge of the grid at most.
-    edge = np.clip(edge, 0.5, [columns - 0.5, rows - 0.5])
+    borders_of = np.cumsum([len(each) for each in rings])[:-1]
+    top = np.concatenate([median_filter(each, 5, mode="wrap") for each in np.split(level[inner][nearest], borders_of)])
+    foot = np.nanmin(bare[post[:, 1], post[:, 0]])
     pixel = np.concatenate([edge, middle[inner]])
     point = at(pixel[:, 0], pixel[:, 1], np.concatenate([top, level[inner]]))
-    if len(pixel) >= 3:
-        triangle = Delaunay(pixel, qhull_options="QJ").simplices.astype(np.int64)
-        triangle = triangle[found.even_odd(pixel[triangle].mean(axis=1), rings)]
-        across = np.cross(point[triangle[:, 1]] - point[triangle[:, 0]], point[triangle[:, 2]] - point[triangle[:, 0]])
-        triangle[across[:, 2] < 0.0] = triangle[across[:, 2] < 0.0][:, ::-1]
-        # Three points of one side of the outline are a triangle in its wall.
-        roofs.add(pixel, point, triangle[np.abs(across[:, 2]) > _LEAST_PLAN * post_m**2])
-    base = at(edge[:, 0], edge[:, 1], foot - _BELOW_M)
-    start = 0
-    for number, ring in enumerate(fine):
-        own = slice(start, start + len(ring))
-        start += len(ring)
-        _walls(quads, base[own], point[own], rings[number], ring, paint, outer=number == 0)
-    return True
+    triangle = Delaunay(pixel, qhull_options="QJ").simplices.astype(np.int64)
+    triangle = triangle[found.even_odd(pixel[triangle].mean(axis=1), rings)]
+    across = np.cross(point[triangle[:, 1]] - point[triangle[:, 0]], point[triangle[:, 2]] - point[triangle[:, 0]])
+    triangle[across[:, 2] < 0.0] = triangle[across[:, 2] < 0.0][:, ::-1]
+    # Three points of one side of the outline are a triangle in its wall.
+    roofs.add(pixel, point, triangle[np.abs(across[:, 2]) > _LEAST_PLAN * post_m**2])
+    return _Raised(loops, at(edge[:, 0], edge[:, 1], foot - _BELOW_M), point[: len(edge)])
 
 
-def _resampled(ring: found.Ring) -> NDArray[np.float64]:
-    """Corners of a ring with points between them, at most two posts apart."""
-    parts = []
-    for a, b in zip(ring, np.roll(ring, -1, axis=0), strict=True):
-        count = max(1, int(np.ceil(np.linalg.norm(b - a) / 2.0)))
-        parts.append(a + (b - a) * (np.arange(count) / count)[:, None])
-    return np.concatenate(parts)
+def _nearest_post(
+    edge: NDArray[np.float64], height: NDArray[np.float64], bare: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """The post of a roof that is nearest to a border, as `_posts_inside` returns posts."""
+    row, column = np.nonzero(np.isfinite(height) & (height - bare > found.LEAST_M))
+    k = int(np.argmin(((np.column_stack([column, row]) + 0.5 - edge.mean(axis=0)) ** 2).sum(axis=1)))
+    return np.array([[column[k], row[k]]]), np.array([True])
 
 
 def _walls(
-    quads: Quads, base: NDArray[np.float64], top: NDArray[np.float64], corners: found.Ring, ring: found.Ring,
-    paint: dict[str, Any], outer: bool,
+    quads: Quads, loop: Loop, base: NDArray[np.float64], top: NDArray[np.float64],
+    tops: Mapping[int, Mapping[tuple[float, float], float]], paint: dict[str, Any],
 ) -> None:  # fmt: skip
-    """Add the walls below a ring, whose points are `base` and `top`; windows run along each side of the outline."""
-    plan = base[:, :2]
-    area = 0.5 * float(np.sum(plan[:, 0] * np.roll(plan[:, 1], -1) - np.roll(plan[:, 0], -1) * plan[:, 1]))
-    order = np.arange(len(ring))
-    if (area > 0.0) != outer:
-        order = order[::-1]
-    is_corner = (ring[:, None] == corners[None]).all(axis=-1).any(axis=1)
-    begin = int(np.flatnonzero(is_corner[order])[0])
-    order = np.roll(order, -begin)
-    ends = [*np.flatnonzero(is_corner[order]), len(order)]
-    closed = np.append(order, order[0])
-    for first, last in zip(ends[:-1], ends[1:], strict=True):
-        side = closed[first : last + 1]
-        wide = float(np.linalg.norm(np.diff(base[side, :2], axis=0), axis=1).sum())
-        high = top[side, 2] - base[side, 2] - _BELOW_M
-        if wide < 0.05 or (high <= 0.0).any():
+    """Add the walls below a border; windows run along each side of an outline.
+
+    Where another building adjoins, the wall begins at its eaves: below them nobody sees it.
+    """
+    count = len(loop.point)
+    eaves = top[:, 2] - base[:, 2] - _BELOW_M
+    lowest: dict[int, float] = {}
+    for first, side in enumerate(loop.side.tolist()):
+        lowest[side] = min(lowest.get(side, np.inf), eaves[first], eaves[(first + 1) % count])
+    for first in range(count):
+        second = (first + 1) % count
+        length = float(np.linalg.norm(base[second, :2] - base[first, :2]))
+        share = abs(float(loop.along[first, 1] - loop.along[first, 0]))
+        if length < 1e-3:
             continue
-        for k, (a, b) in enumerate(zip(side[:-1], side[1:], strict=True)):
-            tall = max(float(high[k]), float(high[k + 1]))
-            shade = facade(**paint, wide_m=wide, high_m=tall, below_m=_BELOW_M, storeys_m=float(high.min()),
-                           part=(k / (len(side) - 1), (k + 1) / (len(side) - 1)))  # fmt: skip
-            quads.add([base[a], base[b], top[b], top[a]], shade)
+        other = tops.get(int(loop.beyond[first])) if loop.beyond[first] != OPEN else None
+        wide = length / max(share, 1e-9)
+        if other is None:
+            tall = float(max(eaves[first], eaves[second]))
+            if tall > 0.0:
+                shade = facade(**paint, wide_m=wide, high_m=tall, below_m=_BELOW_M, part=tuple(loop.along[first]),
+                               storeys_m=lowest[int(loop.side[first])])  # fmt: skip
+                quads.add([base[first], base[second], top[second], top[first]], shade)
+            continue
+        low = [other.get(_place(loop.point[k]), float(base[k, 2])) for k in (first, second)]
+        above = [float(top[k, 2]) - level for k, level in zip((first, second), low, strict=True)]
+        if max(above) > _STEP_M:
+            shade = facade(**paint, wide_m=wide, high_m=max(above), part=tuple(loop.along[first]))
+            quads.add(_step(top[first], top[second], *low), shade)
+
+
+def _step(
+    a: NDArray[np.float64], b: NDArray[np.float64], low_a: float, low_b: float
+) -> list[NDArray[np.float64]]:  # fmt: skip
+    """Corners of the wall between eaves a–b and lower ones; a triangle where they cross."""
+    foot_a, foot_b = np.append(a[:2], low_a), np.append(b[:2], low_b)
+    over_a, over_b = a[2] - low_a, b[2] - low_b
+    if min(over_a, over_b) < 0.0:
+        crossing = a + (b - a) * over_a / (over_a - over_b)
+        if over_a < 0.0:
+            a = foot_a = crossing
+        else:
+            b = foot_b = crossing
+    return [foot_a, foot_b, b, a]
 
 
 def _plants(

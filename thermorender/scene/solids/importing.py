@@ -1,6 +1,7 @@
 """What `import-terrain --three-d` adds: the solids of a surface model, and their files in the scene's folder."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,9 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import find, load_library
 from thermorender.scene.raster import Grid, onto
-from thermorender.scene.solids.imported import INFERRED, PLANTS, ROOF, ROOFS, WALLS, Imported, imported
+from thermorender.scene.solids import found
+from thermorender.scene.solids.clouds import Cloud
+from thermorender.scene.solids.imported import INFERRED, PLANTS, ROOF, ROOFS, WALLS, Imported, Walls, imported
 from thermorender.scene.solids.plants import write_leaf_tables
 from thermorender.scene.solids.skin import MESH, write_skins
 from thermorender.scene.terrain import read_elevation
@@ -27,19 +30,29 @@ class ThreeD:
     ground : path or None
         Raster of the ground's heights below all objects; None: a filter finds it.
     wall : str
-        Material of all walls.
+        Material of walls that the outlines do not declare.
+    wall_by_kind : mapping of str to str
+        {value of the tag `building`: material}.
+    building_class : int or None
+        The number of buildings, where the outlines are those of a raster of classes.
     """
 
     ground: Path | None = None
     wall: str = WALL
+    wall_by_kind: Mapping[str, str] = field(default_factory=dict)
+    building_class: int | None = None
 
     def made(
         self, height: NDArray[np.float64], grid: Grid, post_m: float, undulation_m: float, known: Path | None,
-        picture: tuple[NDArray[np.uint8], NDArray[np.bool_], Grid] | None, material: str,
+        picture: tuple[NDArray[np.uint8], NDArray[np.bool_], Grid] | None, material: str, cloud: Cloud | None = None,
     ) -> Imported:  # fmt: skip
-        """Return the Imported world of heights above the geoid or ellipsoid; `undulation_m` lies between [m]."""
+        """Return the Imported world of heights above the geoid or ellipsoid; `undulation_m` lies between [m].
+
+        The ground and the buildings of a cloud's classes are used where no file states them.
+        """
         library = load_library()
-        find(library, self.wall, "wall").known_thermal()
+        for name in (self.wall, *self.wall_by_kind.values()):
+            find(library, name, "wall").known_thermal()
         bare = None
         if self.ground is not None:
             lower, own = read_elevation(self.ground)
@@ -47,8 +60,28 @@ class ThreeD:
             if not np.isfinite(bare).any():
                 raise ThermorenderError(f"{self.ground} does not overlap the surface model; give one of the same area")
             bare = bare + undulation_m
-        colour = library[material].colour
-        return imported(height + undulation_m, grid, post_m, bare, known, picture, colour, self.wall, library)
+        elif cloud is not None and cloud.ground is not None:
+            bare = onto(cloud.ground, cloud.grid, grid, "average") + undulation_m
+        outlines = None if known is None else self._outlines(known, grid)
+        if known is None and cloud is not None and cloud.building is not None:
+            house = onto(cloud.building.astype(np.float32), cloud.grid, grid, "nearest") == 1.0
+            outlines = found.outlines_of(found.large(house, post_m))
+        walls, colour = Walls(self.wall, self.wall_by_kind), library[material].colour
+        return imported(height + undulation_m, grid, post_m, bare, outlines, picture, colour, walls, library)
+
+    def _outlines(self, known: Path, grid: Grid) -> list[found.Outline]:
+        """The outlines of a GeoJSON, or of a class of a raster."""
+        number, is_raster = self.building_class, known.suffix.lower() not in (".json", ".geojson")
+        if is_raster and number is None:
+            raise ThermorenderError(
+                f"known={known} is not a GeoJSON; if it is a raster of classes, give the number of its buildings as "
+                "--building-class"
+            )
+        if number is None:
+            return found.outlines_in(known, grid)
+        if not is_raster:
+            raise ThermorenderError(f"building_class={number} is for a raster, and {known} is a GeoJSON; leave it out")
+        return found.outlines_in_classes(known, number, grid)
 
 
 def write_solid(folder: Path, solid: Imported, tables: dict[str, Any]) -> dict[str, Any]:

@@ -1,0 +1,189 @@
+"""Rasters of a point cloud in a LAS or LAZ file: the highest surface, and the ground and buildings of its classes."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.errors import ThermorenderError
+from thermorender.scene.raster import Grid, lon_lat
+from thermorender.scene.surface import MOST_TEXELS, fill, nearest_valid
+from thermorender.scene.terrain import metres_of_heights
+
+SUFFIXES = (".las", ".laz")
+# Classes of the ASPRS LAS specification 1.4, tables 9 and 17: noise low and high, ground, buildings, and overlap.
+_NOISE, _GROUND, _BUILDING, _OVERLAP = (7, 18), 2, 6, 12
+# Points in a post on average, and limits of a post's side [m]; posts this near to a point get its height.
+_IN_POST, _POST_M, _NEAR = 2.0, (0.1, 1.0), 2.0
+_AT_ONCE = 2_000_000
+# GeoTIFF 1.1, requirement classes for keys: CRS of the map, geographic CRS, vertical CRS, and unit of heights.
+_PROJECTED, _GEOGRAPHIC, _VERTICAL, _VERTICAL_UNIT = 3072, 2048, 4096, 4099
+_OWN = 32767
+_UNITS = {9001: "m", 9002: "ft", 9003: "us-ft"}
+_STATE = "state it with `pdal translate IN OUT --writers.las.a_srs=EPSG:MAP+HEIGHTS`, such as EPSG:32633+5773"
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Rasters of a point cloud on one Grid.
+
+    Attributes
+    ----------
+    surface : (h, w) float64
+        Height of the highest point [m], NaN far from any.
+    ground : (h, w) float64 or None
+        Mean height of points of class 2 [m], NaN without one; None where the file has no such class.
+    building : (h, w) bool or None
+        Whether most points are of class 6; None where the file has no such class.
+    notes : tuple of str
+        What was left out, one sentence each.
+    """
+
+    surface: NDArray[np.float64]
+    ground: NDArray[np.float64] | None
+    building: NDArray[np.bool_] | None
+    grid: Grid
+    notes: tuple[str, ...]
+
+
+def read_cloud(path: Path) -> Cloud:
+    """Return the Cloud of a file; withheld points, noise, and the overlap of flight lines are left out.
+
+    Raises
+    ------
+    ThermorenderError
+        The file cannot be read, declares no map or unit, is in degrees, or has no usable point.
+    """
+    try:
+        import laspy
+    except ImportError:
+        raise ThermorenderError(
+            f"{path} needs laspy, which is not installed; run `pip install 'thermorender[clouds]'`"
+        ) from None
+    if not Path(path).is_file():
+        raise ThermorenderError(f"{path} does not exist; give a LAS or LAZ file")
+    with _named(path):
+        file = laspy.open(str(path))
+    with file:
+        return _rasters(path, file)
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Turn what laspy and its decoders raise for damaged files, of many types, into one sentence."""
+    try:
+        yield
+    except Exception as error:
+        raise ThermorenderError(
+            f"{path} cannot be read as a point cloud ({type(error).__name__}: {error}); give a whole LAS or LAZ file"
+        ) from None
+
+
+def _rasters(path: Path, file: Any) -> Cloud:
+    header = file.header
+    crs, factor = _crs_of(path, header)
+    left, bottom, right, top = (float(v) for v in (*header.mins[:2], *header.maxs[:2]))
+    lon_lat(Grid(crs, _upright(left, top, 1.0), 1, 1, str(path)), np.array([left, right]), np.array([bottom, top]))
+    unit = float(crs.linear_units_factor[1])
+    area = max((right - left) * (top - bottom), 1e-9)
+    post = float(np.clip(np.sqrt(_IN_POST * area / max(header.point_count, 1)), _POST_M[0] / unit, _POST_M[1] / unit))
+    columns, rows = (max(2, int(np.ceil((high - low) / post))) for low, high in ((left, right), (bottom, top)))
+    if rows * columns > MOST_TEXELS:
+        raise ThermorenderError(
+            f"{path} covers {columns}×{rows} posts; up to {MOST_TEXELS} are allowed, so cut it, with `pdal tile`"
+        )
+    grid = Grid(crs, _upright(left, top, post), rows, columns, str(path))
+    highest = np.full(rows * columns, -np.inf)
+    count, ground_count, building_count, ground = (np.zeros(rows * columns) for _ in range(4))
+    left_out = {"withheld": 0, "noise": 0, "overlap": 0}
+    for x, y, z, kind in _points(path, file, left_out):
+        column, row = np.floor((x - left) / post).astype(int), np.floor((top - y) / post).astype(int)
+        if not (np.isfinite(z).all() and (column >= 0).all() and (row >= 0).all()
+                and (column <= columns).all() and (row <= rows).all()):  # fmt: skip
+            raise ThermorenderError(
+                f"{path} has points outside of the bounds in its header; write it again, with `pdal translate IN OUT`"
+            )
+        post_of = np.minimum(row, rows - 1) * columns + np.minimum(column, columns - 1)
+        np.maximum.at(highest, post_of, z)
+        count += np.bincount(post_of, minlength=count.size)
+        below = kind == _GROUND
+        ground_count += np.bincount(post_of[below], minlength=count.size)
+        ground += np.bincount(post_of[below], z[below], minlength=count.size)
+        building_count += np.bincount(post_of[kind == _BUILDING], minlength=count.size)
+    if not count.any():
+        raise ThermorenderError(f"{path} has no point that is neither withheld nor noise; give another file")
+    shape, known = (rows, columns), (count > 0).reshape(rows, columns)
+    close = _close_to(known)
+    surface = np.where(close, fill(highest.reshape(shape), nearest_valid(known)), np.nan) * factor
+    bare = np.where(ground_count > 0, ground / np.maximum(ground_count, 1), np.nan).reshape(shape) * factor
+    house = fill((building_count > 0.5 * count).reshape(shape), nearest_valid(known)) & close
+    notes = tuple(f"{path.name}: {number} points left out, {what}" for what, number in left_out.items() if number)
+    return Cloud(surface, bare if ground_count.any() else None, house if building_count.any() else None, grid, notes)
+
+
+def _close_to(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    from scipy.ndimage import distance_transform_edt
+
+    found: NDArray[np.bool_] = distance_transform_edt(~known) <= _NEAR
+    return found
+
+
+def _points(path: Path, file: Any, left_out: dict[str, int]) -> Iterator[tuple[NDArray[Any], ...]]:
+    """Yield (x, y, z, class) of usable points in parts, and count the others."""
+    chunks = file.chunk_iterator(_AT_ONCE)
+    while True:
+        with _named(path):
+            part = next(chunks, None)
+        if part is None:
+            return
+        kind = np.asarray(part.classification)
+        unusable = {"withheld": np.asarray(part.withheld) != 0, "noise": np.isin(kind, _NOISE)}
+        # Point formats up to 5 have a class of overlap, later ones a flag.
+        overlap = getattr(part, "overlap", None)
+        unusable["overlap"] = kind == _OVERLAP if overlap is None else np.asarray(overlap) != 0
+        keep = np.ones(len(kind), bool)
+        for what, those in unusable.items():
+            left_out[what] += int((those & keep).sum())
+            keep &= ~those
+        yield tuple(np.asarray(each)[keep] for each in (part.x, part.y, part.z, kind))
+
+
+def _upright(left: float, top: float, side: float) -> Any:
+    from rasterio import Affine
+
+    return Affine(side, 0.0, left, 0.0, -side, top)
+
+
+def _crs_of(path: Path, header: Any) -> tuple[Any, float]:
+    """(CRS of the map, metres in the unit of heights) by a file's WKT or GeoTIFF keys."""
+    from rasterio.crs import CRS
+    from rasterio.errors import CRSError
+
+    unit = ""
+    crs = None
+    try:
+        for record in header.vlrs:
+            keys = {key.id: key.value_offset for key in getattr(record, "geo_keys", ())}
+            if hasattr(record, "string") and record.record_id == 2112:
+                crs = CRS.from_wkt(record.string.rstrip("\0"))
+                break
+            if keys:
+                unit = _UNITS.get(keys.get(_VERTICAL_UNIT, 0), "")
+                code, level = keys.get(_PROJECTED, keys.get(_GEOGRAPHIC, 0)), keys.get(_VERTICAL, 0)
+                if code and code != _OWN:
+                    compound = f"+{level}" if level and level != _OWN else ""
+                    crs = CRS.from_user_input(f"EPSG:{code}{compound}")
+    except CRSError as error:
+        raise ThermorenderError(f"{path} has a CRS that cannot be read ({error}); {_STATE}") from None
+    if crs is None:
+        raise ThermorenderError(f"{path} declares no CRS by an EPSG number or WKT; {_STATE}")
+    if not crs.is_projected:
+        raise ThermorenderError(
+            f"{path} is in {crs.to_string()[:60]}, not on a map; project it, with "
+            "`pdal translate IN OUT reprojection --filters.reprojection.out_srs=EPSG:MAP`"
+        )
+    return crs, metres_of_heights(path, crs, unit, _STATE)
