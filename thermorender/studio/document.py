@@ -71,9 +71,10 @@ class Document:
         objects = {each.name: (each.material, each.temperature) for each in scene.spec.objects}
         return cls(library, own, dict(scene.spec.emissivity.classes), objects, tables=tables)
 
-    def with_material(self, material: Material) -> "Document":
-        """Return this Document with a material in place of that of the same name, or in addition."""
-        return replace(self, library={**self.library, material.name: material})
+    def with_material(self, material: Material, table: str | None = None) -> "Document":
+        """Return this Document with a material in place of that of the same name, or in addition; see `tables`."""
+        tables = self.tables if table is None else self.tables | {material.name: table}
+        return replace(self, library={**self.library, material.name: material}, tables=tables)
 
     def duplicated(self, name: str, copy: str) -> "Document":
         """Return this Document with a copy of a material under another name."""
