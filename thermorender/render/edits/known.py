@@ -2,7 +2,7 @@
 
 from concurrent.futures import Executor
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
@@ -153,7 +153,7 @@ class Samples:
         start = self._columns[0]
         return int((start[faces + 1] - start[faces]).sum())
 
-    def seen_on(self, faces: NDArray[np.intp], sent: Floats) -> tuple[NDArray[np.intp], Floats]:
+    def seen_on(self, faces: NDArray[np.intp], sent: Floats) -> tuple[NDArray[Any], Floats]:
         """Return (faces that see some faces (m,), what they receive by each half of their rays, (m, 2, k)).
 
         `sent` is the radiance that those faces send, (n, k) [W m⁻² sr⁻¹].

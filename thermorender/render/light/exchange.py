@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _T = TypeVar("_T")
 # See `Exchange.send_few`.
-SeenOn = Callable[[NDArray[np.intp], Floats], tuple[NDArray[np.intp], Floats]]
+SeenOn = Callable[[NDArray[np.intp], Floats], tuple[NDArray[Any], Floats]]
 # Numbers of faces, and what they see, as `Transport.among`.
 Strong = tuple[NDArray[np.intp], Any, Any]
 # Faces that reflect more than this exchange light among themselves first. One of less reflects a tenth or less of what
@@ -177,7 +177,8 @@ class Exchange:
 
     def _components(self, sent: Callable[[slice], Floats]) -> Floats:
         """Principal components of the spectra of all faces, (n, N) orthonormal, as many as represent them."""
-        return _axes(sum(self._each(lambda part: sent(part).T @ sent(part), self._parts)), _LEFT_OUT)
+        gram: Any = sum(self._each(lambda part: sent(part).T @ sent(part), self._parts))
+        return _axes(gram, _LEFT_OUT)
 
     def above(self, least: float) -> NDArray[np.intp]:
         """Return the faces with a rest of more than `least` at any node, ascending."""
