@@ -142,9 +142,9 @@ class Samples:
         from scipy.sparse import csr_array
 
         transport, known = self.transport, self.transport.counted
-        hits = transport.hits.astype(np.int16 if transport.rays < 2**15 else np.int32)
+        hits: NDArray[Any] = transport.hits.astype(np.int16 if transport.rays < 2**15 else np.int32)
         sign = np.tile(np.array([1, -1], np.int8), len(transport.up))
-        hits *= np.repeat(sign, np.diff(transport.start))
+        np.multiply(hits, np.repeat(sign, np.diff(transport.start)), out=hits)
         found = csr_array((hits, known.indices, known.indptr), known.shape).tocsc()
         return found.indptr.astype(np.int64), found.indices, found.data
 
