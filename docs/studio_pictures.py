@@ -1,59 +1,117 @@
-"""Draw the pictures of the studio's guide: docs/figures/studio-1280.png and studio-1920.png.
+"""Draw the pictures of the studio's guide: docs/figures/studio-….png and studio-map-….png, in two sizes each.
 
-`python docs/studio_pictures.py SCENE` opens a scene in a headless Chromium. It needs playwright and Chromium.
+`python docs/studio_pictures.py` shows the shipped village and the guide's small one in a headless Chromium. It needs
+playwright, Chromium and thermorender[studio,train].
 """
 
 import re
 import shutil
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from playwright.sync_api import sync_playwright
 
 FIGURES = Path(__file__).with_name("figures")
 ARGUMENTS = ["--headless", "--no-sandbox", "--disable-gpu"]
+SIZES = ((1280, 800), (1920, 1080))
 WAIT_MS = 120_000
-# A rubber roof of the village is then at the clicked place.
-POSE = "0,-96,96,0,-45,0"
-# {size: share of the picture's width and height that is clicked}
-SIZES = {(1280, 800): (0.40, 0.60), (1920, 1080): (0.40, 0.60)}
+# A rubber roof of the village is then at the clicked place, a share of the picture's width and height.
+POSE, PLACE = "0,-96,96,0,-45,0", (0.40, 0.60)
+# The guide's scene, and labels on its map: material; left, top, right and bottom as shares of it.
+SMALL = ("make-scene", "village", "--size-m", "60", "--texel-m", "0.5")
+LABELS = (
+    ("grass_green", 0.25, 0.15, 0.30, 0.35), ("grass_green", 0.50, 0.87, 0.62, 0.97),
+    ("soil_loam", 0.72, 0.60, 0.80, 0.80), ("soil_loam", 0.34, 0.66, 0.36, 0.80),
+    ("water", 0.40, 0.18, 0.55, 0.30),
+)  # fmt: skip
 
 
-def draw(page, address, place):
-    """Click a roof, edit its emissivity, and show the difference."""
-    page.goto(address)
-    page.wait_for_selector("#frame[data-number]", timeout=WAIT_MS)
-    box = page.get_by_test_id("frame").bounding_box()
-    page.mouse.click(box["x"] + place[0] * box["width"], box["y"] + place[1] * box["height"])
-    name = page.locator('[data-key="Material"]').inner_text(timeout=WAIT_MS)
-    page.locator(f'tr[data-name="{name}"]').click()
-    page.get_by_test_id("title").filter(has_text=name).wait_for(timeout=WAIT_MS)
+@contextmanager
+def studio(scene, *options):
+    """Serve a scene; yield the address."""
+    command = [sys.executable, "-m", "thermorender", "studio", scene, "--port", "0", *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        try:
+            yield re.search(r"open (\S+)", server.stdout.readline())[1]
+        finally:
+            server.terminate()
 
 
-def main(scene):
-    """Draw both sizes."""
-    command = [sys.executable, "-m", "thermorender", "studio", scene, "--port", "0", f"--pose={POSE}"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server, sync_playwright() as started:
-        address = re.search(r"open (\S+)", server.stdout.readline())[1]
+def tabs(browser, address):
+    """Yield (page, size) of a new tab for each size, and take its picture afterwards."""
+    for width, height in SIZES:
+        page = browser.new_page(viewport={"width": width, "height": height})
+        page.set_default_timeout(WAIT_MS)
+        page.goto(address)
+        page.wait_for_selector("#frame[data-number]")
+        yield page, width
+        page.mouse.move(5, height - 5)
+        page.wait_for_timeout(2500)
+        page.screenshot(path=FIGURES / f"studio-{'map-' if page.get_by_test_id('map').is_visible() else ''}{width}.png")
+        page.close()
+
+
+def draw_roof(browser, address):
+    """Click a roof; in the larger picture also edit its emissivity, and show the difference."""
+    for page, width in tabs(browser, address):
+        box = page.get_by_test_id("frame").bounding_box()
+        page.mouse.click(box["x"] + PLACE[0] * box["width"], box["y"] + PLACE[1] * box["height"])
+        name = page.locator('[data-key="Material"]').inner_text()
+        page.locator(f'tr[data-name="{name}"]').click()
+        page.get_by_test_id("title").filter(has_text=name).wait_for()
+        if width == SIZES[1][0]:
+            page.get_by_test_id("field-emissivity").fill("0.85")
+            page.get_by_test_id("field-emissivity").press("Enter")
+            page.wait_for_selector('#frame[data-version="1"]')
+            page.get_by_test_id("state").filter(has_text="exact").wait_for()
+            choose(page, "mode", "Difference to saved")
+            page.get_by_test_id("notes").filter(has_text="mean").wait_for()
+
+
+def draw_map(browser, address):
+    """Label areas of the map; in the larger picture also train, and show the standard deviation."""
+    for page, width in tabs(browser, address):
+        choose(page, "mode", "Map to paint on")
+        page.get_by_role("button", name="Label", exact=True).click()
+        choose(page, "tool", "Polygon")
+        page.wait_for_function("() => document.getElementById('map').naturalWidth > 0")
+        if width == SIZES[1][0]:
+            page.get_by_test_id("train").click()
+            page.get_by_test_id("map-words").filter(has_text="Most probable").wait_for()
+            choose(page, "layer", "Uncertainty")
+            page.get_by_test_id("map-words").filter(has_text="Standard deviation").wait_for()
+            continue
+        box = page.get_by_test_id("map").bounding_box()
+        for count, (name, left, top, right, bottom) in enumerate(LABELS, start=1):
+            page.get_by_test_id("paint").fill(name)
+            page.get_by_role("option", name=name, exact=True).click()
+            for x, y in ((left, top), (right, top), (right, bottom), (left, bottom)):
+                click = page.mouse.dblclick if (x, y) == (left, bottom) else page.mouse.click
+                click(box["x"] + x * box["width"], box["y"] + y * box["height"])
+            page.get_by_test_id("labels").filter(has_text=f"{count} labels").wait_for()
+
+
+def choose(page, test, option):
+    """Choose an option of a list."""
+    page.get_by_test_id(test).click()
+    page.get_by_role("option", name=option).click()
+
+
+def main():
+    """Draw all pictures."""
+    with sync_playwright() as started, TemporaryDirectory() as folder:
         browser = started.chromium.launch(executable_path=shutil.which("chromium"), args=ARGUMENTS)
-        for (width, height), place in SIZES.items():
-            page = browser.new_page(viewport={"width": width, "height": height})
-            draw(page, address, place)
-            if width == 1920:
-                page.get_by_test_id("field-emissivity").fill("0.85")
-                page.get_by_test_id("field-emissivity").press("Enter")
-                page.wait_for_selector('#frame[data-version="1"]', timeout=WAIT_MS)
-                page.get_by_test_id("state").filter(has_text="exact").wait_for(timeout=WAIT_MS)
-                page.get_by_test_id("mode").click()
-                page.get_by_text("Difference to saved").click()
-                page.get_by_test_id("notes").filter(has_text="mean").wait_for(timeout=WAIT_MS)
-            page.mouse.move(5, height - 5)
-            page.wait_for_timeout(2500)
-            page.screenshot(path=FIGURES / f"studio-{width}.png")
+        with studio("village", f"--pose={POSE}") as address:
+            draw_roof(browser, address)
+        small = str(Path(folder, "small"))
+        subprocess.run([sys.executable, "-m", "thermorender", *SMALL, "-o", small], check=True)
+        with studio(small) as address:
+            draw_map(browser, address)
         browser.close()
-        server.terminate()
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:] or ["village"])
+    main()

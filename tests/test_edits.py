@@ -14,6 +14,7 @@ import pytest
 import thermorender as tr
 from scenes import write_terrain
 from thermorender.render.baked import bake
+from thermorender.render.edits.known import samples_of
 from thermorender.render.light.solved import solve_scene
 
 DOWN = {"pitch_deg": -90.0}
@@ -108,11 +109,28 @@ def test_preview_differs_from_the_solution_by_its_stated_error_at_most(renderer,
     assert "preview" not in exact.baked.errors_mk
 
 
+def test_light_of_few_faces_is_that_of_all_rays(renderer):
+    transport, samples = renderer.baked.transport, samples_of(renderer.baked)
+    count = len(transport.up)
+    # One that no other face sees, and some that others see.
+    hits = np.bincount(transport.seen, minlength=count)
+    faces = np.sort(np.concatenate([np.flatnonzero(hits == 0)[:1], np.flatnonzero(hits)[[3, 40, 41]]]))
+    sent = np.zeros((count, 2))
+    sent[faces] = np.random.default_rng(0).random((len(faces), 2))
+    rows, seen = samples.seen_on(faces, sent[faces])
+    expected = (transport.halves(slice(0, count)) @ sent / (2.0 * transport.rays)).reshape(count, 2, 2)
+    assert len(rows) < count / 2
+    np.testing.assert_allclose(seen, expected[rows], rtol=1e-12)
+    assert not np.delete(expected, rows, axis=0).any()
+
+
+@pytest.mark.parametrize("few", [0.0, np.inf])
 @pytest.mark.parametrize("name", EDITS)
-def test_solution_of_an_edit_is_that_of_the_edited_scene(renderer, name, monkeypatch):
-    """It begins from the light before, and its error bound is that of any solution."""
+def test_solution_of_an_edit_is_that_of_the_edited_scene(renderer, name, few, monkeypatch):
+    """It begins from the light before, and its error bound is that of any solution, whichever faces send."""
     scene = EDITS[name](renderer.scene)
     monkeypatch.setattr("thermorender.render.edits.solution._MOST_CHANGED", 1.0)
+    monkeypatch.setattr("thermorender.render.edits.solution._FEW", few)
     found = renderer.baked.solved_for(scene)
     alone = bake(scene, found.plan, like=renderer.baked)
     apart = np.abs(found.incident - alone.incident).max() / renderer.plan.radiance_per_mk

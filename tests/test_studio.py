@@ -25,9 +25,10 @@ WAIT_MS = 20_000
 
 
 @contextmanager
-def served(folder, *options):
-    """Run `thermorender studio` of a scene on a free port; yield the address that it prints."""
-    command = [sys.executable, "-m", "thermorender", "studio", str(folder), "--port", "0", f"--pose={POSE}", *options]
+def served(folder, before=""):
+    """Run `thermorender studio` of a scene on a free port, after a line of Python; yield the address that it prints."""
+    code = f"{before}\nfrom thermorender.cli.app import main\nmain()"
+    command = [sys.executable, "-c", code, "studio", str(folder), "--port", "0", f"--pose={POSE}"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=folder) as process:
         try:
             yield re.search(r"open (\S+)", process.stdout.readline())[1]
@@ -119,6 +120,17 @@ class Page:
         field = self.part(f"field-{key}")
         field.fill(text)
         field.press("Enter")
+
+    def show_map(self):
+        """Show the map to paint on, once its picture is there."""
+        self.part("mode").click()
+        self.page.get_by_text("Map to paint on").click()
+        self.page.wait_for_function("() => document.getElementById('map').naturalWidth > 0", timeout=WAIT_MS)
+
+    def paint_with(self, name):
+        """Choose the material to paint or to label with."""
+        self.part("paint").fill(name)
+        self.page.get_by_role("option", name=name, exact=True).click()
 
     def figures_of(self, version):
         """Wait for the clicked pixel's figures of a version."""
@@ -257,15 +269,43 @@ def test_a_class_and_a_painted_area_get_another_material(page, folder):
     expected = tr.Renderer(scene, "fast").frame(scene.pose(*map(float, POSE.split(",")))).apparent_temperature[250, 200]
     assert page.apparent() == pytest.approx(expected, abs=2e-3)
     # On the map, a click fills the eastern half.
-    page.part("mode").click()
-    page.page.get_by_text("Map to paint on").click()
-    page.page.wait_for_function("() => document.getElementById('map').naturalWidth > 0", timeout=WAIT_MS)
-    page.part("paint").fill("water")
-    page.page.get_by_role("option", name="water", exact=True).click()
+    page.show_map()
+    page.paint_with("water")
     box = page.part("map").bounding_box()
     page.page.mouse.click(box["x"] + 0.75 * box["width"], box["y"] + 0.5 * box["height"])
     page.page.locator(f'#map[data-version="{version + 2}"]').wait_for(timeout=WAIT_MS)
     assert page.page.locator('tr[data-name="water"]').inner_text().split()[2] == "50.0"
+    # With the keyboard alone, the western one.
+    page.page.locator("#mapstage").focus()
+    for key in ["ArrowLeft"] * 10 + ["Space"]:
+        page.page.keyboard.press(key)
+    page.page.locator(f'#map[data-version="{version + 3}"]').wait_for(timeout=WAIT_MS)
+    assert page.page.locator('tr[data-name="water"]').inner_text().split()[2] == "100.0"
+    assert page.part("map-legend").inner_text() == "water"
+
+
+@pytest.mark.slow
+def test_axe_finds_no_serious_violation_on_any_tab(page):
+    axe = pytest.importorskip("axe_playwright_python.base", reason="needs axe-playwright-python")
+    page.page.evaluate(axe.AXE_FILE_PATH.read_text("utf-8"))
+    page.click_pixel(200, 250)
+    page.figures_of(page.version)
+    found = {}
+
+    def look(where):
+        page.page.wait_for_timeout(500)
+        for each in page.page.evaluate("axe.run()")["violations"]:
+            if each["impact"] in ("serious", "critical"):
+                found[where, each["id"]] = [node["html"][:200] for node in each["nodes"]]
+
+    for tab in ("Optical", "Thermal", "Cover", "Files"):
+        page.page.get_by_role("tab", name=tab).click()
+        look(tab)
+    page.show_map()
+    look("map")
+    page.page.get_by_role("button", name="Label", exact=True).click()
+    look("labels")
+    assert not found
 
 
 @pytest.mark.slow
@@ -451,7 +491,47 @@ def test_a_pasted_spectrum_replaces_that_of_a_copy(page):
     page.part("replace").click()
     page.part("load-fault").filter(has_text="sample pasted text of material 'meadow'").wait_for(timeout=WAIT_MS)
     assert "outside 0…100 %" in page.part("load-fault").inner_text()
+    rows = "".join(f"{2 + 1e-4 * k:.4f},0.9\n" for k in range(20_001))
+    # Typing so many lines would take Chromium a minute.
+    put = "(field, text) => { field.value = text; field.dispatchEvent(new Event('input')); }"
+    page.part("paste").evaluate(put, f"wavelength_um,emissivity\n{rows}")
+    page.part("replace").click()
+    page.part("load-fault").filter(has_text="pasted text has 20002 rows, more than the 20000").wait_for(timeout=WAIT_MS)
     page.part("paste").fill("wavelength_um,emissivity\n2,0.9\n14,0.9\n20,0.9\n")
     page.part("replace").click()
     page.settled(version + 2)
     assert page.part("band").inner_text().startswith("0.9000 ")
+
+
+@pytest.mark.slow
+def test_labels_train_a_map_and_cancel_ends_the_training(browser, tmp_path):
+    columns, random = np.mgrid[:128, :128][1], np.random.default_rng(1)
+    colour = np.where((columns < 64)[..., None], (60, 120, 50), (200, 180, 140)) + random.integers(-8, 9, (128, 128, 3))
+    classes = np.where(columns < 64, 1, 2)
+    folder = write_terrain(tmp_path / "halves", height=np.zeros((64, 64)), classes=classes, colour=colour)
+    with served(folder, "from thermorender.learned.emissivity import training as t; t._EPOCHS = 12") as address:
+        page = Page(browser, address)
+        page.show_map()
+        page.page.get_by_role("button", name="Label", exact=True).click()
+        page.part("tool").click()
+        page.page.get_by_role("option", name="Lasso").click()
+        box = page.part("map").bounding_box()
+        for count, (name, left) in enumerate((("grass_green", 0.05), ("sand_quartz", 0.55)), start=1):
+            page.paint_with(name)
+            for at, (x, y) in enumerate([(0, 0.05), (0.4, 0.05), (0.4, 0.95), (0, 0.95)]):
+                page.page.mouse.move(box["x"] + (left + x) * box["width"], box["y"] + y * box["height"])
+                if not at:
+                    page.page.mouse.down()
+            page.page.mouse.up()
+            page.part("labels").filter(has_text=f"{count} labels, {count} materials").wait_for(timeout=WAIT_MS)
+        page.part("train").click()
+        page.part("cancel-training").click()
+        page.page.get_by_text("the training was cancelled; press Train to begin again").wait_for(timeout=WAIT_MS)
+        page.part("cancel-training").wait_for(state="hidden")
+        assert "/map/materials/" in page.part("map").get_attribute("src")
+        page.part("train").click()
+        words = re.compile(r"^Most probable: grass_green \d\d%, sand_quartz \d\d%")
+        page.part("map-words").filter(has_text=words).wait_for(timeout=3 * WAIT_MS)
+        page.page.wait_for_function("() => document.getElementById('map').src.includes('/map/learned/')")
+        assert sorted(page.part("map-legend").inner_text().split()) == ["grass_green", "sand_quartz"]
+        page.context.close()

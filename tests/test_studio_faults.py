@@ -3,6 +3,7 @@
 import asyncio
 import shlex
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 import thermorender as tr
 from scenes import write_terrain
 from thermorender.errors import ThermorenderError
+from thermorender.paths import data_folder
 from thermorender.studio.access import Guard
 from thermorender.studio.document import History
 from thermorender.studio.fields import changed, read_spectrum
@@ -133,15 +135,44 @@ def test_a_save_keeps_comments_line_ends_and_digits(session, end):
 
 
 def test_a_copy_of_a_material_that_emits_by_angle_is_saved(session):
-    session.edit(0, "", lambda document: document.duplicated("glass", "pane"))
+    session.edit(0, "", lambda document: document.duplicated("glass_fresnel", "pane"))
     session.edit(1, "", lambda document: document.of_class(1, "pane"))
     first = {each.name: each for each in saved(session).materials}["pane"]
     session.edit(2, "", lambda document: document.renamed("pane", "window"))
     second = {each.name: each for each in saved(session).materials}["window"]
-    glass = session.origin.library["glass"]
+    glass = session.origin.library["glass_fresnel"]
     for cosine in (1.0, 0.3):
         wanted = glass.band_emissivity(7.5, 13.5, 300.0, cosine)
         assert [each.band_emissivity(7.5, 13.5, 300.0, cosine) for each in (first, second)] == [wanted, wanted]
+
+
+def test_a_table_of_n_and_k_makes_a_material_emit_by_angle(session):
+    own = session.document.library["glass"]
+    table = (data_folder("materials") / "spectra" / "glass_fresnel.csv").read_bytes()
+    with pytest.raises(
+        ThermorenderError, match=r"nk\.csv is a table of n and k and has no sample 'A001'; leave it out"
+    ):
+        read_spectrum("nk.csv", table, own, "A001")
+    with pytest.raises(ThermorenderError, match=r"^nk\.csv, row 2: k=-1 is not within .*k not negative"):
+        read_spectrum("nk.csv", b"wavelength_um,n,k\n2,1.5,-1\n20,1.5,0.1\n", own)
+    session.edit(0, "", lambda document: document.duplicated("glass", "pane"))
+    session.edit(
+        1, "", lambda document: document.with_material(*read_spectrum("nk.csv", table, document.library["pane"]))
+    )
+    session.edit(2, "", lambda document: document.of_class(1, "pane"))
+    read = {each.name: each for each in saved(session).materials}["pane"]
+    for cosine in (1.0, 0.3):
+        wanted = session.document.library["glass_fresnel"].band_emissivity(7.5, 13.5, 300.0, cosine)
+        for each in (session.document.library["pane"], read):
+            assert each.band_emissivity(7.5, 13.5, 300.0, cosine) == wanted
+    assert "n and k from nk.csv" in read.note
+    with pytest.raises(ThermorenderError, match=r"pane emits by angle \(fresnel\); duplicate a Lambertian"):
+        changed(session.document, "pane", "emissivity", "0.9")
+
+
+def test_gaps_are_those_of_the_new_spectrum(session):
+    old = replace(session.document.library["snow"], gaps_um=((8.0, 9.0),))
+    assert read_spectrum("a.csv", b"wavelength_um,emissivity\n2,0.9\n9,0.8\n20,0.9\n", old)[0].gaps_um == ()
 
 
 def test_the_lines_without_the_page_name_or_repeat_all_edits(session):

@@ -144,7 +144,7 @@ def import_files(
     """
     kelvin("temperature", temperature)
     paths = [Path(path) for path in paths]
-    is_index = [_is_refractive_index(path) for path in paths]
+    is_index = [is_refractive_index(path) for path in paths]
     if any(is_index) and (len(paths) > 1 or columns):
         table = paths[is_index.index(True)]
         raise ThermorenderError(f"{table} is a table of n and k, which must be a material's only file")
@@ -252,7 +252,7 @@ def _resampled(samples, name):
     return grid, tables
 
 
-def _is_refractive_index(path):
+def is_refractive_index(path: Path) -> bool:
     """Return whether a file is a CSV with columns n and k."""
     if not path.is_file() or is_ecostress(path):
         return False

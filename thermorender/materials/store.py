@@ -72,11 +72,16 @@ def write_refractive_index(
     directory, replace
         As in `write_material`.
     """
-    rows = read_table(path, INDEX_OF_REFRACTION_COLUMNS)
-    lines = [",".join(INDEX_OF_REFRACTION_COLUMNS)]
-    lines += [",".join(cells[key] for key in INDEX_OF_REFRACTION_COLUMNS) for _, cells in rows]
     row = {SOLAR_STD_COLUMN: ""} | material | {"directional": "fresnel"}
-    store(row, "\n".join(lines) + "\n", directory, replace)
+    store(row, refractive_index_text(path), directory, replace)
+
+
+def refractive_index_text(path: str | Path) -> str:
+    """Return a table of n and k as a materials folder holds it."""
+    lines = [",".join(INDEX_OF_REFRACTION_COLUMNS)]
+    rows = read_table(path, INDEX_OF_REFRACTION_COLUMNS)
+    lines += [",".join(cells[key] for key in INDEX_OF_REFRACTION_COLUMNS) for _, cells in rows]
+    return "\n".join(lines) + "\n"
 
 
 def index_row(material: Material) -> dict[str, Any]:

@@ -71,9 +71,10 @@ class Document:
         objects = {each.name: (each.material, each.temperature) for each in scene.spec.objects}
         return cls(library, own, dict(scene.spec.emissivity.classes), objects, tables=tables)
 
-    def with_material(self, material: Material) -> "Document":
-        """Return this Document with a material in place of that of the same name, or in addition."""
-        return replace(self, library={**self.library, material.name: material})
+    def with_material(self, material: Material, table: str | None = None) -> "Document":
+        """Return this Document with a material in place of that of the same name, or in addition; see `tables`."""
+        tables = self.tables if table is None else self.tables | {material.name: table}
+        return replace(self, library={**self.library, material.name: material}, tables=tables)
 
     def duplicated(self, name: str, copy: str) -> "Document":
         """Return this Document with a copy of a material under another name."""
@@ -125,13 +126,15 @@ class Document:
         if name in self.library:
             raise ThermorenderError(f"there is a material {name!r} already; choose another name")
 
-    def of_class(self, number: int, name: str) -> "Document":
+    def of_class(self, number: int, material: str) -> "Document":
         """Return this Document with another material of a class."""
-        find(self.library, name, f"class {number}")
-        return replace(self, classes={**self.classes, number: name})
+        find(self.library, material, f"class {number}")
+        return replace(self, classes={**self.classes, number: material})
 
-    def of_object(self, name: str, material: str, kelvin: float) -> "Document":
+    def of_object(self, name: str, material: str | None = None, kelvin: float | None = None) -> "Document":
         """Return this Document with another material or temperature of an object [K]."""
+        before = self.objects[name]
+        material, kelvin = material or before[0], before[1] if kelvin is None else kelvin
         find(self.library, material, f"object {name!r}")
         return replace(self, objects={**self.objects, name: (material, kelvin)})
 

@@ -218,14 +218,14 @@ class Editor:
         async def uploaded(event: Any) -> None:
             given["name"], given["data"] = event.file.name, await event.file.read()
 
-        def read(document: Document) -> Material:
+        def read(document: Document) -> tuple[Material, str | None]:
             pasted = str(text.value or "").encode()
             source, data = ("pasted text", pasted) if pasted else (str(given["name"]), bytes(given["data"]))
             return fields.read_spectrum(source, data, document.library[name], str(column.value or "").strip())
 
         def overlay() -> None:
             try:
-                self._overlay = read(self._session.document)
+                self._overlay = read(self._session.document)[0]
             except ThermorenderError as error:
                 fault.set_text(str(error))
                 return
@@ -235,7 +235,7 @@ class Editor:
         def use(event: Any) -> None:
             change = f"{name}: spectrum of {given['name']}"
             refused = self._tab.edit(
-                int(event.args), change, lambda document: document.with_material(read(document)), True
+                int(event.args), change, lambda document: document.with_material(*read(document)), True
             )
             fault.set_text(refused)
             if not refused:
@@ -249,7 +249,7 @@ class Editor:
             ui.label(f"Spectrum for {name}").style("font-weight:600")
             ui.upload(label="ECOSTRESS, SLUM or CSV file", auto_upload=True, max_file_size=MOST_BYTES - 4096,
                       max_files=1, on_upload=uploaded, on_rejected=too_large).style("width:100%")  # fmt: skip
-            text = ui.textarea("Or paste two columns with headings, such as wavelength_um,emissivity")
+            text = ui.textarea("Or paste columns with headings: wavelength_um,emissivity or wavelength_um,n,k")
             text.props('outlined data-testid="paste"').style("width:100%")
             column = ui.input("Sample of a table with several").props("dense outlined").style("width:100%")
             fault = ui.label("").classes("say").props('data-testid="load-fault"')

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.files import reported
 from thermorender.materials.check import check_row
-from thermorender.materials.csv_tables import SOLAR_STD_COLUMN, decimal, share_in_cell
-from thermorender.materials.from_samples import from_samples
+from thermorender.materials.csv_tables import SOLAR_STD_COLUMN, decimal, gaps, read_refractive_index, share_in_cell
+from thermorender.materials.from_samples import from_samples, is_refractive_index
 from thermorender.materials.material import Material
 from thermorender.materials.samples import read_sample
-from thermorender.materials.store import index_row
+from thermorender.materials.store import index_row, refractive_index_text
 from thermorender.materials.thermal import CHOSEN, NUMBERS, Thermal, stacked, with_values
 from thermorender.studio.document import Document
 
@@ -195,11 +195,12 @@ def with_spectrum(
     """
     if material.directional != "lambertian":
         raise ThermorenderError(
-            f"{material.name} emits by angle ({material.directional}); duplicate a Lambertian material, or import a "
-            "table of n and k with `thermorender materials import`"
+            f"{material.name} emits by angle ({material.directional}); duplicate a Lambertian material, or load a "
+            "table with the columns wavelength_um, n and k"
         )
     return replace(
         material, wavelength_um=wavelength_um, emissivity=emissivity, assumed_um=(),
+        gaps_um=tuple(gaps(wavelength_um)),
         emissivity_std=np.full(wavelength_um.size, np.nan), samples=1, note=_noted(material.note, what),
     )  # fmt: skip
 
@@ -237,8 +238,12 @@ def scratch_folder() -> Iterator[str]:
         yield folder
 
 
-def read_spectrum(name: str, data: bytes, material: Material, column: str | None = None) -> Material:
-    """Return a material with the spectrum of a file: CSV, SLUM or ECOSTRESS.
+def read_spectrum(
+    name: str, data: bytes, material: Material, column: str | None = None
+) -> tuple[Material, str | None]:  # fmt: skip
+    """Return (material with the spectrum of a file, text of its table as of `Document.tables`).
+
+    The file is a CSV, SLUM or ECOSTRESS spectrum, or a CSV of n and k: the material then emits by angle.
 
     Parameters
     ----------
@@ -259,6 +264,10 @@ def read_spectrum(name: str, data: bytes, material: Material, column: str | None
         path = Path(folder, "spectrum.txt" if name.lower().endswith(".txt") else "spectrum.csv")
         path.write_bytes(data)
         try:
+            if is_refractive_index(path):
+                if column:
+                    raise ThermorenderError(f"{name} is a table of n and k and has no sample {column!r}; leave it out")
+                return _of_refractive_index(path, name, material), refractive_index_text(path)
             sample = read_sample(path, column or None)
             made = from_samples(
                 [sample], material.name, material.title, material.colour, material.solar_absorptance,
@@ -267,6 +276,14 @@ def read_spectrum(name: str, data: bytes, material: Material, column: str | None
         except ThermorenderError as error:
             raise ThermorenderError(str(error).replace(str(path), name).replace(path.name, name)) from None
     shown = with_spectrum(material, made.wavelength_um, made.emissivity, f"emissivity from {name}")
-    if not sample.library:
-        return shown
-    return replace(shown, source=made.source, citation=made.citation, licence=made.licence)
+    if sample.library:
+        shown = replace(shown, source=made.source, citation=made.citation, licence=made.licence)
+    return shown, None
+
+
+def _of_refractive_index(path: Path, name: str, material: Material) -> Material:
+    """A material of n and k, with the roughness of the one before; one that had none is smooth."""
+    return replace(
+        material, directional="fresnel", samples=1, assumed_um=(), note=_noted(material.note, f"n and k from {name}"),
+        **read_refractive_index(path, material.rms_slope),
+    )  # fmt: skip

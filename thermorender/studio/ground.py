@@ -14,7 +14,7 @@ from thermorender.files import reported
 from thermorender.scene.raster import Grid
 from thermorender.studio.document import Document, Painted
 from thermorender.studio.fields import scratch_folder
-from thermorender.studio.pictures import colours_of_materials, jpeg, table
+from thermorender.studio.pictures import Legend, colours_of_materials, hexadecimal, jpeg, legend_of, table
 
 if TYPE_CHECKING:
     from thermorender.scene.scene import Scene
@@ -45,11 +45,21 @@ class Learned:
         Colours of the most probable material, "learned", and of the emissivity's standard deviation, "uncertainty".
     words : dict of str to str
         What each layer shows.
+    legends : dict of str to Legend
     """
 
     photograph: NDArray[np.uint8]
     layers: dict[str, NDArray[np.uint8]]
     words: dict[str, str]
+    legends: dict[str, Legend]
+
+
+def legend(session: "Session", layer: str) -> Legend:
+    """Return the legend of a layer of the map."""
+    if session.learned is not None and layer in session.learned.legends:
+        return session.learned.legends[layer]
+    scene = session.scene
+    return legend_of(scene.surfaces[0].material, [each.name for each in scene.materials])
 
 
 def map_picture(session: "Session", percent: int, layer: str) -> bytes:
@@ -160,7 +170,10 @@ def learned_from(session: "Session", progress: Callable[[str, float], None]) -> 
     with scratch_folder() as scratch:
         path = Path(scratch, "labels.geojson")
         path.write_text(labels_text(session.base.grid, session.labels), encoding="utf-8")
-        model, _ = train_on([folder], path, "studio", progress=progress)
+        try:
+            model, _ = train_on([folder], path, "studio", progress=progress)
+        except ThermorenderError as error:
+            raise ThermorenderError(_on_map(str(error), path)) from None
     picture = orthophoto_of(session.base.spec)
     found = map_materials(
         model, picture.colour, picture.texel_m, lambda share: progress("mapping the materials", share)
@@ -181,10 +194,18 @@ def learned_from(session: "Session", progress: Callable[[str, float], None]) -> 
     shown = ", ".join(f"{name} {part:.0%}" for name, part in zip(model.materials, covers, strict=True))
     words = {
         "learned": f"Most probable: {shown}; {tested}",
-        "uncertainty": f"Standard deviation of the emissivity: mean {std.mean():.4f}; black 0, yellow {most:.4f}",
+        "uncertainty": f"Standard deviation of the emissivity: mean {std.mean():.4f}",
     }
-    layers = {"learned": colours[best], "uncertainty": table(_UNCERTAIN)[np.uint8(255.0 * std / most)]}
-    return Learned(picture.colour, layers, words)
+    scale = table(_UNCERTAIN)
+    layers = {"learned": colours[best], "uncertainty": scale[np.uint8(255.0 * std / most)]}
+    steps = ((f"{share * most:.4f}", hexadecimal(scale[int(255 * share)])) for share in (0.0, 0.25, 0.5, 0.75, 1.0))
+    legends = {"learned": legend_of(number.astype(np.uint8)[best], names), "uncertainty": tuple(steps)}
+    return Learned(picture.colour, layers, words, legends)
+
+
+def _on_map(sentence: str, path: Path) -> str:
+    """A sentence on a file of labels, of the map that they were drawn on."""
+    return sentence.replace(str(path), "the map").replace(path.name, "the map").replace("polygons", "areas")
 
 
 def _texel(scene: "Scene", x: float, y: float) -> tuple[int, int]:

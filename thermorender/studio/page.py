@@ -15,7 +15,7 @@ from nicegui import ui
 from thermorender.errors import ThermorenderError
 from thermorender.render.pixels.parts import PixelParts
 from thermorender.studio.editor import Editor
-from thermorender.studio.panels import Map
+from thermorender.studio.panels import Map, show_legend
 from thermorender.studio.pictures import NAMES, Picture
 from thermorender.studio.renders import figures
 from thermorender.studio.saving import command
@@ -102,10 +102,6 @@ class Tab:
             self.editor.refresh()
             if self.view.mode == "map":
                 self.map.refresh()
-
-    def editor_name(self) -> str:
-        """Return the chosen material, for the tools of the map."""
-        return self.editor.name if hasattr(self, "editor") else ""
 
     def look(self) -> None:
         """Ask for a picture of the view."""
@@ -363,12 +359,7 @@ class Tab:
         for tick, text in zip(self._ticks, picture.ticks(len(self._ticks)), strict=True):
             tick.set_text(text)
         self._notes.set_text(picture.notes)
-        self._legend.clear()
-        with self._legend:
-            for name, colour in picture.legend:
-                with ui.element("div"):
-                    ui.element("span").classes("swatch").style(f"background:{colour}")
-                    ui.label(name)
+        show_legend(self._legend, picture.legend)
         if self.pixel is not None:
             self._ask(self.pixel, self._figures_shown)
         if self._under is not None:

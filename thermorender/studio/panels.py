@@ -12,17 +12,34 @@ from thermorender.materials.csv_tables import decimal
 from thermorender.scene.load import load_scene
 from thermorender.studio import ground, saving
 from thermorender.studio.document import Document
+from thermorender.studio.pictures import Legend
 from thermorender.units import kelvin
 
 if TYPE_CHECKING:
     from thermorender.studio.page import Tab
 
 _TOOLS = {"fill": "Fill region", "polygon": "Polygon", "lasso": "Lasso"}
+_HOW = "Fill: click a region. Polygon: click corners, double-click the last. Lasso: drag around."
+_STAGE = """
+<div id="mapstage" tabindex="0" role="application" aria-label="Map to paint on: arrow keys move the mark, Space puts a
+corner there, Enter closes the area, Escape drops it"><img id="map" alt="Map of the materials over the orthophoto"
+data-testid="map" draggable="false"><svg id="mapdraw" viewBox="0 0 1 1" preserveAspectRatio="none"></svg></div>
+"""
 _LAYERS = {"materials": "Materials", "learned": "Learned", "uncertainty": "Uncertainty"}
 _KINDS = {
-    "png": "PNG: the camera's display", "exr": "EXR: radiance, temperatures and truth",
-    "tif": "TIFF: apparent temperature [K]", "map": "GeoTIFF: orthorectified [K]", "npz": "NPZ: arrays",
+    "png": "PNG, display", "exr": "EXR, radiance and truth", "tif": "TIFF, apparent [K]", "map": "GeoTIFF, map [K]",
+    "npz": "NPZ, arrays",
 }  # fmt: skip
+
+
+def show_legend(box: ui.element, legend: Legend) -> None:
+    """Fill an element with a legend."""
+    box.clear()
+    with box:
+        for words, colour in legend:
+            with ui.element("div"):
+                ui.element("span").classes("swatch").style(f"background:{colour}")
+                ui.label(words)
 
 
 class Cover:
@@ -48,14 +65,15 @@ class Cover:
             with ui.element("div").classes("cover"):
                 for number, name in sorted(document.classes.items()):
                     ui.label(f"Class {number}").classes("soft")
-                    self._choice(names, name, f"class-{number}", f"class {number}", partial(_of_class, number))
+                    change = partial(Document.of_class, number=number)
+                    self._choice(names, name, f"class-{number}", f"class {number}", change)
             if not document.objects:
                 return
             ui.html("<h2>Objects</h2>", sanitize=False)
             with ui.element("div").classes("cover three"):
                 for thing, (name, temperature) in document.objects.items():
                     ui.label(thing).classes("soft")
-                    self._choice(names, name, f"object-{thing}", thing, partial(_of_object, thing))
+                    self._choice(names, name, f"object-{thing}", thing, partial(Document.of_object, name=thing))
                     self._kelvin(thing, temperature)
 
     def _choice(self, names: list[str], now: str, test: str, what: str, change: Callable[..., Document]) -> None:
@@ -66,7 +84,9 @@ class Cover:
         def done(event: Any) -> None:
             chosen, version = event.args
             if chosen and chosen != now:
-                if self._tab.edit(int(version), f"{what}: {chosen}", lambda document: change(document, str(chosen))):
+                if self._tab.edit(
+                    int(version), f"{what}: {chosen}", lambda document: change(document, material=str(chosen))
+                ):
                     given.set_value(now)
 
         given.on("update:model-value", done, js_handler="(one) => emit(one && one.label, studio.version)")
@@ -83,7 +103,7 @@ class Cover:
 
         def done(event: Any) -> None:
             if fault(str(event.args[0])) is None:
-                change = partial(_warmed, thing, decimal(str(event.args[0])))
+                change = partial(Document.of_object, name=thing, kelvin=decimal(str(event.args[0])))
                 self._tab.edit(int(event.args[1]), f"{thing}: {event.args[0]} K", change)
 
         given = ui.input(value=f"{now:g}", validation=fault, suffix="K").props("dense outlined hide-bottom-space")
@@ -91,42 +111,27 @@ class Cover:
         given.on("change", done, js_handler="(value) => emit(value, studio.version)")
 
 
-def _of_class(number: int, document: Document, material: str) -> Document:
-    return document.of_class(number, material)
-
-
-def _of_object(thing: str, document: Document, material: str) -> Document:
-    return document.of_object(thing, material, document.objects[thing][1])
-
-
-def _warmed(thing: str, to: float, document: Document) -> Document:
-    return document.of_object(thing, document.objects[thing][0], to)
-
-
 class Map:
     """The orthophoto with the materials over it, and tools to paint on it."""
 
     def __init__(self, tab: "Tab") -> None:
         self._tab, self._session = tab, tab.session
-        self.material, self._percent = tab.editor_name(), 45
+        self._percent = 45
         with ui.element("div").classes("tools"):
             self._tool = ui.select(_TOOLS, value="fill", label="Tool").props('dense outlined data-testid="tool"')
-            self._tool.style("width:130px").on_value_change(
+            self._tool.style("width:148px").on_value_change(
                 lambda e: ui.run_javascript(f"studio.tool({json.dumps(e.value)})")
             )
             self._paint = ui.select([], label="Material to paint", with_input=True)
-            self._paint.props('dense outlined options-dense data-testid="paint"').style("width:180px")
-            ui.label("Materials over photograph").classes("soft")
+            self._paint.props('dense outlined options-dense data-testid="paint"').style("width:200px")
+            ui.label("Opacity").classes("soft")
             slider = ui.slider(min=0, max=100, value=self._percent).props('aria-label="Opacity of the materials"')
             slider.style("width:110px").on("change", lambda e: self._shown(int(e.args)))
         self._labels()
         with ui.element("div").classes("mapbox"):
-            ui.html(
-                '<div id="mapstage"><img id="map" alt="Map of the materials over the orthophoto" data-testid="map" '
-                'draggable="false"><svg id="mapdraw" viewBox="0 0 1 1" preserveAspectRatio="none"></svg></div>',
-                sanitize=False,
-            )
-        self._words = ui.label("").classes("hover")
+            ui.html(_STAGE, sanitize=False)
+        self._words = ui.label("").classes("hover").props('data-testid="map-words"')
+        self._legend = ui.element("div").classes("legend maplegend").props('data-testid="map-legend"')
         ui.on("studio_area", self._area)
 
     def _labels(self) -> None:
@@ -137,13 +142,12 @@ class Map:
             self._layer = ui.select(_LAYERS, value="materials", label="Layer").props(
                 'dense outlined data-testid="layer"'
             )
-            self._layer.style("width:180px").on_value_change(lambda: self._layered())
-            self._label_tools = ui.element("div").classes("row")
+            self._layer.style("width:140px").on_value_change(lambda: self._layered())
+            self._label_tools = ui.element("div").classes("row grow")
             with self._label_tools:
-                self._count = ui.label("").classes("soft").props('role="status" data-testid="labels"')
-                for text, does in (("Remove last", self._remove), ("Train", self._train), ("Download", self._download)):
-                    test = text.lower().replace(" ", "-")
-                    ui.button(text, on_click=does).props(f'outline dense no-caps data-testid="{test}"')
+                self._count = ui.label("").classes("soft count").props('role="status" data-testid="labels"')
+                for text, does in (("Remove", self._remove), ("Train", self._train), ("Download", self._download)):
+                    ui.button(text, on_click=does).props(f'outline dense no-caps data-testid="{text.lower()}"')
                 self._cancel = ui.button("Cancel", on_click=self._session.stop_training.set)
                 self._cancel.props('flat dense no-caps data-testid="cancel-training"').set_visibility(False)
         self._label_tools.set_visibility(False)
@@ -152,15 +156,14 @@ class Map:
         """Show the labels, where areas are labels."""
         labels, grid, on = self._session.labels, self._session.base.grid, self._use.value == "label"
         self._label_tools.set_visibility(on)
-        self._count.set_text(f"{len(labels)} labels of {len({each.material for each in labels})} materials")
+        self._count.set_text(f"{len(labels)} labels, {len({each.material for each in labels})} materials")
         shapes = ground.outlines(grid, labels) if on and grid is not None else []
         ui.run_javascript(f"studio.showLabels({json.dumps(shapes)})")
 
     def _layered(self) -> None:
-        learned = self._session.learned
+        learned, layer = self._session.learned, self._layer.value
         missing = "No map is learned yet: label areas of two or more materials, and press Train."
-        if self._layer.value != "materials":
-            self._words.set_text(learned.words[self._layer.value] if learned else missing)
+        self._words.set_text(_HOW if layer == "materials" else learned.words[layer] if learned else missing)
         self.refresh()
 
     def _remove(self) -> None:
@@ -211,15 +214,15 @@ class Map:
 
     def open(self) -> None:
         """Show the map of the current version."""
-        self._paint.set_options(sorted(self._session.document.library), value=self._tab.editor_name())
-        self._words.set_text("Fill: click a region. Polygon: click corners, double-click the last. Lasso: drag around.")
-        self.refresh()
+        self._paint.set_options(sorted(self._session.document.library), value=self._tab.editor.name)
+        self._layered()
         ui.run_javascript(f"studio.setUpMap(); studio.tool({json.dumps(self._tool.value)})")
 
     def refresh(self) -> None:
         """Show the current version of the edits."""
         address = f"/map/{self._layer.value}/{self._session.history.version}/{self._percent}"
         ui.run_javascript(f"studio.showMap({json.dumps(address)}, {self._session.history.version})")
+        show_legend(self._legend, ground.legend(self._session, self._layer.value))
 
     def _area(self, event: Any) -> None:
         given, scene, session = event.args, self._session.scene, self._session
@@ -241,11 +244,9 @@ class Map:
             session.labels.append(ground.Label(shape, str(material)))
             self._labelled()
             return
-
-        def change(document: Document) -> Document:
-            return ground.painted(session, shape, material, document)
-
-        self._tab.edit(int(given["version"]), f"area of {material}", change)
+        self._tab.edit(
+            int(given["version"]), f"area of {material}", partial(ground.painted, session, shape, str(material))
+        )
 
 
 class Files:
@@ -268,7 +269,7 @@ class Files:
             ui.html("<h2>Export the view</h2>", sanitize=False)
             with ui.row().style("gap:8px;align-items:center"):
                 kind = ui.select(_KINDS, value="png", label="Kind").props("dense outlined").style("width:200px")
-                metres = ui.number("Map pixel [m]", value=0.5, min=0.01).props("dense outlined").style("width:100px")
+                metres = ui.number("Pixel [m]", value=0.5, min=0.01).props("dense outlined").style("width:100px")
                 ui.button("Export", on_click=lambda: self._export(kind.value, metres.value)).props("dense")
         with ui.element("div").classes("part"):
             ui.html("<h2>The same without the page</h2>", sanitize=False)

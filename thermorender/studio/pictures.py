@@ -16,6 +16,8 @@ from thermorender.studio.view import View
 
 # Palettes of the package, and some of Matplotlib that also read well for the colour-blind.
 NAMES = (*PALETTES, "inferno", "viridis")
+# Words, each with its colour as CSS.
+Legend = tuple[tuple[str, str], ...]
 _DIFFERENCE = "RdBu_r"
 _LEAST_DIFFERENCE_K = 0.01
 _NO_SURFACE = (24, 28, 36)
@@ -42,8 +44,8 @@ class Picture:
     unit : str
     notes : str
         Mean and extremes of a difference, or why there is no picture.
-    legend : tuple of (str, str)
-        Materials in view with their colour.
+    legend : Legend
+        Materials in view.
     """
 
     number: int
@@ -56,7 +58,7 @@ class Picture:
     gradient: str = ""
     unit: str = ""
     notes: str = ""
-    legend: tuple[tuple[str, str], ...] = field(default=())
+    legend: Legend = field(default=())
 
     @classmethod
     def of_fault(cls, sentence: str, version: int) -> "Picture":
@@ -146,15 +148,19 @@ def _levels(values: NDArray[np.float32], low: float, high: float) -> NDArray[np.
     return np.nan_to_num(np.clip(np.rint(scaled), 0.0, 255.0)).astype(np.uint8)
 
 
-def _materials(frame: Frame) -> tuple[NDArray[np.uint8], NDArray[np.uint8], tuple[tuple[str, str], ...]]:
+def _materials(frame: Frame) -> tuple[NDArray[np.uint8], NDArray[np.uint8], Legend]:
     """The material number of each pixel, a colour for each, and the names of those in view, the largest first."""
     number = frame.truth["material"].copy()
     number[~np.isfinite(frame.truth["depth"])] = 255
     colours = colours_of_materials()
-    count = np.bincount(number.ravel(), minlength=256)[: len(frame.materials)]
-    order = [int(k) for k in np.argsort(-count, kind="stable") if count[k]]
-    legend = tuple((frame.materials[k], hexadecimal(colours[k])) for k in order)
-    return number, colours, legend
+    return number, colours, legend_of(number, frame.materials)
+
+
+def legend_of(number: NDArray[np.uint8], names: Sequence[str]) -> Legend:
+    """Return the names and colours of the materials in a picture of their numbers, the largest first."""
+    count = np.bincount(number.ravel(), minlength=256)[: len(names)]
+    order = (int(k) for k in np.argsort(-count, kind="stable") if count[k])
+    return tuple((names[k], hexadecimal(colours_of_materials()[k])) for k in order)
 
 
 def _png(levels: NDArray[np.uint8], colours: NDArray[np.uint8]) -> bytes:

@@ -308,7 +308,6 @@ def figures(frame: Frame, column: int, row: int) -> dict[str, Any] | None:
         "radiance": float(frame.radiance[row, column]),
         "kinetic_k": float(truth["kinetic_temperature"][row, column]),
         "emissivity": float(truth["emissivity"][row, column]),
-        "depth_m": float(truth["depth"][row, column]),
         "position": tuple(float(v) for v in truth["position"][row, column]),
         "material": frame.materials[number] if known and number < len(frame.materials) else "",
         "object": frame.objects[thing - 1] if thing else "",

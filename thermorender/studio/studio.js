@@ -1,5 +1,6 @@
 // The parts of the page that answer a hand at once: turning the picture, the pixel under it, dragging a spectrum.
 window.studio = {
+  arrows: { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] },
   version: 0,
   picture: null, // {shown, loading, waiting}: the latest picture wins
   setUp() {
@@ -59,11 +60,10 @@ window.studio = {
       send();
     }, { passive: false });
     image.addEventListener("keydown", (e) => {
-      const step = { ArrowLeft: [-0.04, 0], ArrowRight: [0.04, 0], ArrowUp: [0, -0.04], ArrowDown: [0, 0.04] }[e.key];
-      const factor = { "+": 0.8, "-": 1.25 }[e.key];
-      if (!step && !factor) return;
+      const [right, down] = studio.arrows[e.key] || [0, 0], zoom = { "+": 0.8, "-": 1.25 }[e.key] || 1;
+      if (!right && !down && zoom === 1) return;
       e.preventDefault();
-      emitEvent("studio_move", { right: step ? step[0] : 0, down: step ? step[1] : 0, pan: e.shiftKey, zoom: factor || 1 });
+      emitEvent("studio_move", { right: 0.04 * right, down: 0.04 * down, pan: e.shiftKey, zoom });
     });
   },
   show(source, version, number) {
@@ -132,15 +132,16 @@ window.studio = {
     const image = document.getElementById("map"), box = document.getElementById("mapstage");
     if (!box || box.dataset.ready) return;
     box.dataset.ready = "yes";
-    let points = [], held = false;
+    let points = [], held = false, mark = [0.5, 0.5];
     const at = (e) => {
       const r = image.getBoundingClientRect();
       return [(e.clientX - r.left) / r.width, (e.clientY - r.top) / r.height];
     };
     const draw = () => {
-      document.getElementById("mapdraw").innerHTML = [...studio.labels, points]
-        .map((ring) => `<polygon points="${ring.map((p) => p.join(",")).join(" ")}" vector-effect="non-scaling-stroke"/>`)
-        .join("");
+      document.getElementById("mapdraw").innerHTML = `<circle cx="${mark[0]}" cy="${mark[1]}" r="0.008"/>` +
+        [...studio.labels, points]
+          .map((ring) => `<polygon points="${ring.map((p) => p.join(",")).join(" ")}" vector-effect="non-scaling-stroke"/>`)
+          .join("");
     };
     const send = () => {
       const tool = studio.mapTool;
@@ -165,6 +166,17 @@ window.studio = {
       if (studio.mapTool !== "polygon") send();
     });
     box.addEventListener("dblclick", () => { if (studio.mapTool === "polygon") send(); });
+    // Without a mouse: arrows move the mark, Space puts a corner there, Enter closes the area, Escape drops it.
+    box.addEventListener("keydown", (e) => {
+      const [right, down] = studio.arrows[e.key] || [0, 0], step = e.shiftKey ? 0.002 : 0.02;
+      if (right || down) mark = [mark[0] + step * right, mark[1] + step * down].map((v) => Math.min(1, Math.max(0, v)));
+      else if (e.key === " ") points = [...points, mark];
+      else if (e.key === "Escape") points = [];
+      else if (e.key !== "Enter") return;
+      e.preventDefault();
+      if (e.key === "Enter" || (e.key === " " && studio.mapTool === "fill")) send();
+      else draw();
+    });
     studio.clearMap = () => { points = []; draw(); };
   },
   labels: [],

@@ -3,7 +3,7 @@
 Run it as `python -m validation.edits.browser SCENE…`. It needs the extra `studio`, playwright and Chromium.
 """
 
-import json
+import os
 import re
 import shutil
 import subprocess
@@ -16,8 +16,17 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from thermorender import formats
+from thermorender.compare.machine import machine
+from thermorender.versions import versions
+from validation.command import Out, conclude, continued_results, run_command
+
+HEADER = ("scene", "quality", "edit", "edits", "picture [ms]", "95 %", "exact [ms]", "95 %", "accepted", "memory [MB]",
+          "idle CPU")  # fmt: skip
 # The first edits compile kernels and do not count.
 _FIRST, _IDLE_S, _WAIT_MS = 4, 10.0, 60_000
+# Every so many edits, the time to the exact picture is measured too; no divisor in common with the kinds.
+_EXACT_EVERY = 7
 # Kept by the page: performance.now() when a picture is in place, by its version.
 _CLOCK = "addEventListener('studio-shown', e => (window.shown ??= {})[e.detail.version] ??= performance.now())"
 _SEND = "([name, value]) => { const at = performance.now(); emitEvent(name, value); return at; }"
@@ -88,14 +97,22 @@ class Hand:
         given.press("Enter")
         return at
 
-    def time_ms(self, kind):
-        """Return the time from an edit to its first picture [ms]."""
+    def exact(self):
+        """Wait until the picture is exact."""
+        self.page.get_by_test_id("state").filter(has_text="exact").wait_for(timeout=_WAIT_MS)
+
+    def time_ms(self, kind, exact):
+        """Return the times from an edit to its first picture and, with `exact`, to the exact one [ms]."""
         version = self.page.evaluate("studio.version") + 1
         tab = "Optical" if kind in ("emissivity", "spectrum") else "Cover"
         self.page.get_by_role("tab", name=tab).click()
         at = getattr(self, kind)()
         self.page.wait_for_function(_SHOWN, arg=version, timeout=_WAIT_MS)
-        return self.page.evaluate(_SHOWN, version) - at
+        found = [self.page.evaluate(_SHOWN, version) - at]
+        if exact:
+            self.exact()
+            found.append(self.page.evaluate("performance.now()") - at)
+        return found
 
 
 def measured(browser, scene, quality, edits, many, limit_s, seed):
@@ -116,9 +133,7 @@ def measured(browser, scene, quality, edits, many, limit_s, seed):
             if time.monotonic() > end - 0.4 * limit_s:
                 break
             kind = kinds[count % len(kinds)]
-            spent = hand.time_ms(kind)
-            if count < _FIRST or count % 10 == 0:
-                page.get_by_test_id("state").filter(has_text="exact").wait_for(timeout=_WAIT_MS)
+            spent = hand.time_ms(kind, count < _FIRST or count % _EXACT_EVERY == 0)
             if count >= _FIRST:
                 times[kind].append(spent)
         before, first, made = memory_mb(number), page.evaluate("studio.version"), 0
@@ -127,16 +142,17 @@ def measured(browser, scene, quality, edits, many, limit_s, seed):
             made += 1
             # Each value is another one, so that each is an edit.
             hand.typed("field-emissivity", f"{0.8 + 0.0001 * made:.4f}")
-        page.get_by_test_id("state").filter(has_text="exact").wait_for(timeout=_WAIT_MS)
+        hand.exact()
         accepted = page.evaluate("studio.version") - first
         after, spent = memory_mb(number), cpu_s(number)
         time.sleep(_IDLE_S)
         idle = (cpu_s(number) - spent) / _IDLE_S
         page.close()
-    every = [one for each in times.values() for one in each]
     return {
-        "scene": scene, "quality": quality, "edits": len(every), **_centre(every),
-        "kinds": {kind: {"edits": len(each), **_centre(each)} for kind, each in times.items()},
+        "scene": scene, "quality": quality,
+        "kinds": {kind: {"edits": len(each), "picture_ms": _centre([one[0] for one in each]),
+                         "exact_ms": _centre([one[1] for one in each if len(one) > 1])}
+                  for kind, each in {**times, "all": [one for each in times.values() for one in each]}.items()},
         "typed": made, "accepted": accepted, "memory_mb": [round(before), round(after)],
         "idle_cpu": round(idle, 4),
     }  # fmt: skip
@@ -145,14 +161,26 @@ def measured(browser, scene, quality, edits, many, limit_s, seed):
 def _centre(times):
     if not times:
         return {}
-    return {
-        "median_ms": round(float(np.median(times)), 1),
-        "percentile_95_ms": round(float(np.quantile(times, 0.95)), 1),
-    }
+    return {"median": round(float(np.median(times)), 1), "percentile_95": round(float(np.quantile(times, 0.95)), 1)}
+
+
+def rows(result):
+    """Return the result as table rows under HEADER."""
+    found = []
+    for case in result["cases"]:
+        for kind, each in case["kinds"].items():
+            found.append((case["scene"], case["quality"], kind, each["edits"],
+                          *(f"{each[of][share]:.0f}" if each[of] else "" for of in ("picture_ms", "exact_ms")
+                            for share in ("median", "percentile_95")), "", "", ""))  # fmt: skip
+        memory = " → ".join(map(str, case["memory_mb"]))
+        found.append((case["scene"], case["quality"], "typed in succession", case["typed"], "", "", "", "",
+                      case["accepted"], memory, f"{case['idle_cpu']:.1%}"))  # fmt: skip
+    return found
 
 
 def main(
-    scenes: list[str],
+    scenes: Annotated[list[str], typer.Argument(help="Scenes, such as heath and village.")],
+    output: Out = Path("out/validation/edits"),
     quality: Annotated[str, typer.Option(help="Quality of the renderer.")] = "fast",
     edits: Annotated[int, typer.Option(help="Timed edits of all kinds together.", min=4)] = 100,
     many: Annotated[int, typer.Option(help="Quick edits before memory is read again.", min=0)] = 1000,
@@ -161,16 +189,21 @@ def main(
     ] = 150.0,
     seed: Annotated[int, typer.Option(help="Seed of the edits.", min=0)] = 0,
 ):
-    """Measure the studio's page in a headless Chromium, and print the figures as JSON."""
+    """Measure the studio's page in a headless Chromium."""
     from playwright.sync_api import sync_playwright
 
-    with sync_playwright() as started:
-        arguments = ["--headless", "--no-sandbox", "--disable-gpu"]
+    with continued_results(output) as report, sync_playwright() as started:
+        arguments, cases = ["--headless", "--no-sandbox", "--disable-gpu"], []
         browser = started.chromium.launch(executable_path=shutil.which("chromium"), args=arguments)
-        for scene in scenes:
-            print(json.dumps(measured(browser, scene, quality, edits, many, limit_s, seed), indent=1), flush=True)
+        for number, scene in enumerate(scenes):
+            report(scene, number / len(scenes))
+            cases.append(measured(browser, scene, quality, edits, many, limit_s, seed))
         browser.close()
+        load = os.getloadavg()[0]
+        result = {"cases": cases, "seed": seed, "load": load, "machine": machine(), "versions": versions()}
+        formats.write_json(output / "browser.json", result)
+    conclude("browser", output, HEADER, rows(result), "numbers")
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    run_command(main)

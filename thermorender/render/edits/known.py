@@ -2,7 +2,7 @@
 
 from concurrent.futures import Executor
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
@@ -117,7 +117,7 @@ class Samples:
             columns = np.arange(ends[-1]) + np.repeat(high - ends, high - low)
             rays = list(zip(start[low].tolist(), start[high].tolist(), strict=True))
             borders = np.concatenate([[0], np.cumsum(start[columns + 1] - start[columns])]).astype(np.int32)
-            own = np.concatenate([hits[a:b] for a, b in rays]).astype(np.float32)
+            own = np.abs(np.concatenate([hits[a:b] for a, b in rays])).astype(np.float32)
             rows = np.concatenate([seen_by[a:b] for a, b in rays])
             seen = csc_array((own, rows, borders), (sent.shape[1], len(columns)))
             # One after the other: SciPy's product with a few columns takes longer.
@@ -133,13 +133,42 @@ class Samples:
         return np.asarray(found)
 
     @cached_property
-    def _columns(self) -> tuple[NDArray[np.integer], NDArray[np.int32], NDArray[np.uint16]]:
+    def _columns(self) -> tuple[NDArray[np.integer], NDArray[np.int32], NDArray[np.integer]]:
         """(first ray on each face (F + 1,), faces that the rays are of, number of rays): the transport by what is hit.
 
-        An edit changes few faces: their columns are read, and not all rays.
+        The number is negative for rays of a face's second half. An edit changes few faces: their columns are read, and
+        not all rays.
         """
-        found = self.transport.counted.tocsc()
+        from scipy.sparse import csr_array
+
+        transport, known = self.transport, self.transport.counted
+        hits: NDArray[Any] = transport.hits.astype(np.int16 if transport.rays < 2**15 else np.int32)
+        sign = np.tile(np.array([1, -1], np.int8), len(transport.up))
+        np.multiply(hits, np.repeat(sign, np.diff(transport.start)), out=hits)
+        found = csr_array((hits, known.indices, known.indptr), known.shape).tocsc()
         return found.indptr.astype(np.int64), found.indices, found.data
+
+    def rays_on(self, faces: NDArray[np.intp]) -> int:
+        """Return the number of pairs of faces that see each other, with one of `faces` as the one that is seen."""
+        start = self._columns[0]
+        return int((start[faces + 1] - start[faces]).sum())
+
+    def seen_on(self, faces: NDArray[np.intp], sent: Floats) -> tuple[NDArray[Any], Floats]:
+        """Return (faces that see some faces (m,), what they receive by each half of their rays, (m, 2, k)).
+
+        `sent` is the radiance that those faces send, (n, k) [W m⁻² sr⁻¹].
+        """
+        from scipy.sparse import csc_array
+
+        start, seen_by, hits = self._columns
+        count = start[faces + 1] - start[faces]
+        borders = np.concatenate([[0], np.cumsum(count)])
+        place = np.arange(borders[-1]) + np.repeat(start[faces] - borders[:-1], count)
+        rows, number = np.unique(seen_by[place], return_inverse=True)
+        own = hits[place]
+        shares = np.abs(own) / (2.0 * self.transport.rays)
+        seen = csc_array((shares, 2 * number + (own < 0), borders), (2 * len(rows), len(faces)))
+        return rows, (seen @ sent).reshape(len(rows), 2, sent.shape[1])
 
     def received_by(self, faces: NDArray[np.intp], sent: NDArray[np.float32]) -> Floats:
         """Return what some faces (n,) receive from radiance (F,) that faces send, (n,) [W m⁻² sr⁻¹]."""

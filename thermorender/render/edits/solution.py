@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from thermorender.render.arrays import Channels, Jit, aligned
 from thermorender.render.edits.change import Change, change_of, comparable
-from thermorender.render.edits.known import Known, known_of
+from thermorender.render.edits.known import Known, Samples, known_of
 from thermorender.render.edits.preview import edited_plan
 from thermorender.render.light import environment, radiosity
-from thermorender.render.light.exchange import Exchange, strong_reflectors, threads
+from thermorender.render.light.exchange import Exchange, threads
 from thermorender.render.light.solved import Kept, SolvedLight, black_share, in_steps, tolerance_of
 from thermorender.render.plan import Plan
 from thermorender.render.spectrum import Spectrum
@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 _MOST_CHANGED = 0.5
 # Rounding of the light and of its change to float32, relative to the brightest light.
 _ROUNDED = float(np.finfo(np.float32).eps)
+# Rests of less than this share of what is allowed are not sent. Where faces with more are seen by fewer faces than this
+# share of all, only they send; where that leaves more than a share, the next round begins with the strong reflectors.
+_UNSENT, _FEW, _QUICK = 0.25, 0.25, 0.3
 # The tolerance is divided between the rounding of edits so far and what is left.
 _FOR_ROUNDING = 0.5
 
@@ -87,16 +90,10 @@ def _solved(
     outside = outside - baked.plan.spectrum.black([baked.scene.surroundings_temperature])[0]
     around = environment.even(np.zeros(plan.spectrum.nodes), outside, geometry.face_count) if outside.any() else None
     with threads() as pool:
-        samples = known.samples
-        samples.strong = strong_reflectors(transport, reflectance, samples.strong)
-        light = Exchange(transport, pool, rest, reflectance, around, samples.strong, tick)
-        for _ in range(radiosity.ROUNDS):
-            left = light.largest + radiosity.rounding(transport) * light.brightest
-            if amplified * left <= tolerance:
-                break
-            light.send(light.settled(0.5 * tolerance / amplified))
-        else:
-            raise radiosity.unsettled(amplified * left, tolerance)
+        light = Exchange(transport, pool, rest, reflectance, around, known.samples.strong, tick)
+        left = _settle(light, known.samples, tolerance / amplified)
+    if left * amplified > tolerance:
+        raise radiosity.unsettled(left * amplified, tolerance)
     # The noise of light known before is reflected as that light is.
     shares, noise = black_share(plan), kept.noise.astype(np.float64)
     mean, was = (values[change.faces] @ shares for values in (reflectance, before))
@@ -108,6 +105,24 @@ def _solved(
         (incident + light.incident).astype(np.float32), noise, reflectance @ shares, bounds,
         geometry.share @ reflectance, None, new,
     )  # fmt: skip
+
+
+def _settle(light: Exchange, samples: Samples, wanted: float) -> float:
+    """Send light until at most `wanted` is left, with rounding; return what is left."""
+    quick = True
+    for _ in range(radiosity.ROUNDS):
+        before, left = light.largest, light.largest + radiosity.rounding(samples.transport) * light.brightest
+        if left <= wanted:
+            break
+        faces = light.above(_UNSENT * wanted)
+        if quick and samples.rays_on(faces) < _FEW * len(samples.seen):
+            light.send_few(faces, samples.seen_on)
+            # Faces that reflect much exchange light among themselves first.
+            quick = light.largest < _QUICK * before
+        else:
+            light.send(light.settled(0.5 * wanted))
+            samples.strong, quick = light.strong, True
+    return left
 
 
 def _reflectance(known: Known, kinds: Jit, spectrum: Spectrum, faces: NDArray[np.intp]) -> NDArray[np.float32]:

@@ -6,12 +6,14 @@ a rest e + ρ x − s, which is not sent yet. A round sends any part d of the re
 
 Two guesses make rounds few and cheap. Faces that reflect much exchange light among themselves first, by GMRES, and send
 what leaves them in the end; in a cavity these are all faces. The spectra of rests hardly differ from face to face, so a
-round sends their principal components only, and the remainder stays a rest.
+round sends their principal components only, and the remainder stays a rest. Where few faces have a rest worth sending,
+only they send, by the rays that hit them.
 """
 
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor, ThreadPoolExecutor
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
     from thermorender.render.light.radiosity import Transport
 
 _T = TypeVar("_T")
+# See `Exchange.send_few`.
+SeenOn = Callable[[NDArray[np.intp], Floats], tuple[NDArray[Any], Floats]]
 # Numbers of faces, and what they see, as `Transport.among`.
 Strong = tuple[NDArray[np.intp], Any, Any]
 # Faces that reflect more than this exchange light among themselves first. One of less reflects a tenth or less of what
@@ -32,8 +36,8 @@ Strong = tuple[NDArray[np.intp], Any, Any]
 _STRONG = 0.1
 # What a round's guesses may leave, as a share of the largest rest.
 _GUESS = 0.03
-# Share of the squares of all rests that principal components may leave.
-_LEFT_OUT = 3e-4
+# Share of the squares of all rests that principal components may leave; of the rests of few faces.
+_LEFT_OUT, _FEW_LEFT_OUT = 3e-4, 1e-8
 
 
 def threads() -> ThreadPoolExecutor:
@@ -44,11 +48,12 @@ def threads() -> ThreadPoolExecutor:
 def strong_reflectors(transport: "Transport", reflectance: NDArray[np.floating], known: Strong | None = None) -> Strong:
     """Return the faces that exchange light among themselves first, with what they see, as `Transport.among`.
 
-    `reflectance` is (F, N); `known` is returned where its faces are the same.
+    `reflectance` is (F, N); `known` is returned where it has all of them.
     """
-    faces = np.flatnonzero(reflectance.max(axis=1) > _STRONG)
-    if known is not None and np.array_equal(known[0], faces):
+    strong = reflectance.max(axis=1) > _STRONG
+    if known is not None and np.count_nonzero(strong) == np.count_nonzero(strong[known[0]]):
         return known
+    faces = np.flatnonzero(strong)
     return faces, *transport.among(faces)
 
 
@@ -65,7 +70,7 @@ class Exchange:
     environment : Environment or None
         Light from beyond all faces, if any.
     strong : optional
-        That of another Exchange, whose strong reflectors are to be the same.
+        That of another Exchange, used where it has all strong reflectors of this one.
     tick : callable, optional
         Called every few milliseconds, without arguments; it may raise.
 
@@ -88,8 +93,7 @@ class Exchange:
         tick: Callable[[], object] | None = None,
     ) -> None:  # fmt: skip
         self._transport, self._pool, self._reflectance, self._tick = transport, pool, reflectance, tick
-        self._parts = transport.parts()
-        self.strong = strong_reflectors(transport, reflectance) if strong is None else strong
+        self._parts, self._known_strong = transport.parts(), strong
         self.incident, self.rest = np.zeros(emitted.shape), emitted.copy()
         self.noise = np.zeros(len(emitted))
 
@@ -100,6 +104,11 @@ class Exchange:
             return self._received(part, whole, difference)
 
         self._measure(begin)
+
+    @cached_property
+    def strong(self) -> Strong:
+        """Those that exchange light among themselves first, found when needed."""
+        return strong_reflectors(self._transport, self._reflectance, self._known_strong)
 
     def _measure(self, receive: Callable[[slice], tuple[float, float]]) -> None:
         """Let all parts of the faces receive light, and note the largest values."""
@@ -168,9 +177,38 @@ class Exchange:
 
     def _components(self, sent: Callable[[slice], Floats]) -> Floats:
         """Principal components of the spectra of all faces, (n, N) orthonormal, as many as represent them."""
-        gram = sum(self._each(lambda part: sent(part).T @ sent(part), self._parts))
-        size, axes = np.linalg.eigh(gram)
-        kept = np.cumsum(np.maximum(size, 0.0)) > _LEFT_OUT * size.sum()
-        # Without any light one is kept.
-        kept[-1] = True
-        return axes[:, kept].T
+        gram: Any = sum(self._each(lambda part: sent(part).T @ sent(part), self._parts))
+        return _axes(gram, _LEFT_OUT)
+
+    def above(self, least: float) -> NDArray[np.intp]:
+        """Return the faces with a rest of more than `least` at any node, ascending."""
+        over = (self.rest > least) | (self.rest < -least)
+        return np.flatnonzero(np.logical_or.reduce(over.T))
+
+    def send_few(self, faces: NDArray[np.intp], seen_on: SeenOn) -> None:
+        """Send the rests of some faces (n,), ascending.
+
+        `seen_on` takes the faces and the radiance that they send, (n, k). It returns the faces that receive it (m,),
+        and what these receive by each half of their rays, (m, 2, k).
+        """
+        sent = self.rest[faces]
+        basis = _axes(sent.T @ sent, _FEW_LEFT_OUT)
+        shares = sent @ basis.T
+        rows, seen = seen_on(faces, shares)
+        self.rest[faces] -= shares @ basis
+        light, reflectance = seen.sum(axis=1) @ basis, self._reflectance[rows]
+        self.noise[rows] += np.einsum("fn,fn->f", reflectance, (seen[:, 0] - seen[:, 1]) @ basis)
+        self.incident[rows] += light
+        self.rest[rows] += reflectance * light
+        self.brightest, self.largest = (float(np.abs(values).max()) for values in (self.incident, self.rest))
+        if self._tick:
+            self._tick()
+
+
+def _axes(gram: Floats, left_out: float) -> Floats:
+    """Principal axes (n, N) of a sum of squares (N, N), without a share of it."""
+    size, axes = np.linalg.eigh(gram)
+    kept = np.cumsum(np.maximum(size, 0.0)) > left_out * size.sum()
+    # Without any light one is kept.
+    kept[-1] = True
+    return np.asarray(axes[:, kept].T)

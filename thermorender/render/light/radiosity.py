@@ -308,9 +308,9 @@ def _reflected_noise(
     return light.noise + mean * error.incident[:, 0]
 
 
-def blocks(faces: int, nodes: int) -> list[slice]:
+def blocks(faces: int, nodes: int, vectors: int = STEPS + 4) -> list[slice]:
     """Return slices of nodes, each with as many as the memory for the vectors of a solution allows, at least one."""
-    size = max(1, _KRYLOV_BYTES // (8 * max(faces, 1) * (STEPS + 4)))
+    size = max(1, _KRYLOV_BYTES // (8 * max(faces, 1) * vectors))
     return [slice(first, min(first + size, nodes)) for first in range(0, nodes, size)]
 
 

@@ -14,6 +14,8 @@ from thermorender.render.plan import Plan
 from thermorender.render.spectrum import REFERENCE_K
 from thermorender.scene.scene import Scene
 
+# Vectors of a node that a solution from a guess holds.
+_VECTORS = 8
 # Steps of the rests kept, on either side of 0.
 _STEPS = 127
 # Light (F, n) in whole steps, and the step of each node (n,).
@@ -106,7 +108,7 @@ def solve_scene(
     incident, noise, mean = np.empty(shape, dtype=np.float32), np.zeros(shape[0]), np.zeros(shape[0])
     bounds, mean_reflectance, residual, rests = np.empty(shape[1]), np.empty(shape[1]), 0.0, list[Steps]()
     static = StaticLight.around(around, *shape) if scene.tracked_objects else None
-    blocks = radiosity.blocks(*shape)
+    blocks = radiosity.blocks(*shape) if guess is None else radiosity.blocks(*shape, _VECTORS)
     means = texels.face_means(geometry, plan, *texel, blocks, tick)
     for nodes, (emitted, reflectance) in zip(blocks, means, strict=True):
         near = None if guess is None else guess[:, nodes]
