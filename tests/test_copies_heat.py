@@ -74,8 +74,8 @@ def test_budget_of_copies_has_the_scatter_of_their_temperatures(tmp_path):
     scene = coarse(tr.load_scene(write_crowns(tmp_path / "s")), 8)
     renderer = tr.Renderer(scene, "fast")
     first = renderer.baked.geometry.face_start[1]
-    scatter = renderer.scene.surfaces[1].scatter_k.ravel()[:12]
-    error = np.sqrt(renderer.baked.face_error[first : first + 12]) / renderer.plan.radiance_per_mk
+    scatter = renderer.scene.surfaces[1].scatter_k.ravel()[:24]
+    error = np.sqrt(renderer.baked.face_error[first : first + 24]) / renderer.plan.radiance_per_mk
     assert (error > 900.0 * scatter).all()
     assert scatter.max() > 0.8
     # Objects with kelvin of their own keep it, and names stay with their surfaces.

@@ -92,12 +92,13 @@ class Copies:
         Columns on copies get the mean of their patch, those with `more` a standard deviation above it; the others keep
         their `cosine`.
         """
-        mi, here = self._geometry.mi, face >= self.first
+        mi, first = self._geometry.mi, dr.opaque(self._geometry.mi.UInt32, self.first)
+        here = face >= first
         place = at_s / _STEP_S
         step = int(np.floor(place + 1e-9))
         share = np.float32(max(place - step, 0.0))
         mean, spread = (
-            dr.gather(mi.Float, mi.Float(aligned((1.0 - share) * a + share * b)), face - self.first, here)
+            dr.gather(mi.Float, mi.Float(aligned((1.0 - share) * a + share * b)), face - first, here)
             for a, b in zip(self._at(step), self._at(step + 1), strict=True)
         )
         return dr.select(here, mean + dr.select(more, spread, 0.0), cosine)

@@ -19,11 +19,11 @@ from thermorender.scene.surface import Surface
 
 Floats = NDArray[np.float64]
 
-# Classes of height of equal area, each of triangles that face up and down. Light within a crown changes with height,
-# and leaves that are seen from above receive that from above.
-HEIGHTS = 3
+# Classes of height of equal area, and sectors round the vertical that triangles face, each with those that face up and
+# down. Light within a crown changes with height. What faces a camera is seen by it, and what faces the sun is warm.
+HEIGHTS, SECTORS = 2, 3
 # Rows of a table of copies: the light of so many takes about 6 GB.
-MOST_COPIES = 300_000
+MOST_COPIES = 150_000
 # Smallest factor: smaller copies are lost in the rounding of places.
 LEAST_SCALE = 1e-3
 # Triangles that copies may have as ordinary faces, about 200 bytes each.
@@ -148,7 +148,9 @@ def _patches(corner: Floats, area: Floats) -> NDArray[np.uint8]:
     # Triangles at one height are in one class.
     level, first = np.unique(height[order], return_index=True)
     share = below[order][first][np.searchsorted(level, height)] / max(float(area.sum()), 1e-300)
-    kind = 2 * np.minimum((HEIGHTS * share).astype(np.int64), HEIGHTS - 1) + (across[:, 2] > 0.0)
+    layer = np.minimum((HEIGHTS * share).astype(np.int64), HEIGHTS - 1)
+    sector = np.floor(SECTORS * np.arctan2(across[:, 1], across[:, 0]) / (2.0 * np.pi)).astype(np.int64) % SECTORS
+    kind = 2 * (SECTORS * layer + sector) + (across[:, 2] > 0.0)
     return np.unique(kind, return_inverse=True)[1].reshape(-1).astype(np.uint8)
 
 
@@ -158,7 +160,7 @@ def alone(surface: Surface) -> Surface:
     assert body is not None
     one = {name: getattr(surface, name)[:1, :1] for name in ("colour", "material", "temperature", "flags")}
     uv = np.full((len(body.faces), 3, 2), 0.5, np.float32)
-    return replace(surface, vertices=body.vertices, faces=body.faces, uv=uv, instances=None, **one)
+    return replace(surface, vertices=body.vertices, faces=body.faces, uv=uv, instances=None, scatter_k=None, **one)
 
 
 def expanded(surface: Surface) -> Surface:
@@ -183,8 +185,9 @@ def expanded(surface: Surface) -> Surface:
     faces = body.faces + (len(body.vertices) * number)[..., None]
     uv = surface.uv[(body.patches * number + body.patch).reshape(-1)]
     return replace(
-        surface, vertices=vertices.reshape(-1, 3), faces=faces.reshape(-1, 3).astype(np.int32), uv=uv, instances=None
-    )
+        surface, vertices=vertices.reshape(-1, 3), faces=faces.reshape(-1, 3).astype(np.int32), uv=uv, instances=None,
+        scatter_k=None,
+    )  # fmt: skip
 
 
 def read_places(path: Path) -> dict[str, Floats]:
