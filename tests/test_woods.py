@@ -122,6 +122,5 @@ def compared(folder, seed):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_stated_error_of_patches_covers_that_of_a_drawn_wood(tmp_path, seed):
     found = compared(tmp_path / "s", seed)
-    print(found)
     assert (found["pixels_of_crowns"] < 1.15 * found["stated"]).all()
     assert (np.abs(found["mean_of_crowns"]) < found["stated"]).all()
