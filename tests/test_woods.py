@@ -1,4 +1,4 @@
-"""Drawn woods: copies with six patches each, against the same leaves with light and temperatures of their own."""
+"""Drawn woods: copies with a few patches each, against the same leaves with light and temperatures of their own."""
 
 from dataclasses import replace
 
@@ -122,5 +122,5 @@ def compared(folder, seed):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_stated_error_of_patches_covers_that_of_a_drawn_wood(tmp_path, seed):
     found = compared(tmp_path / "s", seed)
-    assert (found["pixels_of_crowns"] < 1.15 * found["stated"]).all()
+    assert (found["pixels_of_crowns"] < found["stated"]).all()
     assert (np.abs(found["mean_of_crowns"]) < found["stated"]).all()
