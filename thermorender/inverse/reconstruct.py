@@ -117,8 +117,6 @@ def reconstruct(
     ThermorenderError
         Frames of another size than the camera's, terrain that no frame shows, or a folder of another reconstruction.
     """
-    import drjit as dr
-
     from thermorender.render.renderer import Renderer
 
     settings = settings or Settings()
@@ -134,8 +132,6 @@ def reconstruct(
     linear = LinearKelvin(camera.band_um, round(float(np.nanmedian(survey.kelvin)), 1))
     lattice, blind = _window(renderer, camera, survey.poses, settings)
     light = light_of(renderer, lattice, linear)
-    # Dr.Jit keeps the memory that the heat balance needed.
-    dr.flush_malloc_cache()
     images = np.stack([linear.of(image).astype(np.float32) for image in survey.kelvin])
     problem = Problem(renderer, camera, images, survey.poses, lattice, _prior(light, settings), settings)
     state = _solved(problem, _key(scene, survey, camera, settings), folder, progress)

@@ -259,6 +259,7 @@ def bake(
     within: Any = 0.0
     if geometry.has_copies:
         within = leaves.within(geometry, radiosity.openness, known.sky.sum(axis=1), reflected)
+        within = np.hypot(within, leaves.emitted(geometry, scene, plan))
         varies = float(np.sqrt(varies**2 + share @ within**2))
     solution = ((1.0 - spectrum.emissivity).max(axis=0) * solved.bounds).sum()
     rms = [np.sqrt(share @ square) for square in (noise**2, scatter)]

@@ -85,6 +85,15 @@ class DeviceScene:
         return layers
 
     @cached_property
+    def copies_error(self) -> float:
+        """Root mean square error of the light on copies of bodies [W m⁻² sr⁻¹]; 0 without copies."""
+        if self._face_error is None or not self.geometry.has_copies:
+            return 0.0
+        surfaces = self.geometry.surfaces
+        of = np.repeat([each.instances is not None for each in surfaces], [len(each.faces) for each in surfaces])
+        return float(np.sqrt(np.average(self._face_error[of], weights=self.geometry.area[of])))
+
+    @cached_property
     def texels(self) -> list[Texels]:
         """The Texels of each layer, in the order of `layers`."""
         mi, numbers = self._mi, objects_of_surfaces(self._scene)

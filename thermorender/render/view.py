@@ -42,7 +42,7 @@ class View:
         """Return (band radiance (H, W) float32 [W m⁻² sr⁻¹], Sampling); `like` as of `Tracer.image`."""
         plan = self.baked.plan
         limit = plan.edge_mk * plan.radiance_per_mk
-        image, sampling = self.tracer(through_air).image(limit, like)
+        image, sampling = self.tracer(through_air).image(limit, like, self.baked.device.copies_error)
         return image[0], sampling
 
     def sees_as(self, other: "View") -> bool:

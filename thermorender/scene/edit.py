@@ -339,7 +339,7 @@ class Edits(MaterialEdits):
         painted = tuple(Painted(s.material, s.colour, s.flags & ~np.uint8(FALLBACK | UNMOVED)) for s in ground)
         shape = replace(
             had.shape, ground=ground, static=static, static_of=(), tracked=had.tracked_objects, tracked_of=(),
-            textures=(), highest_m=max(float(surface.vertices[:, 2].max()) for surface in shown),
+            textures=(), balanced=0, highest_m=max(float(surface.vertices[:, 2].max()) for surface in shown),
         )  # fmt: skip
         now, cover = replace(now, given=True), Cover(made, painted, (), had.cover.report)
         return self._made(None, now, of_surfaces(now, shape, cover, had))
@@ -347,7 +347,7 @@ class Edits(MaterialEdits):
     def with_solved_temperatures(
         self: _S, time: np.datetime64, temperatures: Sequence[ArrayLike], *, flags: "Sequence[ArrayLike] | None" = None,
         report: Mapping[str, Any] | None = None, moved_report: Mapping[str, Any] | None = None,
-        notes: tuple[str, ...] = (),
+        notes: tuple[str, ...] = (), scatter_k: Sequence[ArrayLike] = (),
     ) -> _S:  # fmt: skip
         """Return this scene at an instant of its weather, with the temperatures that were solved for it.
 
@@ -358,11 +358,13 @@ class Edits(MaterialEdits):
         time : datetime64
             UTC.
         temperatures : sequence of (h, w) arrays
-            Kinetic temperature of the texels of each of the terrain's surfaces [K].
+            Kinetic temperature of the texels of each of the first `Scene.solved_count` surfaces [K].
         flags : sequence of (h, w) uint8 arrays, optional
             Flags of these texels, in place of the scene's own.
         report, moved_report, notes : optional
             As of `Known`.
+        scatter_k : sequence of arrays, optional
+            Of the last of these surfaces, as of `Surface`.
 
         Raises
         ------
@@ -375,13 +377,16 @@ class Edits(MaterialEdits):
                 f"{self._declared.where}: temperatures of source {self._declared.spec.temperature.source!r} are not "
                 "solved for an instant; call with_temperature('balance') first"
             )
-        terrain = had.surfaces[: len(had.shape.ground)]
+        terrain = had.surfaces[: len(had.shape.ground) + had.shape.balanced]
         what = "with_solved_temperatures: temperatures"
         kelvin = kelvin_argument(what, temperatures, terrain, no_data=False)
         made = [replace(surface, temperature=values) for surface, values in zip(terrain, kelvin, strict=True)]
         if flags is not None:
             own = flags_argument(flags, terrain)
             made = [replace(surface, flags=values) for surface, values in zip(made, own, strict=True)]
+        for number, values in enumerate(scatter_k, start=len(made) - len(scatter_k)):
+            shape = made[number].flags.shape
+            made[number] = replace(made[number], scatter_k=np.asarray(values, np.float32).reshape(shape))
         moment = instant("with_solved_temperatures: time", time)
         self.weather.at(moment)
         known = Known(state.source, moment, report or state.report, moved_report or {}, notes)

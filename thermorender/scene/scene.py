@@ -158,6 +158,11 @@ class Scene(Edits):
         return len(self._derived.shape.ground)
 
     @property
+    def solved_count(self) -> int:
+        """Number of surfaces whose temperatures the heat balance solves: the terrain, and copies of bodies."""
+        return len(self._derived.shape.ground) + self._derived.shape.balanced
+
+    @property
     def materials(self) -> tuple[Material, ...]:  # noqa: D102
         return self._derived.cover.materials
 

@@ -46,6 +46,8 @@ DEFAULT_MOST_STD = 0.05
 _WARMEST_COLD_C = 150.0
 # The [atmosphere] that follows [weather].
 WEATHER = "weather"
+# The temperature of an object that the heat balance solves.
+BALANCE = "balance"
 _CLASS_NUMBERS = {str(count): count for count in range(1, 256)}
 
 
@@ -58,6 +60,11 @@ def kelvin(value: Any, where: Where, allow_zero: bool = False) -> float:
     if isinstance(stated, units.Stated):
         return scene_kelvin(str(where), stated)
     return float(scene_kelvin(str(where), number()(value, where), allow_zero))
+
+
+def kelvin_or_balance(value: Any, where: Where) -> float | None:
+    """Read a temperature [K], or "balance" for one that the heat balance solves, None."""
+    return None if value == BALANCE else kelvin(value, where)
 
 
 cold = partial(kelvin, allow_zero=True)
@@ -246,7 +253,10 @@ class SurfaceSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectSpec:
-    """A solid object in the scene: a primitive or a mesh file, with one material and temperature."""
+    """A solid object in the scene: a primitive or a mesh file, with one material and temperature.
+
+    A `temperature` of None is solved by the heat balance of the scene, for copies only.
+    """
 
     name: str = key(text)
     shape: str | None = key(choice("disc", "box", "sphere"), None)
@@ -254,7 +264,7 @@ class ObjectSpec:
     size: tuple[float, float, float] = key(number(0.0, FARTHEST_M, above=True, count=3, unit="m"), (1.0, 1.0, 1.0))
     position: tuple[float, float, float] = key(number(-FARTHEST_M, FARTHEST_M, count=3, unit="m"))
     yaw_deg: float = key(number(), 0.0)
-    temperature: float = key(kelvin)
+    temperature: float | None = key(kelvin_or_balance)
     material: str = key(text)
     colour: tuple[float, float, float] = key(number(0.0, 255.0, count=3, unit="(sRGB)"), (128.0, 128.0, 128.0))
     track: Path | None = key(file_inside, None)
@@ -267,6 +277,13 @@ class ObjectSpec:
             where.of("name").refuse(self.name, "a name without ':', which separates the parts of an object")
         if self.track and self.instances:
             where.of("instances").refuse(str(self.instances), "it without track: copies do not move")
+        if self.temperature is None and not self.instances:
+            where.of("temperature").refuse(BALANCE, "it with instances only; give kelvin")
+
+    @property
+    def kelvin(self) -> float:
+        """The temperature [K]; NaN where the heat balance solves it."""
+        return np.nan if self.temperature is None else self.temperature
 
 
 @dataclass(frozen=True)

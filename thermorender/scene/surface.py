@@ -53,6 +53,8 @@ class Surface:
         Side of a texel on the ground [m].
     instances : Instances, optional
         Copies of a body that rays meet; the faces then stand for their patches.
+    scatter_k : (h, w) float32, optional
+        Standard deviation of the temperature within texels [K], of copies whose heat balance is solved.
     """
 
     name: str
@@ -65,6 +67,7 @@ class Surface:
     flags: NDArray[np.uint8]
     texel_m: float
     instances: "Instances | None" = None
+    scatter_k: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         """Make the arrays read-only: a scene does not change, and what follows from them must not become stale."""

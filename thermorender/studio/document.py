@@ -45,8 +45,8 @@ class Document:
         Names that the shipped library does not have, or that the scene's own folder overrides.
     classes : dict of int to str
         Material of each class of the scene file.
-    objects : dict of str to (str, float)
-        Material and temperature [K] of each object.
+    objects : dict of str to (str, float or None)
+        Material and temperature of each object [K]; None for one that the heat balance solves.
     painted : tuple of Painted
         The latest last.
     time : datetime64 or None
@@ -58,7 +58,7 @@ class Document:
     library: Mapping[str, Material]
     own: frozenset[str]
     classes: Mapping[int, str]
-    objects: Mapping[str, tuple[str, float]]
+    objects: Mapping[str, tuple[str, float | None]]
     painted: tuple[Painted, ...] = ()
     time: "np.datetime64 | None" = None
     tables: dict[str, str] = field(default_factory=dict)
@@ -162,7 +162,7 @@ class Document:
         replaced |= {key: self.library[name] for key, (name, _) in objects.items()}
         scene = base if self.time is None else base.at(self.time)
         scene = scene.with_material(replaced) if replaced else scene
-        kelvin = {key: k for key, (_, k) in objects.items() if k != saved.objects[key][1]}
+        kelvin = {key: k for key, (_, k) in objects.items() if k is not None and k != saved.objects[key][1]}
         scene = scene.with_objects(kelvin) if kelvin else scene
         for each in self.painted:
             scene = scene.with_material_in(each.area, self.library[each.material])

@@ -91,7 +91,7 @@ class Cover:
 
         given.on("update:model-value", done, js_handler="(one) => emit(one && one.label, studio.version)")
 
-    def _kelvin(self, thing: str, now: float) -> None:
+    def _kelvin(self, thing: str, now: float | None) -> None:
         def fault(text: str) -> str | None:
             try:
                 kelvin(f"temperature of {thing}", decimal(text))
@@ -106,7 +106,8 @@ class Cover:
                 change = partial(Document.of_object, name=thing, kelvin=decimal(str(event.args[0])))
                 self._tab.edit(int(event.args[1]), f"{thing}: {event.args[0]} K", change)
 
-        given = ui.input(value=f"{now:g}", validation=fault, suffix="K").props("dense outlined hide-bottom-space")
+        shown = "balance" if now is None else f"{now:g}"
+        given = ui.input(value=shown, validation=fault, suffix="K").props("dense outlined hide-bottom-space")
         given.props.update({"aria-label": f"Temperature of {thing} [K]", "data-testid": f"kelvin-{thing}"})
         given.on("change", done, js_handler="(value) => emit(value, studio.version)")
 

@@ -89,7 +89,7 @@ def planned(session: "Session") -> Save:
     for name, (material, kelvin) in document.objects.items():
         if material != saved.objects[name][0]:
             text = _stated(text, "[[object]]", name, "material", f'"{material}"')
-        if kelvin != saved.objects[name][1]:
+        if kelvin is not None and kelvin != saved.objects[name][1]:
             text = _stated(text, "[[object]]", name, "temperature", f"{kelvin:.12g}")
     _refuse_names_left(text, saved.library.keys() - document.library.keys())
     if text != old:

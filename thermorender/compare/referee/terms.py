@@ -56,7 +56,7 @@ class Terms:
             seen.append(own.ravel())
             given.append(kept.ravel())
         for item in scene.tracked_objects:
-            kelvin = method.kelvin.get(item.name, item.item.temperature)
+            kelvin = method.kelvin.get(item.name, item.item.kelvin)
             for surface in item.surfaces:
                 warm = np.full(surface.material.shape, kelvin)
                 kept = _under_sky(warm, surface.material, scene.materials, sky, model.band_um).ravel()

@@ -27,7 +27,9 @@ from thermorender.physics.srgb import linear_from_bytes
 from thermorender.physics.sun import direction
 from thermorender.render.arrays import Jit, aligned
 from thermorender.render.geometry import Geometry
+from thermorender.render.heat.copies import Copies
 from thermorender.render.heat.places import sun_cosine, texel_points
+from thermorender.render.heat.steps import Library, steps_to
 from thermorender.render.light import cache
 from thermorender.render.light.exchange import threads
 from thermorender.render.variant import activate
@@ -40,10 +42,8 @@ from thermorender.units import ZERO_CELSIUS_K, utc_text
 
 Progress = Callable[[str, float], object]
 
-# Time simulated before the first instant, and steps (up to this long before an instant, length) [s]: changes of light
-# within the last hour matter to minutes, those a day ago only in the mean.
+# Time simulated before the first instant [s].
 _BEFORE_S = 48 * 3600.0
-_STEPS_S = ((3600.0, 300.0), (24 * 3600.0, 900.0), (np.inf, 1800.0))
 # Interval between solutions of the light between faces [s], rays per face, and reflections of the first solution.
 _LIGHT_S, _RAYS, _REFLECTIONS = 1800.0, 64, 4
 # Time before the first instant in which each texel has its own sun; earlier those of a face and material share it [s].
@@ -56,17 +56,11 @@ _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. ITU-R BT.709-6, item 3.2
 _WHAT = "simulating the heat balance"
 
 
-class _Library:
-    """Functions of an array library that the physics needs, from Dr.Jit."""
-
-    where, maximum, minimum, exp, sqrt = dr.select, dr.maximum, dr.minimum, dr.exp, dr.sqrt
-
-
 def solved(
     scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None,
     deviations: Deviations | None = None,
 ) -> list[Scene]:  # fmt: skip
-    """Return the scene with its terrain's temperatures at each of some instants, from its heat balance.
+    """Return the scene with the temperatures of terrain and copies at each of some instants, from its heat balance.
 
     Parameters
     ----------
@@ -88,16 +82,15 @@ def solved(
 
     Notes
     -----
-    Objects keep the temperatures of the scene file; they cast shadows and radiate. A mixed material emits the mean of
-    its parts.
+    Objects keep the temperatures of the scene file, except copies whose temperature is "balance"; they cast shadows and
+    radiate. A mixed material emits the mean of its parts.
     """
     asked = sorted(set(times))
     geometry = geometry or Geometry(activate(), scene.surfaces)
     report_progress = progress or (lambda what, share: None)
     report_progress(_WHAT, 0.0)
     parts = [parts_of(material) for material in scene.materials]
-    terrain = scene.surfaces[: scene.terrain_count]
-    kinds = np.unique(np.concatenate([np.unique(surface.material) for surface in terrain]))
+    kinds = np.unique(np.concatenate([np.unique(each.material) for each in scene.surfaces[: scene.solved_count]]))
     most = max(len(parts[kind]) for kind in kinds)
     found: Any = 0.0
     share_done = 1.0 / most
@@ -113,14 +106,16 @@ def solved(
         kelvin = simulation.run(of, (weight[simulation.material] > 0.0) & simulation.shown, report)
         found = kelvin if most == 1 else found + weight[simulation.material] * kelvin.astype(np.float64) ** 4
     kelvin = simulation.covered(found if most == 1 else found**0.25)
+    # Dr.Jit keeps the memory of the largest step, 1 GB on heath, which no later work needs.
+    dr.flush_malloc_cache()
     report_progress(_WHAT, 1.0)
     note = f"the ground did not settle before {utc_text(simulation.start)}: two equal days differed by "
     notes = (f"{note}{simulation.settled_k:.1f} K",) if simulation.settled_k >= open_ground.SETTLED_K else ()
-    borders = geometry.texel_start[1 : scene.terrain_count]
-    scenes = {
-        at: scene.with_solved_temperatures(at, np.split(values, borders), notes=notes)
-        for at, values in zip(asked, kelvin, strict=True)
-    }
+    borders = geometry.texel_start[1 : scene.solved_count]
+    scenes = {}
+    for number, (at, values) in enumerate(zip(asked, kelvin, strict=True)):
+        own = simulation.copies.scatter_k(number) if simulation.copies else ()
+        scenes[at] = scene.with_solved_temperatures(at, np.split(values, borders), notes=notes, scatter_k=own)
     return [scenes[at] for at in times]
 
 
@@ -142,6 +137,7 @@ class _Columns:
     wind_factor: Any
     indoors: Any
     cooler: Any  # air temperature there minus that of the weather [K]
+    hidden: Any  # share of the sky lost by a leaf that differs from the mean of its patch; 0 elsewhere
 
 
 class _Simulation:
@@ -153,14 +149,15 @@ class _Simulation:
         self.scene, self.geometry, self.mi, self.asked = scene, geometry, geometry.mi, asked
         assert scene.spec.weather is not None
         self.weather, self.inside_k = scene.weather, scene.spec.weather.inside_c + ZERO_CELSIUS_K
-        terrain = scene.surfaces[: scene.terrain_count]
-        self.faces = int(geometry.face_start[scene.terrain_count])
-        self.texels = int(geometry.texel_start[scene.terrain_count])
+        # Terrain, followed by the copies of bodies whose temperatures are solved.
+        terrain, solid = scene.surfaces[: scene.solved_count], scene.terrain_count
+        self.faces = int(geometry.face_start[scene.solved_count])
+        self.texels = int(geometry.texel_start[scene.solved_count])
         self.material = np.concatenate([surface.material.ravel() for surface in terrain])
         self.deviations = None if deviations is None else deviations.columns(self.texels)
         corner = np.concatenate([surface.vertices[surface.faces] for surface in terrain])
         across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-        if across[:, 2].sum() < 0.0:
+        if across[: geometry.face_start[solid], 2].sum() < 0.0:
             raise ThermorenderError(
                 f"{scene.where}: most of the terrain's faces point down, so the sun would light their undersides; "
                 "reverse the order of their corners, to counter-clockwise seen from above"
@@ -168,9 +165,9 @@ class _Simulation:
         self.middle = corner.mean(axis=1).astype(np.float32)
         self.normal = (across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)).astype(np.float32)
         self.snow_m = lying_snow(scene.materials, self.weather, asked[0])
-        self.covers = geometry.face_showing(scene.terrain_count)
+        self.covers = geometry.face_showing(scene.solved_count)
         self.shown = self.covers < geometry.face_count
-        for part in np.split(self.shown, geometry.texel_start[1 : scene.terrain_count]):
+        for part in np.split(self.shown, geometry.texel_start[1 : scene.solved_count]):
             part |= not part.any()
         self.reflects = self._brightness() * (1.0 if self.deviations is None else self.deviations[0])
         self.start = max(asked[0] - np.timedelta64(int(_BEFORE_S), "s"), self.weather.time[0])
@@ -181,6 +178,9 @@ class _Simulation:
         self.sky = transport.sky.sum(axis=1).astype(np.float32)
         self.background = transport.background.astype(np.float32)
         self.reflectance, self.emissivity = self._of_faces()
+        copies, self.copies = range(solid, scene.solved_count), None
+        if copies:
+            self.copies = Copies(geometry, copies, len(asked), lambda at_s: self._sun(self._instant(at_s)))
 
     def _of_faces(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(reflectance of sunlight, emissivity) of every face of the scene, by the material at its middle."""
@@ -226,11 +226,13 @@ class _Simulation:
 
             for index, kelvin in enumerate(self._simulated(texels, report)):
                 found[index, texels] = kelvin[self.faces :]
+                if self.copies is not None:
+                    self.copies.take_means(index, found[index], texels, self.covers[texels], kelvin)
         return found
 
     def covered(self, found: NDArray[Any]) -> NDArray[Any]:
         """Return temperatures of all texels, (n, T) [K]; those without a face, which only blend, take the nearest's."""
-        for number, surface in enumerate(self.scene.surfaces[: self.scene.terrain_count]):
+        for number, surface in enumerate(self.scene.surfaces[: self.scene.solved_count]):
             part = slice(*self.geometry.texel_start[number : number + 2])
             valid = self.shown[part].reshape(surface.material.shape)
             if not valid.all():
@@ -243,7 +245,7 @@ class _Simulation:
         """Factor on the reflectance of each texel, (T,) float32: its luminance over the mean of its class, or 1."""
         if not self.scene.spec.temperature.brightness:
             return np.ones(self.texels, dtype=np.float32)
-        colour = np.concatenate([s.colour.reshape(-1, 3) for s in self.scene.surfaces[: self.scene.terrain_count]])
+        colour = np.concatenate([s.colour.reshape(-1, 3) for s in self.scene.surfaces[: self.scene.solved_count]])
         light = linear_from_bytes(colour) @ np.array(_LUMINANCE, dtype=np.float32)
         mean = np.bincount(self.material, light) / np.maximum(np.bincount(self.material), 1)
         ratio = light / np.maximum(mean[self.material], 1e-4)
@@ -260,6 +262,9 @@ class _Simulation:
         point = np.concatenate([self.middle, texel_points(geometry, texels, face)])
         face = np.concatenate([np.arange(self.faces, dtype=np.uint32), face.astype(np.uint32)])
         point += np.float32(geometry.hair) * self.normal[face]
+        hidden = np.zeros(len(face), np.float32)
+        if self.copies is not None:
+            hidden[self.faces :] = self.copies.hidden(face[self.faces :])
         material = np.concatenate([self.face_material[: self.faces], self.material[texels]])
         kind = mi.UInt32(aligned(self.row[material], np.uint32))
         row = lambda values: dr.gather(mi.Float, mi.Float(aligned(values)), kind)  # noqa: E731
@@ -286,7 +291,7 @@ class _Simulation:
         normal = dr.gather(mi.Vector3f, mi.Vector3f(*upload(self.normal)), face)
         return _Columns(
             mi.Point3f(*upload(point)), normal, face, ground, absorptance, row(self.columns.wind_factor),
-            row(self.columns.indoors) > 0.5, mi.Float(aligned(cooler)),
+            row(self.columns.indoors) > 0.5, mi.Float(aligned(cooler)), mi.Float(aligned(hidden)),
         ), state  # fmt: skip
 
     def _simulated(
@@ -300,7 +305,7 @@ class _Simulation:
         mi, own = self.mi, None
         light: _Light | None = None
         self.arrives: Any = None
-        steps = _steps(self.start, self.asked)
+        steps = steps_to(self.start, self.asked)
         first_s = float((self.asked[0] - self.start) / np.timedelta64(1, "s"))
         if first_s and self.deviations is None and not self.scene.spec.temperature.brightness:
             key = self.covers[texels].astype(np.int64) * 256 + self.material[texels]
@@ -326,7 +331,7 @@ class _Simulation:
             if light is None or at >= light.until:
                 light = self._light(at, state.surface_k, columns)
             first, second = (self._forcing(at + offset, light, columns) for offset in balance.stage_times(seconds))
-            state, _ = balance.step(_Library, state, columns.ground, first, second, dr.opaque(mi.Float, seconds))
+            state, _ = balance.step(Library, state, columns.ground, first, second, dr.opaque(mi.Float, seconds))
             _evaluate(state)
             progress((number + 1) / len(steps))
             if self.start + np.timedelta64(round(at + seconds), "s") in self.asked:
@@ -336,10 +341,17 @@ class _Simulation:
         azimuth, elevation = self.weather.sun(instant)
         return direction(float(elevation), float(azimuth))
 
+    def _instant(self, at_s: float) -> np.datetime64:
+        return self.start + np.timedelta64(round(1000.0 * at_s), "ms")
+
+    def _cosine(self, at: Sequence[Jit], more: Jit, towards: NDArray[np.float64], at_s: float) -> Jit:
+        """Cosine of the sun's rays at (points, normals, faces), 0 in shadow; on copies as of `Copies.on`."""
+        found = sun_cosine(self.geometry, at[0], at[1], towards)
+        return found if self.copies is None else self.copies.on(at[2], more, found, at_s)
+
     def _forcing(self, at_s: float, light: "_Light", columns: _Columns) -> Forcing:
         """The Forcing of columns at an instant [s after the start]."""
-        mi = self.mi
-        instant = self.start + np.timedelta64(round(1000.0 * at_s), "ms")
+        mi, instant = self.mi, self._instant(at_s)
         found = self.weather.at(instant)
         towards = self._sun(instant)
         one = lambda value: dr.opaque(mi.Float, float(value))  # noqa: E731
@@ -348,14 +360,19 @@ class _Simulation:
         level = found.direct_w_m2 * sine + found.diffuse_w_m2
         sunlight = one(found.diffuse_w_m2) * gathered(light.sky) + one(level) * gathered(light.reflected)
         if towards[2] > 0.0 and found.direct_w_m2 > 0.0:
-            sunlight += one(found.direct_w_m2) * sun_cosine(self.geometry, columns.point, columns.normal, towards)
+            here = columns.point, columns.normal, columns.face
+            sunlight += one(found.direct_w_m2) * self._cosine(here, columns.hidden > 0.0, towards, at_s)
         air = one(found.air_k) + columns.cooler
         # Relative humidity is constant with height; pressure follows the lapse of the standard atmosphere.
-        saturation, below = (exchange.saturation_vapour(_Library, each)[0] for each in (air, one(found.air_k)))
+        saturation, below = (exchange.saturation_vapour(Library, each)[0] for each in (air, one(found.air_k)))
         thinner = dr.exp(humidity.PRESSURE_EXPONENT * dr.log(air / one(found.air_k)))
+        longwave = one(found.longwave_w_m2) * gathered(light.sky) + gathered(light.surroundings)
+        if self.copies is not None:
+            # Other leaves, about as warm as the air, hide the sky.
+            longwave += columns.hidden * (STEFAN_BOLTZMANN * dr.square(dr.square(air)) - one(found.longwave_w_m2))
         return Forcing(
             absorbed=columns.absorptance * sunlight,
-            longwave=one(found.longwave_w_m2) * gathered(light.sky) + gathered(light.surroundings),
+            longwave=longwave,
             # Stomata open in the light on their own leaves.
             sunlight=sunlight,
             air_k=air,
@@ -373,15 +390,14 @@ class _Simulation:
         time all reflections are included.
         """
         mi = self.mi
-        middle = self.start + np.timedelta64(round(1000.0 * (at_s + 0.5 * _LIGHT_S)), "ms")
-        middle = min(middle, self.weather.time[-1])
+        middle = min(self._instant(at_s + 0.5 * _LIGHT_S), self.weather.time[-1])
         found, towards = self.weather.at(middle), self._sun(middle)
         level = float(found.direct_w_m2 * max(towards[2], 0.0) + found.diffuse_w_m2)
         own = self.sky * np.float32(found.diffuse_w_m2 / max(level, 1.0))
         if towards[2] > 0.0 and found.direct_w_m2 > 0.0:
             here = dr.arange(mi.UInt32, self.faces)
             at = dr.gather(mi.Point3f, columns.point, here), dr.gather(mi.Vector3f, columns.normal, here)
-            lit = np.array(sun_cosine(self.geometry, *at, towards))
+            lit = np.array(self._cosine((*at, here), mi.Bool(False), towards, at_s + 0.5 * _LIGHT_S))
             own[: self.faces] += np.float32(found.direct_w_m2 / max(level, 1.0)) * lit
         kelvin = self.face_kelvin.copy()
         kelvin[: self.faces] = np.array(surface_k)[: self.faces]
@@ -432,19 +448,3 @@ def _varied(ground: Ground, wetness: Jit, exchange: Jit, inertia: Jit) -> Ground
 def _evaluate(state: State) -> None:
     """Compute a State in one kernel; dr.eval would use one kernel per entry of a named tuple."""
     dr.eval(state.surface_k, *state.layers_k, state.film, *(state.liquid or ()))
-
-
-def _steps(start: np.datetime64, asked: "list[np.datetime64]") -> list[tuple[float, float]]:
-    """[(beginning, length)] of the steps [s] from `start` to the last instant requested; steps end at every instant."""
-    ends = [float((at - start) / np.timedelta64(1, "s")) for at in asked]
-    steps, at = [], 0.0
-    for end in ends:
-        while at < end - 1e-6:
-            left = end - at
-            length = next(length for reach, length in _STEPS_S if left <= reach + 1e-6)
-            inner = max((r for r, _ in _STEPS_S if r < left - 1e-6), default=0.0)
-            count = max(1, int(np.ceil((left - inner) / length - 1e-9)))
-            size = (left - inner) / count
-            steps += [(at + k * size, size) for k in range(count)]
-            at = end - inner
-    return steps

@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 
 from thermorender.render.arrays import Floats, Jit, aligned
 from thermorender.render.geometry import Geometry
+from thermorender.render.plan import Plan
+from thermorender.render.spectrum import REFERENCE_K
+from thermorender.scene.scene import Scene
 from thermorender.scene.solids.instances import Instances, alone
 
 # Triangles that represent a patch. Successive rays start from successive ones.
@@ -54,17 +57,17 @@ class Leaves:
         shift = np.zeros((geometry.face_count, 3), np.float32)
         found: list[Floats] = []
         random, count = np.random.Generator(np.random.Philox(_SEED)), geometry.face_count
-        for start, surface in zip(geometry.face_start, geometry.surfaces, strict=False):
+        for number, surface in enumerate(geometry.surfaces):
             body = surface.instances
             if body is None:
                 continue
-            here = slice(int(start), int(start) + len(surface.faces))
+            here = slice(*geometry.face_start[number : number + 2])
             first[here] = count + _DRAWN * np.tile(np.arange(body.patches), len(body))
             drawn[here] = _DRAWN
             matrix = np.repeat(body.matrices, body.patches, axis=0)
             turn[here, 0], turn[here, 1] = matrix[:, 0, 0], matrix[:, 0, 1]
             turn[here, 2], shift[here] = matrix[:, 2, 2], matrix[:, :, 3]
-            weight = body.face_area * np.maximum(openness(Geometry(mi, [alone(surface)])).sum(axis=1), _LEAST_OPEN)
+            weight = body.face_area * np.maximum(open_shares(geometry, number, openness).sum(axis=1), _LEAST_OPEN)
             for patch in range(body.patches):
                 found.append(frames(body.vertices[body.faces[_drawn(body, patch, weight, random)]]))
                 count += _DRAWN
@@ -90,6 +93,13 @@ class Leaves:
             )
 
         return turned(corner) + shift, turned(edge_u), turned(edge_v), turned(normal) / turn.z
+
+
+def open_shares(geometry: Geometry, number: int, openness: Callable[[Geometry], Floats]) -> Floats:
+    """Return `openness` of the body of a surface of copies, by the surface's number; it is traced once."""
+    if number not in geometry.openness:
+        geometry.openness[number] = openness(Geometry(geometry.mi, [alone(geometry.surfaces[number])]))
+    return geometry.openness[number]
 
 
 def _drawn(body: Instances, patch: int, weight: Floats, random: np.random.Generator) -> NDArray[np.intp]:
@@ -121,17 +131,41 @@ def within(
     sees them.
     """
     found = np.zeros(geometry.face_count)
-    for start, surface in zip(geometry.face_start, geometry.surfaces, strict=False):
+    for number, surface in enumerate(geometry.surfaces):
         body = surface.instances
         if body is None:
             continue
-        here = slice(int(start), int(start) + len(surface.faces))
-        up, down = openness(Geometry(geometry.mi, [alone(surface)])).T
-        weight = body.face_area * np.maximum(up + down, _LEAST_OPEN)
-        mean = np.bincount(body.patch, weight * up) / np.bincount(body.patch, weight)
-        seen = body.face_area * np.maximum(up, _LEAST_OPEN)
-        spread = np.bincount(body.patch, seen * (up - mean[body.patch]) ** 2) / np.bincount(body.patch, seen)
+        here = slice(*geometry.face_start[number : number + 2])
+        spread = within_body(geometry, number, openness)
         more = sky[here] - sky[here].mean()
         slope = float(more @ (reflected[here] - reflected[here].mean())) / max(float(more @ more), 1e-12)
-        found[here] = abs(slope) * np.tile(np.sqrt(spread), len(body))
+        found[here] = abs(slope) * np.tile(spread, len(body))
     return found
+
+
+def emitted(geometry: Geometry, scene: Scene, plan: Plan) -> Floats:
+    """Return the scatter of emitted radiance within the patches of copies, (F,) [W m⁻² sr⁻¹]; 0 for other faces."""
+    found = np.zeros(geometry.face_count)
+    for number, surface in enumerate(scene.surfaces):
+        if surface.scatter_k is not None:
+            first, last = geometry.face_start[number : number + 2]
+            emissivity = scene.materials[surface.material.flat[0]].band_emissivity(*plan.band_um, REFERENCE_K)
+            kelvin = surface.scatter_k.reshape(-1)[: last - first]
+            found[first:last] = 1e3 * plan.radiance_per_mk * float(emissivity) * kelvin
+    return found
+
+
+def within_body(geometry: Geometry, number: int, openness: Callable[[Geometry], Floats]) -> Floats:
+    """Return the spread of the share of sky over the triangles of each patch of a body alone, (patches,).
+
+    It is the root mean square deviation of triangles that a view from above sees, from the mean of those from which
+    rays start.
+    """
+    body = geometry.surfaces[number].instances
+    assert body is not None
+    up, down = open_shares(geometry, number, openness).T
+    weight = body.face_area * np.maximum(up + down, _LEAST_OPEN)
+    mean = np.bincount(body.patch, weight * up) / np.bincount(body.patch, weight)
+    seen = body.face_area * np.maximum(up, _LEAST_OPEN)
+    square = np.bincount(body.patch, seen * (up - mean[body.patch]) ** 2) / np.bincount(body.patch, seen)
+    return np.sqrt(square)

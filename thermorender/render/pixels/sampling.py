@@ -33,6 +33,8 @@ _CELLS = {1: (1, 1), 2: (1, 2), 4: (2, 2), 8: (2, 4), 16: (4, 4)}
 RING = 2
 # Rays of an edge pixel after each stage; only pixels that still need it enter the next stage.
 STAGES = (16, 64)
+# Of those that show copies of a body: all pixels of a crown have edges, and few rays are enough for most.
+COPIES_STAGES = (4, 16, 64)
 # Relative second difference of inverse depth above which a pixel certainly shows an edge.
 _SURE_EDGE = 0.01
 # Confidence in an edge that only a neighbouring pixel shows.
@@ -266,6 +268,13 @@ def edge_step(
     bend = np.maximum(bend, _BESIDE * cv2.dilate(bend, near))
     step = bend * np.maximum(cv2.dilate(radiance, near) - radiance, radiance - cv2.erode(radiance, near))
     return step[RING:-RING, RING:-RING]
+
+
+def touched(shown: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return where a pixel or one of its eight neighbours is shown, (H, W), of an image with its ring."""
+    import cv2
+
+    return cv2.dilate(shown.astype(np.uint8), np.ones((3, 3), np.uint8))[RING:-RING, RING:-RING].astype(bool)
 
 
 def contrast(radiance: NDArray[np.float32]) -> NDArray[np.float32]:

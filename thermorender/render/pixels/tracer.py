@@ -15,17 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.render.air import AirView, Vacuum
-from thermorender.render.arrays import Jit, view_ray
+from thermorender.render.arrays import Jit, aligned, view_ray
 from thermorender.render.geometry import Hit
 from thermorender.render.layers import Layer
 from thermorender.render.pixels.footprint import PLACES, Climb, OnMap, Reading
 from thermorender.render.pixels.sampling import (
+    COPIES_STAGES,
     RING,
     STAGES,
     UNSEEN,
     CameraRays,
     Footprint,
     edge_step,
+    touched,
     typical_edge_estimate,
     usual_step,
 )
@@ -50,6 +52,7 @@ class Refined:
     first: int  # number of the first of these rays
     last: int  # total number of rays of the pixels
     within: Rectangles | None  # parts of the pixels that contain these rays; None for whole pixels
+    copies: bool = False  # whether the pixels show copies of a body
 
 
 @dataclass(frozen=True)
@@ -96,6 +99,8 @@ class Tracer:
         self._slender = slender
         self._place = None if pose is None or len(layers) > 1 else (layers[0].geometry, pose.tobytes())
         self._layers, self.rays, self._medium = layers, rays, medium
+        copies = [surface.instances is not None for layer in layers for surface in layer.geometry.surfaces]
+        self._copies = layers[0].geometry.mi.Float(aligned(copies)) if any(copies) else None
         self._samples, self._mi = plan.samples, layers[0].geometry.mi
         # Read here, since reading waits for all kernels that run.
         self._up = np.array([float(value[0]) for value in layers[0].view[0][2]])
@@ -104,12 +109,15 @@ class Tracer:
         self._reading = Reading(self._mi, plan.taps, max(plan.taps, PLACES), 1.0 / plan.samples)
         self._once, self._judge = Reading(self._mi, 1, 1, 1.0), Reading(self._mi, PLACES, 1, 1.0, judges=True)
 
-    def image(self, edge_limit: float, like: Sampling | None = None) -> tuple[NDArray[np.float32], Sampling]:
+    def image(
+        self, edge_limit: float, like: Sampling | None = None, copies_limit: float = 0.0
+    ) -> tuple[NDArray[np.float32], Sampling]:
         """Return (image (channels, H, W) float32, Sampling): the mean radiance over each pixel's rays.
 
         `edge_limit` is the error, in the unit of the sum of the channels, above which a pixel that shows an edge gets
-        more rays; infinite: never. With `like`, the Sampling of another image of this view, each pixel gets the rays
-        that it had there.
+        more rays; infinite: never. Where copies of a body show, `copies_limit` replaces a lower one: that of their
+        light, which more rays do not reduce. With `like`, the Sampling of another image of this view, each pixel gets
+        the rays that it had there.
         """
         mi, rays = self._mi, self.rays
         # Not whether some light is strong: other temperatures would then compile another kernel.
@@ -133,6 +141,8 @@ class Tracer:
             # Faces in strong light count as surfaces of their own: smaller than a pixel, they differ without an edge.
             number = dr.select(hit.strong, (hit.face * _HASH >> 27) + 1, 0)
             total.append(mi.Float(hit.surface) + mi.Float(number) / 64.0)
+        if self._copies is not None and edge_limit < np.inf:
+            total.append(dr.gather(mi.Float, self._copies, hit.surface, hit.valid))
         # One target per channel: several scatters into one array would each cast the rays again.
         sides = rays.height + 2 * RING, rays.width + 2 * RING
         targets = [dr.zeros(mi.Float, sides[0] * sides[1]) for _ in total]
@@ -154,12 +164,23 @@ class Tracer:
             flat[:, crossed] = self._rays_in(crossed, 0, self._samples, None)[0] / self._samples
         if thin is None:
             return image, Sampling(met, None)
+        copies = np.zeros(met.size, dtype=bool)
+        if self._copies is not None:
+            guide, copies = guide[:-1], touched(guide[-1] > 0.0).ravel()
         step = edge_step(ringed[:channels].sum(axis=0), *guide)
-        on = typical_edge_estimate(step, self._samples).ravel() > edge_limit
-        on[thin.pixels] = False
-        stages = None if like is None else [part.pixels for part in like.refined if part.within is None]
-        pixels = np.flatnonzero(on) if stages is None else stages[0] if stages else np.empty(0, np.int64)
-        refined = self._refine(flat, pixels, UNSEEN * step.ravel()[pixels], edge_limit, stages=stages)
+        refined: list[Refined] = []
+        limits = [edge_limit] if self._copies is None else [edge_limit, max(edge_limit, copies_limit)]
+        for number, limit in enumerate(limits):
+            on = (typical_edge_estimate(step, self._samples).ravel() > limit) & (copies == bool(number))
+            on[thin.pixels] = False
+            stages = None
+            if like is not None:
+                stages = [part.pixels for part in like.refined if part.within is None and part.copies == bool(number)]
+            pixels = np.flatnonzero(on) if stages is None else stages[0] if stages else np.empty(0, np.int64)
+            if number and stages is None:
+                pixels = pixels[np.argsort(self.rays.position[pixels])]
+            unseen = UNSEEN * step.ravel()[pixels]
+            refined += self._refine(flat, pixels, unseen, limit, stages=stages, copies=bool(number))
         if thin.pixels.size:
             refined += self._refine(flat, thin.pixels, np.zeros(len(thin.pixels)), edge_limit, thin)
         return image, Sampling(met, step, refined)
@@ -195,7 +216,7 @@ class Tracer:
 
     def _refine(
         self, image: NDArray[np.float32], pixels: NDArray[Any], unseen: NDArray[Any], edge_limit: float,
-        within: Rectangles | None = None, stages: Sequence[NDArray[Any]] | None = None,
+        within: Rectangles | None = None, stages: Sequence[NDArray[Any]] | None = None, copies: bool = False,
     ) -> list[Refined]:  # fmt: skip
         """Replace pixels of an image (channels, H W) by the mean of more rays until their error is below `edge_limit`.
 
@@ -216,7 +237,8 @@ class Tracer:
             outside, spread = (1.0 - share) * around, (1.0 - share) * spread
         first = 0
         # Thin details may lie between the first rays, so they get all rays at once.
-        for last in STAGES if within is None else STAGES[-1:]:
+        numbers = [count for count in COPIES_STAGES if count > self._samples] if copies else STAGES
+        for last in numbers if within is None else STAGES[-1:]:
             if not pixels.size:
                 break
             sums, least, most = self._rays_in(pixels, first, last, within)
@@ -225,7 +247,7 @@ class Tracer:
             left = np.maximum(high - low, unseen)
             if within is not None:
                 left = _ISLAND * share * left + spread
-            refined.append(Refined(pixels, left, first, last, within))
+            refined.append(Refined(pixels, left, first, last, within, copies))
             if stages is None:
                 on = typical_edge_estimate(left, last) > edge_limit
             else:

@@ -38,6 +38,8 @@ class Shape:
         Of objects without a track, in the scene's frame.
     static_of : tuple of int
         Number of the object that each of `static` belongs to.
+    balanced : int
+        Number of `static`, the first ones, whose temperatures the heat balance solves.
     tracked : tuple of TrackedObject
     tracked_of : tuple of int
         Number of the object of each of `tracked`.
@@ -57,6 +59,7 @@ class Shape:
     tracked_of: tuple[int, ...]
     highest_m: float
     textures: tuple[Texture, ...] = ()
+    balanced: int = 0
 
 
 def shape_of(parts: Parts, objects: Sequence[ObjectSpec], held: Held, where: str) -> Shape:
@@ -79,12 +82,13 @@ def shape_of(parts: Parts, objects: Sequence[ObjectSpec], held: Held, where: str
             replace(surface, vertices=surface.vertices @ matrix[:3, :3].T + matrix[:3, 3]) for surface in one.surfaces
         ]
 
-    static, static_of = [], []
-    for number, one in enumerate(posed):
+    static, static_of, balanced = list[Surface](), list[int](), 0
+    for number, one in sorted(enumerate(posed), key=lambda each: each[1].item.temperature is not None):
         if not one.item.track:
             own = _copies(one, ground, where) if one.places else placed(one, one.at(0.0))
             static += own
             static_of += [number] * len(own)
+            balanced += len(own) if one.item.temperature is None else 0
     tracked_of = [number for number, one in enumerate(posed) if one.item.track]
     tracked = [posed[number] for number in tracked_of]
     along = [surface for one in tracked for values in one.stations() for surface in placed(one, values)]
@@ -105,6 +109,7 @@ def shape_of(parts: Parts, objects: Sequence[ObjectSpec], held: Held, where: str
         tracked_of=tuple(tracked_of),
         highest_m=highest,
         textures=parts.textures,
+        balanced=balanced,
     )
 
 
@@ -119,6 +124,14 @@ def _copies(one: TrackedObject, ground: Ground, where: str) -> list[Surface]:
         raise ThermorenderError(
             f"{where}: object {item.name!r} has a copy at {east[off]:g} m east, {north[off]:g} m north, where there is "
             f"no terrain; leave that row out of {item.instances}"
+        )
+    top = max(float(surface.vertices[:, 2].max()) for surface in one.surfaces) * row["scale"]
+    top += row["above_ground_m"] + item.position[2] + one.lift_m
+    if (top <= 0.0).any():
+        off = int(np.argmax(top <= 0.0))
+        raise ThermorenderError(
+            f"{where}: object {item.name!r} has a copy at {east[off]:g} m east, {north[off]:g} m north whose top is "
+            f"{-top[off]:g} m below the ground; give above_ground_m in {item.instances} in metres above the terrain"
         )
     up = height + row["above_ground_m"] + item.position[2] + one.lift_m
     place = {

@@ -86,13 +86,13 @@ class TrackedObject:
         if "temperature_k" in given:
             scene_kelvin(f"object {self.name!r}: temperature_k", given["temperature_k"])
         item = self.item
-        values = dict(zip(COLUMNS, (*item.position, item.yaw_deg, item.temperature), strict=True))
+        values = dict(zip(COLUMNS, (*item.position, item.yaw_deg, item.kelvin), strict=True))
         values |= {name: float(np.interp(time_s, self.time_s, column)) for name, column in self.columns.items()}
         return values | {name: float(value) for name, value in given.items()}
 
     def temperatures(self) -> tuple[float, float]:
         """Return the coldest and warmest temperature of the track [K]."""
-        found = self.columns.get("temperature_k", np.array([self.item.temperature]))
+        found = self.columns.get("temperature_k", np.array([self.item.kelvin]))
         return float(found.min()), float(found.max())
 
     def stations(self, most: int = 100) -> list[dict[str, float]]:
@@ -170,7 +170,7 @@ def read_columns(
         what = f"has the column {odd!r}" if odd is not None else f"lacks {', '.join(needed)}{more} or rows of numbers"
         raise ThermorenderError(
             f"{path} {what}; give a header with {', '.join(needed)} and any of {', '.join(others)}, each once, "
-            "and rows of numbers below it"
+            "separated by commas, and rows of numbers below it"
         )
     values = np.empty((len(rows) - 1, len(header)))
     for number, cells in enumerate(rows[1:]):

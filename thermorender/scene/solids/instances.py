@@ -13,14 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
+from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
 from thermorender.scene.parts.mesh import one_texel_each
 from thermorender.scene.surface import Surface
 
 Floats = NDArray[np.float64]
 
-# Classes of height of equal area, each of triangles that face up and down. Light within a crown changes with height,
-# and leaves that are seen from above receive that from above.
-HEIGHTS = 3
+# Classes of height of equal area, and sectors round the vertical that triangles face, each with those that face up and
+# down. Light within a crown changes with height. What faces a camera is seen by it, and what faces the sun is warm.
+HEIGHTS, SECTORS = 2, 3
+# Rows of a table of copies: the light of so many takes about 6 GB.
+MOST_COPIES = 150_000
+# Smallest factor: smaller copies are lost in the rounding of places.
+LEAST_SCALE = 1e-3
 # Triangles that copies may have as ordinary faces, about 200 bytes each.
 MOST_EXPANDED = 10_000_000
 
@@ -115,13 +120,23 @@ def placed(surface: Surface, place: Mapping[str, Floats]) -> Surface:
     body = replace(body, patch=patch)
     vertices, faces = body.stand_ins()
     uv, shape = one_texel_each(len(faces))
-    colour = np.rint(surface.colour.reshape(-1, 3).mean(axis=0)).astype(np.uint8)
+    colour = np.resize(_colours(surface, body), (*shape, 3))
     return replace(
-        surface, vertices=vertices, faces=faces, uv=uv, colour=np.broadcast_to(colour, (*shape, 3)),
+        surface, vertices=vertices, faces=faces, uv=uv, colour=colour,
         material=np.full(shape, surface.material.flat[0]), temperature=np.full(shape, surface.temperature.flat[0]),
         flags=np.full(shape, surface.flags.flat[0]),
         texel_m=float(np.sqrt(body.area.mean())), instances=body,
     )  # fmt: skip
+
+
+def _colours(surface: Surface, body: Instances) -> NDArray[np.uint8]:
+    """Mean colour of the texture on each patch of a body, (patches, 3) sRGB, read at the middles of its triangles."""
+    rows, columns = surface.colour.shape[:2]
+    column, row = (surface.uv.mean(axis=1, dtype=np.float64) * (columns, rows)).astype(np.int64).T
+    light = linear_from_bytes(surface.colour[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)])
+    area = np.maximum(body.face_area, 1e-12)
+    total = np.column_stack([np.bincount(body.patch, area * band) for band in light.T])
+    return bytes_from_linear(total / np.bincount(body.patch, area)[:, None])
 
 
 def _patches(corner: Floats, area: Floats) -> NDArray[np.uint8]:
@@ -133,7 +148,9 @@ def _patches(corner: Floats, area: Floats) -> NDArray[np.uint8]:
     # Triangles at one height are in one class.
     level, first = np.unique(height[order], return_index=True)
     share = below[order][first][np.searchsorted(level, height)] / max(float(area.sum()), 1e-300)
-    kind = 2 * np.minimum((HEIGHTS * share).astype(np.int64), HEIGHTS - 1) + (across[:, 2] > 0.0)
+    layer = np.minimum((HEIGHTS * share).astype(np.int64), HEIGHTS - 1)
+    sector = np.floor(SECTORS * np.arctan2(across[:, 1], across[:, 0]) / (2.0 * np.pi)).astype(np.int64) % SECTORS
+    kind = 2 * (SECTORS * layer + sector) + (across[:, 2] > 0.0)
     return np.unique(kind, return_inverse=True)[1].reshape(-1).astype(np.uint8)
 
 
@@ -143,7 +160,7 @@ def alone(surface: Surface) -> Surface:
     assert body is not None
     one = {name: getattr(surface, name)[:1, :1] for name in ("colour", "material", "temperature", "flags")}
     uv = np.full((len(body.faces), 3, 2), 0.5, np.float32)
-    return replace(surface, vertices=body.vertices, faces=body.faces, uv=uv, instances=None, **one)
+    return replace(surface, vertices=body.vertices, faces=body.faces, uv=uv, instances=None, scatter_k=None, **one)
 
 
 def expanded(surface: Surface) -> Surface:
@@ -168,8 +185,9 @@ def expanded(surface: Surface) -> Surface:
     faces = body.faces + (len(body.vertices) * number)[..., None]
     uv = surface.uv[(body.patches * number + body.patch).reshape(-1)]
     return replace(
-        surface, vertices=vertices.reshape(-1, 3), faces=faces.reshape(-1, 3).astype(np.int32), uv=uv, instances=None
-    )
+        surface, vertices=vertices.reshape(-1, 3), faces=faces.reshape(-1, 3).astype(np.int32), uv=uv, instances=None,
+        scatter_k=None,
+    )  # fmt: skip
 
 
 def read_places(path: Path) -> dict[str, Floats]:
@@ -178,15 +196,24 @@ def read_places(path: Path) -> dict[str, Floats]:
     Raises
     ------
     ThermorenderError
-        An unreadable file, unknown or missing columns, cells that are not numbers, or a scale that is not positive.
+        An unreadable file, too many rows, unknown or missing columns, cells that are not numbers, or a scale that is
+        not positive.
     """
     from thermorender.scene.parts.tracks import read_columns
 
     columns, rows = read_columns(path, ("east_m", "north_m"), ("above_ground_m", "yaw_deg", "scale"))
+    if len(rows) > MOST_COPIES:
+        raise ThermorenderError(
+            f"{path} has {len(rows)} rows, more than the {MOST_COPIES} copies whose light fits into an ordinary "
+            "machine's memory; give fewer rows, such as those in view"
+        )
     scale = columns.setdefault("scale", np.ones(len(rows)))
-    if (scale <= 0.0).any():
-        row = rows[int(np.argmax(scale <= 0.0))]
-        raise ThermorenderError(f"{path}, row {row}: scale={scale[scale <= 0.0][0]:g} is not above 0; give a factor")
+    small = scale < LEAST_SCALE
+    if small.any():
+        raise ThermorenderError(
+            f"{path}, row {rows[int(np.argmax(small))]}: scale={scale[small][0]:g} is not allowed; give a factor of at "
+            f"least {LEAST_SCALE:g}"
+        )
     for name in ("above_ground_m", "yaw_deg"):
         columns.setdefault(name, np.zeros(len(rows)))
     return columns

@@ -102,16 +102,17 @@ def derived(parts: Parts | None, now: Declared, old: tuple[Declared, Derived] | 
     if parts is None and before and _objects_key(before) != _objects_key(now):
         raise _in_memory(now, "an object")
     made = Derived(shape, cover, air, (), (), Known(), weather, no_snow)
+    copies: tuple[Surface, ...] = ()
     if had and before and _temperature_key(before, had) == _temperature_key(now, made):
         if cover is had.cover and shape is had.shape and _objects_key(before) == _objects_key(now):
             return replace(had, air=air, weather=weather, no_snow=no_snow)
         ground = had.surfaces[: len(shape.ground)]
         kelvin = [surface.temperature for surface in ground]
         flags = [surface.flags & np.uint8(FALLBACK | UNMOVED) for surface in ground]
-        state = had.temperature_state
+        state, copies = had.temperature_state, had.surfaces[len(ground) : len(ground) + shape.balanced]
     else:
         kelvin, flags, state = _temperatures(now, shape, cover)
-    return _combined(parts, now, made, kelvin, flags, state)
+    return _combined(parts, now, made, kelvin, flags, state, copies)
 
 
 def of_surfaces(now: Declared, shape: Shape, cover: Cover, had: Derived | None) -> Derived:
@@ -123,9 +124,9 @@ def of_surfaces(now: Declared, shape: Shape, cover: Cover, had: Derived | None) 
 
 def _combined(
     parts: Parts | None, now: Declared, made: Derived, kelvin: list[NDArray[np.float32]],
-    flags: list[NDArray[np.uint8]], state: TemperatureState,
+    flags: list[NDArray[np.uint8]], state: TemperatureState, copies: tuple[Surface, ...] = (),
 ) -> Derived:  # fmt: skip
-    """Combine shape, cover and temperatures."""
+    """Combine shape, cover and temperatures; those of `copies` were solved with the terrain's."""
     shape, cover = made.shape, made.cover
     surfaces = tuple(
         replace(bare, colour=own.colour, material=own.material, temperature=warm, flags=own.flags | more)
@@ -143,9 +144,13 @@ def _combined(
                     "them another material"
                 )
         static = tuple(
-            _covered(surface, cover.objects[number], now.spec.objects[number].temperature)
+            _covered(surface, cover.objects[number], now.spec.objects[number].kelvin)
             for surface, number in zip(shape.static, shape.static_of, strict=True)
         )
+        solved = (
+            replace(a, temperature=b.temperature, scatter_k=b.scatter_k) for a, b in zip(static, copies, strict=False)
+        )
+        static = (*solved, *static[len(copies) :])
         tracked = tuple(
             _tracked(one, now, cover, number) for one, number in zip(shape.tracked, shape.tracked_of, strict=True)
         )
@@ -174,7 +179,7 @@ def _to_extend(cover: Cover, parts: Parts | None, before: Declared, now: Declare
 
 
 def _shape_key(of: Declared) -> tuple[Any, ...]:
-    return tuple((item.position, item.yaw_deg) for item in of.spec.objects), of.held
+    return tuple((item.position, item.yaw_deg, item.temperature is None) for item in of.spec.objects), of.held
 
 
 def _cover_key(of: Declared, no_snow: str) -> tuple[Any, ...]:
@@ -327,7 +332,7 @@ def _covered(surface: Surface, material: int, kelvin: float) -> Surface:
 
 def _tracked(one: TrackedObject, now: Declared, cover: Cover, number: int) -> TrackedObject:
     item = now.spec.objects[number]
-    surfaces = tuple(_covered(surface, cover.objects[number], item.temperature) for surface in one.surfaces)
+    surfaces = tuple(_covered(surface, cover.objects[number], item.kelvin) for surface in one.surfaces)
     return replace(one, item=item, surfaces=surfaces)
 
 
@@ -338,6 +343,12 @@ def _temperatures(
     spec, weather_driven = now.spec.temperature, _weather_driven(now)
     if weather_driven:
         _refuse_source(now, shape)
+    solved = next((each for each in now.spec.objects if each.temperature is None), None)
+    if solved and spec.source != "balance":
+        raise ThermorenderError(
+            f"{now.where}: the temperature of object {solved.name!r} is 'balance', and that of the terrain is not: "
+            f"[temperature] has source={spec.source!r}; give the object kelvin, or source='balance' with [weather]"
+        )
     nothing = [np.zeros(surface.flags.shape, np.uint8) for surface in shape.ground]
     waiting = [np.full(surface.flags.shape, np.nan, np.float32) for surface in shape.ground]
     if _conditional(now):

@@ -49,6 +49,8 @@ def _digest(declared: Declared, derived: Derived, sun: Any, weather: Any) -> str
         parts: dict[str, Any] = {item.name: getattr(surface, item.name) for item in fields(surface)}
         # Without copies nothing is added, so that they change no fingerprint.
         copies: Any = parts.pop("instances")
+        if parts["scatter_k"] is None:
+            parts.pop("scatter_k")
         for value in (*parts.values(), *(vars(copies).values() if copies is not None else ())):
             state.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
     for material in derived.cover.materials:

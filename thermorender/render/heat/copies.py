@@ -1,0 +1,128 @@
+"""Sunlight on the patches of copies of bodies, such as crowns, and how it varies within a patch.
+
+A patch has one temperature, that of its mean sunlight. Its leaves differ: some are in the sun and some in shade. A
+second column of each patch stands for a leaf with more sunlight and less sky than the mean by one standard deviation
+each. The difference of their temperatures is an estimate of the scatter within the patch.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.render.arrays import Floats, Jit, aligned
+from thermorender.render.geometry import Geometry
+from thermorender.render.light import leaves, radiosity
+
+# Points of a patch from which rays test for the sun, and patches handled at a time.
+_POINTS = 32
+_AT_ONCE = 1 << 16
+# Interval between instants for which the sun is tested [s]; between them sunlight is linear in time.
+_STEP_S = 1800.0
+# Steps in a day, and days for which one day's sunlight is used: the sun's height changes by 0.4° a day at most.
+_DAY, _DAYS = 48, 2
+# Least variation of the share of sky within a patch.
+_LEAST = 1e-6
+
+_Pair = tuple[NDArray[np.float32], NDArray[np.float32]]
+
+
+class Copies:
+    """The patches of copies, whose temperatures are solved.
+
+    Attributes
+    ----------
+    first, last : int
+        Numbers of their first face, and of the face after their last.
+
+    Parameters
+    ----------
+    surfaces : range
+        Numbers of their surfaces, the last ones that are solved.
+    instants : int
+        Number of instants for which temperatures are requested.
+    towards : callable
+        Returns the direction to the sun, (3,), at a time [s].
+    """
+
+    def __init__(
+        self, geometry: Geometry, surfaces: range, instants: int, towards: Callable[[float], Floats]
+    ) -> None:  # fmt: skip
+        self.first, self.last = (int(geometry.face_start[number]) for number in (surfaces.start, surfaces.stop))
+        self._geometry, self._surfaces, self._towards = geometry, surfaces, towards
+        self._rays_of = radiosity.FaceRays(geometry, _POINTS // 2)
+        self._known: dict[tuple[int, int], _Pair] = {}
+        self._texels = geometry.texel_start[surfaces.start : surfaces.stop + 1]
+        self._scatter = np.zeros((instants, int(self._texels[-1] - self._texels[0])), np.float32)
+
+    def hidden(self, face: NDArray[Any]) -> NDArray[np.float32]:
+        """Return the standard deviation of the share of sky within patches, above 0, of faces (n,); 0 elsewhere."""
+        found = [np.zeros(1)]
+        for number in self._surfaces:
+            body = self._geometry.surfaces[number].instances
+            assert body is not None
+            found.append(np.tile(leaves.within_body(self._geometry, number, radiosity.openness), len(body)))
+        spread = np.maximum(np.concatenate(found), _LEAST).astype(np.float32)
+        spread[0] = 0.0
+        return spread[np.where(face >= self.first, face.astype(np.int64) - self.first + 1, 0)]
+
+    def take_means(
+        self, instant: int, found: NDArray[Any], texels: NDArray[Any], face: NDArray[Any], kelvin: NDArray[Any]
+    ) -> None:  # fmt: skip
+        """Replace the temperatures `found` of texels on copies, those of leaves, by the means of their patches.
+
+        `face` is that of each of `texels`, and `kelvin` are the temperatures of all faces [K]. Their difference is kept
+        as the scatter at an instant; of the parts of a mixture the largest.
+        """
+        on = (face >= self.first) & (face < self.last)
+        place, mean = texels[on] - self._texels[0], kelvin[face[on]]
+        scatter = np.abs(found[texels[on]] - mean)
+        self._scatter[instant, place] = np.maximum(self._scatter[instant, place], scatter)
+        found[texels[on]] = mean
+
+    def scatter_k(self, instant: int) -> list[NDArray[np.float32]]:
+        """Return the standard deviation of temperature within the texels of each surface at an instant [K]."""
+        return np.split(self._scatter[instant], self._texels[1:-1] - self._texels[0])
+
+    def on(self, face: Jit, more: Jit, cosine: Jit, at_s: float) -> Jit:
+        """Return the cosines of the sun's rays on columns at a time [s], 0 in shadow.
+
+        Columns on copies get the mean of their patch, those with `more` a standard deviation above it; the others keep
+        their `cosine`.
+        """
+        mi, first = self._geometry.mi, dr.opaque(self._geometry.mi.UInt32, self.first)
+        here = face >= first
+        place = at_s / _STEP_S
+        step = int(np.floor(place + 1e-9))
+        share = np.float32(max(place - step, 0.0))
+        mean, spread = (
+            dr.gather(mi.Float, mi.Float(aligned((1.0 - share) * a + share * b)), face - first, here)
+            for a, b in zip(self._at(step), self._at(step + 1), strict=True)
+        )
+        return dr.select(here, mean + dr.select(more, spread, 0.0), cosine)
+
+    def _at(self, step: int) -> _Pair:
+        """(mean, standard deviation) of the cosine over each patch, 0 in shadow, (last − first,) each."""
+        key = step % _DAY, step // (_DAY * _DAYS)
+        if key not in self._known:
+            # Only those of the latest days are kept.
+            self._known = {each: values for each, values in self._known.items() if each[1] >= key[1] - 1}
+            self._known[key] = self._tested(step * _STEP_S)
+        return self._known[key]
+
+    def _tested(self, at_s: float) -> _Pair:
+        mi, towards, whole = self._geometry.mi, self._towards(at_s), self.last - self.first
+        mean, spread = np.zeros(whole, np.float32), np.zeros(whole, np.float32)
+        if towards[2] <= 0.0:
+            return mean, spread
+        sun = mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards))
+        for start in range(0, whole, _AT_ONCE):
+            count = min(_AT_ONCE, whole - start)
+            origin, _, _, normal = self._rays_of(self.first + start, count, 0)
+            cosine = dr.dot(normal, sun)
+            lit = (cosine > 0.0) & ~self._geometry.caster.ray_test(mi.Ray3f(origin, sun), active=cosine > 0.0)
+            found = np.array(dr.select(lit, cosine, 0.0)).reshape(count, -1)
+            mean[start : start + count], spread[start : start + count] = found.mean(axis=1), found.std(axis=1)
+        return mean, spread
