@@ -124,6 +124,12 @@ class BakedScene:
         )  # fmt: skip
         return bake(scene, plan, like=exact, progress=progress, start=exact)
 
+    def ready_for_edits(self) -> None:
+        """Make what previews of edits begin from, 0.1 s of work or more, which the first preview does otherwise."""
+        from thermorender.render.edits.preview import prepare
+
+        prepare(self)
+
     def preview_for(self, scene: Scene, progress: Progress | None = None) -> "BakedScene":
         """Return a preview of an edited scene: its change to first order, with an estimate of its error.
 

@@ -74,6 +74,7 @@ class Renders:
     _last: dict[str, tuple[View, Frame, int]] = field(default_factory=dict)
     _pictures: dict[str, Picture] = field(default_factory=dict)
     _solved: Renderer = field(init=False)
+    _ready: Renderer | None = None
 
     def __post_init__(self) -> None:
         self.saved = self._solved = self.renderer
@@ -171,12 +172,17 @@ class Renders:
     def _run(self) -> None:
         while True:
             with self._news:
-                self._news.wait_for(lambda: self._ended or self._edit or self._waiting or self._jobs or self._long)
+                self._news.wait_for(lambda: self._asked() or (self._pictures and self._ready is not self._solved))
                 if self._ended:
                     return
+                asked = self._asked()
                 edit, self._edit = self._edit, None
             try:
-                if edit:
+                if not asked:
+                    # In the pause after a picture, so that the preview of the next edit need not wait for it.
+                    self._ready = self._solved
+                    self._ready.baked.ready_for_edits()
+                elif edit:
                     self._solve(*edit)
                 elif self._waiting or self._jobs:
                     self._draw()
@@ -187,6 +193,9 @@ class Renders:
                 pass
             except Exception as error:  # a fault must not end the thread, and with it all pictures
                 self._report(_sentence(error))
+
+    def _asked(self) -> bool:
+        return bool(self._ended or self._edit or self._waiting or self._jobs or self._long)
 
     def _report(self, sentence: str) -> None:
         for seen in list(self._tabs.values()):

@@ -148,6 +148,10 @@ class Samples:
         found = csr_array((hits, known.indices, known.indptr), known.shape).tocsc()
         return found.indptr.astype(np.int64), found.indices, found.data
 
+    def prepare(self) -> None:
+        """Sort the rays by what they hit, which takes longest and is done once for all edits of a geometry."""
+        _ = self._columns
+
     def rays_on(self, faces: NDArray[np.intp]) -> int:
         """Return the number of pairs of faces that see each other, with one of `faces` as the one that is seen."""
         start = self._columns[0]

@@ -51,6 +51,14 @@ def preview(baked: "BakedScene", scene: Scene) -> "BakedScene | None":
     return _previewed(baked, known, scene, change)
 
 
+def prepare(baked: "BakedScene") -> None:
+    """Make what all previews of a BakedScene begin from, and keep it there."""
+    if baked.incident is not None and baked.faces is not None:
+        samples = known_of(baked).samples
+        samples.prepare()
+        _strongest(baked, samples)
+
+
 def edited_plan(baked: "BakedScene", scene: Scene) -> Plan:
     """Return the Plan of an edited scene that keeps nodes and channels."""
     old = baked.plan
