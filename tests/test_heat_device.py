@@ -5,7 +5,8 @@ import pytest
 from test_heat_balance import COLUMNS, sunny
 
 from thermorender.physics import balance
-from thermorender.render.heat.simulation import _evaluate, _Library
+from thermorender.render.heat.simulation import _evaluate
+from thermorender.render.heat.steps import Library
 from thermorender.render.variant import activate
 
 
@@ -26,17 +27,17 @@ def test_both_array_libraries_agree(name):
         return dr.opaque(mi.Float, value, len(wind)) if np.ndim(value) == 0 else mi.Float(value.astype(np.float32))
 
     both = []
-    for xp, convert in ((np, np.asarray), (_Library, single)):
+    for xp, convert in ((np, np.asarray), (Library, single)):
         own = column if xp is np else balance.Ground(*(single(value) for value in column))
         begin = balance.at_rest(xp, [convert(np.full(len(wind), start_k))] * len(column.capacity), own)
         seen, state = [], begin
         for number in range(192):
             times = (900.0 * number + offset for offset in balance.stage_times(900.0))
             stages = [sunny(t, **(weather | {"wind_m_s": wind})) for t in times]
-            if xp is _Library:
+            if xp is Library:
                 stages = [balance.Forcing(*(single(value) for value in stage)) for stage in stages]
             state, _ = balance.step(xp, state, own, *stages, 900.0)
-            if xp is _Library:
+            if xp is Library:
                 _evaluate(state)
             seen.append(np.array(state.surface_k))
         both.append(np.array(seen, np.float64))
