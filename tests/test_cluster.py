@@ -5,6 +5,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 
 import dask
 import numpy as np
@@ -129,11 +130,15 @@ def test_two_processes_give_the_bytes_of_one(setting, tmp_path):
 
     def progress(done, total):
         mine = [psutil.Process(), *psutil.Process().children(recursive=True)]
+        workers = []
         for process in mine:
-            ports.update(each.laddr for each in process.net_connections("tcp") if each.status == psutil.CONN_LISTEN)
+            # A helper process may end meanwhile.
+            with suppress(psutil.NoSuchProcess):
+                ports.update(each.laddr for each in process.net_connections("tcp") if each.status == psutil.CONN_LISTEN)
+                workers += [process] * ("spawn_main" in " ".join(process.cmdline()))
         if not killed:
             # The block of a worker that is killed is done again.
-            killed.append(next(each for each in mine[1:] if "spawn_main" in " ".join(each.cmdline())))
+            killed.append(workers[0])
             killed[0].kill()
 
     lines, frames = [], {}

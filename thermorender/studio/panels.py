@@ -143,7 +143,7 @@ class Map:
             self._layer = ui.select(_LAYERS, value="materials", label="Layer").props(
                 'dense outlined data-testid="layer"'
             )
-            self._layer.style("width:140px").on_value_change(lambda: self._layered())
+            self._layer.style("width:165px").on_value_change(lambda: self._layered())
             self._label_tools = ui.element("div").classes("row grow")
             with self._label_tools:
                 self._count = ui.label("").classes("soft count").props('role="status" data-testid="labels"')

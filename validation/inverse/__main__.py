@@ -40,6 +40,7 @@ def main(
             scene, camera, survey = flight.read_flight(real, Path(made) / "flight")
             for which in flight.SPLITS:
                 splits[which] = flight.split(scene, camera, survey, which)
+                formats.write_json(path, {"simulated": results, "flight": splits})
         cases = [(seed, kind) for seed in seeds_of(seeds) for kind in kinds.split(",")]
         for done, (seed, kind) in enumerate(cases):
             folder = write(make(kind, seed), Path(made) / f"{kind}{seed}", temperature_every=1)
