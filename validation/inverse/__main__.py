@@ -14,9 +14,10 @@ from validation.command import Out, conclude, continued_results, seeds_of
 from validation.command import run_command as run
 from validation.inverse import flight, study
 
-# (case, every so many frames, keys of Settings): error against run time.
+# (case, every so many frames, keys of Settings): error by prior and reference, then against run time.
 _CASES = (
-    ("standard", 1, {}), ("half of the frames", 2, {}), ("coarse texels", 1, {"texel_m": 0.5}),
+    ("standard", 1, {}), (study.FLAT, 1, {}), (study.REFERENCE, 1, {}),
+    ("half of the frames", 2, {}), ("coarse texels", 1, {"texel_m": 0.5}),
     ("one tap", 1, {"taps": 1}), ("three taps a side", 1, {"taps": 3}), ("three rounds", 1, {"rounds": 3}),
     ("eight rounds", 1, {"rounds": 8}),
 )  # fmt: skip

@@ -5,9 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import uniform_filter
 
 from thermorender.inverse.frames import Survey
 from thermorender.inverse.kinetic import light_of
+from thermorender.inverse.level import Reference
 from thermorender.inverse.linear import LinearKelvin
 from thermorender.inverse.poses import PoseError, deviation
 from thermorender.inverse.reconstruct import reconstruct
@@ -16,6 +18,7 @@ from thermorender.inverse.weights import Lattice, Viewer, moved, taps_of
 from thermorender.physics.planck import brightness_temperature
 from thermorender.render.renderer import Renderer
 from thermorender.scene.load import load_scene
+from thermorender.scene.spec import TemperatureSpec
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.psf import blur_of, blurred
 from validation.inverse import rivals
@@ -25,6 +28,9 @@ NOISE_K, OFFSET_K, PATTERN_K, VIGNETTE_K = 0.072, 0.5, 0.05, 0.8
 ERROR = PoseError(1.0, 0.7)
 # Frames of each line, lines, steps along and across [m], height [m]: overlaps of 72 % and 63 %.
 _ALONG, _LINES, _STEP_M, _GAP_M, _HEIGHT_M, _OBLIQUE = 9, 5, 18.7, 31.0, 100.0, 6
+# Cases with another prior, or with a disc of known temperature.
+FLAT, REFERENCE = "orthophoto alone", "one reference"
+_DISC_M, _KNOWN_K = 2.0, 0.05
 HEADER = ("case", "frames", "texel [m]", "taps", "rounds", "MAE [K]", "plain mean [K]", "held out [K]", "ground [m]",
           "offsets [mK]", "level [K]", "within σ", "within 2σ", "CPU [s]")  # fmt: skip
 
@@ -83,13 +89,16 @@ class Simulated:
         radiance = blurred(self.renderer.radiance(pose), blur_of(self.camera))
         return brightness_temperature(radiance.astype(np.float64), *self.camera.band_um)
 
-    def case(self, name: str, settings: Settings, every: int = 1, prior=None) -> dict:
+    def case(self, name: str, settings: Settings, every: int = 1) -> dict:
         """Return the errors of a reconstruction from every so many frames, as a row of `HEADER`."""
         chosen = slice(None, None, every)
         survey = Survey(self.survey.names[chosen], self.survey.times[chosen], self.survey.kelvin[chosen],
                         self.survey.poses[chosen])  # fmt: skip
+        mean = TemperatureSpec(source="constant", value=round(float(np.nanmean(survey.kelvin)), 1))
+        prior = self.scene.with_temperature(mean) if name.endswith(FLAT) else self.prior
+        references = [self._disc()] if name.endswith(REFERENCE) else []
         start = time.process_time()
-        found = reconstruct(prior or self.prior, survey, self.camera, settings)
+        found = reconstruct(prior, survey, self.camera, settings, references)
         seconds = time.process_time() - start
         linear = LinearKelvin(self.camera.band_um, round(float(np.nanmedian(survey.kelvin)), 1))
         whole = Lattice.of(self.scene, settings.texel_m)
@@ -110,6 +119,19 @@ class Simulated:
             "within_1": (share < 1.0).mean(), "within_2": (share < 2.0).mean(), "seconds": seconds,
         }  # fmt: skip
         return {key: value if isinstance(value, (str, int)) else float(value) for key, value in row.items()}
+
+    def _disc(self) -> Reference:
+        """A disc of known temperature where the ground is most uniform, in the middle of what the frames show."""
+        ground = self.scene.surfaces[0]
+        kelvin = ground.temperature.astype(np.float64)
+        side = 2 * round(_DISC_M / ground.texel_m) + 1
+        mean, square = uniform_filter(kelvin, side), uniform_filter(kelvin**2, side)
+        height, width = kelvin.shape
+        inside = np.s_[height // 4 : 3 * height // 4, width // 4 : 3 * width // 4]
+        row, column = np.unravel_index(np.argmin((square - mean**2)[inside]), kelvin[inside].shape)
+        row, column = row + height // 4, column + width // 4
+        east, north = (column + 0.5 - width / 2) * ground.texel_m, (height / 2 - row - 0.5) * ground.texel_m
+        return Reference("disc", east, north, _DISC_M, float(mean[row, column]), _KNOWN_K)
 
     def _held_out(self, found, linear) -> float:
         """Root mean square of frames without errors that took no part, minus their predictions, without the level."""
