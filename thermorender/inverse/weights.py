@@ -333,12 +333,14 @@ def moved(pose: Floats, step: Floats) -> Floats:
 def texel_means(values: Floats, side: float) -> Floats:
     """Return the means (h, w) over the scene's texels in each texel of a map that is bilinear between its middles.
 
-    `side` is a texel's side in texels of the scene. For one texel of the scene the mean is the value in the middle.
+    `side` is a texel's side in texels of the scene. For one texel of the scene the mean is the value in the middle; for
+    a number that is not whole, it is the integral over the texel.
     """
     from scipy.ndimage import convolve1d
 
-    count = max(round(side), 1)
-    away = np.abs((np.arange(count) + 0.5) / count - 0.5).mean()
+    count, away = max(round(side), 1), 0.25
+    if abs(side - count) < _SAME or side < 1.0:
+        away = float(np.abs((np.arange(count) + 0.5) / count - 0.5).mean())
     line = np.array([0.5 * away, 1.0 - away, 0.5 * away])
     return np.asarray(convolve1d(convolve1d(values, line, axis=0, mode="nearest"), line, axis=1, mode="nearest"))
 
