@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-import trimesh
+from test_instances import write_crown
 from test_woods import apart
 
 import thermorender as tr
@@ -13,7 +13,7 @@ from thermorender.render.heat.instants import solved_at
 from thermorender.render.light import leaves as light_leaves
 from thermorender.render.light import radiosity
 from thermorender.render.variant import activate
-from thermorender.scene.solids.plants import leaves, write_leaf_tables
+from thermorender.scene.solids.plants import write_leaf_tables
 
 PLACES = "east_m,north_m,yaw_deg\n0,0,30\n4,3,200\n"
 
@@ -21,10 +21,7 @@ PLACES = "east_m,north_m,yaw_deg\n0,0,30\n4,3,200\n"
 def write_crowns(folder, extra="", kelvin='"balance"', clusters=90, write=write_balance):
     """Write a flat scene with two porous crowns and return its folder."""
     folder.mkdir(parents=True)
-    random = np.random.default_rng(4)
-    middle = random.uniform(-1.0, 1.0, (3 * clusters, 3))
-    middle = 1.2 * middle[(middle**2).sum(axis=1) < 1.0][:clusters] + [0.0, 0.0, 2.0]
-    trimesh.Trimesh(*leaves(random, middle, 0.5), process=False).export(folder / "crown.ply")
+    write_crown(folder, 3 * clusters, 0.5, clusters)
     (folder / "places.csv").write_text(PLACES, encoding="utf-8")
     write_leaf_tables(folder)
     trees = f"""[[object]]

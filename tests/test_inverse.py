@@ -22,7 +22,7 @@ from thermorender.inverse.poses import PoseError, deviation
 from thermorender.inverse.products import files_of_scene
 from thermorender.inverse.products import write as write_products
 from thermorender.inverse.reconstruct import reconstruct
-from thermorender.inverse.solve import Settings, binned, binned_camera, vignetting
+from thermorender.inverse.solve import Settings, _tilt, binned, binned_camera, vignetting
 from thermorender.inverse.weights import Lattice, Viewer, moved, taps_of
 from thermorender.physics.planck import brightness_temperature
 from thermorender.render.renderer import Renderer
@@ -232,6 +232,15 @@ def test_tilts_of_frames_are_found_where_they_exceed_the_noise(survey):
     without = reconstruct(scene.with_temperature("balance"), flown, settings=settings)
     assert without.state.tilt_k == 0.0
     assert not without.state.tilts.any()
+
+
+def test_a_strip_of_a_frame_has_no_weight_in_the_tilts():
+    rng = np.random.default_rng(3)
+    right, down, noise = rng.uniform(-1.0, 1.0, (3, 400))
+    whole, strip = (np.array([np.ones(400), x, down]) for x in (right, 0.98 + 0.02 * right))
+    tilts, weights = _tilt(whole, 0.6 * right - 0.2 * down + 0.1 * noise, np.ones(400))
+    np.testing.assert_allclose(tilts, [0.6, -0.2], atol=0.02)
+    assert _tilt(strip, noise, np.ones(400))[1, 0] < 1e-3 * weights[0]
 
 
 def test_a_reference_fixes_the_common_level(survey):

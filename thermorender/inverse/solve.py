@@ -225,12 +225,13 @@ class Problem:
         self, state: State, free: bool, progress: Progress | None, draws: Draws | None = None
     ) -> tuple[State, Normal]:
         settings = self.settings
-        normal, planes, noise_k = self._equations(state, free, progress, draws)
+        normal, left, weights, noise_k = self._equations(state, free, progress, draws)
         gradient = normal.gradient(state.map - self.prior.mean, state.classes, state.vignette)
         (found,), _ = normal.solved(gradient)
         made = self._updated(state, found, free)
         # The first round has the poses of the registration, of which the errors look like tilts.
-        tilt_k = float(np.sqrt(np.mean((state.tilts + planes) ** 2))) if state.rounds > 0 else 0.0
+        square = np.sum(weights * (state.tilts + left) ** 2) / max(float(weights.sum()), 1e-300)
+        tilt_k = float(np.sqrt(square)) if state.rounds > 0 else 0.0
         made = replace(made, noise_k=max(noise_k, settings.noise_k), tilt_k=tilt_k)
         if tilt_k < settings.noise_k:
             # Below the noise, tilts would only share in what the offsets hold.
@@ -239,8 +240,8 @@ class Problem:
 
     def _equations(
         self, state: State, free: bool, progress: Progress | None, draws: Draws | None = None
-    ) -> tuple[Normal, Floats, float]:  # fmt: skip
-        """(Normal, tilts of the frames' residuals (F, 2), standard deviation of the residuals)."""
+    ) -> tuple[Normal, Floats, Floats, float]:  # fmt: skip
+        """(Normal, tilts of the frames' residuals (F, 2), their weights, standard deviation of the residuals)."""
         settings = self.settings
         tilted = [1.0 / state.tilt_k**2] * 2 if state.tilt_k > 0.0 else []
         own = np.concatenate([[1.0 / settings.offset_k**2], tilted, settings.pose_error.precision if free else []])
@@ -251,21 +252,19 @@ class Problem:
 
         def summed(number: int) -> tuple[Sums, Drawn | None, Floats, float]:
             sight, residual, precision, spread = self._measured(state, number, slope)
-            columns = plane = np.concatenate([np.ones((1, residual.size)), self.tilting[:, sight.pixel]])
-            tilt = np.linalg.lstsq((plane * precision) @ plane.T, (plane * precision) @ residual, rcond=None)[0][1:]
-            if not tilted:
-                columns = plane[:1]
+            plane = np.concatenate([np.ones((1, residual.size)), self.tilting[:, sight.pixel]])
+            columns = plane if tilted else plane[:1]
             if free:
                 columns = np.concatenate([columns, sight.motion(sight.at(right), sight.at(down))])
             given = residual, precision, columns, self.vignetting[:, sight.pixel]
             seen = footprint(sight)
             drawn = draws.of_frame(number, seen, sight.pixel, *given) if draws is not None else None
-            return Sums.of(seen, *given), drawn, tilt, spread
+            return Sums.of(seen, *given), drawn, _tilt(plane, residual, precision), spread
 
-        spreads, planes = list[float](), list[Floats]()
+        spreads, found = list[float](), list[Floats]()
         for number, (sums, drawn, tilt, spread) in enumerate(_ahead(summed, len(self.images))):
             spreads.append(spread)
-            planes.append(tilt)
+            found.append(tilt)
             away = np.array([state.offsets[number], *(state.tilts[number] if tilted else ())])
             if free:
                 away = np.concatenate([away, deviation(state.poses[number], self.poses[number])])
@@ -274,7 +273,8 @@ class Problem:
                 draws.add(number, drawn, sums)
             if progress is not None:
                 progress("solving the map", (number + 1) / (len(self.images) + 1))
-        return normal, np.array(planes), float(np.median(spreads))
+        tilts, weights = np.array(found).transpose(1, 0, 2)
+        return normal, tilts, weights, float(np.median(spreads))
 
     def _measured(self, state: State, number: int, slope: Floats) -> tuple[Sight, Floats, Floats, float]:
         """(pixels of a frame, their residuals, 1 over their variances, standard deviation of the residuals).
@@ -327,6 +327,17 @@ class Problem:
             made_map, state.classes + found.classes, state.offsets + found.frames[:, 0], tilts, state.tilt_k,
             state.vignette + found.common, made, poses, state.noise_k, state.rounds + 1,
         )  # fmt: skip
+
+
+def _tilt(plane: Floats, residual: Floats, precision: Floats) -> Floats:
+    """(tilts to the right and down, their weights), (2, 2), of residuals (N,) by the columns 1, right, down.
+
+    A frame of which only a strip shows the terrain knows little of its tilt.
+    """
+    matrix = (plane * precision) @ plane.T
+    found, *_ = np.linalg.lstsq(matrix, (plane * precision) @ residual, rcond=None)
+    known = matrix.diagonal()[1:] - matrix[0, 1:] ** 2 / max(float(matrix[0, 0]), 1e-300)
+    return np.array([found[1:], np.maximum(known, 0.0)])
 
 
 def _ahead(job: Callable[[int], _T], count: int) -> Iterator[_T]:

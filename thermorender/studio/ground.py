@@ -88,12 +88,6 @@ def refuse_without_map(scene: "Scene") -> None:
         )
 
 
-def material_at(scene: "Scene", x: float, y: float) -> str:
-    """Return the material at a place of the map, by shares of its width and height."""
-    number = scene.surfaces[0].material[_texel(scene, x, y)]
-    return scene.materials[int(number)].name
-
-
 def filled(scene: "Scene", x: float, y: float) -> dict[str, Any]:
     """Return the connected area of one material around a place of the map, as a GeoJSON geometry."""
     import cv2
