@@ -88,11 +88,12 @@ class Page:
         return int(self.part("version").inner_text().split()[1])
 
     def settled(self, version=None):
-        """Wait until the picture shows a version exactly; return the number of that version."""
+        """Wait until picture and tables show a version, and the picture is exact; return the number of that version."""
         version = self.version if version is None else version
         self.page.wait_for_function(
             "v => document.getElementById('frame').dataset.version == v && "
-            "document.querySelector('[data-testid=state]').innerText == 'exact'", arg=version, timeout=WAIT_MS,
+            "document.querySelector('[data-testid=state]').innerText == 'exact' && "
+            "document.querySelector('[data-testid=version]').innerText == `version ${v}`", arg=version, timeout=WAIT_MS,
         )  # fmt: skip
         return version
 

@@ -81,8 +81,8 @@ def _application(session: Any, pose: str) -> Any:
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
 
     @app.get("/frame/{tab}/{number}")
-    def frame(tab: str, number: int) -> Response:
-        picture = session.renders.picture(tab)
+    async def frame(tab: str, number: int) -> Response:
+        picture = session.renders.fetch(tab)
         if picture is None or not picture.data:
             return Response(status_code=404)
         return Response(picture.data, media_type=picture.kind, headers={"cache-control": "no-store"})

@@ -129,14 +129,15 @@ class Document:
     def of_class(self, number: int, material: str) -> "Document":
         """Return this Document with another material of a class."""
         find(self.library, material, f"class {number}")
-        return replace(self, classes={**self.classes, number: material})
+        return self if self.classes[number] == material else replace(self, classes={**self.classes, number: material})
 
     def of_object(self, name: str, material: str | None = None, kelvin: float | None = None) -> "Document":
         """Return this Document with another material or temperature of an object [K]."""
         before = self.objects[name]
         material, kelvin = material or before[0], before[1] if kelvin is None else kelvin
         find(self.library, material, f"object {name!r}")
-        return replace(self, objects={**self.objects, name: (material, kelvin)})
+        now = material, kelvin
+        return self if now == before else replace(self, objects={**self.objects, name: now})
 
     def with_area(self, area: Painted) -> "Document":
         """Return this Document with another material within an area."""

@@ -53,7 +53,7 @@ class Editor:
         self.name = self._first()
         self._inputs: dict[str, Any] = {}
         self._about: dict[str, ui.html] = {}
-        # Material and text that each field was last filled with; key and text of the edit under way.
+        # Material and text that each field was last filled with; key and text of an edit that is not shown yet.
         self._filled: dict[str, tuple[str, str]] = {}
         self._typed = "", ""
         self._all, self._width = False, 0.5
@@ -276,7 +276,6 @@ class Editor:
                 self._tab.edit(version, what, lambda document: fields.changed(document, name, one.key, text), True)
                 or None
             )
-            self._typed = "", ""
 
         label = f"{one.label} [{one.unit}]" if one.unit else one.label
         given = ui.input(label, validation=fault).props(f'dense outlined data-testid="field-{one.key}"')
@@ -303,6 +302,7 @@ class Editor:
             if thermal
             else "No thermal table: a heat balance cannot use this material until all values are given."
         )
+        self._typed = "", ""
         for key, about in self._about.items():
             spread = thermal.uncertainty.get(key) if thermal else None
             source = thermal.source.get(key, "") if thermal else ""

@@ -29,6 +29,9 @@ _TURN_DEG = 120.0
 # The first view without --pose: from the south, looking down at 45°.
 _FIRST = "0,{south:.0f},{above:.0f},0,-45,0"
 _TICKS = 5
+# Words and tables follow their picture, which their own work in the browser would delay: so long after it, and the
+# tables no later than this after an edit [s].
+_AFTER_S, _LATEST_S = 0.06, 0.5
 # Parts of a pixel's radiance, in words.
 _ORIGINS = {
     "emission": "Emission", "sky": "Reflected sky", "sun": "Reflected sun", "surroundings": "Reflected surroundings",
@@ -60,6 +63,9 @@ class Tab:
         self.pixel: tuple[int, int] | None = None
         self._under: tuple[int, int] | None = None  # the pixel under the pointer
         self._picture: Picture | None = None
+        # Timers of the words of a picture, and of the tables where an edit does not show there yet.
+        self._wordless: asyncio.TimerHandle | None = None
+        self._behind: asyncio.TimerHandle | None = None
         ui.add_head_html(f"<style>{(_FOLDER / 'studio.css').read_text('utf-8')}</style>")
         ui.add_head_html(f"<script>{(_FOLDER / 'studio.js').read_text('utf-8')}</script>")
         ui.query("html").props('lang="en"')
@@ -88,8 +94,18 @@ class Tab:
 
     # What the session and the renders call.
 
+    def changed(self) -> None:
+        """Take note of a version of the edits; the tables show it after its picture."""
+        with self._client:
+            ui.run_javascript(f"studio.version = {self.session.history.version}")
+        if self._behind is None:
+            self._behind = self._loop.call_later(_LATEST_S, self._inside, self.refresh)
+
     def refresh(self) -> None:
         """Show the current version of the edits."""
+        if self._behind is not None:
+            self._behind.cancel()
+            self._behind = None
         history = self.session.history
         with self._client:
             ui.run_javascript(f"studio.version = {history.version}")
@@ -180,7 +196,10 @@ class Tab:
         with ui.element("header").classes("bar"):
             ui.html("<h1>Material studio</h1>", sanitize=False)
             ui.label(f"{self.session.base.name} · {self.session.base.spec.title or 'untitled'}").classes("scene")
-            self._state = ui.label("rendering …").classes("state").props('role="status" data-testid="state"')
+            # Written by the script, together with the picture.
+            ui.html("rendering …", sanitize=False).classes("state").props(
+                'id="state" role="status" data-testid="state"'
+            )
             self._version = ui.label("").classes("soft").style("color:#c3d3df").props('data-testid="version"')
             for by, icon in ((-1, "undo"), (1, "redo")):
                 button = ui.button(icon=icon).props(f'flat dense round color=white data-testid="{icon}"')
@@ -346,13 +365,19 @@ class Tab:
 
     def _shown(self, picture: Picture) -> None:
         if not picture.data:
-            self._state.set_text("not rendered").classes(add="preview")
+            ui.run_javascript("studio.say('not rendered', false)")
             self.say(picture.notes)
             return
         self._picture = picture
         self._send(picture)
-        self._state.set_text(picture.words)
-        self._state.classes(remove="preview" if picture.exact else "", add="" if picture.exact else "preview")
+        if self._wordless is None:
+            self._wordless = self._loop.call_later(_AFTER_S, self._inside, self._words)
+
+    def _words(self) -> None:
+        """Say what the latest picture shows."""
+        self._wordless, picture = None, self._picture
+        if picture is None:
+            return
         self._unit.set_text(picture.unit)
         self._scale.style(f"visibility:{'visible' if picture.ends else 'hidden'}")
         self._ramp.style(f"background:{picture.gradient or 'none'}")
@@ -364,10 +389,13 @@ class Tab:
             self._ask(self.pixel, self._figures_shown)
         if self._under is not None:
             self._ask(self._under, self._hover_shown)
+        if self._behind is not None and picture.version == self.session.history.version:
+            self.refresh()
 
     def _send(self, picture: Picture) -> None:
         address = f"/frame/{self.key}/{picture.number}"
-        ui.run_javascript(f"studio.show({json.dumps(address)}, {picture.version}, {picture.number})")
+        given = address, picture.version, picture.number, picture.words, picture.exact
+        ui.run_javascript(f"studio.show({', '.join(map(json.dumps, given))})")
 
     def _place_cross(self) -> None:
         if self.pixel is not None:

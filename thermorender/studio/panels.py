@@ -42,57 +42,76 @@ def show_legend(box: ui.element, legend: Legend) -> None:
                 ui.label(words)
 
 
+def _shown(temperature: float | None) -> str:
+    return "balance" if temperature is None else f"{temperature:g}"
+
+
 class Cover:
     """The material of each class and object, in place."""
 
     def __init__(self, tab: "Tab") -> None:
-        self._tab, self._session, self._known = tab, tab.session, ("", "")
+        self._tab, self._session = tab, tab.session
+        # Names that the elements below were made of, and the elements of each class and object.
+        self._known: Any = None
+        self._choices: dict[int | str, ui.select] = {}
+        self._kelvins: dict[str, ui.input] = {}
         self._box = ui.element("div").classes("part")
 
     def refresh(self) -> None:
         """Show the current version of the edits."""
         document = self._session.document
-        state = (repr(dict(document.classes)), repr(dict(document.objects)) + repr(sorted(document.library)))
-        if state == self._known:
-            return
-        self._known = state
+        names = sorted(document.classes), list(document.objects), sorted(document.library)
+        if names != self._known:
+            self._known = names
+            self._make(*names)
+        for number, name in document.classes.items():
+            self._choices[number].set_value(name)
+        for thing, (name, temperature) in document.objects.items():
+            self._choices[thing].set_value(name)
+            self._kelvins[thing].set_value(_shown(temperature))
+
+    def _make(self, classes: list[int], objects: list[str], names: list[str]) -> None:
         self._box.clear()
-        names = sorted(document.library)
+        self._choices, self._kelvins = {}, {}
         with self._box:
             ui.html("<h2>Classes</h2>", sanitize=False)
-            if not document.classes:
+            if not classes:
                 ui.label("This scene's materials do not come from classes.").classes("soft")
             with ui.element("div").classes("cover"):
-                for number, name in sorted(document.classes.items()):
+                for number in classes:
                     ui.label(f"Class {number}").classes("soft")
                     change = partial(Document.of_class, number=number)
-                    self._choice(names, name, f"class-{number}", f"class {number}", change)
-            if not document.objects:
+                    self._choices[number] = self._choice(names, f"class-{number}", f"class {number}", change)
+            if not objects:
                 return
             ui.html("<h2>Objects</h2>", sanitize=False)
             with ui.element("div").classes("cover three"):
-                for thing, (name, temperature) in document.objects.items():
+                for thing in objects:
                     ui.label(thing).classes("soft")
-                    self._choice(names, name, f"object-{thing}", thing, partial(Document.of_object, name=thing))
-                    self._kelvin(thing, temperature)
+                    change = partial(Document.of_object, name=thing)
+                    self._choices[thing] = self._choice(names, f"object-{thing}", thing, change)
+                    self._kelvins[thing] = self._kelvin(thing)
 
-    def _choice(self, names: list[str], now: str, test: str, what: str, change: Callable[..., Document]) -> None:
-        given = ui.select(names, value=now, with_input=True).props("dense outlined options-dense hide-bottom-space")
+    def _choice(self, names: list[str], test: str, what: str, change: Callable[..., Document]) -> ui.select:
+        given: ui.select = ui.select(names, with_input=True)
+        given.props("dense outlined options-dense hide-bottom-space")
         # Names of a scene file may hold any characters, so they are not parsed as properties.
         given.props.update({"aria-label": f"Material of {what}", "data-testid": test})
 
         def done(event: Any) -> None:
             chosen, version = event.args
-            if chosen and chosen != now:
-                if self._tab.edit(
-                    int(version), f"{what}: {chosen}", lambda document: change(document, material=str(chosen))
-                ):
-                    given.set_value(now)
+            if chosen and self._tab.edit(
+                int(version), f"{what}: {chosen}", lambda document: change(document, material=str(chosen))
+            ):
+                self.refresh()
 
         given.on("update:model-value", done, js_handler="(one) => emit(one && one.label, studio.version)")
+        return given
 
-    def _kelvin(self, thing: str, now: float | None) -> None:
+    def _kelvin(self, thing: str) -> ui.input:
         def fault(text: str) -> str | None:
+            if text == _shown(self._session.document.objects[thing][1]):
+                return None
             try:
                 kelvin(f"temperature of {thing}", decimal(text))
             except ValueError:
@@ -102,14 +121,15 @@ class Cover:
             return None
 
         def done(event: Any) -> None:
-            if fault(str(event.args[0])) is None:
-                change = partial(Document.of_object, name=thing, kelvin=decimal(str(event.args[0])))
-                self._tab.edit(int(event.args[1]), f"{thing}: {event.args[0]} K", change)
+            text = str(event.args[0])
+            if fault(text) is None and text != _shown(self._session.document.objects[thing][1]):
+                change = partial(Document.of_object, name=thing, kelvin=decimal(text))
+                self._tab.edit(int(event.args[1]), f"{thing}: {text} K", change)
 
-        shown = "balance" if now is None else f"{now:g}"
-        given = ui.input(value=shown, validation=fault, suffix="K").props("dense outlined hide-bottom-space")
+        given = ui.input(validation=fault, suffix="K").props("dense outlined hide-bottom-space")
         given.props.update({"aria-label": f"Temperature of {thing} [K]", "data-testid": f"kelvin-{thing}"})
         given.on("change", done, js_handler="(value) => emit(value, studio.version)")
+        return given
 
 
 class Map:

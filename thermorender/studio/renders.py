@@ -26,6 +26,8 @@ from thermorender.studio.view import View
 _T = TypeVar("_T")
 # Longest wait for a job, such as an export behind a long solution.
 _ANSWERS_S = 120.0
+# Longest wait for the pages to fetch a preview before its solution begins, which would slow them down.
+_FETCHED_S = 0.1
 
 
 class _Newer(Exception):
@@ -73,6 +75,7 @@ class Renders:
     _ended: bool = False
     _last: dict[str, tuple[View, Frame, int]] = field(default_factory=dict)
     _pictures: dict[str, Picture] = field(default_factory=dict)
+    _fetched: dict[str, Picture] = field(default_factory=dict)
     _solved: Renderer = field(init=False)
     _ready: Renderer | None = None
 
@@ -116,7 +119,7 @@ class Renders:
     def forget(self, tab: str) -> None:
         """Drop a tab that was closed."""
         with self._news:
-            for known in (self._tabs, self._waiting, self._last, self._pictures):
+            for known in (self._tabs, self._waiting, self._last, self._pictures, self._fetched):
                 known.pop(tab, None)
 
     def run(self, job: Callable[[], object]) -> None:
@@ -160,9 +163,14 @@ class Renders:
         except ThermorenderError:
             return None
 
-    def picture(self, tab: str) -> Picture | None:
-        """Return the latest Picture of a tab."""
-        return self._pictures.get(tab)
+    def fetch(self, tab: str) -> Picture | None:
+        """Return the latest Picture of a tab, for its page."""
+        with self._news:
+            picture = self._pictures.get(tab)
+            if picture is not None:
+                self._fetched[tab] = picture
+                self._news.notify()
+        return picture
 
     def frame(self, tab: str) -> Frame | None:
         """Return the latest Frame of a tab."""
@@ -220,6 +228,8 @@ class Renders:
             if "preview" in errors:
                 words = f"preview ± {errors['preview']:.3g} mK, {errors['preview_rms']:.2g} mK RMS"
                 self._show(Light(made, version, words, False))
+                with self._news:
+                    self._news.wait_for(lambda: self._asked() or self._fetched == self._pictures, _FETCHED_S)
                 made = self._exact(scene)
         else:
             made = self._exact(scene)

@@ -32,6 +32,9 @@ BAND_K = 300.0
 class Shown(Protocol):
     """A tab, as the session knows it."""
 
+    def changed(self) -> None:
+        """Take note of a version of the edits."""
+
     def refresh(self) -> None:
         """Show the current version of the edits."""
 
@@ -98,7 +101,7 @@ class Session:
         return self.history.document
 
     def edit(self, version: int, what: str, change: Callable[[Document], Document], by: str = "") -> None:
-        """Change the Document for a tab, render it, and refresh all tabs; ThermorenderError where it is refused."""
+        """Change the Document for a tab, render it, and tell all tabs; ThermorenderError where it is refused."""
         before = self.history.version
         try:
             self.history.edit(version, what, change, self._use, by)
@@ -139,7 +142,7 @@ class Session:
     def _render(self) -> None:
         self.renders.solve(self._scene, self.history.version)
         for tab in list(self.tabs):
-            tab.refresh()
+            tab.changed()
 
     @property
     def scene(self) -> "Scene":

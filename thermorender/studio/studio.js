@@ -66,12 +66,17 @@ window.studio = {
       emitEvent("studio_move", { right: 0.04 * right, down: 0.04 * down, pan: e.shiftKey, zoom });
     });
   },
-  show(source, version, number) {
+  say(words, exact) {
+    const state = document.getElementById("state");
+    state.textContent = words;
+    state.classList.toggle("preview", !exact);
+  },
+  show(source, version, number, words, exact) {
     const image = document.getElementById("frame");
     if (!image) return;
     const state = (studio.picture = studio.picture || { loading: false, waiting: null });
     if (state.loading) {
-      state.waiting = [source, version, number];
+      state.waiting = [source, version, number, words, exact];
       return;
     }
     state.loading = true;
@@ -80,6 +85,7 @@ window.studio = {
       if (ok) {
         image.dataset.version = version;
         image.dataset.number = number;
+        studio.say(words, exact);
         window.dispatchEvent(new CustomEvent("studio-shown", { detail: { version, number } }));
       }
       if (state.waiting) {

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 _BELOW_K, _ABOVE_K = 10.0, 40.0
 # Faces between two that an edit changes, which are read with them; parts of the changed faces, handled side by side.
 _BETWEEN, _PARTS = 8, 4
+_FACES_AT_ONCE = 1 << 16
 
 
 class Samples:
@@ -88,6 +89,35 @@ class Samples:
         _, found = dr.while_loop(start, lambda point, _: point < last, body)
         return np.array(found > 0)
 
+    @cached_property
+    def others(self) -> tuple[Jit, Jit, Jit]:
+        """(first entry of each face (F + 1,), texel, weight): what a face shows of texels that other faces cover.
+
+        The texels are corners of its points, each once, and the weights of all corners of a face would sum to one.
+        """
+        mi, cover = self.geometry.mi, self.geometry.face_of_texel
+        starts, texels, weights = [np.zeros(1, np.int64)], list[NDArray[Any]](), list[NDArray[Any]]()
+        for first in range(0, self.geometry.face_count, _FACES_AT_ONCE):
+            count = min(_FACES_AT_ONCE, self.geometry.face_count - first)
+            face = dr.arange(mi.UInt32, count) + dr.opaque(mi.UInt32, first)
+            keys, shares = list[NDArray[Any]](), list[NDArray[Any]]()
+            for point in range(self.count):
+                for texel, weight in self.corners(face, dr.opaque(mi.UInt32, point)):
+                    other = (dr.gather(mi.UInt32, cover, texel) != face) & (weight > 0.0)
+                    dr.eval(texel, weight, other)
+                    row = np.flatnonzero(np.array(other))
+                    keys.append((row << 32) | np.array(texel)[row])
+                    shares.append(np.array(weight)[row])
+            key, number = np.unique(np.concatenate(keys), return_inverse=True)
+            starts.append(starts[-1][-1] + np.searchsorted(key >> 32, np.arange(count), side="right"))
+            texels.append((key & 0xFFFFFFFF).astype(np.uint32))
+            weights.append(np.bincount(number, np.concatenate(shares), len(key)) / self.count)
+        return (
+            mi.UInt32(aligned(np.concatenate(starts), np.uint32)),
+            mi.UInt32(aligned(np.concatenate(texels), np.uint32)),
+            mi.Float(aligned(np.concatenate(weights))),
+        )
+
     def around(self, face: int) -> tuple[NDArray[np.uint32], Floats]:
         """Return (texels, weights) of which a face's points are made; the weights sum to one."""
         mi = self.geometry.mi
@@ -149,8 +179,8 @@ class Samples:
         return found.indptr.astype(np.int64), found.indices, found.data
 
     def prepare(self) -> None:
-        """Sort the rays by what they hit, which takes longest and is done once for all edits of a geometry."""
-        _ = self._columns
+        """Sort rays by what they hit, and texels by their faces: it takes longest, once for all edits of a geometry."""
+        _ = self._columns, self.others
 
     def rays_on(self, faces: NDArray[np.intp]) -> int:
         """Return the number of pairs of faces that see each other, with one of `faces` as the one that is seen."""

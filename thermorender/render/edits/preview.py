@@ -6,10 +6,10 @@ K d, in the few spectral components that d has, and leaves out K ρ δ: light of
 
 Its error is estimated from the light of the second bounce, K ρ |K d|, and of the components left out. They are computed
 on the faces that reflect most of what they receive, on those that change, and on faces drawn by their area. Where a
-share q of reflected light is passed on at most, later bounces add a factor of 1 / (1 − q). Corrections of faces of less
-than `_LEAST_MK` are left out too.
+share q of reflected light is passed on at most, later bounces add a factor of 1 / (1 − q).
 """
 
+from concurrent.futures import Executor
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.render.arrays import Channels, Floats, Jit, aligned
-from thermorender.render.edits.change import Change, change_of, comparable
+from thermorender.render.edits.change import MOST_CHANGED, Change, change_of, comparable, mostly_warmer
 from thermorender.render.edits.known import Known, Samples, known_of
 from thermorender.render.layers import OutgoingRadiance
 from thermorender.render.light.exchange import threads
@@ -28,9 +28,8 @@ from thermorender.scene.scene import Scene
 if TYPE_CHECKING:
     from thermorender.render.baked import BakedScene
 
-# Change of a face's correction that is left out; what spectral components may leave out of what faces send [mK], and
-# their number.
-_LEAST_MK, _LEFT_MK, _MOST_SPECTRA = 2.5, 200.0, 2
+# What spectral components may leave out of what faces send [mK], and their number.
+_LEFT_MK, _MOST_SPECTRA = 200.0, 2
 # Faces of each kind on which the second bounce is computed, and standard errors added to its mean square.
 _JUDGED, _SURE = 3000, 3.5
 # From this share of light passed on, a preview is of no use.
@@ -70,41 +69,57 @@ def edited_plan(baked: "BakedScene", scene: Scene) -> Plan:
 
 def _previewed(baked: "BakedScene", known: Known, scene: Scene, change: Change) -> "BakedScene":
     geometry, plan = baked.geometry, change.plan
-    basis, light, errors = _light(baked, known, scene, change)
-    tables = _Tables(baked, known, scene, change, basis, light)
-    texels, added = tables.texels()
-    faces = tables.corrected(added)
-    rest = geometry.averaged(np.stack(texels[1:], axis=1)) if len(texels) > 1 else None
-    outgoing = OutgoingRadiance(geometry.averaged(texels[0][:, None]), rest, Channels(geometry.mi, faces))
+    # NumPy's part of the work goes on beside Dr.Jit's.
+    with threads() as pool:
+        basis, light, left = _light(baked, known, scene, change, pool)
+        errors = pool.submit(_errors_mk, baked, scene, known.samples, change, basis, light, left)
+        tables = _Tables(baked, known, scene, change, basis, light)
+        texels, added = tables.texels()
+        parts = [texels[0][:, None], *([np.stack(texels[1:], axis=1)] if len(texels) > 1 else [])]
+        means = [pool.submit(geometry.averaged, part) for part in parts]
+        faces = tables.corrected(added)
+        first, *rest = (each.result() for each in means)
+    outgoing = OutgoingRadiance(first, rest[0] if rest else None, Channels(geometry.mi, faces))
     kept = {name: baked._uploaded[name] for name in ("geometry", "samples")}
     shown = replace(
         baked, scene=scene, plan=plan, incident=None, texels=tuple(texels), faces=faces,
-        errors_mk=baked.errors_mk | errors, _uploaded=kept | {"exact": baked},
+        errors_mk=baked.errors_mk | errors.result(), _uploaded=kept | {"exact": baked},
     )  # fmt: skip
     kept["scene"] = shown._uploaded["scene"] = baked.device.showing(shown, outgoing)
     return shown
 
 
 def _light(
-    baked: "BakedScene", known: Known, scene: Scene, change: Change
-) -> tuple[Floats, NDArray[np.float32], dict[str, float]]:
-    """(orthonormal spectra (k, N), change of the light on faces in them (k, F), errors of the preview [mK])."""
+    baked: "BakedScene", known: Known, scene: Scene, change: Change, pool: Executor
+) -> tuple[Floats, NDArray[np.float32], tuple[NDArray[np.float32], float]]:  # fmt: skip
+    """(orthonormal spectra (k, N), change of the light on faces in them (k, F), what they leave out)."""
     samples, plan = known.samples, change.plan
     outside = plan.spectrum.black([scene.surroundings_temperature])[0]
     outside = outside - baked.plan.spectrum.black([baked.scene.surroundings_temperature])[0]
     basis, left = _components(change.sent, outside, _LEFT_MK * plan.radiance_per_mk)
     sent = np.zeros((len(basis), len(samples.seen)), np.float32)
     sent[:, change.faces] = basis.astype(np.float32) @ change.sent
-    with threads() as pool:
-        light = samples.received(sent, change.faces, pool)
+    light = samples.received(sent, change.faces, pool)
     if outside.any():
         light += samples.background * (basis @ outside)[:, None]
+    return basis, light, left
+
+
+def _errors_mk(
+    baked: "BakedScene", scene: Scene, samples: Samples, change: Change, basis: Floats, light: NDArray[np.float32],
+    left: tuple[NDArray[np.float32], float],
+) -> dict[str, float]:  # fmt: skip
+    """Stated errors of a preview, as of `BakedScene.preview_for` [mK]."""
+    plan = change.plan
     most, typical = (value / plan.radiance_per_mk for value in _errors(baked, samples, change, basis, light, left))
     nodes = plan.spectrum.nodes_mk
-    # The solution has other nodes where these err too much.
-    more = 0.0 if nodes <= plan.tolerance_mk else nodes + plan.tolerance_mk
-    more += 2.0 * _LEAST_MK
-    return basis, light, {"preview": most + more, "preview_rms": typical + more}
+    # The solution has other nodes where these err too much, or where all light is solved.
+    most_changed = len(change.faces) > MOST_CHANGED * len(samples.seen) or mostly_warmer(baked.scene, scene)
+    more = nodes + plan.tolerance_mk if most_changed or nodes > plan.tolerance_mk else 0.0
+    # The solutions before and after the edit have errors of their own, and texels are rounded.
+    rounding = np.finfo(np.float32).eps * max(float(values.max()) for values in baked.texels) / plan.radiance_per_mk
+    more += 2.0 * (baked.errors_mk["solution"] + rounding)
+    return {"preview": most + more, "preview_rms": typical + more}
 
 
 def _components(
@@ -188,7 +203,6 @@ class _Tables:
         before, after = baked.plan.spectrum, change.plan.spectrum
         mean = light.mean(axis=1, dtype=np.float64).astype(np.float32)
         self._light = Channels(mi, np.vstack([light.T, mean]))
-        self._strength = np.abs(light).sum(axis=0)
         old, new = change.pairs.T
         shares, more = after.reflected[new] @ basis.T, after.reflected[new] - before.reflected[old]
         # Of each pair and channel: what it reflects of the light, and how much more than before.
@@ -231,47 +245,26 @@ class _Tables:
     def corrected(self, added: list[Jit]) -> NDArray[np.float32]:
         """Return the correction of faces, (F, K); `added` as of `texels`."""
         mi, samples, pairs = self._mi, self._known.samples, self._change.pair
+        starts, texels, weights = samples.others
         faces = self._baked.faces
         assert faces is not None
-        found = faces.copy()
-        chosen = self._uneven(added)
-        if not len(chosen):
-            return found
-        face, last = mi.UInt32(aligned(chosen, np.uint32)), dr.opaque(mi.UInt32, samples.count)
+        face = dr.arange(mi.UInt32, len(faces))
         light = [*self._light.at(face), *self._known.incident.at(face)]
+        last = dr.gather(mi.UInt32, starts, face + 1)
 
-        def body(point: Jit, *so_far: Jit) -> tuple[Jit, ...]:
-            total = list(so_far)
-            for texel, weight in samples.corners(face, point):
-                pair = mi.UInt32(dr.gather(mi.UInt8, pairs, texel))
-                for channel, table in enumerate(self._reflects):
-                    own = _dot(table.at(pair), light)
-                    total[channel] += weight * (own - dr.gather(mi.Float, added[channel], texel))
-            return (point + 1, *total)
+        def body(entry: Jit, *so_far: Jit) -> tuple[Jit, ...]:
+            texel, weight = dr.gather(mi.UInt32, texels, entry), dr.gather(mi.Float, weights, entry)
+            pair = mi.UInt32(dr.gather(mi.UInt8, pairs, texel))
+            more = (
+                weight * (_dot(table.at(pair), light) - dr.gather(mi.Float, added[channel], texel))
+                for channel, table in enumerate(self._reflects)
+            )
+            return (entry + 1, *(a + b for a, b in zip(so_far, more, strict=True)))
 
-        start = (mi.UInt32(0), *(dr.zeros(mi.Float, len(chosen)) for _ in added))
-        _, *total = dr.while_loop(start, lambda point, *_: point < last, body)
+        start = (dr.gather(mi.UInt32, starts, face), *(dr.zeros(mi.Float, len(faces)) for _ in added))
+        _, *total = dr.while_loop(start, lambda entry, *_: entry < last, body)
         dr.eval(total)
-        found[chosen] += np.stack([np.array(value) for value in total], axis=1) / np.float32(samples.count)
-        return found
-
-    def _uneven(self, added: list[Jit]) -> NDArray[np.intp]:
-        """Faces whose correction may change by more than twice `_LEAST_MK`."""
-        import cv2
-
-        mi, samples, plan = self._mi, self._known.samples, self._change.plan
-        least = _LEAST_MK * plan.radiance_per_mk
-        band = sum(dr.abs(value) for value in added)
-        flags = dr.select(band > dr.opaque(mi.Float, least), mi.UInt8(1), mi.UInt8(0))
-        # Corners of a point's square of texels are neighbours of its texel.
-        whole, geometry, near = flags.numpy(), samples.geometry, np.ones((3, 3), np.uint8)
-        for first, surface in zip(geometry.texel_start, geometry.surfaces, strict=False):
-            part = whole[first : first + surface.material.size].reshape(surface.material.shape)
-            if part.size > 1 and part.any():
-                part[...] = cv2.dilate(part, near)
-        chosen = samples.with_any(mi.UInt8(aligned(whole, np.uint8)))
-        chosen |= self._strength * np.float32((1.0 - plan.spectrum.emissivity).max()) > least
-        return np.flatnonzero(chosen)
+        return np.asarray(faces + np.stack([np.array(value) for value in total], axis=1))
 
 
 def _dot(one: list[Jit], other: list[Jit]) -> Jit:

@@ -214,6 +214,7 @@ def _of_classes(
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_], NDArray[np.bool_], float]:  # fmt: skip
     """(material numbers, where they are known, where they are the fallback, share without a class) of class numbers."""
     lookup = np.full(256, 255, dtype=np.uint8)
+    lookup[0] = 0
     for value, material in emissivity.classes.items():
         lookup[value] = materials.index(material, f"emissivity.classes.{value}", value)
     known, unknown = classes != 0, np.zeros(classes.shape, bool)
@@ -226,7 +227,7 @@ def _of_classes(
             f"{name} leaves {share:.1%} of the terrain of {materials.where} without a class; give one "
             "that covers it, or name the material of the rest as emissivity.fallback"
         )
-    return np.where(known, lookup[classes], 0).astype(np.uint8), known, unknown, share
+    return lookup[classes], known, unknown, share
 
 
 def _mesh_cover(
