@@ -27,8 +27,11 @@ HEADER = ("scene", "quality", "edit", "edits", "picture [ms]", "95 %", "exact [m
 _FIRST, _IDLE_S, _WAIT_MS, _QUIET_MS = 4, 10.0, 60_000, 3000
 # Every so many edits, the time to the exact picture is measured too; no divisor in common with the kinds.
 _EXACT_EVERY = 7
-# Kept by the page: performance.now() when a picture is in place, by its version.
-_CLOCK = "addEventListener('studio-shown', e => (window.shown ??= {})[e.detail.version] ??= performance.now())"
+# Kept by the page: performance.now() when a picture is in place, by its version, and at the last click.
+_CLOCK = """
+addEventListener('studio-shown', e => (window.shown ??= {})[e.detail.version] ??= performance.now());
+addEventListener('click', () => (window.clicked = performance.now()), true);
+"""
 _SEND = "([name, value]) => { const at = performance.now(); emitEvent(name, value); return at; }"
 _SHOWN = "version => (window.shown ?? {})[version]"
 _HANDLE = "{wavelength: 10.0, value: %.4f, version: studio.version}"
@@ -80,9 +83,8 @@ class Hand:
         given.fill(name)
         option = self.page.get_by_role("option", name=name, exact=True)
         option.wait_for(timeout=_WAIT_MS)
-        at = self.page.evaluate("performance.now()")
         option.click()
-        return at
+        return self.page.evaluate("clicked")
 
     def temperature(self):
         """Type the temperature of an object."""
@@ -122,7 +124,7 @@ class Hand:
         return found
 
 
-def measured(browser, scene, quality, edits, many, limit_s, seed):
+def measured(browser, scene, quality, edits, pause_s, many, limit_s, seed):
     """Return the figures of a scene: times by kind [ms], memory [MB] before and after many edits, idle CPU [1]."""
     with studio(scene, quality) as (number, address):
         page = browser.new_page(viewport={"width": 1280, "height": 800})
@@ -139,6 +141,7 @@ def measured(browser, scene, quality, edits, many, limit_s, seed):
         for count in range(_FIRST + edits):
             if time.monotonic() > end - 0.4 * limit_s:
                 break
+            page.wait_for_timeout(1000.0 * hand.random.uniform(0.5, 1.5) * pause_s)
             kind = kinds[count % len(kinds)]
             spent = hand.time_ms(kind, count < _FIRST or count % _EXACT_EVERY == 0)
             if count >= _FIRST:
@@ -156,7 +159,7 @@ def measured(browser, scene, quality, edits, many, limit_s, seed):
         idle = (cpu_s(number) - spent) / _IDLE_S
         page.close()
     return {
-        "scene": scene, "quality": quality,
+        "scene": scene, "quality": quality, "pause_s": pause_s,
         "kinds": {kind: {"edits": len(each), "picture_ms": _centre([one[0] for one in each]),
                          "exact_ms": _centre([one[1] for one in each if len(one) > 1])}
                   for kind, each in {**times, "all": [one for each in times.values() for one in each]}.items()},
@@ -190,6 +193,7 @@ def main(
     output: Out = Path("out/validation/edits"),
     quality: Annotated[str, typer.Option(help="Quality of the renderer.")] = "fast",
     edits: Annotated[int, typer.Option(help="Timed edits of all kinds together.", min=4)] = 100,
+    pause_s: Annotated[float, typer.Option(help="Mean pause before an edit [s], half to one and a half of it.")] = 1.0,
     many: Annotated[int, typer.Option(help="Quick edits before memory is read again.", min=0)] = 1000,
     limit_s: Annotated[
         float, typer.Option(help="Longest time for a scene after it opened [s]; fewer edits are made then.")
@@ -204,7 +208,7 @@ def main(
         browser = started.chromium.launch(executable_path=shutil.which("chromium"), args=arguments)
         for number, scene in enumerate(scenes):
             report(scene, number / len(scenes))
-            cases.append(measured(browser, scene, quality, edits, many, limit_s, seed))
+            cases.append(measured(browser, scene, quality, edits, pause_s, many, limit_s, seed))
         browser.close()
         load = os.getloadavg()[0]
         result = {"cases": cases, "seed": seed, "load": load, "machine": machine(), "versions": versions()}
