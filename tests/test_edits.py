@@ -115,6 +115,19 @@ def test_preview_differs_from_the_solution_by_its_stated_error_at_most(renderer,
     assert "preview" not in exact.baked.errors_mk
 
 
+def test_texels_of_other_faces_have_the_weights_of_the_points_in_a_face(renderer):
+    samples, cover = samples_of(renderer.baked), np.array(renderer.baked.geometry.face_of_texel)
+    start, texels, weights = (np.array(each) for each in samples.others)
+    assert len(start) == renderer.baked.geometry.face_count + 1 and start[-1] == len(texels) > 0
+    for face in range(0, renderer.baked.geometry.face_count, 7):
+        expected = np.zeros(len(cover))
+        np.add.at(expected, *samples.around(face))
+        expected[cover == face] = 0.0
+        found = np.zeros(len(cover))
+        found[texels[start[face] : start[face + 1]]] = weights[start[face] : start[face + 1]]
+        np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
 def test_light_of_few_faces_is_that_of_all_rays(renderer):
     transport, samples = renderer.baked.transport, samples_of(renderer.baked)
     count = len(transport.up)

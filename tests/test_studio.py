@@ -285,19 +285,26 @@ def test_a_class_and_a_painted_area_get_another_material(page, folder):
     assert page.part("map-legend").inner_text() == "water"
 
 
-@pytest.mark.slow
-def test_axe_finds_no_serious_violation_on_any_tab(page):
+def serious(page):
+    """What axe finds serious in a page: the nodes by rule."""
     axe = pytest.importorskip("axe_playwright_python.base", reason="needs axe-playwright-python")
     page.page.evaluate(axe.AXE_FILE_PATH.read_text("utf-8"))
+    page.page.wait_for_timeout(500)
+    return {
+        each["id"]: [node["html"][:200] for node in each["nodes"]]
+        for each in page.page.evaluate("axe.run()")["violations"]
+        if each["impact"] in ("serious", "critical")
+    }
+
+
+@pytest.mark.slow
+def test_axe_finds_no_serious_violation_on_any_tab(page):
     page.click_pixel(200, 250)
     page.figures_of(page.version)
     found = {}
 
     def look(where):
-        page.page.wait_for_timeout(500)
-        for each in page.page.evaluate("axe.run()")["violations"]:
-            if each["impact"] in ("serious", "critical"):
-                found[where, each["id"]] = [node["html"][:200] for node in each["nodes"]]
+        found.update({(where, rule): nodes for rule, nodes in serious(page).items()})
 
     for tab in ("Optical", "Thermal", "Cover", "Files"):
         page.page.get_by_role("tab", name=tab).click()
@@ -535,4 +542,9 @@ def test_labels_train_a_map_and_cancel_ends_the_training(browser, tmp_path):
         page.part("map-words").filter(has_text=words).wait_for(timeout=3 * WAIT_MS)
         page.page.wait_for_function("() => document.getElementById('map').src.includes('/map/learned/')")
         assert sorted(page.part("map-legend").inner_text().split()) == ["grass_green", "sand_quartz"]
+        assert not serious(page)
+        page.part("layer").click()
+        page.page.get_by_role("option", name="Uncertainty").click()
+        page.page.wait_for_function("() => document.getElementById('map').src.includes('/map/uncertainty/')")
+        assert not serious(page)
         page.context.close()

@@ -125,7 +125,10 @@ class BakedScene:
         return bake(scene, plan, like=exact, progress=progress, start=exact)
 
     def ready_for_edits(self) -> None:
-        """Make what previews of edits begin from, 0.1 s of work or more, which the first preview does otherwise."""
+        """Make what previews of edits begin from, which the first preview does otherwise.
+
+        It takes seconds once for all edits of a geometry, and 0.1 s for each solution.
+        """
         from thermorender.render.edits.preview import prepare
 
         prepare(self)

@@ -119,7 +119,7 @@ def _errors_mk(
     # The solutions before and after the edit have errors of their own, and texels are rounded.
     rounding = np.finfo(np.float32).eps * max(float(values.max()) for values in baked.texels) / plan.radiance_per_mk
     more += 2.0 * (baked.errors_mk["solution"] + rounding)
-    return {"preview": most + more, "preview_rms": typical + more}
+    return {"preview": float(most + more), "preview_rms": float(typical + more)}
 
 
 def _components(
