@@ -117,9 +117,10 @@ def _errors_mk(
     most_changed = len(change.faces) > MOST_CHANGED * len(samples.seen) or mostly_warmer(baked.scene, scene)
     more = nodes + plan.tolerance_mk if most_changed or nodes > plan.tolerance_mk else 0.0
     # The solutions before and after the edit have errors of their own, and texels are rounded.
-    rounding = np.finfo(np.float32).eps * max(float(values.max()) for values in baked.texels) / plan.radiance_per_mk
+    brightest = max(float(values.max()) for values in baked.texels)
+    rounding = float(np.finfo(np.float32).eps) * brightest / plan.radiance_per_mk
     more += 2.0 * (baked.errors_mk["solution"] + rounding)
-    return {"preview": float(most + more), "preview_rms": float(typical + more)}
+    return {"preview": most + more, "preview_rms": typical + more}
 
 
 def _components(
