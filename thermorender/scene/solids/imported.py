@@ -127,8 +127,10 @@ def imported(
             f"the surface model has posts {post_m:.3g} m apart, and buildings are found by height in posts of "
             f"{_FINE_M} m or less; give a finer model, or the buildings' outlines as --known"
         )
-    bare = found.ground_below(height, post_m) if ground is None else found.ground_given(ground, height, post_m)
-    outlines = found.outlines_by_height(height, bare, post_m) if known is None else list(known)
+    green = found.is_green(*picture, grid) if picture else None
+    bare = (found.ground_below(height, post_m, green) if ground is None
+            else found.ground_given(ground, height, post_m, green))  # fmt: skip
+    outlines = found.outlines_by_height(height, bare, post_m, green) if known is None else list(known)
     body = found.inside(outlines, grid)
     frame = terrain.frame_of(bare, grid)
     at, draw = _Local(grid, frame), np.random.default_rng(seed)
