@@ -35,10 +35,14 @@ Ring = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """The outer ring and the holes of a building, (N, 2) as (column, row), and what its file says on it."""
+    """The outer ring and the holes of a building, (N, 2) as (column, row), and what its file says on it.
+
+    A part of a building names the outline that bounds it as its `whole`.
+    """
 
     rings: Sequence[Ring]
     tags: Mapping[str, str] = field(default_factory=dict)
+    whole: "Outline | None" = None
 
 
 @dataclass(frozen=True, eq=False)

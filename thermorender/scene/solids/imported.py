@@ -23,6 +23,7 @@ from thermorender.scene.solids.facades import COLOURS, DOOR, GLASS, TAGS, facade
 from thermorender.scene.solids.plants import DENSITY, Plants, edge_of
 from thermorender.scene.solids.quads import Quads
 from thermorender.scene.solids.skin import Skin
+from thermorender.scene.solids.steps import cut_at_steps
 from thermorender.scene.surface import fill, nearest_valid
 
 GROUND, ROOFS, WALLS, PLANTS = "ground", "roofs", "walls", "plants"
@@ -140,23 +141,29 @@ def imported(
     covered = np.isfinite(height) & (height - bare > found.LEAST_M)
     skins = [_ground(bare, grid, frame, texels, picture, covered, ground_colour)]
     high = [each for each in outlines if _posts_inside(each.rings, height, bare)[1].any()]
+    flat = len(outlines) - len(high)
+    high, level = cut_at_steps(high, height, bare, post_m)
     roofs, quads, built = _Roofs(grid, texels), Quads(_TEXEL_M, _EDGE_M), {}
     for index, loops in enumerate(borders(high, height.shape, post_m)):
         if loops:
-            built[index] = _raised(loops, height, bare, at, roofs, post_m)
+            built[index] = _raised(loops, level, bare, at, roofs, post_m)
     unmatched: Counter[str] = Counter()
     names = {1: walls.usual, 2: GLASS, 3: DOOR, 4: LEAVES, 5: BARK}
-    stated = 0
+    stated, tints = 0, {}
     tops = {index: body.top_by_place() for index, body in built.items()}
     for index, raised in built.items():
         wall, without = wall_of(high[index].tags, walls.by_kind, walls.usual, library)
-        unmatched.update(without)
-        stated += _declared(high[index].tags) > len(without)
+        building = high[index].whole or high[index]
+        if building is high[index]:
+            unmatched.update(without)
+            stated += _declared(building.tags) > len(without)
         if wall.material not in names.values():
             names[len(names) + 1] = wall.material
-        tint = linear_from_bytes(np.array(wall.colour or library[wall.material].colour, np.uint8))
+        if building not in tints:
+            tint = linear_from_bytes(np.array(wall.colour or library[wall.material].colour, np.uint8))
+            tints[building] = tint if wall.colour else tint * np.exp(draw.normal(0.0, 0.12))
         paint = {"value": _numbers(names).__getitem__, "draw": draw, "material": wall.material,
-                 "colour": tint if wall.colour else tint * np.exp(draw.normal(0.0, 0.12))}  # fmt: skip
+                 "colour": tints[building]}  # fmt: skip
         for loop, base, top in raised.parts():
             _walls(quads, loop, base, top, tops, paint)
     kinds = {each.tags.get("building") for each in high}
@@ -167,8 +174,7 @@ def imported(
         skins.append(quads.skin(WALLS))
     if trees:
         skins.append(_plants(trees, height, bare, at, draw, post_m, _numbers(names), _colours(picture, grid)))
-    flat = len(outlines) - len(high)
-    return Imported(tuple(skins), names, frame, len(built), flat, len(trees), stated, dict(unmatched))
+    return Imported(tuple(skins), names, frame, len(tints), flat, len(trees), stated, dict(unmatched))
 
 
 def _numbers(names: dict[int, str]) -> dict[str, int]:
