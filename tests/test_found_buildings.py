@@ -67,3 +67,16 @@ def test_a_wood_as_smooth_as_a_roof_is_told_by_its_colour():
         rgb[covered] = colour
         green = found.is_green(rgb, np.ones((SIDE, SIDE), bool), grid, grid)
         assert len(found.outlines_by_height(height, bare, POST_M, green)) == count
+
+
+@pytest.mark.parametrize(("width", "count"), [(0, 0), (1, 1), (2, 1), (4, 1)])
+def test_a_narrow_tree_that_stands_alone_is_a_tree_and_the_fringe_of_a_house_is_not(width, count):
+    above, taken = np.zeros((30, 30)), np.zeros((30, 30), bool)
+    taken[4:12, 4:14] = True
+    above[4:12, 14] = 4.0
+    above[20 : 20 + width, 20 : 20 + width] = 6.0
+    trees = found.trees_in(above, taken, 1.0)
+    assert len(trees) == count
+    assert all((tree.posts >= 20).all() and len(tree.posts) == width**2 and tree.height_m == 6.0 for tree in trees)
+    # A pole of a quarter of a metre is not a tree.
+    assert width != 1 or found.trees_in(above, taken, 0.25) == []

@@ -27,8 +27,8 @@ _SMOOTH_M = 0.45
 _BESIDE_M, _FREE_SHARE = 3.0, 2.0 / 3.0
 # Above this excess green is a plant: 2 g − r − b of shares of sRGB; Woebbecke and others, Trans. ASAE 38 (1995) 259.
 _GREEN = 0.10
-# Trees: smoothing of heights and distance of tops [m].
-_BLUR_M, _APART_M = 0.8, 3.0
+# Trees: smoothing of heights and distance of tops [m]; least area of one that stands alone [m²].
+_BLUR_M, _APART_M, _LEAST_CROWN_M2 = 0.8, 3.0, 1.0
 
 Ring = NDArray[np.float64]
 
@@ -284,10 +284,9 @@ def inside(outlines: Sequence[Outline], grid: Grid) -> NDArray[np.bool_]:
 
 def trees_in(above: NDArray[np.float64], taken: NDArray[np.bool_], post_m: float) -> list[Tree]:
     """Return the Trees of heights above the ground, (h, w) [m], outside of `taken`: watersheds of local maxima."""
-    from scipy.ndimage import binary_opening, find_objects, gaussian_filter, label, maximum_filter, watershed_ift
+    from scipy.ndimage import find_objects, gaussian_filter, label, maximum_filter, watershed_ift
 
-    # Fringes of a building beside its outline are narrower than a crown.
-    canopy = binary_opening((np.nan_to_num(above) > LEAST_M) & ~taken, np.ones((3, 3)))
+    canopy = _canopy((np.nan_to_num(above) > LEAST_M) & ~taken, taken, post_m)
     height = np.where(canopy, np.nan_to_num(above), 0.0)
     smooth = gaussian_filter(height, _BLUR_M / post_m)
     size = 2 * max(1, round(0.5 * _APART_M / post_m)) + 1
@@ -306,6 +305,18 @@ def trees_in(above: NDArray[np.float64], taken: NDArray[np.bool_], post_m: float
         top = posts[np.argmax(heights)]
         found.append(Tree(posts, (int(top[0]), int(top[1])), float(heights.max())))
     return found
+
+
+def _canopy(high: NDArray[np.bool_], taken: NDArray[np.bool_], post_m: float) -> NDArray[np.bool_]:
+    """The posts of crowns: all that are wide, and narrow ones that stand alone."""
+    from scipy.ndimage import binary_dilation, binary_opening, label
+
+    wide: NDArray[np.bool_] = binary_opening(high, np.ones((3, 3)))
+    # Fringes of a building beside its outline are narrower than a crown.
+    parts, count = label(high, np.ones((3, 3)))
+    narrow = np.bincount(parts.ravel(), minlength=count + 1) * post_m**2 >= _LEAST_CROWN_M2
+    narrow[np.unique(parts[wide | binary_dilation(taken, np.ones((3, 3)))])] = False
+    return wide | (narrow[parts] & high)
 
 
 def even_odd(point: NDArray[np.float64], rings: Sequence[Ring]) -> NDArray[Any]:
