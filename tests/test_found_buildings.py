@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from rasterio import Affine
+from scipy.ndimage import binary_opening
 
 from thermorender.scene.raster import Grid
 from thermorender.scene.solids import found
@@ -80,3 +81,21 @@ def test_a_narrow_tree_that_stands_alone_is_a_tree_and_the_fringe_of_a_house_is_
     assert all((tree.posts >= 20).all() and len(tree.posts) == width**2 and tree.height_m == 6.0 for tree in trees)
     # A pole of a quarter of a metre is not a tree.
     assert width != 1 or found.trees_in(above, taken, 0.25) == []
+
+
+def test_each_post_of_a_wood_belongs_to_a_crown():
+    """Crowns of uneven heights beside each other, whose edges are lower than their neighbours' gaps."""
+    draw = np.random.default_rng(1)
+    row, column = np.mgrid[:60, :60].astype(float)
+    above = np.zeros((60, 60))
+    for _ in range(40):
+        at, high = draw.uniform(12.0, 48.0, 2), draw.uniform(3.0, 16.0)
+        above = np.maximum(above, high * (1.0 - ((row - at[0]) ** 2 + (column - at[1]) ** 2) / 36.0))
+    above += draw.uniform(0.0, 1.0, above.shape) * (above > found.LEAST_M)
+    wood = binary_opening(above > found.LEAST_M, np.ones((3, 3)))
+    trees = found.trees_in(above, np.zeros(above.shape, bool), 1.0)
+    posts = np.concatenate([tree.posts for tree in trees])
+    assert len(np.unique(posts, axis=0)) == len(posts)
+    missing = wood.copy()
+    missing[posts[:, 0], posts[:, 1]] = False
+    assert not missing.any() and len(trees) > 5

@@ -283,20 +283,15 @@ def inside(outlines: Sequence[Outline], grid: Grid) -> NDArray[np.bool_]:
 
 
 def trees_in(above: NDArray[np.float64], taken: NDArray[np.bool_], post_m: float) -> list[Tree]:
-    """Return the Trees of heights above the ground, (h, w) [m], outside of `taken`: watersheds of local maxima."""
-    from scipy.ndimage import find_objects, gaussian_filter, label, maximum_filter, watershed_ift
+    """Return the Trees of heights above the ground, (h, w) [m], outside of `taken`: basins of local maxima."""
+    from scipy.ndimage import find_objects, gaussian_filter
 
     canopy = _canopy((np.nan_to_num(above) > LEAST_M) & ~taken, taken, post_m)
     height = np.where(canopy, np.nan_to_num(above), 0.0)
     smooth = gaussian_filter(height, _BLUR_M / post_m)
-    size = 2 * max(1, round(0.5 * _APART_M / post_m)) + 1
-    peak = canopy & (smooth == maximum_filter(smooth, size)) & (smooth > 0.5 * LEAST_M)
-    marker, _ = label(peak, np.ones((3, 3)))
-    marker[~canopy & (marker == 0)] = -1
-    depth = np.clip(65535.0 - 65535.0 * smooth / max(float(smooth.max()), 1e-6), 0, 65535).astype(np.uint16)
-    basin = np.where(canopy, watershed_ift(depth, marker.astype(np.int32), np.ones((3, 3))), 0)
+    basin = _basins(smooth, canopy, max(1, round(0.5 * _APART_M / post_m)))
     found = []
-    for number, part in enumerate(find_objects(np.maximum(basin, 0)), 1):
+    for number, part in enumerate(find_objects(basin), 1):
         if part is None:
             continue
         row, column = np.nonzero(basin[part] == number)
@@ -317,6 +312,39 @@ def _canopy(high: NDArray[np.bool_], taken: NDArray[np.bool_], post_m: float) ->
     narrow = np.bincount(parts.ravel(), minlength=count + 1) * post_m**2 >= _LEAST_CROWN_M2
     narrow[np.unique(parts[wide | binary_dilation(taken, np.ones((3, 3)))])] = False
     return wide | (narrow[parts] & high)
+
+
+def _basins(height: NDArray[np.float64], canopy: NDArray[np.bool_], reach: int) -> NDArray[np.int64]:
+    """Number of the top that is above each post of a canopy, 1…; 0 elsewhere.
+
+    From each post the way leads to the highest of its neighbours, and from a top to the highest post within `reach`
+    of the same connected canopy.
+    """
+    from scipy.ndimage import label
+
+    parts = np.pad(label(canopy, np.ones((3, 3)))[0], 1)
+    level, number = np.pad(height, 1), np.arange(parts.size).reshape(parts.shape)
+    inner = slice(1, -1)
+    up, best = number[inner, inner].copy(), level[inner, inner].copy()
+    for down, right in ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)):
+        beside = slice(1 + down, level.shape[0] - 1 + down), slice(1 + right, level.shape[1] - 1 + right)
+        # Of two equal heights the later one is higher, so that no way is a circle.
+        higher = (level[beside] > best) | ((level[beside] == best) & (number[beside] > up))
+        higher &= parts[beside] == parts[inner, inner]
+        up, best = np.where(higher, number[beside], up), np.where(higher, level[beside], best)
+    way = number.copy()
+    way[inner, inner] = up
+    for row, column in np.argwhere((way == number) & (parts > 0)):
+        window = tuple(slice(max(k - reach, 0), k + reach + 1) for k in (row, column))
+        own = np.where(parts[window] == parts[row, column], level[window], -np.inf)
+        higher = own > level[row, column]
+        way[row, column] = number[window].flat[own.argmax()] if higher.any() else number[row, column]
+    way = way.ravel()
+    while (way[way] != way).any():
+        way = way[way]
+    basin = np.where(canopy, way.reshape(parts.shape)[inner, inner], -1)
+    found: NDArray[np.int64] = np.unique(np.append(basin.ravel(), -1), return_inverse=True)[1][:-1]
+    return found.reshape(canopy.shape)
 
 
 def even_odd(point: NDArray[np.float64], rings: Sequence[Ring]) -> NDArray[Any]:
