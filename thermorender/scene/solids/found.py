@@ -339,10 +339,10 @@ def _basins(height: NDArray[np.float64], canopy: NDArray[np.bool_], reach: int) 
         own = np.where(parts[window] == parts[row, column], level[window], -np.inf)
         higher = own > level[row, column]
         way[row, column] = number[window].flat[own.argmax()] if higher.any() else number[row, column]
-    way = way.ravel()
-    while (way[way] != way).any():
-        way = way[way]
-    basin = np.where(canopy, way.reshape(parts.shape)[inner, inner], -1)
+    top = way.reshape(-1)
+    while (top[top] != top).any():
+        top = top[top]
+    basin = np.where(canopy, top.reshape(parts.shape)[inner, inner], -1)
     found: NDArray[np.int64] = np.unique(np.append(basin.ravel(), -1), return_inverse=True)[1][:-1]
     return found.reshape(canopy.shape)
 

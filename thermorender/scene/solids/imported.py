@@ -147,9 +147,30 @@ def imported(
     for index, loops in enumerate(borders(high, height.shape, post_m)):
         if loops:
             built[index] = _raised(loops, level, bare, at, roofs, post_m)
-    unmatched: Counter[str] = Counter()
     names = {1: walls.usual, 2: GLASS, 3: DOOR, 4: LEAVES, 5: BARK}
-    stated, tints = 0, {}
+    stated, unmatched = _all_walls(quads, high, built, walls, names, library, draw)
+    if roofs.faces:
+        skins.append(roofs.skin(picture, library[ROOF].colour))
+    if len(quads):
+        skins.append(quads.skin(WALLS))
+    if trees:
+        skins.append(_plants(trees, height, bare, at, draw, post_m, _numbers(names), _colours(picture, grid)))
+    return Imported(
+        tuple(skins), names, frame, len({high[k].whole or high[k] for k in built}), flat, len(trees), stated, unmatched
+    )
+
+
+def _all_walls(
+    quads: Quads, high: Sequence[found.Outline], built: Mapping[int, "_Raised"], walls: Walls, names: dict[int, str],
+    library: Mapping[str, Material], draw: np.random.Generator,
+) -> tuple[int, dict[str, int]]:  # fmt: skip
+    """Add the walls of all buildings, and their materials to `names`; return `stated_walls` and `unmatched`.
+
+    Parts of a building have one colour, and count once.
+    """
+    unmatched: Counter[str] = Counter()
+    tints: dict[found.Outline, NDArray[Any]] = {}
+    stated = 0
     tops = {index: body.top_by_place() for index, body in built.items()}
     for index, raised in built.items():
         wall, without = wall_of(high[index].tags, walls.by_kind, walls.usual, library)
@@ -168,13 +189,7 @@ def imported(
             _walls(quads, loop, base, top, tops, paint)
     kinds = {each.tags.get("building") for each in high}
     unmatched.update({f"building={kind} of --wall": 0 for kind in walls.by_kind if kind not in kinds})
-    if roofs.faces:
-        skins.append(roofs.skin(picture, library[ROOF].colour))
-    if len(quads):
-        skins.append(quads.skin(WALLS))
-    if trees:
-        skins.append(_plants(trees, height, bare, at, draw, post_m, _numbers(names), _colours(picture, grid)))
-    return Imported(tuple(skins), names, frame, len(tints), flat, len(trees), stated, dict(unmatched))
+    return stated, dict(unmatched)
 
 
 def _numbers(names: dict[int, str]) -> dict[str, int]:
