@@ -15,6 +15,7 @@ from thermorender.scene.import_terrain import import_terrain
 from thermorender.scene.solids import found
 from thermorender.scene.solids.borders import OPEN, borders
 from thermorender.scene.solids.importing import ThreeD
+from thermorender.scene.solids.steps import cut_at_steps
 from thermorender.scene.surface import FILLED
 from thermorender.scene.terrain import read_elevation
 
@@ -333,7 +334,8 @@ def test_a_class_of_a_raster_is_the_outline_of_buildings(terrace, tmp_path):
     made = import_terrain(terrace / "dsm.tif", None, tmp_path / "s", known=known, three_d=ThreeD(building_class=2))
     assert made["buildings"] == 1
     planes, _ = wall_areas(tr.load_scene(tmp_path / "s"))
-    assert planes == pytest.approx({-14: 15 * 5.5, 6: 15 * 9.5}, rel=0.03)
+    # One outline, whose roof steps by 4 m in the middle.
+    assert planes == pytest.approx({-14: 15 * 5.5, -4: 15 * 4.0, 6: 15 * 9.5}, rel=0.03)
     for number, words in (
         (None, "give the number of its buildings as --building-class"),
         (7, r"holds the classes \[1, 2\]"),
@@ -377,3 +379,55 @@ def test_posts_far_apart_need_outlines(tmp_path):
     known = features(tmp_path / "k.geojson", [(ring_of(20, 20, 36, 28), {"building": "yes"})])
     made = import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", known=known, three_d=ThreeD())
     assert (made["buildings"], made["trees"]) == (1, 0)
+
+
+BLOCK = (COLUMN > 10) & (COLUMN < 38) & (ROW > 12) & (ROW < 36)
+ANNEX = (COLUMN > 26) & (COLUMN < 38) & (ROW > 20) & (ROW < 36)
+
+
+@pytest.mark.parametrize("smeared", [False, True])
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_block_and_its_low_annex_in_one_outline_have_a_wall_between_their_roofs(tmp_path, smeared, turned):
+    """A block of 28 by 24 m, 12 m high, with an annex of 12 by 16 m, 4 m high, in its corner."""
+    height = np.where(ANNEX, 24.0, np.where(BLOCK, 32.0, 20.0))
+    if smeared:
+        # A post at the step with a height between, as a matched surface model has it.
+        height[ANNEX & (COLUMN < 27)] = 28.0
+        height[ANNEX & (ROW < 21)] = 28.0
+    ring = [(10, 12), (38, 12), (38, 36), (10, 36)]
+    write_raster(tmp_path / "dsm.tif", height[None].astype(np.float32), corner=CORNER)
+    known = features(tmp_path / "k.geojson", [(ring[::-1] if turned else ring, {"building": "yes"})])
+    made = import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", known=known, three_d=ThreeD())
+    assert made["buildings"] == 1
+    of = surfaces(scene := tr.load_scene(tmp_path / "s"))
+    roof, faces = of["roofs"].vertices, of["roofs"].faces
+    origin = scene.frame.height_m
+    # Every triangle of a roof is level at one of both heights: no curtain.
+    up = roof[faces][..., 2] + origin
+    assert np.ptp(up, axis=1).max() < 0.2
+    assert np.abs(up[..., None] - [24.0, 32.0]).min(axis=-1).max() < 0.2
+    corner = roof[faces][..., :2]
+    edge = corner[:, 1:] - corner[:, :1]
+    area = 0.5 * np.abs(edge[:, 0, 0] * edge[:, 1, 1] - edge[:, 0, 1] * edge[:, 1, 0])
+    low = up.mean(axis=1) < 28.0
+    # The step's line is within a post of the drawn one, along 28 m of it, but for its simplified corners.
+    assert area[low].sum() == pytest.approx(12.0 * 16.0, abs=28.0)
+    assert area.sum() == pytest.approx(28.0 * 24.0, rel=0.01)
+    walls = of["walls"].vertices[of["walls"].faces]
+    middle = walls.mean(axis=1)
+    step = (np.abs(middle[:, 0]) < 13.9) & (np.abs(middle[:, 1]) < 11.9)
+    across = np.cross(walls[step][:, 1] - walls[step][:, 0], walls[step][:, 2] - walls[step][:, 0])
+    assert 0.5 * np.linalg.norm(across, axis=1).sum() == pytest.approx(28.0 * 8.0, rel=0.1)
+    assert walls[step][..., 2].min() + origin == pytest.approx(24.0, abs=0.2)
+
+
+@pytest.mark.parametrize("flat", [False, True])
+def test_steep_roofs_and_steps_below_a_storey_are_not_cut(flat):
+    """A gable of 45° with a chimney, and a flat roof with a stair head of 5 by 4 m, 2 m high."""
+    height = np.where(HOUSE, 27.0 if flat else 31.0 - np.abs(ROW - 16.5), 20.0)
+    if flat:
+        height[14:18, 13:18] += 2.0
+    height[16, 20] += 4.0
+    outline = found.Outline([np.array([(10, 12), (24, 12), (24, 21), (10, 21)], float)])
+    made, clear = cut_at_steps([outline], height, np.full_like(height, 20.0), 1.0)
+    assert made == [outline] and (clear == height).all()

@@ -22,7 +22,7 @@ from thermorender.synthetic.buildings import ROOFS, Window, house
 from thermorender.synthetic.canvas import Canvas
 from thermorender.synthetic.solids import Solids
 from thermorender.synthetic.world import make_world
-from validation.three_d import study
+from validation.three_d import imported, pictures, study
 
 
 def surface_of(vertices, faces):
@@ -184,7 +184,30 @@ def test_the_study_finds_the_error_at_walls_and_none_on_open_ground():
     for angle in study.ANGLES[:3]:
         assert error[angle, "far ground"] < 0.5 < error[angle, "façade"]
     assert set(found["ranking"]["mae_k"]) == {"constant", "fok-1to1"} and found["ranking"]["tau"]["3-D"] == 1.0
-    assert len(study.rows(found)) > 12 and len(study.budget_rows(found)) == len(study.ANGLES)
+    assert len(study.rows(found)) > 12 and len(study.budget_rows(found["budget"])) == len(study.ANGLES)
     # Views of all angles, and in each the stated error exceeds the true one.
     assert [view["angle_deg"] for view in found["budget"]] == list(study.ANGLES)
     assert all(0.0 < view["true_mk"] < view["stated_mk"] for view in found["budget"]), found["budget"]
+
+
+@pytest.mark.slow
+def test_the_stated_error_of_an_imported_scene_exceeds_the_true_one_in_oblique_views():
+    found = imported.run(seed=7, views=1, size_m=56.0)
+    assert found["buildings"] > 0 and found["trees"] > 0
+    assert [view["angle_deg"] for view in found["views"]] == list(study.ANGLES)
+    assert all(0.0 < view["true_mk"] < view["stated_mk"] for view in found["views"]), found["views"]
+
+
+def test_a_sheet_has_one_scale_of_grey_for_both_scenes_and_none_for_the_sky():
+    visible = np.full((2, 100, 3), 7, np.uint8)
+    warm = np.linspace(280.0, 300.0, 200).reshape(2, 100)
+    cold = warm - 20.0
+    cold[0, 0] = np.nan
+    made = pictures.sheet([(visible, cold)], [(visible, warm)])
+    assert made.shape == (6, 416, 3) and (made[:2, :100] == 7).all() and (made[:2, 100:104] == 255).all()
+    draped, solid = made[:2, 208:308, 0].astype(float), made[:2, 312:412, 0].astype(float)
+    assert draped[0, 0] == 0.0
+    # Both cover 260 K to 300 K without one percent at each end; a level of grey is 0.15 K, and a pixel 0.1 K.
+    kelvin = [260.0 + 40.0 * (0.01 + 0.98 * grey / 255.0) for grey in (draped, solid)]
+    assert kelvin[0][:, 2:].ravel() == pytest.approx(np.nan_to_num(cold)[:, 2:].ravel(), abs=0.2)
+    assert kelvin[1][:, :-5].ravel() == pytest.approx(warm[:, :-5].ravel(), abs=0.2)

@@ -8,7 +8,7 @@ import typer
 from thermorender import formats
 from thermorender.cli.terminal import table
 from validation.command import Device, Out, conclude, new_results, run_command, seeds_of
-from validation.three_d import study
+from validation.three_d import imported, study
 
 
 def main(
@@ -20,10 +20,13 @@ def main(
 ):
     """Errors of frames of a draped orthophoto against the same world in three dimensions, and rankings of maps."""
     with new_results(output) as (report, folder):
-        result = study.run(seeds_of(seeds), views, size_m, progress=report, device=device)
+        numbers = seeds_of(seeds)
+        result = study.run(numbers, views, size_m, progress=report, device=device)
+        result["imported"] = imported.run(numbers[0], views, size_m, device)
         formats.write_json(folder / "three_d.json", result)
     conclude("three_d", output, study.HEADER, study.rows(result), "numbers")
-    table(study.BUDGET_HEADER, study.budget_rows(result))
+    for name, seen in (("budget", result["budget"]), ("budget, imported", result["imported"]["views"])):
+        table((name, *study.BUDGET_HEADER), [(name, *row) for row in study.budget_rows(seen)])
     table(("map", *(f"{world} [K]" for world in study.WORLDS)), study.ranking_rows(result))
 
 

@@ -76,18 +76,18 @@ def run(seeds=(401, 402, 403), views=3, size_m=90.0, maps=MAPS, progress=None, d
             if progress:
                 progress(f"world {seed}", number / len(seeds))
             made = write(make_world("village", seed, size_m, _TEXEL_M, _POST_M), Path(folder) / str(seed))
-            draped, solid = (_renderer(each, device) for each in (made / SURVEY, made))
+            draped, solid = (renderer_of(each, device) for each in (made / SURVEY, made))
             random = np.random.default_rng(seed)
             for angle in ANGLES:
                 for _ in range(views):
-                    at = _pose(random, angle, size_m)
+                    at = drawn_pose(random, angle, size_m)
                     flat, true = draped.frame(at), solid.frame(at)
                     kinds = _kinds(solid, true)
                     errors.append((angle, flat.apparent_temperature - true.apparent_temperature, kinds))
                     pictures = [photograph(each, at)[0] for each in (draped, solid)]
                     for name in maps:
                         scores[name].append(_differences(name, pictures, (flat, true), kinds >= 0))
-                    covered.append(_coverage(angle, true, random))
+                    covered.append(coverage(angle, true, random))
     cases = [_case(errors, angle, kind) for angle in ANGLES for kind in range(len(KINDS))]
     return {
         "seeds": list(seeds), "views": views, "size_m": size_m, "cases": cases, "ranking": _ranking(scores),
@@ -104,11 +104,11 @@ def rows(result):
     ]  # fmt: skip
 
 
-def budget_rows(result):
-    """Return stated and true errors of images by angle as table rows under BUDGET_HEADER."""
+def budget_rows(views):
+    """Return stated and true errors of views by angle as table rows under BUDGET_HEADER."""
     found = []
     for angle in ANGLES:
-        pairs = [(view["stated_mk"], view["true_mk"]) for view in result["budget"] if view["angle_deg"] == angle]
+        pairs = [(view["stated_mk"], view["true_mk"]) for view in views if view["angle_deg"] == angle]
         ratio = np.array([stated / max(true, 1e-9) for stated, true in pairs])
         true = [true for _, true in pairs]
         found.append((f"{angle:g}", f"{(ratio >= 1.0).sum()} of {len(ratio)}", f"{min(true):.0f}…{max(true):.0f}",
@@ -122,20 +122,26 @@ def ranking_rows(result):
             for name in result["ranking"]["mae_k"]]  # fmt: skip
 
 
-def _renderer(folder, device):
-    scene = load_scene(folder)
-    wide = scene.camera.pixel_pitch_um * scene.camera.width / _WIDTH
-    camera = replace(scene.camera, width=_WIDTH, height=_WIDTH * 4 // 5, pixel_pitch_um=wide)
+def renderer_of(scene, device, width=_WIDTH):
+    """Return the Renderer of a scene, or of its folder, with the study's camera, `width` pixels wide."""
+    scene = load_scene(scene) if isinstance(scene, Path) else scene
+    wide = scene.camera.pixel_pitch_um * scene.camera.width / width
+    camera = replace(scene.camera, width=width, height=width * 4 // 5, pixel_pitch_um=wide)
     return Renderer(scene.with_camera(camera), quality="standard", rays=128, device=device)
 
 
-def _pose(random, angle_deg, size_m):
-    """A pose that looks down at an angle, at a point near the middle, from a drawn direction."""
+def drawn_pose(random, angle_deg, size_m):
+    """Return a pose that looks down at an angle, at a point near the middle, from a drawn direction."""
     yaw = random.uniform(0.0, 360.0)
     target = np.array([*random.uniform(-0.15, 0.15, 2) * size_m, 1.0])
-    down, across = np.radians(angle_deg), np.radians(yaw)
+    return pose_at(target, angle_deg, yaw)
+
+
+def pose_at(target, angle_deg, yaw_deg):
+    """Return the pose that looks at a point (3,) [m] from the study's distance, down at an angle."""
+    down, across = np.radians(angle_deg), np.radians(yaw_deg)
     ahead = np.array([np.sin(across) * np.cos(down), np.cos(across) * np.cos(down), -np.sin(down)])
-    return pose(*(target - _DISTANCE_M * ahead), yaw_deg=yaw, pitch_deg=-angle_deg)
+    return pose(*(target - _DISTANCE_M * ahead), yaw_deg=yaw_deg, pitch_deg=-angle_deg)
 
 
 def _kinds(renderer, frame):
@@ -218,8 +224,8 @@ def _ranking(scores):
     return {"mae_k": mae, "order": order, "tau": tau}
 
 
-def _coverage(angle, frame, random):
-    """Stated error of an image and its true sampling error against many rays per pixel, root mean squares [mK]."""
+def coverage(angle, frame, random):
+    """Return {angle_deg, stated_mk, true_mk}: an image's error and the true one of sampling, root mean squares."""
     tracer, flat = frame._view.tracer(), frame.radiance.ravel().astype(float)
 
     def squares(pixels, times):

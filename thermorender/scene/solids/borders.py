@@ -56,9 +56,11 @@ class _Sides(NamedTuple):
 def borders(outlines: Sequence[Outline], shape: tuple[int, int], post_m: float) -> list[list[Loop]]:
     """Return the Loops of each of some outlines, inside a grid of `shape` (rows, columns) posts.
 
-    An outline that smaller ones cover has none.
+    An outline that smaller ones cover has none. Parts follow the outline that is their `whole`, and are cut by it.
     """
     rings = _snapped([list(each.rings) for each in outlines], _SNAP_M / post_m)
+    number = {each: k for k, each in enumerate(outlines)}
+    whole = [number[each.whole or each] for each in outlines]
     low, high = np.array([0.5, 0.5]), np.array([shape[1] - 0.5, shape[0] - 0.5])
     edge = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
     sides = _sides_of([*rings, [edge]])
@@ -68,7 +70,7 @@ def borders(outlines: Sequence[Outline], shape: tuple[int, int], post_m: float) 
     step = point[last] - point[first]
     # Rows count southwards, so the left in the world has this sign in (column, row).
     left = np.column_stack([step[:, 1], -step[:, 0]]) / np.linalg.norm(step, axis=1, keepdims=True)
-    owner = _owners(np.concatenate([middle + _BESIDE * left, middle - _BESIDE * left]), rings, (low, high))
+    owner = _owners(np.concatenate([middle + _BESIDE * left, middle - _BESIDE * left]), rings, whole, (low, high))
     on_left, on_right = np.split(owner, 2)
     tables, shares = [], []
     for own, other, start, stop, share in (
@@ -234,18 +236,20 @@ def _cuts(sides: _Sides, one: int, other: int) -> Iterator[tuple[int, float]]:
 
 
 def _owners(
-    point: NDArray[np.float64], rings: Sequence[Sequence[NDArray[np.float64]]], within: tuple[Any, Any]
-) -> NDArray[np.int64]:
-    """The smallest building around each point, (n,); OPEN without one, and outside of `within`."""
+    point: NDArray[np.float64], rings: Sequence[Sequence[NDArray[np.float64]]], whole: Sequence[int],
+    within: tuple[Any, Any],
+) -> NDArray[np.int64]:  # fmt: skip
+    """The smallest building around each point, (n,), or its last part; OPEN without one, and outside of `within`."""
     found = np.full(len(point), OPEN)
     order = np.argsort(point[:, 0], kind="stable")
     x = point[order, 0]
-    for number in sorted(range(len(rings)), key=lambda k: -area_of(rings[k][0])):
+    for number in sorted(range(len(rings)), key=lambda k: -area_of(rings[whole[k]][0])):
         corner = np.concatenate(rings[number])
         low, high = corner.min(axis=0), corner.max(axis=0)
         here = order[np.searchsorted(x, low[0]) : np.searchsorted(x, high[0], "right")]
         here = here[(point[here, 1] >= low[1]) & (point[here, 1] <= high[1])]
-        found[here[even_odd(point[here], rings[number])]] = number
+        here = here[even_odd(point[here], rings[number])]
+        found[here[even_odd(point[here], rings[whole[number]])] if whole[number] != number else here] = number
     found[((point < within[0]) | (point > within[1])).any(axis=1)] = OPEN
     return found
 

@@ -22,18 +22,27 @@ LEAST_M, _LEAST_AREA_M2 = 2.0, 25.0
 _WINDOW_M, _SLOPE, _FIRST_M, _MOST_M = 60.0, 0.15, 0.4, 2.0
 # Roofs are planes: the mean absolute second difference of heights over 3 × 3 posts of 1 m is below this [m].
 _SMOOTH_M = 0.45
-# Trees: smoothing of heights and distance of tops [m].
-_BLUR_M, _APART_M = 0.8, 3.0
+# A building ends in walls on most of its border: within this distance the surface is `LEAST_M` lower at this share of
+# its edge posts. Walls around have all of them, a building dug into a slope three quarters, a terrace's edge a half.
+_BESIDE_M, _FREE_SHARE = 3.0, 2.0 / 3.0
+# Above this excess green is a plant: 2 g − r − b of shares of sRGB; Woebbecke and others, Trans. ASAE 38 (1995) 259.
+_GREEN = 0.10
+# Trees: smoothing of heights and distance of tops [m]; least area of one that stands alone [m²].
+_BLUR_M, _APART_M, _LEAST_CROWN_M2 = 0.8, 3.0, 1.0
 
 Ring = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """The outer ring and the holes of a building, (N, 2) as (column, row), and what its file says on it."""
+    """The outer ring and the holes of a building, (N, 2) as (column, row), and what its file says on it.
+
+    A part of a building names the outline that bounds it as its `whole`.
+    """
 
     rings: Sequence[Ring]
     tags: Mapping[str, str] = field(default_factory=dict)
+    whole: "Outline | None" = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,11 +54,14 @@ class Tree:
     height_m: float
 
 
-def ground_below(height: NDArray[np.float64], post_m: float) -> NDArray[np.float64]:
+def ground_below(
+    height: NDArray[np.float64], post_m: float, green: NDArray[np.bool_] | None = None
+) -> NDArray[np.float64]:
     """Return the heights of the ground below a surface model, (h, w) [m]; NaN where that has none.
 
     Openings with growing windows leave what is lower than a window is wide; between the remaining posts heights are
-    linear.
+    linear. Openings cut the edge of a terrace; it is ground again where it is smooth, not `green`, (h, w), and stands
+    free on one side only.
     """
     from scipy.ndimage import grey_opening
 
@@ -64,10 +76,35 @@ def ground_below(height: NDArray[np.float64], post_m: float) -> NDArray[np.float
     bare, _ = filled(np.where(ground, height, np.nan))
     # Gaps at the edge have ground on one side only.
     whole = fill(bare, nearest_valid(np.isfinite(bare)))
-    return np.where(known, np.minimum(whole, height), np.nan)
+    whole = np.where(known, np.minimum(whole, height), np.nan)
+    return np.where(_terraces(height, whole, post_m, green), height, whole)
 
 
-def ground_given(ground: NDArray[np.float64], height: NDArray[np.float64], post_m: float) -> NDArray[np.float64]:
+def _terraces(
+    height: NDArray[np.float64], ground: NDArray[np.float64], post_m: float, green: NDArray[np.bool_] | None
+) -> NDArray[np.bool_]:
+    """Posts of smooth parts above a filtered ground that have no walls on most of their border."""
+    from scipy.ndimage import binary_dilation, binary_erosion, find_objects, label, minimum_filter
+
+    parts, _ = label(_high_and_smooth(height, ground, post_m, green))
+    reach = 2 * max(1, round(_BESIDE_M / post_m)) + 1
+    found = np.zeros(height.shape, bool)
+    for number, (rows, columns) in enumerate(find_objects(parts), 1):
+        window = tuple(slice(max(each.start - reach, 0), each.stop + reach) for each in (rows, columns))
+        part, level = parts[window] == number, height[window]
+        outside = np.where(~part & np.isfinite(level), level, np.inf)
+        edge = part & ~binary_erosion(part, border_value=True)
+        drop = (level - minimum_filter(outside, reach, mode="nearest"))[edge]
+        drop = drop[np.isfinite(drop)]
+        if drop.size and (drop > LEAST_M).mean() < _FREE_SHARE:
+            # Posts at the wall bend too much to be smooth.
+            found[window] |= binary_dilation(part, np.ones((3, 3)), iterations=2) & (parts[window] == 0) | part
+    return found
+
+
+def ground_given(
+    ground: NDArray[np.float64], height: NDArray[np.float64], post_m: float, green: NDArray[np.bool_] | None = None
+) -> NDArray[np.float64]:
     """Return the heights of the ground by a terrain model; linear in its holes, and filtered beyond it.
 
     Raises
@@ -85,7 +122,7 @@ def ground_given(ground: NDArray[np.float64], height: NDArray[np.float64], post_
             "lowest posts, so both count from different levels; convert one of them, or leave --ground out"
         )
     whole, _ = filled(ground)
-    whole = np.where(np.isfinite(whole), whole, ground_below(height, post_m))
+    whole = np.where(np.isfinite(whole), whole, ground_below(height, post_m, green))
     return np.where(np.isfinite(height), np.minimum(whole, height), whole)
 
 
@@ -168,8 +205,26 @@ def area_of(ring: Ring) -> float:
     return float(0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
 
 
-def outlines_by_height(height: NDArray[np.float64], ground: NDArray[np.float64], post_m: float) -> list[Outline]:
-    """Return the Outlines of buildings: high and smooth parts of the surface model."""
+def outlines_by_height(
+    height: NDArray[np.float64], ground: NDArray[np.float64], post_m: float, green: NDArray[np.bool_] | None = None
+) -> list[Outline]:
+    """Return the Outlines of buildings: high and smooth parts of the surface model that are not `green`, (h, w)."""
+    return outlines_of(_high_and_smooth(height, ground, post_m, green))
+
+
+def is_green(rgb: NDArray[np.uint8], valid: NDArray[np.bool_], texels: Grid, grid: Grid) -> NDArray[np.bool_]:
+    """Return which posts of a grid are green in an orthophoto (h, w, 3), by their mean colour."""
+    colour = np.where(valid[..., None], rgb, np.nan).astype(np.float32)
+    red, green, blue = np.moveaxis(onto(colour, texels, grid, "average"), -1, 0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found: NDArray[np.bool_] = (2.0 * green - red - blue) / (red + green + blue) > _GREEN
+    return found
+
+
+def _high_and_smooth(
+    height: NDArray[np.float64], ground: NDArray[np.float64], post_m: float, green: NDArray[np.bool_] | None
+) -> NDArray[np.bool_]:
+    """Posts of parts as high, smooth and large as buildings."""
     from scipy.ndimage import binary_closing, binary_dilation, binary_opening, uniform_filter
 
     above = np.nan_to_num(height - ground)
@@ -177,12 +232,16 @@ def outlines_by_height(height: NDArray[np.float64], ground: NDArray[np.float64],
     level = np.nan_to_num(height, nan=float(np.nanmin(height)))
     bend = [np.abs(np.gradient(np.gradient(level, axis=axis), axis=axis)) for axis in (0, 1)]
     smooth = high & (uniform_filter(0.5 * (bend[0] + bend[1]), 3) < _SMOOTH_M * min(post_m, 1.0))
+    if green is not None:
+        smooth &= ~green
     seed = binary_opening(smooth, np.ones((3, 3)))
     # Ridges, gutters and edges are not smooth; they are between smooth parts or beside one.
     steps = max(1, round(1.5 / post_m))
     mask = binary_dilation(binary_closing(seed, np.ones((3, 3)), iterations=steps), np.ones((3, 3)), iterations=steps)
     mask &= high
-    return outlines_of(large(mask, post_m))
+    if green is not None:
+        mask &= ~binary_opening(green, np.ones((3, 3)))
+    return large(mask, post_m)
 
 
 def large(mask: NDArray[np.bool_], post_m: float) -> NDArray[np.bool_]:
@@ -224,21 +283,15 @@ def inside(outlines: Sequence[Outline], grid: Grid) -> NDArray[np.bool_]:
 
 
 def trees_in(above: NDArray[np.float64], taken: NDArray[np.bool_], post_m: float) -> list[Tree]:
-    """Return the Trees of heights above the ground, (h, w) [m], outside of `taken`: watersheds of local maxima."""
-    from scipy.ndimage import binary_opening, find_objects, gaussian_filter, label, maximum_filter, watershed_ift
+    """Return the Trees of heights above the ground, (h, w) [m], outside of `taken`: basins of local maxima."""
+    from scipy.ndimage import find_objects, gaussian_filter
 
-    # Fringes of a building beside its outline are narrower than a crown.
-    canopy = binary_opening((np.nan_to_num(above) > LEAST_M) & ~taken, np.ones((3, 3)))
+    canopy = _canopy((np.nan_to_num(above) > LEAST_M) & ~taken, taken, post_m)
     height = np.where(canopy, np.nan_to_num(above), 0.0)
     smooth = gaussian_filter(height, _BLUR_M / post_m)
-    size = 2 * max(1, round(0.5 * _APART_M / post_m)) + 1
-    peak = canopy & (smooth == maximum_filter(smooth, size)) & (smooth > 0.5 * LEAST_M)
-    marker, _ = label(peak, np.ones((3, 3)))
-    marker[~canopy & (marker == 0)] = -1
-    depth = np.clip(65535.0 - 65535.0 * smooth / max(float(smooth.max()), 1e-6), 0, 65535).astype(np.uint16)
-    basin = np.where(canopy, watershed_ift(depth, marker.astype(np.int32), np.ones((3, 3))), 0)
+    basin = _basins(smooth, canopy, max(1, round(0.5 * _APART_M / post_m)))
     found = []
-    for number, part in enumerate(find_objects(np.maximum(basin, 0)), 1):
+    for number, part in enumerate(find_objects(basin), 1):
         if part is None:
             continue
         row, column = np.nonzero(basin[part] == number)
@@ -247,6 +300,51 @@ def trees_in(above: NDArray[np.float64], taken: NDArray[np.bool_], post_m: float
         top = posts[np.argmax(heights)]
         found.append(Tree(posts, (int(top[0]), int(top[1])), float(heights.max())))
     return found
+
+
+def _canopy(high: NDArray[np.bool_], taken: NDArray[np.bool_], post_m: float) -> NDArray[np.bool_]:
+    """The posts of crowns: all that are wide, and narrow ones that stand alone."""
+    from scipy.ndimage import binary_dilation, binary_opening, label
+
+    wide: NDArray[np.bool_] = binary_opening(high, np.ones((3, 3)))
+    # Fringes of a building beside its outline are narrower than a crown.
+    parts, count = label(high, np.ones((3, 3)))
+    narrow = np.bincount(parts.ravel(), minlength=count + 1) * post_m**2 >= _LEAST_CROWN_M2
+    narrow[np.unique(parts[wide | binary_dilation(taken, np.ones((3, 3)))])] = False
+    return wide | (narrow[parts] & high)
+
+
+def _basins(height: NDArray[np.float64], canopy: NDArray[np.bool_], reach: int) -> NDArray[np.int64]:
+    """Number of the top that is above each post of a canopy, 1…; 0 elsewhere.
+
+    From each post the way leads to the highest of its neighbours, and from a top to the highest post within `reach`
+    of the same connected canopy.
+    """
+    from scipy.ndimage import label
+
+    parts = np.pad(label(canopy, np.ones((3, 3)))[0], 1)
+    level, number = np.pad(height, 1), np.arange(parts.size).reshape(parts.shape)
+    inner = slice(1, -1)
+    up, best = number[inner, inner].copy(), level[inner, inner].copy()
+    for down, right in ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)):
+        beside = slice(1 + down, level.shape[0] - 1 + down), slice(1 + right, level.shape[1] - 1 + right)
+        # Of two equal heights the later one is higher, so that no way is a circle.
+        higher = (level[beside] > best) | ((level[beside] == best) & (number[beside] > up))
+        higher &= parts[beside] == parts[inner, inner]
+        up, best = np.where(higher, number[beside], up), np.where(higher, level[beside], best)
+    way = number.copy()
+    way[inner, inner] = up
+    for row, column in np.argwhere((way == number) & (parts > 0)):
+        window = tuple(slice(max(k - reach, 0), k + reach + 1) for k in (row, column))
+        own = np.where(parts[window] == parts[row, column], level[window], -np.inf)
+        higher = own > level[row, column]
+        way[row, column] = number[window].flat[own.argmax()] if higher.any() else number[row, column]
+    top = way.reshape(-1)
+    while (top[top] != top).any():
+        top = top[top]
+    basin = np.where(canopy, top.reshape(parts.shape)[inner, inner], -1)
+    found: NDArray[np.int64] = np.unique(np.append(basin.ravel(), -1), return_inverse=True)[1][:-1]
+    return found.reshape(canopy.shape)
 
 
 def even_odd(point: NDArray[np.float64], rings: Sequence[Ring]) -> NDArray[Any]:

@@ -23,6 +23,7 @@ from thermorender.scene.solids.facades import COLOURS, DOOR, GLASS, TAGS, facade
 from thermorender.scene.solids.plants import DENSITY, Plants, edge_of
 from thermorender.scene.solids.quads import Quads
 from thermorender.scene.solids.skin import Skin
+from thermorender.scene.solids.steps import cut_at_steps
 from thermorender.scene.surface import fill, nearest_valid
 
 GROUND, ROOFS, WALLS, PLANTS = "ground", "roofs", "walls", "plants"
@@ -127,8 +128,10 @@ def imported(
             f"the surface model has posts {post_m:.3g} m apart, and buildings are found by height in posts of "
             f"{_FINE_M} m or less; give a finer model, or the buildings' outlines as --known"
         )
-    bare = found.ground_below(height, post_m) if ground is None else found.ground_given(ground, height, post_m)
-    outlines = found.outlines_by_height(height, bare, post_m) if known is None else list(known)
+    green = found.is_green(*picture, grid) if picture else None
+    bare = (found.ground_below(height, post_m, green) if ground is None
+            else found.ground_given(ground, height, post_m, green))  # fmt: skip
+    outlines = found.outlines_by_height(height, bare, post_m, green) if known is None else list(known)
     body = found.inside(outlines, grid)
     frame = terrain.frame_of(bare, grid)
     at, draw = _Local(grid, frame), np.random.default_rng(seed)
@@ -138,35 +141,55 @@ def imported(
     covered = np.isfinite(height) & (height - bare > found.LEAST_M)
     skins = [_ground(bare, grid, frame, texels, picture, covered, ground_colour)]
     high = [each for each in outlines if _posts_inside(each.rings, height, bare)[1].any()]
+    flat = len(outlines) - len(high)
+    high, level = cut_at_steps(high, height, bare, post_m)
     roofs, quads, built = _Roofs(grid, texels), Quads(_TEXEL_M, _EDGE_M), {}
     for index, loops in enumerate(borders(high, height.shape, post_m)):
         if loops:
-            built[index] = _raised(loops, height, bare, at, roofs, post_m)
-    unmatched: Counter[str] = Counter()
+            built[index] = _raised(loops, level, bare, at, roofs, post_m)
     names = {1: walls.usual, 2: GLASS, 3: DOOR, 4: LEAVES, 5: BARK}
-    stated = 0
-    tops = {index: body.top_by_place() for index, body in built.items()}
-    for index, raised in built.items():
-        wall, without = wall_of(high[index].tags, walls.by_kind, walls.usual, library)
-        unmatched.update(without)
-        stated += _declared(high[index].tags) > len(without)
-        if wall.material not in names.values():
-            names[len(names) + 1] = wall.material
-        tint = linear_from_bytes(np.array(wall.colour or library[wall.material].colour, np.uint8))
-        paint = {"value": _numbers(names).__getitem__, "draw": draw, "material": wall.material,
-                 "colour": tint if wall.colour else tint * np.exp(draw.normal(0.0, 0.12))}  # fmt: skip
-        for loop, base, top in raised.parts():
-            _walls(quads, loop, base, top, tops, paint)
-    kinds = {each.tags.get("building") for each in high}
-    unmatched.update({f"building={kind} of --wall": 0 for kind in walls.by_kind if kind not in kinds})
+    stated, unmatched = _all_walls(quads, high, built, walls, names, library, draw)
     if roofs.faces:
         skins.append(roofs.skin(picture, library[ROOF].colour))
     if len(quads):
         skins.append(quads.skin(WALLS))
     if trees:
         skins.append(_plants(trees, height, bare, at, draw, post_m, _numbers(names), _colours(picture, grid)))
-    flat = len(outlines) - len(high)
-    return Imported(tuple(skins), names, frame, len(built), flat, len(trees), stated, dict(unmatched))
+    return Imported(
+        tuple(skins), names, frame, len({high[k].whole or high[k] for k in built}), flat, len(trees), stated, unmatched
+    )
+
+
+def _all_walls(
+    quads: Quads, high: Sequence[found.Outline], built: Mapping[int, "_Raised"], walls: Walls, names: dict[int, str],
+    library: Mapping[str, Material], draw: np.random.Generator,
+) -> tuple[int, dict[str, int]]:  # fmt: skip
+    """Add the walls of all buildings, and their materials to `names`; return `stated_walls` and `unmatched`.
+
+    Parts of a building have one colour, and count once.
+    """
+    unmatched: Counter[str] = Counter()
+    tints: dict[found.Outline, NDArray[Any]] = {}
+    stated = 0
+    tops = {index: body.top_by_place() for index, body in built.items()}
+    for index, raised in built.items():
+        wall, without = wall_of(high[index].tags, walls.by_kind, walls.usual, library)
+        building = high[index].whole or high[index]
+        if building is high[index]:
+            unmatched.update(without)
+            stated += _declared(building.tags) > len(without)
+        if wall.material not in names.values():
+            names[len(names) + 1] = wall.material
+        if building not in tints:
+            tint = linear_from_bytes(np.array(wall.colour or library[wall.material].colour, np.uint8))
+            tints[building] = tint if wall.colour else tint * np.exp(draw.normal(0.0, 0.12))
+        paint = {"value": _numbers(names).__getitem__, "draw": draw, "material": wall.material,
+                 "colour": tints[building]}  # fmt: skip
+        for loop, base, top in raised.parts():
+            _walls(quads, loop, base, top, tops, paint)
+    kinds = {each.tags.get("building") for each in high}
+    unmatched.update({f"building={kind} of --wall": 0 for kind in walls.by_kind if kind not in kinds})
+    return stated, dict(unmatched)
 
 
 def _numbers(names: dict[int, str]) -> dict[str, int]:

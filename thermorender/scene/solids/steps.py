@@ -1,0 +1,121 @@
+"""Parts of a building at different heights: roofs are cut where they step, and a wall stands there."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.scene.solids.found import LEAST_M, Outline, even_odd, outlines_of
+
+# Neighbouring posts with a steeper slope between them are not of one roof: 60°.
+_STEEP = np.tan(np.radians(60.0))
+# Parts differ by a storey, and are as large as a garage: [m], [m²].
+_STOREY_M, _LEAST_PART_M2 = 2.5, 12.0
+# Heights are compared at this distance from the line between two parts; parts reach so far over it and the outline.
+_BESIDE = 2
+
+
+def cut_at_steps(
+    outlines: Sequence[Outline], height: NDArray[np.float64], ground: NDArray[np.float64], post_m: float
+) -> tuple[list[Outline], NDArray[np.float64]]:
+    """Return (outlines followed by their parts, heights without the mixed posts at the steps).
+
+    The largest part of a building keeps the outline; the others name it as their `whole`, from large to small.
+
+    Parameters
+    ----------
+    outlines : sequence of Outline
+    height, ground : (h, w) float64
+        Surface model and the ground below [m].
+    post_m : float
+        Distance of posts [m].
+    """
+    parts: list[Outline] = []
+    clear = height.copy()
+    for outline in outlines:
+        corner = np.concatenate(list(outline.rings))
+        low = np.maximum(np.floor(corner.min(axis=0)).astype(int) - _BESIDE - 1, 0)
+        high = np.ceil(corner.max(axis=0)).astype(int) + _BESIDE + 1
+        window = slice(low[1], high[1]), slice(low[0], high[0])
+        level = height[window]
+        if not level.size:
+            continue
+        row, column = np.mgrid[: level.shape[0], : level.shape[1]]
+        place = np.column_stack([column.ravel() + low[0], row.ravel() + low[1]]) + 0.5
+        inside = even_odd(place, outline.rings).reshape(level.shape)
+        region, mixed = _regions(np.where(inside & (level - ground[window] > LEAST_M), level, np.nan), inside, post_m)
+        clear[window][mixed] = np.nan
+        parts += [Outline([ring + low for ring in each], outline.tags, outline) for each in _rings(region, inside)]
+    return [*outlines, *parts], clear
+
+
+def _regions(
+    level: NDArray[np.float64], inside: NDArray[np.bool_], post_m: float
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """(number of each post's part, 0… from large to small, posts between two parts that belong to no roof)."""
+    from scipy.ndimage import binary_opening, distance_transform_edt, maximum_filter, minimum_filter
+
+    name = _connected(level, _STEEP * post_m)
+    count = np.bincount(name[name >= 0], minlength=1)
+    large = [k for k in np.flatnonzero(count * post_m**2 >= _LEAST_PART_M2)
+             if binary_opening(name == k, np.ones((3, 3))).any()]  # fmt: skip
+    nothing = np.zeros(level.shape, bool)
+    if len(large) < 2:
+        return np.zeros(level.shape, np.int64), nothing
+    kept = np.isin(name, large)
+    nearest = distance_transform_edt(~kept, return_distances=False, return_indices=True)
+    region = _joined(name[tuple(nearest)], level)
+    values, region = np.unique(region, return_inverse=True)
+    region = region.reshape(level.shape)
+    order = np.argsort(-np.bincount(region[inside], minlength=len(values)), kind="stable")
+    region = np.argsort(order)[region]
+    between = maximum_filter(region, 2 * _BESIDE + 1) != minimum_filter(region, 2 * _BESIDE + 1)
+    return region, between & ~kept & np.isfinite(level)
+
+
+def _connected(level: NDArray[np.float64], most_m: float) -> NDArray[np.int64]:
+    """Number of the connected posts to which each belongs, whose heights differ by less than `most_m`; −1 at NaN."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    number = np.arange(level.size).reshape(level.shape)
+    pairs = [(number[:-1], number[1:]), (number[:, :-1], number[:, 1:])]
+    flat = level.ravel()
+    first, last = (np.concatenate([pair[k].ravel() for pair in pairs]) for k in (0, 1))
+    near = np.abs(flat[first] - flat[last]) < most_m
+    links = coo_matrix((np.ones(near.sum()), (first[near], last[near])), shape=(level.size, level.size))
+    name: NDArray[np.int64] = connected_components(links, directed=False)[1].astype(np.int64).reshape(level.shape)
+    return np.where(np.isfinite(level), name, -1)
+
+
+def _joined(region: NDArray[np.int64], level: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Parts with one number where the median step between them is less than a storey."""
+    steps: dict[tuple[int, int], list[NDArray[np.float64]]] = {}
+    for own, high in ((region, level), (region.T, level.T)):
+        reach = 2 * _BESIDE + 1
+        # Across each line: the post before it, the post after it, and those _BESIDE further away.
+        a, b = own[_BESIDE : -_BESIDE - 1], own[_BESIDE + 1 : -_BESIDE]
+        step = np.abs(high[:-reach] - high[reach:])
+        line = (a != b) & np.isfinite(step) & (own[:-reach] == a) & (own[reach:] == b)
+        for pair in np.unique(np.sort(np.column_stack([a[line], b[line]]), axis=1), axis=0):
+            here = line & (np.minimum(a, b) == pair[0]) & (np.maximum(a, b) == pair[1])
+            steps.setdefault((int(pair[0]), int(pair[1])), []).append(step[here])
+    joined = region.copy()
+    for (one, other), found in steps.items():
+        if np.median(np.concatenate(found)) < _STOREY_M:
+            first, second = (joined[region == each][0] for each in (one, other))
+            joined[joined == second] = first
+    return joined
+
+
+def _rings(region: NDArray[np.int64], inside: NDArray[np.bool_]) -> list[list[NDArray[np.float64]]]:
+    """Rings of all parts but the largest; each reaches over the outline and over smaller parts, which keep theirs."""
+    from scipy.ndimage import binary_dilation
+
+    around = binary_dilation(inside, np.ones((3, 3)), iterations=_BESIDE)
+    made = []
+    for number in range(1, int(region.max()) + 1):
+        part = region == number
+        grown = binary_dilation(part, np.ones((3, 3)), iterations=_BESIDE) & (region > number)
+        made += [list(each.rings) for each in outlines_of((part | grown) & around)]
+    return made
