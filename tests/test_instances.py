@@ -186,6 +186,13 @@ def test_scene_says_how_many_copies_it_has(tmp_path):
     assert "trees (4 copies)" in str(tr.load_scene(write_copies(tmp_path / "s")))
 
 
+@pytest.mark.parametrize("rays", [2, 6])
+def test_rays_of_copies_need_no_whole_number_of_lanes(tmp_path, rays):
+    geometry = Geometry(activate(), tr.load_scene(write_copies(tmp_path / "s")).surfaces)
+    origin, *_ = radiosity.FaceRays(geometry, rays // 2)(0, 3, 0)
+    assert np.isfinite(np.array(origin)).all() and dr.width(origin) == 3 * rays
+
+
 def test_plan_says_how_many_copies_of_how_many_bodies_there_are(tmp_path):
     scene = tr.load_scene(write_copies(tmp_path / "s"))
     row = next(row for row in make_plan(scene).rows() if row[0] == "copies")
