@@ -5,7 +5,7 @@ import pytest
 from typer.testing import CliRunner
 
 import thermorender as tr
-from scenes import write_raster
+from scenes import coarse, write_raster
 from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
 from thermorender.scene.import_terrain import import_terrain
@@ -99,3 +99,30 @@ def test_more_trees_than_copies_are_refused(wood, tmp_path, monkeypatch):
         import_terrain(wood[0] / "dsm.tif", None, tmp_path / "s", weather=wood[0] / "w.csv", time=TIME,
                        three_d=ThreeD(copies=True))  # fmt: skip
     assert not (tmp_path / "s").exists()
+
+
+@pytest.mark.slow
+def test_copies_look_like_trees_of_their_own_within_the_stated_error(wood):
+    found = []
+    for scene in wood[1:3]:
+        path = scene.spec.folder / "scene.toml"
+        text = path.read_text(encoding="utf-8")
+        # Otherwise the terrain's mean, which includes the leaves where they belong to the terrain.
+        path.write_text(text + "\n[surroundings]\ntemperature = 300.0\n", encoding="utf-8")
+        seen = tr.Renderer(coarse(tr.load_scene(path.parent), 6), "fast", samples=16, edge_mk=np.inf, rays=64)
+        names = np.array([material.name for material in scene.materials] + [""])
+        frames = [
+            seen.frame(tr.pose(70.0 * np.cos(pitch), 0.0, 5.0 + 70.0 * np.sin(pitch), look_at=(0.0, 0.0, 4.0)))
+            for pitch in np.radians([50.0, 85.0])
+        ]
+        found.append([
+            (frame, names[np.minimum(frame.truth["material"], len(names) - 1)] == "broadleaf") for frame in frames
+        ])  # fmt: skip
+        path.write_text(text, encoding="utf-8")
+    for (copies, leaves), (own, others) in zip(*found, strict=True):
+        stated = np.sqrt(np.nanmean(copies.error_mk[leaves] ** 2))
+        off = copies.apparent_temperature[leaves].mean() - own.apparent_temperature[others].mean()
+        assert 1e3 * abs(off) < stated < 2000.0
+        # Volumes are the same, and kinds are alike to a few percent in each of 36 crowns.
+        assert leaves.mean() == pytest.approx(others.mean(), rel=0.08)
+        assert leaves.mean() > 0.1
