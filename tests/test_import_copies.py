@@ -77,6 +77,9 @@ def test_each_tree_is_a_copy_where_it_stands_and_as_large(wood):
     np.testing.assert_allclose(foot[:, 2] + scene.frame.height_m, 40.0 + 0.04 * (foot[:, 0] + 30.0), atol=0.1)
     # Leaves reach half an edge of a cluster, at most 0.5 m, beyond the crown, and kinds are alike to 20 %.
     assert (np.abs(size - trees[nearest, 2:]) < 0.5 + 0.2 * trees[nearest, 2:]).all()
+    # What `kinds.MOST_TREES` counts on.
+    trunks = [s.instances for s in scene.surfaces if s.instances is not None and s.name.startswith("bark")]
+    assert max(body.patches for body in bodies) == 12 and max(body.patches for body in trunks) <= 6
     scale = np.concatenate([body.scale for body in bodies])
     assert 0.8 < scale.min() < scale.max() < 1.25 and len(np.unique(np.round(scale, 3))) > 10
 
@@ -93,9 +96,9 @@ def test_command_says_that_trees_are_copies(wood, tmp_path):
     assert done.exit_code == 0 and f"36 trees as copies of {made['kinds']} typical ones" in done.output
 
 
-def test_more_trees_than_copies_are_refused(wood, tmp_path, monkeypatch):
-    monkeypatch.setattr("thermorender.scene.solids.kinds.MOST_COPIES", 35)
-    with pytest.raises(ThermorenderError, match=r"has 36 trees, more than the 35 copies .*; give a smaller area"):
+def test_more_trees_than_the_memory_holds_are_refused(wood, tmp_path, monkeypatch):
+    monkeypatch.setattr("thermorender.scene.solids.kinds.MOST_TREES", 35)
+    with pytest.raises(ThermorenderError, match=r"has 36 trees, more than the 35 whose .*; give a smaller area"):
         import_terrain(wood[0] / "dsm.tif", None, tmp_path / "s", weather=wood[0] / "w.csv", time=TIME,
                        three_d=ThreeD(copies=True))  # fmt: skip
     assert not (tmp_path / "s").exists()

@@ -127,7 +127,7 @@ def imported(
     Raises
     ------
     ThermorenderError
-        Posts too far apart to find buildings in, or more trees than there may be copies.
+        Posts too far apart to find buildings in, or more trees than `kinds.MOST_TREES` as copies.
     """
     if known is None and post_m > _FINE_M:
         raise ThermorenderError(

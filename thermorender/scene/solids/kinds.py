@@ -17,10 +17,11 @@ from thermorender.errors import ThermorenderError
 from thermorender.formats import write_text
 from thermorender.physics.srgb import linear_from_bytes
 from thermorender.scene.solids import found
-from thermorender.scene.solids.instances import MOST_COPIES
 from thermorender.scene.solids.plants import DENSITY, Plants, edge_of
 from thermorender.scene.solids.skin import Skin, write_mesh
 
+# Most trees: crowns of 12 patches and trunks of 6 have as many as `instances.MOST_COPIES` crowns alone.
+MOST_TREES = 100_000
 # Materials of leaves and trunks.
 LEAVES, BARK = "broadleaf", "bark"
 # Most kinds of trees; kinds whose trees differ less than this (standard deviation of the logarithm) are not divided.
@@ -91,12 +92,12 @@ def kinds_of(
     Raises
     ------
     ThermorenderError
-        More trees than there may be copies.
+        More trees than `MOST_TREES`.
     """
-    if len(trees) > MOST_COPIES:
+    if len(trees) > MOST_TREES:
         raise ThermorenderError(
-            f"the surface model has {len(trees)} trees, more than the {MOST_COPIES} copies whose light fits into an "
-            "ordinary machine's memory; give a smaller area"
+            f"the surface model has {len(trees)} trees, more than the {MOST_TREES} whose light fits into an ordinary "
+            "machine's memory as copies; give a smaller area"
         )
     size = np.log([[radius_of(tree, post_m), tree.height_m] for tree in trees])
     row, column = np.array([_middle(tree) for tree in trees]).T
