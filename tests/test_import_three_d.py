@@ -112,7 +112,7 @@ def test_wrong_arguments(model, tmp_path):
         import_terrain(model / "dsm.tif", None, tmp_path / "s", known=tmp_path / "none.geojson", three_d=ThreeD())
     done = CliRunner().invoke(cli.app, ["import-terrain", str(model / "dsm.tif"), "-o", str(tmp_path / "s"),
                                         "--wall", "brick_clay"])  # fmt: skip
-    assert done.exit_code != 0 and "--ground, --wall and --building-class are for scenes" in str(done.exception)
+    assert done.exit_code != 0 and "--wall, --building-class and --copies are for scenes" in str(done.exception)
     assert not (tmp_path / "s").exists()
 
 

@@ -13,6 +13,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.render.geometry import Geometry
 from thermorender.render.light import cache, radiosity
 from thermorender.render.pixels import budget
+from thermorender.render.plan import make_plan
 from thermorender.render.variant import activate
 from thermorender.scene.solids import instances
 from thermorender.scene.solids.instances import alone, expanded, placed
@@ -183,6 +184,21 @@ def test_more_copies_than_the_memory_holds_are_refused(tmp_path, monkeypatch):
 
 def test_scene_says_how_many_copies_it_has(tmp_path):
     assert "trees (4 copies)" in str(tr.load_scene(write_copies(tmp_path / "s")))
+
+
+@pytest.mark.parametrize("rays", [2, 6])
+def test_rays_of_copies_need_no_whole_number_of_lanes(tmp_path, rays):
+    geometry = Geometry(activate(), tr.load_scene(write_copies(tmp_path / "s")).surfaces)
+    origin, *_ = radiosity.FaceRays(geometry, rays // 2)(0, 3, 0)
+    assert np.isfinite(np.array(origin)).all() and dr.width(origin) == 3 * rays
+
+
+def test_plan_says_how_many_copies_of_how_many_bodies_there_are(tmp_path):
+    scene = tr.load_scene(write_copies(tmp_path / "s"))
+    row = next(row for row in make_plan(scene).rows() if row[0] == "copies")
+    assert row[1] == "4" and row[2].startswith("of 1 body; a copy has the light and temperatures of at most 12 groups")
+    plain = make_plan(scene.with_surfaces(scene.surfaces[:1]))
+    assert "copies" not in {row[0] for row in plain.rows()}
 
 
 def test_light_is_kept_by_the_copies_too(tmp_path):

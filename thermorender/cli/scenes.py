@@ -65,6 +65,10 @@ def import_terrain(
     building_class: Annotated[
         int | None, typer.Option(help="With --three-d: number of buildings, where --known is a raster of classes.")
     ] = None,
+    copies: Annotated[
+        bool, typer.Option("--copies", help="With --three-d and --weather: trees are copies of at most 16 typical "
+                           "ones, for woods of thousands of trees.")
+    ] = False,
 ) -> None:  # fmt: skip
     """Make a scene from an elevation model and an orthophoto, or from an elevation model alone."""
     from thermorender.scene.import_terrain import import_terrain as run
@@ -74,11 +78,11 @@ def import_terrain(
 
     if height_reference not in (None, "ellipsoid", "geoid"):
         raise ThermorenderError(f"--height-reference={height_reference!r} is not allowed; give ellipsoid or geoid")
-    if not three_d and (ground is not None or wall or building_class is not None):
+    if not three_d and (ground is not None or wall or building_class is not None or copies):
         raise ThermorenderError(
-            "--ground, --wall and --building-class are for scenes in three dimensions; give --three-d too"
+            "--ground, --wall, --building-class and --copies are for scenes in three dimensions; give --three-d too"
         )
-    solids = ThreeD(ground, *_walls(wall or []), building_class) if three_d else None
+    solids = ThreeD(ground, *_walls(wall or []), building_class, copies) if three_d else None
     chosen = [int(value) for value in parse_numbers("--bands", bands, ("RED", "GREEN", "BLUE"))] if bands else None
     ends = parse_numbers("--colour-range", colour_range, ("BLACK", "WHITE")) if colour_range else None
     summary = run(elevation, orthophoto, output, max_vertices, max_texels, height_reference, geoid_undulation_m, model,
@@ -121,7 +125,9 @@ def _solid_words(summary: dict[str, Any], wall: str) -> str:
     stated, unmatched = summary["stated_walls"], summary["unmatched"]
     words = [f"{summary['buildings']} buildings with walls of {wall}"
              + (f" ({stated} as their outlines declare)" if stated else "")
-             + f", {summary['trees']} trees; walls, trunks and leaves are inferred from heights"]  # fmt: skip
+             + f", {summary['trees']} trees"
+             + (f" as copies of {summary['kinds']} typical ones" if summary["kinds"] else "")
+             + "; walls, trunks and leaves are inferred from heights"]  # fmt: skip
     if summary["flat_outlines"]:
         words.append(f"{summary['flat_outlines']} outlines left out, nothing high is in them")
     if unmatched:

@@ -16,6 +16,7 @@ from thermorender.render.pixels.sampling import PATTERNS, STAGES
 from thermorender.render.reflection.reflectance import ReflectanceTables, make_tables
 from thermorender.render.spectrum import REFERENCE_K, Envelope, Spectrum, kept_spectrum, make_spectrum
 from thermorender.scene.scene import Scene
+from thermorender.scene.solids.instances import PATCHES
 
 # Rays per pixel, texture taps per ray, error above which an edge pixel gets more rays [mK], and rays per face.
 QUALITIES = {"fast": (1, 4, 500.0, 128), "standard": (1, 4, 150.0, 128), "high": (4, 4, 24.0, 512)}
@@ -66,6 +67,8 @@ class Plan:
         300 K under the scene's sky [mK].
     inferred : tuple of str
         Parts of a mesh whose shape nobody has seen.
+    copies, bodies : int
+        Copies of bodies, and bodies that they are copies of.
     """
 
     band_um: tuple[float, float]
@@ -87,6 +90,8 @@ class Plan:
     specular: ReflectanceTables | None
     assumed: tuple[tuple[Assumption, float], ...] = ()
     inferred: tuple[str, ...] = ()
+    copies: int = 0
+    bodies: int = 0
 
     def __repr__(self) -> str:
         air = "no air" if self.air_mk is None else f"air in {self.spectrum.channels} channels"
@@ -131,7 +136,15 @@ class Plan:
             self._specular_row(),
             *self._assumed_rows(),
             *[(name, "inferred", "nobody has seen its shape; flagged in the truth mask") for name in self.inferred],
+            *self._copies_rows(),
         ]
+
+    def _copies_rows(self) -> list[tuple[str, str, str]]:
+        if not self.copies:
+            return []
+        of = "1 body" if self.bodies == 1 else f"{self.bodies} bodies"
+        why = f"of {of}; a copy has the light and temperatures of at most {PATCHES} groups of triangles"
+        return [("copies", str(self.copies), f"{why}, whose scatter is in the bake's error")]
 
     def _assumed_rows(self) -> list[tuple[str, str, str]]:
         return [
@@ -274,6 +287,7 @@ def make_plan(
     if spectrum is None:
         spectrum = make_spectrum(scene.materials, envelope, tolerance_mk, bake)
     specular = make_tables(scene, spectrum, envelope)
+    copies = [surface.instances for surface in scene.surfaces if surface.instances is not None]
     return Plan(
         band_um=band,
         tolerance_mk=float(tolerance_mk),
@@ -294,6 +308,8 @@ def make_plan(
         specular=specular if specular and specular.effect_mk > 0.1 * tolerance_mk else None,
         assumed=_assumed(scene, per_mk),
         inferred=tuple(one.name for one in scene.spec.surfaces if one.inferred),
+        copies=sum(map(len, copies)),
+        bodies=len(copies),
     )
 
 

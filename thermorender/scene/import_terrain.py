@@ -105,7 +105,8 @@ def import_terrain(
         share_without_colour, share_collar (not empty, but near black or white up to the edge), share_clipped (black or
         white in some band), the last three None without orthophoto, and known, sentences on its shapes; with `three_d`
         also buildings, trees, flat_outlines (without anything as high as a building), stated_walls (buildings whose
-        outlines declare their walls) and unmatched, {declared wall without a match: count}.
+        outlines declare their walls), unmatched, {declared wall without a match: count}, and kinds (number of typical
+        trees whose copies the trees are; 0 where each has its own leaves).
 
     Raises
     ------
@@ -116,6 +117,11 @@ def import_terrain(
     check_new_folder(folder)
     if three_d and fill:
         raise ThermorenderError("fill is for a raster of heights, and three_d makes a mesh; leave one of them out")
+    if three_d and three_d.copies and weather is None:
+        raise ThermorenderError(
+            "copies of trees have the temperatures of a heat balance; give a weather and a time too, or leave copies "
+            "out"
+        )
     if known is not None and orthophoto is None and not three_d:
         raise ThermorenderError(f"known={known} restricts materials that are read from an orthophoto; give one too")
     if max_vertices < 4 or max_texels < 2:
@@ -179,7 +185,7 @@ def import_terrain(
         "height_reference_stated": stated,
         "flight_m": flight_m,
         "known": (*(cloud.notes if cloud else ()), *shapes),
-        **({name: getattr(solid, name) for name in _FOUND} if solid else {}),
+        **({name: getattr(solid, name) for name in _FOUND} | {"kinds": len(solid.kinds)} if solid else {}),
         "share_without_height": float(1.0 - after.mean()),
         "share_filled": float((after & ~given).mean()),
         **_colour_shares(*picture[:2] if picture else (None, None)),

@@ -79,8 +79,9 @@ class Leaves:
         """Return the row of the frames from which a ray of a face starts, by the ray's number; UInt32."""
         mi = self._mi
         first, count = dr.gather(mi.UInt32, self._first, face), dr.gather(mi.UInt32, self._count, face)
-        # Each patch begins elsewhere, so that like copies do not repeat their errors.
-        return first + (number + ((face * _HASH) >> 16)) % count
+        # Each patch begins elsewhere, so that like copies do not repeat their errors. Lanes of the processor beyond the
+        # last ray have gathered a count of 0, and a division by it ends the process.
+        return first + (number + ((face * _HASH) >> 16)) % dr.maximum(count, 1)
 
     def placed(self, face: Jit, corner: Jit, edge_u: Jit, edge_v: Jit, normal: Jit) -> tuple[Jit, ...]:
         """Return frames of triangles in the scene's frame, for the faces that they belong to."""

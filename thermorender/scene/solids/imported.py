@@ -20,6 +20,7 @@ from thermorender.scene.raster import Grid, lon_lat
 from thermorender.scene.solids import found
 from thermorender.scene.solids.borders import OPEN, Loop, borders
 from thermorender.scene.solids.facades import COLOURS, DOOR, GLASS, TAGS, facade, wall_of
+from thermorender.scene.solids.kinds import BARK, LEAVES, Kind, add_trunk, columns_of, kinds_of, radius_of
 from thermorender.scene.solids.plants import DENSITY, Plants, edge_of
 from thermorender.scene.solids.quads import Quads
 from thermorender.scene.solids.skin import Skin
@@ -28,8 +29,8 @@ from thermorender.scene.surface import fill, nearest_valid
 
 GROUND, ROOFS, WALLS, PLANTS = "ground", "roofs", "walls", "plants"
 INFERRED = (WALLS, PLANTS)
-# Material of roofs where no orthophoto says more, and of leaves and trunks.
-ROOF, LEAVES, BARK = "roof_tile_clay", "broadleaf", "bark"
+# Material of roofs where no orthophoto says more.
+ROOF = "roof_tile_clay"
 _TEXEL_M, _EDGE_M, _BELOW_M = 0.3, 2.0, 0.5
 # Largest distance of posts in which roofs differ from crowns [m].
 _FINE_M = 1.2
@@ -39,7 +40,7 @@ _STEP_M = 0.05
 _WITHIN = 0.8
 # Triangles of roofs are larger than this in the plan, in squares of posts.
 _LEAST_PLAN = 0.02
-_LEAF_COLOUR, _BARK_COLOUR = (72, 96, 48), (104, 88, 72)
+_LEAF_COLOUR = (72, 96, 48)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +55,8 @@ class Imported:
         Buildings whose outlines declare the material or colour of their walls.
     unmatched : dict of str to int
         Declared materials and colours without a match, with their counts.
+    kinds : tuple of Kind
+        Trees as copies of typical ones; empty where their leaves are among the skins.
     """
 
     skins: tuple[Skin, ...]
@@ -64,6 +67,7 @@ class Imported:
     trees: int
     stated_walls: int
     unmatched: dict[str, int]
+    kinds: tuple[Kind, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -93,6 +97,7 @@ def imported(
     height: NDArray[np.float64], grid: Grid, post_m: float, ground: NDArray[np.float64] | None,
     known: Sequence[found.Outline] | None, picture: tuple[NDArray[np.uint8], NDArray[np.bool_], Grid] | None,
     ground_colour: Sequence[int], walls: Walls, library: Mapping[str, Material], seed: int = 0,
+    copies: bool = False,
 ) -> Imported:  # fmt: skip
     """Return the Imported world of a surface model.
 
@@ -117,11 +122,13 @@ def imported(
         For materials of walls, and colours of walls and roofs.
     seed : int
         Of the leaves.
+    copies : bool
+        Whether trees are copies of typical ones.
 
     Raises
     ------
     ThermorenderError
-        Posts too far apart to find buildings in.
+        Posts too far apart to find buildings in, or more trees than `kinds.MOST_TREES` as copies.
     """
     if known is None and post_m > _FINE_M:
         raise ThermorenderError(
@@ -153,11 +160,15 @@ def imported(
         skins.append(roofs.skin(picture, library[ROOF].colour))
     if len(quads):
         skins.append(quads.skin(WALLS))
+    typical: tuple[Kind, ...] = ()
     if trees:
-        skins.append(_plants(trees, height, bare, at, draw, post_m, _numbers(names), _colours(picture, grid)))
-    return Imported(
-        tuple(skins), names, frame, len({high[k].whole or high[k] for k in built}), flat, len(trees), stated, unmatched
-    )
+        of_trees = trees, height, bare, at, draw, post_m, _numbers(names), _colours(picture, grid)
+        if copies:
+            typical = kinds_of(*of_trees)
+        else:
+            skins.append(_plants(*of_trees))
+    buildings = len({high[k].whole or high[k] for k in built})
+    return Imported(tuple(skins), names, frame, buildings, flat, len(trees), stated, unmatched, typical)
 
 
 def _all_walls(
@@ -407,18 +418,14 @@ def _plants(
     colours: Callable[[NDArray[np.int64]], NDArray[np.float32]],
 ) -> Skin:  # fmt: skip
     """All trees: leaves below the surface model within each crown, and a trunk below each top."""
-    plants, bark = Plants(), linear_from_bytes(np.array(_BARK_COLOUR, np.uint8))
+    plants = Plants()
     for tree in trees:
         row, column = tree.posts.T
-        radius = float(np.sqrt(len(row) / np.pi)) * post_m
-        ground, top = bare[row, column], height[row, column]
-        away = np.hypot(row - tree.top[0], column - tree.top[1]) * post_m / max(radius, post_m)
-        low = ground + np.minimum(tree.height_m * (0.28 + 0.22 * np.minimum(away, 1.2) ** 2), 0.8 * (top - ground))
-        plan = at(column + 0.5, row + 0.5, ground)
-        columns = np.column_stack([plan[:, :2], plan[:, 2] + (low - ground), plan[:, 2] + (top - ground)])
-        plants.fill(draw, columns, post_m, edge_of(radius), DENSITY, colours(tree.posts), number[LEAVES])
+        low, top = columns_of(tree, height, bare, post_m)
+        plan = at(column + 0.5, row + 0.5, bare[row, column])
+        columns = np.column_stack([plan[:, :2], plan[:, 2] + low, plan[:, 2] + top])
+        edge_m = edge_of(radius_of(tree, post_m))
+        plants.fill(draw, columns, post_m, edge_m, DENSITY, colours(tree.posts), number[LEAVES])
         k = int(np.argmax((row == tree.top[0]) & (column == tree.top[1])))
-        east, north, foot = plan[k]
-        plants.trunk(east, north, foot - 0.3, foot + 0.55 * tree.height_m, 0.05 + 0.016 * tree.height_m, bark,
-                     number[BARK])  # fmt: skip
+        add_trunk(plants, plan[k], tree.height_m, number[BARK])
     return plants.skin(PLANTS)

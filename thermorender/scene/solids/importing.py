@@ -14,6 +14,7 @@ from thermorender.scene.raster import Grid, onto
 from thermorender.scene.solids import found
 from thermorender.scene.solids.clouds import Cloud
 from thermorender.scene.solids.imported import INFERRED, PLANTS, ROOF, ROOFS, WALLS, Imported, Walls, imported
+from thermorender.scene.solids.kinds import write_kinds
 from thermorender.scene.solids.plants import write_leaf_tables
 from thermorender.scene.solids.skin import MESH, write_skins
 from thermorender.scene.terrain import read_elevation
@@ -35,12 +36,15 @@ class ThreeD:
         {value of the tag `building`: material}.
     building_class : int or None
         The number of buildings, where the outlines are those of a raster of classes.
+    copies : bool
+        Whether trees are copies of typical ones, for woods whose leaves do not fit into memory.
     """
 
     ground: Path | None = None
     wall: str = WALL
     wall_by_kind: Mapping[str, str] = field(default_factory=dict)
     building_class: int | None = None
+    copies: bool = False
 
     def made(
         self, height: NDArray[np.float64], grid: Grid, post_m: float, undulation_m: float, known: Path | None,
@@ -67,7 +71,8 @@ class ThreeD:
             house = onto(cloud.building.astype(np.float32), cloud.grid, grid, "nearest") == 1.0
             outlines = found.outlines_of(found.large(house, post_m))
         walls, colour = Walls(self.wall, self.wall_by_kind), library[material].colour
-        return imported(height + undulation_m, grid, post_m, bare, outlines, picture, colour, walls, library)
+        return imported(height + undulation_m, grid, post_m, bare, outlines, picture, colour, walls, library,
+                        copies=self.copies)  # fmt: skip
 
     def _outlines(self, known: Path, grid: Grid) -> list[found.Outline]:
         """The outlines of a GeoJSON, or of a class of a raster."""
@@ -98,4 +103,5 @@ def write_solid(folder: Path, solid: Imported, tables: dict[str, Any]) -> dict[s
     return tables | {
         "terrain": {"mesh": MESH}, "frame": place, "surface": surfaces,
         "emissivity": tables["emissivity"] | {"classes": solid.classes},
+        "object": write_kinds(folder, solid.kinds) or None,
     }  # fmt: skip

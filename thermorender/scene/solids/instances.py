@@ -22,6 +22,8 @@ Floats = NDArray[np.float64]
 # Classes of height of equal area, and sectors round the vertical that triangles face, each with those that face up and
 # down. Light within a crown changes with height. What faces a camera is seen by it, and what faces the sun is warm.
 HEIGHTS, SECTORS = 2, 3
+# Most patches of a copy.
+PATCHES = 2 * HEIGHTS * SECTORS
 # Rows of a table of copies: the light of so many takes about 6 GB.
 MOST_COPIES = 150_000
 # Smallest factor: smaller copies are lost in the rounding of places.
