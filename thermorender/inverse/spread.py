@@ -3,9 +3,10 @@
 Draws of the noise and of the prior, solved like the frames, give the errors that the normal equations know, those of
 free poses and offsets among them. Poses and optics are never exact: the frames are therefore halved, each half is
 solved by itself, and the differences of the two maps scale the draws and give two further terms: the slope of the map
-times an error of the position, and what the residuals of a texel exceed the noise. The latter shows structure within
-texels, which no map of such texels holds. All three factors come from the frames, without the truth. The common level
-of all texels is removed, because no frame shows it.
+times an error of the position, and what the residuals of a texel exceed the noise. All three factors come from the
+frames, without the truth. Structure within texels makes errors that are alike in all frames: residuals show it, and
+where it is an edge, `structure` says how large they are. The larger of the two counts. The common level of all texels
+is removed, because no frame shows it.
 """
 
 from dataclasses import dataclass
@@ -28,8 +29,8 @@ _TOLERANCE = 1e-3
 # Structure within texels makes errors that are alike in all frames: the halves' differences shrink with more frames,
 # and the errors do not. Both agree at this many frames in one simulated flight over heath, by its truth.
 _ALIKE = 4.0
-# Width of the smoothing of the squares of residuals [texels].
-_NEAR = 1.0
+# Widths of the smoothing of the squares of residuals and of errors at edges [texels].
+_NEAR, _BESIDE = 1.0, 0.5
 # Classes of each term in the fit, and squares beyond so many means of their class that are left out.
 _CLASSES, _OUTLIER = 24, 30.0
 
@@ -161,7 +162,8 @@ class Draws:
 
 
 def spread_of(
-    normal: Normal, draws: Draws, slope: Floats, reach: float, terms: int, side: float, noise_k: float
+    normal: Normal, draws: Draws, slope: Floats, reach: float, terms: int, side: float, noise_k: float,
+    assumed_k: float, alike: Floats,
 ) -> Spread:  # fmt: skip
     """Return the Spread of a solution.
 
@@ -176,8 +178,10 @@ def spread_of(
         As of `weights.sharpened`, over all rounds: removing the blur raises the noise of fine structure.
     side : float
         Of a texel, in texels of the scene.
-    noise_k : float
-        Standard deviation of a pixel's noise.
+    noise_k, assumed_k : float
+        Standard deviation of a pixel's noise, and the one that the equations assume: it holds structure too.
+    alike : (h, w) array
+        Square of the error of edges within texels, which is alike in all frames [K²].
 
     Notes
     -----
@@ -193,11 +197,10 @@ def spread_of(
     # Beyond the texels that are seen the variance is that of the prior, which must not leak in.
     variance = np.where(seen, _near(variance, seen, _SMOOTH), variance)
     beyond = np.where(seen, np.maximum(_near(draws.residual**2, seen, _NEAR) - noise_k**2, 0.0), 0.0)
-    terms_of = np.stack([variance, slope**2, beyond])
-    shared = np.array([1.0, 1.0, _ALIKE])[:, None, None] * terms_of
-    shared[2] /= np.maximum(draws.views, 1)
-    factors = _fitted(_difference(draws, reach, terms, side), shared)
-    std = np.sqrt(np.tensordot(factors, terms_of, axes=1))
+    shared = np.stack([variance, slope**2, _ALIKE * beyond / np.maximum(draws.views, 1)])
+    factors = _fitted(_difference(draws, reach, terms, side), shared, (noise_k / assumed_k) ** 2)
+    at_edges = np.where(seen, _near(alike, seen, _BESIDE), 0.0)
+    std = np.sqrt(np.tensordot(factors[:2], shared[:2], axes=1) + np.maximum(factors[2] * beyond, at_edges))
     scale, edge, misfit = (float(each) for each in np.sqrt(factors))
     return Spread(std, scale, edge, misfit, draws.views, draws.residual, draws.groups)
 
@@ -226,8 +229,8 @@ def _difference(draws: Draws, reach: float, terms: int, side: float) -> Floats:
     return np.where(both, texel_means(sharpened(np.where(both, step, 0.0), reach, terms), side), np.nan)
 
 
-def _fitted(difference: Floats, terms: Floats) -> Floats:
-    """Factors (3,) of the terms (3, h, w) in the squares of the halves' differences."""
+def _fitted(difference: Floats, terms: Floats, least: float) -> Floats:
+    """Factors (3,) of the terms (3, h, w) in the squares of the halves' differences, the first not below `least`."""
     known = np.isfinite(difference)
     if known.sum() < _CLASSES:
         return np.array([1.0, 0.0, 0.0])
@@ -241,5 +244,4 @@ def _fitted(difference: Floats, terms: Floats) -> Floats:
     # Classes have equal numbers of texels, so the relative errors of their means are alike.
     table = np.maximum(rows, 1e-300)
     fit, _ = nnls(table[:, 1:] / table[:, :1], np.ones(len(table)))
-    # The draws are the least that is possible.
-    return np.array([max(fit[0], 1.0), fit[1], fit[2]])
+    return np.array([max(fit[0], least), fit[1], fit[2]])
