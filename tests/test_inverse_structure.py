@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from thermorender.inverse.spread import _fitted
 from thermorender.inverse.structure import error_of_curvature, error_of_edges
 from thermorender.inverse.weights import texel_line
 from thermorender.sensor.camera import load_camera
@@ -58,19 +57,11 @@ def test_a_map_of_the_scene_s_own_texels_follows_its_edges():
     assert error_of_curvature(camera(), 0.5, 1.0) < 0.01 * error_of_curvature(camera(), 0.5, 2.0)
 
 
-def test_the_error_lies_where_the_map_bends_and_not_where_it_slopes():
+def test_the_error_lies_where_the_map_bends_and_neither_where_it_slopes_nor_in_its_noise():
     rows, columns = np.mgrid[:20, :20].astype(float)
-    made = error_of_edges(2.0 * rows + 3.0 * columns + 4.0 * (columns >= 10), camera(), 0.5, 2.0)
-    share = error_of_curvature(camera(), 0.5, 2.0)
-    np.testing.assert_allclose(made[1:-1, [9, 10]], 16.0 * share, rtol=1e-9)
+    noise = np.zeros((20, 20))
+    noise[:, 9] = 0.5
+    made = error_of_edges(2.0 * rows + 3.0 * columns + 4.0 * (columns >= 10), noise, 0.01)
+    np.testing.assert_allclose(made[1:-1, 9], 0.01 * (16.0 - 12.0 * 0.5), rtol=1e-9)
+    np.testing.assert_allclose(made[1:-1, 10], 0.01 * 16.0, rtol=1e-9)
     np.testing.assert_allclose(np.delete(made, [9, 10], axis=1)[1:-1, 1:-1], 0.0, atol=1e-12)
-
-
-def test_halves_that_differ_less_than_the_draws_lower_their_factor_down_to_that_of_the_noise():
-    rng = np.random.default_rng(2)
-    terms = np.stack([np.ones((80, 80)), rng.random((80, 80)), rng.random((80, 80))])
-    difference = 0.5 * rng.standard_normal((80, 80))
-    scale, edge, misfit = _fitted(difference, terms, 0.1)
-    # 6400 squares know their mean to 1.8 %, of which the other two terms take a part.
-    assert scale + 0.5 * (edge + misfit) == pytest.approx(0.25, rel=0.06)
-    assert _fitted(difference, terms, 0.6)[0] == 0.6

@@ -16,7 +16,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.inverse.normal import Normal, Prior, Sums, Unknowns, footprint
 from thermorender.inverse.poses import PoseError, deviation, explained, registered, slopes
 from thermorender.inverse.spread import Drawn, Draws, Spread, spread_of
-from thermorender.inverse.structure import error_of_edges
+from thermorender.inverse.structure import error_of_curvature
 from thermorender.inverse.weights import (
     Lattice,
     Sight,
@@ -217,13 +217,11 @@ class Problem:
         known = np.isfinite(self.images).sum(axis=0).ravel() / max(state.noise_k, settings.noise_k) ** 2
         left = np.sqrt(1.0 / (known + 1.0 / settings.pattern_k**2)) if settings.pattern_k > 0.0 else 0.0 * known
         draws = Draws(self.prior, len(self.vignetting), 1.0 / settings.offset_k**2, left)
-        before_k = state.noise_k
         state, normal = self._round(state, self.free, progress, draws)
         side, terms = self.viewer.lattice.scene_texels, TERMS * state.rounds
+        share = error_of_curvature(self.camera, self.reach / reach_px(self.camera), side)
         means = texel_means(state.map, side)
-        alike = error_of_edges(means, self.camera, self.reach / reach_px(self.camera), side)
-        slope, assumed_k = np.hypot(*slopes(means)), max(min(before_k, state.noise_k), settings.noise_k)
-        return state, spread_of(normal, draws, slope, self.reach, terms, side, settings.noise_k, assumed_k, alike)
+        return state, spread_of(normal, draws, means, self.reach, terms, side, settings.noise_k, share)
 
     def _round(
         self, state: State, free: bool, progress: Progress | None, draws: Draws | None = None

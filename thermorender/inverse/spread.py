@@ -18,6 +18,8 @@ from scipy.ndimage import gaussian_filter
 from scipy.optimize import nnls
 
 from thermorender.inverse.normal import Footprint, Normal, Prior, Sums, Unknowns
+from thermorender.inverse.poses import slopes
+from thermorender.inverse.structure import error_of_edges
 from thermorender.inverse.weights import sharpened, texel_means
 
 Floats = NDArray[np.float64]
@@ -29,8 +31,8 @@ _TOLERANCE = 1e-3
 # Structure within texels makes errors that are alike in all frames: the halves' differences shrink with more frames,
 # and the errors do not. Both agree at this many frames in one simulated flight over heath, by its truth.
 _ALIKE = 4.0
-# Widths of the smoothing of the squares of residuals and of errors at edges [texels].
-_NEAR, _BESIDE = 1.0, 0.5
+# Width of the smoothing of the squares of residuals [texels].
+_NEAR = 1.0
 # Classes of each term in the fit, and squares beyond so many means of their class that are left out.
 _CLASSES, _OUTLIER = 24, 30.0
 
@@ -162,8 +164,7 @@ class Draws:
 
 
 def spread_of(
-    normal: Normal, draws: Draws, slope: Floats, reach: float, terms: int, side: float, noise_k: float,
-    assumed_k: float, alike: Floats,
+    normal: Normal, draws: Draws, means: Floats, reach: float, terms: int, side: float, noise_k: float, share: float
 ) -> Spread:  # fmt: skip
     """Return the Spread of a solution.
 
@@ -172,16 +173,16 @@ def spread_of(
     normal : Normal
     draws : Draws
         Of the same frames.
-    slope : (h, w) array
-        Of the map [K/texel].
+    means : (h, w) array
+        Of the map over its texels [K].
     reach, terms : float, int
         As of `weights.sharpened`, over all rounds: removing the blur raises the noise of fine structure.
     side : float
         Of a texel, in texels of the scene.
-    noise_k, assumed_k : float
-        Standard deviation of a pixel's noise, and the one that the equations assume: it holds structure too.
-    alike : (h, w) array
-        Square of the error of edges within texels, which is alike in all frames [K²].
+    noise_k : float
+        Standard deviation of a pixel's noise.
+    share : float
+        From `structure.error_of_curvature`.
 
     Notes
     -----
@@ -197,10 +198,11 @@ def spread_of(
     # Beyond the texels that are seen the variance is that of the prior, which must not leak in.
     variance = np.where(seen, _near(variance, seen, _SMOOTH), variance)
     beyond = np.where(seen, np.maximum(_near(draws.residual**2, seen, _NEAR) - noise_k**2, 0.0), 0.0)
-    shared = np.stack([variance, slope**2, _ALIKE * beyond / np.maximum(draws.views, 1)])
-    factors = _fitted(_difference(draws, reach, terms, side), shared, (noise_k / assumed_k) ** 2)
-    at_edges = np.where(seen, _near(alike, seen, _BESIDE), 0.0)
-    std = np.sqrt(np.tensordot(factors[:2], shared[:2], axes=1) + np.maximum(factors[2] * beyond, at_edges))
+    right, down = slopes(means)
+    shared = np.stack([variance, right**2 + down**2, _ALIKE * beyond / np.maximum(draws.views, 1)])
+    factors = _fitted(_difference(draws, reach, terms, side), shared)
+    alike = np.maximum(factors[2] * beyond, error_of_edges(means, variance, share))
+    std = np.sqrt(np.tensordot(factors[:2], shared[:2], axes=1) + alike)
     scale, edge, misfit = (float(each) for each in np.sqrt(factors))
     return Spread(std, scale, edge, misfit, draws.views, draws.residual, draws.groups)
 
@@ -229,8 +231,8 @@ def _difference(draws: Draws, reach: float, terms: int, side: float) -> Floats:
     return np.where(both, texel_means(sharpened(np.where(both, step, 0.0), reach, terms), side), np.nan)
 
 
-def _fitted(difference: Floats, terms: Floats, least: float) -> Floats:
-    """Factors (3,) of the terms (3, h, w) in the squares of the halves' differences, the first not below `least`."""
+def _fitted(difference: Floats, terms: Floats) -> Floats:
+    """Factors (3,) of the terms (3, h, w) in the squares of the halves' differences."""
     known = np.isfinite(difference)
     if known.sum() < _CLASSES:
         return np.array([1.0, 0.0, 0.0])
@@ -244,4 +246,5 @@ def _fitted(difference: Floats, terms: Floats, least: float) -> Floats:
     # Classes have equal numbers of texels, so the relative errors of their means are alike.
     table = np.maximum(rows, 1e-300)
     fit, _ = nnls(table[:, 1:] / table[:, :1], np.ones(len(table)))
-    return np.array([max(fit[0], least), fit[1], fit[2]])
+    # The draws are the least that is possible.
+    return np.array([max(fit[0], 1.0), fit[1], fit[2]])

@@ -19,22 +19,22 @@ _STEPS, _ALIASES = 128, 64
 _PLACES = 60
 
 
-def error_of_edges(means: Floats, camera: Camera, pixel: float, side: float) -> Floats:
+def error_of_edges(means: Floats, variance: Floats, share: float) -> Floats:
     """Return the square of the error that edges within texels make, (h, w) [K²].
 
     Parameters
     ----------
     means : (h, w) array
         The map's means over the texels [K].
-    camera, pixel, side
-        As of `error_of_curvature`. Texels up to those of the scene follow all of it.
+    variance : (h, w) array
+        Of their noise, of which second differences along rows and columns have twelve times as much [K²].
+    share : float
+        From `error_of_curvature`.
     """
-    if pixel <= 0.0 or side <= 1.0:
-        return np.zeros(means.shape)
     padded = np.pad(means, 1, mode="edge")
     down = padded[2:, 1:-1] - 2.0 * means + padded[:-2, 1:-1]
     across = padded[1:-1, 2:] - 2.0 * means + padded[1:-1, :-2]
-    return np.asarray(error_of_curvature(camera, pixel, side) * (down**2 + across**2))
+    return np.asarray(share * np.maximum(down**2 + across**2 - 12.0 * variance, 0.0))
 
 
 def error_of_curvature(camera: Camera, pixel: float, side: float) -> float:
@@ -45,16 +45,18 @@ def error_of_curvature(camera: Camera, pixel: float, side: float) -> float:
     camera : Camera
         Its lens and pixels blur the edge.
     pixel : float
-        Side of a pixel on the map [texels], above 0.
+        Side of a pixel on the map [texels]; 0 if no frame shows it.
     side : float
-        Of a texel, in texels of the scene, 1 or more, as of `weights.texel_means`. The scene is bilinear between the
-        middles of its texels, so a map of the same texels has no such error.
+        Of a texel, in texels of the scene, as of `weights.texel_means`. The scene is bilinear between the middles of
+        its texels, so a map of the same or smaller texels has no such error.
 
     Notes
     -----
     Many frames sample the map without gaps. The map is then the projection of the edge, blurred by a pixel, on bilinear
     maps that are blurred alike. Both squares are summed along a line across the edge, and over its places in a texel.
     """
+    if pixel <= 0.0 or side < 1.0:
+        return 0.0
     base = (np.arange(_STEPS) + 0.5) / _STEPS - 0.5
     frequency = base + np.arange(-_ALIASES, _ALIASES + 1)[:, None]
     seen = np.abs(frequency * pixel)
