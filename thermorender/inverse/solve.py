@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.inverse.normal import Normal, Prior, Sums, Unknowns, footprint
 from thermorender.inverse.poses import PoseError, deviation, explained, registered, slopes
-from thermorender.inverse.spread import Drawn, Draws, Spread, spread_of
-from thermorender.inverse.structure import error_of_curvature
+from thermorender.inverse.spread import Drawn, Draws, Spread, error_of_curvature, spread_of
 from thermorender.inverse.weights import (
     Lattice,
     Sight,

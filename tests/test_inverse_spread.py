@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from thermorender.inverse.structure import error_of_curvature, error_of_edges
+from thermorender.inverse.spread import error_of_curvature, error_of_edges
 from thermorender.inverse.weights import texel_line
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.psf import otf
