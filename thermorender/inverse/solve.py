@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.inverse.normal import Normal, Prior, Sums, Unknowns, footprint
 from thermorender.inverse.poses import PoseError, deviation, explained, registered, slopes
-from thermorender.inverse.spread import Drawn, Draws, Spread, spread_of
+from thermorender.inverse.spread import Drawn, Draws, Spread, error_of_curvature, spread_of
 from thermorender.inverse.weights import (
     Lattice,
     Sight,
@@ -218,8 +218,9 @@ class Problem:
         draws = Draws(self.prior, len(self.vignetting), 1.0 / settings.offset_k**2, left)
         state, normal = self._round(state, self.free, progress, draws)
         side, terms = self.viewer.lattice.scene_texels, TERMS * state.rounds
-        slope = np.hypot(*slopes(texel_means(state.map, side)))
-        return state, spread_of(normal, draws, slope, self.reach, terms, side, settings.noise_k)
+        share = error_of_curvature(self.camera, self.reach / reach_px(self.camera), side)
+        means = texel_means(state.map, side)
+        return state, spread_of(normal, draws, means, self.reach, terms, side, settings.noise_k, share)
 
     def _round(
         self, state: State, free: bool, progress: Progress | None, draws: Draws | None = None

@@ -3,9 +3,11 @@
 Draws of the noise and of the prior, solved like the frames, give the errors that the normal equations know, those of
 free poses and offsets among them. Poses and optics are never exact: the frames are therefore halved, each half is
 solved by itself, and the differences of the two maps scale the draws and give two further terms: the slope of the map
-times an error of the position, and what the residuals of a texel exceed the noise. The latter shows structure within
-texels, which no map of such texels holds. All three factors come from the frames, without the truth. The common level
-of all texels is removed, because no frame shows it.
+times an error of the position, and what the residuals of a texel exceed the noise. All three factors come from the
+frames, without the truth. Structure within texels makes errors that are alike in all frames: residuals show it. An
+edge between texels of the scene makes a known error, in proportion to the second differences of the map, because a map
+that is bilinear between the middles of its texels cannot follow it. The larger of the two counts. The common level of
+all texels is removed, because no frame shows it.
 """
 
 from dataclasses import dataclass
@@ -17,7 +19,10 @@ from scipy.ndimage import gaussian_filter
 from scipy.optimize import nnls
 
 from thermorender.inverse.normal import Footprint, Normal, Prior, Sums, Unknowns
-from thermorender.inverse.weights import sharpened, texel_means
+from thermorender.inverse.poses import slopes
+from thermorender.inverse.weights import sharpened, texel_line, texel_means
+from thermorender.sensor.camera import Camera
+from thermorender.sensor.psf import otf
 
 Floats = NDArray[np.float64]
 # Draws, how many are solved together, and width of the smoothing of their variance [texels].
@@ -32,6 +37,10 @@ _ALIKE = 4.0
 _NEAR = 1.0
 # Classes of each term in the fit, and squares beyond so many means of their class that are left out.
 _CLASSES, _OUTLIER = 24, 30.0
+# Frequencies below half a cycle per texel, and their repetitions to either side.
+_STEPS, _ALIASES = 128, 64
+# Edges between texels of the scene in a row: whole cycles for sides of halves, thirds, quarters and fifths.
+_PLACES = 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +170,7 @@ class Draws:
 
 
 def spread_of(
-    normal: Normal, draws: Draws, slope: Floats, reach: float, terms: int, side: float, noise_k: float
+    normal: Normal, draws: Draws, means: Floats, reach: float, terms: int, side: float, noise_k: float, share: float
 ) -> Spread:  # fmt: skip
     """Return the Spread of a solution.
 
@@ -170,14 +179,16 @@ def spread_of(
     normal : Normal
     draws : Draws
         Of the same frames.
-    slope : (h, w) array
-        Of the map [K/texel].
+    means : (h, w) array
+        Of the map over its texels [K].
     reach, terms : float, int
         As of `weights.sharpened`, over all rounds: removing the blur raises the noise of fine structure.
     side : float
         Of a texel, in texels of the scene.
     noise_k : float
         Standard deviation of a pixel's noise.
+    share : float
+        From `error_of_curvature`.
 
     Notes
     -----
@@ -193,11 +204,11 @@ def spread_of(
     # Beyond the texels that are seen the variance is that of the prior, which must not leak in.
     variance = np.where(seen, _near(variance, seen, _SMOOTH), variance)
     beyond = np.where(seen, np.maximum(_near(draws.residual**2, seen, _NEAR) - noise_k**2, 0.0), 0.0)
-    terms_of = np.stack([variance, slope**2, beyond])
-    shared = np.array([1.0, 1.0, _ALIKE])[:, None, None] * terms_of
-    shared[2] /= np.maximum(draws.views, 1)
+    right, down = slopes(means)
+    shared = np.stack([variance, right**2 + down**2, _ALIKE * beyond / np.maximum(draws.views, 1)])
     factors = _fitted(_difference(draws, reach, terms, side), shared)
-    std = np.sqrt(np.tensordot(factors, terms_of, axes=1))
+    alike = np.maximum(factors[2] * beyond, error_of_edges(means, variance, share))
+    std = np.sqrt(np.tensordot(factors[:2], shared[:2], axes=1) + alike)
     scale, edge, misfit = (float(each) for each in np.sqrt(factors))
     return Spread(std, scale, edge, misfit, draws.views, draws.residual, draws.groups)
 
@@ -243,3 +254,62 @@ def _fitted(difference: Floats, terms: Floats) -> Floats:
     fit, _ = nnls(table[:, 1:] / table[:, :1], np.ones(len(table)))
     # The draws are the least that is possible.
     return np.array([max(fit[0], 1.0), fit[1], fit[2]])
+
+
+def error_of_edges(means: Floats, variance: Floats, share: float) -> Floats:
+    """Return the square of the error that edges within texels make, (h, w) [K²].
+
+    Parameters
+    ----------
+    means : (h, w) array
+        The map's means over the texels [K].
+    variance : (h, w) array
+        Of their noise, of which second differences along rows and columns have twelve times as much [K²].
+    share : float
+        From `error_of_curvature`.
+    """
+    padded = np.pad(means, 1, mode="edge")
+    down = padded[2:, 1:-1] - 2.0 * means + padded[:-2, 1:-1]
+    across = padded[1:-1, 2:] - 2.0 * means + padded[1:-1, :-2]
+    return np.asarray(share * np.maximum(down**2 + across**2 - 12.0 * variance, 0.0))
+
+
+def error_of_curvature(camera: Camera, pixel: float, side: float) -> float:
+    """Return the square of the error of edges over the square of the second differences of the map, in the mean.
+
+    Parameters
+    ----------
+    camera : Camera
+        Its lens and pixels blur the edge.
+    pixel : float
+        Side of a pixel on the map [texels]; 0 if no frame shows it.
+    side : float
+        Of a texel, in texels of the scene, as of `weights.texel_means`. The scene is bilinear between the middles of
+        its texels, so a map of the same or smaller texels has no such error.
+
+    Notes
+    -----
+    Many frames sample the map without gaps. The map is then the projection of the edge, blurred by a pixel, on bilinear
+    maps that are blurred alike. Both squares are summed along a line across the edge, and over its places in a texel.
+    """
+    if pixel <= 0.0 or side < 1.0:
+        return 0.0
+    base = (np.arange(_STEPS) + 0.5) / _STEPS - 0.5
+    frequency = base + np.arange(-_ALIASES, _ALIASES + 1)[:, None]
+    seen = np.abs(frequency * pixel)
+    transfer = (otf(camera, seen.ravel()).reshape(seen.shape) * np.sinc(seen)) ** 2
+    tent = np.sinc(frequency) ** 2
+    outer, middle, _ = texel_line(side)
+    wave = np.cos(2.0 * np.pi * base)
+    means, bends = middle + 2.0 * outer * wave, 2.0 - 2.0 * wave
+    # A step between two texels of the scene, before these are joined bilinearly, or each fills its own texel.
+    step = 1.0 / (2j * side * np.sin(np.pi * frequency / side))
+    scene_texel = np.sinc(frequency / side)
+    error = curvature = 0.0
+    for place in np.arange(_PLACES) / side % 1.0 - 0.5:
+        edge = step * np.exp(-2j * np.pi * frequency * place) * scene_texel
+        middles = (transfer * tent * scene_texel * edge).sum(axis=0) / (transfer * tent**2).sum(axis=0)
+        truth = (np.sinc(frequency) * edge).sum(axis=0)
+        error += float(np.mean(np.abs(middles * means - truth) ** 2))
+        curvature += float(np.mean(np.abs(middles * means * bends) ** 2))
+    return error / curvature

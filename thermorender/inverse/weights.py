@@ -338,11 +338,16 @@ def texel_means(values: Floats, side: float) -> Floats:
     """
     from scipy.ndimage import convolve1d
 
+    line = texel_line(side)
+    return np.asarray(convolve1d(convolve1d(values, line, axis=0, mode="nearest"), line, axis=1, mode="nearest"))
+
+
+def texel_line(side: float) -> Floats:
+    """Return the weights (3,) of the middles of three texels in a row in the mean of `texel_means`."""
     count, away = max(round(side), 1), 0.25
     if abs(side - count) < _SAME or side < 1.0:
         away = float(np.abs((np.arange(count) + 0.5) / count - 0.5).mean())
-    line = np.array([0.5 * away, 1.0 - away, 0.5 * away])
-    return np.asarray(convolve1d(convolve1d(values, line, axis=0, mode="nearest"), line, axis=1, mode="nearest"))
+    return np.array([0.5 * away, 1.0 - away, 0.5 * away])
 
 
 def sharpened(step: Floats, reach: float, terms: int) -> Floats:
