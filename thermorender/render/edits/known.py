@@ -135,7 +135,7 @@ class Samples:
 
         if not len(faces):
             return np.zeros_like(sent)
-        start, seen_by, hits = self._columns
+        start, seen_by, hits, _ = self._columns
         # Runs of faces, with the few between them that send nothing.
         first = np.flatnonzero(np.diff(faces, prepend=-2 - _BETWEEN) > 1 + _BETWEEN)
         begin, end = faces[first], faces[np.append(first[1:], len(faces)) - 1] + 1
@@ -147,7 +147,7 @@ class Samples:
             columns = np.arange(ends[-1]) + np.repeat(high - ends, high - low)
             rays = list(zip(start[low].tolist(), start[high].tolist(), strict=True))
             borders = np.concatenate([[0], np.cumsum(start[columns + 1] - start[columns])]).astype(np.int32)
-            own = np.abs(np.concatenate([hits[a:b] for a, b in rays])).astype(np.float32)
+            own = np.concatenate([hits[a:b] for a, b in rays])
             rows = np.concatenate([seen_by[a:b] for a, b in rays])
             seen = csc_array((own, rows, borders), (sent.shape[1], len(columns)))
             # One after the other: SciPy's product with a few columns takes longer.
@@ -163,11 +163,11 @@ class Samples:
         return np.asarray(found)
 
     @cached_property
-    def _columns(self) -> tuple[NDArray[np.integer], NDArray[np.int32], NDArray[np.integer]]:
-        """(first ray on each face (F + 1,), faces that the rays are of, number of rays): the transport by what is hit.
+    def _columns(self) -> tuple[NDArray[np.integer], NDArray[np.int32], NDArray[np.float32], NDArray[np.bool_]]:
+        """The transport by what is hit: (first entry of each face (F + 1,), then for each entry the face that sees it,
+        the number of that face's rays, and whether they are of its second half).
 
-        The number is negative for rays of a face's second half. An edit changes few faces: their columns are read, and
-        not all rays.
+        An edit changes few faces: their columns are read, and not all rays. Products need floating numbers.
         """
         from scipy.sparse import csr_array
 
@@ -176,7 +176,7 @@ class Samples:
         sign = np.tile(np.array([1, -1], np.int8), len(transport.up))
         np.multiply(hits, np.repeat(sign, np.diff(transport.start)), out=hits)
         found = csr_array((hits, known.indices, known.indptr), known.shape).tocsc()
-        return found.indptr.astype(np.int64), found.indices, found.data
+        return found.indptr.astype(np.int64), found.indices, np.abs(found.data).astype(np.float32), found.data < 0
 
     def prepare(self) -> None:
         """Sort rays by what they hit, and texels by their faces: it takes longest, once for all edits of a geometry."""
@@ -194,14 +194,13 @@ class Samples:
         """
         from scipy.sparse import csc_array
 
-        start, seen_by, hits = self._columns
+        start, seen_by, hits, second = self._columns
         count = start[faces + 1] - start[faces]
         borders = np.concatenate([[0], np.cumsum(count)])
         place = np.arange(borders[-1]) + np.repeat(start[faces] - borders[:-1], count)
         rows, number = np.unique(seen_by[place], return_inverse=True)
-        own = hits[place]
-        shares = np.abs(own) / (2.0 * self.transport.rays)
-        seen = csc_array((shares, 2 * number + (own < 0), borders), (2 * len(rows), len(faces)))
+        own = hits[place].astype(np.float64) / (2.0 * self.transport.rays)
+        seen = csc_array((own, 2 * number + second[place], borders), (2 * len(rows), len(faces)))
         return rows, (seen @ sent).reshape(len(rows), 2, sent.shape[1])
 
     def received_by(self, faces: NDArray[np.intp], sent: NDArray[np.float32]) -> Floats:
