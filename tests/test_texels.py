@@ -73,7 +73,7 @@ def test_the_mean_of_each_face_is_kept(tmp_path):
     (surface,) = scene.surfaces
     material = random.integers(0, 3, surface.material.size).astype(np.uint8)
     emitted = random.uniform(30, 50, material.size).astype(np.float32)
-    light = random.uniform(1, 5, (geometry.face_count, 3)).astype(np.float32)
+    light = random.uniform(1, 5, (geometry.face_count + 1, 3)).astype(np.float32)
     texel, face, left = texels.bake_channel(geometry, geometry.face_of_texel, emitted, material, light)
     rows, columns = surface.material.shape
     weight = random.dirichlet([1, 1, 1], size=(4000, geometry.face_count))
@@ -98,9 +98,11 @@ def test_the_mean_of_each_face_is_kept(tmp_path):
 def test_an_object_of_one_texel_keeps_the_light_of_each_face(tmp_path):
     scene = tr.load_scene(write_mesh(tmp_path / "s", trimesh.creation.icosphere(subdivisions=2), 300.0, 0.8))
     geometry = geometry_of(scene)
-    light = np.random.default_rng(0).uniform(1, 5, (geometry.face_count, 1)).astype(np.float32)
+    light = np.random.default_rng(0).uniform(1, 5, (geometry.face_count + 1, 1)).astype(np.float32)
     texel, face, left = texels.bake_channel(geometry, geometry.face_of_texel, np.float32([7.0]), np.uint8([0]), light)
-    np.testing.assert_allclose(texel[0] + face, 7.0 + light[:, 0], rtol=1e-6)
+    # The only texel has the mean.
+    np.testing.assert_allclose(texel[0] + face, 7.0 + light[:-1, 0], rtol=1e-6)
+    assert texel[0] == np.float32(7.0) + light[-1, 0]
     np.testing.assert_allclose(left, 0.0, atol=1e-10)
 
 

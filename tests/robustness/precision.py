@@ -149,7 +149,7 @@ def light():
     )
     tolerance = 1e-6 * plan.radiance_per_mk
     incident = radiosity.solve(known, emitted, reflectance, around.at(every), tolerance).incident
-    single = texels.light(incident.astype(np.float32), spectrum.reflected[:, 0])
+    single = texels.light(incident.astype(np.float32), spectrum.reflected[:, 0])[:-1]
     double = incident @ spectrum.reflected[:, 0].T
     found = max(_rms_k(one, other) for one, other in zip(np.array(single).T, double.T, strict=True))
     return Found(found, 0.0, (0.5 + spectrum.nodes) * _ULP_K)

@@ -222,7 +222,10 @@ def bake(
         flat(scene.surfaces, "material"),
         flat(scene.surfaces, "temperature"),
     )
-    texel = texels.emitted(plan, scene.materials, material, temperature)
+    report_progress, note = progress or _silent, None
+    tick = partial(report_progress, _SOLVING, 0.0)
+    tick()
+    texel = texels.emitted(plan, scene.materials, material, temperature, tick)
     black = None
     # Such a material may occur on dynamic objects only.
     if plan.specular and plan.specular.number[material].any():
@@ -233,13 +236,12 @@ def bake(
     if not plan.bake:
         none = dict.fromkeys(("solution", "noise", "faces", "texels"), 0.0)
         return BakedScene(scene, plan, None, None, tuple(texel), None, None, black, None, none, None, uploaded)
-    report_progress, note = progress or _silent, None
     if known is None:
         what = "tracing the light between surfaces"
         report_progress(what, 0.0)
         known, note = cache.traced(geometry, plan.rays, lambda share: report_progress(what, share))
     tick = partial(report_progress, _SOLVING, 0.5)
-    report_progress(_SOLVING, 0.0)
+    tick()
     per_mk, share = plan.radiance_per_mk, geometry.share
     guess = None
     if start is not None and start.incident is not None:

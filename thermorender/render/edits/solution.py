@@ -75,6 +75,7 @@ def _solved(
         tick()
     reflectance = before.copy()
     reflectance[change.faces] = _reflectance(known, change.kinds, plan.spectrum, change.faces)
+    tick()
     residual = kept.residual + _ROUNDED * float(incident.max(initial=0.0))
     tolerance, amplified = tolerance_of(plan), radiosity.amplification(transport, reflectance)
     if amplified * residual > _FOR_ROUNDING * tolerance:
@@ -95,8 +96,10 @@ def _solved(
     mean, was = (values[change.faces] @ shares for values in (reflectance, before))
     noise[change.faces] *= mean / np.maximum(was, 1e-6)
     noise += light.noise
+    tick()
     bounds = np.full(plan.spectrum.nodes, amplified * (left + residual))
     new = Kept.of([in_steps(light.rest)], residual, noise, reflectance)
+    tick()
     return SolvedLight(
         (incident + light.incident).astype(np.float32), noise, reflectance @ shares, bounds,
         geometry.share @ reflectance, None, new,

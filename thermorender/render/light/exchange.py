@@ -142,6 +142,8 @@ class Exchange:
         `wanted` is the largest rest that may remain in the end. The result is as `send` takes it.
         """
         faces, seen, mutual = self.strong
+        if self._tick:
+            self._tick()
         sent = self.rest.copy()
 
         def settle(node: int) -> None:

@@ -68,11 +68,12 @@ def face_means(
 
 
 def emitted(
-    plan: Plan, materials: Sequence[Material], material: NDArray[np.uint8], temperature: NDArray[np.float32]
-) -> list[NDArray[np.float32]]:
+    plan: Plan, materials: Sequence[Material], material: NDArray[np.uint8], temperature: NDArray[np.float32],
+    tick: Callable[[], object] = lambda: None,
+) -> list[NDArray[np.float32]]:  # fmt: skip
     """Return the emission of each texel into each channel, a list of K arrays (T,) float32 [W m⁻² sr⁻¹].
 
-    `material` and `temperature` are those of all texels, (T,) numbers and [K].
+    `material` and `temperature` are those of all texels, (T,) numbers and [K]. `tick` is called every few milliseconds.
     """
     found = [np.empty(len(material), dtype=np.float32) for _ in range(plan.spectrum.channels)]
     limits = float(temperature.min()), float(temperature.max())
@@ -88,7 +89,8 @@ def emitted(
 
     # Parts, as the interpolation uses float64.
     with threads() as pool:
-        list(pool.map(fill, range(0, len(material), _TEXELS_AT_ONCE)))
+        for _ in pool.map(fill, range(0, len(material), _TEXELS_AT_ONCE)):
+            tick()
     return found
 
 
@@ -107,14 +109,13 @@ def bake_channel(
         The face that covers each texel, from `Geometry.face_of_texel`.
     emitted, material : (T,) float32 and uint8
         Emitted band radiance [W m⁻² sr⁻¹] and material of each texel.
-    light : (F, M) float32
-        Band radiance that each material would reflect on each face [W m⁻² sr⁻¹].
+    light : (F + 1, M) float32
+        Band radiance that each material would reflect on each face, and in the mean, as of `light` [W m⁻² sr⁻¹].
     tick : callable
         Called every few milliseconds, without arguments.
     """
-    mi, count, kinds = geometry.mi, *light.shape
-    # One more row, the mean, for texels without a face, which only blend into their neighbours.
-    table = mi.Float(aligned(np.vstack([light, light.mean(axis=0, dtype=np.float64)])))
+    mi, count, kinds = geometry.mi, geometry.face_count, light.shape[1]
+    table = mi.Float(aligned(light))
     materials = mi.UInt8(aligned(material, np.uint8))
 
     def reflected(face: Jit, number: Jit) -> Jit:
@@ -122,6 +123,7 @@ def bake_channel(
 
     texel = mi.Float(aligned(emitted)) + reflected(covers, dr.arange(mi.UInt32, len(emitted)))
     dr.eval(texel)
+    tick()
     face = dr.arange(mi.UInt32, count)
     mean, square = dr.zeros(mi.Float, count), dr.zeros(mi.Float, count)
     points = pattern(geometry)
@@ -137,11 +139,15 @@ def bake_channel(
 
 
 def light(incident: NDArray[np.float32], reflected: Floats) -> NDArray[np.float32]:
-    """Return the radiance that each material reflects on each face, (F, M) float32 [W m⁻² sr⁻¹].
+    """Return the radiance that each material reflects on each face, (F + 1, M) float32 [W m⁻² sr⁻¹].
 
-    It is computed from the `incident` radiance of each face at each node, (F, N), and the share reflected, (M, N).
+    It is computed from the `incident` radiance of each face at each node, (F, N), and the share reflected, (M, N). The
+    last row is the mean, for texels without a face, which only blend into their neighbours.
     """
-    return incident @ reflected.T.astype(np.float32)
+    found = np.empty((len(incident) + 1, len(reflected)), np.float32)
+    np.matmul(incident, reflected.T.astype(np.float32), out=found[:-1])
+    found[-1] = found[:-1].mean(axis=0, dtype=np.float64)
+    return found
 
 
 def variation(geometry: Geometry, reflected: NDArray[Any], noise: Floats, samples: int = 2000, seed: int = 0) -> float:
