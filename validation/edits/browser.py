@@ -65,7 +65,15 @@ class Hand:
 
     def __init__(self, page, seed):
         self.page, self.random = page, np.random.default_rng(seed)
-        self.name = page.get_by_test_id("title").inner_text()
+        rows = page.locator("tr[data-name]").all()
+        # Those that cover something.
+        self.names = [row.get_attribute("data-name") for row in rows if row.inner_text().rstrip().endswith("%")]
+
+    def choose(self):
+        """Choose a material that covers a part of the ground, drawn at random."""
+        name = str(self.random.choice(self.names))
+        self.page.locator(f'tr[data-name="{name}"]').click()
+        self.page.get_by_test_id("title").filter(has_text=name).wait_for(timeout=_WAIT_MS)
 
     def emissivity(self):
         """Type an emissivity; the time begins with Enter."""
@@ -113,6 +121,8 @@ class Hand:
     def time_ms(self, kind, exact):
         """Return the times from an edit to its first picture and, with `exact`, to the exact one [ms]."""
         version = self.page.evaluate("studio.version") + 1
+        if kind in ("emissivity", "spectrum"):
+            self.choose()
         tab = "Optical" if kind in ("emissivity", "spectrum") else "Cover"
         self.page.get_by_role("tab", name=tab).click()
         at = getattr(self, kind)()
