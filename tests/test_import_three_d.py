@@ -368,6 +368,7 @@ def test_a_class_of_a_raster_is_the_outline_of_buildings(terrace, tmp_path):
     for number, words in (
         (None, "give the number of its buildings as --building-class"),
         (7, r"holds the classes \[1, 2\]"),
+        (0, "building_class=0 marks pixels without data"),
     ):
         with pytest.raises(ThermorenderError, match=words):
             import_terrain(
@@ -403,7 +404,7 @@ def test_posts_far_apart_need_outlines(tmp_path):
     height = np.full((30, 30), 20.0, np.float32)
     height[10:14, 10:18] = 28.0
     write_raster(tmp_path / "dsm.tif", height[None], step=2.0, corner=CORNER)
-    with pytest.raises(ThermorenderError, match=r"posts 2 m apart.*give a finer model, or the buildings' outlines"):
+    with pytest.raises(ThermorenderError, match=r"posts 2 m apart.*give a finer model \(or more --max-vertices"):
         import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", three_d=ThreeD())
     known = features(tmp_path / "k.geojson", [(ring_of(20, 20, 36, 28), {"building": "yes"})])
     made = import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", known=known, three_d=ThreeD())

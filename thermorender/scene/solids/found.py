@@ -182,8 +182,10 @@ def outlines_in_classes(path: Path, number: int, grid: Grid) -> list[Outline]:
     Raises
     ------
     ThermorenderError
-        The file cannot be read, or has no such pixel on the grid.
+        The file cannot be read, or has no such pixel on the grid; or the number is 0, which marks no data.
     """
+    if number == 0:
+        raise ThermorenderError(f"building_class=0 marks pixels without data in {path}; give the number of buildings")
     classes = onto(read_classes(path).astype(np.float32), grid_of(path), grid, "nearest")
     found = outlines_of(classes == number)
     if not found:
