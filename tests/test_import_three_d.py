@@ -10,8 +10,10 @@ import thermorender as tr
 from scenes import write_raster
 from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
+from thermorender.formats import write_text
 from thermorender.render.plan import make_plan
 from thermorender.scene.import_terrain import import_terrain
+from thermorender.scene.parts.patch import read_features
 from thermorender.scene.solids import found
 from thermorender.scene.solids.borders import OPEN, borders
 from thermorender.scene.solids.importing import ThreeD
@@ -114,6 +116,33 @@ def test_wrong_arguments(model, tmp_path):
                                         "--wall", "brick_clay"])  # fmt: skip
     assert done.exit_code != 0 and "--wall, --building-class and --copies are for scenes" in str(done.exception)
     assert not (tmp_path / "s").exists()
+
+
+def test_outlines_of_a_gis_are_read_with_rows_without_a_shape(model, tmp_path):
+    content = json.loads((model / "known.geojson").read_text())
+    content["features"].insert(0, {"type": "Feature", "properties": {"building": "yes"}, "geometry": None})
+    (tmp_path / "known.geojson").write_text(json.dumps(content))
+    made = import_terrain(model / "dsm.tif", None, tmp_path / "s", known=tmp_path / "known.geojson", three_d=ThreeD())
+    assert made["buildings"] == 1
+    # The same outline without a tag, and a member "crs" of null, which stands for longitude and latitude.
+    del content["features"][2]["properties"]["building"]
+    (tmp_path / "known.geojson").write_text(json.dumps(content))
+    with pytest.raises(ThermorenderError, match=r"1 polygons have no such tag.*building=yes"):
+        import_terrain(model / "dsm.tif", None, tmp_path / "t", known=tmp_path / "known.geojson", three_d=ThreeD())
+    write_text(tmp_path / "l.geojson", '{"features": [], "crs": null}')
+    assert read_features(tmp_path / "l.geojson")[1].is_geographic
+
+
+def test_a_roof_with_missing_posts_is_a_building(model, tmp_path):
+    gone = np.random.default_rng(3).random(HOUSE.shape) < 0.2
+    gaps = np.where(gone, np.nan, heights())[None].astype(np.float32)
+    write_raster(tmp_path / "dsm.tif", gaps, corner=CORNER, nodata=np.nan)
+    import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", three_d=ThreeD(model / "dem.tif"))
+    roof = surfaces(tr.load_scene(tmp_path / "s"))["roofs"]
+    (a, b), (c, d) = np.moveaxis(np.diff(roof.vertices[roof.faces][..., :2], axis=1), (1, 2), (0, 1))
+    plan = 0.5 * np.abs(a * d - b * c).sum()
+    # Of 14 by 9 m; outlines by height are within a post of it.
+    assert 12 * 7 < plan < 16 * 11
 
 
 @pytest.mark.parametrize("reverse", [False, True])
@@ -339,6 +368,7 @@ def test_a_class_of_a_raster_is_the_outline_of_buildings(terrace, tmp_path):
     for number, words in (
         (None, "give the number of its buildings as --building-class"),
         (7, r"holds the classes \[1, 2\]"),
+        (0, "building_class=0 marks pixels without data"),
     ):
         with pytest.raises(ThermorenderError, match=words):
             import_terrain(
@@ -365,7 +395,7 @@ def test_a_polygon_without_corners_is_refused(model, tmp_path, coordinates):
 
 def test_buildings_outside_of_the_model_are_counted(model, tmp_path):
     path = features(tmp_path / "k.geojson", [(ring_of(500, 500, 520, 520), {"building:part": "yes"})])
-    with pytest.raises(ThermorenderError, match=r"no polygon with a tag 'building' on .* \(1 are outside of it\)"):
+    with pytest.raises(ThermorenderError, match=r"no polygon with a tag 'building' on .* \(1 are outside of it, 0"):
         found.outlines_in(path, grid_of(model))
 
 
@@ -374,7 +404,7 @@ def test_posts_far_apart_need_outlines(tmp_path):
     height = np.full((30, 30), 20.0, np.float32)
     height[10:14, 10:18] = 28.0
     write_raster(tmp_path / "dsm.tif", height[None], step=2.0, corner=CORNER)
-    with pytest.raises(ThermorenderError, match=r"posts 2 m apart.*give a finer model, or the buildings' outlines"):
+    with pytest.raises(ThermorenderError, match=r"posts 2 m apart.*give a finer model \(or more --max-vertices"):
         import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", three_d=ThreeD())
     known = features(tmp_path / "k.geojson", [(ring_of(20, 20, 36, 28), {"building": "yes"})])
     made = import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", known=known, three_d=ThreeD())

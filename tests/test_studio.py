@@ -337,6 +337,74 @@ def test_a_tab_with_outdated_values_is_refused_and_refreshed(page, browser, addr
     other.context.close()
 
 
+@pytest.mark.slow
+def test_text_being_typed_stays_while_another_tab_edits(browser, tmp_path):
+    hut = """
+[[object]]
+name = "hut"
+shape = "box"
+size = [3.0, 3.0, 3.0]
+position = [0.0, 0.0, 1.5]
+material = "asphalt"
+temperature = 305.0
+"""
+    folder = write_terrain(tmp_path / "hut", classes=np.ones((32, 32)), extra=hut)
+    with served(folder) as address:
+        first, other = Page(browser, address), Page(browser, address)
+        material = first.part("title").inner_text()
+
+        def edited(key, text):
+            version = other.version
+            other.edited(key, text, pixel=False)
+            first.settled(version + 1)
+
+        field = first.part("field-solar_absorptance")
+        field.fill("0.6")
+        # Another property, and then the same one.
+        for key in ("temperature_k", "solar_absorptance"):
+            edited(key, "0.5" if key == "solar_absorptance" else "300")
+            assert field.input_value() == "0.6"
+        first.page.get_by_text(f"solar_absorptance of {material} is now 0.5").wait_for(timeout=WAIT_MS)
+        # Leaving the field makes the edit, and undo takes it back.
+        first.part("undo").click()
+        first.settled(4)
+        assert field.input_value() == "0.5"
+        first.page.get_by_role("tab", name="Cover").click()
+        field = first.part("kelvin-hut")
+        field.fill("29")
+        edited("temperature_k", "301")
+        other.part("duplicate").click()
+        other.part("accept").click()
+        other.settled(6)
+        first.settled(6)
+        assert field.input_value() == "29"
+        field.press_sequentially("1")
+        field.press("Enter")
+        first.settled(7)
+        first.part("undo").click()
+        first.settled(8)
+        assert field.input_value() == "305"
+        assert not first.errors and not other.errors
+
+
+@pytest.mark.slow
+def test_a_tab_names_the_version_of_the_values_that_it_shows(page, browser, address):
+    """An edit that follows another tab's at once would otherwise replace a value that nobody has seen."""
+    other = Page(browser, address)
+    for each in (page, other):
+        each.choose("grass_green")
+    for text in ("0.31", "0.32", "0.33"):
+        version = page.version
+        other.enter("solar_absorptance", text)
+        shown = page.page.wait_for_function(
+            "v => studio.version > v && document.querySelector('[data-testid=field-solar_absorptance]').value",
+            arg=version, polling=2, timeout=WAIT_MS,
+        )  # fmt: skip
+        assert shown.json_value() == text
+        page.settled(version + 1)
+    other.context.close()
+
+
 def test_what_comes_from_elsewhere_is_refused(address):
     root, token = address.split("?token=")
     port = root.split(":")[-1].strip("/")

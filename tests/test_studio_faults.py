@@ -107,6 +107,20 @@ def test_a_tab_need_not_wait_for_its_own_edits(session):
     assert history.version == 7
 
 
+def test_edits_of_a_material_that_another_tab_deleted_are_one_sentence(session):
+    session.edit(0, "copy", lambda document: document.duplicated("asphalt", "mine"))
+    session.edit(1, "deleted", lambda document: document.without("mine"))
+    for change in (
+        lambda document: changed(document, "mine", "emissivity", "0.5"),
+        lambda document: document.duplicated("mine", "other"),
+        lambda document: document.renamed("mine", "other"),
+        lambda document: document.without("mine"),
+    ):
+        with pytest.raises(ThermorenderError, match="'mine' is no longer there, since another tab"):
+            session.edit(2, "late", change)
+    assert session.history.version == 2
+
+
 def test_a_save_does_not_count_later_edits_as_saved(session):
     from thermorender.studio import saving
 

@@ -71,6 +71,15 @@ class Document:
         objects = {each.name: (each.material, each.temperature) for each in scene.spec.objects}
         return cls(library, own, dict(scene.spec.emissivity.classes), objects, tables=tables)
 
+    def material(self, name: str) -> Material:
+        """Return a material; ThermorenderError where another tab has deleted or renamed it."""
+        if name not in self.library:
+            raise ThermorenderError(
+                f"material {name!r} is no longer there, since another tab deleted or renamed it; choose another one, "
+                "or undo that edit"
+            )
+        return self.library[name]
+
     def with_material(self, material: Material, table: str | None = None) -> "Document":
         """Return this Document with a material in place of that of the same name, or in addition; see `tables`."""
         tables = self.tables if table is None else self.tables | {material.name: table}
@@ -79,7 +88,7 @@ class Document:
     def duplicated(self, name: str, copy: str) -> "Document":
         """Return this Document with a copy of a material under another name."""
         self._refuse(copy)
-        source = find(self.library, name, "duplicate")
+        source = self.material(name)
         note = " ".join(filter(None, (f"Copy of {name}.", source.note)))
         made = self.with_material(replace(source, name=copy, title=f"{source.title} (copy)", note=note))
         return replace(made, own=self.own | {copy}, tables=self._with_table(name, copy))
@@ -89,6 +98,7 @@ class Document:
 
     def renamed(self, name: str, new: str) -> "Document":
         """Return this Document with another name of one of the scene's own materials, wherever it is used."""
+        self.material(name)
         self._refuse(new)
         if name not in self.own:
             raise ThermorenderError(f"{name} is a shipped material and keeps its name; duplicate it under another name")
@@ -104,6 +114,7 @@ class Document:
 
     def without(self, name: str) -> "Document":
         """Return this Document without one of the scene's own materials that nothing uses."""
+        self.material(name)
         if name not in self.own or name in load_library():
             raise ThermorenderError(
                 f"{name} is a material of the shipped library, which stays; undo takes back its edits"

@@ -72,10 +72,18 @@ class Editor:
     def refresh(self) -> None:
         """Show the current version of the edits."""
         if self.name not in self._session.document.library:
-            self.name = self._first()
+            gone, self.name = self.name, self._first()
+            self._tab.say(f"{gone} is no longer there; the fields show {self.name} now", "info")
+            # What is typed for one material must not go on in the field of another.
+            ui.run_javascript("document.activeElement.blur()")
         self._fill_list()
         self._fill()
         self._cover.refresh()
+
+    def drop_typed(self) -> None:
+        """Let the next refresh replace text that is typed and not part of the edits."""
+        self._filled.clear()
+        self._cover.drop_typed()
 
     def _first(self) -> str:
         """The material that covers most."""
@@ -221,7 +229,7 @@ class Editor:
         def read(document: Document) -> tuple[Material, str | None]:
             pasted = str(text.value or "").encode()
             source, data = ("pasted text", pasted) if pasted else (str(given["name"]), bytes(given["data"]))
-            return fields.read_spectrum(source, data, document.library[name], str(column.value or "").strip())
+            return fields.read_spectrum(source, data, document.material(name), str(column.value or "").strip())
 
         def overlay() -> None:
             try:
@@ -271,11 +279,14 @@ class Editor:
         def done(event: Any) -> None:
             text, version, name = str(event.args[0] or ""), int(event.args[1]), self.name
             what, self._typed = f"{name}: {one.label.lower()} {text}", (one.key, text)
-            self._filled.pop(one.key, None)
-            given.error = (
-                self._tab.edit(version, what, lambda document: fields.changed(document, name, one.key, text), True)
-                or None
+            known = self._filled.pop(one.key, None)
+            refused = self._tab.edit(
+                version, what, lambda document: fields.changed(document, name, one.key, text), True
             )
+            given.error = refused or None
+            if refused and known and one.key not in self._filled:
+                # Text that is refused stays to be corrected.
+                self._filled[one.key] = known
 
         label = f"{one.label} [{one.unit}]" if one.unit else one.label
         given = ui.input(label, validation=fault).props(f'dense outlined data-testid="field-{one.key}"')
@@ -292,9 +303,15 @@ class Editor:
             known, text = self._filled.get(key), text_of(material, key)
             self._filled[key] = (self.name, text)
             # A field whose edit this is keeps its own form of the value: what is typed next may be in it already.
-            if known != self._filled[key] and not (key == self._typed[0] and alike(text, self._typed[1])):
-                given.set_value(text)
-                given.error = None
+            if known == self._filled[key] or (key == self._typed[0] and alike(text, self._typed[1])):
+                continue
+            if known and known[0] == self.name and not alike(str(given.value or ""), known[1]):
+                self._tab.say(
+                    f"{key} of {self.name} is now {text or 'empty'}; the text in the field stays as typed", "info"
+                )
+                continue
+            given.set_value(text)
+            given.error = None
         self._fill_spectrum(material, None if saved is material else saved)
         thermal = material.thermal
         self._thermal_note.set_text(
@@ -336,7 +353,7 @@ class Editor:
         wavelength, value = float(given["wavelength"]), float(given["value"])
 
         def change(document: Document) -> Document:
-            return document.with_material(fields.dragged(document.library[name], wavelength, value, width))
+            return document.with_material(fields.dragged(document.material(name), wavelength, value, width))
 
         if self._tab.edit(int(given["version"]), f"{name}: emissivity at {wavelength:.2f} µm {value:.3f}", change):
             self._fill()

@@ -107,7 +107,7 @@ def changed(document: Document, name: str, key: str, text: str) -> Document:
     ThermorenderError
         The tables would refuse the text; the message is theirs.
     """
-    material, text = document.library[name], text.strip()
+    material, text = document.material(name), text.strip()
     if text == text_of(material, key):
         return document
     if key in NUMBERS or key in ("cover", "beneath", "texture"):

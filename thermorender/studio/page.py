@@ -65,6 +65,8 @@ class Tab:
         self._picture: Picture | None = None
         # Timers of the words of a picture, and of the tables where an edit does not show there yet.
         self._wordless: asyncio.TimerHandle | None = None
+        # The version of the edits that the tab has seen.
+        self._seen = -1
         self._behind: asyncio.TimerHandle | None = None
         ui.add_head_html(f"<style>{(_FOLDER / 'studio.css').read_text('utf-8')}</style>")
         ui.add_head_html(f"<script>{(_FOLDER / 'studio.js').read_text('utf-8')}</script>")
@@ -94,10 +96,14 @@ class Tab:
 
     # What the session and the renders call.
 
-    def changed(self) -> None:
-        """Take note of a version of the edits; the tables show it after its picture."""
-        with self._client:
-            ui.run_javascript(f"studio.version = {self.session.history.version}")
+    def changed(self, by: str) -> None:
+        """Take note of a version of the edits that the tab `by` made; the tables show it after its picture.
+
+        Until then, what this tab sends counts as based on the version before, unless the edit is its own.
+        """
+        version = self.session.history.version
+        if by == self.key and self._seen == version - 1:
+            self._see(version)
         if self._behind is None:
             self._behind = self._loop.call_later(_LATEST_S, self._inside, self.refresh)
 
@@ -107,8 +113,8 @@ class Tab:
             self._behind.cancel()
             self._behind = None
         history = self.session.history
+        self._see(history.version)
         with self._client:
-            ui.run_javascript(f"studio.version = {history.version}")
             for button, what, word in ((self._undo, history.undoes, "Undo"), (self._redo, history.redoes, "Redo")):
                 button.set_enabled(bool(what))
                 button.props(f'aria-label="{word}"')
@@ -118,6 +124,12 @@ class Tab:
             self.editor.refresh()
             if self.view.mode == "map":
                 self.map.refresh()
+
+    def _see(self, version: int) -> None:
+        """Let what the page sends count as based on a version."""
+        self._seen = version
+        with self._client:
+            ui.run_javascript(f"studio.version = {version}")
 
     def look(self) -> None:
         """Ask for a picture of the view."""
@@ -179,7 +191,7 @@ class Tab:
         A page that is fetched and never connects costs no frame.
         """
         with self._client:
-            ui.run_javascript(f"studio.setUp(); studio.version = {self.session.history.version}")
+            ui.run_javascript(f"studio.setUp(); studio.version = {self._seen}")
             if self._picture:
                 self._send(self._picture)
             else:
@@ -215,6 +227,7 @@ class Tab:
 
     def _step(self, version: int, by: int) -> None:
         try:
+            self.editor.drop_typed()
             self.session.step(version, by, self.key)
         except ThermorenderError as error:
             self.say(str(error))

@@ -12,6 +12,7 @@ from thermorender.materials.csv_tables import decimal
 from thermorender.scene.load import load_scene
 from thermorender.studio import ground, saving
 from thermorender.studio.document import Document
+from thermorender.studio.fields import alike
 from thermorender.studio.pictures import Legend
 from thermorender.units import kelvin
 
@@ -51,28 +52,44 @@ class Cover:
 
     def __init__(self, tab: "Tab") -> None:
         self._tab, self._session = tab, tab.session
-        # Names that the elements below were made of, and the elements of each class and object.
+        # Classes and objects that the elements below were made of, materials to choose from, and those elements.
         self._known: Any = None
+        self._names: list[str] = []
         self._choices: dict[int | str, ui.select] = {}
         self._kelvins: dict[str, ui.input] = {}
+        # Text that each temperature was last filled with.
+        self._filled: dict[str, str] = {}
         self._box = ui.element("div").classes("part")
 
     def refresh(self) -> None:
         """Show the current version of the edits."""
         document = self._session.document
-        names = sorted(document.classes), list(document.objects), sorted(document.library)
-        if names != self._known:
-            self._known = names
-            self._make(*names)
+        things, names = (sorted(document.classes), list(document.objects)), sorted(document.library)
+        if things != self._known:
+            self._known, self._names = things, names
+            self._make(*things, names)
+        elif names != self._names:
+            self._names = names
+            for choice in self._choices.values():
+                choice.set_options(names)
         for number, name in document.classes.items():
             self._choices[number].set_value(name)
         for thing, (name, temperature) in document.objects.items():
             self._choices[thing].set_value(name)
-            self._kelvins[thing].set_value(_shown(temperature))
+            known, text, given = self._filled.get(thing), _shown(temperature), self._kelvins[thing]
+            self._filled[thing] = text
+            if known is None or alike(str(given.value or ""), known):
+                given.set_value(text)
+            elif known != text and not alike(str(given.value or ""), text):
+                self._tab.say(f"the temperature of {thing} is now {text}; the text in the field stays as typed", "info")
+
+    def drop_typed(self) -> None:
+        """Let the next refresh replace temperatures that are typed and not part of the edits."""
+        self._filled.clear()
 
     def _make(self, classes: list[int], objects: list[str], names: list[str]) -> None:
         self._box.clear()
-        self._choices, self._kelvins = {}, {}
+        self._choices, self._kelvins, self._filled = {}, {}, {}
         with self._box:
             ui.html("<h2>Classes</h2>", sanitize=False)
             if not classes:
@@ -124,7 +141,10 @@ class Cover:
             text = str(event.args[0])
             if fault(text) is None and text != _shown(self._session.document.objects[thing][1]):
                 change = partial(Document.of_object, name=thing, kelvin=decimal(text))
-                self._tab.edit(int(event.args[1]), f"{thing}: {text} K", change)
+                known = self._filled.pop(thing, None)
+                refused = self._tab.edit(int(event.args[1]), f"{thing}: {text} K", change)
+                if known and thing not in self._filled:
+                    self._filled[thing] = known if refused else text
 
         given = ui.input(validation=fault, suffix="K").props("dense outlined hide-bottom-space")
         given.props.update({"aria-label": f"Temperature of {thing} [K]", "data-testid": f"kelvin-{thing}"})

@@ -32,8 +32,8 @@ BAND_K = 300.0
 class Shown(Protocol):
     """A tab, as the session knows it."""
 
-    def changed(self) -> None:
-        """Take note of a version of the edits."""
+    def changed(self, by: str) -> None:
+        """Take note of a version of the edits that the tab `by` made."""
 
     def refresh(self) -> None:
         """Show the current version of the edits."""
@@ -107,7 +107,7 @@ class Session:
             self.history.edit(version, what, change, self._use, by)
         finally:
             if self.history.version != before:
-                self._render()
+                self._render(by)
 
     def step(self, version: int, steps: int, by: str = "") -> None:
         """Undo one edit (−1) or redo one (+1) for a tab."""
@@ -115,7 +115,7 @@ class Session:
         self.history.step(version, steps, by)
         if self.history.version != before:
             self._use(self.document)
-            self._render()
+            self._render(by)
 
     def reload(self, scene: "Scene") -> None:
         """Take over the scene as its files describe it now; ThermorenderError if its surfaces are other ones."""
@@ -139,10 +139,10 @@ class Session:
         scene.refuse_disagreement()
         self._scene = scene
 
-    def _render(self) -> None:
+    def _render(self, by: str = "") -> None:
         self.renders.solve(self._scene, self.history.version)
         for tab in list(self.tabs):
-            tab.changed()
+            tab.changed(by)
 
     @property
     def scene(self) -> "Scene":

@@ -120,7 +120,7 @@ def read_known(path: Path, grid: Grid, texel_m: float) -> KnownCover:
             silent[_named(tags)] += 1
             continue
         order, case, name = found
-        kind, width = str(geometry.get("type")), _width_m(tags)
+        kind, width = str(geometry.get("type", "no shape")), _width_m(tags)
         as_area = kind in _AREAS
         if tags.get("tunnel", "no") not in ("no", "building_passage") or tags.get("location") == "underground":
             left_out["underground"] += 1
@@ -172,11 +172,13 @@ def _burnt(
 
 
 def tagged(feature: Any, path: Path, number: int) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return (geometry, tags) of feature `number` of a file."""
+    """Return (geometry, tags) of feature `number` of a file; {} for the geometry of one that has none."""
     try:
         geometry, about = feature["geometry"], feature.get("properties") or {}
         nested = about.get("tags")
         tags = nested if isinstance(nested, Mapping) else about
+        # A feature may be without a place: RFC 7946, section 3.2.
+        geometry = {} if geometry is None else geometry
         if not isinstance(geometry, dict):
             raise ValueError
         return geometry, {str(key): str(value) for key, value in tags.items() if value not in (None, "")}

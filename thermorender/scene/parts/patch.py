@@ -43,7 +43,7 @@ def read_features(path: str | PathLike[str]) -> tuple[list[Any], Any]:
         features = content["features"]
         if not isinstance(features, list):
             raise ValueError(f"features is {shortened(repr(features))}, not a list")
-        crs = CRS.from_user_input(content["crs"]["properties"]["name"] if "crs" in content else "OGC:CRS84")
+        crs = CRS.from_user_input(content["crs"]["properties"]["name"] if content.get("crs") else "OGC:CRS84")
         return features, crs
     except OSError as error:
         raise ThermorenderError(f"{path} cannot be read: {error.strerror}; give a GeoJSON file") from None
@@ -73,6 +73,8 @@ def areas(given: Any, place: Place, ground: Ground) -> list[tuple[Any, str | Non
     for number, feature in enumerate(features, 1):
         try:
             geometry, about = feature["geometry"], feature.get("properties") or {}
+            if geometry is None:
+                continue
             if geometry["type"] not in _POLYGONS:
                 raise ValueError
             name = about.get("material") if isinstance(about, Mapping) else None

@@ -25,6 +25,8 @@ _SMOOTH_M = 0.45
 # A building ends in walls on most of its border: within this distance the surface is `LEAST_M` lower at this share of
 # its edge posts. Walls around have all of them, a building dug into a slope three quarters, a terrace's edge a half.
 _BESIDE_M, _FREE_SHARE = 3.0, 2.0 / 3.0
+# Missing posts this near to known ones may be of a roof [m].
+_GAP_M = 1.0
 # Above this excess green is a plant: 2 g − r − b of shares of sRGB; Woebbecke and others, Trans. ASAE 38 (1995) 259.
 _GREEN = 0.10
 # Trees: smoothing of heights and distance of tops [m]; least area of one that stands alone [m²].
@@ -136,10 +138,13 @@ def outlines_in(path: Path, grid: Grid) -> list[Outline]:
     """
     features, crs = read_features(path)
     found: list[Outline] = []
-    outside = 0
+    outside = untagged = 0
     for number, feature in enumerate(features, 1):
         geometry, tags = tagged(feature, path, number)
-        if not is_building(tags) or geometry.get("type") not in ("Polygon", "MultiPolygon"):
+        if geometry.get("type") not in ("Polygon", "MultiPolygon"):
+            continue
+        if not is_building(tags):
+            untagged += 1
             continue
         for rings in _rings(geometry, crs, grid, f"{path}, feature {number}"):
             low, high = rings[0].min(axis=0), rings[0].max(axis=0)
@@ -149,8 +154,9 @@ def outlines_in(path: Path, grid: Grid) -> list[Outline]:
                 outside += 1
     if not found:
         raise ThermorenderError(
-            f"{path} has no polygon with a tag 'building' on {grid.name} ({outside} are outside of it); give one of "
-            "this area, or leave known out so that buildings are found by height"
+            f"{path} has no polygon with a tag 'building' on {grid.name} ({outside} are outside of it, "
+            f"{untagged} polygons have no such tag); give one of this area whose buildings have a property "
+            "building=yes, or leave known out so that buildings are found by height"
         )
     return found
 
@@ -176,8 +182,10 @@ def outlines_in_classes(path: Path, number: int, grid: Grid) -> list[Outline]:
     Raises
     ------
     ThermorenderError
-        The file cannot be read, or has no such pixel on the grid.
+        The file cannot be read, or has no such pixel on the grid; or the number is 0, which marks no data.
     """
+    if number == 0:
+        raise ThermorenderError(f"building_class=0 marks pixels without data in {path}; give the number of buildings")
     classes = onto(read_classes(path).astype(np.float32), grid_of(path), grid, "nearest")
     found = outlines_of(classes == number)
     if not found:
@@ -227,9 +235,11 @@ def _high_and_smooth(
     """Posts of parts as high, smooth and large as buildings."""
     from scipy.ndimage import binary_closing, binary_dilation, binary_opening, uniform_filter
 
-    above = np.nan_to_num(height - ground)
-    high = above > LEAST_M
-    level = np.nan_to_num(height, nan=float(np.nanmin(height)))
+    # Missing posts inside a roof are of it.
+    valid = np.isfinite(height) & np.isfinite(ground)
+    near = binary_dilation(valid, iterations=max(1, round(_GAP_M / post_m)))
+    level, bare = (fill(each, nearest_valid(valid)) for each in (height, ground))
+    high = near & (level - bare > LEAST_M)
     bend = [np.abs(np.gradient(np.gradient(level, axis=axis), axis=axis)) for axis in (0, 1)]
     smooth = high & (uniform_filter(0.5 * (bend[0] + bend[1]), 3) < _SMOOTH_M * min(post_m, 1.0))
     if green is not None:

@@ -133,7 +133,8 @@ def imported(
     if known is None and post_m > _FINE_M:
         raise ThermorenderError(
             f"the surface model has posts {post_m:.3g} m apart, and buildings are found by height in posts of "
-            f"{_FINE_M} m or less; give a finer model, or the buildings' outlines as --known"
+            f"{_FINE_M} m or less; give a finer model (or more --max-vertices, if they thin it), or the buildings' "
+            "outlines as --known"
         )
     green = found.is_green(*picture, grid) if picture else None
     bare = (found.ground_below(height, post_m, green) if ground is None
