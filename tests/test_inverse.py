@@ -21,7 +21,7 @@ from thermorender.inverse.pose_files import read_poses
 from thermorender.inverse.poses import PoseError, deviation
 from thermorender.inverse.products import files_of_scene
 from thermorender.inverse.products import write as write_products
-from thermorender.inverse.reconstruct import reconstruct
+from thermorender.inverse.reconstruct import check_folder, reconstruct
 from thermorender.inverse.solve import Settings, _tilt, binned, binned_camera, vignetting
 from thermorender.inverse.weights import Lattice, Viewer, moved, taps_of
 from thermorender.physics.planck import brightness_temperature
@@ -283,8 +283,21 @@ def test_a_stopped_run_continues_to_the_same_bytes(survey, tmp_path):
     again = reconstruct(scene, flown, settings=settings, folder=tmp_path)
     np.testing.assert_array_equal(once.state.map, again.state.map)
     np.testing.assert_array_equal(once.apparent_std, again.apparent_std)
-    with pytest.raises(ThermorenderError, match="belongs to other frames"):
+    with pytest.raises(ThermorenderError, match="belongs to other frames") as refused:
         reconstruct(scene, clean, settings=settings, folder=tmp_path)
+    # The state alone would leave a folder that is refused.
+    assert str(refused.value).endswith(f"remove {tmp_path} and all in it")
+
+
+@pytest.mark.parametrize("more", [(), ("apparent.tif",)])
+def test_only_a_folder_that_a_killed_run_left_is_continued_without_a_state(tmp_path, more):
+    for name in (".lock", ".state.0123abcd.part.npz", *more):
+        (tmp_path / name).touch()
+    if not more:
+        check_folder(tmp_path)
+        return
+    with pytest.raises(ThermorenderError, match="not empty"):
+        check_folder(tmp_path)
 
 
 def test_a_single_frame_is_enough(survey):

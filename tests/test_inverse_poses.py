@@ -97,6 +97,8 @@ def test_heights_are_shifted_above_the_ground(scene, tmp_path):
     assert poses[0, 2, 3] - scene.ground(0.0, 0.0) == pytest.approx(50.0)
     assert poses[1, 2, 3] - poses[0, 2, 3] == pytest.approx(2.0)
     assert "shifted" in notes[0]
+    _, notes = poses_of([replace(places["a"], height_m=float(scene.ground(0.0, 0.0)) + 50.01)], scene, 50.0)
+    assert "shifted by +0.0 m" in notes[0]
 
 
 @pytest.mark.parametrize(

@@ -269,6 +269,16 @@ def survey_of(folder, scene, scale=None):
     return read_frames(files, {path.stem: place for path in files}, scene, scale)
 
 
+@pytest.mark.parametrize(("stated", "expected"), [("", "2021:07:01 12:30:00"), ("7 s", "7 s")])
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_times_are_those_of_the_poses_or_else_of_the_tags(scene, tmp_path, stated, expected):
+    path = tiff(tmp_path / "a.tif", np.full((4, 5), 290.0, np.float32), unit="K")
+    with rasterio.open(path, "r+") as file:
+        file.update_tags(TIFFTAG_DATETIME="2021:07:01 12:30:00")
+    place = Place((0.0, 0.0), False, 40.0, "above_ground_m", camera_rotation(0.0, -90.0, 0.0), stated)
+    assert read_frames([path], {"a": place}, scene).times == (expected,)
+
+
 def test_values_that_no_surface_has_are_left_out_and_counted(scene, tmp_path):
     kelvin = np.full((4, 5), 290.0, np.float32)
     kelvin[0, :4] = -9999.0, np.inf, np.nan, 0.0

@@ -183,11 +183,22 @@ def remove_parts(folder: Path, name: str = r".+", older_s: float = 0.0) -> None:
     older_s : float
         Keep younger files [s], which other processes may be writing.
     """
-    pattern = re.compile(rf"\.({name})\.[0-9a-f]{{8}}\.part(\.[^.]*)?")
+    pattern = _part_name(name)
     for path in folder.iterdir():
         with suppress(OSError):
             if pattern.fullmatch(path.name) and time.time() - path.stat().st_mtime >= older_s:
                 path.unlink()
+
+
+def only_left_behind(folder: Path) -> bool:
+    """Return whether all that a folder holds is the lock and the temporary files of a killed process."""
+    names = [path.name for path in folder.iterdir()] if folder.is_dir() else []
+    return bool(names) and all(name == _LOCK or _part_name().fullmatch(name) for name in names)
+
+
+def _part_name(name: str = r".+") -> re.Pattern[str]:
+    """The names of temporary files of files whose names match a regular expression."""
+    return re.compile(rf"\.({name})\.[0-9a-f]{{8}}\.part(\.[^.]*)?")
 
 
 # --- folders for output, and checks before the work -------------------------------------------------------------

@@ -69,7 +69,7 @@ class Survey:
     ----------
     names : tuple of str
     times : tuple of str
-        Empty where unknown.
+        Of the poses, otherwise of the frames' EXIF tags; empty where neither states one.
     kelvin : (F, H, W) float32
         Apparent temperature [K]; NaN where a pixel has none.
     poses : (F, 4, 4) float64
@@ -182,7 +182,8 @@ def read_frames(
     if settings:
         notes.append(_said(settings))
     poses, said = poses_of(chosen, scene, above_ground_m)
-    names, times = tuple(path.stem for path in files), tuple(place.time for place in chosen)
+    names = tuple(path.stem for path in files)
+    times = tuple(place.time or tagged_time(path) for path, place in zip(files, chosen, strict=True))
     removed = tuple(path.suffix.lower() in FLIR_JPEG for path in files)
     return Survey(names, times, np.stack(images), poses, (*notes, *said), _common_lens(chosen), removed)
 
@@ -272,7 +273,11 @@ def poses_of(places: Sequence[Place], scene: Scene, above_ground_m: float | None
     if above_ground_m is not None:
         shift = ground[0] + above_ground_m - position[0, 2]
         position[:, 2] += shift
-        notes.append(f"all heights are shifted by {shift:+.1f} m, so that the first frame is {above_ground_m:g} m high")
+        # A shift of nothing has no sign.
+        rounded = round(float(shift), 1) + 0.0
+        notes.append(
+            f"all heights are shifted by {rounded:+.1f} m, so that the first frame is {above_ground_m:g} m high"
+        )
     if not np.isfinite(position).all():
         raise ThermorenderError("a frame's position is not finite; give numbers")
     above = position[:, 2] - ground
@@ -319,8 +324,7 @@ def tagged_place(path: Path) -> Place:
     try:
         with Image.open(path) as image:
             exif, xmp = image.getexif(), image.info.get("xmp", b"")
-            gps = dict(exif.get_ifd(34853))
-            time = str(exif.get_ifd(34665).get(36867, "") or exif.get(306, ""))
+            gps, time = dict(exif.get_ifd(34853)), _time(exif)
             if not xmp and 700 in exif:
                 xmp = exif[700]
     except (OSError, SyntaxError, ValueError) as error:
@@ -344,6 +348,22 @@ def tagged_place(path: Path) -> Place:
         )
     numbers = [_number(path, name, value) for name, value in zip(("yaw", "pitch", "roll"), angles, strict=True)]
     return Place(where, True, height, kind, camera_rotation(*numbers), time)
+
+
+def tagged_time(path: Path) -> str:
+    """Return the time that a frame's EXIF tags state, as in the file; empty if they state none or cannot be read."""
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            return _time(image.getexif())
+    except (OSError, SyntaxError, ValueError):
+        return ""
+
+
+def _time(exif: Any) -> str:
+    """The time in tags of EXIF: of the exposure, otherwise of the file."""
+    return str(exif.get_ifd(34665).get(36867, "") or exif.get(306, "")).strip("\0 ")
 
 
 def camera_rotation(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Rotation:

@@ -33,7 +33,7 @@ def write_page(found: Reconstruction, folder: Path) -> Path:
     unknown = "".join(f"<li>{text(note)}</li>" for note in found.notes)
     parts = [
         f"<h1>Temperatures of {name} from frames</h1>", f"<pre>{text(chr(10).join(lines))}</pre>",
-        f"<h2>What is unknown</h2><ul>{unknown or '<li>nothing to note</li>'}</ul>",
+        f"<h2>Assumptions, and what is unknown</h2><ul>{unknown or '<li>nothing to note</li>'}</ul>",
         "<h2>Maps</h2>",
         _picture(found.prior, "apparent temperature before", "The scene's own temperatures, the prior."),
         _picture(found.apparent, "apparent temperature after", "The reconstruction."),

@@ -225,7 +225,8 @@ def _kept(path: Path, key: dict[str, Any]) -> State | None:
     found = formats.read_arrays(path, key)
     if found is None:
         raise ThermorenderError(
-            f"{path} belongs to other frames, poses or settings, or is damaged; give another folder, or remove it"
+            f"{path} belongs to other frames, poses or settings, or is damaged; give another folder, or remove "
+            f"{path.parent} and all in it"
         )
     tilt_k, noise_k = (float(found.pop(name)) for name in ("tilt_k", "noise_k"))
     rounds = int(found.pop("rounds"))
@@ -267,8 +268,8 @@ def _notes(
 
 
 def check_folder(folder: str | PathLike[str]) -> None:
-    """Raise unless a folder is new, empty or holds the state of a reconstruction."""
+    """Raise unless a folder is new, empty, or that of a reconstruction, which may have been killed before its state."""
     path = Path(folder)
-    if (path / STATE).is_file():
+    if (path / STATE).is_file() or files.only_left_behind(path):
         return
     files.check_new_folder(path)

@@ -75,6 +75,7 @@ def run(inputs: Inputs, folder: Path, progress: Progress | None = None) -> dict[
     texel_m = scene.surfaces[0].texel_m if inputs.texel_m is None else inputs.texel_m
     settings = Settings(texel_m=texel_m, rounds=inputs.rounds, pose_error=PoseError(*inputs.pose_error))
     with files.output_folder(folder) as out, files.in_use(out):
+        files.remove_parts(out)
         found = reconstruct(scene, survey, camera, settings, references, out, progress)
         products.write(found, out)
         write_page(found, out)
