@@ -35,7 +35,7 @@ _REACH = 3.0
 # Rounds on all pixels, the last included; those before them take means of pixels.
 _FULL = 2
 # Files of states have a form of their own.
-_FORM = 2
+_FORM = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,6 +191,7 @@ def _solved(
     state = None if path is None else _kept(path, key)
     if state is None:
         state = small.round(small.register(small.start(), progress=progress), False, progress)
+        state = small.register(state, progress)
         _keep(path, key, state)
     while state.rounds < settings.rounds - 1:
         full = state.rounds >= settings.rounds - _FULL

@@ -168,27 +168,33 @@ class Problem:
 
     def predicted(self, state: State, number: int, sight: Sight) -> Floats:
         """Return the values of a frame's pixels, (N,), that a State predicts."""
-        own = state.offsets[number] + state.tilts[number] @ self.tilting
-        own += state.vignette @ self.vignetting + state.pattern.ravel()
-        around = self.images[number] - own.reshape(state.pattern.shape)
-        return self.viewer.imaged(sight, state.map, self.taps, around) + own[sight.pixel]
+        own = self._own(state, number)
+        around = self.images[number] - own
+        return self.viewer.imaged(sight, state.map, self.taps, around) + own.ravel()[sight.pixel]
 
     def register(self, state: State, progress: Progress | None = None) -> State:
-        """Return a State at the start with each frame registered, by images of a quarter of the pixels a side.
+        """Return a State with each frame registered, by images of about 160 pixels a row.
 
-        Frames are registered to what prior and orthophoto together explain of them: the prior may lack the contrasts
-        of that day.
+        At the start, frames are registered to what prior and orthophoto together explain of them: the prior may lack
+        the contrasts of that day. After a round they are registered to its map. A frame that has stayed behind, such as
+        an oblique one, would follow the others slowly in the joint solutions, where its residuals have little weight.
         """
         if not self.free:
             return state
-        factor = max(1, round(self.camera.width / 160))
-        camera = binned_camera(self.camera, factor)
+        factor, begins = max(1, round(self.camera.width / 160)), state.rounds == 0
+        camera, error = binned_camera(self.camera, factor), self.settings.pose_error
         viewer = Viewer(self.viewer.renderer, camera, self.viewer.lattice)
-        error, images = self.settings.pose_error, [binned(each, factor).astype(np.float32) for each in self.images]
-        values = explained(viewer, images, state.poses, self._features(state.map), vignetting(camera), error)
+        images = [
+            binned(image if begins else image - self._own(state, number), factor).astype(np.float32)
+            for number, image in enumerate(self.images)
+        ]
+        values = state.map
+        if begins:
+            values = explained(viewer, images, state.poses, self._features(values), vignetting(camera), error)
 
         def found(number: int) -> Floats:
-            return registered(viewer, values, images[number], state.poses[number], self.poses[number], error)
+            given = images[number], state.poses[number], self.poses[number]
+            return registered(viewer, values, *given, error, search=begins)
 
         poses = state.poses.copy()
         for number, pose in enumerate(_ahead(found, len(poses))):
@@ -196,6 +202,12 @@ class Problem:
             if progress is not None:
                 progress("registering the frames", (number + 1) / len(poses))
         return replace(state, poses=poses)
+
+    def _own(self, state: State, number: int) -> Floats:
+        """What a frame shows besides the map, (H, W): its offset and tilts, vignetting and fixed pattern."""
+        own = state.offsets[number] + state.tilts[number] @ self.tilting
+        own += state.vignette @ self.vignetting + state.pattern.ravel()
+        return np.asarray(own.reshape(state.pattern.shape))
 
     def _features(self, values: Floats) -> Floats:
         """A map and the orthophoto's colours with their products, (K, h, w)."""
