@@ -17,12 +17,13 @@ from thermorender.inverse.frames import Survey, camera_rotation, frame_files, re
 from thermorender.inverse.kinetic import light_of
 from thermorender.inverse.level import Reference
 from thermorender.inverse.linear import LinearKelvin
+from thermorender.inverse.normal import Prior
 from thermorender.inverse.pose_files import read_poses
 from thermorender.inverse.poses import PoseError, deviation
 from thermorender.inverse.products import files_of_scene
 from thermorender.inverse.products import write as write_products
 from thermorender.inverse.reconstruct import check_folder, reconstruct
-from thermorender.inverse.solve import Settings, _tilt, binned, binned_camera, vignetting
+from thermorender.inverse.solve import Problem, Settings, _tilt, binned, binned_camera, vignetting
 from thermorender.inverse.weights import Lattice, Viewer, moved, taps_of
 from thermorender.physics.planck import brightness_temperature
 from thermorender.render.renderer import Renderer
@@ -213,6 +214,23 @@ def test_poses_are_registered_to_the_prior_and_refined(survey):
     assert ground_error(before, clean.poses, renderer) > 0.5
     assert ground_error(found, clean.poses, renderer) < 0.1
     assert np.abs(errors(found, truth)[0]).mean() < 0.25
+
+
+def test_a_frame_that_stays_behind_is_registered_to_the_map(survey, fixed):
+    (_, clean, _, _), (found, _) = survey, fixed
+    flown, _ = with_errors(clean)
+    linear = LinearKelvin(found.camera.band_um, 300.0)
+    settings = Settings(texel_m=1.0, pose_error=PoseError(1.0, 0.5), noise_k=NOISE_K)
+    prior = Prior(found.state.map, np.ones(found.state.map.shape), np.zeros(found.state.map.shape, int), 1.0)
+    poses = clean.poses.copy()
+    # A metre is two pixels here.
+    poses[5] = moved(poses[5], np.array([0.8, -0.6, 0.0, 0.0, 0.0, 0.0]))
+    images = np.array([linear.of(image) for image in flown.kelvin], np.float32)
+    problem = Problem(found.renderer, found.camera, images, poses, found.lattice, prior, settings)
+    state = problem.register(replace(found.state, poses=poses))
+    viewer = problem.viewer
+    step, sight = deviation(state.poses[5], clean.poses[5]), viewer.sight(clean.poses[5])
+    assert np.hypot(*(step @ sight.motion(*axis).mean(axis=1) for axis in ((1.0, 0.0), (0.0, 1.0)))) < 0.05
 
 
 @pytest.mark.slow
