@@ -65,13 +65,11 @@ class Hand:
 
     def __init__(self, page, seed):
         self.page, self.random = page, np.random.default_rng(seed)
-        rows = page.locator("tr[data-name]").all()
-        # Those that cover something.
-        self.names = [row.get_attribute("data-name") for row in rows if row.inner_text().rstrip().endswith("%")]
 
     def choose(self):
         """Choose a material that covers a part of the ground, drawn at random."""
-        name = str(self.random.choice(self.names))
+        rows = self.page.locator("tr[data-name]").filter(has_text="%")
+        name = str(self.random.choice(rows.evaluate_all("rows => rows.map(row => row.dataset.name)")))
         self.page.locator(f'tr[data-name="{name}"]').click()
         self.page.get_by_test_id("title").filter(has_text=name).wait_for(timeout=_WAIT_MS)
 
