@@ -65,9 +65,9 @@ class Tab:
         self._picture: Picture | None = None
         # Timers of the words of a picture, and of the tables where an edit does not show there yet.
         self._wordless: asyncio.TimerHandle | None = None
+        self._behind: asyncio.TimerHandle | None = None
         # The version of the edits that the tab has seen.
         self._seen = -1
-        self._behind: asyncio.TimerHandle | None = None
         ui.add_head_html(f"<style>{(_FOLDER / 'studio.css').read_text('utf-8')}</style>")
         ui.add_head_html(f"<script>{(_FOLDER / 'studio.js').read_text('utf-8')}</script>")
         ui.query("html").props('lang="en"')
