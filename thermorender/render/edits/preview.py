@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.render.arrays import Channels, Floats, Jit, aligned
-from thermorender.render.edits.change import MOST_CHANGED, Change, change_of, comparable, mostly_warmer
+from thermorender.render.edits.change import Change, change_of, comparable
 from thermorender.render.edits.known import Known, Samples, known_of
 from thermorender.render.layers import OutgoingRadiance
 from thermorender.render.light.exchange import threads
@@ -72,7 +72,7 @@ def _previewed(baked: "BakedScene", known: Known, scene: Scene, change: Change) 
     # NumPy's part of the work goes on beside Dr.Jit's.
     with threads() as pool:
         basis, light, left = _light(baked, known, scene, change, pool)
-        errors = pool.submit(_errors_mk, baked, scene, known.samples, change, basis, light, left)
+        errors = pool.submit(_errors_mk, baked, known.samples, change, basis, light, left)
         tables = _Tables(baked, known, scene, change, basis, light)
         texels, added = tables.texels()
         parts = [texels[0][:, None], *([np.stack(texels[1:], axis=1)] if len(texels) > 1 else [])]
@@ -106,16 +106,16 @@ def _light(
 
 
 def _errors_mk(
-    baked: "BakedScene", scene: Scene, samples: Samples, change: Change, basis: Floats, light: NDArray[np.float32],
+    baked: "BakedScene", samples: Samples, change: Change, basis: Floats, light: NDArray[np.float32],
     left: tuple[NDArray[np.float32], float],
 ) -> dict[str, float]:  # fmt: skip
     """Stated errors of a preview, as of `BakedScene.preview_for` [mK]."""
     plan = change.plan
     most, typical = (value / plan.radiance_per_mk for value in _errors(baked, samples, change, basis, light, left))
     nodes = plan.spectrum.nodes_mk
-    # The solution has other nodes where these err too much, or where all light is solved.
-    most_changed = len(change.faces) > MOST_CHANGED * len(samples.seen) or mostly_warmer(baked.scene, scene)
-    more = nodes + plan.tolerance_mk if most_changed or nodes > plan.tolerance_mk else 0.0
+    # The solution may have other nodes: where these err too much, where most faces change, and where the rounding of
+    # edits has added up.
+    more = nodes + plan.tolerance_mk
     # The solutions before and after the edit have errors of their own, and texels are rounded.
     brightest = max(float(values.max()) for values in baked.texels)
     rounding = float(np.finfo(np.float32).eps) * brightest / plan.radiance_per_mk
