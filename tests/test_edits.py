@@ -61,12 +61,6 @@ EDITS = {
 }
 
 
-def solve_all_changes(monkeypatch):
-    """Begin every solution from the light before, however much changes."""
-    for module in ("change", "solution"):
-        monkeypatch.setattr(f"thermorender.render.edits.{module}.MOST_CHANGED", 1.0)
-
-
 def off(one, other):
     """Largest difference of texels, of faces and of the images of two renderers [mK]."""
     poses = tr.pose(0, 0, 40, **DOWN), tr.pose(-6, 2, 30, pitch_deg=-60.0, yaw_deg=90.0)
@@ -148,7 +142,7 @@ def test_light_of_few_faces_is_that_of_all_rays(renderer):
 def test_solution_of_an_edit_is_that_of_the_edited_scene(renderer, name, few, monkeypatch):
     """It begins from the light before, and its error bound is that of any solution, whichever faces send."""
     scene = EDITS[name](renderer.scene)
-    solve_all_changes(monkeypatch)
+    monkeypatch.setattr("thermorender.render.edits.solution._MOST_CHANGED", 1.0)
     monkeypatch.setattr("thermorender.render.edits.solution._FEW", few)
     found = renderer.baked.solved_for(scene)
     alone = bake(scene, found.plan, like=renderer.baked)
@@ -160,7 +154,7 @@ def test_solution_of_an_edit_is_that_of_the_edited_scene(renderer, name, few, mo
 
 def test_most_edits_are_solved_from_the_light_before(renderer, monkeypatch):
     """All light is solved when rounding has added up, or when an edit needs other nodes."""
-    solve_all_changes(monkeypatch)
+    monkeypatch.setattr("thermorender.render.edits.solution._MOST_CHANGED", 1.0)
     whole, baked = Mock(side_effect=solve_scene), renderer.baked
     monkeypatch.setattr("thermorender.render.baked.solve_scene", whole)
     for number in range(30):

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 # Numbers of pairs of materials are a byte.
 _MOST_PAIRS = 255
-# Where more texels or faces change, all light is solved again, which is as fast.
-MOST_CHANGED = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,13 +68,6 @@ def comparable(one: Scene, other: Scene) -> bool:
     equal = all(getattr(one, name) == getattr(other, name) for name in ("sun", "altitude_m", "terrain_count"))
     fixed = not (one.tracked_objects or other.tracked_objects)
     return same and equal and fixed and one.spec.sky_temperature == other.spec.sky_temperature
-
-
-def mostly_warmer(one: Scene, other: Scene) -> bool:
-    """Return whether most texels differ in temperature."""
-    pairs = [(a.temperature, b.temperature) for a, b in zip(one.surfaces, other.surfaces, strict=True)]
-    changed = sum(int(np.count_nonzero(a != b)) for a, b in pairs if a is not b)
-    return changed > MOST_CHANGED * sum(a.size for a, _ in pairs)
 
 
 def change_of(baked: "BakedScene", known: Known, scene: Scene, plan: Plan) -> Change | None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.render.arrays import Channels, Jit, aligned
-from thermorender.render.edits.change import MOST_CHANGED, Change, change_of, comparable, mostly_warmer
+from thermorender.render.edits.change import Change, change_of, comparable
 from thermorender.render.edits.known import Known, Samples, known_of
 from thermorender.render.edits.preview import edited_plan
 from thermorender.render.light import environment, radiosity
@@ -26,6 +26,8 @@ from thermorender.scene.scene import Scene
 if TYPE_CHECKING:
     from thermorender.render.baked import BakedScene
 
+# Where more texels or faces change, all light is solved again, which is as fast.
+_MOST_CHANGED = 0.5
 # Rounding of the light and of its change to float32, relative to the brightest light.
 _ROUNDED = float(np.finfo(np.float32).eps)
 # Rests of less than this share of what is allowed are not sent. Where faces with more are seen by fewer faces than this
@@ -43,12 +45,7 @@ def solved_change(
     `tick` is called every few milliseconds; it may raise.
     """
     kept, old = baked._uploaded.get("solution"), baked.plan
-    if (
-        kept is None
-        or baked.incident is None
-        or not comparable(baked.scene, scene)
-        or mostly_warmer(baked.scene, scene)
-    ):
+    if kept is None or baked.incident is None or not comparable(baked.scene, scene) or _warmer(baked.scene, scene):
         return None
     plan = edited_plan(baked, scene)
     spectrum = plan.spectrum
@@ -57,10 +54,17 @@ def solved_change(
     known = known_of(baked)
     change = change_of(baked, known, scene, plan)
     tick()
-    if change is None or len(change.faces) > MOST_CHANGED * baked.geometry.face_count:
+    if change is None or len(change.faces) > _MOST_CHANGED * baked.geometry.face_count:
         return None
     found = _solved(baked, known, scene, change, kept, tick)
     return None if found is None else (plan, found)
+
+
+def _warmer(one: Scene, other: Scene) -> bool:
+    """Whether most texels differ in temperature."""
+    pairs = [(a.temperature, b.temperature) for a, b in zip(one.surfaces, other.surfaces, strict=True)]
+    changed = sum(int(np.count_nonzero(a != b)) for a, b in pairs if a is not b)
+    return changed > _MOST_CHANGED * sum(a.size for a, _ in pairs)
 
 
 def _solved(
