@@ -14,6 +14,7 @@ import pytest
 import thermorender as tr
 from scenes import write_terrain
 from thermorender.render.baked import bake
+from thermorender.render.edits import preview as edits
 from thermorender.render.edits.known import samples_of
 from thermorender.render.light.solved import solve_scene
 
@@ -179,7 +180,7 @@ def test_edits_of_sky_are_solved_and_not_previewed(renderer):
     assert off(preview, renderer.solved_for(scene)) == 0.0
 
 
-def test_previews_of_previews_begin_from_the_solution(renderer):
+def test_previews_of_previews_that_change_little_begin_from_the_solution(renderer):
     first, second = (renderer.scene.with_material(grass_green=value) for value in (0.5, 0.95))
     chained = renderer.preview_for(first).preview_for(second)
     assert off(chained, renderer.preview_for(second)) == 0.0
@@ -188,6 +189,29 @@ def test_previews_of_previews_begin_from_the_solution(renderer):
     sent = tr.Renderer.of(pickle.loads(pickle.dumps(chained.baked)))
     assert "preview" not in sent.preview_for(first).baked.errors_mk
     assert off(sent.preview_for(first), renderer.solved_for(first)) <= 0.2 * renderer.plan.tolerance_mk
+
+
+@pytest.mark.parametrize("last", ["a class like the other", "emissivity", "an area"])
+def test_a_preview_that_begins_from_the_one_before_states_the_errors_of_both(renderer, last, monkeypatch):
+    monkeypatch.setattr(edits, "_QUICK_RAYS", -1)
+    first = renderer.scene.with_material(sand_quartz=0.4)
+    scene = EDITS[last](first)
+    monkeypatch.setattr(edits, "_WORTH", -1.0)
+    before = renderer.preview_for(first)
+    chained = before.preview_for(scene)
+    monkeypatch.setattr(edits, "_WORTH", np.inf)
+    fresh, exact = before.preview_for(scene), renderer.solved_for(scene)
+    assert off(chained, fresh) > 0.0
+    for made in (chained, fresh):
+        stated = made.baked.errors_mk
+        apart = (made.baked.texels[0] - exact.baked.texels[0]) / renderer.plan.radiance_per_mk
+        assert np.sqrt(np.mean(apart**2)) < stated["preview_rms"] <= stated["preview"]
+        assert off(made, exact) < stated["preview"]
+    # What the first preview leaves out stays left out, and is stated, also where the edit goes back.
+    monkeypatch.setattr(edits, "_WORTH", -1.0)
+    back = before.preview_for(renderer.scene)
+    assert off(back, renderer) < back.baked.errors_mk["preview"]
+    assert off(chained.solved_for(scene), exact) == 0.0
 
 
 def test_a_frame_states_that_it_is_a_preview(renderer):

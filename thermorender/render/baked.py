@@ -141,7 +141,8 @@ class BakedScene:
         difference from `solved_for`: "preview" on any surface, and "preview_rms" over all. Other edits, and scenes with
         mirrors or with objects on tracks, are solved as by `solved_for`, and have no such error.
 
-        A preview of a preview, and its solution, begin from the solution that it was made of.
+        A preview of a preview begins from it where most of the work is done there already; the estimate then covers
+        both. Its solution begins from the solution that it was made of.
 
         Parameters
         ----------
@@ -158,8 +159,7 @@ class BakedScene:
         from thermorender.render.edits.preview import preview
 
         refuse_other_surfaces(self.scene.surfaces, scene.surfaces)
-        exact = self._uploaded.get("exact", self)
-        return preview(exact, scene) or exact.solved_for(scene, progress)
+        return preview(self, scene) or self.solved_for(scene, progress)
 
     def seen_as(self, scene: Scene, plan: Plan) -> "BakedScene | None":
         """Return this light under another camera or sampling, or None where `scene` and `plan` change the light."""

@@ -1,10 +1,12 @@
 """Frames for the tabs, made in one thread in the background: the latest request of each tab counts.
 
 This is the only module of the studio that renders, and it calls the public interface of scenes and renderers. An edit
-shows first as a preview with its estimated error, where the renderer has one, and then exactly. The next edit cancels
-a solution under way; tabs that only look around are served in between.
+shows first as a preview with its estimated error, where the renderer has one, and then exactly. Solutions have a thread
+of their own with a low priority: the next edit cancels the one under way and does not wait for its end.
 """
 
+import os
+import sys
 import threading
 import traceback
 from collections.abc import Callable
@@ -30,8 +32,18 @@ _ANSWERS_S = 120.0
 _FETCHED_S = 0.1
 
 
+# Priority of the thread that solves, below that of all others.
+_NICE = 10
+# Where edits come faster than solutions, which only delay previews then, the next solution waits for such a pause.
+_PAUSE_S = 1.5
+
+
 class _Newer(Exception):
     """The solution under way is outdated."""
+
+
+class _Unknown(Exception):
+    """An edit has no preview."""
 
 
 @dataclass
@@ -53,8 +65,16 @@ class Light:
 
 
 @dataclass(eq=False)
+class _Solution:
+    """A solution under way: of which scene, and of which version of the edits."""
+
+    scene: Scene
+    version: int
+
+
+@dataclass(eq=False)
 class Renders:
-    """The thread that renders.
+    """The thread that renders, and the one that solves beside it.
 
     Parameters
     ----------
@@ -78,6 +98,9 @@ class Renders:
     _fetched: dict[str, Picture] = field(default_factory=dict)
     _solved: Renderer = field(init=False)
     _ready: Renderer | None = None
+    _solving: _Solution | None = None
+    _found: tuple[_Solution, Renderer | Exception] | None = None
+    _solver: threading.Thread | None = None
 
     def __post_init__(self) -> None:
         self.saved = self._solved = self.renderer
@@ -92,29 +115,30 @@ class Renders:
         """End rendering, after what is under way."""
         with self._news:
             self._ended = True
-            self._news.notify()
-        if self._thread.is_alive():
-            self._thread.join(10.0)
+            self._news.notify_all()
+        for thread in (self._thread, self._solver):
+            if thread is not None and thread.is_alive():
+                thread.join(10.0)
 
     def solve(self, scene: Scene, version: int) -> None:
         """Show an edited scene in all tabs."""
         with self._news:
             self._edit = (scene, version)
-            self._news.notify()
+            self._news.notify_all()
 
     def compare_with(self, scene: Scene) -> None:
         """Take a scene as what differences are to; it is solved when a tab first asks for one."""
         with self._news:
             self._reference = scene
             self._waiting |= dict.fromkeys(self._tabs)
-            self._news.notify()
+            self._news.notify_all()
 
     def look(self, tab: str, view: View, show: Callable[[Picture], object]) -> None:
         """Show a tab its view; `show` is called from the thread that renders."""
         with self._news:
             self._tabs[tab] = Seen(view, show)
             self._waiting[tab] = None
-            self._news.notify()
+            self._news.notify_all()
 
     def forget(self, tab: str) -> None:
         """Drop a tab that was closed."""
@@ -126,7 +150,7 @@ class Renders:
         """Call a function in the thread that renders."""
         with self._news:
             self._jobs.append(job)
-            self._news.notify()
+            self._news.notify_all()
 
     def call(self, job: Callable[[], _T]) -> _T:
         """Return the result of a function that the thread that renders has called; not for that thread itself."""
@@ -143,7 +167,7 @@ class Renders:
             return made.result(_ANSWERS_S)
         except TimeoutError:
             raise ThermorenderError(
-                f"the solution under way has taken longer than {_ANSWERS_S:g} s; wait until the state says exact, and "
+                f"the work under way has taken longer than {_ANSWERS_S:g} s; wait until the state says exact, and "
                 "ask again"
             ) from None
 
@@ -151,7 +175,7 @@ class Renders:
         """Call a function that takes long; what it reports to, (what, share), ends it after an edit or another one."""
         with self._news:
             self._long = partial(job, self._between_long)
-            self._news.notify()
+            self._news.notify_all()
 
     def parts(self, tab: str, pixel: tuple[int, int]) -> PixelParts | None:
         """Return the parts of the radiance at a (row, column) of a tab's frame; for the thread that renders."""
@@ -169,7 +193,7 @@ class Renders:
             picture = self._pictures.get(tab)
             if picture is not None:
                 self._fetched[tab] = picture
-                self._news.notify()
+                self._news.notify_all()
         return picture
 
     def frame(self, tab: str) -> Frame | None:
@@ -180,7 +204,7 @@ class Renders:
     def _run(self) -> None:
         while True:
             with self._news:
-                self._news.wait_for(lambda: self._asked() or (self._pictures and self._ready is not self._solved))
+                self._news.wait_for(lambda: self._asked() or self._unready())
                 if self._ended:
                     return
                 asked = self._asked()
@@ -188,10 +212,13 @@ class Renders:
             try:
                 if not asked:
                     # In the pause after a picture, so that the preview of the next edit need not wait for it.
-                    self._ready = self._solved
+                    self._ready = self.light.renderer
                     self._ready.baked.ready_for_edits()
                 elif edit:
-                    self._solve(*edit)
+                    self._edited(*edit)
+                elif found := self._found:
+                    self._found = None
+                    self._take(*found)
                 elif self._waiting or self._jobs:
                     self._draw()
                 elif long := self._long:
@@ -203,14 +230,17 @@ class Renders:
                 self._report(_sentence(error))
 
     def _asked(self) -> bool:
-        return bool(self._ended or self._edit or self._waiting or self._jobs or self._long)
+        return bool(self._ended or self._edit or self._found or self._waiting or self._jobs or self._long)
+
+    def _unready(self) -> bool:
+        return bool(self._pictures) and self._ready is not self.light.renderer
 
     def _report(self, sentence: str) -> None:
         for seen in list(self._tabs.values()):
             seen.show(Picture.of_fault(sentence, self.light.version))
 
     def _between(self, what: str, share: float) -> None:
-        """Stop an outdated solution, and serve tabs that look elsewhere meanwhile."""
+        """Stop what an edit has outdated, and serve tabs that look elsewhere meanwhile."""
         if self._edit or self._ended:
             raise _Newer
         if self._waiting or self._jobs:
@@ -221,29 +251,83 @@ class Renders:
             raise _Newer
         self._between(what, share)
 
-    def _solve(self, scene: Scene, version: int) -> None:
-        if scene.temperature_state.solved:
-            made = self._solved.preview_for(scene, self._between)
+    def _edited(self, scene: Scene, version: int) -> None:
+        """Show the preview of an edit, if it has one, and begin its solution."""
+        with self._news:
+            # The one under way is outdated, and ends at its next step.
+            hurried, self._solving = self._solving is not None, None
+            self._news.notify_all()
+        made = self._preview(scene)
+        if made is not None:
             errors = made.baked.errors_mk
-            if "preview" in errors:
-                words = f"preview ± {errors['preview']:.3g} mK, {errors['preview_rms']:.2g} mK RMS"
-                self._show(Light(made, version, words, False))
-                with self._news:
-                    self._news.wait_for(lambda: self._asked() or self._fetched == self._pictures, _FETCHED_S)
-                made = self._exact(scene)
-        else:
-            made = self._exact(scene)
-        self._solved = made
-        self._show(Light(made, version, "exact", True))
+            words = f"preview ± {errors['preview']:.3g} mK, {errors['preview_rms']:.2g} mK RMS"
+            self._show(Light(made, version, words, False))
+            with self._news:
+                self._news.wait_for(lambda: self._asked() or self._fetched == self._pictures, _FETCHED_S)
+        if self._edit is None:
+            self._solving = solution = _Solution(scene, version)
+            work = partial(self._solve, solution, self._solved, _PAUSE_S if hurried else 0.0, self._solver)
+            self._solver = threading.Thread(target=work, name="studio solves", daemon=True)
+            self._solver.start()
 
-    def _exact(self, scene: Scene) -> Renderer:
-        """The Renderer of a scene, solved from the latest solution."""
+    def _preview(self, scene: Scene) -> Renderer | None:
+        """The Renderer of a scene's preview; None where it has to be solved."""
+
+        def solves(what: str, share: float) -> None:
+            raise _Unknown
+
+        if not scene.temperature_state.solved:
+            return None
+        try:
+            return self.light.renderer.preview_for(scene, solves)
+        except _Unknown:
+            return None
+
+    def _solve(
+        self, solution: _Solution, start: Renderer, pause_s: float, before: threading.Thread | None
+    ) -> None:  # fmt: skip
+        """Solve a scene beside the thread that renders, after a pause and after the solution before has ended."""
+
+        def under_way(what: str, share: float) -> None:
+            if self._solving is not solution or self._ended:
+                raise _Newer
+
+        _yield_to_others()
+        with self._news:
+            self._news.wait_for(lambda: self._solving is not solution or self._ended, pause_s)
+        if before is not None:
+            before.join()
+        found: Renderer | Exception
+        try:
+            under_way("", 0.0)
+            found = self._exact(solution.scene, start, under_way)
+            _ = found.baked.device  # Uploaded here, where no edit waits for it.
+        except _Newer:
+            return
+        except Exception as error:
+            found = error
+        with self._news:
+            self._found = solution, found
+            self._news.notify_all()
+
+    def _take(self, solution: _Solution, found: Renderer | Exception) -> None:
+        """Show the end of a solution, unless it is outdated."""
+        if solution is not self._solving:
+            return
+        self._solving = None
+        if isinstance(found, Exception):
+            raise found
+        self._solved = found
+        self._show(Light(found, solution.version, "exact", True))
+
+    def _exact(self, scene: Scene, start: Renderer, progress: Callable[[str, float], object]) -> Renderer:
+        """The Renderer of a scene, solved from an earlier solution."""
         if scene.temperature_state.solved:
-            return self._solved.solved_for(scene, self._between)
-        plan = self._solved.plan
+            return start.solved_for(scene, progress)
+        plan = start.plan
         made = Renderer(
             scene, samples=plan.samples, taps=plan.taps, edge_mk=plan.edge_mk, rays=plan.rays,
-            tolerance_mk=plan.tolerance_mk, seed=self.renderer.seed, progress=self._between, like=self._solved,
+            tolerance_mk=plan.tolerance_mk, seed=self.renderer.seed, progress=progress, like=start,
         )  # fmt: skip
         _ = made.baked
         return made
@@ -297,12 +381,19 @@ class Renders:
         before = None
         if view.mode == "difference":
             if self._reference is not None:
-                self.saved, self._reference = self._exact(self._reference), None
+                self.saved = self._exact(self._reference, self._solved, self._between)
+                self._reference = None
             before = self.saved.frame(pose, time_s, sampled_as=frame).apparent_temperature
         colour = light.renderer.visible(pose, time_s=time_s) if view.mode == "photograph" else None
         number = (self._pictures[tab].number if tab in self._pictures else 0) + 1
         blank = Picture(number, light.version, light.words, light.exact)
         return picture_of(frame, view, blank, before, colour)
+
+
+def _yield_to_others() -> None:
+    """Give this thread, and threads that it begins, a low priority, where the system has priorities of threads."""
+    if sys.platform == "linux":
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)
 
 
 def _sentence(error: Exception) -> str:

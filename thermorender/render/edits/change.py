@@ -24,13 +24,13 @@ _MOST_PAIRS = 255
 
 
 @dataclass(frozen=True, eq=False)
-class Change:
-    """Texels that an edit changes, and their faces, as the known light shows them.
+class Touched:
+    """Texels that an edit changes, and their faces.
 
     Attributes
     ----------
-    plan : Plan
-        Of the edited scene, with the nodes and channels of the one before.
+    differ : (M, M') bool
+        Whether each material before differs from each after in what it emits or reflects.
     kinds, kelvin : UInt8 and Float
         Material and temperature of all texels after the edit.
     changed : UInt8
@@ -43,6 +43,28 @@ class Change:
         Of each number.
     faces : (n,) int
         Faces with such texels, ascending.
+    """
+
+    differ: NDArray[np.bool_]
+    kinds: Jit
+    kelvin: Jit
+    changed: Jit
+    materials: NDArray[np.intp]
+    pair: Jit
+    pairs: NDArray[np.intp]
+    faces: NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Change(Touched):
+    """What an edit changes, as the known light shows it.
+
+    Attributes
+    ----------
+    plan : Plan
+        Of the edited scene, with the nodes and channels of the one before.
+    tables : Tables
+        Of blackbodies.
     sent : (N, n) float32
         Change of the radiance that these faces send at each node, in the light before the edit [W m⁻² sr⁻¹].
     strongest : (n,) float32
@@ -51,13 +73,6 @@ class Change:
 
     plan: Plan
     tables: Tables
-    kinds: Jit
-    kelvin: Jit
-    changed: Jit
-    materials: NDArray[np.intp]
-    pair: Jit
-    pairs: NDArray[np.intp]
-    faces: NDArray[np.intp]
     sent: NDArray[np.float32]
     strongest: NDArray[np.float32]
 
@@ -70,11 +85,34 @@ def comparable(one: Scene, other: Scene) -> bool:
     return same and equal and fixed and one.spec.sky_temperature == other.spec.sky_temperature
 
 
-def change_of(baked: "BakedScene", known: Known, scene: Scene, plan: Plan) -> Change | None:
-    """Return the Change from a baked scene to an edited one; None where nodes or channels differ."""
+def change_of(
+    baked: "BakedScene", known: Known, scene: Scene, plan: Plan, touched: Touched | None = None
+) -> Change | None:  # fmt: skip
+    """Return the Change from a baked scene to an edited one; None where nodes or channels differ.
+
+    `touched` is what `touched_by` returns, where it is known.
+    """
     before, after = baked.plan.spectrum, plan.spectrum
     if not (np.array_equal(before.label, after.label) and np.array_equal(before.basis, after.basis)):
         return None
+    # A fit to all materials may change what those reflect that have the same emissivity.
+    differ = _differ(baked, scene) | (before.reflected[:, None] != after.reflected).any(axis=(-2, -1))
+    if touched is None or not np.array_equal(differ, touched.differ):
+        touched = touched_by(baked, known, scene, differ)
+    if touched is None:
+        return None
+    tables = known.tables(plan)
+    sent, strongest = _sent(known, tables, (before, after), touched)
+    return Change(**vars(touched), plan=plan, tables=tables, sent=sent, strongest=strongest)
+
+
+def touched_by(
+    baked: "BakedScene", known: Known, scene: Scene, differ: NDArray[np.bool_] | None = None
+) -> Touched | None:  # fmt: skip
+    """Return what an edit changes, without the light; None where it has too many pairs of materials.
+
+    `differ` is as of `Touched`, by default by the emissivities of the materials.
+    """
     mi = baked.geometry.mi
     material, temperature = flat(scene.surfaces, "material"), flat(scene.surfaces, "temperature")
     kinds, kelvin = known.kinds, known.kelvin
@@ -83,22 +121,20 @@ def change_of(baked: "BakedScene", known: Known, scene: Scene, plan: Plan) -> Ch
     warmer = not np.array_equal(temperature, known.temperature)
     if warmer:
         kelvin = mi.Float(aligned(temperature))
-    differ = _differ(baked, scene, before, after)
+    if differ is None:
+        differ = _differ(baked, scene)
     pair, pairs = _pairs(known, kinds, differ.shape)
     if len(pairs) > _MOST_PAIRS:
         return None
     changed, materials = _changed(known, kelvin, pair, pairs, differ)
-    tables, faces = known.tables(plan), np.flatnonzero(known.samples.with_any(changed))
-    sent, strongest = _sent(known, tables, (before, after), (kinds, kelvin, changed), faces, warmer)
-    return Change(plan, tables, kinds, kelvin, changed, materials, pair, pairs, faces, sent, strongest)
+    faces = np.flatnonzero(known.samples.with_any(changed))
+    return Touched(differ, kinds, kelvin, changed, materials, pair, pairs, faces)
 
 
-def _differ(baked: "BakedScene", scene: Scene, before: Spectrum, after: Spectrum) -> NDArray[np.bool_]:
-    """Whether each material before differs from each after in what it emits or reflects, (M, M')."""
-    one, other = (spectra_at(after.points, each.materials) for each in (baked.scene, scene))
-    same = (one[:, None] == other).all(axis=-1)
-    same &= (before.reflected[:, None] == after.reflected).all(axis=(-2, -1))
-    return np.asarray(~same)
+def _differ(baked: "BakedScene", scene: Scene) -> NDArray[np.bool_]:
+    """Whether the emissivity of each material before differs from that of each after, (M, M')."""
+    one, other = (spectra_at(baked.plan.spectrum.points, each.materials) for each in (baked.scene, scene))
+    return np.asarray((one[:, None] != other).any(axis=-1))
 
 
 def _pairs(known: Known, kinds: Jit, shape: tuple[int, int]) -> tuple[Jit, NDArray[np.intp]]:
@@ -136,11 +172,11 @@ def _changed(
 
 
 def _sent(
-    known: Known, tables: Tables, spectra: Sequence[Spectrum], new: tuple[Jit, Jit, Jit], faces: NDArray[np.intp],
-    warmer: bool,
+    known: Known, tables: Tables, spectra: Sequence[Spectrum], touched: Touched
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:  # fmt: skip
     """`Change.sent` and `Change.strongest` of faces."""
-    samples, (kinds, kelvin, changed) = known.samples, new
+    samples, kinds, kelvin, changed = known.samples, touched.kinds, touched.kelvin, touched.changed
+    faces, warmer = touched.faces, kelvin is not known.kelvin
     mi, nodes = samples.geometry.mi, spectra[1].nodes
     if not len(faces):
         return np.zeros((nodes, 0), np.float32), np.zeros(0, np.float32)

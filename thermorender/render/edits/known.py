@@ -16,6 +16,7 @@ from thermorender.render.light.exchange import Strong
 from thermorender.render.light.radiosity import Transport
 from thermorender.render.light.texels import pattern
 from thermorender.render.plan import Plan
+from thermorender.scene.scene import Scene
 
 if TYPE_CHECKING:
     from thermorender.render.baked import BakedScene
@@ -228,7 +229,8 @@ def known_of(baked: "BakedScene") -> "Known":
     """Return the Known of a BakedScene, which it keeps."""
     kept = baked._uploaded
     if "known" not in kept:
-        kept["known"] = Known(baked, samples_of(baked))
+        # A preview has what makes it.
+        kept["known"] = kept.pop("known later")() if "known later" in kept else Known.of(baked, samples_of(baked))
     return kept["known"]
 
 
@@ -279,20 +281,36 @@ class Known:
         `BakedScene.texels`.
     """
 
-    def __init__(self, baked: "BakedScene", samples: Samples) -> None:
-        mi, surfaces = baked.geometry.mi, baked.scene.surfaces
-        self.samples, self._mi = samples, mi
-        self.material, self.temperature = flat(surfaces, "material"), flat(surfaces, "temperature")
-        self.kinds, self.kelvin = mi.UInt8(aligned(self.material, np.uint8)), mi.Float(aligned(self.temperature))
+    def __init__(
+        self, samples: Samples, scene: Scene, kinds: Jit, kelvin: Jit, light: NDArray[np.float32], texels: list[Jit],
+        tables: "Tables",
+    ) -> None:  # fmt: skip
+        self.samples, self.kinds, self.kelvin, self.texels = samples, kinds, kelvin, texels
+        self.material, self.temperature = flat(scene.surfaces, "material"), flat(scene.surfaces, "temperature")
+        mean = light.mean(axis=0, keepdims=True, dtype=np.float64)
+        self.incident = Channels(samples.geometry.mi, np.vstack([light, mean.astype(np.float32)]))
+        self._light, self._tables = light, tables
+
+    @classmethod
+    def of(cls, baked: "BakedScene", samples: Samples) -> "Known":
+        """Return the Known of a solution."""
+        mi, scene = baked.geometry.mi, baked.scene
+        kinds = mi.UInt8(aligned(flat(scene.surfaces, "material"), np.uint8))
+        kelvin = mi.Float(aligned(flat(scene.surfaces, "temperature")))
+        texels = [mi.Float(aligned(values)) for values in baked.texels]
         assert baked.incident is not None
-        mean = baked.incident.mean(axis=0, keepdims=True, dtype=np.float64)
-        self.incident = Channels(mi, np.vstack([baked.incident, mean.astype(np.float32)]))
-        self.texels = [mi.Float(aligned(values)) for values in baked.texels]
-        self._tables = Tables(mi, baked.plan)
+        return cls(samples, scene, kinds, kelvin, baked.incident, texels, Tables(mi, baked.plan))
+
+    def after(
+        self, scene: Scene, kinds: Jit, kelvin: Jit, basis: Floats, light: NDArray[np.float32], texels: list[Jit]
+    ) -> "Known":
+        """Return the Known of a preview; the light on faces changes by `light` (k, F) in the spectra `basis` (k, N)."""
+        whole = self._light + light.T @ basis.astype(np.float32)
+        return Known(self.samples, scene, kinds, kelvin, whole, texels, self._tables)
 
     def tables(self, plan: Plan) -> Tables:
         """Return Tables that have the temperatures of a Plan."""
         found = self._tables
         if plan.coldest < found.limits_k[0] or plan.warmest > found.limits_k[1]:
-            self._tables = found = Tables(self._mi, plan)
+            self._tables = found = Tables(self.samples.geometry.mi, plan)
         return found

@@ -7,10 +7,13 @@ K d, in the few spectral components that d has, and leaves out K ρ δ: light of
 Its error is estimated from the light of the second bounce, K ρ |K d|, and of the components left out. They are computed
 on the faces that reflect most of what they receive, on those that change, and on faces drawn by their area. Where a
 share q of reflected light is passed on at most, later bounces add a factor of 1 / (1 − q).
+
+A preview of a preview may begin from it. Its light is then short of what both left out, which the estimate sums.
 """
 
 from concurrent.futures import Executor
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -18,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.render.arrays import Channels, Floats, Jit, aligned
-from thermorender.render.edits.change import Change, change_of, comparable
+from thermorender.render.edits.change import Change, change_of, comparable, touched_by
 from thermorender.render.edits.known import Known, Samples, known_of
 from thermorender.render.layers import OutgoingRadiance
 from thermorender.render.light.exchange import threads
@@ -34,25 +37,52 @@ _LEFT_MK, _MOST_SPECTRA = 200.0, 2
 _JUDGED, _SURE = 3000, 3.5
 # From this share of light passed on, a preview is of no use.
 _MOST_PASSED = 0.9
+# A preview begins from the one before where the solution has more than so many times its rays to changed faces, and
+# more rays than take a few milliseconds.
+_WORTH, _QUICK_RAYS = 1.3, 1_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """Light that a preview leaves out.
+
+    Attributes
+    ----------
+    missing : (F,) float32
+        Reflected light that is not followed, of each face, summed over the nodes [W m⁻² sr⁻¹].
+    outside : float
+        The same of the surroundings.
+    faces : (n,) int
+        Faces where it matters most among those that edits changed.
+    """
+
+    missing: NDArray[np.float32]
+    outside: float
+    faces: NDArray[np.intp]
 
 
 def preview(baked: "BakedScene", scene: Scene) -> "BakedScene | None":
     """Return the preview of an edited scene; None where the edit needs a solution."""
-    if baked.incident is None or baked.faces is None or not comparable(baked.scene, scene):
+    exact = baked._uploaded.get("exact", baked)
+    if exact.incident is None or exact.faces is None or not comparable(exact.scene, scene):
         return None
-    plan = edited_plan(baked, scene)
-    if not plan.bake or plan.sun != baked.plan.sun or plan.specular or baked.plan.specular:
+    start, touched = exact, touched_by(exact, known_of(exact), scene)
+    if touched is not None and baked is not exact:
+        rays_on = known_of(exact).samples.rays_on
+        rays = rays_on(touched.faces)
+        later = touched_by(baked, known_of(baked), scene) if rays > _QUICK_RAYS else None
+        if later is not None and rays > _WORTH * rays_on(later.faces):
+            start, touched = baked, later
+    plan = edited_plan(start, scene)
+    if not plan.bake or plan.sun != exact.plan.sun or plan.specular or exact.plan.specular:
         return None
-    known = known_of(baked)
-    change = change_of(baked, known, scene, plan)
-    if change is None:
-        return None
-    return _previewed(baked, known, scene, change)
+    change = None if touched is None else change_of(start, known_of(start), scene, plan, touched)
+    return None if change is None else _previewed(start, known_of(start), scene, change)
 
 
 def prepare(baked: "BakedScene") -> None:
     """Make what all previews of a BakedScene begin from, and keep it there."""
-    if baked.incident is not None and baked.faces is not None:
+    if (baked.incident is not None and baked.faces is not None) or "exact" in baked._uploaded:
         samples = known_of(baked).samples
         samples.prepare()
         _strongest(baked, samples)
@@ -68,24 +98,30 @@ def edited_plan(baked: "BakedScene", scene: Scene) -> Plan:
 
 
 def _previewed(baked: "BakedScene", known: Known, scene: Scene, change: Change) -> "BakedScene":
-    geometry, plan = baked.geometry, change.plan
+    geometry = baked.geometry
     # NumPy's part of the work goes on beside Dr.Jit's.
     with threads() as pool:
         basis, light, left = _light(baked, known, scene, change, pool)
         errors = pool.submit(_errors_mk, baked, known.samples, change, basis, light, left)
         tables = _Tables(baked, known, scene, change, basis, light)
-        texels, added = tables.texels()
+        found, added = tables.texels()
+        texels = [values.numpy() for values in found]
         parts = [texels[0][:, None], *([np.stack(texels[1:], axis=1)] if len(texels) > 1 else [])]
         means = [pool.submit(geometry.averaged, part) for part in parts]
         faces = tables.corrected(added)
         first, *rest = (each.result() for each in means)
+        errors_mk, left_out = errors.result()
     outgoing = OutgoingRadiance(first, rest[0] if rest else None, Channels(geometry.mi, faces))
-    kept = {name: baked._uploaded[name] for name in ("geometry", "samples")}
+    exact = baked._uploaded.get("exact", baked)
+    kept = {
+        "geometry": geometry, "samples": known.samples, "exact": exact, "left out": left_out,
+        "known later": partial(known.after, scene, change.kinds, change.kelvin, basis, light, found),
+    }  # fmt: skip
     shown = replace(
-        baked, scene=scene, plan=plan, incident=None, texels=tuple(texels), faces=faces,
-        errors_mk=baked.errors_mk | errors.result(), _uploaded=kept | {"exact": baked},
+        baked, scene=scene, plan=change.plan, incident=None, texels=tuple(texels), faces=faces,
+        errors_mk=exact.errors_mk | errors_mk, _uploaded=kept,
     )  # fmt: skip
-    kept["scene"] = shown._uploaded["scene"] = baked.device.showing(shown, outgoing)
+    kept["scene"] = exact.device.showing(shown, outgoing)
     return shown
 
 
@@ -108,10 +144,11 @@ def _light(
 def _errors_mk(
     baked: "BakedScene", samples: Samples, change: Change, basis: Floats, light: NDArray[np.float32],
     left: tuple[NDArray[np.float32], float],
-) -> dict[str, float]:  # fmt: skip
-    """Stated errors of a preview, as of `BakedScene.preview_for` [mK]."""
+) -> tuple[dict[str, float], LeftOut]:  # fmt: skip
+    """(stated errors of a preview, as of `BakedScene.preview_for` [mK]; what it leaves out)."""
     plan = change.plan
-    most, typical = (value / plan.radiance_per_mk for value in _errors(baked, samples, change, basis, light, left))
+    left_out = _left_out(baked, samples, change, basis, light, left)
+    most, typical = (value / plan.radiance_per_mk for value in _errors(baked, samples, change, left_out))
     nodes = plan.spectrum.nodes_mk
     # The solution may have other nodes: where these err too much, where most faces change, and where the rounding of
     # edits has added up.
@@ -120,7 +157,7 @@ def _errors_mk(
     brightest = max(float(values.max()) for values in baked.texels)
     rounding = float(np.finfo(np.float32).eps) * brightest / plan.radiance_per_mk
     more += 2.0 * (baked.errors_mk["solution"] + rounding)
-    return {"preview": most + more, "preview_rms": typical + more}
+    return {"preview": most + more, "preview_rms": typical + more}, left_out
 
 
 def _components(
@@ -138,21 +175,37 @@ def _components(
     return axes[:count], (rest[0], float(rest[1][0]))
 
 
-def _errors(
+def _left_out(
     baked: "BakedScene", samples: Samples, change: Change, basis: Floats, light: NDArray[np.float32],
     left: tuple[NDArray[np.float32], float],
-) -> tuple[float, float]:  # fmt: skip
-    """Estimates of the preview's largest error and of its root mean square over all faces [W m⁻² sr⁻¹]."""
-    own, most_reflecting = _strongest(baked, samples)
-    strongest, changed = own.copy(), change.faces
-    strongest[changed] = change.strongest
-    # Light that is not followed: of the second bounce, and of spectra left out.
-    missing = strongest * (np.abs(basis).sum(axis=1).astype(np.float32) @ np.abs(light))
+) -> LeftOut:  # fmt: skip
+    """The light of the second bounce, and of spectra left out, with what the preview before left out."""
+    changed, before = change.faces, baked._uploaded.get("left out")
+    reflecting = _reflecting(baked, samples, change)
+    missing = reflecting * (np.abs(basis).sum(axis=1).astype(np.float32) @ np.abs(light))
     missing[changed] += left[0]
+    faces = changed[_most(change.strongest * samples.seen[changed])]
+    if before is None:
+        return LeftOut(missing, left[1], faces)
+    faces = np.union1d(faces, before.faces)
+    faces = faces[_most((reflecting * samples.seen)[faces])]
+    return LeftOut(missing + before.missing, left[1] + before.outside, faces)
+
+
+def _reflecting(baked: "BakedScene", samples: Samples, change: Change) -> NDArray[np.float32]:
+    """Largest reflectance of a point of each face at any node after an edit, (F,)."""
+    strongest = _strongest(baked, samples)[0].copy()
+    strongest[change.faces] = change.strongest
+    return strongest
+
+
+def _errors(baked: "BakedScene", samples: Samples, change: Change, left_out: LeftOut) -> tuple[float, float]:
+    """Estimates of the preview's largest error and of its root mean square over all faces [W m⁻² sr⁻¹]."""
+    strongest = _reflecting(baked, samples, change)
     number = np.random.Generator(np.random.Philox(0)).random(_JUDGED)
     drawn = np.searchsorted(samples.area, number * samples.area[-1])
-    faces = np.concatenate([drawn, most_reflecting, changed[_most(change.strongest * samples.seen[changed])]])
-    received = samples.received_by(faces, missing) + left[1] * (1.0 - samples.seen[faces])
+    faces = np.concatenate([drawn, _strongest(baked, samples)[1], left_out.faces])
+    received = samples.received_by(faces, left_out.missing) + left_out.outside * (1.0 - samples.seen[faces])
     passed = float((strongest[faces] * samples.seen[faces]).max())
     error = strongest[faces] * received / (1.0 - min(passed, _MOST_PASSED))
     square = error[:_JUDGED] ** 2
@@ -223,8 +276,8 @@ class _Tables:
         self._emitted = Channels(mi, np.concatenate(found) if found else np.zeros((1, after.channels)))
         self._reflected = [Channels(mi, after.reflected[:, channel]) for channel in range(after.channels)]
 
-    def texels(self) -> tuple[list[NDArray[np.float32]], list[Jit]]:
-        """Return (radiance of texels, K arrays (T,); change of the light that they reflect, K of Float)."""
+    def texels(self) -> tuple[list[Jit], list[Jit]]:
+        """Return (radiance of texels, K of Float; change of the light that they reflect, K of Float)."""
         mi, known, change = self._mi, self._known, self._change
         cover = self._baked.geometry.face_of_texel
         on, kind, pair = change.changed > 0, mi.UInt32(change.kinds), mi.UInt32(change.pair)
@@ -241,7 +294,7 @@ class _Tables:
             found.append(dr.select(on, emitted[channel] + _dot(self._reflected[channel].at(kind, on), incident), texel))
             found[-1] += more
         dr.eval(found, added)
-        return [value.numpy() for value in found], added
+        return found, added
 
     def corrected(self, added: list[Jit]) -> NDArray[np.float32]:
         """Return the correction of faces, (F, K); `added` as of `texels`."""
