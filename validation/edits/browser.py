@@ -116,13 +116,20 @@ class Hand:
             self.page.wait_for_timeout(_QUIET_MS)
         return found
 
-    def time_ms(self, kind, exact):
-        """Return the times from an edit to its first picture and, with `exact`, to the exact one [ms]."""
+    def time_ms(self, kind, pause_s, exact):
+        """Return the times from an edit to its first picture and, with `exact`, to the exact one [ms].
+
+        The pause lies between what a hand chooses and what it edits there. The time to an exact picture begins from an
+        exact one: after quick edits, the studio waits for a pause.
+        """
+        if exact:
+            self.exact()
         version = self.page.evaluate("studio.version") + 1
         if kind in ("emissivity", "spectrum"):
             self.choose()
         tab = "Optical" if kind in ("emissivity", "spectrum") else "Cover"
         self.page.get_by_role("tab", name=tab).click()
+        self.page.wait_for_timeout(1000.0 * self.random.uniform(0.5, 1.5) * pause_s)
         at = getattr(self, kind)()
         self.page.wait_for_function(_SHOWN, arg=version, timeout=_WAIT_MS)
         found = [self.page.evaluate(_SHOWN, version) - at]
@@ -149,9 +156,8 @@ def measured(browser, scene, quality, edits, pause_s, many, limit_s, seed):
         for count in range(_FIRST + edits):
             if time.monotonic() > end - 0.4 * limit_s:
                 break
-            page.wait_for_timeout(1000.0 * hand.random.uniform(0.5, 1.5) * pause_s)
             kind = kinds[count % len(kinds)]
-            spent = hand.time_ms(kind, count < _FIRST or count % _EXACT_EVERY == 0)
+            spent = hand.time_ms(kind, pause_s, count < _FIRST or count % _EXACT_EVERY == 0)
             if count >= _FIRST:
                 times[kind].append(spent)
         before, first, made = memory_mb(number), page.evaluate("studio.version"), 0

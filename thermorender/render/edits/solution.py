@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from thermorender.render.baked import BakedScene
 
 # Where more texels or faces change, all light is solved again, which is as fast.
-_MOST_CHANGED = 0.5
+_MOST_CHANGED = 0.8
 # Rounding of the light and of its change to float32, relative to the brightest light.
 _ROUNDED = float(np.finfo(np.float32).eps)
 # Rests of less than this share of what is allowed are not sent. Where faces with more are seen by fewer faces than this
