@@ -2,6 +2,7 @@
 
 import asyncio
 import shlex
+import threading
 import time
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ import thermorender as tr
 from scenes import write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.paths import data_folder
+from thermorender.render.renderer import Renderer
 from thermorender.studio.access import Guard
 from thermorender.studio.document import History
 from thermorender.studio.fields import changed, read_spectrum
@@ -42,6 +44,13 @@ def session(folder):
     made = Session(tr.Renderer(tr.load_scene(folder), "fast"), "fast")
     yield made
     made.close()
+
+
+def wait_for(condition, seconds=30.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "nothing happened"
+        time.sleep(0.01)
 
 
 def saved(session):
@@ -219,11 +228,59 @@ def test_a_fault_beside_a_solution_does_not_end_it(session, capfd):
     for version in range(3):
         session.edit(version, "", lambda document, k=version: changed(document, "grass_green", "emissivity", f"0.{k}5"))
         renders.run(lambda: 1 / 0)
-    end = time.monotonic() + 30.0
-    while not (renders.light.version == 3 and renders.light.exact) and time.monotonic() < end:
-        time.sleep(0.02)
-    assert renders.light.version == 3 and renders.light.exact and renders.call(lambda: 7) == 7
+    wait_for(lambda: renders.light.version == 3 and renders.light.exact)
+    assert renders.call(lambda: 7) == 7
     assert "ZeroDivisionError" in capfd.readouterr().err
+
+
+def test_the_next_preview_does_not_wait_for_a_solution_and_only_the_latest_solution_is_shown(session, monkeypatch):
+    shown, renders, going, begun = [], session.renders, threading.Event(), threading.Event()
+    solved_for = Renderer.solved_for
+
+    def slow(self, scene, progress=None):
+        # A step of a solution that takes long.
+        begun.set()
+        assert going.wait(30.0)
+        return solved_for(self, scene, progress)
+
+    monkeypatch.setattr(Renderer, "solved_for", slow)
+    renders.start()
+    renders.look("tab", View(Pose.typed("0,-6,10,0,-55,0", session.base)), shown.append)
+    try:
+        session.edit(0, "", lambda document: changed(document, "grass_green", "emissivity", "0.85"))
+        assert begun.wait(30.0)
+        session.edit(1, "", lambda document: changed(document, "grass_green", "emissivity", "0.75"))
+        wait_for(lambda: any(picture.version == 2 for picture in shown))
+        assert renders.call(lambda: 7) == 7
+        assert not any(picture.exact for picture in shown if picture.version)
+    finally:
+        going.set()
+    wait_for(lambda: renders.light.exact and renders.light.version == 2)
+    assert not any(picture.exact and picture.version == 1 for picture in shown)
+
+
+def test_after_quick_edits_a_solution_waits_for_a_pause(session, monkeypatch):
+    renders, begun = session.renders, []
+    solved_for = Renderer.solved_for
+    monkeypatch.setattr("thermorender.studio.renders._PAUSE_S", 3600.0)
+
+    def counted(self, scene, progress=None):
+        begun.append(scene)
+        while len(begun) == 1:
+            time.sleep(0.01)
+            progress("", 0.0)
+        return solved_for(self, scene, progress)
+
+    monkeypatch.setattr(Renderer, "solved_for", counted)
+    renders.start()
+    for version in range(2):
+        session.edit(version, "", lambda document, k=version: changed(document, "grass_green", "emissivity", f"0.{k}5"))
+        wait_for(lambda k=version: renders.light.version == k + 1 and (begun or k))
+    time.sleep(0.3)
+    assert len(begun) == 1 and not renders.light.exact
+    # The studio ends without it.
+    renders.stop()
+    assert not renders._solver.is_alive()
 
 
 def test_a_full_disk_is_one_sentence_and_changes_no_file(session, monkeypatch, tmp_path):
