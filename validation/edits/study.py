@@ -2,7 +2,8 @@
 
 A preview is the renderer of `preview_for`, the solution that of `solved_for`, each with one frame of 640×512 from the
 same pose. The true error of a preview is its difference from the solution, over all texels and over the frame, which
-has the rays of the preview's.
+has the rays of the preview's. Edits "in succession" are of all kinds, each made to the preview of the edit before until
+one is solved.
 """
 
 import os
@@ -52,6 +53,7 @@ def _temperature(scene, random, shown):
 
 
 KINDS = {"emissivity": _emissivity, "spectrum": _spectrum, "material": _assignment, "temperature": _temperature}
+SUCCESSION = "in succession"
 
 
 def run(scenes, qualities, edits=25, exact_every=5, seed=0, device="auto", progress=None):
@@ -78,16 +80,18 @@ def run(scenes, qualities, edits=25, exact_every=5, seed=0, device="auto", progr
         pose = renderer.scene.pose(*_POSE, look_at=(0.0, 0.0, 0.0))
         renderer.radiance(pose)
         shown = _shown(renderer.scene)
-        for kind, edit in KINDS.items():
-            random = np.random.default_rng(seed)
+        for kind in (*KINDS, SUCCESSION):
+            random, before, found = np.random.default_rng(seed), renderer, []
+            made = list(KINDS.values()) if kind == SUCCESSION else [KINDS[kind]]
             for _ in range(_FIRST):
-                scene = edit(renderer.scene, random, shown)
+                scene = made[0](renderer.scene, random, shown)
                 renderer.preview_for(scene).radiance(pose)
             _ = renderer.solved_for(scene)
-            found = [
-                _measured(renderer, pose, partial(edit, random=random, shown=shown), k % exact_every == 0)
-                for k in range(edits)
-            ]
+            for k in range(edits):
+                edit = partial(made[k % len(made)], random=random, shown=shown)
+                figures, latest = _measured(before, pose, edit, (k + 1) % exact_every == 0)
+                found.append(figures)
+                before = latest if kind == SUCCESSION else renderer
             cases.append({"scene": name, "quality": quality, "kind": kind, "edits": found})
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     return {"cases": cases, "seed": seed, "load": load, "machine": machine(), "versions": versions()}
@@ -109,6 +113,7 @@ def rows(result):
 
 
 def _measured(renderer, pose, edit, exact):
+    """(figures of an edit, the renderer of its solution with `exact`, else of its preview)."""
     start, spent = time.perf_counter(), time.process_time()
     scene = edit(renderer.scene)
     preview = renderer.preview_for(scene)
@@ -117,7 +122,7 @@ def _measured(renderer, pose, edit, exact):
     errors = preview.baked.errors_mk
     shown |= {"stated_mk": errors["preview"], "stated_rms_mk": errors["preview_rms"]}
     if not exact:
-        return shown
+        return shown, preview
     start, spent = time.perf_counter(), time.process_time()
     solution = renderer.solved_for(scene)
     exact = solution.frame(pose, sampled_as=frame)
@@ -127,7 +132,7 @@ def _measured(renderer, pose, edit, exact):
     per_mk = renderer.plan.radiance_per_mk
     shown["true_mk"] = max(float(np.abs(values).max()) for values in apart) / per_mk
     shown["true_rms_mk"] = max(float(np.sqrt(np.mean(np.square(values)))) for values in apart) / per_mk
-    return shown
+    return shown, solution
 
 
 def _shown(scene):
