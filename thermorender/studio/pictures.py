@@ -127,8 +127,8 @@ def picture_of(
         image = np.where(colour[1][..., None], colour[0], np.array(_NO_SURFACE, np.uint8))
         return replace(blank, data=jpeg(image), kind="image/jpeg")
     if view.mode == "materials":
-        number, colours, legend = _materials(frame)
-        return replace(blank, data=_png(number, colours), legend=legend)
+        number = np.where(np.isfinite(frame.truth["depth"]), frame.truth["material"], np.uint8(255))
+        return replace(blank, data=_png(number, colours_of_materials()), legend=legend_of(number, frame.materials))
     if view.mode == "display":
         return drawn(frame.display, view.palette, (0.0, 255.0), "level")
     if view.mode == "difference" and before is not None:
@@ -146,14 +146,6 @@ def picture_of(
 def _levels(values: NDArray[np.float32], low: float, high: float) -> NDArray[np.uint8]:
     scaled = (values - np.float32(low)) * np.float32(255.0 / (high - low))
     return np.nan_to_num(np.clip(np.rint(scaled), 0.0, 255.0)).astype(np.uint8)
-
-
-def _materials(frame: Frame) -> tuple[NDArray[np.uint8], NDArray[np.uint8], Legend]:
-    """The material number of each pixel, a colour for each, and the names of those in view, the largest first."""
-    number = frame.truth["material"].copy()
-    number[~np.isfinite(frame.truth["depth"])] = 255
-    colours = colours_of_materials()
-    return number, colours, legend_of(number, frame.materials)
 
 
 def legend_of(number: NDArray[np.uint8], names: Sequence[str]) -> Legend:

@@ -8,8 +8,8 @@ import numpy as np
 from nicegui import ui
 
 from thermorender.errors import ThermorenderError
+from thermorender.scene.authoring.document import Document
 from thermorender.scene.load import load_trajectory
-from thermorender.studio.document import Document
 from thermorender.studio.view import Pose
 from thermorender.units import utc_text
 
