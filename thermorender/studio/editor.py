@@ -12,7 +12,7 @@ from thermorender.materials.edit import EMISSIVITY, is_chosen, text_of
 from thermorender.materials.material import Material
 from thermorender.scene.authoring.document import Document
 from thermorender.studio import spectrum
-from thermorender.studio.panels import VERSION, Cover, Entry, Files
+from thermorender.studio.panels import VERSION, Cover, Entry, Files, draw
 from thermorender.studio.pictures import hexadecimal
 from thermorender.studio.session import BAND_K, band_mean
 
@@ -308,13 +308,9 @@ class Editor:
         )
         directional = material.emissivity_by_angle is not None and mean is not None
         self._angles.set_visibility(directional)
-        shown = [(self._chart, spectrum.options(material, saved, self._overlay, band))]
+        draw(self._chart, spectrum.options(material, saved, self._overlay, band))
         if directional:
-            shown.append((self._angles, spectrum.by_angle(material, band, BAND_K)))
-        for chart, options in shown:
-            chart.options.clear()
-            chart.options.update(options)
-            chart.update()
+            draw(self._angles, spectrum.by_angle(material, band, BAND_K))
         ui.run_javascript(f"studio.spectrum({self._chart.id}, {spectrum.HANDLES})")
 
     def _dragged(self, event: Any) -> None:

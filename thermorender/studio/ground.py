@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
+from thermorender.formats import encoded_image
 from thermorender.scene.raster import Grid
-from thermorender.studio.pictures import Legend, colours_of_materials, hexadecimal, jpeg, legend_of, table
+from thermorender.studio.pictures import Legend, colours_of_materials, hexadecimal, legend_of, table
 
 if TYPE_CHECKING:
     from thermorender.scene.scene import Scene
@@ -67,7 +68,7 @@ def map_picture(session: "Session", percent: int, name: str) -> bytes:
     if scale != 1.0:
         how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_NEAREST
         mixed = cv2.resize(mixed, None, fx=scale, fy=scale, interpolation=how)
-    return jpeg(mixed)
+    return encoded_image(".jpg", mixed)
 
 
 def grid_of(scene: "Scene") -> Grid:

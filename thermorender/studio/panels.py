@@ -45,6 +45,13 @@ def sentence_of(call: Callable[[], object]) -> str | None:
     return None
 
 
+def draw(chart: ui.echart, options: dict[str, Any]) -> None:
+    """Show other options in a chart."""
+    chart.options.clear()
+    chart.options.update(options)
+    chart.update()
+
+
 def show_legend(box: ui.element, legend: Legend) -> None:
     """Fill an element with a legend."""
     box.clear()

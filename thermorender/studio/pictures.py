@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.formats import encoded_image
 from thermorender.frame import Frame
 from thermorender.frame.picture import limits as automatic
 from thermorender.sensor.palettes import PALETTES, palette
@@ -125,7 +126,7 @@ def picture_of(
     kelvin = frame.apparent_temperature
     if view.mode == "photograph" and colour is not None:
         image = np.where(colour[1][..., None], colour[0], np.array(_NO_SURFACE, np.uint8))
-        return replace(blank, data=jpeg(image), kind="image/jpeg")
+        return replace(blank, data=encoded_image(".jpg", image), kind="image/jpeg")
     if view.mode == "materials":
         number = np.where(np.isfinite(frame.truth["depth"]), frame.truth["material"], np.uint8(255))
         return replace(blank, data=_png(number, colours_of_materials()), legend=legend_of(number, frame.materials))
@@ -177,10 +178,3 @@ def colours_of_materials() -> NDArray[np.uint8]:
     colours = np.rint(255.0 * colormaps["tab20"](np.arange(256) % 20)[:, :3]).astype(np.uint8)
     colours[255] = _NO_SURFACE
     return colours
-
-
-def jpeg(image: NDArray[np.uint8]) -> bytes:
-    """Return the JPEG of an sRGB image, (H, W, 3) uint8."""
-    import cv2
-
-    return bytes(cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 92])[1])

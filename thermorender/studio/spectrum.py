@@ -57,27 +57,28 @@ def options(
         _line("overlay", *_curve(other), {"lineStyle": {"color": _OTHER, "width": 1.5}}),
         _line("saved", *_curve(saved), {"lineStyle": {"color": _SAVED, "type": "dashed", "width": 1.5}}),
     ]  # fmt: skip
-    return {
-        "animation": False,
-        "grid": {"left": 46, "right": 14, "top": 12, "bottom": 40},
-        "xAxis": {"type": "value", "min": float(axis[0]), "max": float(axis[-1]), "name": "wavelength [µm]",
-                  "nameLocation": "middle", "nameGap": 24, "splitLine": {"show": False}},
-        "yAxis": {"type": "value", "min": float(low), "max": 1.0, "splitNumber": 4},
-        "series": series,
-    }  # fmt: skip
+    x = {"min": float(axis[0]), "max": float(axis[-1]), "name": "wavelength [µm]"}
+    return chart(x, {"min": float(low), "max": 1.0}, series)
 
 
 def by_angle(material: Material, band_um: tuple[float, float], kelvin: float) -> dict[str, Any]:
     """Return the options of a chart of band emissivity against the angle from the normal."""
     values = [float(material.band_emissivity(*band_um, kelvin, np.cos(np.radians(angle)))) for angle in _ANGLES]
+    x = {"min": 0, "max": 90, "interval": 30, "name": "angle from the normal [°]"}
+    style = {"lineStyle": {"color": _COLOUR, "width": 2}}
+    y = {"min": float(np.floor(10.0 * min(values)) / 10.0), "max": 1.0}
+    return chart(x, y, [_line("emissivity", _ANGLES, values, style)])
+
+
+def chart(x: dict[str, Any], y: dict[str, Any], series: list[dict[str, Any]], top: int = 12) -> dict[str, Any]:
+    """Return the options of a chart with two axes of values, and `top` pixels above it."""
     return {
         "animation": False,
-        "grid": {"left": 46, "right": 14, "top": 12, "bottom": 40},
-        "xAxis": {"type": "value", "min": 0, "max": 90, "interval": 30, "name": "angle from the normal [°]",
-                  "nameLocation": "middle", "nameGap": 24, "splitLine": {"show": False}},
-        "yAxis": {"type": "value", "min": float(np.floor(10.0 * min(values)) / 10.0), "max": 1.0, "splitNumber": 4},
-        "series": [_line("emissivity", _ANGLES, np.array(values), {"lineStyle": {"color": _COLOUR, "width": 2}})],
-    }  # fmt: skip
+        "grid": {"left": 46, "right": 14, "top": top, "bottom": 40},
+        "xAxis": {"type": "value", "nameLocation": "middle", "nameGap": 24, "splitLine": {"show": False}, **x},
+        "yAxis": {"type": "value", "splitNumber": 4, **y},
+        "series": series,
+    }
 
 
 def _axis(material: Material) -> np.ndarray[Any, np.dtype[np.float64]]:

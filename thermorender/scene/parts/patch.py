@@ -49,8 +49,9 @@ def read_features(given: str | PathLike[str] | Mapping[str, Any]) -> tuple[list[
     from rasterio.errors import CRSError
 
     try:
-        text = None if isinstance(given, Mapping) else Path(given).read_text(encoding="utf-8-sig")
-        content = given if text is None else formats.finite_json(text)
+        content: Any = given
+        if not isinstance(given, Mapping):
+            content = formats.finite_json(Path(given).read_text(encoding="utf-8-sig"))
         features = content["features"]
         if not isinstance(features, list):
             raise ValueError(f"features is {shortened(repr(features))}, not a list")
