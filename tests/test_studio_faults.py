@@ -243,3 +243,18 @@ def test_a_long_pasted_text_is_refused_at_once(session):
     rows = "".join(f"{8.0 + 1e-6 * k:.6f},0.9\n" for k in range(20_001))
     with pytest.raises(ThermorenderError, match="pasted text has 20002 rows, more than the 20000 of the finest"):
         read_spectrum("pasted text", f"wavelength_um,emissivity\n{rows}".encode(), session.document.library["snow"])
+
+
+@pytest.mark.parametrize(("turn", "zoom"), [((0.0, 0.0), 0.5), ((30.0, 0.0), 1.0), ((-20.0, -10.0), 1.0)])
+def test_an_orbit_keeps_the_point_in_the_middle_of_the_picture(session, turn, zoom):
+    pose = Pose.typed("0,-6,10,0,-55,0", session.base)
+    turned = pose.orbited(*turn, zoom, session.base)
+    middle, after = (each.matrix()[:3, 3] + each.distance_m * each.matrix()[:3, 2] for each in (pose, turned))
+    np.testing.assert_allclose(after, middle, atol=1e-9)
+    assert middle[2] == pytest.approx(session.base.ground(*middle[:2]), abs=1e-3)
+    assert turned.distance_m == pytest.approx(zoom * pose.distance_m)
+    assert (turned.yaw_deg, turned.pitch_deg) == pytest.approx(
+        ((pose.yaw_deg + turn[0]) % 360.0, pose.pitch_deg + turn[1])
+    )
+    moved = pose.moved(0.1, 0.0, session.base)
+    assert (moved.east - pose.east, moved.north - pose.north) == pytest.approx((-0.1 * pose.distance_m, 0.0))

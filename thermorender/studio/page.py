@@ -26,8 +26,6 @@ from thermorender.studio.view import MODES, Pose, View, command, limits_of
 _FOLDER = Path(__file__).parent
 # Degrees of an orbit over the width of the picture.
 _TURN_DEG = 120.0
-# The first view without --pose: from the south, looking down at 45°.
-_FIRST = "0,{south:.0f},{above:.0f},0,-45,0"
 _TICKS = 5
 # Words and tables follow their picture, which their own work in the browser would delay: so long after it, and the
 # tables no later than this after an edit [s].
@@ -43,7 +41,7 @@ def first_pose(session: Session) -> str:
     """Return the pose of the first view: over the middle of the terrain, from the south at 45°."""
     vertices = session.base.surfaces[0].vertices
     side = float((vertices[:, :2].max(axis=0) - vertices[:, :2].min(axis=0)).min())
-    return _FIRST.format(south=-0.4 * side, above=0.4 * side)
+    return f"0,{-0.4 * side:.0f},{0.4 * side:.0f},0,-45,0"
 
 
 class Tab:
@@ -323,13 +321,9 @@ class Tab:
         right, down, zoom = (float(given[key]) for key in ("right", "down", "zoom"))
         if not all(map(math.isfinite, (right, down, zoom))):
             return
-        if zoom != 1.0:
-            pose = pose.zoomed(zoom, scene)
-        if given["pan"]:
-            pose = pose.moved(right, down, scene)
-        elif right or down:
-            pose = pose.turned(-_TURN_DEG * right, -_TURN_DEG * down, scene)
-        self.turn_to(pose)
+        turn = 0.0 if given["pan"] else -_TURN_DEG
+        pose = pose.orbited(turn * right, turn * down, zoom, scene)
+        self.turn_to(pose.moved(right, down, scene) if given["pan"] else pose)
 
     def _hover(self, event: Any) -> None:
         self._under = (int(event.args[0]), int(event.args[1]))

@@ -69,11 +69,17 @@ class Pose:
         numbers = (self.east, self.north, above, self.yaw_deg, self.pitch_deg, self.roll_deg)
         return ",".join(f"{number:.1f}".replace("-0.0", "0.0").removesuffix(".0") for number in numbers)
 
-    def turned(self, right_deg: float, up_deg: float, scene: "Scene") -> "Pose":
-        """Return the Pose after an orbit around the point in the middle of the picture."""
-        pitch = float(np.clip(self.pitch_deg + up_deg, _STEEPEST_DEG, _FLATTEST_DEG))
-        yaw = (self.yaw_deg + right_deg) % 360.0
-        return self._around(replace(self, yaw_deg=yaw, pitch_deg=pitch), scene)
+    def orbited(self, right_deg: float, up_deg: float, zoom: float, scene: "Scene") -> "Pose":
+        """Return the Pose turned around the point in the middle of the picture, at `zoom` times the distance."""
+        steepest, flattest = min(_STEEPEST_DEG, self.pitch_deg), max(_FLATTEST_DEG, self.pitch_deg)
+        other = replace(
+            self, yaw_deg=(self.yaw_deg + right_deg) % 360.0,
+            pitch_deg=float(np.clip(self.pitch_deg + up_deg, steepest, flattest)),
+            distance_m=float(np.clip(self.distance_m * zoom, _NEAREST_M, _FARTHEST_M)),
+        )  # fmt: skip
+        target = self.matrix()[:3, 3] + self.distance_m * self.matrix()[:3, 2]
+        east, north, up = (float(v) for v in target - other.distance_m * other.matrix()[:3, 2])
+        return replace(other, east=east, north=north, up=up)._above(scene)
 
     def moved(self, right: float, down: float, scene: "Scene") -> "Pose":
         """Return the Pose after a pan along the ground, by shares of the distance."""
@@ -81,17 +87,6 @@ class Pose:
         east = self.distance_m * (-right * np.cos(yaw) + down * np.sin(yaw))
         north = self.distance_m * (right * np.sin(yaw) + down * np.cos(yaw))
         return replace(self, east=self.east + float(east), north=self.north + float(north))._above(scene)
-
-    def zoomed(self, factor: float, scene: "Scene") -> "Pose":
-        """Return the Pose at another distance from the point in the middle of the picture."""
-        distance = float(np.clip(self.distance_m * factor, _NEAREST_M, _FARTHEST_M))
-        return self._around(replace(self, distance_m=distance), scene)
-
-    def _around(self, other: "Pose", scene: "Scene") -> "Pose":
-        """`other`, moved so that it looks at this pose's point."""
-        target = self.matrix()[:3, 3] + self.distance_m * self.matrix()[:3, 2]
-        east, north, up = (float(v) for v in target - other.distance_m * other.matrix()[:3, 2])
-        return replace(other, east=east, north=north, up=up)._above(scene)
 
     def _above(self, scene: "Scene") -> "Pose":
         least = self._ground(scene, self.east, self.north) + _LEAST_ABOVE_M

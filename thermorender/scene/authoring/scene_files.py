@@ -1,5 +1,7 @@
 r"""What a scene's own files hold of its materials, and what edits write into them, with a difference in words first.
 
+For example::
+
     files = SceneFiles(tr.load_scene("mine"))
     save = files.plan(files.saved.with_material(measured).of_class(3, measured.name))
     print("\n".join(save.lines))
