@@ -90,8 +90,8 @@ class Entry(ui.input):
         self, tab: "Tab", called: str, test: str, change: Callable[[Document, str], Document],
         words: Callable[[str], str], **options: Any,
     ) -> None:  # fmt: skip
-        document = tab.session.history
-        super().__init__(validation=lambda text: sentence_of(lambda: change(document.document, text or "")), **options)
+        history = tab.session.history
+        super().__init__(validation=lambda text: sentence_of(lambda: change(history.document, text or "")), **options)
         # Names of a scene file may hold any characters, so they are not parsed as properties.
         self.props("dense outlined").props.update({"data-testid": test})
         self.on("change", self._entered, js_handler=VALUE_AND_VERSION)
@@ -105,9 +105,9 @@ class Entry(ui.input):
         known, self._filled, self._typed = self._filled, None, text
         refused = self._tab.edit(version, self._words(text), lambda document: self._change(document, text), quiet=True)
         self.error = refused or None
-        if refused and self._filled is None:
+        if refused:
             # Text that is refused stays to be corrected.
-            self._filled = known
+            self._filled, self._typed = self._filled or known, None
 
     def fill(self, owner: str, text: str) -> None:
         """Show the text of an owner's value, unless another one is being typed."""
