@@ -18,7 +18,15 @@ from thermorender.learned.emissivity import adaptation
 from thermorender.learned.emissivity import mapping as learned
 from thermorender.learned.emissivity.adaptation import adapted
 from thermorender.learned.emissivity.features import NAMES, NEAR, features
-from thermorender.learned.emissivity.mapping import EmissivityMap, load_map, map_materials, posterior, save_map, to_grid
+from thermorender.learned.emissivity.mapping import (
+    EmissivityMap,
+    Mapped,
+    load_map,
+    map_materials,
+    posterior,
+    save_map,
+    to_grid,
+)
 from thermorender.learned.emissivity.training import Labelled, fitted_posterior, train
 from thermorender.learned.features import lab
 from thermorender.materials.library import load_library
@@ -838,3 +846,10 @@ def test_train_and_map_commands(scene, tmp_path):
 def test_study_seeds_must_be_integers(tmp_path, call_module):
     status, _, errors = call_module("validation.emissivity", "--seeds", "one", "-o", tmp_path / "none")
     assert status == 2 and "--seeds='one' is not allowed" in errors
+
+
+def test_moments_of_a_property_are_those_of_a_draw_of_the_material():
+    probability = np.array([[[255, 0], [51, 204], [0, 0]]], np.uint8)
+    mean, std = Mapped(probability, np.zeros((1, 3), np.float32)).moments(np.array([0.9, 0.4], np.float32))
+    np.testing.assert_allclose(mean, [[0.9, 0.2 * 0.9 + 0.8 * 0.4, 0.0]], atol=1e-6)
+    np.testing.assert_allclose(std, [[0.0, 0.5 * np.sqrt(0.2 * 0.8), 0.0]], atol=1e-6)

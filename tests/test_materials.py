@@ -469,6 +469,17 @@ def test_repeated_wavelengths_are_averaged_and_percent_is_converted(tmp_path):
     assert sample.name == "Made-up rock"
 
 
+def test_a_material_that_emits_by_angle_is_written_with_its_table(tmp_path):
+    spectrum = "wavelength_um,at_0,at_60,at_90\n7,0.9,0.85,0\n14,0.95,0.9,0\n"
+    folder = write_library(tmp_path / "m", [ROW | {"directional": "table"}], spectrum)
+    for each in (load_library()["glass_fresnel"], load_library(folder)["tin"]):
+        write_material(each, tmp_path / "copies")
+        read = load_library(tmp_path / "copies")[each.name]
+        np.testing.assert_array_equal(read.emissivity_by_angle, each.emissivity_by_angle)
+        np.testing.assert_array_equal(read.cosines, each.cosines)
+        assert read.table == each.table
+
+
 def test_writing_keeps_other_rows_and_user_columns(tmp_path):
     folder = write_library(tmp_path / "m", [ROW | {"shop": "Smith"}], columns=[*INDEX_COLUMNS, "shop"])
     write_material(grey("wall", 0.9), folder)

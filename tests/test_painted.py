@@ -85,8 +85,9 @@ def test_the_frame_shows_the_area_and_no_more(scene):
 def test_a_geojson_gives_the_same_in_degrees_and_in_metres(scene, tmp_path):
     degrees = write_polygon(tmp_path / "degrees.geojson", scene, ROOF)
     metres = write_polygon(tmp_path / "metres.geojson", scene, ROOF, crs="EPSG:32634", material="asphalt")
-    own = scene.with_material_in(ROOF, "asphalt")
-    for painted in (scene.with_material_in(degrees, "asphalt"), scene.with_material_in(metres)):
+    own, contents = scene.with_material_in(ROOF, "asphalt"), json.loads(metres.read_text())
+    for area, name in ((degrees, "asphalt"), (metres, None), (contents, None)):
+        painted = scene.with_material_in(area, name)
         np.testing.assert_array_equal(covered(painted, "asphalt"), covered(own, "asphalt"))
 
 
@@ -112,6 +113,8 @@ def test_wrong_areas_are_refused_in_one_sentence(scene, tmp_path):
         (scene, ("none.geojson", 0.9), "none.geojson cannot be read: No such file"),
         (scene, (tmp_path / "list.geojson", 0.9), "is not a GeoJSON FeatureCollection"),
         (scene, (tmp_path / "line.geojson", 0.9), "feature 1 is not a polygon"),
+        (scene, ({"features": [{}]}, 0.9), "^GeoJSON, feature 1 is not a polygon"),
+        (scene, ({"name": "roofs"}, 0.9), "^roofs is not a GeoJSON FeatureCollection"),
         (scene, (np.add(ROOF, 500.0), 0.9), "covers no texel of .*orthophoto.tif; draw it on the terrain"),
         (scene, (plain,), "has a polygon without the property 'material'; give a material"),
         (scene, (ROOF, "aspalt"), "with_material_in: material uses material .aspalt."),

@@ -14,6 +14,8 @@ import pytest
 
 import thermorender as tr
 from scenes import write_terrain
+from thermorender.studio import ground
+from thermorender.studio.session import Session
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 ARGUMENTS = (
@@ -490,7 +492,7 @@ def test_save_writes_what_the_public_interface_reads_and_refuses_changed_files(b
         text = (own / "scene.toml").read_text("utf-8")
         (own / "scene.toml").write_text(text + "# later\n", "utf-8")
         page.part("save").click()
-        page.part("diff").filter(has_text="has changed on disk since the studio read it").wait_for(timeout=WAIT_MS)
+        page.part("diff").filter(has_text="has changed on disk since it was read").wait_for(timeout=WAIT_MS)
         assert not (own / "materials").exists()
         (own / "scene.toml").write_text(text, "utf-8")
         page.part("save").click()
@@ -501,7 +503,7 @@ def test_save_writes_what_the_public_interface_reads_and_refuses_changed_files(b
         assert set(materials) == {"grass_green", "snow"}
         assert (materials["grass_green"].emissivity == 0.85).all()
         assert materials["grass_green"].thermal.wetness == 0.125
-        assert materials["grass_green"].thermal.source["wetness"] == "chosen: set in the studio"
+        assert materials["grass_green"].thermal.source["wetness"] == "chosen: set by hand"
         # What is read again shows as saved, and undo has nothing to take back.
         version = page.version
         page.part("reload").click()
@@ -514,10 +516,6 @@ def test_save_writes_what_the_public_interface_reads_and_refuses_changed_files(b
 
 
 def test_painted_and_renamed_materials_are_saved_as_the_scene_reads_them(folder, tmp_path):
-    pytest.importorskip("nicegui", reason="needs thermorender[studio]")
-    from thermorender.studio import ground, saving
-    from thermorender.studio.session import Session
-
     own = tmp_path / "own"
     shutil.copytree(folder, own)
     before = {path: path.read_bytes() for path in own.rglob("*") if path.is_file()}
@@ -527,13 +525,14 @@ def test_painted_and_renamed_materials_are_saved_as_the_scene_reads_them(folder,
         return [scene.materials[number].name for number in scene.surfaces[0].material[16, [8, 24]]]
 
     def saved():
-        saving.write(session, saving.planned(session))
+        session.write(session.files.plan(session.document))
         scene = tr.load_scene(own)
         assert covers(scene) == covers(session.scene)
         return covers(scene)
 
     def painted(document):
-        return ground.painted(session, ground.filled(session.scene, 0.75, 0.5), "pond", document)
+        label = ground.labelled(ground.filled(session.scene, 0.75, 0.5), "pond")
+        return document.with_area(ground.collection(session.base.grid, [label]), "pond")
 
     session.edit(0, "", lambda document: document.duplicated("water", "pond"))
     session.edit(1, "", painted)
@@ -541,7 +540,7 @@ def test_painted_and_renamed_materials_are_saved_as_the_scene_reads_them(folder,
     session.edit(2, "", lambda document: document.renamed("pond", "lake"))
     assert saved() == ["grass_green", "lake"]
     assert sorted(path.name for path in (own / "materials" / "spectra").iterdir()) == ["lake.csv"]
-    assert saving.planned(session).files == {}
+    assert session.files.plan(session.document).files == {}
     for version in (3, 4, 5):
         session.step(version, -1)
     assert saved() == ["grass_green", "sand_quartz"]

@@ -15,6 +15,7 @@ import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory, gettempdir
 
 from thermorender.errors import ThermorenderError
 
@@ -58,6 +59,13 @@ def reported(path: PathLike) -> Iterator[None]:
         raise ThermorenderError(
             f"{path} cannot be written: {reason}; check the folder, its permissions and the disk"
         ) from error
+
+
+@contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """Yield a temporary folder; ThermorenderError where it cannot be written."""
+    with reported(gettempdir()), TemporaryDirectory(prefix="thermorender-") as folder:
+        yield Path(folder)
 
 
 def write_aside(path: PathLike, data: bytes) -> Path:

@@ -1,7 +1,8 @@
 """Training of an emissivity map on scenes with a class raster or labelled polygons, or on procedural ones."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from thermorender.learned.emissivity.mapping import MOST_MATERIALS, EmissivityMa
 from thermorender.learned.emissivity.training import Labelled, train
 from thermorender.materials import library as material_tables
 from thermorender.scene.material_map import UNKNOWN_CLASS, orthophoto_of
-from thermorender.scene.parts.patch import read_features, texels_of
+from thermorender.scene.parts.patch import name_of, read_features, texels_of
 from thermorender.scene.raster import Grid, grid_of, onto, read_classes
 from thermorender.scene.spec import read_scene
 
@@ -24,7 +25,7 @@ _VERSIONS, _TOWNS = 2, 24
 
 
 def train_on(
-    folders: Sequence[str | Path] = (), polygons: str | Path | None = None, name: str = "map",
+    folders: Sequence[str | Path] = (), polygons: str | Path | Mapping[str, Any] | None = None, name: str = "map",
     texel_m: float | None = None, augmentations: int | None = None, seed: int = 0,
     progress: Callable[[str, float], None] | None = None,
 ) -> tuple[EmissivityMap, NDArray]:  # fmt: skip
@@ -34,8 +35,8 @@ def train_on(
     ----------
     folders : sequence of path
         Scene folders; see `labelled_scene`.
-    polygons : path, optional
-        GeoJSON that replaces the class raster of the single scene.
+    polygons : path or dict, optional
+        GeoJSON, a file or its contents, that replaces the class raster of the single scene.
     name : str
         Name of the map.
     texel_m : float, optional
@@ -54,7 +55,7 @@ def train_on(
 
     if polygons and len(folders) != 1:
         raise ThermorenderError(
-            f"--labels={str(polygons)!r} belongs to one scene, but {len(folders)} are given; give one"
+            f"--labels={name_of(polygons)!r} belongs to one scene, but {len(folders)} are given; give one"
         )
     if texel_m is not None and not 0.01 <= texel_m <= 1000.0:
         raise ThermorenderError(f"--texel-m={texel_m:g} is not allowed; give 0.01…1000 m")
@@ -111,16 +112,16 @@ def adapted_to(
     return adapted(load_map(model), labelled_scene(own, polygons), name, band_emissivity_of([own]), seed)
 
 
-def labelled_scene(folder: str | Path, polygons: str | Path | None = None) -> Labelled:
+def labelled_scene(folder: str | Path, polygons: str | Path | Mapping[str, Any] | None = None) -> Labelled:
     """Return the Labelled of a scene: its orthophoto, with labels from its class raster or a GeoJSON.
 
     Parameters
     ----------
     folder : path
         Scene folder; its [emissivity] names the class raster, used if there are no polygons.
-    polygons : path, optional
-        GeoJSON of polygons with a property "material" from the material library, in longitude and latitude or in
-        the CRS of its "crs" member. Later polygons cover earlier ones.
+    polygons : path or dict, optional
+        GeoJSON, a file or its contents, of polygons with a property "material" from the material library, in longitude
+        and latitude or in the CRS of its "crs" member. Later polygons cover earlier ones.
 
     Raises
     ------
@@ -133,8 +134,8 @@ def labelled_scene(folder: str | Path, polygons: str | Path | None = None) -> La
     where, unused = spec.folder / "scene.toml", ""
     library = material_tables.load_library(spec.folder / "materials" if (spec.folder / "materials").is_dir() else None)
     if polygons:
-        material, names, unused = read_polygons(Path(polygons), grid)
-        source = f"{Path(polygons).name} on {spec.folder.name}"
+        material, names, unused = read_polygons(polygons, grid)
+        source = f"{Path(name_of(polygons)).name} on {spec.folder.name}"
     elif spec.emissivity.source == "classes":
         raster = spec.emissivity.raster
         numbers = onto(read_classes(raster), grid_of(raster), grid, "nearest")
@@ -148,7 +149,7 @@ def labelled_scene(folder: str | Path, polygons: str | Path | None = None) -> La
             "with --labels, or a raster with emissivity.source='classes'"
         )
     for name in names.values():
-        material_tables.find(library, name, str(polygons or where))
+        material_tables.find(library, name, name_of(polygons or where))
     known = np.where(picture.valid, material, 0).astype(np.uint8)
     return Labelled(picture.colour, known, names, picture.texel_m, source, unused=unused)
 
@@ -182,13 +183,15 @@ def varied(seeds: Iterable[int], seed: int) -> Iterator[Labelled]:
         yield town(number)
 
 
-def read_polygons(path: Path, grid: Grid) -> tuple[NDArray[np.uint8], dict[int, str], str]:
-    """Return (material number (h, w) uint8, {number: name}, unused polygons) of a GeoJSON file on a Grid.
+def read_polygons(
+    given: str | Path | Mapping[str, Any], grid: Grid
+) -> tuple[NDArray[np.uint8], dict[int, str], str]:  # fmt: skip
+    """Return (material number (h, w) uint8, {number: name}, unused polygons) of GeoJSON polygons on a Grid.
 
     0 is outside all polygons. The last is a sentence on polygons that label no texel, or ""; errors as
     `labelled_scene`.
     """
-    features, crs = read_features(path)
+    (features, crs), path = read_features(given), name_of(given)
     names: list[str] = []
     burnt, empty = np.zeros((grid.height, grid.width), np.uint8), []
     for number, feature in enumerate(features, 1):
@@ -217,7 +220,7 @@ def read_polygons(path: Path, grid: Grid) -> tuple[NDArray[np.uint8], dict[int, 
     unused = ""
     if empty:
         unused = (
-            f"{len(empty)} of the {len(features)} polygons of {path.name} label no texel, because they are outside the "
-            f"picture or smaller than a texel: {shortened(', '.join(empty), 200)}"
+            f"{len(empty)} of the {len(features)} polygons of {Path(path).name} label no texel, because they are "
+            f"outside the picture or smaller than a texel: {shortened(', '.join(empty), 200)}"
         )
     return burnt, dict(enumerate(names, 1)), unused

@@ -17,6 +17,7 @@ from thermorender.cli.options import (
     print_cache_note,
 )
 from thermorender.cli.terminal import output_option, progress
+from thermorender.errors import ThermorenderError
 
 if TYPE_CHECKING:
     from thermorender.link.server import Server
@@ -111,20 +112,24 @@ def studio(
     device: Device = "auto",
 ) -> None:  # fmt: skip
     """Edit the materials of a scene in the browser, and see the frame change, until Ctrl-C."""
-    from thermorender.studio.app import refuse_missing, run
-
-    refuse_missing()
+    try:
+        import nicegui  # noqa: F401
+    except ImportError:
+        raise ThermorenderError(
+            "the studio needs NiceGUI; install it with `pip install 'thermorender[studio]'`"
+        ) from None
     from thermorender.link.access import listening
     from thermorender.render.renderer import Renderer
+    from thermorender.scene.authoring.scene_files import SceneFiles
     from thermorender.scene.load import load_scene
-    from thermorender.studio.saving import snapshot
+    from thermorender.studio.app import run
     from thermorender.studio.view import Pose
 
     with listening(host, port) as socket:
         with progress() as report:
             loaded = load_scene(scene)
             # Before the light is traced, which takes seconds in which a file may change.
-            files = snapshot(loaded)
+            files = SceneFiles(loaded)
             if pose:
                 Pose.typed(pose, loaded, "--pose")
             renderer = Renderer(loaded, quality, device=device, progress=report)  # type: ignore[arg-type]

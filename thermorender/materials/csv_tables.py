@@ -222,7 +222,8 @@ def read_refractive_index(path: str | Path, rms_slope: float, directory: str | P
         + [wavelength[-1:]]
     )
     by_angle = fresnel.directional_emissivity(np.interp(fine, wavelength, n), np.interp(fine, wavelength, k), rms_slope)
-    return _directional(fine, fresnel.COSINES, by_angle, gaps(wavelength))
+    text = _text(INDEX_OF_REFRACTION_COLUMNS, rows)
+    return _directional(fine, fresnel.COSINES, by_angle, gaps(wavelength), text)
 
 
 def read_angles(path: str | Path, directory: str | Path | None = None) -> dict[str, Any]:
@@ -245,15 +246,23 @@ def read_angles(path: str | Path, directory: str | Path | None = None) -> dict[s
     cosines = np.cos(np.radians(angle[order]))
     # cos 90° is 6e-17 by rounding.
     cosines[0] = 0.0
-    return _directional(wavelength, cosines, by_angle[:, order], gaps(wavelength))
+    return _directional(
+        wavelength, cosines, by_angle[:, order], gaps(wavelength), _text(("wavelength_um", *columns), rows)
+    )
 
 
-def _directional(wavelength, cosines, by_angle, holes):
+def _directional(wavelength, cosines, by_angle, holes, text):
     return {
         "wavelength_um": wavelength, "emissivity": fresnel.hemispherical(cosines, by_angle),
         "emissivity_std": np.full(wavelength.size, np.nan), "cosines": cosines, "emissivity_by_angle": by_angle,
-        "gaps_um": tuple(holes),
+        "gaps_um": tuple(holes), "table": text,
     }  # fmt: skip
+
+
+def _text(columns, rows):
+    """The columns of a table as text."""
+    lines = (columns, *([cells[column] for column in columns] for _, cells in rows))
+    return "".join(f"{','.join(line)}\n" for line in lines)
 
 
 def _rows(path, columns, directory):

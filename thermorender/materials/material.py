@@ -68,6 +68,8 @@ class Material:
     assumed_um : tuple of (start, end)
         Ends of the table that are not measured but assumed from similar materials
         (`thermorender.materials.extended`) [µm].
+    table : str
+        Text of the spectral table of a material that emits by angle, from which it is written; "" if Lambertian.
     """
 
     name: str
@@ -91,6 +93,7 @@ class Material:
     assumed_um: tuple[tuple[float, float], ...] = ()
     solar_absorptance_std: float | None = None
     thermal: Thermal | None = None
+    table: str = ""
 
     def __repr__(self) -> str:
         low, high = self.valid_range_um

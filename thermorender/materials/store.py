@@ -26,12 +26,12 @@ from thermorender.materials.thermal import table_text
 
 
 def write_material(material: Material, directory: str | Path, replace: bool = False) -> None:
-    """Write a Lambertian material's tables and its row of `index.csv` into a folder, all or none.
+    """Write a material's tables and its row of `index.csv` into a folder, all or none.
 
     Parameters
     ----------
     material : Material
-        Without thermal properties, an existing thermal table stays unchanged.
+        Lambertian, or with its `table`. Without thermal properties, an existing thermal table stays unchanged.
     directory : path
         Created if missing; other rows of its index stay unchanged.
     replace : bool
@@ -47,11 +47,11 @@ def write_material(material: Material, directory: str | Path, replace: bool = Fa
         wavelength, emissivity, std = row
         lines.append(f"{wavelength:.9g},{emissivity:.6f},{'' if np.isnan(std) else f'{std:.5f}'}")
     thermal = table_text(material.thermal) if material.thermal else None
-    store(index_row(material), "\n".join(lines) + "\n", directory, replace, thermal)
+    store(index_row(material), material.table or "\n".join(lines) + "\n", directory, replace, thermal)
 
 
 def write_materials(materials: Sequence[Material], directory: str | Path, replace: bool = False) -> None:
-    """Write several Lambertian materials; existing names are refused before the first is written."""
+    """Write several materials; existing names are refused before the first is written."""
     for material in materials:
         _refuse_existing(Path(directory), material.name, replace)
     for material in materials:
@@ -73,15 +73,10 @@ def write_refractive_index(
         As in `write_material`.
     """
     row = {SOLAR_STD_COLUMN: ""} | material | {"directional": "fresnel"}
-    store(row, refractive_index_text(path), directory, replace)
-
-
-def refractive_index_text(path: str | Path) -> str:
-    """Return a table of n and k as a materials folder holds it."""
     lines = [",".join(INDEX_OF_REFRACTION_COLUMNS)]
     rows = read_table(path, INDEX_OF_REFRACTION_COLUMNS)
     lines += [",".join(cells[key] for key in INDEX_OF_REFRACTION_COLUMNS) for _, cells in rows]
-    return "\n".join(lines) + "\n"
+    store(row, "\n".join(lines) + "\n", directory, replace)
 
 
 def index_row(material: Material) -> dict[str, Any]:

@@ -7,18 +7,32 @@ from typing import TYPE_CHECKING, Any
 from nicegui import ui
 
 from thermorender.errors import ThermorenderError
+from thermorender.materials.csv_tables import SOLAR_STD_COLUMN
+from thermorender.materials.edit import EMISSIVITY, is_chosen, text_of
 from thermorender.materials.material import Material
-from thermorender.studio import fields, spectrum
-from thermorender.studio.access import MOST_BYTES
-from thermorender.studio.document import Document
-from thermorender.studio.fields import OPTICAL, THERMAL, Field, alike, chosen, text_of
-from thermorender.studio.panels import Cover, Files
+from thermorender.scene.authoring.document import Document
+from thermorender.studio import spectrum
+from thermorender.studio.panels import VERSION, Cover, Entry, Files, draw
 from thermorender.studio.pictures import hexadecimal
-from thermorender.studio.session import BAND_K
+from thermorender.studio.session import BAND_K, band_mean
 
 if TYPE_CHECKING:
     from thermorender.studio.page import Tab
 
+# Labels of the fields by the columns of the tables; those without a unit are wide, but for the licence.
+_OPTICAL = {
+    EMISSIVITY: "Emissivity, flat [1]", "solar_absorptance": "Solar absorptance [1]",
+    SOLAR_STD_COLUMN: "± standard deviation [1]", "temperature_k": "Typical temperature [K]", "title": "Title",
+    "source": "Source", "citation": "Citation", "licence": "Licence", "note": "Note",
+}  # fmt: skip
+_THERMAL = {
+    "cover": "Cover", "conductivity_w_m_k": "Conductivity [W m⁻¹ K⁻¹]", "density_kg_m3": "Density [kg m⁻³]",
+    "specific_heat_j_kg_k": "Specific heat [J kg⁻¹ K⁻¹]", "thickness_m": "Thickness [m]", "beneath": "Beneath",
+    "skin_conductance_w_m2_k": "Skin conductance [W m⁻² K⁻¹]", "roughness_m": "Roughness length [m]",
+    "heat_roughness_ratio": "ln(z0/z0h) [1]", "surface_resistance_s_m": "Surface resistance [s m⁻¹]",
+    "wetness": "Wetness [1]", "water_share": "Freezable water [m³ m⁻³]",
+    "attenuation_1_m": "Attenuation of sunlight [m⁻¹]", "melting_k": "Melting point [K]", "texture": "Soil texture",
+}  # fmt: skip
 _COLUMNS = [
     {"name": "name", "label": "Material", "field": "name", "align": "left", "sortable": True},
     {"name": "band", "label": "ε band", "field": "band", "align": "right", "sortable": True},
@@ -50,24 +64,16 @@ class Editor:
 
     def __init__(self, tab: "Tab", left: ui.element, right: ui.element) -> None:
         self._tab, self._session = tab, tab.session
+        self._band_um = tab.session.base.camera.band_um
         self.name = self._first()
-        self._inputs: dict[str, Any] = {}
+        self._entries: dict[str, Entry] = {}
         self._about: dict[str, ui.html] = {}
-        # Material and text that each field was last filled with; key and text of an edit that is not shown yet.
-        self._filled: dict[str, tuple[str, str]] = {}
-        self._typed = "", ""
-        self._all, self._width = False, 0.5
         self._overlay: Material | None = None
         with left:
             self._list()
         with right:
             self._panels()
         ui.on("studio_spectrum", self._dragged)
-
-    @property
-    def material(self) -> Material:
-        """The chosen material."""
-        return self._session.document.library[self.name]
 
     def refresh(self) -> None:
         """Show the current version of the edits."""
@@ -76,14 +82,24 @@ class Editor:
             self._tab.say(f"{gone} is no longer there; the fields show {self.name} now", "info")
             # What is typed for one material must not go on in the field of another.
             ui.run_javascript("document.activeElement.blur()")
-        self._fill_list()
-        self._fill()
+        self._show()
         self._cover.refresh()
 
     def drop_typed(self) -> None:
         """Let the next refresh replace text that is typed and not part of the edits."""
-        self._filled.clear()
+        for entry in self._entries.values():
+            entry.drop_typed()
         self._cover.drop_typed()
+
+    def choose(self, name: str) -> None:
+        """Show another material."""
+        if name in self._session.document.library:
+            self.name = name
+            self._show()
+
+    def _show(self) -> None:
+        self._fill_list()
+        self._fill()
 
     def _first(self) -> str:
         """The material that covers most."""
@@ -98,15 +114,12 @@ class Editor:
                 'dense outlined clearable aria-label="Search materials" data-testid="search"'
             )
             search.on_value_change(lambda e: self._table.props.__setitem__("filter", e.value or ""))
-            scope = ui.toggle({False: "Scene", True: "All"}, value=False).props('dense no-caps data-testid="scope"')
-            scope.on_value_change(self._scoped)
+            self._all = ui.toggle({False: "Scene", True: "All"}, value=False, on_change=self._fill_list)
+            self._all.props('dense no-caps data-testid="scope"')
         with ui.element("div").classes("head"):
-            for label, ask in (("Duplicate", self._duplicate), ("Rename", self._rename)):
-                ui.button(label, on_click=ask).props(f'outline dense data-testid="{label.lower()}"').style(
-                    "padding:0 8px"
-                )
-            delete = ui.button("Delete").props('outline dense data-testid="delete"').style("padding:0 8px")
-            delete.on("click", self._delete, js_handler="() => emit(studio.version)")
+            for label, ask in (("Duplicate", self._duplicate), ("Rename", self._rename), ("Delete", self._delete)):
+                button = ui.button(label).props(f'outline dense data-testid="{label.lower()}"').style("padding:0 8px")
+                button.on("click", ask, js_handler=VERSION)
         with ui.element("div").classes("grow list"):
             self._table: ui.table = ui.table(rows=[], columns=_COLUMNS, row_key="name", pagination=0)
             self._table.props('flat dense hide-pagination :rows-per-page-options="[0]" data-testid="materials"')
@@ -114,31 +127,19 @@ class Editor:
             self._table.add_slot("body", _ROW)
             self._table.on("pick", lambda e: self.choose(str(e.args)))
 
-    def _scoped(self, event: Any) -> None:
-        self._all = bool(event.value)
-        self._fill_list()
-
     def _fill_list(self) -> None:
         document, shares = self._session.document, self._session.shares()
-        edited = set(document.changed(self._session.history.saved))
+        edited = set(document.changed(self._session.files.saved))
         used = set(shares) | set(document.classes.values()) | {name for name, _ in document.objects.values()} | edited
-        rows = [
+        self._table.rows = [
             {
-                "name": name, "band": self._session.band_mean(each), "share": shares.get(name, 0.0),
+                "name": name, "band": band_mean(each, self._band_um), "share": shares.get(name, 0.0),
                 "colour": hexadecimal(each.colour), "edited": name in edited,
                 "chosen": name == self.name, "title": each.title,
             }
             for name, each in sorted(document.library.items(), key=lambda item: (-shares.get(item[0], 0.0), item[0]))
-            if self._all or name in used
+            if self._all.value or name in used
         ]  # fmt: skip
-        self._table.rows = rows
-
-    def choose(self, name: str) -> None:
-        """Show another material."""
-        if name in self._session.document.library:
-            self.name = name
-            self._fill_list()
-            self._fill()
 
     def _named(self, title: str, proposal: str, change: Callable[[Document, str], Document], what: str) -> None:
         """Ask for a name, and change the document with it."""
@@ -161,7 +162,7 @@ class Editor:
             dialog.close()
             self.choose(name)
 
-        accept.on("click", done, js_handler="() => emit(studio.version)")
+        accept.on("click", done, js_handler=VERSION)
         dialog.open()
 
     def _duplicate(self) -> None:
@@ -187,21 +188,29 @@ class Editor:
         with ui.tab_panels(tabs, value=optical, animated=False).classes("grow"):
             with ui.tab_panel(optical):
                 self._spectrum_part()
-                with ui.element("div").classes("part"):
-                    with ui.element("div").classes("fields"):
-                        for one in OPTICAL:
-                            self._field(one, wide=not one.unit and one.key != "licence")
-            with ui.tab_panel(thermal):
-                with ui.element("div").classes("part"):
-                    self._thermal_note = ui.label("").classes("soft")
-                    with ui.element("div").classes("thermal"):
-                        for one in THERMAL:
-                            self._field(one)
-                            self._about[one.key] = ui.html("", sanitize=False).classes("about")
+                with ui.element("div").classes("part"), ui.element("div").classes("fields"):
+                    for key, label in _OPTICAL.items():
+                        entry = self._entry(key, label)
+                        if "[" not in label and key != "licence":
+                            entry.classes("wide")
+            with ui.tab_panel(thermal), ui.element("div").classes("part"):
+                self._thermal_note = ui.label("").classes("soft")
+                with ui.element("div").classes("thermal"):
+                    for key, label in _THERMAL.items():
+                        self._entry(key, label)
+                        self._about[key] = ui.html("", sanitize=False).classes("about")
             with ui.tab_panel(cover):
                 self._cover = Cover(self._tab)
             with ui.tab_panel(files):
                 Files(self._tab)
+
+    def _entry(self, key: str, label: str) -> Entry:
+        called = label.partition(" [")[0].lower()
+        self._entries[key] = Entry(
+            self._tab, key, f"field-{key}", lambda document, text: document.with_text(self.name, key, text),
+            lambda text: f"{self.name}: {called} {text}", label=label,
+        )  # fmt: skip
+        return self._entries[key]
 
     def _spectrum_part(self) -> None:
         with ui.element("div").classes("part"):
@@ -215,8 +224,7 @@ class Editor:
             with ui.element("div").classes("row"):
                 ui.label("Drag a point").classes("soft")
                 ui.button("Load or paste", on_click=self._load).props('outline dense data-testid="load"')
-                width = ui.select(_WIDTHS, value=self._width).props('dense borderless aria-label="Width of a drag"')
-                width.on_value_change(lambda e: setattr(self, "_width", float(e.value)))
+                self._width = ui.select(_WIDTHS, value=0.5).props('dense borderless aria-label="Width of a drag"')
 
     def _load(self) -> None:
         """Ask for a spectrum, to replace that of the material or to lay over it."""
@@ -226,14 +234,15 @@ class Editor:
         async def uploaded(event: Any) -> None:
             given["name"], given["data"] = event.file.name, await event.file.read()
 
-        def read(document: Document) -> tuple[Material, str | None]:
+        def read(document: Document) -> Material:
             pasted = str(text.value or "").encode()
             source, data = ("pasted text", pasted) if pasted else (str(given["name"]), bytes(given["data"]))
-            return fields.read_spectrum(source, data, document.material(name), str(column.value or "").strip())
+            sample = str(column.value or "").strip() or None
+            return spectrum.read_spectrum(source, data, document.material(name), sample)
 
         def overlay() -> None:
             try:
-                self._overlay = read(self._session.document)[0]
+                self._overlay = read(self._session.document)
             except ThermorenderError as error:
                 fault.set_text(str(error))
                 return
@@ -243,19 +252,21 @@ class Editor:
         def use(event: Any) -> None:
             change = f"{name}: spectrum of {given['name']}"
             refused = self._tab.edit(
-                int(event.args), change, lambda document: document.with_material(*read(document)), True
+                int(event.args), change, lambda document: document.with_material(read(document)), True
             )
             fault.set_text(refused)
             if not refused:
                 dialog.close()
 
         def too_large() -> None:
-            fault.set_text(f"the file is larger than {MOST_BYTES // 1_000_000} MB; give a table of one spectrum")
+            fault.set_text(
+                f"the file is larger than {spectrum.MOST_BYTES // 1_000_000} MB; give a table of one spectrum"
+            )
 
         with ui.dialog() as dialog, ui.card().style("min-width:min(620px,90vw)"):
             dialog.on("hide", dialog.delete)
             ui.label(f"Spectrum for {name}").style("font-weight:600")
-            ui.upload(label="ECOSTRESS, SLUM or CSV file", auto_upload=True, max_file_size=MOST_BYTES - 4096,
+            ui.upload(label="ECOSTRESS, SLUM or CSV file", auto_upload=True, max_file_size=spectrum.MOST_BYTES - 4096,
                       max_files=1, on_upload=uploaded, on_rejected=too_large).style("width:100%")  # fmt: skip
             text = ui.textarea("Or paste columns with headings: wavelength_um,emissivity or wavelength_um,n,k")
             text.props('outlined data-testid="paste"').style("width:100%")
@@ -263,55 +274,17 @@ class Editor:
             fault = ui.label("").classes("say").props('data-testid="load-fault"')
             with ui.row():
                 replace = ui.button("Replace the spectrum").props('data-testid="replace"')
-                replace.on("click", use, js_handler="() => emit(studio.version)")
+                replace.on("click", use, js_handler=VERSION)
                 ui.button("Lay over it", on_click=overlay).props("outline")
                 ui.button("Cancel", on_click=dialog.close).props("flat")
         dialog.open()
 
-    def _field(self, one: Field, wide: bool = False) -> None:
-        def fault(text: str) -> str | None:
-            try:
-                fields.changed(self._session.document, self.name, one.key, text or "")
-            except ThermorenderError as error:
-                return str(error)
-            return None
-
-        def done(event: Any) -> None:
-            text, version, name = str(event.args[0] or ""), int(event.args[1]), self.name
-            what, self._typed = f"{name}: {one.label.lower()} {text}", (one.key, text)
-            known = self._filled.pop(one.key, None)
-            refused = self._tab.edit(
-                version, what, lambda document: fields.changed(document, name, one.key, text), True
-            )
-            given.error = refused or None
-            if refused and known and one.key not in self._filled:
-                # Text that is refused stays to be corrected.
-                self._filled[one.key] = known
-
-        label = f"{one.label} [{one.unit}]" if one.unit else one.label
-        given = ui.input(label, validation=fault).props(f'dense outlined data-testid="field-{one.key}"')
-        if wide:
-            given.classes("wide")
-        given.on("change", done, js_handler="(value) => emit(value, studio.version)")
-        self._inputs[one.key] = given
-
     def _fill(self) -> None:
-        material, saved = self.material, self._session.history.saved.library.get(self.name)
+        material, saved = self._session.document.material(self.name), self._session.files.saved.library.get(self.name)
         self._title.set_text(self.name)
         self._subtitle.set_text(material.title)
-        for key, given in self._inputs.items():
-            known, text = self._filled.get(key), text_of(material, key)
-            self._filled[key] = (self.name, text)
-            # A field whose edit this is keeps its own form of the value: what is typed next may be in it already.
-            if known == self._filled[key] or (key == self._typed[0] and alike(text, self._typed[1])):
-                continue
-            if known and known[0] == self.name and not alike(str(given.value or ""), known[1]):
-                self._tab.say(
-                    f"{key} of {self.name} is now {text or 'empty'}; the text in the field stays as typed", "info"
-                )
-                continue
-            given.set_value(text)
-            given.error = None
+        for key, entry in self._entries.items():
+            entry.fill(self.name, text_of(material, key))
         self._fill_spectrum(material, None if saved is material else saved)
         thermal = material.thermal
         self._thermal_note.set_text(
@@ -319,41 +292,33 @@ class Editor:
             if thermal
             else "No thermal table: a heat balance cannot use this material until all values are given."
         )
-        self._typed = "", ""
         for key, about in self._about.items():
             spread = thermal.uncertainty.get(key) if thermal else None
-            source = thermal.source.get(key, "") if thermal else ""
-            flag = '<span class="flag">chosen, not measured</span> ' if chosen(material, key) else ""
-            words = " · ".join(
-                filter(None, (f"± {spread:g}" if spread else "", source.removeprefix("chosen:").strip()))
-            )
-            about.set_content(f'<div title="{escape(words)}">{flag}{escape(words)}</div>')
+            source = thermal.source.get(key, "").removeprefix("chosen:").strip() if thermal else ""
+            flag = '<span class="flag">chosen, not measured</span> ' if is_chosen(material, key) else ""
+            words = escape(" · ".join(filter(None, (f"± {spread:g}" if spread else "", source))))
+            about.set_content(f'<div title="{words}">{flag}{words}</div>')
 
     def _fill_spectrum(self, material: Material, saved: Material | None) -> None:
-        band = self._session.base.camera.band_um
-        mean = self._session.band_mean(material)
+        band, mean = self._band_um, band_mean(material, self._band_um)
         self._band.set_text(
             f"{mean:.4f} over {band[0]:g}–{band[1]:g} µm at {BAND_K:g} K"
             if mean is not None
             else f"not measured over {band[0]:g}–{band[1]:g} µm"
         )
-        self._chart.options.clear()
-        self._chart.options.update(spectrum.options(material, saved, self._overlay, band))
-        self._chart.update()
         directional = material.emissivity_by_angle is not None and mean is not None
         self._angles.set_visibility(directional)
+        draw(self._chart, spectrum.options(material, saved, self._overlay, band))
         if directional:
-            self._angles.options.clear()
-            self._angles.options.update(spectrum.by_angle(material, band, BAND_K))
-            self._angles.update()
+            draw(self._angles, spectrum.by_angle(material, band, BAND_K))
         ui.run_javascript(f"studio.spectrum({self._chart.id}, {spectrum.HANDLES})")
 
     def _dragged(self, event: Any) -> None:
-        given, name, width = event.args, self.name, self._width
+        given, name, width = event.args, self.name, float(self._width.value)
         wavelength, value = float(given["wavelength"]), float(given["value"])
 
         def change(document: Document) -> Document:
-            return document.with_material(fields.dragged(document.material(name), wavelength, value, width))
+            return document.with_material(spectrum.dragged(document.material(name), wavelength, value, width))
 
         if self._tab.edit(int(given["version"]), f"{name}: emissivity at {wavelength:.2f} µm {value:.3f}", change):
             self._fill()

@@ -1,20 +1,16 @@
-"""The map: the orthophoto with the materials over it, and areas that a hand gives another material."""
+"""The map: layers of colour over the orthophoto, and areas that a hand gives a material, to paint or to train on."""
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.files import reported
+from thermorender.formats import encoded_image
 from thermorender.scene.raster import Grid
-from thermorender.studio.document import Document, Painted
-from thermorender.studio.fields import scratch_folder
-from thermorender.studio.pictures import Legend, colours_of_materials, hexadecimal, jpeg, legend_of, table
+from thermorender.studio.pictures import Legend, colours_of_materials, hexadecimal, legend_of, table
 
 if TYPE_CHECKING:
     from thermorender.scene.scene import Scene
@@ -23,69 +19,65 @@ if TYPE_CHECKING:
 _LEAST_PIXELS, _MOST_PIXELS = 1000, 2000
 _MOST_CORNERS = 5000
 _UNCERTAIN = "inferno"
+_HOW = "Fill: click a region. Polygon: click corners, double-click the last. Lasso: drag around."
+_MISSING = "No map is learned yet: label areas of two or more materials, and press Train."
 
 
 @dataclass(frozen=True, eq=False)
-class Label:
-    """An area whose material is known, as a GeoJSON geometry."""
-
-    geometry: dict[str, Any]
-    material: str
-
-
-@dataclass(frozen=True, eq=False)
-class Learned:
-    """What a map learned from labels says of the orthophoto.
+class Layer:
+    """Colours over an orthophoto.
 
     Attributes
     ----------
     photograph : (h, w, 3) uint8
         sRGB.
-    layers : dict of str to (h, w, 3) uint8
-        Colours of the most probable material, "learned", and of the emissivity's standard deviation, "uncertainty".
-    words : dict of str to str
-        What each layer shows.
-    legends : dict of str to Legend
+    level : (h, w) uint8
+    colours : (256, 3) uint8
+        sRGB of each level.
+    words : str
+        What they show.
+    legend : Legend
     """
 
     photograph: NDArray[np.uint8]
-    layers: dict[str, NDArray[np.uint8]]
-    words: dict[str, str]
-    legends: dict[str, Legend]
+    level: NDArray[np.uint8]
+    colours: NDArray[np.uint8]
+    words: str
+    legend: Legend
 
 
-def legend(session: "Session", layer: str) -> Legend:
-    """Return the legend of a layer of the map."""
-    if session.learned is not None and layer in session.learned.legends:
-        return session.learned.legends[layer]
+def layer_of(session: "Session", name: str) -> Layer:
+    """Return a layer of the map, the materials for one that is not learned yet."""
+    if name in session.learned:
+        return session.learned[name]
     scene = session.scene
-    return legend_of(scene.surfaces[0].material, [each.name for each in scene.materials])
+    ground, names = scene.surfaces[0], [each.name for each in scene.materials]
+    words = _HOW if name == "materials" else _MISSING
+    return Layer(ground.colour, ground.material, colours_of_materials(), words, legend_of(ground.material, names))
 
 
-def map_picture(session: "Session", percent: int, layer: str) -> bytes:
+def map_picture(session: "Session", percent: int, name: str) -> bytes:
     """Return a JPEG of the orthophoto under a layer's colours, which cover `percent` of it."""
     import cv2
 
-    ground, learned = session.scene.surfaces[0], session.learned
-    photograph, colours = ground.colour, colours_of_materials()[ground.material]
-    if learned is not None and layer in learned.layers:
-        photograph, colours = learned.photograph, learned.layers[layer]
-    share = min(max(percent, 0), 100) / 100.0
-    mixed: Any = cv2.addWeighted(np.ascontiguousarray(photograph), 1.0 - share, colours, share, 0.0)
+    layer, share = layer_of(session, name), min(max(percent, 0), 100) / 100.0
+    photograph, colours = np.ascontiguousarray(layer.photograph), layer.colours[layer.level]
+    mixed: Any = cv2.addWeighted(photograph, 1.0 - share, colours, share, 0.0)
     # A small map is enlarged, so that its texels can be hit.
     scale = float(np.clip(1.0, _LEAST_PIXELS / max(mixed.shape[:2]), _MOST_PIXELS / max(mixed.shape[:2])))
     if scale != 1.0:
         how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_NEAREST
         mixed = cv2.resize(mixed, None, fx=scale, fy=scale, interpolation=how)
-    return jpeg(mixed)
+    return encoded_image(".jpg", mixed)
 
 
-def refuse_without_map(scene: "Scene") -> None:
-    """Raise unless the scene's terrain is an elevation raster with a place."""
+def grid_of(scene: "Scene") -> Grid:
+    """Return the grid of a scene's map; ThermorenderError unless its terrain is an elevation raster with a place."""
     if scene.grid is None or scene.frame is None:
         raise ThermorenderError(
             f"{scene.name} has no map, as its terrain is a mesh; assign materials to its classes and objects"
         )
+    return scene.grid
 
 
 def filled(scene: "Scene", x: float, y: float) -> dict[str, Any]:
@@ -93,61 +85,48 @@ def filled(scene: "Scene", x: float, y: float) -> dict[str, Any]:
     import cv2
     from rasterio.features import shapes
 
-    number, texel = scene.surfaces[0].material, _texel(scene, x, y)
+    number = scene.surfaces[0].material
+    height, width = number.shape
+    texel = int(np.clip(y * height, 0, height - 1)), int(np.clip(x * width, 0, width - 1))
     _, parts = cv2.connectedComponents((number == number[texel]).astype(np.uint8), connectivity=4)
-    mask: NDArray[np.bool_] = parts == parts[texel]
-    assert scene.grid is not None
-    geometry: dict[str, Any] = next(
-        shape for shape, _ in shapes(mask.astype(np.uint8), mask=mask, transform=scene.grid.transform)
-    )
-    return geometry
+    mask: Any = parts == parts[texel]
+    found = shapes(mask.astype(np.uint8), mask=mask, transform=grid_of(scene).transform)
+    return dict(next(shape for shape, _ in found))
 
 
 def polygon(scene: "Scene", corners: Any) -> dict[str, Any]:
     """Return the polygon of corners on the map, by shares of its width and height, as a GeoJSON geometry."""
-    points = np.asarray(corners, np.float64)
-    if (
-        points.ndim != 2
-        or points.shape[1] != 2
-        or not 3 <= len(points) <= _MOST_CORNERS
-        or not np.isfinite(points).all()
-    ):
+    points, grid = np.asarray(corners, np.float64), grid_of(scene)
+    known = points.ndim == 2 and points.shape[1] == 2 and np.isfinite(points).all()
+    if not known or not 3 <= len(points) <= _MOST_CORNERS:
         raise ThermorenderError(f"an area needs 3 … {_MOST_CORNERS} corners on the map; draw it again")
-    grid = scene.grid
-    assert grid is not None
     x, y = grid.to_map(points[:, 0] * grid.width, points[:, 1] * grid.height)
     ring = np.column_stack([x, y]).tolist()
     return {"type": "Polygon", "coordinates": [[*ring, ring[0]]]}
 
 
-def painted(session: "Session", geometry: dict[str, Any], material: str, document: Document) -> Document:
-    """Return a Document with an area of another material; its file goes into the session's own folder."""
-    grid = session.base.grid
-    assert grid is not None
-    folder = Path(session.areas.name)
-    with reported(folder):
-        path = folder / f"area-{len(list(folder.iterdir())) + 1}.geojson"
-        path.write_text(labels_text(grid, [Label(geometry, material)]), encoding="utf-8")
-    return document.with_area(Painted(path, material))
+def labelled(geometry: dict[str, Any], material: str) -> dict[str, Any]:
+    """Return the GeoJSON feature of an area whose material is known."""
+    return {"type": "Feature", "geometry": geometry, "properties": {"material": material}}
 
 
-def labels_text(grid: Grid, labels: Sequence[Label]) -> str:
-    """Return areas as a GeoJSON file, which `thermorender train emissivity --labels` reads."""
+def collection(grid: Grid, labels: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return areas as GeoJSON, which `Scene.with_material_in` and `thermorender train emissivity --labels` read."""
     crs = {"type": "name", "properties": {"name": grid.crs.to_string()}}
-    features = [{"type": "Feature", "geometry": each.geometry, "properties": {"material": each.material}}
-                for each in labels]  # fmt: skip
-    return json.dumps({"type": "FeatureCollection", "crs": crs, "features": features}, indent=1)
+    return {"type": "FeatureCollection", "name": "the map", "crs": crs, "features": list(labels)}
 
 
-def outlines(grid: Grid, labels: Sequence[Label]) -> list[list[list[float]]]:
+def outlines(grid: Grid, labels: Sequence[dict[str, Any]]) -> list[list[list[float]]]:
     """Return the outer ring of each label as shares of the map's width and height."""
-    rings = [np.asarray(each.geometry["coordinates"][0], np.float64) for each in labels]
+    rings = [np.asarray(each["geometry"]["coordinates"][0], np.float64) for each in labels]
     places = [np.column_stack(grid.to_pixel(ring[:, 0], ring[:, 1])) / (grid.width, grid.height) for ring in rings]
     return [place.round(5).tolist() for place in places]
 
 
-def learned_from(session: "Session", progress: Callable[[str, float], None]) -> Learned:
-    """Return the map that the session's labels give on the scene as saved; `progress` may raise to end the training.
+def learned_from(session: "Session", progress: Callable[[str, float], None]) -> dict[str, Layer]:
+    """Return the layers of a map that the session's labels give on the scene as saved.
+
+    `progress` may raise to end the training.
 
     Raises
     ------
@@ -158,50 +137,25 @@ def learned_from(session: "Session", progress: Callable[[str, float], None]) -> 
     from thermorender.learned.emissivity.mapping import map_materials
     from thermorender.scene.material_map import orthophoto_of
 
-    refuse_without_map(session.base)
-    assert session.base.grid is not None
-    folder = session.base.spec.folder
-    with scratch_folder() as scratch:
-        path = Path(scratch, "labels.geojson")
-        path.write_text(labels_text(session.base.grid, session.labels), encoding="utf-8")
-        try:
-            model, _ = train_on([folder], path, "studio", progress=progress)
-        except ThermorenderError as error:
-            raise ThermorenderError(_on_map(str(error), path)) from None
+    labels, folder = collection(grid_of(session.base), session.labels), session.base.spec.folder
+    model, _ = train_on([folder], labels, "studio", progress=progress)
     picture = orthophoto_of(session.base.spec)
     found = map_materials(
         model, picture.colour, picture.texel_m, lambda share: progress("mapping the materials", share)
     )
-    emissivity_of = band_emissivity_of([folder])
-    of_material = np.array([emissivity_of(name) for name in model.materials], np.float32)
-    share = found.probability / np.maximum(found.probability.sum(axis=-1, keepdims=True, dtype=np.float32), 1.0)
-    mean = share @ of_material
-    std = np.sqrt(np.maximum(share @ of_material**2 - mean**2, 0.0))
+    std = found.moments(np.array([*map(band_emissivity_of([folder]), model.materials)], np.float32))[1]
     # Materials of the scene keep the colours of the other layer; those beyond it get the next ones.
     names = list(dict.fromkeys([*(each.name for each in session.base.materials), *model.materials]))
-    number = np.array([names.index(name) for name in model.materials])
-    colours, most = colours_of_materials()[number], max(float(std.max()), 1e-3)
-    best = found.index[..., 0]
-    covers = np.bincount(best.ravel(), minlength=len(model.materials)) / best.size
+    best = np.array([names.index(name) for name in model.materials], np.uint8)[found.index[..., 0]]
+    covers = np.bincount(best.ravel(), minlength=len(names)) / best.size
     accuracy = model.about["held_out_accuracy"]
     tested = "not tested: no block was held out" if accuracy is None else f"{accuracy:.0%} of held-out texels right"
-    shown = ", ".join(f"{name} {part:.0%}" for name, part in zip(model.materials, covers, strict=True))
-    words = {
-        "learned": f"Most probable: {shown}; {tested}",
-        "uncertainty": f"Standard deviation of the emissivity: mean {std.mean():.4f}",
-    }
-    scale = table(_UNCERTAIN)
-    layers = {"learned": colours[best], "uncertainty": scale[np.uint8(255.0 * std / most)]}
+    shown = ", ".join(f"{name} {covers[names.index(name)]:.0%}" for name in model.materials)
+    scale, most = table(_UNCERTAIN), max(float(std.max()), 1e-3)
     steps = ((f"{share * most:.4f}", hexadecimal(scale[int(255 * share)])) for share in (0.0, 0.25, 0.5, 0.75, 1.0))
-    legends = {"learned": legend_of(number.astype(np.uint8)[best], names), "uncertainty": tuple(steps)}
-    return Learned(picture.colour, layers, words, legends)
-
-
-def _on_map(sentence: str, path: Path) -> str:
-    """A sentence on a file of labels, of the map that they were drawn on."""
-    return sentence.replace(str(path), "the map").replace(path.name, "the map").replace("polygons", "areas")
-
-
-def _texel(scene: "Scene", x: float, y: float) -> tuple[int, int]:
-    height, width = scene.surfaces[0].material.shape
-    return int(np.clip(y * height, 0, height - 1)), int(np.clip(x * width, 0, width - 1))
+    spread = f"Standard deviation of the emissivity: mean {std.mean():.4f}"
+    words, level = f"Most probable: {shown}; {tested}", (255.0 * std / most).astype(np.uint8)
+    return {
+        "learned": Layer(picture.colour, best, colours_of_materials(), words, legend_of(best, names)),
+        "uncertainty": Layer(picture.colour, level, scale, spread, tuple(steps)),
+    }

@@ -7,6 +7,7 @@ import math
 import secrets
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +16,16 @@ from nicegui import ui
 from thermorender.errors import ThermorenderError
 from thermorender.render.pixels.parts import PixelParts
 from thermorender.studio.editor import Editor
-from thermorender.studio.panels import Map, show_legend
+from thermorender.studio.panels import VERSION, Map, sentence_of, show_legend
 from thermorender.studio.pictures import NAMES, Picture
 from thermorender.studio.renders import figures
-from thermorender.studio.saving import command
-from thermorender.studio.session import Session
+from thermorender.studio.session import Outdated, Session
 from thermorender.studio.timeline import Timeline
-from thermorender.studio.view import MODES, Pose, View, limits_of
+from thermorender.studio.view import MODES, Pose, View, command, limits_of
 
 _FOLDER = Path(__file__).parent
 # Degrees of an orbit over the width of the picture.
 _TURN_DEG = 120.0
-# The first view without --pose: from the south, looking down at 45°.
-_FIRST = "0,{south:.0f},{above:.0f},0,-45,0"
 _TICKS = 5
 # Words and tables follow their picture, which their own work in the browser would delay: so long after it, and the
 # tables no later than this after an edit [s].
@@ -43,7 +41,7 @@ def first_pose(session: Session) -> str:
     """Return the pose of the first view: over the middle of the terrain, from the south at 45°."""
     vertices = session.base.surfaces[0].vertices
     side = float((vertices[:, :2].max(axis=0) - vertices[:, :2].min(axis=0)).min())
-    return _FIRST.format(south=-0.4 * side, above=0.4 * side)
+    return f"0,{-0.4 * side:.0f},{0.4 * side:.0f},0,-45,0"
 
 
 class Tab:
@@ -115,11 +113,9 @@ class Tab:
         history = self.session.history
         self._see(history.version)
         with self._client:
-            for button, what, word in ((self._undo, history.undoes, "Undo"), (self._redo, history.redoes, "Redo")):
+            for (icon, button, tip), what in zip(self._steps, (history.undoes, history.redoes), strict=True):
                 button.set_enabled(bool(what))
-                button.props(f'aria-label="{word}"')
-            self._undo_tip.set_text(f"Undo: {history.undoes}" if history.undoes else "Nothing to undo")
-            self._redo_tip.set_text(f"Redo: {history.redoes}" if history.redoes else "Nothing to redo")
+                tip.set_text(f"{icon.title()}: {what}" if what else f"Nothing to {icon}")
             self._version.set_text(f"version {history.version}")
             self.editor.refresh()
             if self.view.mode == "map":
@@ -137,23 +133,19 @@ class Tab:
 
     def edit(self, version: int, what: str, change: Callable[..., Any], quiet: bool = False) -> str:
         """Change the document; return the sentence of a refusal, else "", and show it unless `quiet` says who does."""
+        return self._refused(partial(self.session.edit, version, what, change, self.key), quiet)
+
+    def _refused(self, act: Callable[[], object], quiet: bool = False) -> str:
         try:
-            self.session.edit(version, what, change, self.key)
+            act()
         except ThermorenderError as error:
-            outdated = self._outdated(version)
+            outdated = isinstance(error, Outdated)
             if outdated or not quiet:
                 self.say(str(error))
             if outdated:
                 self.refresh()
             return str(error)
         return ""
-
-    def _outdated(self, version: int) -> bool:
-        try:
-            self.session.history.refuse_outdated(version, self.key)
-        except ThermorenderError:
-            return True
-        return False
 
     def say(self, sentence: str, kind: str = "negative") -> None:
         """Show a sentence for a while."""
@@ -213,32 +205,23 @@ class Tab:
                 'id="state" role="status" data-testid="state"'
             )
             self._version = ui.label("").classes("soft").style("color:#c3d3df").props('data-testid="version"')
+            self._steps = []
             for by, icon in ((-1, "undo"), (1, "redo")):
                 button = ui.button(icon=icon).props(f'flat dense round color=white data-testid="{icon}"')
-                button.on(
-                    "click", lambda e, by=by: self._step(int(e.args), by), js_handler="() => emit(studio.version)"
-                )
+                button.props(f'aria-label="{icon.title()}"')
+                button.on("click", lambda e, by=by: self._step(int(e.args), by), js_handler=VERSION)
                 with button:
-                    tip = ui.tooltip("")
-                if by < 0:
-                    self._undo, self._undo_tip = button, tip
-                else:
-                    self._redo, self._redo_tip = button, tip
+                    self._steps.append((icon, button, ui.tooltip("")))
 
     def _step(self, version: int, by: int) -> None:
-        try:
-            self.editor.drop_typed()
-            self.session.step(version, by, self.key)
-        except ThermorenderError as error:
-            self.say(str(error))
-            self.refresh()
+        self.editor.drop_typed()
+        self._refused(partial(self.session.step, version, by, self.key))
 
     def _tools(self) -> None:
         with ui.element("div").classes("tools"):
             mode = ui.select(MODES, value="apparent", label="Show").props('dense outlined data-testid="mode"')
             mode.style("width:228px").on_value_change(lambda e: self._set(mode=e.value))
-            self._colour_tools = ui.element("div").classes("row")
-            with self._colour_tools:
+            with ui.element("div").classes("row") as self._colour_tools:
                 colours = ui.select(list(NAMES), value=self.view.palette, label="Palette").props("dense outlined")
                 colours.style("width:122px").on_value_change(lambda e: self._set(palette=e.value))
                 self._ends = [
@@ -246,7 +229,7 @@ class Tab:
                     for label, key in (("From", "low"), ("To", "high"))
                 ]
                 for each in self._ends:
-                    each.on("change", lambda: self._fixed())
+                    each.on("change", self._fixed)
                 for icon, says, now in (("lock", "Fix the range", True), ("lock_open", "Automatic range", False)):
                     button = ui.button(icon=icon, on_click=lambda now=now: self._fix(now))
                     button.props(f'flat dense aria-label="{says}"').tooltip(says)
@@ -275,8 +258,7 @@ class Tab:
                     'it. Drag to orbit, with Shift to pan, wheel to zoom; arrow keys, + and − do the same."'
                 )
                 self._cross = ui.element("div").classes("cross").style("display:none")
-            self._scale = ui.element("div").classes("scale").props('data-testid="scale"')
-            with self._scale:
+            with ui.element("div").classes("scale").props('data-testid="scale"') as self._scale:
                 self._unit = ui.label("")
                 with ui.element("div").classes("ramp"):
                     self._ramp = ui.element("div").classes("colours")
@@ -289,15 +271,14 @@ class Tab:
         with ui.element("div").classes("tools"):
             self._pose = ui.input("Pose: E,N,U above ground,yaw,pitch,roll [m, deg]", validation=self._pose_fault)
             self._pose.props('dense outlined hide-bottom-space data-testid="pose"').style("flex:1;min-width:280px")
-            self._pose.on("change", lambda: self._typed_pose())
+            self._pose.on("change", self._typed_pose)
             self._pose.set_value(self.view.pose.text(self.session.base))
             ui.button("Copy", on_click=self._copy_menu).props("flat dense")
         self.timeline = Timeline(self)
         with ui.element("div").classes("cards"):
             with ui.element("div"):
                 ui.html("<h2>Pixel</h2>", sanitize=False)
-                self._figures = ui.element("div").classes("figures").props('data-testid="figures"')
-                with self._figures:
+                with ui.element("div").classes("figures").props('data-testid="figures"') as self._figures:
                     ui.label("Click a pixel in the picture.").classes("soft")
             with ui.element("div"):
                 self._notes = ui.label("").classes("soft").props('data-testid="notes"')
@@ -329,11 +310,7 @@ class Tab:
         self._set(pose=pose, time_s=self.view.time_s if time_s is None else time_s)
 
     def _pose_fault(self, text: str) -> str | None:
-        try:
-            Pose.typed(text, self.session.base)
-        except ThermorenderError as error:
-            return str(error)
-        return None
+        return sentence_of(lambda: Pose.typed(text, self.session.base))
 
     def _typed_pose(self) -> None:
         if self._pose_fault(self._pose.value) is None:
@@ -344,13 +321,9 @@ class Tab:
         right, down, zoom = (float(given[key]) for key in ("right", "down", "zoom"))
         if not all(map(math.isfinite, (right, down, zoom))):
             return
-        if zoom != 1.0:
-            pose = pose.zoomed(zoom, scene)
-        if given["pan"]:
-            pose = pose.moved(right, down, scene)
-        elif right or down:
-            pose = pose.turned(-_TURN_DEG * right, -_TURN_DEG * down, scene)
-        self.turn_to(pose)
+        turn = 0.0 if given["pan"] else -_TURN_DEG
+        pose = pose.orbited(turn * right, turn * down, zoom, scene)
+        self.turn_to(pose.moved(right, down, scene) if given["pan"] else pose)
 
     def _hover(self, event: Any) -> None:
         self._under = (int(event.args[0]), int(event.args[1]))

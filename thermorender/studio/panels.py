@@ -1,7 +1,8 @@
-"""Panels beside those of a material: what the materials cover, the map to paint on, and files."""
+"""Parts of the page: a field that is typed into, what the materials cover, the map to paint on, and files."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -9,18 +10,20 @@ from nicegui import run, ui
 
 from thermorender.errors import ThermorenderError
 from thermorender.materials.csv_tables import decimal
+from thermorender.scene.authoring.document import Document
+from thermorender.scene.authoring.scene_files import Save
 from thermorender.scene.load import load_scene
-from thermorender.studio import ground, saving
-from thermorender.studio.document import Document
-from thermorender.studio.fields import alike
+from thermorender.studio import ground
 from thermorender.studio.pictures import Legend
+from thermorender.studio.view import commands, exported
 from thermorender.units import kelvin
 
 if TYPE_CHECKING:
     from thermorender.studio.page import Tab
 
+# What events of the page send: the version of the edits that it shows, and their value before it.
+VERSION, VALUE_AND_VERSION = "() => emit(studio.version)", "(value) => emit(value, studio.version)"
 _TOOLS = {"fill": "Fill region", "polygon": "Polygon", "lasso": "Lasso"}
-_HOW = "Fill: click a region. Polygon: click corners, double-click the last. Lasso: drag around."
 _STAGE = """
 <div id="mapstage" tabindex="0" role="application" aria-label="Map to paint on: arrow keys move the mark, Space puts a
 corner there, Enter closes the area, Escape drops it"><img id="map" alt="Map of the materials over the orthophoto"
@@ -33,6 +36,22 @@ _KINDS = {
 }  # fmt: skip
 
 
+def sentence_of(call: Callable[[], object]) -> str | None:
+    """Return the sentence with which a function refuses, or None."""
+    try:
+        call()
+    except ThermorenderError as error:
+        return str(error)
+    return None
+
+
+def draw(chart: ui.echart, options: dict[str, Any]) -> None:
+    """Show other options in a chart."""
+    chart.options.clear()
+    chart.options.update(options)
+    chart.update()
+
+
 def show_legend(box: ui.element, legend: Legend) -> None:
     """Fill an element with a legend."""
     box.clear()
@@ -43,8 +62,87 @@ def show_legend(box: ui.element, legend: Legend) -> None:
                 ui.label(words)
 
 
+def _alike(one: str, other: str) -> bool:
+    """Whether two texts of a field stand for the same value, as 0.90 and 0.9 do."""
+    try:
+        return decimal(one) == decimal(other)
+    except ValueError:
+        return one.strip() == other.strip()
+
+
+class Entry(ui.input):
+    """A field whose text edits the Document; text that is being typed stays while another tab edits.
+
+    Parameters
+    ----------
+    tab : Tab
+    called, test : str
+        Its name in messages, and in tests.
+    change : callable (document, text)
+        Returns the changed Document.
+    words : callable (text)
+        Returns the edit in words.
+    **options
+        Of ui.input.
+    """
+
+    def __init__(
+        self, tab: "Tab", called: str, test: str, change: Callable[[Document, str], Document],
+        words: Callable[[str], str], **options: Any,
+    ) -> None:  # fmt: skip
+        history = tab.session.history
+        super().__init__(validation=lambda text: sentence_of(lambda: change(history.document, text or "")), **options)
+        # Names of a scene file may hold any characters, so they are not parsed as properties.
+        self.props("dense outlined").props.update({"data-testid": test})
+        self.on("change", self._entered, js_handler=VALUE_AND_VERSION)
+        self._tab, self._called, self._change, self._words = tab, called, change, words
+        # Owner and text that the field was last filled with; text of an edit that is not shown yet.
+        self._filled: tuple[str, str] | None = None
+        self._typed: str | None = None
+
+    def _entered(self, event: Any) -> None:
+        text, version = str(event.args[0] or ""), int(event.args[1])
+        known, self._filled, self._typed = self._filled, None, text
+        refused = self._tab.edit(version, self._words(text), lambda document: self._change(document, text), quiet=True)
+        self.error = refused or None
+        if refused:
+            # Text that is refused stays to be corrected.
+            self._filled, self._typed = self._filled or known, None
+
+    def fill(self, owner: str, text: str) -> None:
+        """Show the text of an owner's value, unless another one is being typed."""
+        known, typed, value = self._filled, self._typed, str(self.value or "")
+        self._filled, self._typed = (owner, text), None
+        # A field whose edit this is keeps its own form of the value: what is typed next may be in it already.
+        if known == self._filled or (typed is not None and _alike(text, typed)):
+            return
+        if known and known[0] == owner and not _alike(value, known[1]):
+            self._tab.say(
+                f"{self._called} of {owner} is now {text or 'empty'}; the text in the field stays as typed", "info"
+            )
+            return
+        self.set_value(text)
+        self.error = None
+
+    def drop_typed(self) -> None:
+        """Let the next text replace one that is typed and not part of the edits."""
+        self._filled = None
+
+
 def _shown(temperature: float | None) -> str:
     return "balance" if temperature is None else f"{temperature:g}"
+
+
+def _heated(thing: str, document: Document, text: str) -> Document:
+    """The Document with another temperature of an object, from a text."""
+    if text == _shown(document.objects[thing][1]):
+        return document
+    try:
+        value = decimal(text)
+    except ValueError:
+        raise ThermorenderError(f"{text!r} is not a number of kelvin") from None
+    kelvin(f"temperature of {thing}", value)
+    return document.of_object(thing, kelvin=value)
 
 
 class Cover:
@@ -56,9 +154,7 @@ class Cover:
         self._known: Any = None
         self._names: list[str] = []
         self._choices: dict[int | str, ui.select] = {}
-        self._kelvins: dict[str, ui.input] = {}
-        # Text that each temperature was last filled with.
-        self._filled: dict[str, str] = {}
+        self._kelvins: dict[str, Entry] = {}
         self._box = ui.element("div").classes("part")
 
     def refresh(self) -> None:
@@ -67,7 +163,7 @@ class Cover:
         things, names = (sorted(document.classes), list(document.objects)), sorted(document.library)
         if things != self._known:
             self._known, self._names = things, names
-            self._make(*things, names)
+            self._make(*things)
         elif names != self._names:
             self._names = names
             for choice in self._choices.values():
@@ -76,20 +172,16 @@ class Cover:
             self._choices[number].set_value(name)
         for thing, (name, temperature) in document.objects.items():
             self._choices[thing].set_value(name)
-            known, text, given = self._filled.get(thing), _shown(temperature), self._kelvins[thing]
-            self._filled[thing] = text
-            if known is None or alike(str(given.value or ""), known):
-                given.set_value(text)
-            elif known != text and not alike(str(given.value or ""), text):
-                self._tab.say(f"the temperature of {thing} is now {text}; the text in the field stays as typed", "info")
+            self._kelvins[thing].fill(thing, _shown(temperature))
 
     def drop_typed(self) -> None:
         """Let the next refresh replace temperatures that are typed and not part of the edits."""
-        self._filled.clear()
+        for entry in self._kelvins.values():
+            entry.drop_typed()
 
-    def _make(self, classes: list[int], objects: list[str], names: list[str]) -> None:
+    def _make(self, classes: list[int], objects: list[str]) -> None:
         self._box.clear()
-        self._choices, self._kelvins, self._filled = {}, {}, {}
+        self._choices, self._kelvins = {}, {}
         with self._box:
             ui.html("<h2>Classes</h2>", sanitize=False)
             if not classes:
@@ -98,7 +190,7 @@ class Cover:
                 for number in classes:
                     ui.label(f"Class {number}").classes("soft")
                     change = partial(Document.of_class, number=number)
-                    self._choices[number] = self._choice(names, f"class-{number}", f"class {number}", change)
+                    self._choices[number] = self._choice(f"class-{number}", f"class {number}", change)
             if not objects:
                 return
             ui.html("<h2>Objects</h2>", sanitize=False)
@@ -106,13 +198,16 @@ class Cover:
                 for thing in objects:
                     ui.label(thing).classes("soft")
                     change = partial(Document.of_object, name=thing)
-                    self._choices[thing] = self._choice(names, f"object-{thing}", thing, change)
-                    self._kelvins[thing] = self._kelvin(thing)
+                    self._choices[thing] = self._choice(f"object-{thing}", thing, change)
+                    self._kelvins[thing] = Entry(
+                        self._tab, "temperature", f"kelvin-{thing}", partial(_heated, thing),
+                        partial("{}: {} K".format, thing), suffix="K",
+                    )  # fmt: skip
+                    self._kelvins[thing].props("hide-bottom-space").props["aria-label"] = f"Temperature of {thing} [K]"
 
-    def _choice(self, names: list[str], test: str, what: str, change: Callable[..., Document]) -> ui.select:
-        given: ui.select = ui.select(names, with_input=True)
+    def _choice(self, test: str, what: str, change: Callable[..., Document]) -> ui.select:
+        given: ui.select = ui.select(self._names, with_input=True)
         given.props("dense outlined options-dense hide-bottom-space")
-        # Names of a scene file may hold any characters, so they are not parsed as properties.
         given.props.update({"aria-label": f"Material of {what}", "data-testid": test})
 
         def done(event: Any) -> None:
@@ -125,39 +220,12 @@ class Cover:
         given.on("update:model-value", done, js_handler="(one) => emit(one && one.label, studio.version)")
         return given
 
-    def _kelvin(self, thing: str) -> ui.input:
-        def fault(text: str) -> str | None:
-            if text == _shown(self._session.document.objects[thing][1]):
-                return None
-            try:
-                kelvin(f"temperature of {thing}", decimal(text))
-            except ValueError:
-                return f"{text!r} is not a number of kelvin"
-            except ThermorenderError as error:
-                return str(error)
-            return None
-
-        def done(event: Any) -> None:
-            text = str(event.args[0])
-            if fault(text) is None and text != _shown(self._session.document.objects[thing][1]):
-                change = partial(Document.of_object, name=thing, kelvin=decimal(text))
-                known = self._filled.pop(thing, None)
-                refused = self._tab.edit(int(event.args[1]), f"{thing}: {text} K", change)
-                if known and thing not in self._filled:
-                    self._filled[thing] = known if refused else text
-
-        given = ui.input(validation=fault, suffix="K").props("dense outlined hide-bottom-space")
-        given.props.update({"aria-label": f"Temperature of {thing} [K]", "data-testid": f"kelvin-{thing}"})
-        given.on("change", done, js_handler="(value) => emit(value, studio.version)")
-        return given
-
 
 class Map:
     """The orthophoto with the materials over it, and tools to paint on it."""
 
     def __init__(self, tab: "Tab") -> None:
         self._tab, self._session = tab, tab.session
-        self._percent = 45
         with ui.element("div").classes("tools"):
             self._tool = ui.select(_TOOLS, value="fill", label="Tool").props('dense outlined data-testid="tool"')
             self._tool.style("width:148px").on_value_change(
@@ -166,8 +234,8 @@ class Map:
             self._paint = ui.select([], label="Material to paint", with_input=True)
             self._paint.props('dense outlined options-dense data-testid="paint"').style("width:200px")
             ui.label("Opacity").classes("soft")
-            slider = ui.slider(min=0, max=100, value=self._percent).props('aria-label="Opacity of the materials"')
-            slider.style("width:110px").on("change", lambda e: self._shown(int(e.args)))
+            self._percent = ui.slider(min=0, max=100, value=45).props('aria-label="Opacity of the materials"')
+            self._percent.style("width:110px").on("change", self.refresh)
         self._labels()
         with ui.element("div").classes("mapbox"):
             ui.html(_STAGE, sanitize=False)
@@ -179,13 +247,12 @@ class Map:
         """Controls of areas that label the ground for training."""
         with ui.element("div").classes("tools"):
             self._use = ui.toggle({"paint": "Paint", "label": "Label"}, value="paint")
-            self._use.props('dense no-caps data-testid="use"').on_value_change(lambda: self._labelled())
+            self._use.props('dense no-caps data-testid="use"').on_value_change(self._labelled)
             self._layer = ui.select(_LAYERS, value="materials", label="Layer").props(
                 'dense outlined data-testid="layer"'
             )
-            self._layer.style("width:165px").on_value_change(lambda: self._layered())
-            self._label_tools = ui.element("div").classes("row grow")
-            with self._label_tools:
+            self._layer.style("width:165px").on_value_change(self.refresh)
+            with ui.element("div").classes("row grow") as self._label_tools:
                 self._count = ui.label("").classes("soft count").props('role="status" data-testid="labels"')
                 for text, does in (("Remove", self._remove), ("Train", self._train), ("Download", self._download)):
                     ui.button(text, on_click=does).props(f'outline dense no-caps data-testid="{text.lower()}"')
@@ -197,15 +264,10 @@ class Map:
         """Show the labels, where areas are labels."""
         labels, grid, on = self._session.labels, self._session.base.grid, self._use.value == "label"
         self._label_tools.set_visibility(on)
-        self._count.set_text(f"{len(labels)} labels, {len({each.material for each in labels})} materials")
+        count = len({each["properties"]["material"] for each in labels})
+        self._count.set_text(f"{len(labels)} labels, {count} materials")
         shapes = ground.outlines(grid, labels) if on and grid is not None else []
         ui.run_javascript(f"studio.showLabels({json.dumps(shapes)})")
-
-    def _layered(self) -> None:
-        learned, layer = self._session.learned, self._layer.value
-        missing = "No map is learned yet: label areas of two or more materials, and press Train."
-        self._words.set_text(_HOW if layer == "materials" else learned.words[layer] if learned else missing)
-        self.refresh()
 
     def _remove(self) -> None:
         del self._session.labels[-1:]
@@ -214,7 +276,7 @@ class Map:
     def _download(self) -> None:
         grid = self._session.base.grid
         if grid is not None:
-            text = ground.labels_text(grid, self._session.labels)
+            text = json.dumps(ground.collection(grid, self._session.labels), indent=1)
             ui.download.content(text.encode(), "labels.geojson")
 
     async def _train(self) -> None:
@@ -233,7 +295,7 @@ class Map:
         self._cancel.set_visibility(True)
         fault = ""
         try:
-            session.learned = await run.io_bound(ground.learned_from, session, progress)
+            session.learned = await run.io_bound(ground.learned_from, session, progress) or {}
         except ThermorenderError as error:
             fault = str(error)
         finally:
@@ -247,46 +309,42 @@ class Map:
         elif self._layer.value == "materials":
             self._layer.set_value("learned")
         else:
-            self._layered()
-
-    def _shown(self, percent: int) -> None:
-        self._percent = percent
-        self.refresh()
+            self.refresh()
 
     def open(self) -> None:
         """Show the map of the current version."""
         self._paint.set_options(sorted(self._session.document.library), value=self._tab.editor.name)
-        self._layered()
+        self.refresh()
         ui.run_javascript(f"studio.setUpMap(); studio.tool({json.dumps(self._tool.value)})")
 
     def refresh(self) -> None:
         """Show the current version of the edits."""
-        address = f"/map/{self._layer.value}/{self._session.history.version}/{self._percent}"
-        ui.run_javascript(f"studio.showMap({json.dumps(address)}, {self._session.history.version})")
-        show_legend(self._legend, ground.legend(self._session, self._layer.value))
+        version, layer = self._session.history.version, ground.layer_of(self._session, self._layer.value)
+        address = f"/map/{self._layer.value}/{version}/{int(self._percent.value)}"
+        ui.run_javascript(f"studio.showMap({json.dumps(address)}, {version})")
+        self._words.set_text(layer.words)
+        show_legend(self._legend, layer.legend)
 
     def _area(self, event: Any) -> None:
-        given, scene, session = event.args, self._session.scene, self._session
-        material = self._paint.value
+        given, scene, material = event.args, self._session.scene, str(self._paint.value or "")
         try:
             if not material:
                 raise ThermorenderError("no material to paint with is chosen; choose one above the map")
-            ground.refuse_without_map(scene)
-            points = given["points"]
             if given["tool"] == "fill":
-                shape = ground.filled(scene, *map(float, points[0]))
+                shape = ground.filled(scene, *map(float, given["points"][0]))
             else:
-                shape = ground.polygon(scene, points)
+                shape = ground.polygon(scene, given["points"])
         except ThermorenderError as error:
             self._tab.say(str(error))
             return
-
+        label = ground.labelled(shape, material)
         if self._use.value == "label":
-            session.labels.append(ground.Label(shape, str(material)))
+            self._session.labels.append(label)
             self._labelled()
             return
+        area = ground.collection(ground.grid_of(scene), [label])
         self._tab.edit(
-            int(given["version"]), f"area of {material}", partial(ground.painted, session, shape, str(material))
+            int(given["version"]), f"area of {material}", lambda document: document.with_area(area, material)
         )
 
 
@@ -302,16 +360,15 @@ class Files:
             )
             with ui.row().style("gap:8px;margin-top:6px"):
                 ui.button("Show changes", on_click=self._plan).props('outline dense data-testid="plan"')
-                save = ui.button("Save").props('dense data-testid="save"')
-                save.on("click", self._save, js_handler="() => emit(studio.version)")
+                ui.button("Save").props('dense data-testid="save"').on("click", self._save, js_handler=VERSION)
                 ui.button("Reload", on_click=self._reload).props('outline dense data-testid="reload"')
             self._diff = ui.label("").classes("diff").props('data-testid="diff"')
         with ui.element("div").classes("part"):
             ui.html("<h2>Export the view</h2>", sanitize=False)
             with ui.row().style("gap:8px;align-items:center"):
-                kind = ui.select(_KINDS, value="png", label="Kind").props("dense outlined").style("width:200px")
-                metres = ui.number("Pixel [m]", value=0.5, min=0.01).props("dense outlined").style("width:100px")
-                ui.button("Export", on_click=lambda: self._export(kind.value, metres.value)).props("dense")
+                self._kind = ui.select(_KINDS, value="png", label="Kind").props("dense outlined").style("width:200px")
+                self._metres = ui.number("Pixel [m]", value=0.5, min=0.01).props("dense outlined").style("width:100px")
+                ui.button("Export", on_click=self._export).props("dense")
         with ui.element("div").classes("part"):
             ui.html("<h2>The same without the page</h2>", sanitize=False)
             ui.button("Show", on_click=self._commands).props("outline dense")
@@ -319,60 +376,53 @@ class Files:
             self._code.set_visibility(False)
         self._diff.set_visibility(False)
 
-    async def _export(self, kind: str, metres: Any) -> None:
-        try:
-            made = await run.io_bound(saving.exported, self._session, self._tab.key, kind, float(metres or 0.5))
-        except ThermorenderError as error:
-            self._tell(str(error))
-            return
-        if made is not None:
-            ui.download.content(*made)
-
-    def _commands(self) -> None:
-        self._code.set_visibility(True)
-        self._code.set_text("\n".join(saving.commands(self._session, self._tab.view)))
-
-    def _plan(self) -> saving.Save | None:
-        try:
-            save = saving.planned(self._session)
-        except ThermorenderError as error:
-            self._tell(str(error))
-            return None
-        self._tell("\n".join(save.lines) or "nothing to save: the files hold what is shown")
-        return save
-
     def _tell(self, text: str) -> None:
         self._diff.set_visibility(True)
         self._diff.set_text(text)
 
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """Show the sentence of a refusal."""
+        try:
+            yield
+        except ThermorenderError as error:
+            self._tell(str(error))
+
+    async def _export(self) -> None:
+        with self._told():
+            metres = float(self._metres.value or 0.5)
+            made = await run.io_bound(exported, self._session, self._tab.key, self._kind.value, metres)
+            if made is not None:
+                ui.download.content(*made)
+
+    def _commands(self) -> None:
+        self._code.set_visibility(True)
+        self._code.set_text("\n".join(commands(self._session, self._tab.view)))
+
+    def _plan(self) -> Save | None:
+        with self._told():
+            save = self._session.files.plan(self._session.document)
+            self._tell("\n".join(save.lines) or "nothing to save: the files hold what is shown")
+            return save
+        return None
+
     async def _save(self, event: Any) -> None:
-        try:
+        with self._told():
             self._session.history.refuse_outdated(int(event.args), self._tab.key)
-        except ThermorenderError as error:
-            self._tell(str(error))
-            return
-        save = self._plan()
-        if save is None or not save.files:
-            return
-        with ui.dialog() as dialog, ui.card().style("min-width:min(760px,90vw)"):
-            ui.label("These changes will be written").style("font-weight:600")
-            ui.label("\n".join(save.lines)).classes("diff").style("max-height:55vh;overflow:auto;width:100%")
-            with ui.row():
-                ui.button("Write", on_click=lambda: dialog.submit(True)).props('data-testid="write"')
-                ui.button("Cancel", on_click=lambda: dialog.submit(False)).props("flat")
-        if not await dialog:
-            return
-        try:
-            saving.write(self._session, save)
-        except ThermorenderError as error:
-            self._tell(str(error))
-            return
-        self._tell(f"saved: {len(save.files)} files\n" + "\n".join(save.lines))
+            save = self._plan()
+            if save is None or not save.files:
+                return
+            with ui.dialog() as dialog, ui.card().style("min-width:min(760px,90vw)"):
+                ui.label("These changes will be written").style("font-weight:600")
+                ui.label("\n".join(save.lines)).classes("diff").style("max-height:55vh;overflow:auto;width:100%")
+                with ui.row():
+                    ui.button("Write", on_click=lambda: dialog.submit(True)).props('data-testid="write"')
+                    ui.button("Cancel", on_click=lambda: dialog.submit(False)).props("flat")
+            if await dialog:
+                self._session.write(save)
+                self._tell(f"saved: {len(save.files)} files\n" + "\n".join(save.lines))
 
     async def _reload(self) -> None:
-        try:
+        with self._told():
             self._session.reload(await run.io_bound(load_scene, self._session.base.spec.folder))  # type: ignore[arg-type]
-        except ThermorenderError as error:
-            self._tell(str(error))
-            return
-        self._tell("read again from disk")
+            self._tell("read again from disk")

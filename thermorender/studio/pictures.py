@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.formats import encoded_image
 from thermorender.frame import Frame
 from thermorender.frame.picture import limits as automatic
 from thermorender.sensor.palettes import PALETTES, palette
@@ -125,10 +126,10 @@ def picture_of(
     kelvin = frame.apparent_temperature
     if view.mode == "photograph" and colour is not None:
         image = np.where(colour[1][..., None], colour[0], np.array(_NO_SURFACE, np.uint8))
-        return replace(blank, data=jpeg(image), kind="image/jpeg")
+        return replace(blank, data=encoded_image(".jpg", image), kind="image/jpeg")
     if view.mode == "materials":
-        number, colours, legend = _materials(frame)
-        return replace(blank, data=_png(number, colours), legend=legend)
+        number = np.where(np.isfinite(frame.truth["depth"]), frame.truth["material"], np.uint8(255))
+        return replace(blank, data=_png(number, colours_of_materials()), legend=legend_of(number, frame.materials))
     if view.mode == "display":
         return drawn(frame.display, view.palette, (0.0, 255.0), "level")
     if view.mode == "difference" and before is not None:
@@ -146,14 +147,6 @@ def picture_of(
 def _levels(values: NDArray[np.float32], low: float, high: float) -> NDArray[np.uint8]:
     scaled = (values - np.float32(low)) * np.float32(255.0 / (high - low))
     return np.nan_to_num(np.clip(np.rint(scaled), 0.0, 255.0)).astype(np.uint8)
-
-
-def _materials(frame: Frame) -> tuple[NDArray[np.uint8], NDArray[np.uint8], Legend]:
-    """The material number of each pixel, a colour for each, and the names of those in view, the largest first."""
-    number = frame.truth["material"].copy()
-    number[~np.isfinite(frame.truth["depth"])] = 255
-    colours = colours_of_materials()
-    return number, colours, legend_of(number, frame.materials)
 
 
 def legend_of(number: NDArray[np.uint8], names: Sequence[str]) -> Legend:
@@ -185,10 +178,3 @@ def colours_of_materials() -> NDArray[np.uint8]:
     colours = np.rint(255.0 * colormaps["tab20"](np.arange(256) % 20)[:, :3]).astype(np.uint8)
     colours[255] = _NO_SURFACE
     return colours
-
-
-def jpeg(image: NDArray[np.uint8]) -> bytes:
-    """Return the JPEG of an sRGB image, (H, W, 3) uint8."""
-    import cv2
-
-    return bytes(cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 92])[1])

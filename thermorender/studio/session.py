@@ -1,42 +1,125 @@
-"""The scene that a studio has open: its edits, what renders it, and the tabs that show it."""
+"""The scene that a studio has open: its edits with undo and redo, what renders it, and the tabs that show it."""
 
 import threading
 from collections.abc import Callable
-from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Protocol
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.materials.csv_tables import read_text
-from thermorender.materials.library import load_library, read_library
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import parts_of
-from thermorender.paths import data_folder
 from thermorender.render.geometry import refuse_other_surfaces
-from thermorender.studio.document import Document, History
+from thermorender.scene.authoring.document import Document
+from thermorender.scene.authoring.scene_files import Save, SceneFiles
 from thermorender.studio.renders import Renders
-from thermorender.studio.saving import snapshot
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from thermorender.render.renderer import Renderer
     from thermorender.scene.scene import Scene
-    from thermorender.studio.ground import Label, Learned
+    from thermorender.studio.ground import Layer
+    from thermorender.studio.page import Tab
 
+# Edits that undo can take back.
+MOST_EDITS = 300
 # Temperature for band emissivities [K].
 BAND_K = 300.0
 
 
-class Shown(Protocol):
-    """A tab, as the session knows it."""
+class Outdated(ThermorenderError):
+    """An edit of values that another tab has changed."""
 
-    def changed(self, by: str) -> None:
-        """Take note of a version of the edits that the tab `by` made."""
 
-    def refresh(self) -> None:
-        """Show the current version of the edits."""
+class History:
+    """The edits of a scene, and the number of the version that all tabs show.
+
+    Attributes
+    ----------
+    version : int
+        Counts every edit, undo and redo, so that no two states have the same number.
+    """
+
+    def __init__(self, first: Document) -> None:
+        self._steps: list[tuple[Document, str]] = [(first, "")]
+        self._at = self.version = 0
+        # Who made the current version, and the first version since which nobody else made one.
+        self._by, self._since = "", 0
+
+    def _count(self, by: str) -> bool:
+        if by != self._by:
+            self._by, self._since = by, self.version
+        self.version += 1
+        return True
+
+    @property
+    def document(self) -> Document:
+        """The Document that is shown."""
+        return self._steps[self._at][0]
+
+    @property
+    def undoes(self) -> str:
+        """What undo would take back; "" for nothing."""
+        return self._steps[self._at][1]
+
+    @property
+    def redoes(self) -> str:
+        """What redo would do again; "" for nothing."""
+        return self._steps[self._at + 1][1] if self._at + 1 < len(self._steps) else ""
+
+    def edit(
+        self, version: int, what: str, change: Callable[[Document], Document], check: Callable[[Document], object],
+        by: str = "",
+    ) -> bool:  # fmt: skip
+        """Change the Document; return whether it differs.
+
+        Parameters
+        ----------
+        version : int
+            The version that the user saw.
+        what : str
+            The edit in words.
+        change : callable
+            Returns the changed Document.
+        check : callable
+            Raises where the changed Document cannot be used.
+        by : str
+            The tab.
+
+        Raises
+        ------
+        ThermorenderError
+            Another tab has made a version since the one that the user saw, or `change` or `check` refuses.
+        """
+        self.refuse_outdated(version, by)
+        made = change(self.document)
+        if made is self.document:
+            return False
+        check(made)
+        self._steps = [*self._steps[: self._at + 1], (made, what)][-MOST_EDITS:]
+        self._at = len(self._steps) - 1
+        return self._count(by)
+
+    def refuse_outdated(self, version: int, by: str = "") -> None:
+        """Raise unless `version` is the current one, or all later ones are of the same tab."""
+        if version != self.version and not (by and by == self._by and self._since <= version < self.version):
+            raise Outdated(
+                f"this tab showed version {version}, and another tab has changed the tables since (version "
+                f"{self.version}); nothing was changed, look at the new values and repeat the edit"
+            )
+
+    def step(self, version: int, steps: int, by: str = "") -> bool:
+        """Undo one edit (−1) or redo one (+1); return whether there is one."""
+        self.refuse_outdated(version, by)
+        if not 0 <= self._at + steps < len(self._steps):
+            return False
+        self._at += steps
+        return self._count(by)
+
+    def loaded(self, first: Document) -> None:
+        """Take over a Document from files; edits before it are gone."""
+        self._steps, self._at = [(first, "")], 0
+        self._by, self.version = "", self.version + 1
 
 
 class Session:
@@ -48,52 +131,48 @@ class Session:
         Of the scene as its files describe it.
     quality : str
         Its quality, for the lines that a user copies.
-    files : dict, optional
-        `thermorender.studio.saving.snapshot` of the scene when it was loaded; by default as it is now.
+    files : SceneFiles, optional
+        Of the scene when it was loaded; by default as they are now.
 
     Attributes
     ----------
-    base : Scene
-    origin : Document
-        Of the base scene.
+    files : SceneFiles
     history : History
     renders : Renders
-    tabs : list of Shown
-    files : dict
-        Checksums of the scene's files as they were read or written.
-    class_raster : bytes
-        The file of the class raster as it was read; b"" without one.
-    areas : TemporaryDirectory
-        Painted areas.
-    labels : list of Label
-        To train a map on.
-    learned : Learned or None
+    tabs : list of Tab
+    labels : list of dict
+        GeoJSON features to train a map on.
+    learned : dict of str to Layer
         What the latest training gave.
     training, stop_training : Lock, Event
         Held by the training under way; set to end it.
     """
 
-    def __init__(self, renderer: "Renderer", quality: str, files: "dict[Path, str] | None" = None) -> None:
+    def __init__(self, renderer: "Renderer", quality: str, files: SceneFiles | None = None) -> None:
         self.quality = quality
-        self.base: Scene = renderer.scene
-        self.origin = document_of(self.base)
-        self.history = History(self.origin)
-        self.files = snapshot(self.base) if files is None else files
-        self.class_raster = class_raster_of(self.base)
-        self.areas = TemporaryDirectory(prefix="thermorender-studio-")
+        self.files = files or SceneFiles(renderer.scene)
+        self.history = History(self.files.origin)
         self.renders = Renders(renderer)
-        self.tabs: list[Shown] = []
-        self.labels: list[Label] = []
-        self.learned: Learned | None = None
+        self.tabs: list[Tab] = []
+        self.labels: list[dict[str, Any]] = []
+        self.learned: dict[str, Layer] = {}
         self.training, self.stop_training = threading.Lock(), threading.Event()
-        self._band: dict[int, tuple[Material, float | None]] = {}
         self._scene: Scene = self.base
 
     def close(self) -> None:
-        """End rendering and training, and remove the painted areas."""
+        """End rendering and training."""
         self.stop_training.set()
         self.renders.stop()
-        self.areas.cleanup()
+
+    @property
+    def base(self) -> "Scene":
+        """The scene as loaded."""
+        return self.files.scene
+
+    @property
+    def scene(self) -> "Scene":
+        """The scene that is shown."""
+        return self._scene
 
     @property
     def document(self) -> Document:
@@ -102,40 +181,43 @@ class Session:
 
     def edit(self, version: int, what: str, change: Callable[[Document], Document], by: str = "") -> None:
         """Change the Document for a tab, render it, and tell all tabs; ThermorenderError where it is refused."""
-        before = self.history.version
-        try:
-            self.history.edit(version, what, change, self._use, by)
-        finally:
-            if self.history.version != before:
-                self._render(by)
+        if self.history.edit(version, what, change, self._use, by):
+            self._render(by)
 
     def step(self, version: int, steps: int, by: str = "") -> None:
         """Undo one edit (−1) or redo one (+1) for a tab."""
-        before = self.history.version
-        self.history.step(version, steps, by)
-        if self.history.version != before:
+        if self.history.step(version, steps, by):
             self._use(self.document)
             self._render(by)
 
     def reload(self, scene: "Scene") -> None:
         """Take over the scene as its files describe it now; ThermorenderError if its surfaces are other ones."""
         refuse_other_surfaces(self.base.surfaces, scene.surfaces)
-        self.files, self.class_raster = snapshot(scene), class_raster_of(scene)
-        self.base = self._scene = scene
-        self.origin = document_of(scene)
-        self.history.loaded(self.origin)
+        self.files, self._scene = SceneFiles(scene), scene
+        self.history.loaded(self.files.origin)
         self.renders.compare_with(scene)
         self._render()
 
-    def saved(self, files: "dict[Path, str]") -> None:
-        """Count the edits as saved: differences begin from them, and undo still goes behind them."""
-        self.files, self.history.saved = files, self.document
+    def write(self, save: Save) -> None:
+        """Write a Save; the edits count as saved: differences begin from them, and undo still goes behind them.
+
+        Raises
+        ------
+        ThermorenderError
+            Files or edits have changed since the Save was planned, or a file cannot be written.
+        """
+        if save.document is not self.document:
+            raise ThermorenderError(
+                "another tab has changed the tables since these changes were listed; nothing was written, so press "
+                "Save again to see all changes"
+            )
+        self.files.write(save)
         self.renders.compare_with(self._scene)
         for tab in list(self.tabs):
             tab.refresh()
 
     def _use(self, document: Document) -> None:
-        scene = document.scene(self.base, self.origin)
+        scene = document.scene(self.base, self.files.origin)
         scene.refuse_disagreement()
         self._scene = scene
 
@@ -143,11 +225,6 @@ class Session:
         self.renders.solve(self._scene, self.history.version)
         for tab in list(self.tabs):
             tab.changed(by)
-
-    @property
-    def scene(self) -> "Scene":
-        """The scene that is shown."""
-        return self._scene
 
     def shares(self) -> dict[str, float]:
         """Return the share of the terrain's texels that each material covers; a mixture counts by its parts."""
@@ -159,33 +236,11 @@ class Session:
                 shares[part.name] = shares.get(part.name, 0.0) + float(share * each / max(count.sum(), 1))
         return shares
 
-    def band_mean(self, material: Material) -> float | None:
-        """Return the band emissivity for the scene's camera at 300 K; None where the band is not measured."""
-        known = self._band.get(id(material))
-        if known is None or known[0] is not material:
-            try:
-                value: float | None = float(material.band_emissivity(*self.base.camera.band_um, BAND_K))
-            except ThermorenderError:
-                value = None
-            if len(self._band) > 2000:
-                self._band.clear()
-            known = self._band[id(material)] = (material, value)
-        return known[1]
 
-
-def class_raster_of(scene: "Scene") -> bytes:
-    """Return the contents of a scene's class raster; b"" without one."""
-    raster = scene.spec.emissivity.raster
-    return raster.read_bytes() if raster else b""
-
-
-def document_of(scene: "Scene") -> Document:
-    """Return the Document of a scene, with its library."""
-    folder = scene.spec.folder / "materials"
-    own = frozenset(read_library(folder)) if (folder / "index.csv").is_file() else frozenset[str]()
-    library, tables = load_library(folder if folder.is_dir() else None), {}
-    for name, each in library.items():
-        if each.directional != "lambertian":
-            path = (folder if name in own else data_folder("materials")) / "spectra" / f"{name}.csv"
-            tables[name] = read_text(path)
-    return Document.of(scene, library, own, tables)
+@lru_cache(1000)
+def band_mean(material: Material, band_um: tuple[float, float]) -> float | None:
+    """Return the band emissivity at 300 K; None where the band is not measured."""
+    try:
+        return float(material.band_emissivity(*band_um, BAND_K))
+    except ThermorenderError:
+        return None

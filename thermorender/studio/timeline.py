@@ -8,8 +8,10 @@ import numpy as np
 from nicegui import ui
 
 from thermorender.errors import ThermorenderError
+from thermorender.scene.authoring.document import Document
 from thermorender.scene.load import load_trajectory
-from thermorender.studio.document import Document
+from thermorender.studio.panels import VALUE_AND_VERSION, draw
+from thermorender.studio.spectrum import chart
 from thermorender.studio.view import Pose
 from thermorender.units import utc_text
 
@@ -90,7 +92,7 @@ class Timeline:
         ui.label("Solar hour").classes("soft")
         slider = ui.slider(min=0.0, max=24.0, step=0.25, value=round(4.0 * hour) / 4.0)
         slider.props('label aria-label="Solar hour" data-testid="hour"').style("flex:1")
-        slider.on("change", self._at, js_handler="(value) => emit(value, studio.version)")
+        slider.on("change", self._at, js_handler=VALUE_AND_VERSION)
         ui.button("Day's curve", on_click=self._day).props('flat dense data-testid="day"')
 
     def _at(self, event: Any) -> None:
@@ -131,19 +133,12 @@ class Timeline:
         names = [key for key in rows[0] if key.endswith("_mean_k") and key != "apparent_mean_k"]
         curves = {"clicked pixel, apparent": "pixel"} if "pixel" in rows[0] else {}
         curves |= {"air": "air_k"} | {name.removesuffix("_mean_k"): name for name in names}
-        self._chart.options.clear()
-        self._chart.options.update({
-            "animation": False, "tooltip": {"trigger": "axis"},
-            "legend": {"type": "scroll", "top": 0, "textStyle": {"fontSize": 11}},
-            "grid": {"left": 52, "right": 16, "top": 28, "bottom": 38},
-            "xAxis": {"type": "value", "min": 0, "max": 24, "interval": 3, "name": "solar hour",
-                      "nameLocation": "middle", "nameGap": 22},
-            "yAxis": {"type": "value", "scale": True, "name": "K"},
-            "series": [
-                {"type": "line", "name": name, "showSymbol": False,
-                 "data": [[row["solar_hour"], round(row[key], 2)] for row in rows if key in row]}
-                for name, key in curves.items()
-            ],
-        })  # fmt: skip
+        series = [
+            {"type": "line", "name": name, "showSymbol": False,
+             "data": [[row["solar_hour"], round(row[key], 2)] for row in rows if key in row]}
+            for name, key in curves.items()
+        ]  # fmt: skip
+        x, y = {"min": 0, "max": 24, "interval": 3, "name": "solar hour"}, {"scale": True, "name": "K"}
+        legend = {"type": "scroll", "top": 0, "textStyle": {"fontSize": 11}}
+        draw(self._chart, chart(x, y, series, top=28) | {"tooltip": {"trigger": "axis"}, "legend": legend})
         self._chart.set_visibility(True)
-        self._chart.update()

@@ -157,6 +157,12 @@ class Mapped:
         found[..., self.probability.shape[2] :] = 0.0
         return found / found.sum(axis=-1, keepdims=True)
 
+    def moments(self, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return mean and standard deviation, each (h, w), of a property whose value (C,) each material has."""
+        share = self.probability / np.maximum(self.probability.sum(axis=-1, keepdims=True, dtype=np.float32), 1.0)
+        mean = share @ value
+        return mean, np.sqrt(np.maximum(share @ value**2 - mean**2, 0.0))
+
 
 @dataclass(frozen=True, eq=False)
 class Evidence:

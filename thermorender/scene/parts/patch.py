@@ -27,8 +27,18 @@ class Patch:
     material: Material
 
 
-def read_features(path: str | PathLike[str]) -> tuple[list[Any], Any]:
+def name_of(given: str | PathLike[str] | Mapping[str, Any]) -> str:
+    """Return what messages call a GeoJSON FeatureCollection: its file, or its "name" member."""
+    return str(given.get("name", "GeoJSON") if isinstance(given, Mapping) else given)
+
+
+def read_features(given: str | PathLike[str] | Mapping[str, Any]) -> tuple[list[Any], Any]:
     """Return (features, rasterio CRS) of a GeoJSON FeatureCollection; longitude and latitude without a "crs" member.
+
+    Parameters
+    ----------
+    given : path or dict
+        The file, or its contents.
 
     Raises
     ------
@@ -39,17 +49,20 @@ def read_features(path: str | PathLike[str]) -> tuple[list[Any], Any]:
     from rasterio.errors import CRSError
 
     try:
-        content = formats.finite_json(Path(path).read_text(encoding="utf-8-sig"))
+        content: Any = given
+        if not isinstance(given, Mapping):
+            content = formats.finite_json(Path(given).read_text(encoding="utf-8-sig"))
         features = content["features"]
         if not isinstance(features, list):
             raise ValueError(f"features is {shortened(repr(features))}, not a list")
         crs = CRS.from_user_input(content["crs"]["properties"]["name"] if content.get("crs") else "OGC:CRS84")
         return features, crs
     except OSError as error:
-        raise ThermorenderError(f"{path} cannot be read: {error.strerror}; give a GeoJSON file") from None
+        raise ThermorenderError(f"{given} cannot be read: {error.strerror}; give a GeoJSON file") from None
     except (ValueError, KeyError, TypeError, CRSError) as error:
         raise ThermorenderError(
-            f"{path} is not a GeoJSON FeatureCollection ({type(error).__name__}: {error}); export one from a GIS"
+            f"{name_of(given)} is not a GeoJSON FeatureCollection ({type(error).__name__}: {error}); export one from a "
+            "GIS"
         ) from None
 
 
@@ -58,13 +71,13 @@ def areas(given: Any, place: Place, ground: Ground) -> list[tuple[Any, str | Non
 
     Parameters
     ----------
-    given : path or (N, 2) array
-        GeoJSON file of polygons, or corners of one polygon: local east and north [m].
+    given : path, dict or (N, 2) array
+        GeoJSON of polygons, a file or its contents; or corners of one polygon: local east and north [m].
     place : Place
     ground : Ground
         Height of the corners.
     """
-    if not isinstance(given, (str, PathLike)):
+    if not isinstance(given, (str, PathLike, Mapping)):
         return [(_of_corners(given, place, ground), None)]
     from rasterio.warp import transform_geom
 
@@ -80,9 +93,11 @@ def areas(given: Any, place: Place, ground: Ground) -> list[tuple[Any, str | Non
             name = about.get("material") if isinstance(about, Mapping) else None
             found.append((transform_geom(crs, place.crs, geometry), name))
         except Exception:  # GDAL has many exception types for malformed features
-            raise ThermorenderError(f"{given}, feature {number} is not a polygon; export polygons from a GIS") from None
+            raise ThermorenderError(
+                f"{name_of(given)}, feature {number} is not a polygon; export polygons from a GIS"
+            ) from None
     if not found:
-        raise ThermorenderError(f"{given} has no feature; draw at least one polygon")
+        raise ThermorenderError(f"{name_of(given)} has no feature; draw at least one polygon")
     return found
 
 

@@ -95,15 +95,17 @@ class MaterialEdits:
         return self._edited(replace(now, replaced={**now.replaced, **found}))
 
     def with_material_in(
-        self: _S, area: str | PathLike[str] | ArrayLike, material: str | float | Material | None = None
-    ) -> _S:
+        self: _S, area: str | PathLike[str] | Mapping[str, Any] | ArrayLike,
+        material: str | float | Material | None = None,
+    ) -> _S:  # fmt: skip
         """Return this scene with another material within an area of its terrain, such as one roof.
 
         Parameters
         ----------
-        area : path or (N, 2) array
-            GeoJSON file of polygons, in longitude and latitude unless its "crs" member names another CRS; or the
-            corners of one polygon, local east and north [m]. Texels with their middle inside get the material.
+        area : path, dict or (N, 2) array
+            GeoJSON of polygons, a file or its contents, in longitude and latitude unless its "crs" member names another
+            CRS; or the corners of one polygon, local east and north [m]. Texels with their middle inside get the
+            material.
         material : str, float or Material, optional
             The name of a material, a grey emissivity 0…1, or a Material; by default the property "material" of each
             polygon. It has no other effect: temperatures of a raster or map stay.
