@@ -2,11 +2,9 @@
 
 This is the only module of the studio that renders, and it calls the public interface of scenes and renderers. An edit
 shows first as a preview with its estimated error, where the renderer has one, and then exactly. Solutions have a thread
-of their own with a low priority: the next edit cancels the one under way and does not wait for its end.
+of their own: the next edit cancels the one under way and does not wait for its end.
 """
 
-import os
-import sys
 import threading
 import traceback
 from collections.abc import Callable
@@ -32,8 +30,6 @@ _ANSWERS_S = 120.0
 _FETCHED_S = 0.1
 
 
-# Priority of the thread that solves, below that of all others.
-_NICE = 10
 # Where edits come faster than solutions, which only delay previews then, the next solution waits for such a pause.
 _PAUSE_S = 1.5
 
@@ -292,7 +288,6 @@ class Renders:
             if self._solving is not solution or self._ended:
                 raise _Newer
 
-        _yield_to_others()
         with self._news:
             self._news.wait_for(lambda: self._solving is not solution or self._ended, pause_s)
         if before is not None:
@@ -388,12 +383,6 @@ class Renders:
         number = (self._pictures[tab].number if tab in self._pictures else 0) + 1
         blank = Picture(number, light.version, light.words, light.exact)
         return picture_of(frame, view, blank, before, colour)
-
-
-def _yield_to_others() -> None:
-    """Give this thread, and threads that it begins, a low priority, where the system has priorities of threads."""
-    if sys.platform == "linux":
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)
 
 
 def _sentence(error: Exception) -> str:
