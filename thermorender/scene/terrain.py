@@ -11,7 +11,7 @@ from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene.raster import Grid, grid_of, lon_lat, opened, read_band
 
 # Metres in a unit of height, by the names in use; a raster of a map in metres is in metres if it names no unit.
-_METRES = (
+METRES = (
     dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0)
     | dict.fromkeys(("ft", "foot", "feet", "international foot", "international feet"), 0.3048)
     | dict.fromkeys(("us-ft", "ftus", "us survey foot", "us survey feet", "foot_us", "us_survey_foot"), 1200.0 / 3937.0)
@@ -73,7 +73,7 @@ def metres_of_heights(path: Path, crs: Any, unit: str, declare: str) -> float:
     """
     map_unit = crs.linear_units if crs.is_projected else "metre"
     crs = crs.to_dict(projjson=True)
-    factor = _METRES.get(unit.strip().lower()) if unit else None
+    factor = METRES.get(unit.strip().lower()) if unit else None
     if unit and factor is None:
         raise ThermorenderError(f"{path} holds heights in {unit!r}; give metres or feet, or {declare}")
     crs = crs.get("source_crs", crs)
@@ -89,11 +89,27 @@ def metres_of_heights(path: Path, crs: Any, unit: str, declare: str) -> float:
                 f"by the vertical CRS; {declare}, or another CRS"
             )
         return of_crs
-    if factor is None and _METRES.get(map_unit.lower(), 1.0) != 1.0:
+    if factor is None and METRES.get(map_unit.lower(), 1.0) != 1.0:
         raise ThermorenderError(
             f"{path} does not declare the unit of its heights, and its map is in {map_unit}; {declare}"
         )
     return 1.0 if factor is None else factor
+
+
+def zero_of_heights(crs: Any) -> str | None:
+    """Return the name of what a CRS counts heights from: a vertical datum with a code, or "the ellipsoid".
+
+    None if it does not say so. Datums without a code have several names.
+    """
+    found = crs.to_dict(projjson=True)
+    found = found.get("source_crs", found)
+    for part in found.get("components", [found]):
+        if any(axis["direction"] == "up" for axis in part.get("coordinate_system", {}).get("axis", [])):
+            datum = part.get("datum") or part.get("datum_ensemble") or part
+            if part["type"] != "VerticalCRS":
+                return "the ellipsoid"
+            return str(datum["name"]) if "id" in part or "id" in datum else None
+    return None
 
 
 def filled(height: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

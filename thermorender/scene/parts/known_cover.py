@@ -122,7 +122,7 @@ def read_known(path: Path, grid: Grid, texel_m: float) -> KnownCover:
         order, case, name = found
         kind, width = str(geometry.get("type", "no shape")), _width_m(tags)
         as_area = kind in _AREAS
-        if tags.get("tunnel", "no") not in ("no", "building_passage") or tags.get("location") == "underground":
+        if underground(tags):
             left_out["underground"] += 1
         elif not (as_area or (kind in _LINES and width is not None)):
             left_out[f"of {name} as {kind}"] += 1
@@ -155,7 +155,7 @@ def _burnt(
         number[part][inside] = cases.setdefault(case, len(cases) + 1)
         by_name.setdefault(name, np.zeros(number.shape, bool))[part] |= inside
     if not used:
-        reasons = _counted(left_out + silent) or "it has no feature"
+        reasons = counted(left_out + silent) or "it has no feature"
         raise ThermorenderError(
             f"{path} restricts no texel of {grid.name} ({reasons}); give OpenStreetMap shapes of the terrain as "
             "longitude and latitude unless a 'crs' member names another CRS"
@@ -165,9 +165,9 @@ def _burnt(
     notes = [f"{path.name}: {used} of {used + left_out.total() + silent.total()} shapes restrict the materials of "
              f"{np.count_nonzero(number) / size:.1%} of the texels ({shares})"]  # fmt: skip
     if left_out:
-        notes.append(f"{path.name}: left out are {_counted(left_out)}")
+        notes.append(f"{path.name}: left out are {counted(left_out)}")
     if silent:
-        notes.append(f"{path.name}: tags that say nothing on materials: {_counted(silent)}")
+        notes.append(f"{path.name}: tags that say nothing on materials: {counted(silent)}")
     return KnownCover(number, tuple(cases), tuple(notes))
 
 
@@ -186,6 +186,11 @@ def tagged(feature: Any, path: Path, number: int) -> tuple[dict[str, Any], dict[
         raise ThermorenderError(
             f"{path}, feature {number} is not a GeoJSON feature with geometry and properties; export the file again"
         ) from None
+
+
+def underground(tags: Mapping[str, str]) -> bool:
+    """Whether a shape with tags of OpenStreetMap is underground."""
+    return tags.get("tunnel", "no") not in ("no", "building_passage") or tags.get("location") == "underground"
 
 
 def _ruled(tags: Mapping[str, str]) -> tuple[int, tuple[str, ...] | str, str] | None:
@@ -252,8 +257,8 @@ def _ribbon(line: NDArray[np.float64], half: float) -> list[NDArray[np.float64]]
     return [*found, *(corner + disc for corner in line[1:-1])]
 
 
-def _counted(counts: Counter[str]) -> str:
-    """Names with their counts, the most frequent first."""
+def counted(counts: Counter[str]) -> str:
+    """Return names with their counts, the most frequent first."""
     rest = counts.total() - sum(count for _, count in counts.most_common(_MOST_NAMED))
     words = [f"{count} {name}" for name, count in counts.most_common(_MOST_NAMED)]
     return ", ".join([*words, *([f"{rest} more"] if rest else [])])
