@@ -109,6 +109,45 @@ def test_heights_of_feet_are_read_with_units_and_commas(tmp_path, stated, count)
     assert len(made["known"]) == count
 
 
+@pytest.mark.parametrize("packed", [
+    {"other_tags": '"building:part"=>"yes","building:colour"=>"red","name"=>"a \\"b\\" => c"'},
+    {"tags": '{"building:part": "yes", "building:colour": "red", "name": "a \\"b\\" => c"}'},
+    {"tags": {"building:part": "yes", "building:colour": "red", "name": 'a "b" => c'}},
+])  # fmt: skip
+def test_tags_in_one_property_are_read(tmp_path, packed):
+    """GDAL writes the tags of OpenStreetMap without a column of their own into other_tags."""
+    path = collected(tmp_path / "k.geojson", (polygon(OUTLINE), {"osm_id": "1", **packed}))
+    write_raster(tmp_path / "g.tif", HOUSE[None].astype(np.float32), corner=CORNER)
+    ((outline,), _) = outlines_in(path, read_elevation(tmp_path / "g.tif")[1])
+    assert outline.tags["building:colour"] == "red" and outline.tags["name"] == 'a "b" => c'
+
+
+def test_a_hole_beside_its_outline_is_no_building(tmp_path):
+    _, areas = imported(tmp_path, HOUSE, (polygon(OUTLINE, ring(40, 40, 45, 45)), {"building": "yes"}))
+    assert areas["roofs"][1] == pytest.approx(14 * 9, rel=0.01)
+
+
+def test_corners_beyond_any_map_are_refused(tmp_path):
+    with pytest.raises(ThermorenderError, match="feature 1 has corners that are not coordinates of EPSG:32634"):
+        imported(tmp_path, HOUSE, (polygon([[1e308, 1e308], *OUTLINE]), {"building": "yes"}))
+
+
+@pytest.mark.parametrize(("nodata", "low", "said"), [(None, 200.0, True), (None, 3.0, False), (-9999.0, 200.0, False)])
+def test_heights_of_zero_far_below_all_others_are_named(tmp_path, nodata, low, said):
+    gaps = np.where(column > 60.0, 0.0, HOUSE - 20.0 + low)
+    write_raster(tmp_path / "dsm.tif", gaps[None].astype(np.float32), corner=CORNER, nodata=nodata)
+    made = import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s")
+    words = (
+        "dsm.tif has 256 posts of exactly 0 m, and all others are 200 m or higher: if they are missing, declare "
+        "it with `rio edit-info --nodata 0 FILE`"
+    )
+    assert made["known"] == ((words,) if said else ())
+    write_raster(tmp_path / "dtm.tif", gaps[None].astype(np.float32), corner=CORNER, nodata=nodata)
+    write_raster(tmp_path / "dsm.tif", (HOUSE - 20.0 + low)[None].astype(np.float32), corner=CORNER)
+    made = import_terrain(tmp_path / "dsm.tif", None, tmp_path / "t", three_d=ThreeD(tmp_path / "dtm.tif"))
+    assert made["known"] == ((words.replace("dsm", "dtm"),) if said else ())
+
+
 def test_latitudes_before_longitudes_are_named(tmp_path):
     write_raster(tmp_path / "dsm.tif", HOUSE[None].astype(np.float32), corner=CORNER)
     corners = [(21.0002, 52.1704), (21.0004, 52.1704), (21.0004, 52.1702)]

@@ -25,7 +25,7 @@ from thermorender.scene.solids.clouds import SUFFIXES, read_cloud
 from thermorender.scene.solids.importing import ThreeD, write_solid
 from thermorender.scene.spec import WeatherSpec
 from thermorender.scene.surface import scene_kelvin
-from thermorender.scene.terrain import filled, read_elevation
+from thermorender.scene.terrain import doubtful_zeros, filled, read_elevation
 from thermorender.schema import toml_text
 from thermorender.sensor.camera import load_camera
 from thermorender.units import instant, utc_text
@@ -130,6 +130,7 @@ def import_terrain(
         )
     cloud = read_cloud(elevation) if Path(elevation).suffix.lower() in SUFFIXES else None
     height, height_grid = (cloud.surface, cloud.grid) if cloud else read_elevation(elevation)
+    notes = cloud.notes if cloud else doubtful_zeros(elevation, height)
     stated = height_reference is not None or _has_vertical_datum(height_grid.crs)
     if height_reference is None:
         height_reference = "geoid" if stated else "ellipsoid"
@@ -185,7 +186,7 @@ def import_terrain(
         "height_reference": height_reference,
         "height_reference_stated": stated,
         "flight_m": flight_m,
-        "known": (*(cloud.notes if cloud else ()), *(solid.notes if solid else ()), *shapes),
+        "known": (*notes, *(solid.notes if solid else ()), *shapes),
         **({name: getattr(solid, name) for name in _FOUND} | {"kinds": len(solid.kinds)} if solid else {}),
         "share_without_height": float(1.0 - after.mean()),
         "share_filled": float((after & ~given).mean()),

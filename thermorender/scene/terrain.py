@@ -18,6 +18,8 @@ METRES = (
 )
 # Placeholders for missing heights in files that declare none.
 _PLACEHOLDERS = (-9999.0, -32767.0, -32768.0, 32767.0, 65535.0)
+# Posts of 0 m this far below all others may be missing [m].
+_DOUBTFUL_M = 20.0
 
 
 def read_elevation(path: Path) -> tuple[NDArray[np.float64], Grid]:
@@ -43,6 +45,23 @@ def read_elevation(path: Path) -> tuple[NDArray[np.float64], Grid]:
             f"{path} has no valid height in it (all nodata, NaN or beyond ±9000 m); give another DEM"
         )
     return height, grid
+
+
+def doubtful_zeros(path: Path, height: NDArray[np.floating]) -> tuple[str, ...]:
+    """Return a sentence on heights of exactly 0 far below all others, where a raster declares no value of missing ones.
+
+    Programs write 0 where they know nothing, and so it stands for the sea and for gaps.
+    """
+    with opened(path) as dataset:
+        declared = dataset.nodata is not None
+    zero = height == 0.0
+    others = height[np.isfinite(height) & ~zero]
+    if declared or not zero.any() or not others.size or float(others.min()) < _DOUBTFUL_M:
+        return ()
+    return (
+        f"{Path(path).name} has {int(zero.sum())} posts of exactly 0 m, and all others are {float(others.min()):.0f} m "
+        "or higher: if they are missing, declare it with `rio edit-info --nodata 0 FILE`",
+    )
 
 
 def _metres(path: Path) -> float:

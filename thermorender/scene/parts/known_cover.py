@@ -1,5 +1,7 @@
 """Shapes of OpenStreetMap that restrict the materials inside them: a GeoJSON of buildings, roads, water and land."""
 
+import json
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -53,6 +55,9 @@ _UNPAVED = ("unpaved", "compacted", "fine_gravel", "gravel", "pebblestone", "gro
             "sand", "rock")  # fmt: skip
 _AREAS, _LINES = ("Polygon", "MultiPolygon"), ("LineString", "MultiLineString")
 _MOST_NAMED = 5
+# Properties that hold several tags as text, a pair of hstore, and a character that a backslash keeps in one.
+_PACKED = ("tags", "other_tags", "all_tags")
+_PAIR, _UNESCAPED = re.compile(r'"((?:[^"\\]|\\.)*)"\s*=>\s*"((?:[^"\\]|\\.)*)"'), re.compile(r"\\(.)")
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,11 +177,14 @@ def _burnt(
 
 
 def tagged(feature: Any, path: Path, number: int) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return (geometry, tags) of feature `number` of a file; {} for the geometry of one that has none."""
+    """Return (geometry, tags) of feature `number` of a file; {} for the geometry of one that has none.
+
+    Tags are properties, a property "tags", or text in one of `_PACKED`, as GDAL and PostGIS write rarer tags.
+    """
     try:
         geometry, about = feature["geometry"], feature.get("properties") or {}
         nested = about.get("tags")
-        tags = nested if isinstance(nested, Mapping) else about
+        tags = nested if isinstance(nested, Mapping) else about | _packed(about)
         # A feature may be without a place: RFC 7946, section 3.2.
         geometry = {} if geometry is None else geometry
         if not isinstance(geometry, dict):
@@ -186,6 +194,17 @@ def tagged(feature: Any, path: Path, number: int) -> tuple[dict[str, Any], dict[
         raise ThermorenderError(
             f"{path}, feature {number} is not a GeoJSON feature with geometry and properties; export the file again"
         ) from None
+
+
+def _packed(about: Mapping[str, Any]) -> dict[str, Any]:
+    """Tags of OpenStreetMap that a property holds as text: JSON, or "key"=>"value" as PostgreSQL's hstore."""
+    found: dict[str, Any] = {}
+    for text in (about[key] for key in _PACKED if isinstance(about.get(key), str)):
+        if text.lstrip().startswith("{"):
+            found |= json.loads(text)
+        else:
+            found |= {_UNESCAPED.sub(r"\1", key): _UNESCAPED.sub(r"\1", value) for key, value in _PAIR.findall(text)}
+    return found
 
 
 def underground(tags: Mapping[str, str]) -> bool:

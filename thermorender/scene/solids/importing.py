@@ -18,7 +18,7 @@ from thermorender.scene.solids.kinds import write_kinds
 from thermorender.scene.solids.outlines import outlines_in, outlines_in_classes
 from thermorender.scene.solids.plants import write_leaf_tables
 from thermorender.scene.solids.skin import MESH, write_skins
-from thermorender.scene.terrain import filled, read_elevation, zero_of_heights
+from thermorender.scene.terrain import doubtful_zeros, filled, read_elevation, zero_of_heights
 
 WALL = "brick_painted"
 
@@ -112,8 +112,8 @@ def _terrain_model(
     found.check_levels(bare, height, post_m, declared=zero is not None and other is not None)
     whole, _ = filled(bare)
     beyond = float((~np.isfinite(whole))[np.isfinite(height)].mean())
-    notes = (f"{path.name} has no heights for {beyond:.1%} of the surface model; a filter estimates the ground there",)
-    return whole, notes if beyond > 0.0 else ()
+    missing = f"{path.name} has no heights for {beyond:.1%} of the surface model; a filter estimates the ground there"
+    return whole, (*doubtful_zeros(path, lower), *([missing] if beyond > 0.0 else []))
 
 
 def write_solid(folder: Path, solid: Imported, tables: dict[str, Any]) -> dict[str, Any]:

@@ -112,7 +112,14 @@ def _rings(shape: Sequence[Any], crs: Any, grid: Grid, where: str) -> list[Ring]
     rings = [_ring(pixels_of(ring, crs, grid, where)) for ring in shape]
     if not rings or any(len(ring) < 3 or area_of(ring) < 1e-6 for ring in rings):
         raise ThermorenderError(f"{where} has an outline without area; give it three corners or more, or delete it")
-    return rings
+    # By the even-odd rule a hole beside its outline would be a building.
+    return [rings[0], *(hole for hole in rings[1:] if even_odd(_inner(hole), rings[:1]).mean() > 0.5)]
+
+
+def _inner(ring: Ring) -> Ring:
+    """Corners a little towards the middle of a ring: those of a hole or part may be on the side of what is around."""
+    moved: Ring = ring + 0.05 * (ring.mean(axis=0) - ring)
+    return moved
 
 
 def _ring(corner: NDArray[np.float64]) -> Ring:
@@ -147,9 +154,7 @@ def _with_wholes(outlines: Sequence[Outline]) -> list[Outline]:
         if _stated(each.tags, "building"):
             made.append(each)
             continue
-        # Corners of parts lie on those of the whole; towards the middle they are inside.
-        ring = each.rings[0]
-        inner = ring + 0.05 * (ring.mean(axis=0) - ring)
+        inner = _inner(each.rings[0])
         near = np.flatnonzero((boxes[:, :2] < inner.mean(axis=0)).all(axis=1)
                               & (boxes[:, 2:] > inner.mean(axis=0)).all(axis=1))  # fmt: skip
         of = next((wholes[k] for k in near if even_odd(inner, wholes[k].rings).mean() > 0.5), None)
