@@ -72,7 +72,7 @@ def test_feet_are_read_where_the_crs_declares_them_and_refused_where_it_does_not
     [
         ({"wkt": ""}, "declares no CRS by an EPSG number or WKT; state it with `pdal translate"),
         ({"wkt": "EPSG:4326"}, "not on a map; project it"),
-        ({"dense": 0.01, "extra": ()}, "has no point that is neither withheld nor noise"),
+        ({"dense": 0.01, "extra": ()}, r"has no usable point \(left out: 16 withheld\)"),
     ],
 )
 def test_wrong_clouds(tmp_path, change, words):
@@ -102,6 +102,16 @@ def test_wires_and_bridges_are_neither_crowns_nor_houses(tmp_path):
     assert (made["buildings"], made["trees"]) == (1, 0)
     old = read_cloud(written(tmp_path / "old.las", format_=3, extra=over))
     assert np.nanmax(old.surface) == pytest.approx(35.0) and old.notes == ()
+
+
+@pytest.mark.parametrize(("up_m", "trees"), [(110.0, 1), (480.0, 0)])
+def test_a_bird_higher_than_any_tree_is_no_tree(tmp_path, up_m, trees):
+    """One return in the sky had a crown of 10 000 m² of leaves below it."""
+    high = [(33 + x, 36 + y, 20 + up_m, 1, 0) for x in (0.0, 0.8, 1.6) for y in (0.0, 0.8, 1.6)]
+    made = import_terrain(written(tmp_path / "c.las", extra=high), None, tmp_path / "s", three_d=ThreeD())
+    assert (made["buildings"], made["trees"]) == (1, trees)
+    words = ("1 peaks more than 120 m above the ground are not trees: left out",)
+    assert made["known"] == (() if trees else words)
 
 
 def test_a_crs_after_the_points_is_read(tmp_path):

@@ -119,7 +119,8 @@ def _rasters(path: Path, file: Any) -> Cloud:
         ground += np.bincount(post_of[below], z[below], minlength=count.size)
         building_count += np.bincount(post_of[kind == _BUILDING], minlength=count.size)
     if not count.any():
-        raise ThermorenderError(f"{path} has no point that is neither withheld nor noise; give another file")
+        words = ", ".join(f"{number} {what}" for what, number in left_out.items() if number) or "none"
+        raise ThermorenderError(f"{path} has no usable point (left out: {words}); give another file")
     shape, known = (rows, columns), (count > 0).reshape(rows, columns)
     close = _close_to(known)
     surface = np.where(close, fill(highest.reshape(shape), nearest_valid(known)), np.nan) * factor

@@ -43,6 +43,8 @@ _WITHIN = 0.8
 _LEAST_HIGH = 1.0 / 3.0
 # Triangles of roofs are larger than this in the plan, in squares of posts.
 _LEAST_PLAN = 0.02
+# The tallest tree known has 116 m; higher are birds, clouds and errors of a survey [m].
+_TALLEST_M = 120.0
 _LEAF_COLOUR = (72, 96, 48)
 
 
@@ -152,7 +154,9 @@ def imported(
     at, draw = _Local(grid, frame), np.random.default_rng(seed)
     texels = picture[2] if picture else grid
     tree_cells = _dilated(body, max(1, round(1.0 / post_m)))
-    trees = found.trees_in(height - bare, tree_cells, post_m)
+    crowns = found.trees_in(height - bare, tree_cells, post_m)
+    trees = [tree for tree in crowns if tree.height_m <= _TALLEST_M]
+    notes = (f"{len(crowns) - len(trees)} peaks more than {_TALLEST_M:.0f} m above the ground are not trees: left out",)
     covered = np.isfinite(height) & (height - bare > found.LEAST_M)
     skins = [_ground(bare, grid, frame, texels, picture, covered, ground_colour)]
     high = [each for each in outlines if _stands(each, height, bare, post_m)]
@@ -176,7 +180,8 @@ def imported(
         else:
             skins.append(_plants(*of_trees))
     buildings = len({high[k].building for k in built})
-    return Imported(tuple(skins), names, frame, buildings, flat, len(trees), stated, unmatched, typical)
+    return Imported(tuple(skins), names, frame, buildings, flat, len(trees), stated, unmatched, typical,
+                    notes if len(trees) < len(crowns) else ())  # fmt: skip
 
 
 def _all_walls(

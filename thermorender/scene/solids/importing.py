@@ -78,7 +78,7 @@ class ThreeD:
         walls, colour = Walls(self.wall, self.wall_by_kind), library[material].colour
         solid = imported(height + undulation_m, grid, post_m, bare, outlines, picture, colour, walls, library,
                          copies=self.copies)  # fmt: skip
-        return replace(solid, notes=notes)
+        return replace(solid, notes=notes + solid.notes)
 
     def _outlines(self, known: Path, grid: Grid) -> tuple[list[found.Outline], tuple[str, ...]]:
         """The outlines of a GeoJSON, or of a class of a raster, and sentences on what else the file states."""
