@@ -17,6 +17,7 @@ from thermorender.scene.parts.patch import read_features
 from thermorender.scene.solids import found
 from thermorender.scene.solids.borders import OPEN, borders
 from thermorender.scene.solids.importing import ThreeD
+from thermorender.scene.solids.outlines import outlines_in
 from thermorender.scene.solids.steps import cut_at_steps
 from thermorender.scene.surface import FILLED
 from thermorender.scene.terrain import read_elevation
@@ -127,7 +128,7 @@ def test_outlines_of_a_gis_are_read_with_rows_without_a_shape(model, tmp_path):
     # The same outline without a tag, and a member "crs" of null, which stands for longitude and latitude.
     del content["features"][2]["properties"]["building"]
     (tmp_path / "known.geojson").write_text(json.dumps(content))
-    with pytest.raises(ThermorenderError, match=r"1 polygons have no such tag.*building=yes"):
+    with pytest.raises(ThermorenderError, match=r"1 polygons without a tag 'building'.*building=yes"):
         import_terrain(model / "dsm.tif", None, tmp_path / "t", known=tmp_path / "known.geojson", three_d=ThreeD())
     write_text(tmp_path / "l.geojson", '{"features": [], "crs": null}')
     assert read_features(tmp_path / "l.geojson")[1].is_geographic
@@ -189,7 +190,7 @@ def test_holes_of_the_terrain_model_below_a_building_keep_it(model):
 @pytest.mark.parametrize("shift", [-100.0, 30.0])
 def test_a_terrain_model_from_another_level_is_refused(shift):
     with pytest.raises(ThermorenderError, match="count from different levels"):
-        found.ground_given(GROUND + shift, heights(), 1.0)
+        found.check_levels(GROUND + shift, heights(), 1.0)
 
 
 def outlined(folder, path, rings):
@@ -199,7 +200,7 @@ def outlined(folder, path, rings):
                "geometry": {"type": "Polygon", "coordinates": corners}}  # fmt: skip
     crs = {"type": "name", "properties": {"name": "EPSG:32634"}}
     path.write_text(json.dumps({"type": "FeatureCollection", "crs": crs, "features": [feature]}))
-    return found.outlines_in(path, grid_of(folder))
+    return outlines_in(path, grid_of(folder))[0]
 
 
 def test_outlines_keep_their_corners_whether_closed_or_not(model, tmp_path):
@@ -390,13 +391,13 @@ def test_a_polygon_without_corners_is_refused(model, tmp_path, coordinates):
     content["features"][0]["geometry"]["coordinates"] = coordinates
     path.write_text(json.dumps(content))
     with pytest.raises(ThermorenderError, match="feature 1 "):
-        found.outlines_in(path, grid_of(model))
+        outlines_in(path, grid_of(model))
 
 
 def test_buildings_outside_of_the_model_are_counted(model, tmp_path):
     path = features(tmp_path / "k.geojson", [(ring_of(500, 500, 520, 520), {"building:part": "yes"})])
-    with pytest.raises(ThermorenderError, match=r"no polygon with a tag 'building' on .* \(1 are outside of it, 0"):
-        found.outlines_in(path, grid_of(model))
+    with pytest.raises(ThermorenderError, match=r"no polygon with a tag 'building' on .* \(left out: 1 outside of"):
+        outlines_in(path, grid_of(model))
 
 
 def test_posts_far_apart_need_outlines(tmp_path):

@@ -72,7 +72,7 @@ def test_feet_are_read_where_the_crs_declares_them_and_refused_where_it_does_not
     [
         ({"wkt": ""}, "declares no CRS by an EPSG number or WKT; state it with `pdal translate"),
         ({"wkt": "EPSG:4326"}, "not on a map; project it"),
-        ({"dense": 0.01, "extra": ()}, "has no point that is neither withheld nor noise"),
+        ({"dense": 0.01, "extra": ()}, r"has no usable point \(left out: 16 withheld\)"),
     ],
 )
 def test_wrong_clouds(tmp_path, change, words):
@@ -90,6 +90,66 @@ def test_a_damaged_cloud_is_one_sentence(tmp_path):
     path.write_bytes(path.read_bytes()[:-5000])
     with pytest.raises(ThermorenderError, match=r"c\.laz cannot be read as a point cloud"):
         read_cloud(path)
+
+
+def test_wires_and_bridges_are_neither_crowns_nor_houses(tmp_path):
+    """Point formats from 6 on have classes for them; in earlier ones these numbers are reserved, and points stay."""
+    over = [(x, 5, 35, 14, 0) for x in np.arange(2.0, 38.0, 0.2)] + [(x, 34, 28, 17, 0) for x in np.arange(2, 38, 0.2)]
+    cloud = read_cloud(written(tmp_path / "c.las", extra=over))
+    assert np.nanmax(cloud.surface) == pytest.approx(26.0)
+    assert cloud.notes == ("c.las: 180 points left out, wires", "c.las: 180 points left out, bridges")
+    made = import_terrain(tmp_path / "c.las", None, tmp_path / "s", three_d=ThreeD())
+    assert (made["buildings"], made["trees"]) == (1, 0)
+    old = read_cloud(written(tmp_path / "old.las", format_=3, extra=over))
+    assert np.nanmax(old.surface) == pytest.approx(35.0) and old.notes == ()
+
+
+@pytest.mark.parametrize(("up_m", "trees"), [(110.0, 1), (480.0, 0)])
+def test_a_bird_higher_than_any_tree_is_no_tree(tmp_path, up_m, trees):
+    """One return in the sky had a crown of 10 000 m² of leaves below it."""
+    high = [(33 + x, 36 + y, 20 + up_m, 1, 0) for x in (0.0, 0.8, 1.6) for y in (0.0, 0.8, 1.6)]
+    made = import_terrain(written(tmp_path / "c.las", extra=high), None, tmp_path / "s", three_d=ThreeD())
+    assert (made["buildings"], made["trees"]) == (1, trees)
+    words = ("1 peaks more than 120 m above the ground are not trees: left out",)
+    assert made["known"] == (() if trees else words)
+
+
+def test_a_crs_after_the_points_is_read(tmp_path):
+    """LAS 1.4 has extended records after the points."""
+    cloud = laspy.read(str(written(tmp_path / "c.las")))
+    cloud.evlrs = laspy.vlrs.vlrlist.VLRList()
+    cloud.evlrs.append(cloud.header.vlrs.pop(0))
+    cloud.write(str(tmp_path / "e.las"))
+    with laspy.open(str(tmp_path / "e.las")) as file:
+        assert not file.header.vlrs
+    assert read_cloud(tmp_path / "e.las").grid.crs == CRS.from_epsg(32634)
+
+
+@pytest.mark.parametrize(("unit", "refused"), [(9001, False), (9003, True), (9002, True), (None, False)])
+def test_keys_of_another_unit_than_the_maps_are_refused(tmp_path, unit, refused):
+    keys = [(3072, 32634), (4099, 9001)] + ([(3076, unit)] if unit else [])
+    cloud = laspy.read(str(written(tmp_path / "c.las", wkt="", format_=3)))
+    directory = laspy.vlrs.known.GeoKeyDirectoryVlr()
+    numbers = [1, 1, 0, len(keys), *(v for key, value in sorted(keys) for v in (key, 0, 1, value))]
+    directory.parse_record_data(np.array(numbers, "<u2").tobytes())
+    cloud.header.vlrs.append(directory)
+    cloud.write(str(tmp_path / "k.las"))
+    if refused:
+        with pytest.raises(ThermorenderError, match=r"contradicts itself: its map is in (us-)?ft by the key of units"):
+            read_cloud(tmp_path / "k.las")
+    else:
+        assert np.nanmax(read_cloud(tmp_path / "k.las").surface) == pytest.approx(26.0)
+
+
+def test_a_few_stray_points_of_buildings_do_not_hide_the_house(tmp_path):
+    """Many tiles have a handful of points of class 6; the roof became a crown."""
+    cloud = laspy.read(str(written(tmp_path / "c.las")))
+    kind = np.array(cloud.classification)
+    kind[np.flatnonzero(kind == 6)[8:]] = 1
+    cloud.classification = kind
+    cloud.write(str(tmp_path / "s.las"))
+    made = import_terrain(tmp_path / "s.las", None, tmp_path / "s", three_d=ThreeD())
+    assert (made["buildings"], made["trees"]) == (1, 0)
 
 
 def test_overlap_of_flight_lines_is_left_out(tmp_path):

@@ -129,7 +129,7 @@ def _solid_words(summary: dict[str, Any], wall: str) -> str:
              + (f" as copies of {summary['kinds']} typical ones" if summary["kinds"] else "")
              + "; walls, trunks and leaves are inferred from heights"]  # fmt: skip
     if summary["flat_outlines"]:
-        words.append(f"{summary['flat_outlines']} outlines left out, nothing high is in them")
+        words.append(f"{summary['flat_outlines']} outlines left out, less than a third of each is high")
     if unmatched:
         listed = ", ".join(f"{count} {name}" for name, count in unmatched.items())
         words.append(f"declared walls without a match have the usual material or colour: {listed}")

@@ -25,7 +25,7 @@ from thermorender.scene.solids.clouds import SUFFIXES, read_cloud
 from thermorender.scene.solids.importing import ThreeD, write_solid
 from thermorender.scene.spec import WeatherSpec
 from thermorender.scene.surface import scene_kelvin
-from thermorender.scene.terrain import filled, read_elevation
+from thermorender.scene.terrain import doubtful_zeros, filled, read_elevation
 from thermorender.schema import toml_text
 from thermorender.sensor.camera import load_camera
 from thermorender.units import instant, utc_text
@@ -103,10 +103,10 @@ def import_terrain(
         crs, posts, post_m, texels, texel_m, height_reference, height_reference_stated (by the caller or the CRS),
         flight_m (height of flight.csv above the ground), share_without_height, share_filled (of the posts),
         share_without_colour, share_collar (not empty, but near black or white up to the edge), share_clipped (black or
-        white in some band), the last three None without orthophoto, and known, sentences on its shapes; with `three_d`
-        also buildings, trees, flat_outlines (without anything as high as a building), stated_walls (buildings whose
-        outlines declare their walls), unmatched, {declared wall without a match: count}, and kinds (number of typical
-        trees whose copies the trees are; 0 where each has its own leaves).
+        white in some band), the last three None without orthophoto, and known, sentences on the other files; with
+        `three_d` also buildings, trees, flat_outlines (less than a third of each is high), stated_walls (buildings
+        whose outlines declare their walls), unmatched, {declared wall without a match: count}, and kinds (number of
+        typical trees whose copies the trees are; 0 where each has its own leaves).
 
     Raises
     ------
@@ -130,6 +130,7 @@ def import_terrain(
         )
     cloud = read_cloud(elevation) if Path(elevation).suffix.lower() in SUFFIXES else None
     height, height_grid = (cloud.surface, cloud.grid) if cloud else read_elevation(elevation)
+    notes = cloud.notes if cloud else doubtful_zeros(elevation, height)
     stated = height_reference is not None or _has_vertical_datum(height_grid.crs)
     if height_reference is None:
         height_reference = "geoid" if stated else "ellipsoid"
@@ -140,7 +141,7 @@ def import_terrain(
     if orthophoto is not None:
         colours = read_colour(orthophoto, bands, colour_range, collar)
         picture, bounds = _picture(orthophoto, colours, elevation, crs, bounds, max_texels)
-    height, target = _heights(height, height_grid, crs, bounds, max_vertices)
+    height, target = _heights(height, height_grid, crs, bounds, max_vertices, square=three_d is not None)
     if not np.isfinite(height).any():
         raise ThermorenderError(f"{elevation} has no valid height where {orthophoto} is; give a DEM of the same area")
     terrain = {"elevation": "elevation.tif", "orthophoto": "orthophoto.tif" if picture else None,
@@ -153,7 +154,8 @@ def import_terrain(
     solid = None
     if three_d:
         undulation_m = (geoid_undulation_m or 0.0) if height_reference == "geoid" else 0.0
-        solid = three_d.made(height, target, _step(crs, target), undulation_m, known, picture, material, cloud)
+        solid = three_d.made(height, target, _step(crs, target), undulation_m, known, picture, material,
+                             height_grid.crs, cloud)  # fmt: skip
         known = None
     shapes = read_known(known, texels, _step(crs, texels)).notes if known is not None else ()
     flight_m, flight = _flight(bounds, _step(crs, texels))
@@ -184,7 +186,7 @@ def import_terrain(
         "height_reference": height_reference,
         "height_reference_stated": stated,
         "flight_m": flight_m,
-        "known": (*(cloud.notes if cloud else ()), *shapes),
+        "known": (*notes, *(solid.notes if solid else ()), *shapes),
         **({name: getattr(solid, name) for name in _FOUND} | {"kinds": len(solid.kinds)} if solid else {}),
         "share_without_height": float(1.0 - after.mean()),
         "share_filled": float((after & ~given).mean()),
@@ -268,12 +270,13 @@ def _colour_shares(rgb: NDArray[np.uint8] | None, valid: NDArray[np.bool_] | Non
 
 
 def _heights(
-    height: NDArray[Any], grid: Grid, crs: Any, bounds: _Bounds, max_vertices: int
+    height: NDArray[Any], grid: Grid, crs: Any, bounds: _Bounds, max_vertices: int, square: bool
 ) -> tuple[NDArray[Any], Grid]:
-    """Heights on a map's grid within bounds, and that Grid."""
+    """Heights on a map's grid within bounds, and that Grid; `square` where lengths are counted in posts."""
     post = _step(crs, grid)
     target = _grid(crs, bounds, max(post, np.sqrt((bounds[2] - bounds[0]) * (bounds[3] - bounds[1]) / max_vertices)))
-    if _aligned(grid, crs, target, post):
+    wrong = square and abs(grid.transform.a + grid.transform.e) > 1e-3 * abs(grid.transform.a)
+    if _aligned(grid, crs, target, post) and not wrong:
         return _cut(height, grid, bounds)
     return onto(height, grid, target, "average" if _step(crs, target) > 1.5 * post else "bilinear"), target
 

@@ -11,13 +11,15 @@ from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene.raster import Grid, grid_of, lon_lat, opened, read_band
 
 # Metres in a unit of height, by the names in use; a raster of a map in metres is in metres if it names no unit.
-_METRES = (
+METRES = (
     dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0)
     | dict.fromkeys(("ft", "foot", "feet", "international foot", "international feet"), 0.3048)
     | dict.fromkeys(("us-ft", "ftus", "us survey foot", "us survey feet", "foot_us", "us_survey_foot"), 1200.0 / 3937.0)
 )
 # Placeholders for missing heights in files that declare none.
 _PLACEHOLDERS = (-9999.0, -32767.0, -32768.0, 32767.0, 65535.0)
+# Posts of 0 m this far below all others may be missing [m].
+_DOUBTFUL_M = 20.0
 
 
 def read_elevation(path: Path) -> tuple[NDArray[np.float64], Grid]:
@@ -43,6 +45,23 @@ def read_elevation(path: Path) -> tuple[NDArray[np.float64], Grid]:
             f"{path} has no valid height in it (all nodata, NaN or beyond ±9000 m); give another DEM"
         )
     return height, grid
+
+
+def doubtful_zeros(path: Path, height: NDArray[np.floating]) -> tuple[str, ...]:
+    """Return a sentence on heights of exactly 0 far below all others, where a raster declares no value of missing ones.
+
+    Programs write 0 where they know nothing, and so it stands for the sea and for gaps.
+    """
+    with opened(path) as dataset:
+        declared = dataset.nodata is not None
+    zero = height == 0.0
+    others = height[np.isfinite(height) & ~zero]
+    if declared or not zero.any() or not others.size or float(others.min()) < _DOUBTFUL_M:
+        return ()
+    return (
+        f"{Path(path).name} has {int(zero.sum())} posts of exactly 0 m, and all others are {float(others.min()):.0f} m "
+        "or higher: if they are missing, declare it with `rio edit-info --nodata 0 FILE`",
+    )
 
 
 def _metres(path: Path) -> float:
@@ -73,7 +92,7 @@ def metres_of_heights(path: Path, crs: Any, unit: str, declare: str) -> float:
     """
     map_unit = crs.linear_units if crs.is_projected else "metre"
     crs = crs.to_dict(projjson=True)
-    factor = _METRES.get(unit.strip().lower()) if unit else None
+    factor = METRES.get(unit.strip().lower()) if unit else None
     if unit and factor is None:
         raise ThermorenderError(f"{path} holds heights in {unit!r}; give metres or feet, or {declare}")
     crs = crs.get("source_crs", crs)
@@ -89,11 +108,27 @@ def metres_of_heights(path: Path, crs: Any, unit: str, declare: str) -> float:
                 f"by the vertical CRS; {declare}, or another CRS"
             )
         return of_crs
-    if factor is None and _METRES.get(map_unit.lower(), 1.0) != 1.0:
+    if factor is None and METRES.get(map_unit.lower(), 1.0) != 1.0:
         raise ThermorenderError(
             f"{path} does not declare the unit of its heights, and its map is in {map_unit}; {declare}"
         )
     return 1.0 if factor is None else factor
+
+
+def zero_of_heights(crs: Any) -> str | None:
+    """Return the name of what a CRS counts heights from: a vertical datum with a code, or "the ellipsoid".
+
+    None if it does not say so. Datums without a code have several names.
+    """
+    found = crs.to_dict(projjson=True)
+    found = found.get("source_crs", found)
+    for part in found.get("components", [found]):
+        if any(axis["direction"] == "up" for axis in part.get("coordinate_system", {}).get("axis", [])):
+            datum = part.get("datum") or part.get("datum_ensemble") or part
+            if part["type"] != "VerticalCRS":
+                return "the ellipsoid"
+            return str(datum["name"]) if "id" in part or "id" in datum else None
+    return None
 
 
 def filled(height: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

@@ -1,5 +1,7 @@
 """Shapes of OpenStreetMap that restrict the materials inside them: a GeoJSON of buildings, roads, water and land."""
 
+import json
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -53,6 +55,9 @@ _UNPAVED = ("unpaved", "compacted", "fine_gravel", "gravel", "pebblestone", "gro
             "sand", "rock")  # fmt: skip
 _AREAS, _LINES = ("Polygon", "MultiPolygon"), ("LineString", "MultiLineString")
 _MOST_NAMED = 5
+# Properties that hold several tags as text, a pair of hstore, and a character that a backslash keeps in one.
+_PACKED = ("tags", "other_tags", "all_tags")
+_PAIR, _UNESCAPED = re.compile(r'"((?:[^"\\]|\\.)*)"\s*=>\s*"((?:[^"\\]|\\.)*)"'), re.compile(r"\\(.)")
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +127,7 @@ def read_known(path: Path, grid: Grid, texel_m: float) -> KnownCover:
         order, case, name = found
         kind, width = str(geometry.get("type", "no shape")), _width_m(tags)
         as_area = kind in _AREAS
-        if tags.get("tunnel", "no") not in ("no", "building_passage") or tags.get("location") == "underground":
+        if underground(tags):
             left_out["underground"] += 1
         elif not (as_area or (kind in _LINES and width is not None)):
             left_out[f"of {name} as {kind}"] += 1
@@ -155,7 +160,7 @@ def _burnt(
         number[part][inside] = cases.setdefault(case, len(cases) + 1)
         by_name.setdefault(name, np.zeros(number.shape, bool))[part] |= inside
     if not used:
-        reasons = _counted(left_out + silent) or "it has no feature"
+        reasons = counted(left_out + silent) or "it has no feature"
         raise ThermorenderError(
             f"{path} restricts no texel of {grid.name} ({reasons}); give OpenStreetMap shapes of the terrain as "
             "longitude and latitude unless a 'crs' member names another CRS"
@@ -165,18 +170,21 @@ def _burnt(
     notes = [f"{path.name}: {used} of {used + left_out.total() + silent.total()} shapes restrict the materials of "
              f"{np.count_nonzero(number) / size:.1%} of the texels ({shares})"]  # fmt: skip
     if left_out:
-        notes.append(f"{path.name}: left out are {_counted(left_out)}")
+        notes.append(f"{path.name}: left out are {counted(left_out)}")
     if silent:
-        notes.append(f"{path.name}: tags that say nothing on materials: {_counted(silent)}")
+        notes.append(f"{path.name}: tags that say nothing on materials: {counted(silent)}")
     return KnownCover(number, tuple(cases), tuple(notes))
 
 
 def tagged(feature: Any, path: Path, number: int) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return (geometry, tags) of feature `number` of a file; {} for the geometry of one that has none."""
+    """Return (geometry, tags) of feature `number` of a file; {} for the geometry of one that has none.
+
+    Tags are properties, a property "tags", or text in one of `_PACKED`, as GDAL and PostGIS write rarer tags.
+    """
     try:
         geometry, about = feature["geometry"], feature.get("properties") or {}
         nested = about.get("tags")
-        tags = nested if isinstance(nested, Mapping) else about
+        tags = nested if isinstance(nested, Mapping) else about | _packed(about)
         # A feature may be without a place: RFC 7946, section 3.2.
         geometry = {} if geometry is None else geometry
         if not isinstance(geometry, dict):
@@ -186,6 +194,22 @@ def tagged(feature: Any, path: Path, number: int) -> tuple[dict[str, Any], dict[
         raise ThermorenderError(
             f"{path}, feature {number} is not a GeoJSON feature with geometry and properties; export the file again"
         ) from None
+
+
+def _packed(about: Mapping[str, Any]) -> dict[str, Any]:
+    """Tags of OpenStreetMap that a property holds as text: JSON, or "key"=>"value" as PostgreSQL's hstore."""
+    found: dict[str, Any] = {}
+    for text in (about[key] for key in _PACKED if isinstance(about.get(key), str)):
+        if text.lstrip().startswith("{"):
+            found |= json.loads(text)
+        else:
+            found |= {_UNESCAPED.sub(r"\1", key): _UNESCAPED.sub(r"\1", value) for key, value in _PAIR.findall(text)}
+    return found
+
+
+def underground(tags: Mapping[str, str]) -> bool:
+    """Whether a shape with tags of OpenStreetMap is underground."""
+    return tags.get("tunnel", "no") not in ("no", "building_passage") or tags.get("location") == "underground"
 
 
 def _ruled(tags: Mapping[str, str]) -> tuple[int, tuple[str, ...] | str, str] | None:
@@ -252,8 +276,8 @@ def _ribbon(line: NDArray[np.float64], half: float) -> list[NDArray[np.float64]]
     return [*found, *(corner + disc for corner in line[1:-1])]
 
 
-def _counted(counts: Counter[str]) -> str:
-    """Names with their counts, the most frequent first."""
+def counted(counts: Counter[str]) -> str:
+    """Return names with their counts, the most frequent first."""
     rest = counts.total() - sum(count for _, count in counts.most_common(_MOST_NAMED))
     words = [f"{count} {name}" for name, count in counts.most_common(_MOST_NAMED)]
     return ", ".join([*words, *([f"{rest} more"] if rest else [])])

@@ -17,6 +17,8 @@ from thermorender.scene.ground import Ground
 from thermorender.scene.raster import Grid
 
 _POLYGONS = ("Polygon", "MultiPolygon")
+# Farther corners are on no map: the Earth is 4e10 mm round.
+_FARTHEST_PX = 1e12
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +118,7 @@ def pixels_of(corners: Any, crs: Any, grid: Grid, where: str) -> NDArray[np.floa
         if crs.is_geographic and not ((np.abs(x) <= 360.0) & (np.abs(y) <= 90.0)).all():
             raise ValueError
         found = np.column_stack(grid.to_pixel(*map(np.array, transform(crs, grid.crs, x, y))))
-        if not np.isfinite(found).all():
+        if not (np.abs(found) < _FARTHEST_PX).all():
             raise ValueError
     except Exception:  # GDAL's errors share no public base class
         raise ThermorenderError(

@@ -12,16 +12,20 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.scene.raster import Grid, lon_lat
 from thermorender.scene.surface import MOST_TEXELS, fill, nearest_valid
-from thermorender.scene.terrain import metres_of_heights
+from thermorender.scene.terrain import METRES, metres_of_heights
 
 SUFFIXES = (".las", ".laz")
 # Classes of the ASPRS LAS specification 1.4, tables 9 and 17: noise low and high, ground, buildings, and overlap.
 _NOISE, _GROUND, _BUILDING, _OVERLAP = (7, 18), 2, 6, 12
+# Classes of point formats from 6 on, table 17: wires with their towers, bridges, and what hangs over the ground. Walls
+# or crowns below them would be wrong.
+_OVERHEAD = {"wires": (13, 14, 15, 16), "bridges": (17,), "overhead structures": (19,)}
 # Points in a post on average, and limits of a post's side [m]; posts this near to a point get its height.
 _IN_POST, _POST_M, _NEAR = 2.0, (0.1, 1.0), 2.0
 _AT_ONCE = 2_000_000
-# GeoTIFF 1.1, requirement classes for keys: CRS of the map, geographic CRS, vertical CRS, and unit of heights.
-_PROJECTED, _GEOGRAPHIC, _VERTICAL, _VERTICAL_UNIT = 3072, 2048, 4096, 4099
+# GeoTIFF 1.1, requirement classes for keys: CRS of the map, geographic CRS, unit of the map, vertical CRS, and unit of
+# heights.
+_PROJECTED, _GEOGRAPHIC, _MAP_UNIT, _VERTICAL, _VERTICAL_UNIT = 3072, 2048, 3076, 4096, 4099
 _OWN = 32767
 _UNITS = {9001: "m", 9002: "ft", 9003: "us-ft"}
 _STATE = "state it with `pdal translate IN OUT --writers.las.a_srs=EPSG:MAP+HEIGHTS`, such as EPSG:32633+5773"
@@ -51,7 +55,7 @@ class Cloud:
 
 
 def read_cloud(path: Path) -> Cloud:
-    """Return the Cloud of a file; withheld points, noise, and the overlap of flight lines are left out.
+    """Return the Cloud of a file without withheld points, noise, wires, bridges, and the overlap of flight lines.
 
     Raises
     ------
@@ -99,7 +103,7 @@ def _rasters(path: Path, file: Any) -> Cloud:
     grid = Grid(crs, _upright(left, top, post), rows, columns, str(path))
     highest = np.full(rows * columns, -np.inf)
     count, ground_count, building_count, ground = (np.zeros(rows * columns) for _ in range(4))
-    left_out = {"withheld": 0, "noise": 0, "overlap": 0}
+    left_out = dict.fromkeys(("withheld", "noise", "overlap", *_OVERHEAD), 0)
     for x, y, z, kind in _points(path, file, left_out):
         column, row = np.floor((x - left) / post).astype(int), np.floor((top - y) / post).astype(int)
         if not (np.isfinite(z).all() and (column >= 0).all() and (row >= 0).all()
@@ -115,7 +119,8 @@ def _rasters(path: Path, file: Any) -> Cloud:
         ground += np.bincount(post_of[below], z[below], minlength=count.size)
         building_count += np.bincount(post_of[kind == _BUILDING], minlength=count.size)
     if not count.any():
-        raise ThermorenderError(f"{path} has no point that is neither withheld nor noise; give another file")
+        words = ", ".join(f"{number} {what}" for what, number in left_out.items() if number) or "none"
+        raise ThermorenderError(f"{path} has no usable point (left out: {words}); give another file")
     shape, known = (rows, columns), (count > 0).reshape(rows, columns)
     close = _close_to(known)
     surface = np.where(close, fill(highest.reshape(shape), nearest_valid(known)), np.nan) * factor
@@ -145,6 +150,8 @@ def _points(path: Path, file: Any, left_out: dict[str, int]) -> Iterator[tuple[N
         # Point formats up to 5 have a class of overlap, later ones a flag.
         overlap = getattr(part, "overlap", None)
         unusable["overlap"] = kind == _OVERLAP if overlap is None else np.asarray(overlap) != 0
+        if overlap is not None:
+            unusable |= {what: np.isin(kind, classes) for what, classes in _OVERHEAD.items()}
         keep = np.ones(len(kind), bool)
         for what, those in unusable.items():
             left_out[what] += int((those & keep).sum())
@@ -166,7 +173,7 @@ def _crs_of(path: Path, header: Any) -> tuple[Any, float]:
     unit = ""
     crs = None
     try:
-        for record in header.vlrs:
+        for record in (*header.vlrs, *(header.evlrs or ())):
             keys = {key.id: key.value_offset for key in getattr(record, "geo_keys", ())}
             if hasattr(record, "string") and record.record_id == 2112:
                 crs = CRS.from_wkt(record.string.rstrip("\0"))
@@ -177,6 +184,7 @@ def _crs_of(path: Path, header: Any) -> tuple[Any, float]:
                 if code and code != _OWN:
                     compound = f"+{level}" if level and level != _OWN else ""
                     crs = CRS.from_user_input(f"EPSG:{code}{compound}")
+                    _check_map_unit(path, crs, _UNITS.get(keys.get(_MAP_UNIT, 0)))
     except CRSError as error:
         raise ThermorenderError(f"{path} has a CRS that cannot be read ({error}); {_STATE}") from None
     if crs is None:
@@ -187,3 +195,15 @@ def _crs_of(path: Path, header: Any) -> tuple[Any, float]:
             "`pdal translate IN OUT reprojection --filters.reprojection.out_srs=EPSG:MAP`"
         )
     return crs, metres_of_heights(path, crs, unit, _STATE)
+
+
+def _check_map_unit(path: Path, crs: Any, unit: str | None) -> None:
+    """Refuse a map whose keys state another unit than its CRS has; both feet are one to 2 in a million."""
+    if unit is None or not crs.is_projected:
+        return
+    stated, own = METRES[unit], float(crs.linear_units_factor[1])
+    if abs(stated / own - 1.0) > 1e-4:
+        raise ThermorenderError(
+            f"{path} contradicts itself: its map is in {unit} by the key of units, and in {crs.linear_units} by "
+            f"{crs.to_string()[:60]}; {_STATE}"
+        )

@@ -19,6 +19,7 @@ GLASS, DOOR = "glass", "wood"
 # Materials of the library by the values of OpenStreetMap's tags `building:cladding` and `building:material`, in the
 # order of preference: what covers a wall is what radiates.
 TAGS, COLOURS = ("building:cladding", "building:material"), ("building:colour", "building:color")
+MATERIALS = ("material", *TAGS)
 OF_TAG = {
     "brick": "brick_clay", "bricks": "brick_clay", "clinker": "brick_clay", "plaster": "brick_painted",
     "render": "brick_painted", "stucco": "brick_painted", "timber_framing": "brick_painted", "cement": "cement",
@@ -59,7 +60,7 @@ def wall_of(
     """
     unmatched = []
     material = by_kind.get(tags.get("building", ""), usual)
-    for key in ("material", *TAGS):
+    for key in MATERIALS:
         if key not in tags:
             continue
         name = tags[key] if key == "material" else OF_TAG.get(tags[key].lower().replace(" ", "_"), "")

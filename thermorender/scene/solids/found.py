@@ -2,21 +2,19 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.scene.parts.known_cover import tagged
-from thermorender.scene.parts.patch import burnt, pixels_of, read_features
-from thermorender.scene.raster import Grid, grid_of, onto, read_classes
+from thermorender.scene.parts.patch import burnt
+from thermorender.scene.raster import Grid, onto
 from thermorender.scene.surface import fill, nearest_valid
 from thermorender.scene.terrain import filled
 
 # Lower things are ground [m]; buildings found by height have at least this area [m²].
-LEAST_M, _LEAST_AREA_M2 = 2.0, 25.0
+LEAST_M, LEAST_AREA_M2 = 2.0, 25.0
 # Progressive morphological filter: Zhang and others, IEEE Trans. Geosci. Remote Sens. 41 (2003) 872,
 # doi:10.1109/TGRS.2003.810682: largest window, slope of the ground, first and largest threshold [m].
 _WINDOW_M, _SLOPE, _FIRST_M, _MOST_M = 60.0, 0.15, 0.4, 2.0
@@ -29,6 +27,9 @@ _BESIDE_M, _FREE_SHARE = 3.0, 2.0 / 3.0
 _GAP_M = 1.0
 # Above this excess green is a plant: 2 g − r − b of shares of sRGB; Woebbecke and others, Trans. ASAE 38 (1995) 259.
 _GREEN = 0.10
+# Open ground follows a terrain model within this standard deviation over a window of this side: airborne lidar errs by
+# 0.05 to 0.15 m, and crowns 2 m wide or more are rougher by twice as much. Lowest posts: this far above the lowest [m].
+_ROUGH_M, _ROUGH_OVER_M, _FLOOR_M = 0.2, 3.0, 0.5
 # Trees: smoothing of heights and distance of tops [m]; least area of one that stands alone [m²].
 _BLUR_M, _APART_M, _LEAST_CROWN_M2 = 0.8, 3.0, 1.0
 
@@ -39,12 +40,20 @@ Ring = NDArray[np.float64]
 class Outline:
     """The outer ring and the holes of a building, (N, 2) as (column, row), and what its file says on it.
 
-    A part of a building names the outline that bounds it as its `whole`.
+    A part of a building names the outline that bounds it as its `whole`. One with an outline of its own names the
+    building `of` which it is.
     """
 
     rings: Sequence[Ring]
     tags: Mapping[str, str] = field(default_factory=dict)
     whole: "Outline | None" = None
+    of: "Outline | None" = None
+
+    @property
+    def building(self) -> "Outline":
+        """The outline of the building: this one, or the one that it is a part of."""
+        whole = self.whole or self
+        return whole.of or whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,107 +113,52 @@ def _terraces(
     return found
 
 
+def check_levels(
+    ground: NDArray[np.float64], height: NDArray[np.float64], post_m: float, declared: bool = False
+) -> None:
+    """Refuse a terrain model and a surface model, (h, w) [m] each, whose heights count from different levels.
+
+    A wood without a gap is above its ground everywhere, as is a surface model that counts from elsewhere. Open ground
+    tells them apart: a surface model follows it, and crowns are rough. Where all is canopy, nothing tells. Files that
+    have `declared` one level are refused only where the surface is below the ground.
+
+    Raises
+    ------
+    ThermorenderError
+        The lowest posts above the ground are higher than `LEAST_M`, and smooth; or many posts are below the ground.
+    """
+    from scipy.ndimage import uniform_filter
+
+    step = height - ground
+    known = np.isfinite(step)
+    if not known.any():
+        raise ThermorenderError("the ground's heights do not overlap the surface model; give those of the same area")
+    lowest, low, middle = np.percentile(step[known], (1.0, 10.0, 50.0))
+    below = low < -LEAST_M or middle < -0.5 * LEAST_M
+    if not below and (declared or lowest <= LEAST_M):
+        return
+    window = max(3, 2 * int(0.5 * _ROUGH_OVER_M / post_m) + 1)
+    # Whole windows only, and differences from one height, so that squares lose no digits.
+    off = np.where(known, step - lowest, 0.0)
+    whole = uniform_filter(known.astype(np.float64), window, mode="constant") > 1.0 - 1e-6
+    variance = uniform_filter(off**2, window) - uniform_filter(off, window) ** 2
+    floor = variance[whole & (off >= 0.0) & (off < _FLOOR_M)]
+    smooth = floor.size and np.sqrt(max(float(np.percentile(floor, 25.0)), 0.0)) < _ROUGH_M
+    if below or smooth:
+        raise ThermorenderError(
+            f"the surface model is {middle:.1f} m above the ground's heights in the median and {lowest:.1f} m at its "
+            "lowest posts, so both count from different levels; convert one of them, declare the vertical CRS of "
+            "both, or leave --ground out"
+        )
+
+
 def ground_given(
     ground: NDArray[np.float64], height: NDArray[np.float64], post_m: float, green: NDArray[np.bool_] | None = None
 ) -> NDArray[np.float64]:
-    """Return the heights of the ground by a terrain model; linear in its holes, and filtered beyond it.
-
-    Raises
-    ------
-    ThermorenderError
-        Both models count from different levels.
-    """
-    step = (height - ground)[np.isfinite(height) & np.isfinite(ground)]
-    if not step.size:
-        raise ThermorenderError("the ground's heights do not overlap the surface model; give those of the same area")
-    low, middle = np.percentile(step, (1.0, 50.0))
-    if low > LEAST_M or middle < -0.5 * LEAST_M:
-        raise ThermorenderError(
-            f"the surface model is {middle:.1f} m above the ground's heights in the median and {low:.1f} m at its "
-            "lowest posts, so both count from different levels; convert one of them, or leave --ground out"
-        )
+    """Return the heights of the ground by a terrain model; linear in its holes, and filtered beyond it."""
     whole, _ = filled(ground)
     whole = np.where(np.isfinite(whole), whole, ground_below(height, post_m, green))
     return np.where(np.isfinite(height), np.minimum(whole, height), whole)
-
-
-def outlines_in(path: Path, grid: Grid) -> list[Outline]:
-    """Return the Outlines of a GeoJSON's buildings and their parts.
-
-    Raises
-    ------
-    ThermorenderError
-        The file cannot be read, or holds no building on the grid.
-    """
-    features, crs = read_features(path)
-    found: list[Outline] = []
-    outside = untagged = 0
-    for number, feature in enumerate(features, 1):
-        geometry, tags = tagged(feature, path, number)
-        if geometry.get("type") not in ("Polygon", "MultiPolygon"):
-            continue
-        if not is_building(tags):
-            untagged += 1
-            continue
-        for rings in _rings(geometry, crs, grid, f"{path}, feature {number}"):
-            low, high = rings[0].min(axis=0), rings[0].max(axis=0)
-            if (high > 0.0).all() and (low < (grid.width, grid.height)).all():
-                found.append(Outline(rings, tags))
-            else:
-                outside += 1
-    if not found:
-        raise ThermorenderError(
-            f"{path} has no polygon with a tag 'building' on {grid.name} ({outside} are outside of it, "
-            f"{untagged} polygons have no such tag); give one of this area whose buildings have a property "
-            "building=yes, or leave known out so that buildings are found by height"
-        )
-    return found
-
-
-def _rings(geometry: Mapping[str, Any], crs: Any, grid: Grid, where: str) -> list[list[Ring]]:
-    """The rings of each polygon of a geometry."""
-    try:
-        given = geometry["coordinates"]
-        shapes = [
-            [list(ring) for ring in shape] for shape in (given if geometry["type"] == "MultiPolygon" else [given])
-        ]
-    except (KeyError, TypeError):
-        raise ThermorenderError(f"{where} is not a polygon with corners; export polygons from a GIS") from None
-    made = [[_ring(pixels_of(ring, crs, grid, where)) for ring in shape] for shape in shapes]
-    if any(not rings or any(len(ring) < 3 or area_of(ring) < 1e-6 for ring in rings) for rings in made):
-        raise ThermorenderError(f"{where} has an outline without area; give it three corners or more, or delete it")
-    return made
-
-
-def outlines_in_classes(path: Path, number: int, grid: Grid) -> list[Outline]:
-    """Return the Outlines of connected pixels of a raster that have a class number.
-
-    Raises
-    ------
-    ThermorenderError
-        The file cannot be read, or has no such pixel on the grid; or the number is 0, which marks no data.
-    """
-    if number == 0:
-        raise ThermorenderError(f"building_class=0 marks pixels without data in {path}; give the number of buildings")
-    classes = onto(read_classes(path).astype(np.float32), grid_of(path), grid, "nearest")
-    found = outlines_of(classes == number)
-    if not found:
-        held = np.unique(classes[np.isfinite(classes)]).astype(int).tolist()
-        raise ThermorenderError(
-            f"{path} has no building of class {number} on {grid.name}; it holds the classes {held[:20]}, so give the "
-            "one of buildings as --building-class, or a raster of this area"
-        )
-    return found
-
-
-def is_building(tags: Mapping[str, str]) -> bool:
-    """Whether tags of OpenStreetMap are those of a building or of a part of one."""
-    return any(tags.get(key, "no") != "no" for key in ("building", "building:part"))
-
-
-def _ring(corner: NDArray[np.float64]) -> Ring:
-    """Corners once each: without those that repeat the one before, and the first at the end."""
-    return corner[np.abs(corner - np.roll(corner, 1, axis=0)).max(axis=1) > 1e-9]
 
 
 def area_of(ring: Ring) -> float:
@@ -261,7 +215,7 @@ def large(mask: NDArray[np.bool_], post_m: float) -> NDArray[np.bool_]:
     mask = binary_opening(mask, np.ones((3, 3)))
     parts, count = label(mask)
     size = np.bincount(parts.ravel(), minlength=count + 1) * post_m**2
-    kept: NDArray[np.bool_] = (size >= _LEAST_AREA_M2)[parts] & mask
+    kept: NDArray[np.bool_] = (size >= LEAST_AREA_M2)[parts] & mask
     return kept
 
 

@@ -19,12 +19,12 @@ from thermorender.scene import terrain
 from thermorender.scene.raster import Grid, lon_lat
 from thermorender.scene.solids import found
 from thermorender.scene.solids.borders import OPEN, Loop, borders
-from thermorender.scene.solids.facades import COLOURS, DOOR, GLASS, TAGS, facade, wall_of
+from thermorender.scene.solids.facades import COLOURS, DOOR, GLASS, MATERIALS, Wall, facade, wall_of
 from thermorender.scene.solids.kinds import BARK, LEAVES, Kind, add_trunk, columns_of, kinds_of, radius_of
 from thermorender.scene.solids.plants import DENSITY, Plants, edge_of
 from thermorender.scene.solids.quads import Quads
 from thermorender.scene.solids.skin import Skin
-from thermorender.scene.solids.steps import cut_at_steps
+from thermorender.scene.solids.steps import cut_at_steps, without_courtyards
 from thermorender.scene.surface import fill, nearest_valid
 
 GROUND, ROOFS, WALLS, PLANTS = "ground", "roofs", "walls", "plants"
@@ -38,8 +38,13 @@ _FINE_M = 1.2
 _STEP_M = 0.05
 # Roofs are those of posts this far inside the outline; nearer ones are mixed with the street [posts].
 _WITHIN = 0.8
+# A building stands if this share of its outline is high: of one of 5 by 5 m, drawn 2 m off both ways, (3/5)² is.
+# Smaller ones need a single post.
+_LEAST_HIGH = 1.0 / 3.0
 # Triangles of roofs are larger than this in the plan, in squares of posts.
 _LEAST_PLAN = 0.02
+# The tallest tree known has 116 m; higher are birds, clouds and errors of a survey [m].
+_TALLEST_M = 120.0
 _LEAF_COLOUR = (72, 96, 48)
 
 
@@ -50,13 +55,15 @@ class Imported:
     Attributes
     ----------
     flat_outlines : int
-        Outlines without a post of a roof inside, left out.
+        Outlines left out, as less than a third of their posts is of a roof.
     stated_walls : int
         Buildings whose outlines declare the material or colour of their walls.
     unmatched : dict of str to int
         Declared materials and colours without a match, with their counts.
     kinds : tuple of Kind
         Trees as copies of typical ones; empty where their leaves are among the skins.
+    notes : tuple of str
+        On the files it was made from, one sentence each.
     """
 
     skins: tuple[Skin, ...]
@@ -68,6 +75,7 @@ class Imported:
     stated_walls: int
     unmatched: dict[str, int]
     kinds: tuple[Kind, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -139,16 +147,19 @@ def imported(
     green = found.is_green(*picture, grid) if picture else None
     bare = (found.ground_below(height, post_m, green) if ground is None
             else found.ground_given(ground, height, post_m, green))  # fmt: skip
-    outlines = found.outlines_by_height(height, bare, post_m, green) if known is None else list(known)
+    outlines = (found.outlines_by_height(height, bare, post_m, green) if known is None
+                else without_courtyards(known, height, bare, post_m))  # fmt: skip
     body = found.inside(outlines, grid)
     frame = terrain.frame_of(bare, grid)
     at, draw = _Local(grid, frame), np.random.default_rng(seed)
     texels = picture[2] if picture else grid
     tree_cells = _dilated(body, max(1, round(1.0 / post_m)))
-    trees = found.trees_in(height - bare, tree_cells, post_m)
+    crowns = found.trees_in(height - bare, tree_cells, post_m)
+    trees = [tree for tree in crowns if tree.height_m <= _TALLEST_M]
+    notes = (f"{len(crowns) - len(trees)} peaks more than {_TALLEST_M:.0f} m above the ground are not trees: left out",)
     covered = np.isfinite(height) & (height - bare > found.LEAST_M)
     skins = [_ground(bare, grid, frame, texels, picture, covered, ground_colour)]
-    high = [each for each in outlines if _posts_inside(each.rings, height, bare)[1].any()]
+    high = [each for each in outlines if _stands(each, height, bare, post_m)]
     flat = len(outlines) - len(high)
     high, level = cut_at_steps(high, height, bare, post_m)
     roofs, quads, built = _Roofs(grid, texels), Quads(_TEXEL_M, _EDGE_M), {}
@@ -168,8 +179,9 @@ def imported(
             typical = kinds_of(*of_trees)
         else:
             skins.append(_plants(*of_trees))
-    buildings = len({high[k].whole or high[k] for k in built})
-    return Imported(tuple(skins), names, frame, buildings, flat, len(trees), stated, unmatched, typical)
+    buildings = len({high[k].building for k in built})
+    return Imported(tuple(skins), names, frame, buildings, flat, len(trees), stated, unmatched, typical,
+                    notes if len(trees) < len(crowns) else ())  # fmt: skip
 
 
 def _all_walls(
@@ -178,30 +190,31 @@ def _all_walls(
 ) -> tuple[int, dict[str, int]]:  # fmt: skip
     """Add the walls of all buildings, and their materials to `names`; return `stated_walls` and `unmatched`.
 
-    Parts of a building have one colour, and count once.
+    Parts of a building that declare no other walls have one colour, and count once.
     """
-    unmatched: Counter[str] = Counter()
-    tints: dict[found.Outline, NDArray[Any]] = {}
-    stated = 0
+    unmatched: dict[tuple[found.Outline, str], str] = {}
+    tints: dict[tuple[found.Outline, Wall], NDArray[Any]] = {}
+    stated = set()
     tops = {index: body.top_by_place() for index, body in built.items()}
     for index, raised in built.items():
         wall, without = wall_of(high[index].tags, walls.by_kind, walls.usual, library)
-        building = high[index].whole or high[index]
-        if building is high[index]:
-            unmatched.update(without)
-            stated += _declared(building.tags) > len(without)
+        building = high[index].building
+        unmatched.update({(building, each): each for each in without})
+        if _declared(high[index].tags) > len(without):
+            stated.add(building)
         if wall.material not in names.values():
             names[len(names) + 1] = wall.material
-        if building not in tints:
+        if (building, wall) not in tints:
             tint = linear_from_bytes(np.array(wall.colour or library[wall.material].colour, np.uint8))
-            tints[building] = tint if wall.colour else tint * np.exp(draw.normal(0.0, 0.12))
+            tints[building, wall] = tint if wall.colour else tint * np.exp(draw.normal(0.0, 0.12))
         paint = {"value": _numbers(names).__getitem__, "draw": draw, "material": wall.material,
-                 "colour": tints[building]}  # fmt: skip
+                 "colour": tints[building, wall]}  # fmt: skip
         for loop, base, top in raised.parts():
             _walls(quads, loop, base, top, tops, paint)
+    counts = Counter(unmatched.values())
     kinds = {each.tags.get("building") for each in high}
-    unmatched.update({f"building={kind} of --wall": 0 for kind in walls.by_kind if kind not in kinds})
-    return stated, dict(unmatched)
+    counts.update({f"building={kind} of --wall": 0 for kind in walls.by_kind if kind not in kinds})
+    return len(stated), dict(counts)
 
 
 def _numbers(names: dict[int, str]) -> dict[str, int]:
@@ -211,7 +224,7 @@ def _numbers(names: dict[int, str]) -> dict[str, int]:
 
 def _declared(tags: Mapping[str, str]) -> int:
     """Number of tags that declare the material or the colour of walls."""
-    return sum(key in tags for key in ("material", *TAGS, *COLOURS))
+    return sum(key in tags for key in (*MATERIALS, *COLOURS))
 
 
 def _dilated(mask: NDArray[np.bool_], posts: int) -> NDArray[np.bool_]:
@@ -305,10 +318,17 @@ def _place(point: NDArray[np.float64]) -> tuple[float, float]:
     return float(point[0]), float(point[1])
 
 
+def _stands(outline: found.Outline, height: NDArray[np.float64], bare: NDArray[np.float64], post_m: float) -> bool:
+    """Whether enough of an outline is high; a tree over a building that is gone, or underground, is not."""
+    _, inside, roof = _posts_inside(outline.rings, height, bare)
+    least = _LEAST_HIGH if inside.sum() * post_m**2 >= found.LEAST_AREA_M2 else 0.0
+    return bool(roof.sum() > least * inside.sum())
+
+
 def _posts_inside(
     rings: Sequence[found.Ring], height: NDArray[np.float64], bare: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """(posts (n, 2) as (column, row) around rings, which of them are of a roof inside)."""
+) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.bool_]]:
+    """(posts (n, 2) as (column, row) around rings, which are inside and known, which of these are of a roof)."""
     rows, columns = height.shape
     corner = np.concatenate(list(rings))
     low, high = np.floor(corner.min(axis=0)).astype(int), np.ceil(corner.max(axis=0)).astype(int)
@@ -316,8 +336,8 @@ def _posts_inside(
                               np.arange(max(low[1], 0), min(high[1], rows)))  # fmt: skip
     post = np.column_stack([column.ravel(), row.ravel()])
     level, ground = height[post[:, 1], post[:, 0]], bare[post[:, 1], post[:, 0]]
-    inside = found.even_odd(post + 0.5, rings)
-    return post, inside & np.isfinite(level) & (level - ground > found.LEAST_M)
+    inside = found.even_odd(post + 0.5, rings) & np.isfinite(level)
+    return post, inside, inside & (level - ground > found.LEAST_M)
 
 
 def _raised(
@@ -330,7 +350,7 @@ def _raised(
 
     rings = [each.point for each in loops]
     edge = np.concatenate(rings)
-    post, roof = _posts_inside(rings, height, bare)
+    post, _, roof = _posts_inside(rings, height, bare)
     if not roof.any():
         # Smaller buildings have all posts.
         post, roof = _nearest_post(edge, height, bare)

@@ -1,7 +1,7 @@
 """What `import-terrain --three-d` adds: the solids of a surface model, and their files in the scene's folder."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,10 @@ from thermorender.scene.solids import found
 from thermorender.scene.solids.clouds import Cloud
 from thermorender.scene.solids.imported import INFERRED, PLANTS, ROOF, ROOFS, WALLS, Imported, Walls, imported
 from thermorender.scene.solids.kinds import write_kinds
+from thermorender.scene.solids.outlines import outlines_in, outlines_in_classes
 from thermorender.scene.solids.plants import write_leaf_tables
 from thermorender.scene.solids.skin import MESH, write_skins
-from thermorender.scene.terrain import read_elevation
+from thermorender.scene.terrain import doubtful_zeros, filled, read_elevation, zero_of_heights
 
 WALL = "brick_painted"
 
@@ -48,34 +49,39 @@ class ThreeD:
 
     def made(
         self, height: NDArray[np.float64], grid: Grid, post_m: float, undulation_m: float, known: Path | None,
-        picture: tuple[NDArray[np.uint8], NDArray[np.bool_], Grid] | None, material: str, cloud: Cloud | None = None,
+        picture: tuple[NDArray[np.uint8], NDArray[np.bool_], Grid] | None, material: str, crs: Any,
+        cloud: Cloud | None = None,
     ) -> Imported:  # fmt: skip
         """Return the Imported world of heights above the geoid or ellipsoid; `undulation_m` lies between [m].
 
-        The ground and the buildings of a cloud's classes are used where no file states them.
+        `crs` is that of the heights' file. The ground and the buildings of a cloud's classes are used where no file
+        states them.
         """
         library = load_library()
         for name in (self.wall, *self.wall_by_kind.values()):
             find(library, name, "wall").known_thermal()
-        bare = None
+        bare: NDArray[np.float64] | None = None
+        notes: tuple[str, ...] = ()
         if self.ground is not None:
-            lower, own = read_elevation(self.ground)
-            bare = onto(lower.astype(np.float64), own, grid, "bilinear")
-            if not np.isfinite(bare).any():
-                raise ThermorenderError(f"{self.ground} does not overlap the surface model; give one of the same area")
+            bare, notes = _terrain_model(self.ground, height, grid, post_m, crs)
             bare = bare + undulation_m
         elif cloud is not None and cloud.ground is not None:
             bare = onto(cloud.ground, cloud.grid, grid, "average") + undulation_m
-        outlines = None if known is None else self._outlines(known, grid)
+        outlines = None
+        if known is not None:
+            outlines, stated = self._outlines(known, grid)
+            notes += stated
         if known is None and cloud is not None and cloud.building is not None:
             house = onto(cloud.building.astype(np.float32), cloud.grid, grid, "nearest") == 1.0
-            outlines = found.outlines_of(found.large(house, post_m))
+            # A few stray points are no statement on the others.
+            outlines = found.outlines_of(found.large(house, post_m)) or None
         walls, colour = Walls(self.wall, self.wall_by_kind), library[material].colour
-        return imported(height + undulation_m, grid, post_m, bare, outlines, picture, colour, walls, library,
-                        copies=self.copies)  # fmt: skip
+        solid = imported(height + undulation_m, grid, post_m, bare, outlines, picture, colour, walls, library,
+                         copies=self.copies)  # fmt: skip
+        return replace(solid, notes=notes + solid.notes)
 
-    def _outlines(self, known: Path, grid: Grid) -> list[found.Outline]:
-        """The outlines of a GeoJSON, or of a class of a raster."""
+    def _outlines(self, known: Path, grid: Grid) -> tuple[list[found.Outline], tuple[str, ...]]:
+        """The outlines of a GeoJSON, or of a class of a raster, and sentences on what else the file states."""
         number, is_raster = self.building_class, known.suffix.lower() not in (".json", ".geojson")
         if is_raster and number is None:
             raise ThermorenderError(
@@ -83,10 +89,31 @@ class ThreeD:
                 "--building-class"
             )
         if number is None:
-            return found.outlines_in(known, grid)
+            return outlines_in(known, grid)
         if not is_raster:
             raise ThermorenderError(f"building_class={number} is for a raster, and {known} is a GeoJSON; leave it out")
-        return found.outlines_in_classes(known, number, grid)
+        return outlines_in_classes(known, number, grid), ()
+
+
+def _terrain_model(
+    path: Path, height: NDArray[np.float64], grid: Grid, post_m: float, crs: Any
+) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """(Heights of the ground on the grid of a surface model in a CRS, a sentence on posts beyond it)."""
+    lower, own = read_elevation(path)
+    bare = onto(lower.astype(np.float64), own, grid, "bilinear")
+    if not np.isfinite(bare).any():
+        raise ThermorenderError(f"{path} does not overlap the surface model; give one of the same area")
+    zero, other = zero_of_heights(own.crs), zero_of_heights(crs)
+    if None not in (zero, other) and zero != other:
+        raise ThermorenderError(
+            f"{path} counts heights from {zero!r} and the surface model from {other!r}; convert one of them, with "
+            "`gdalwarp -s_srs EPSG:MAP+HEIGHTS -t_srs EPSG:MAP+HEIGHTS IN OUT`"
+        )
+    found.check_levels(bare, height, post_m, declared=zero is not None and other is not None)
+    whole, _ = filled(bare)
+    beyond = float((~np.isfinite(whole))[np.isfinite(height)].mean())
+    missing = f"{path.name} has no heights for {beyond:.1%} of the surface model; a filter estimates the ground there"
+    return whole, (*doubtful_zeros(path, lower), *([missing] if beyond > 0.0 else []))
 
 
 def write_solid(folder: Path, solid: Imported, tables: dict[str, Any]) -> dict[str, Any]:

@@ -1,6 +1,7 @@
-"""Parts of a building at different heights: roofs are cut where they step, and a wall stands there."""
+"""Parts of a building at different heights: roofs are cut where they step, and at courtyards, and walls stand there."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,45 @@ _STEEP = np.tan(np.radians(60.0))
 _STOREY_M, _LEAST_PART_M2 = 2.5, 12.0
 # Heights are compared at this distance from the line between two parts; parts reach so far over it and the outline.
 _BESIDE = 2
+
+
+def without_courtyards(
+    outlines: Sequence[Outline], height: NDArray[np.float64], ground: NDArray[np.float64], post_m: float
+) -> list[Outline]:
+    """Return outlines with holes where the surface model has open ground amid a building, as large as a part.
+
+    Ground that reaches the outline stays: outlines are often drawn metres off.
+    """
+    from scipy.ndimage import binary_dilation, binary_opening, label
+
+    low = np.isfinite(height) & (height - ground <= LEAST_M)
+    made = []
+    for outline in outlines:
+        window, corner = _window(outline, height.shape)
+        inside = _inside(outline, corner, low[window].shape)
+        names, count = label(binary_opening(low[window] & inside, np.ones((3, 3))))
+        size = np.bincount(names.ravel(), minlength=count + 1) * post_m**2
+        size[np.unique(names[binary_dilation(~inside, np.ones((3, 3)), border_value=1)])] = 0.0
+        yards = outlines_of((size >= _LEAST_PART_M2)[names] & (names > 0)) if size[1:].any() else []
+        rings = [ring + corner for each in yards for ring in each.rings]
+        made.append(replace(outline, rings=[*outline.rings, *rings]) if rings else outline)
+    return made
+
+
+def _window(outline: Outline, shape: tuple[int, ...]) -> tuple[tuple[slice, slice], NDArray[np.int64]]:
+    """(Rows and columns around an outline, (column, row) of their first post)."""
+    corner = np.concatenate(list(outline.rings))
+    low = np.maximum(np.floor(corner.min(axis=0)).astype(int) - _BESIDE - 1, 0)
+    high = np.maximum(np.ceil(corner.max(axis=0)).astype(int) + _BESIDE + 1, 0)
+    return (slice(low[1], min(high[1], shape[0])), slice(low[0], min(high[0], shape[1]))), low
+
+
+def _inside(outline: Outline, first: NDArray[np.int64], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Which posts of a window have their middle in an outline."""
+    row, column = np.mgrid[: shape[0], : shape[1]]
+    place = np.column_stack([column.ravel() + first[0], row.ravel() + first[1]]) + 0.5
+    inside: NDArray[np.bool_] = even_odd(place, outline.rings).reshape(shape)
+    return inside
 
 
 def cut_at_steps(
@@ -33,16 +73,11 @@ def cut_at_steps(
     parts: list[Outline] = []
     clear = height.copy()
     for outline in outlines:
-        corner = np.concatenate(list(outline.rings))
-        low = np.maximum(np.floor(corner.min(axis=0)).astype(int) - _BESIDE - 1, 0)
-        high = np.ceil(corner.max(axis=0)).astype(int) + _BESIDE + 1
-        window = slice(low[1], high[1]), slice(low[0], high[0])
+        window, low = _window(outline, height.shape)
         level = height[window]
         if not level.size:
             continue
-        row, column = np.mgrid[: level.shape[0], : level.shape[1]]
-        place = np.column_stack([column.ravel() + low[0], row.ravel() + low[1]]) + 0.5
-        inside = even_odd(place, outline.rings).reshape(level.shape)
+        inside = _inside(outline, low, level.shape)
         region, mixed = _regions(np.where(inside & (level - ground[window] > LEAST_M), level, np.nan), inside, post_m)
         clear[window][mixed] = np.nan
         parts += [Outline([ring + low for ring in each], outline.tags, outline) for each in _rings(region, inside)]
