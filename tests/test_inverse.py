@@ -19,7 +19,7 @@ from thermorender.inverse.level import Reference
 from thermorender.inverse.linear import LinearKelvin
 from thermorender.inverse.normal import Prior
 from thermorender.inverse.pose_files import read_poses
-from thermorender.inverse.poses import PoseError, deviation
+from thermorender.inverse.poses import PoseError, deviation, slopes
 from thermorender.inverse.products import files_of_scene
 from thermorender.inverse.products import write as write_products
 from thermorender.inverse.reconstruct import check_folder, reconstruct
@@ -228,9 +228,12 @@ def test_a_frame_that_stays_behind_is_registered_to_the_map(survey, fixed):
     images = np.array([linear.of(image) for image in flown.kelvin], np.float32)
     problem = Problem(found.renderer, found.camera, images, poses, found.lattice, prior, settings)
     state = problem.register(replace(found.state, poses=poses))
-    viewer = problem.viewer
-    step, sight = deviation(state.poses[5], clean.poses[5]), viewer.sight(clean.poses[5])
-    assert np.hypot(*(step @ sight.motion(*axis).mean(axis=1) for axis in ((1.0, 0.0), (0.0, 1.0)))) < 0.05
+    step, sight = deviation(state.poses[5], clean.poses[5]), problem.viewer.sight(clean.poses[5])
+    miss = np.hypot(*(step @ sight.motion(*axis).mean(axis=1) for axis in ((1.0, 0.0), (0.0, 1.0))))
+    # Five standard deviations by the noise of the pixels and the slopes of the map, of 1 m a texel. Slopes lose up to
+    # half by the blur of the last steps. Vignetting that is left in the frames moves this one by 0.02 m.
+    known = min(np.sum(sight.at(each) ** 2) for each in slopes(found.state.map))
+    assert miss < 5.0 * 2.0 * np.sqrt(2.0) * NOISE_K / np.sqrt(known)
 
 
 @pytest.mark.slow
