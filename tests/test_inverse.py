@@ -19,11 +19,11 @@ from thermorender.inverse.level import Reference
 from thermorender.inverse.linear import LinearKelvin
 from thermorender.inverse.normal import Prior
 from thermorender.inverse.pose_files import read_poses
-from thermorender.inverse.poses import PoseError, deviation
+from thermorender.inverse.poses import PoseError, deviation, slopes
 from thermorender.inverse.products import files_of_scene
 from thermorender.inverse.products import write as write_products
 from thermorender.inverse.reconstruct import check_folder, reconstruct
-from thermorender.inverse.solve import Problem, Settings, _tilt, binned, binned_camera, vignetting
+from thermorender.inverse.solve import Problem, Settings, _tilt, binned, binned_camera, tilting, vignetting
 from thermorender.inverse.weights import Lattice, Viewer, moved, taps_of
 from thermorender.physics.planck import brightness_temperature
 from thermorender.render.renderer import Renderer
@@ -216,7 +216,8 @@ def test_poses_are_registered_to_the_prior_and_refined(survey):
     assert np.abs(errors(found, truth)[0]).mean() < 0.25
 
 
-def test_a_frame_that_stays_behind_is_registered_to_the_map(survey, fixed):
+@pytest.mark.parametrize("tilt_k", [0.0, 1.0])
+def test_a_frame_that_stays_behind_is_registered_to_the_map(survey, fixed, tilt_k):
     (_, clean, _, _), (found, _) = survey, fixed
     flown, _ = with_errors(clean)
     linear = LinearKelvin(found.camera.band_um, 300.0)
@@ -226,11 +227,16 @@ def test_a_frame_that_stays_behind_is_registered_to_the_map(survey, fixed):
     # A metre is two pixels here.
     poses[5] = moved(poses[5], np.array([0.8, -0.6, 0.0, 0.0, 0.0, 0.0]))
     images = np.array([linear.of(image) for image in flown.kelvin], np.float32)
+    # Ground that changes between passes tilts the frame. Left in it, a tilt of 1 K would move it by 0.02 m.
+    images[5] += tilt_k * tilting(found.camera)[0].reshape(images[5].shape)
     problem = Problem(found.renderer, found.camera, images, poses, found.lattice, prior, settings)
     state = problem.register(replace(found.state, poses=poses))
-    viewer = problem.viewer
-    step, sight = deviation(state.poses[5], clean.poses[5]), viewer.sight(clean.poses[5])
-    assert np.hypot(*(step @ sight.motion(*axis).mean(axis=1) for axis in ((1.0, 0.0), (0.0, 1.0)))) < 0.05
+    step, sight = deviation(state.poses[5], clean.poses[5]), problem.viewer.sight(clean.poses[5])
+    miss = np.hypot(*(step @ sight.motion(*axis).mean(axis=1) for axis in ((1.0, 0.0), (0.0, 1.0))))
+    # Five standard deviations by the noise of the pixels and the slopes of the map, of 1 m a texel. Slopes lose up to
+    # half by the blur of the last steps. Vignetting that is left in the frames moves this one by 0.02 m.
+    known = min(np.sum(sight.at(each) ** 2) for each in slopes(found.state.map))
+    assert miss < 5.0 * 2.0 * np.sqrt(2.0) * NOISE_K / np.sqrt(known)
 
 
 @pytest.mark.slow

@@ -71,9 +71,31 @@ def test_metashape_s_estimates_are_poses_on_the_map(scene, pose, tmp_path):
     assert list(places) == ["a"]
     found = poses_of([places["a"]], scene)[0][0]
     np.testing.assert_allclose(found[:3, 3], pose[:3, 3], atol=1e-3)
-    # Angles 30, 0, 0 look down, with the top of the image 30° east of the grid's north.
+    # Angles 30, 0, 0 look down, with the top of the image 30° east of north.
     down = scene.pose(12.0, -7.0, 60.0, yaw_deg=30.0, pitch_deg=-90.0)
     assert np.degrees(np.abs(deviation(found, down)[3:]).max()) < 0.1
+
+
+@pytest.mark.parametrize("zone", [-1, 1])
+def test_metashape_s_yaw_counts_from_geographic_north_and_kappa_from_that_of_the_grid(scene, pose, tmp_path, zone):
+    latitude, longitude, height = (float(each) for each in scene.frame.geodetic_from_enu(pose[:3, 3]))
+    number = int((longitude + 180.0) // 6.0) + 1 + zone
+    crs = CRS.from_epsg(32600 + number)
+    (x,), (y,) = transform(CRS.from_epsg(4326), crs, [longitude], [latitude])
+
+    def heading(angles, columns):
+        text = f"# CoordinateSystem: {crs.to_wkt()}\n#Label,X/Easting,Y/Northing,Z/Altitude,{columns}\n"
+        row = f"a.jpg,{x!r},{y!r},{height!r},{angles}\n"
+        (place,) = read_poses(written(tmp_path / "m.txt", text + row), scene).values()
+        north, east, _ = -place.rotation.as_matrix()[:, 1]
+        return np.degrees(np.arctan2(east, north))
+
+    # Convergence of a transverse Mercator projection on the sphere, within 0.0005° of that on the ellipsoid.
+    away = np.radians(longitude - (6.0 * number - 183.0))
+    convergence = np.degrees(np.arctan(np.tan(away) * np.sin(np.radians(latitude))))
+    assert abs(convergence) > 2.0
+    assert heading("30,0,0", "Yaw,Pitch,Roll") == pytest.approx(30.0, abs=1e-6)
+    assert heading("0,0,-30", "Omega,Phi,Kappa") == pytest.approx(30.0 + convergence, abs=0.0005)
 
 
 def test_opensfm_s_shots_are_poses(scene, pose, tmp_path):

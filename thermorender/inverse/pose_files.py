@@ -6,6 +6,8 @@
   reconstruction has this form.
 - Metashape: the text of "Export reference", with its coordinate system in the first line. Estimated columns (X_est …)
   take precedence over measured ones. Angles 0, 0, 0 are a camera that looks down with the top of its image to north.
+  Yaw counts from geographic north at the camera, whatever the coordinate system of the positions. Omega, phi and kappa
+  turn the axes of that system.
 - OpenSfM's reconstruction.json: each shot has the rotation vector and the translation from topocentric axes at
   `reference_lla` to camera axes, and a lens.
 - OpenDroneMap's shots.geojson: each shot has its longitude, latitude and height, its position in a UTM zone that the
@@ -134,10 +136,10 @@ def _metashape(path: Path, text: str, scene: Scene) -> dict[str, Place]:
             continue
         name = _name(row["Label"], found, where)
         x, y, height, *angles = (_number(row, key, where) for key in names)
-        nadir = Rotation.from_matrix(_BODY_FROM_NADIR)
-        axes = (_turned(angles).as_matrix() if names[3].startswith("Omega") else
-                ENU_FROM_NED @ (rotation_from_angles(*angles) * nadir).as_matrix())  # fmt: skip
-        found[name] = _on_map(scene.frame, crs, axes, (x, y, height))
+        found[name] = _on_map(scene.frame, crs, _turned(angles).as_matrix(), (x, y, height))
+        if names[3].startswith("Yaw"):
+            nadir = Rotation.from_matrix(_BODY_FROM_NADIR)
+            found[name] = replace(found[name], rotation=rotation_from_angles(*angles) * nadir)
     return found
 
 

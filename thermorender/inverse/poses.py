@@ -1,8 +1,9 @@
 """Registration of single frames to a map: a search over shifts of the image, then Gauss–Newton steps, coarse to fine.
 
 The search turns the camera, because a turn and a shift of the camera hardly differ for a small field of view. The steps
-then divide the correction between position and angles by how well each of them is known. Contrast and level are free:
-the map may be a prior whose contrast differs from that of the frames.
+then divide the correction between position and angles by how well each of them is known. Contrast, level and tilt of
+the image are free: the map may be a prior whose contrast differs from that of the frames, and ground that changes
+between passes tilts them.
 """
 
 from collections.abc import Sequence
@@ -189,7 +190,7 @@ def _step(
     viewer: Viewer, values: Floats, slope: tuple[Floats, Floats], image: Image, pose: Floats, measured: Floats,
     error: PoseError, sigma: float,
 ) -> Floats:  # fmt: skip
-    """One Gauss–Newton step of a pose, (6,), with gain and offset of the map eliminated."""
+    """One Gauss–Newton step of a pose, (6,), with contrast, offset and tilt of the image eliminated."""
     import cv2
 
     camera = viewer.camera
@@ -208,9 +209,11 @@ def _step(
     # Where most of the blur is known.
     inside = smooth[2] > 0.7
     smooth = smooth[:, inside] / smooth[2, inside]
-    flat = np.stack([smooth[1] - smooth[1].mean(), smooth[2]])
-    basis, _ = np.linalg.qr(flat.T)
-    gain = float(flat[0] @ (smooth[0] - smooth[0].mean()) / max(float(flat[0] @ flat[0]), 1e-12))
+    row, column = np.divmod(np.flatnonzero(inside), camera.width)
+    plain = np.array([np.ones(len(row)), column / camera.width - 0.5, row / camera.height - 0.5, smooth[1]])
+    basis, factor = np.linalg.qr(plain.T)
+    # The contrast: factor of the map in the image.
+    gain = float(basis[:, 3] @ smooth[0]) / (factor[3, 3] or 1.0)
     rest = smooth[[0, *range(3, 9)]]
     rest = rest - (rest @ basis) @ basis.T
     rest[1:] *= np.clip(gain, 0.2, 3.0)
