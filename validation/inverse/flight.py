@@ -58,7 +58,7 @@ def split(scene, camera, survey: Survey, which: int, texel_m: float = 0.12, roun
     part = Survey(*(tuple(np.array(values)[~held]) for values in (survey.names, survey.times)),
                   survey.kelvin[~held], survey.poses[~held])  # fmt: skip
     # The flight has no weather, so the prior is one temperature.
-    settings = Settings(texel_m=texel_m, rounds=rounds, pose_error=ERROR, prior_k=5.0, class_k=10.0, offset_k=3.0)
+    settings = Settings(texel_m=texel_m, rounds=rounds, pose_error=ERROR, class_k=10.0, offset_k=3.0)
     found = reconstruct(scene, part, camera, settings)
     linear = LinearKelvin(camera.band_um, round(float(np.nanmedian(part.kelvin)), 1))
     viewer = Viewer(found.renderer, camera, found.lattice)
