@@ -5,6 +5,7 @@ import json
 import shlex
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from scenes import write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.render.renderer import Renderer
 from thermorender.studio import ground
+from thermorender.studio.renders import Renders
 from thermorender.studio.session import History, Session
 from thermorender.studio.spectrum import read_spectrum
 from thermorender.studio.view import Pose, View, commands
@@ -315,3 +317,121 @@ def test_an_orbit_keeps_the_point_in_the_middle_of_the_picture(session, turn, zo
     )
     moved = pose.moved(0.1, 0.0, session.base)
     assert (moved.east - pose.east, moved.north - pose.north) == pytest.approx((-0.1 * pose.distance_m, 0.0))
+
+
+def slow_reference(monkeypatch):
+    """Solutions of what differences are to wait for the Event that is returned, and note their scenes in the list."""
+    exact, going, solved = Renders._exact, threading.Event(), []
+
+    def slow(self, scene, start, progress):
+        if threading.current_thread().name == "studio renders":
+            while not going.is_set():
+                time.sleep(0.01)
+                progress("", 0.0)
+            solved.append(scene)
+        return exact(self, scene, start, progress)
+
+    monkeypatch.setattr(Renders, "_exact", slow)
+    return going, solved
+
+
+def test_a_view_that_needs_a_solution_is_not_shown_after_a_later_view(session, monkeypatch):
+    going, _ = slow_reference(monkeypatch)
+    renders, shown = session.renders, []
+    one, two = (View(Pose.typed(pose, session.base)) for pose in ("0,-6,10,0,-55,0", "2,-6,10,0,-55,0"))
+    renders.compare_with(session.base)
+    renders.start()
+    renders.look("tab", replace(one, mode="difference"), shown.append)
+    wait_for(lambda: renders.frame("tab") is not None)
+    renders.look("tab", two, shown.append)
+    wait_for(lambda: shown)
+    going.set()
+    wait_for(lambda: renders._reference is None)
+    # The first view is dropped now, before a job.
+    assert renders.call(lambda: 7) == 7
+    assert [picture.number for picture in shown] == [1]
+    assert renders.fetch("tab") is shown[0]
+    np.testing.assert_array_equal(renders.frame("tab").pose, two.pose.matrix())
+
+
+def test_two_tabs_with_differences_share_a_solution_and_a_later_save_counts(session, monkeypatch):
+    going, solved = slow_reference(monkeypatch)
+    renders, shown = session.renders, []
+    view = View(Pose.typed("0,-6,10,0,-55,0", session.base), mode="difference")
+    renders.compare_with(session.base)
+    renders.start()
+    for tab in ("one", "two"):
+        renders.look(tab, view, shown.append)
+    wait_for(lambda: renders.frame("two") is not None)
+    later = session.base.with_material(grass_green=0.5)
+    renders.compare_with(later)
+    wait_for(lambda: not renders._waiting)
+    going.set()
+    wait_for(lambda: len(shown) >= 2 and not renders._waiting)
+    assert renders.call(lambda: 7) == 7
+    assert renders.saved.scene is later
+    assert solved == [later]
+
+
+def test_a_solution_is_shown_while_a_long_job_goes_on(session, monkeypatch):
+    renders, going, solving, ended = session.renders, threading.Event(), threading.Event(), threading.Event()
+    solved_for = Renderer.solved_for
+
+    def slow(self, scene, progress=None):
+        solving.set()
+        assert going.wait(30.0)
+        return solved_for(self, scene, progress)
+
+    monkeypatch.setattr(Renderer, "solved_for", slow)
+    renders.start()
+    session.edit(0, "", emissive("grass_green", "0.85"))
+    assert solving.wait(30.0)
+
+    def long(progress):
+        going.set()
+        while not ended.wait(0.01):
+            progress("", 0.0)
+
+    renders.later(long)
+    try:
+        wait_for(lambda: renders.light.exact and renders.light.version == 1)
+    finally:
+        ended.set()
+
+
+def test_a_page_that_has_gone_does_not_end_the_thread_that_renders(session, capfd):
+    renders = session.renders
+
+    def show(picture):
+        raise RuntimeError("the page has gone")
+
+    renders.start()
+    renders.look("tab", View(Pose.typed("0,-6,10,0,-55,0", session.base)), show)
+    renders.later(lambda progress: 1 / 0)
+    session.edit(0, "", emissive("grass_green", "0.85"))
+    wait_for(lambda: renders.light.exact and renders.light.version == 1)
+    assert renders.call(lambda: 7) == 7
+    assert "the page has gone" in capfd.readouterr().err
+
+
+def test_an_edit_during_a_preview_leaves_the_pause_before_the_next_solution(session, monkeypatch):
+    renders, begun, previewing, going = session.renders, [], threading.Event(), threading.Event()
+    preview_for = Renderer.preview_for
+    monkeypatch.setattr("thermorender.studio.renders._PAUSE_S", 3600.0)
+
+    def slow(self, scene, progress=None):
+        previewing.set()
+        assert going.wait(30.0)
+        return preview_for(self, scene, progress)
+
+    monkeypatch.setattr(Renderer, "preview_for", slow)
+    monkeypatch.setattr(Renderer, "solved_for", lambda self, scene, progress=None: begun.append(scene))
+    renders.start()
+    session.edit(0, "", emissive("grass_green", "0.85"))
+    assert previewing.wait(30.0)
+    session.edit(1, "", emissive("grass_green", "0.75"))
+    going.set()
+    wait_for(lambda: renders.light.version == 2)
+    wait_for(lambda: renders._solver is not None)
+    time.sleep(0.2)
+    assert not begun

@@ -42,6 +42,10 @@ class _Unknown(Exception):
     """An edit has no preview."""
 
 
+class _Replaced(Exception):
+    """What differences are to has been solved, or replaced, while it was solved here."""
+
+
 @dataclass
 class Seen:
     """What a tab looks at: its view, and whom to call with the picture."""
@@ -233,7 +237,10 @@ class Renders:
 
     def _report(self, sentence: str) -> None:
         for seen in list(self._tabs.values()):
-            seen.show(Picture.of_fault(sentence, self.light.version))
+            try:
+                seen.show(Picture.of_fault(sentence, self.light.version))
+            except Exception as error:  # as where it is reported: the thread goes on
+                traceback.print_exception(error)
 
     def _between(self, what: str, share: float) -> None:
         """Stop what an edit has outdated, and serve tabs that look elsewhere meanwhile."""
@@ -246,12 +253,15 @@ class Renders:
         if self._long:
             raise _Newer
         self._between(what, share)
+        if found := self._found:
+            self._found = None
+            self._guarded(partial(self._take, *found))
 
     def _edited(self, scene: Scene, version: int) -> None:
         """Show the preview of an edit, if it has one, and begin its solution."""
         with self._news:
             # The one under way is outdated, and ends at its next step.
-            hurried, self._solving = self._solving is not None, None
+            hurried, self._solving = self._solving is not None, (solution := _Solution(scene, version))
             self._news.notify_all()
         made = self._preview(scene)
         if made is not None:
@@ -261,7 +271,6 @@ class Renders:
             with self._news:
                 self._news.wait_for(lambda: self._asked() or self._fetched == self._pictures, _FETCHED_S)
         if self._edit is None:
-            self._solving = solution = _Solution(scene, version)
             work = partial(self._solve, solution, self._solved, _PAUSE_S if hurried else 0.0, self._solver)
             self._solver = threading.Thread(target=work, name="studio solves", daemon=True)
             self._solver.start()
@@ -327,6 +336,24 @@ class Renders:
         _ = made.baked
         return made
 
+    def _solve_reference(self) -> None:
+        """Solve what differences are to, unless it is solved."""
+        while (wanted := self._reference) is not None:
+
+            def under_way(what: str, share: float, wanted: Scene = wanted) -> None:
+                self._between(what, share)
+                # Other tabs, which are served meanwhile, may have needed it too.
+                if self._reference is not wanted:
+                    raise _Replaced
+
+            try:
+                found = self._exact(wanted, self._solved, under_way)
+            except _Replaced:
+                continue
+            with self._news:
+                if self._reference is wanted:
+                    self.saved, self._reference = found, None
+
     def _show(self, light: Light) -> None:
         self.light = light
         with self._news:
@@ -363,7 +390,11 @@ class Renders:
             made = self._picture(tab, seen.view)
         except ThermorenderError as error:
             made = Picture.of_fault(str(error), self.light.version)
-        self._pictures[tab] = made
+        with self._news:
+            # During a solution that this view needed, the tab may have been shown a later one, or closed.
+            if self._tabs.get(tab) is not seen and tab not in self._waiting:
+                return
+            self._pictures[tab] = made
         seen.show(made)
 
     def _picture(self, tab: str, view: View) -> Picture:
@@ -372,12 +403,12 @@ class Renders:
         # The exact frame after a preview has the rays of the preview, so that they differ by their light alone.
         again = version == light.version and known is not None and (known.pose, known.time_s) == (view.pose, time_s)
         frame = light.renderer.frame(pose, time_s, sampled_as=last if again else None)
-        self._last[tab] = (view, frame, light.version)
+        with self._news:
+            if tab in self._tabs:
+                self._last[tab] = (view, frame, light.version)
         before = None
         if view.mode == "difference":
-            if self._reference is not None:
-                self.saved = self._exact(self._reference, self._solved, self._between)
-                self._reference = None
+            self._solve_reference()
             before = self.saved.frame(pose, time_s, sampled_as=frame).apparent_temperature
         colour = light.renderer.visible(pose, time_s=time_s) if view.mode == "photograph" else None
         number = (self._pictures[tab].number if tab in self._pictures else 0) + 1
