@@ -8,7 +8,7 @@ import pytest
 import thermorender as tr
 from scenes import write_terrain
 from thermorender.errors import ThermorenderError
-from thermorender.materials.edit import with_spectrum_of
+from thermorender.materials.edit import with_spectrum_of, with_text
 from thermorender.paths import data_folder
 from thermorender.scene.authoring.scene_files import SceneFiles
 
@@ -198,3 +198,36 @@ def test_a_file_that_changed_after_it_was_read_is_not_overwritten(files, folder)
     assert not (folder / "materials").exists()
     path.write_text(text, "utf-8")
     assert saved(files, document)["grass_green"].emissivity.max() == 0.8
+
+
+def test_a_save_planned_before_another_one_was_written_is_refused(files, folder):
+    first, second = (files.plan(files.saved.of_class(number, "snow")) for number in (1, 2))
+    files.write(first)
+    with pytest.raises(ThermorenderError, match=r"another save has been written since.*nothing was written"):
+        files.write(second)
+    assert tr.load_scene(folder).spec.emissivity.classes == {1: "snow", 2: "sand_quartz"}
+    files.write(files.plan(files.saved.of_class(2, "snow")))
+    assert tr.load_scene(folder).spec.emissivity.classes == {1: "snow", 2: "snow"}
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda document: document.of_class(7, "snow"), r"^the scene has no class 7; it has 1, 2$"),
+        (lambda document: document.of_class("1", "snow"), r"^the scene has no class '1'; it has 1, 2$"),
+        (lambda document: document.of_object("shed", "snow"), r"^the scene has no object 'shed'; it has 'hut'$"),
+        (lambda document: document.of_object("hut", kelvin=-5.0), "object 'hut': kelvin=-5 is "),
+        (lambda document: document.of_object("hut", kelvin=np.nan), "object 'hut': kelvin=nan is not allowed"),
+        (lambda document: document.of_object("hut", kelvin="300 K"), "kelvin='300 K' is not allowed; give a finite"),
+        (lambda document: document.with_text("snow", "name", "x"), "key='name' is not a property that a text sets"),
+        (
+            lambda document: document.with_text("snow", "emisivity", "1"),
+            "key=.emisivity. is not .*emissivity",
+        ),
+        (lambda document: document.with_text("snow", "samples", "4"), "key='samples' is not a property"),
+        (lambda document: with_text(document.library, "snwo", "emissivity", "1"), "'snwo'.*closest are snow"),
+    ],
+)
+def test_what_a_scene_does_not_have_is_refused_in_one_sentence(files, change, sentence):
+    with pytest.raises(ThermorenderError, match=sentence):
+        change(files.saved)

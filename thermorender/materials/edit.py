@@ -12,6 +12,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.materials.check import check_row
 from thermorender.materials.csv_tables import SOLAR_STD_COLUMN, decimal, gaps, read_refractive_index, share_in_cell
 from thermorender.materials.from_samples import from_samples, is_refractive_index
+from thermorender.materials.library import find
 from thermorender.materials.material import Material
 from thermorender.materials.samples import read_sample
 from thermorender.materials.store import index_row
@@ -19,6 +20,9 @@ from thermorender.materials.thermal import CHOSEN, PROPERTIES, Thermal, stacked,
 
 # A flat emissivity, as a property beside those of the tables.
 EMISSIVITY = "emissivity"
+# Columns of the index that an edit may set.
+_NUMBERS = ("solar_absorptance", SOLAR_STD_COLUMN, "temperature_k")
+_TEXTS = ("title", "source", "citation", "licence", "note")
 # Source of thermal values, and begin of the note on others, that an edit sets.
 _SOURCE, _NOTE = f"{CHOSEN} set by hand", "Set by hand: "
 
@@ -51,9 +55,12 @@ def with_text(library: Mapping[str, Material], name: str, key: str, text: str) -
     Raises
     ------
     ThermorenderError
-        The tables would refuse the text; the message is theirs.
+        An unknown material or property; or the tables would refuse the text: the message is theirs.
     """
-    material, text = library[name], text.strip()
+    allowed = (EMISSIVITY, *PROPERTIES, *_NUMBERS, *_TEXTS)
+    if key not in allowed:
+        raise ThermorenderError(f"key={key!r} is not a property that a text sets; use one of {', '.join(allowed)}")
+    material, text = find(library, name, "with_text"), text.strip()
     if text == text_of(material, key):
         return library
     if key in PROPERTIES:
@@ -66,7 +73,7 @@ def with_text(library: Mapping[str, Material], name: str, key: str, text: str) -
         if finding.fault:
             raise ThermorenderError(finding.text)
     new: dict[str, Any] = {key: text}
-    if key in ("solar_absorptance", SOLAR_STD_COLUMN, "temperature_k"):
+    if key in _NUMBERS:
         number = decimal(text) if text else None
         new = {key.removesuffix("_k"): number, "note": _noted(material.note, f"{key}={text}")}
     return {**library, name: replace(material, **new)}

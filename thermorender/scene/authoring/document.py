@@ -11,6 +11,8 @@ from thermorender.materials.edit import with_text
 from thermorender.materials.library import NAME, find, load_library, read_library
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import parts_of
+from thermorender.scene.state.arguments import number_of
+from thermorender.scene.surface import scene_kelvin
 
 if TYPE_CHECKING:
     from thermorender.scene.scene import Scene
@@ -126,12 +128,19 @@ class Document:
             raise ThermorenderError(f"there is a material {name!r} already; choose another name")
 
     def of_class(self, number: int, material: str) -> "Document":
-        """Return this Document with another material of a class."""
+        """Return this Document with another material of a class of the scene."""
+        if number not in self.classes:
+            raise ThermorenderError(_unknown("class", number, self.classes))
         find(self.library, material, f"class {number}")
         return self if self.classes[number] == material else replace(self, classes={**self.classes, number: material})
 
     def of_object(self, name: str, material: str | None = None, kelvin: float | None = None) -> "Document":
         """Return this Document with another material or temperature of an object [K]."""
+        if name not in self.objects:
+            raise ThermorenderError(_unknown("object", name, self.objects))
+        if kelvin is not None:
+            what = f"object {name!r}: kelvin"
+            kelvin = scene_kelvin(what, float(number_of(what, kelvin)))
         before = self.objects[name]
         material, kelvin = material or before[0], before[1] if kelvin is None else kelvin
         find(self.library, material, f"object {name!r}")
@@ -167,3 +176,8 @@ class Document:
         for area, name in self.painted:
             scene = scene.with_material_in(area, self.library[name])
         return scene
+
+
+def _unknown(what: str, given: object, known: Mapping[Any, Any]) -> str:
+    """The sentence on a class or an object that the scene does not have."""
+    return f"the scene has no {what} {given!r}; it has {', '.join(map(repr, known)) or 'none'}"

@@ -12,6 +12,7 @@ The shipped tables and scenes are never written. A file that changed on disk sin
 
 from codecs import BOM_UTF8
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -45,11 +46,15 @@ _WORDS = {"only in the second": "new material", "only in the first": "removed"}
 
 @dataclass(frozen=True, eq=False)
 class Save:
-    """A save of a Document: the new contents of files (None: removed), and what changes, in lines for people."""
+    """A save of a Document: the new contents of files (None: removed), and what changes, in lines for people.
+
+    `known` has the checksums of the files that it begins from.
+    """
 
     files: _Contents
     lines: tuple[str, ...]
     document: Document
+    known: Mapping[Path, str]
 
 
 class SceneFiles:
@@ -129,7 +134,7 @@ class SceneFiles:
             before, after = (Counter(each.splitlines()) for each in (old, text))
             lines += [f"scene.toml  −{line}" for line in before - after]
             lines += [f"scene.toml  +{line}" for line in after - before]
-        return Save(files, tuple(lines), document)
+        return Save(files, tuple(lines), document, self._known)
 
     def write(self, save: Save) -> None:
         """Write a Save, all files or none.
@@ -140,6 +145,10 @@ class SceneFiles:
             Files have changed since the Save was planned, or a file cannot be written.
         """
         self.refuse_changed()
+        if save.known != self._known:
+            raise ThermorenderError(
+                "another save has been written since this one was planned; nothing was written, so plan it again"
+            )
         own = self._folder / "materials"
         try:
             replace_files(save.files)
