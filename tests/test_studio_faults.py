@@ -120,6 +120,24 @@ def test_a_tab_need_not_wait_for_its_own_edits(session):
     assert history.version == 7
 
 
+def test_edits_of_two_threads_do_not_lose_one_another(session):
+    begun = threading.Event()
+
+    def slow(document):
+        begun.set()
+        time.sleep(0.3)
+        return document.with_text("asphalt", "emissivity", "0.5")
+
+    thread = threading.Thread(target=session.edit, args=(0, "", slow, "a"))
+    thread.start()
+    assert begun.wait(30.0)
+    with pytest.raises(ThermorenderError, match="another tab has changed the tables since"):
+        session.edit(0, "", emissive("snow", "0.5"), "b")
+    thread.join(30.0)
+    assert session.history.version == 1
+    assert session.document.library["asphalt"].emissivity.max() == 0.5
+
+
 def test_edits_of_a_material_that_another_tab_deleted_are_one_sentence(session):
     session.edit(0, "copy", lambda document: document.duplicated("asphalt", "mine"))
     session.edit(1, "deleted", lambda document: document.without("mine"))

@@ -158,6 +158,8 @@ class Session:
         self.learned: dict[str, Layer] = {}
         self.training, self.stop_training = threading.Lock(), threading.Event()
         self._scene: Scene = self.base
+        # Held by the edit, step, reload or write under way, in whatever thread.
+        self._editing = threading.RLock()
 
     def close(self) -> None:
         """End rendering and training."""
@@ -181,22 +183,25 @@ class Session:
 
     def edit(self, version: int, what: str, change: Callable[[Document], Document], by: str = "") -> None:
         """Change the Document for a tab, render it, and tell all tabs; ThermorenderError where it is refused."""
-        if self.history.edit(version, what, change, self._use, by):
-            self._render(by)
+        with self._editing:
+            if self.history.edit(version, what, change, self._use, by):
+                self._render(by)
 
     def step(self, version: int, steps: int, by: str = "") -> None:
         """Undo one edit (−1) or redo one (+1) for a tab."""
-        if self.history.step(version, steps, by):
-            self._use(self.document)
-            self._render(by)
+        with self._editing:
+            if self.history.step(version, steps, by):
+                self._use(self.document)
+                self._render(by)
 
     def reload(self, scene: "Scene") -> None:
         """Take over the scene as its files describe it now; ThermorenderError if its surfaces are other ones."""
-        refuse_other_surfaces(self.base.surfaces, scene.surfaces)
-        self.files, self._scene = SceneFiles(scene), scene
-        self.history.loaded(self.files.origin)
-        self.renders.compare_with(scene)
-        self._render()
+        with self._editing:
+            refuse_other_surfaces(self.base.surfaces, scene.surfaces)
+            self.files, self._scene = SceneFiles(scene), scene
+            self.history.loaded(self.files.origin)
+            self.renders.compare_with(scene)
+            self._render()
 
     def write(self, save: Save) -> None:
         """Write a Save; the edits count as saved: differences begin from them, and undo still goes behind them.
@@ -206,15 +211,16 @@ class Session:
         ThermorenderError
             Files or edits have changed since the Save was planned, or a file cannot be written.
         """
-        if save.document is not self.document:
-            raise ThermorenderError(
-                "another tab has changed the tables since these changes were listed; nothing was written, so press "
-                "Save again to see all changes"
-            )
-        self.files.write(save)
-        self.renders.compare_with(self._scene)
-        for tab in list(self.tabs):
-            tab.refresh()
+        with self._editing:
+            if save.document is not self.document:
+                raise ThermorenderError(
+                    "another tab has changed the tables since these changes were listed; nothing was written, so press "
+                    "Save again to see all changes"
+                )
+            self.files.write(save)
+            self.renders.compare_with(self._scene)
+            for tab in list(self.tabs):
+                tab.refresh()
 
     def _use(self, document: Document) -> None:
         scene = document.scene(self.base, self.files.origin)
