@@ -11,6 +11,7 @@ all texels is removed, because no frame shows it.
 """
 
 from dataclasses import dataclass
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -21,12 +22,13 @@ from scipy.optimize import nnls
 from thermorender.inverse.normal import Footprint, Normal, Prior, Sums, Unknowns
 from thermorender.inverse.poses import slopes
 from thermorender.inverse.weights import sharpened, texel_line, texel_means
+from thermorender.render.light.exchange import threads
 from thermorender.sensor.camera import Camera
 from thermorender.sensor.psf import otf
 
 Floats = NDArray[np.float64]
 # Draws, how many are solved together, and width of the smoothing of their variance [texels].
-DRAWS, _TOGETHER = 8, 4
+DRAWS, _TOGETHER = 8, 2
 _SMOOTH = 2.0
 # Relative residual of a draw's solution: a variance needs fewer digits than a map.
 _TOLERANCE = 1e-3
@@ -196,10 +198,14 @@ def spread_of(
     """
     seen = draws.views > 0
     variance = np.zeros(seen.shape)
-    for first in range(0, DRAWS, _TOGETHER):
-        gradients = (draws.gradient(normal, number) for number in range(first, first + _TOGETHER))
-        for x in normal.solved(*gradients, tolerance=_TOLERANCE)[0]:
-            found = texel_means(sharpened(x.map, reach, terms), side)
+    gradients = [draws.gradient(normal, number) for number in range(DRAWS)]
+
+    def solved(first: int) -> list[Floats]:
+        found, _ = normal.solved(*gradients[first : first + _TOGETHER], tolerance=_TOLERANCE)
+        return [texel_means(sharpened(x.map, reach, terms), side) for x in found]
+
+    with threads() as pool:
+        for found in chain.from_iterable(pool.map(solved, range(0, DRAWS, _TOGETHER))):
             variance += (found - found[seen].mean()) ** 2 / DRAWS
     # Beyond the texels that are seen the variance is that of the prior, which must not leak in.
     variance = np.where(seen, _near(variance, seen, _SMOOTH), variance)
@@ -229,11 +235,15 @@ def _difference(draws: Draws, reach: float, terms: int, side: float) -> Floats:
     step = np.zeros(prior.mean.shape)
     if not all(half.count for half in draws.halves):
         return np.full(step.shape, np.nan)
-    for half, sign in zip(draws.halves, (0.5, -0.5), strict=True):
+
+    def solved(half: Normal) -> Floats:
         gradient = half.gradient(np.zeros(step.shape), np.zeros(prior.count), np.zeros(0))
-        (x,), _ = half.solved(gradient, tolerance=_TOLERANCE)
-        step += sign * x.map
-        both &= half.stencil.link[0] > 0.0
+        return half.solved(gradient, tolerance=_TOLERANCE)[0][0].map
+
+    with threads() as pool:
+        for half, sign, found in zip(draws.halves, (0.5, -0.5), pool.map(solved, draws.halves), strict=True):
+            step += sign * found
+            both &= half.stencil.link[0] > 0.0
     return np.where(both, texel_means(sharpened(np.where(both, step, 0.0), reach, terms), side), np.nan)
 
 
