@@ -384,7 +384,7 @@ def test_edits_measure_times_and_errors_of_each_kind(tmp_path, monkeypatch):
     folder = write_terrain(tmp_path / "land", 2.0 * np.indices((40, 40))[0] % 7)
     monkeypatch.setattr(edits, "_POSE", (0.0, -10.0, 30.0))
     result = edits.run([folder], ["fast"], edits=2, exact_every=2)
-    assert [case["kind"] for case in result["cases"]] == list(edits.KINDS)
+    assert [case["kind"] for case in result["cases"]] == [*edits.KINDS, edits.SUCCESSION]
     assert len(edits.rows(result)) == 4 and all(each.holds for each in verdicts._edits(result))
     for case in result["cases"]:
         assert ["solution_ms" in edit for edit in case["edits"]] == [True, False]
