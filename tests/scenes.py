@@ -122,3 +122,22 @@ def plane_depth(ground_m=0.0, slope=(0.0, 0.0)):
         return np.where(found > 0.0, found, np.inf)
 
     return depth
+
+
+# With what an edit of the file by a program may lose: comments, quotes and a number's digits.
+HUT = """
+# The hut of the owner's brother.
+[[object]]
+name = "hut"
+shape = "box"
+size = [3.0, 3.0, 3.0]
+position = [0.0, 0.0, 1.5]
+temperature = 305.0 # the stove's "on"
+material = 'asphalt' # a felt roof's "bitumen"
+"""
+
+
+def write_hut(folder):
+    """Write a scene of two classes side by side and a hut; return its folder."""
+    columns = np.mgrid[:32, :32][1]
+    return write_terrain(folder, classes=np.where(columns < 16, 1, 2), extra=HUT)

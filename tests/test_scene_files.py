@@ -6,29 +6,18 @@ import numpy as np
 import pytest
 
 import thermorender as tr
-from scenes import write_terrain
+from scenes import write_hut
 from thermorender.errors import ThermorenderError
 from thermorender.materials.edit import with_spectrum_of, with_text
 from thermorender.paths import data_folder
 from thermorender.scene.authoring.scene_files import SceneFiles
 
-HUT = """
-# The hut of the owner's brother.
-[[object]]
-name = "hut"
-shape = "box"
-size = [3.0, 3.0, 3.0]
-position = [0.0, 0.0, 1.5]
-temperature = 305.0 # the stove's "on"
-material = 'asphalt' # a felt roof's "bitumen"
-"""
 BAND = (7.5, 13.5, 300.0)
 
 
 @pytest.fixture
 def folder(tmp_path):
-    columns = np.mgrid[:32, :32][1]
-    return write_terrain(tmp_path / "tiny scene", classes=np.where(columns < 16, 1, 2), extra=HUT)
+    return write_hut(tmp_path / "tiny scene")
 
 
 @pytest.fixture

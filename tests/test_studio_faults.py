@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import thermorender as tr
-from scenes import write_terrain
+from scenes import write_hut, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.render.renderer import Renderer
 from thermorender.studio import ground
@@ -20,22 +20,10 @@ from thermorender.studio.session import History, Session
 from thermorender.studio.spectrum import read_spectrum
 from thermorender.studio.view import Pose, View, commands
 
-HUT = """
-# The hut of the owner's brother.
-[[object]]
-name = "hut"
-shape = "box"
-size = [3.0, 3.0, 3.0]
-position = [0.0, 0.0, 1.5]
-temperature = 305.0 # the stove's "on"
-material = 'asphalt' # a felt roof's "bitumen"
-"""
-
 
 @pytest.fixture
 def folder(tmp_path):
-    columns = np.mgrid[:32, :32][1]
-    return write_terrain(tmp_path / "tiny scene", classes=np.where(columns < 16, 1, 2), extra=HUT)
+    return write_hut(tmp_path / "tiny scene")
 
 
 @pytest.fixture

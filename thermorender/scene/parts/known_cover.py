@@ -1,6 +1,5 @@
 """Shapes of OpenStreetMap that restrict the materials inside them: a GeoJSON of buildings, roads, water and land."""
 
-import json
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender import formats
 from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity.kinds import KINDS, kinds_of
 from thermorender.learned.emissivity.mapping import Evidence
@@ -201,7 +201,7 @@ def _packed(about: Mapping[str, Any]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for text in (about[key] for key in _PACKED if isinstance(about.get(key), str)):
         if text.lstrip().startswith("{"):
-            found |= json.loads(text)
+            found |= formats.finite_json(text)
         else:
             found |= {_UNESCAPED.sub(r"\1", key): _UNESCAPED.sub(r"\1", value) for key, value in _PAIR.findall(text)}
     return found
