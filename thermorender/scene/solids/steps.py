@@ -19,7 +19,7 @@ _BESIDE = 2
 def without_courtyards(
     outlines: Sequence[Outline], height: NDArray[np.float64], ground: NDArray[np.float64], post_m: float
 ) -> list[Outline]:
-    """Return outlines with holes where the surface model has open ground amid a building, as large as a part.
+    """Return outlines with holes where the surface model has open ground within a building, as large as a part.
 
     Ground that reaches the outline stays: outlines are often drawn metres off.
     """
