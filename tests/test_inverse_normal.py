@@ -1,9 +1,12 @@
 """The normal equations of a reconstruction: the stencil against dense matrices, conjugate gradients against NumPy."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
-from thermorender.inverse.normal import Normal, Prior, Stencil, Sums, Unknowns, footprint, links
+from thermorender.inverse import normal as normal_module
+from thermorender.inverse.normal import Normal, Prior, Stencil, Sums, footprint, links
 from thermorender.inverse.weights import Sight, bilinear, texel_means
 
 SHAPE = (7, 6)
@@ -89,19 +92,26 @@ def flat(x):
 @pytest.mark.parametrize(
     "keys", [{}, {"pixel": 1e4, "prior_precision": 0.01, "offset_precision": 1e-3}, {"prior_precision": 50.0}]
 )
-def test_solution_is_that_of_dense_least_squares(keys):
+def test_solution_is_that_of_dense_least_squares(keys, monkeypatch):
+    monkeypatch.setattr(normal_module, "_TILE", 4)
     normal, gradient, expected = made_problem(**keys)
-    (found,), _ = normal.solved(gradient, tolerance=1e-10)
+    found, _ = normal.solved(gradient, tolerance=1e-10)
     np.testing.assert_allclose(flat(found), expected, atol=1e-7)
 
 
-def test_solutions_found_together_are_those_found_alone():
-    normal, gradient, expected = made_problem()
-    doubled = Unknowns(*(2.0 * part for part in gradient))
-    nothing = Unknowns(*(0.0 * part for part in gradient))
-    found, _ = normal.solved(gradient, nothing, doubled, tolerance=1e-9)
-    for one, factor in zip(found, (1.0, 0.0, 2.0), strict=True):
-        np.testing.assert_allclose(flat(one), factor * expected, atol=1e-6)
+def test_threads_do_not_change_a_solution():
+    normal, gradient, _ = made_problem()
+    alone, steps = normal.solved(gradient)
+    with ThreadPoolExecutor(2) as pool:
+        found, same = normal.solved(gradient, each=pool.map)
+    assert steps == same > 2
+    np.testing.assert_array_equal(flat(found), flat(alone))
+
+
+def test_solution_of_no_pull_is_zero():
+    normal, gradient, _ = made_problem()
+    found, steps = normal.solved(gradient.like(0.0 * gradient.map, 0.0 * gradient.parameters))
+    assert steps == 0 and not flat(found).any()
 
 
 @pytest.mark.parametrize(("side", "count"), [(1.0, 1), (2.0, 2), (3.0, 3), (4.0, 4), (1.25, 2000), (0.4, 1)])

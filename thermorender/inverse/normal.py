@@ -7,9 +7,11 @@ links: 40 bytes a texel, however many frames there are. Residuals come from the 
 matrix without blur then only sets the path to the solution, as in deferred correction.
 """
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from itertools import chain
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +22,10 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
 Floats = NDArray[np.float64]
+# Maps a function over items, as `map` and `Executor.map` do.
+Each = Callable[..., Iterator[Any]]
+# Side of a tile in which the frames' couplings are multiplied [texels].
+_TILE = 64
 # Entries of the stencil: the texel itself, and its neighbours to the right, below, below right and below left.
 _SELF, _RIGHT, _BELOW, _BELOW_RIGHT, _BELOW_LEFT = range(5)
 
@@ -154,20 +160,19 @@ class Block(NamedTuple):
     own: Floats  # (P, P)
     common: Floats  # (P, V)
 
-    def shared(self, other: "Block") -> tuple[slice, slice] | None:
-        """Return the window that two frames share, or None."""
-        rows, columns = (
-            slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(self.window, other.window, strict=True)
-        )
-        return (rows, columns) if rows.start < rows.stop and columns.start < columns.stop else None
-
-    def on(self, window: tuple[slice, slice]) -> Floats:
-        """Return the coupling (P, rows, columns) on a window within the frame's own."""
-        rows, columns = (
-            (each.start - own.start, each.stop - own.start) for each, own in zip(window, self.window, strict=True)
-        )
-        sides = (each.stop - each.start for each in self.window)
-        return self.coupling.reshape(-1, *sides)[:, slice(*rows), slice(*columns)]
+    def on(self, tile: tuple[slice, slice]) -> Floats:
+        """Return the coupling on a tile of the map, (P, rows, columns); no lines if the frame does not show it."""
+        here, there = list[slice](), list[slice]()
+        for own, other in zip(self.window, tile, strict=True):
+            start, stop = max(own.start, other.start), min(own.stop, other.stop)
+            here.append(slice(start - own.start, stop - own.start))
+            there.append(slice(start - other.start, stop - other.start))
+        sides, own_sides = ([each.stop - each.start for each in window] for window in (tile, self.window))
+        if any(part.start >= part.stop for part in here):
+            return np.zeros((0, *sides))
+        lines = np.zeros((len(self.coupling), *sides))
+        lines[:, there[0], there[1]] = self.coupling.reshape(-1, *own_sides)[:, here[0], here[1]]
+        return lines
 
 
 class Sums(NamedTuple):
@@ -283,25 +288,40 @@ class Normal:
         matrix[ends[-2] :, ends[-2] :] = np.diag(prior.class_precision + classes)
         return matrix
 
-    def _spread(self, parameters: Floats) -> Floats:
-        """B p: what parameters (K, n) add to the equations of the map, (K, h, w)."""
+    def _spread(self, parameters: Floats, each: Each = map) -> Floats:
+        """B p: what parameters (n,) add to the equations of the map, (h, w)."""
         prior = self.prior
-        frames, common, classes = np.split(parameters, self._splits, axis=1)
-        total = np.tensordot(common, self._common_coupling, axes=1)
-        total -= prior.precision * classes.take(prior.classes, axis=1)
-        for block, own in zip(self._blocks, np.split(frames, max(self.count, 1), axis=1), strict=False):
-            inside = total[(slice(None), *block.window)]
-            inside += (own @ block.coupling).reshape(inside.shape)
-        return np.asarray(total)
+        frames, common, classes = np.split(parameters, self._splits)
 
-    def _gathered(self, values: Floats) -> Floats:
-        """Bᵀ m: what maps (K, h, w) add to the equations of the parameters, (K, n)."""
-        prior, count = self.prior, len(values)
-        frames = [values[(slice(None), *block.window)].reshape(count, -1) @ block.coupling.T for block in self._blocks]
-        common = np.tensordot(values, self._common_coupling, axes=((1, 2), (1, 2)))
-        pulls = (prior.precision * values).reshape(count, -1)
-        classes = [-np.bincount(prior.classes.ravel(), pull, prior.count) for pull in pulls]
-        return np.concatenate([*frames, common, classes], axis=1)
+        def part(chosen: slice) -> Floats:
+            total = np.zeros(self.shape)
+            for block, own in zip(self._blocks[chosen], frames.reshape(max(self.count, 1), -1)[chosen], strict=False):
+                window = total[block.window]
+                window += np.einsum("p,pn->n", own, block.coupling).reshape(window.shape)
+            return total
+
+        first, second = each(part, self._halves)
+        first += second
+        first += np.tensordot(common, self._common_coupling, axes=1) - prior.precision * classes.take(prior.classes)
+        return np.asarray(first)
+
+    def _gathered(self, values: Floats, each: Each = map) -> Floats:
+        """Bᵀ m: what a map (h, w) adds to the equations of the parameters, (n,)."""
+        prior = self.prior
+
+        def part(chosen: slice) -> list[Floats]:
+            return [np.einsum("pn,n->p", b.coupling, values[b.window].ravel()) for b in self._blocks[chosen]]
+
+        frames = chain.from_iterable(each(part, self._halves))
+        common = np.tensordot(self._common_coupling, values, axes=2)
+        classes = -np.bincount(prior.classes.ravel(), (prior.precision * values).ravel(), prior.count)
+        return np.concatenate([*frames, common, classes])
+
+    @property
+    def _halves(self) -> tuple[slice, slice]:
+        """Halves of the frames: two whatever the number of threads, which therefore does not change a sum."""
+        middle = self.count // 2
+        return slice(0, middle), slice(middle, self.count)
 
     @property
     def _splits(self) -> tuple[int, int]:
@@ -311,21 +331,20 @@ class Normal:
 
     def _eliminated(self, inverse: Floats) -> Floats:
         """Bᵀ D⁻¹ B of the parameters, with the diagonal D⁻¹ (h, w)."""
-        prior, blocks = self.prior, self._blocks
-        classes = [np.where(prior.classes == each, -prior.precision, 0.0) for each in range(prior.count)]
-        shared = np.concatenate([self._common_coupling, classes])
-        ends = np.cumsum([0, *(len(block.own) for block in blocks), len(shared)])
+        prior = self.prior
+        ends = np.cumsum([0, *(len(block.own) for block in self._blocks), len(self._common_own), prior.count])
         matrix = np.zeros((ends[-1], ends[-1]))
-        for number, block in enumerate(blocks):
-            own = slice(ends[number], ends[number + 1])
-            scaled = block._replace(coupling=block.coupling * inverse[block.window].ravel())
-            for other, start, end in zip(blocks[number:], ends[number:], ends[number + 1 :], strict=False):
-                both = block.shared(other)
-                if both is not None:
-                    matrix[own, start:end] = _product(scaled.on(both), other.on(both))
-            matrix[own, ends[-2] :] = _product(scaled.on(block.window), shared[(slice(None), *block.window)])
-        matrix[ends[-2] :, ends[-2] :] = _product(shared * inverse, shared)
-        return np.triu(matrix) + np.triu(matrix, 1).T
+        numbers = np.split(np.arange(ends[-1]), ends[1:-1])
+        for tile in _tiles(self.shape):
+            # Few frames show a tile: one product has all of their pairs.
+            parts = [block.on(tile) for block in self._blocks]
+            parts.append(self._common_coupling[(slice(None), *tile)])
+            classes = np.arange(prior.count)[:, None, None] == prior.classes[tile]
+            parts.append(np.where(classes, -prior.precision[tile], 0.0))
+            lines = np.concatenate([part.reshape(len(part), classes[0].size) for part in parts])
+            at = np.concatenate([number for number, part in zip(numbers, parts, strict=True) if len(part)])
+            matrix[np.ix_(at, at)] += (lines * inverse[tile].ravel()) @ lines.T
+        return matrix
 
     @cached_property
     def _lumped(self) -> Floats:
@@ -340,8 +359,8 @@ class Normal:
         inverse = 1.0 / (self._lumped + self.prior.precision)
         return inverse, cho_factor(self._own - self._eliminated(inverse), lower=True)
 
-    def _nearly_inverse(self, maps: Floats) -> Floats:
-        """The inverse, for maps (K, h, w), of the equations without parameters and with lumped links.
+    def _nearly_inverse(self, values: Floats, each: Each) -> Floats:
+        """The inverse, for a map (h, w), of the equations without parameters and with lumped links.
 
         All links are positive, so the lumped matrix exceeds the linked one in the sense of quadratic forms, and what is
         left of the parameters' matrix stays positive. For smooth maps both are the same, and smooth maps are what
@@ -350,53 +369,44 @@ class Normal:
         from scipy.linalg import cho_solve
 
         inverse, factor = self._lumped_factors
-        first = inverse * maps
-        return first + inverse * self._spread(cho_solve(factor, self._gathered(first).T).T)
+        first = inverse * values
+        return first + inverse * self._spread(cho_solve(factor, self._gathered(first, each)), each)
 
     def solved(
-        self, *gradients: Unknowns, tolerance: float = 1e-4, most: int = 2000
-    ) -> tuple[list[Unknowns], int]:  # fmt: skip
-        """Return (x of each gradient, steps) by preconditioned conjugate gradients, to a relative residual `tolerance`.
+        self, gradient: Unknowns, tolerance: float = 1e-4, most: int = 2000, each: Each = map
+    ) -> tuple[Unknowns, int]:  # fmt: skip
+        """Return (x, steps) by preconditioned conjugate gradients, to a relative residual `tolerance`.
 
         The parameters are eliminated: steps are made in the map alone. The preconditioner differs from the matrix only
         in the links between texels, so the product with z = M⁻¹ r is r plus that difference times z. What converges
-        last is fine structure where pixels are few; offsets and poses are exact long before.
+        last is fine structure where pixels are few; offsets and poses are exact long before. `each` maps a function
+        over the halves of the frames, such as `Executor.map`, and does not change the result.
         """
         from scipy.linalg import cho_factor, cho_solve
 
-        own = cho_factor(self._own, lower=True)
-        pulls = np.array([each.parameters for each in gradients])
-        r = np.array([each.map for each in gradients]) - self._spread(cho_solve(own, pulls.T).T)
+        own, pulls = cho_factor(self._own, lower=True), gradient.parameters
+        r = gradient.map - self._spread(cho_solve(own, pulls), each)
         x, p, product = (np.zeros_like(r) for _ in range(3))
-        before, steps = np.full(len(r), np.inf), 0
+        before, limit, steps = np.inf, 0.0, 0
         while steps <= most:
-            z = self._nearly_inverse(r)
-            rz = _dots(r, z)
+            z = self._nearly_inverse(r, each)
+            rz = float(np.vdot(r, z))
             if steps == 0:
                 limit = tolerance**2 * rz
-            if (rz <= limit).all():
+            if rz <= limit:
                 break
-            # A solution that is done goes on with the others, without harm.
-            ratio = _each(rz / np.maximum(before, 1e-300))
+            ratio = rz / before
             p = z + ratio * p
             product = r + self.stencil(z) - self._lumped * z + ratio * product
-            step = _each(rz / np.maximum(_dots(p, product), 1e-300))
+            step = rz / max(float(np.vdot(p, product)), 1e-300)
             x += step * p
             r -= step * product
             before, steps = rz, steps + 1
-        parameters = cho_solve(own, (pulls - self._gathered(x)).T).T
-        return [each.like(*found) for each, *found in zip(gradients, x, parameters, strict=True)], steps
+        return gradient.like(x, cho_solve(own, pulls - self._gathered(x, each))), steps
 
 
-def _each(values: Floats) -> Floats:
-    return values[:, None, None]
-
-
-def _dots(a: Floats, b: Floats) -> Floats:
-    """Scalar products of maps (K, h, w)."""
-    return np.einsum("khw,khw->k", a, b)
-
-
-def _product(a: Floats, b: Floats) -> Floats:
-    """Sums (n, m) over the texels of the products of maps a (n, h, w) and b (m, h, w)."""
-    return a.reshape(len(a), -1) @ b.reshape(len(b), -1).T
+def _tiles(shape: tuple[int, int]) -> Iterator[tuple[slice, slice]]:
+    """Yield squares that cover a map."""
+    for top in range(0, shape[0], _TILE):
+        for left in range(0, shape[1], _TILE):
+            yield slice(top, min(top + _TILE, shape[0])), slice(left, min(left + _TILE, shape[1]))

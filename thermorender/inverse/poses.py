@@ -67,12 +67,12 @@ def registered(
     measured : (4, 4) array
         The pose that `error` belongs to.
     search : bool
-        Whether to begin with a search over shifts.
+        Whether to begin with a search over shifts and coarse steps, or with finer ones.
     """
     if search:
         pose = _searched(viewer, values, image, pose, error)
     right, down = slopes(values)
-    for sigma, steps in _LEVELS:
+    for sigma, steps in _LEVELS if search else _LEVELS[1:]:
         for _ in range(steps):
             step = _step(viewer, values, (right, down), image, pose, measured, error, sigma)
             pose = moved(pose, step)

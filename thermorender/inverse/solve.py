@@ -41,6 +41,8 @@ _T = TypeVar("_T")
 _OUTLIER = 4.0
 # Terms of the blur's inverse in a step, and frames that its width is taken from.
 TERMS, _SAMPLED = 3, 5
+# Relative residual of a solution in the last round, and in the others.
+_TOLERANCE, _ROUGH = 1e-4, 1e-2
 # Frames under way at the same time.
 _UNDER_WAY = 3
 # Powers of the radius of the vignetting.
@@ -238,10 +240,12 @@ class Problem:
         self, state: State, free: bool, progress: Progress | None, draws: Draws | None = None
     ) -> tuple[State, Normal]:
         settings = self.settings
-        normal, left, weights, noise_k = self._equations(state, free, progress, draws)
+        normal, left, weights, noise_k, pattern = self._equations(state, free, progress, draws)
         gradient = normal.gradient(state.map - self.prior.mean, state.classes, state.vignette)
-        (found,), _ = normal.solved(gradient)
-        made = self._updated(state, found, free)
+        with threads() as pool:
+            # Later rounds go on with what the first leave.
+            found, _ = normal.solved(gradient, _TOLERANCE if draws is not None else _ROUGH, each=pool.map)
+        made = self._updated(state, found, free, pattern)
         # The first round has the poses of the registration, of which the errors look like tilts.
         square = np.sum(weights * (state.tilts + left) ** 2) / max(float(weights.sum()), 1e-300)
         tilt_k = float(np.sqrt(square)) if state.rounds > 0 else 0.0
@@ -253,17 +257,20 @@ class Problem:
 
     def _equations(
         self, state: State, free: bool, progress: Progress | None, draws: Draws | None = None
-    ) -> tuple[Normal, Floats, Floats, float]:  # fmt: skip
-        """(Normal, tilts of the frames' residuals (F, 2), their weights, standard deviation of the residuals)."""
+    ) -> tuple[Normal, Floats, Floats, float, "Common | None"]:  # fmt: skip
+        """(Normal, tilts of the residuals (F, 2), their weights, standard deviation of the residuals, Common)."""
         settings = self.settings
         tilted = [1.0 / state.tilt_k**2] * 2 if state.tilt_k > 0.0 else []
         own = np.concatenate([[1.0 / settings.offset_k**2], tilted, settings.pose_error.precision if free else []])
         terms = np.full(len(self.vignetting), 1.0 / settings.vignette_k**2)
         normal = Normal(self.prior, own, terms)
+        pattern = None
+        if settings.pattern_k > 0.0 and state.rounds > 0:
+            pattern = Common(len(self.images), state.pattern.size, settings.pattern_k)
         right, down = slopes(state.map)
         slope = np.hypot(right, down)
 
-        def summed(number: int) -> tuple[Sums, Drawn | None, Floats, float]:
+        def summed(number: int) -> tuple[Sums, Drawn | None, Floats, float, tuple[Sight, Floats, Floats]]:
             sight, residual, precision, spread = self._measured(state, number, slope)
             plane = np.concatenate([np.ones((1, residual.size)), self.tilting[:, sight.pixel]])
             columns = plane if tilted else plane[:1]
@@ -272,10 +279,10 @@ class Problem:
             given = residual, precision, columns, self.vignetting[:, sight.pixel]
             seen = footprint(sight)
             drawn = draws.of_frame(number, seen, sight.pixel, *given) if draws is not None else None
-            return Sums.of(seen, *given), drawn, _tilt(plane, residual, precision), spread
+            return Sums.of(seen, *given), drawn, _tilt(plane, residual, precision), spread, (sight, *given[:2])
 
         spreads, found = list[float](), list[Floats]()
-        for number, (sums, drawn, tilt, spread) in enumerate(_ahead(summed, len(self.images))):
+        for number, (sums, drawn, tilt, spread, measured) in enumerate(_ahead(summed, len(self.images))):
             spreads.append(spread)
             found.append(tilt)
             away = np.array([state.offsets[number], *(state.tilts[number] if tilted else ())])
@@ -284,10 +291,12 @@ class Problem:
             normal.add(sums, away)
             if draws is not None and drawn is not None:
                 draws.add(number, drawn, sums)
+            if pattern is not None:
+                pattern.add(number, *measured)
             if progress is not None:
                 progress("solving the map", (number + 1) / (len(self.images) + 1))
         tilts, weights = np.array(found).transpose(1, 0, 2)
-        return normal, tilts, weights, float(np.median(spreads))
+        return normal, tilts, weights, float(np.median(spreads)), pattern
 
     def _measured(self, state: State, number: int, slope: Floats) -> tuple[Sight, Floats, Floats, float]:
         """(pixels of a frame, their residuals, 1 over their variances, standard deviation of the residuals).
@@ -305,41 +314,58 @@ class Problem:
         precision, spread = _precision(residual - level, steep, state.noise_k, self.settings.noise_k)
         return sight, residual, precision, spread
 
-    def _common(self, state: State, step: Floats) -> Floats:
-        """The part of the residuals that is common to all frames after a step of the map, (H, W).
-
-        Before the step, map and pattern would both take what either of them explains, and alternate without an end
-        where the frames stand on a grid. The residuals are made again: keeping them takes more memory than all else.
-        """
-        slope = np.hypot(*slopes(state.map))
-
-        def left(number: int) -> Floats:
-            sight, residual, precision, _ = self._measured(state, number, slope)
-            found = np.zeros((2, state.pattern.size))
-            found[:, sight.pixel] = precision * (residual - bilinear(step, sight.row, sight.column)), precision
-            return found
-
-        total, weights = np.zeros(state.pattern.size), np.full(state.pattern.size, 1.0 / self.settings.pattern_k**2)
-        for rest, precision in _ahead(left, len(self.images)):
-            total += rest
-            weights += precision
-        return (total / weights).reshape(state.pattern.shape)
-
-    def _updated(self, state: State, found: Unknowns, free: bool) -> State:
-        settings = self.settings
+    def _updated(self, state: State, found: Unknowns, free: bool, pattern: "Common | None") -> State:
         poses, tilts = state.poses, state.tilts
         if state.tilt_k > 0.0:
             tilts = tilts + found.frames[:, 1:3]
         if free:
             poses = np.array([moved(pose, step[-6:]) for pose, step in zip(poses, found.frames, strict=True)])
         made = state.pattern
-        if settings.pattern_k > 0.0 and state.rounds > 0:
-            made = _without(made + self._common(state, found.map), self.vignetting)
+        if pattern is not None:
+            made = _without(made + pattern.left(found.map).reshape(made.shape), self.vignetting)
         made_map = state.map + sharpened(found.map, self.reach, TERMS)
         return State(
             made_map, state.classes + found.classes, state.offsets + found.frames[:, 0], tilts, state.tilt_k,
             state.vignette + found.common, made, poses, state.noise_k, state.rounds + 1,
         )  # fmt: skip
+
+
+class Common:
+    """The part of the residuals that is common to all frames after a step of the map: that of the fixed pattern.
+
+    Before the step, map and pattern would both take what either of them explains, and alternate without an end where
+    the frames stand on a grid. Places on the map are kept for that, 12 bytes a pixel, because casting rays takes long.
+
+    Parameters
+    ----------
+    frames, pixels : int
+        Numbers of both.
+    pattern_k : float
+        Standard deviation of the pattern before the frames [K].
+    """
+
+    def __init__(self, frames: int, pixels: int, pattern_k: float) -> None:
+        self._row, self._column, self._precision = np.zeros((3, frames, pixels), np.float32)
+        self._pull, self._total = np.zeros(pixels), np.full(pixels, 1.0 / pattern_k**2)
+
+    def add(self, number: int, sight: Sight, residual: Floats, precision: Floats) -> None:
+        """Add a frame with the residuals (N,) of its pixels and 1 over their variances."""
+        at = sight.pixel
+        self._row[number, at], self._column[number, at] = sight.row, sight.column
+        self._precision[number, at] = precision
+        self._pull[at] += precision * residual
+        self._total[at] += precision
+
+    def left(self, step: Floats) -> Floats:
+        """Return the common part (pixels,) after a step (h, w) of the map."""
+
+        def taken(number: int) -> Floats:
+            return self._precision[number] * bilinear(step, self._row[number], self._column[number])
+
+        taking = np.zeros_like(self._pull)
+        for values in _ahead(taken, len(self._row)):
+            taking += values
+        return (self._pull - taking) / self._total
 
 
 def _tilt(plane: Floats, residual: Floats, precision: Floats) -> Floats:

@@ -11,7 +11,6 @@ all texels is removed, because no frame shows it.
 """
 
 from dataclasses import dataclass
-from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -27,11 +26,10 @@ from thermorender.sensor.camera import Camera
 from thermorender.sensor.psf import otf
 
 Floats = NDArray[np.float64]
-# Draws, how many are solved together, and width of the smoothing of their variance [texels].
-DRAWS, _TOGETHER = 8, 2
-_SMOOTH = 2.0
+# Draws, and width of the smoothing of their variance [texels].
+DRAWS, _SMOOTH = 8, 2.0
 # Relative residual of a draw's solution: a variance needs fewer digits than a map.
-_TOLERANCE = 1e-3
+_TOLERANCE = 3e-3
 # Structure within texels makes errors that are alike in all frames: the halves' differences shrink with more frames,
 # and the errors do not. Both agree at this many frames in one simulated flight over heath, by its truth.
 _ALIKE = 4.0
@@ -198,14 +196,14 @@ def spread_of(
     """
     seen = draws.views > 0
     variance = np.zeros(seen.shape)
+
+    def drawn(gradient: Unknowns) -> Floats:
+        found, _ = normal.solved(gradient, _TOLERANCE)
+        return texel_means(sharpened(found.map, reach, terms), side)
+
     gradients = [draws.gradient(normal, number) for number in range(DRAWS)]
-
-    def solved(first: int) -> list[Floats]:
-        found, _ = normal.solved(*gradients[first : first + _TOGETHER], tolerance=_TOLERANCE)
-        return [texel_means(sharpened(x.map, reach, terms), side) for x in found]
-
     with threads() as pool:
-        for found in chain.from_iterable(pool.map(solved, range(0, DRAWS, _TOGETHER))):
+        for found in pool.map(drawn, gradients):
             variance += (found - found[seen].mean()) ** 2 / DRAWS
     # Beyond the texels that are seen the variance is that of the prior, which must not leak in.
     variance = np.where(seen, _near(variance, seen, _SMOOTH), variance)
@@ -238,7 +236,7 @@ def _difference(draws: Draws, reach: float, terms: int, side: float) -> Floats:
 
     def solved(half: Normal) -> Floats:
         gradient = half.gradient(np.zeros(step.shape), np.zeros(prior.count), np.zeros(0))
-        return half.solved(gradient, tolerance=_TOLERANCE)[0][0].map
+        return half.solved(gradient, _TOLERANCE)[0].map
 
     with threads() as pool:
         for half, sign, found in zip(draws.halves, (0.5, -0.5), pool.map(solved, draws.halves), strict=True):
