@@ -68,7 +68,7 @@ def reconstruct(
     references: Annotated[
         Path | None, typer.Option(help="CSV of places with known temperature, which fix the common level.")
     ] = None,
-    rounds: Annotated[int, typer.Option(help="Joint solutions of map, offsets, lens and poses.")] = 5,
+    rounds: Annotated[int, typer.Option(help="Joint solutions of map, offsets, lens and poses.")] = 4,
     scale: Scale = None,
 ) -> None:  # fmt: skip
     """Reconstruct a map of temperatures with its uncertainty, and corrected poses, from the frames of a survey."""

@@ -18,7 +18,7 @@ from thermorender.inverse.weights import Sight, Viewer, moved, taps_of
 Floats = NDArray[np.float64]
 Image = NDArray[np.float32]
 # Standard deviations of the blur of the levels [px], and steps of each.
-_LEVELS = ((4.0, 4), (2.0, 3), (1.0, 3))
+_LEVELS = ((4.0, 3), (2.0, 2), (1.0, 2))
 # A search ends at so many standard deviations of the pose.
 _REACH = 3.0
 # Lowest correlation of a shift that is believed.

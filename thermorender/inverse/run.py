@@ -52,7 +52,7 @@ class Inputs:
     pose_error: tuple[float, float] = (1.0, 0.7)
     above_ground_m: float | None = None
     references: Path | None = None
-    rounds: int = 5
+    rounds: int = 4
     scale: tuple[float, float] | None = None
     lens: Path | None = None
 

@@ -71,7 +71,7 @@ class Settings:
 
     texel_m: float = 0.25
     taps: int = 2
-    rounds: int = 5
+    rounds: int = 4
     pose_error: PoseError = field(default_factory=PoseError)
     noise_k: float = 0.07
     offset_k: float = 1.0
