@@ -1,12 +1,14 @@
 """The normal equations of a reconstruction: the stencil against dense matrices, conjugate gradients against NumPy."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from thermorender.inverse import normal as normal_module
 from thermorender.inverse.normal import Normal, Prior, Stencil, Sums, footprint, links
+from thermorender.inverse.solve import Common
 from thermorender.inverse.weights import Sight, bilinear, texel_means
 
 SHAPE = (7, 6)
@@ -112,6 +114,20 @@ def test_solution_of_no_pull_is_zero():
     normal, gradient, _ = made_problem()
     found, steps = normal.solved(gradient.like(0.0 * gradient.map, 0.0 * gradient.parameters))
     assert steps == 0 and not flat(found).any()
+
+
+def test_common_part_of_residuals_is_their_weighted_mean_after_the_step():
+    rng = np.random.default_rng(5)
+    step, common = rng.normal(size=SHAPE), Common(3, 90, 0.5)
+    pull, total = np.zeros(90), np.full(90, 4.0)
+    for number in range(3):
+        sight = replace(seen_at(rng), pixel=rng.permutation(90)[:60])
+        residual, precision = rng.normal(size=60), rng.uniform(0.5, 2.0, 60)
+        common.add(number, sight, residual, precision)
+        pull[sight.pixel] += precision * (residual - dense(sight) @ step.ravel())
+        total[sight.pixel] += precision
+    # Places and precisions are kept in single precision.
+    np.testing.assert_allclose(common.left(step), pull / total, atol=1e-5)
 
 
 @pytest.mark.parametrize(("side", "count"), [(1.0, 1), (2.0, 2), (3.0, 3), (4.0, 4), (1.25, 2000), (0.4, 1)])
