@@ -239,6 +239,27 @@ def test_a_frame_that_stays_behind_is_registered_to_the_map(survey, fixed, tilt_
     assert miss < 5.0 * 2.0 * np.sqrt(2.0) * NOISE_K / np.sqrt(known)
 
 
+def test_one_joint_solution_finds_the_pose_of_a_blurred_frame(survey, fixed):
+    (_, clean, _, renderer), (found, _) = survey, fixed
+    linear = LinearKelvin(found.camera.band_um, 300.0)
+    camera = replace(found.camera, blur_sigma_px=1.5)
+    radiance = np.array([blurred(renderer.radiance(pose), blur_of(camera)) for pose in clean.poses], np.float64)
+    images = linear.of(brightness_temperature(radiance, *camera.band_um)).astype(np.float32)
+    poses = clean.poses.copy()
+    poses[5] = moved(poses[5], np.array([0.2, -0.15, 0.0, 0.0, 0.0, 0.0]))
+    # The map is known, so that the step is that of the pose alone.
+    prior = Prior(found.state.map, np.full(found.state.map.shape, 1e6), np.zeros(found.state.map.shape, int), 1e6)
+    settings = Settings(texel_m=1.0, pose_error=PoseError(1.0, 0.5), noise_k=NOISE_K)
+    problem = Problem(found.renderer, camera, images, poses, found.lattice, prior, settings)
+    state = problem.round(replace(problem.start(), noise_k=NOISE_K))
+    misses = []
+    for pose in (poses[5], state.poses[5]):
+        step, sight = deviation(pose, clean.poses[5]), problem.viewer.sight(clean.poses[5])
+        misses.append(np.hypot(*(step @ sight.motion(*axis).mean(axis=1) for axis in ((1.0, 0.0), (0.0, 1.0)))))
+    # 4 % are left; with slopes of the map without blur, 20 %.
+    assert misses[1] < 0.1 * misses[0]
+
+
 @pytest.mark.slow
 def test_poses_are_registered_to_the_orthophoto_where_the_prior_has_no_contrast(survey):
     scene, clean, _, renderer = survey

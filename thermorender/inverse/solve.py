@@ -24,6 +24,7 @@ from thermorender.inverse.weights import (
     moved,
     reach_px,
     sharpened,
+    softened,
     taps_of,
     texel_means,
 )
@@ -267,8 +268,9 @@ class Problem:
         pattern = None
         if settings.pattern_k > 0.0 and state.rounds > 0:
             pattern = Common(len(self.images), state.pattern.size, settings.pattern_k)
-        right, down = slopes(state.map)
-        slope = np.hypot(right, down)
+        # The blur has its part in how an image changes with the pose: slopes of the map alone halve the steps.
+        right, down = slopes(softened(state.map, self.reach))
+        slope = np.hypot(*slopes(state.map))
 
         def summed(number: int) -> tuple[Sums, Drawn | None, Floats, float, tuple[Sight, Floats, Floats]]:
             sight, residual, precision, spread = self._measured(state, number, slope)

@@ -361,6 +361,18 @@ def sharpened(step: Floats, reach: float, terms: int) -> Floats:
     terms : int
         Of 1 + (1 − B) + (1 − B)² + …, with B the blur of a pixel. A transfer b leaves (1 − b)^terms.
     """
+    total, rest = step.copy(), step
+    for _ in range(terms - 1):
+        rest = rest - softened(rest, reach)
+        total += rest
+    return total
+
+
+def softened(values: Floats, reach: float) -> Floats:
+    """Return a map (h, w) as pixels see it: with the blur of lens and pixel, of which the outer taps are `reach` away.
+
+    `reach` is in texels.
+    """
     from scipy.ndimage import convolve1d
 
     whole = int(reach)
@@ -369,8 +381,4 @@ def sharpened(step: Floats, reach: float, terms: int) -> Floats:
         for at, share in ((whole, whole + 1.0 - reach), (whole + 1, reach - whole)):
             line[whole + 1 + side * at] += share / 6.0
     line[whole + 1] += 2.0 / 3.0
-    total, rest = step.copy(), step
-    for _ in range(terms - 1):
-        rest = rest - convolve1d(convolve1d(rest, line, axis=0), line, axis=1)
-        total += rest
-    return total
+    return np.asarray(convolve1d(convolve1d(values, line, axis=0), line, axis=1))
