@@ -317,14 +317,16 @@ class Problem:
         return sight, residual, precision, spread
 
     def _updated(self, state: State, found: Unknowns, free: bool, pattern: "Common | None") -> State:
-        poses, tilts = state.poses, state.tilts
+        poses, tilts, own, terms = state.poses, state.tilts, found.frames[:, :1], np.ones((1, state.pattern.size))
         if state.tilt_k > 0.0:
             tilts = tilts + found.frames[:, 1:3]
+            own, terms = found.frames[:, :3], np.concatenate([terms, self.tilting])
         if free:
             poses = np.array([moved(pose, step[-6:]) for pose, step in zip(poses, found.frames, strict=True)])
         made = state.pattern
         if pattern is not None:
-            made = _without(made + pattern.left(found.map).reshape(made.shape), self.vignetting)
+            # Of the vignetting's terms, `_without` leaves nothing.
+            made = _without(made + pattern.left(found.map, own, terms).reshape(made.shape), self.vignetting)
         made_map = state.map + sharpened(found.map, self.reach, TERMS)
         return State(
             made_map, state.classes + found.classes, state.offsets + found.frames[:, 0], tilts, state.tilt_k,
@@ -358,11 +360,16 @@ class Common:
         self._pull[at] += precision * residual
         self._total[at] += precision
 
-    def left(self, step: Floats) -> Floats:
-        """Return the common part (pixels,) after a step (h, w) of the map."""
+    def left(self, step: Floats, own: Floats, terms: Floats) -> Floats:
+        """Return the common part (pixels,) after a step of the map, (h, w), and one of each frame, `own @ terms`.
+
+        `own` (F, K) are changes of what a frame shows besides the map, by the terms (K, pixels). Without them, the
+        pattern would take the opposite of what the map takes from them: 1 K where frames tilt.
+        """
 
         def taken(number: int) -> Floats:
-            return self._precision[number] * bilinear(step, self._row[number], self._column[number])
+            values = bilinear(step, self._row[number], self._column[number]) + own[number] @ terms
+            return np.asarray(self._precision[number] * values)
 
         taking = np.zeros_like(self._pull)
         for values in _ahead(taken, len(self._row)):
