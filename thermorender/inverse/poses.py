@@ -221,6 +221,10 @@ def _step(
     gain = float(basis[:, 3] @ smooth[0]) / (factor[3, 3] or 1.0)
     rest = smooth[[0, *range(3, 9)]]
     rest = rest - (rest @ basis) @ basis.T
+    # Steps towards a map that does not resemble the image would lead anywhere.
+    along = gain * abs(float(factor[3, 3]))
+    if along < _LEAST_ALIKE * np.hypot(along, np.linalg.norm(rest[0])):
+        return np.zeros(6)
     rest[1:] *= np.clip(gain, 0.2, 3.0)
     scale = np.median(np.abs(rest[0])) / 0.6745 + 1e-9
     weight = 1.0 / (1.0 + (rest[0] / (2.0 * scale)) ** 2)
