@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from scipy.ndimage import gaussian_filter
 
 import thermorender as tr
 from thermorender.campaign.procedural_truth import write
@@ -17,7 +18,7 @@ from thermorender.inverse.level import Reference, read_references
 from thermorender.inverse.linear import LinearKelvin
 from thermorender.inverse.normal import Prior, Sums, footprint
 from thermorender.inverse.notes import Level, notes_of
-from thermorender.inverse.poses import PoseError, moved, registered
+from thermorender.inverse.poses import PoseError, deviation, moved, registered
 from thermorender.inverse.reconstruct import reconstruct
 from thermorender.inverse.solve import Settings, State
 from thermorender.inverse.spread import Draws, Spread
@@ -155,6 +156,19 @@ def test_a_frame_of_few_pixels_with_a_value_keeps_its_pose(found):
     image[::8, ::8] = found.survey.kelvin[0, ::8, ::8]
     made = registered(viewer, found.state.map, image, pose, pose, PoseError(), search=False)
     np.testing.assert_array_equal(made, pose)
+
+
+def test_a_frame_that_a_map_does_not_resemble_keeps_its_pose(found):
+    viewer = Viewer(found.renderer, found.camera, found.lattice)
+    image, pose = found.survey.kelvin[0], found.survey.poses[0]
+    # As coarse as the frame, and not like it.
+    other = gaussian_filter(np.random.default_rng(4).normal(size=found.lattice.shape), 2.0)
+    steps = [
+        deviation(registered(viewer, values, image, pose, pose, PoseError(), search=False), pose)
+        for values in (other, found.state.map)
+    ]
+    assert not steps[0].any()
+    assert steps[1].any()
 
 
 def test_the_residual_of_a_frame_is_the_root_mean_square_over_its_pixels(found):

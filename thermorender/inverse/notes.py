@@ -119,7 +119,8 @@ def _common_move(survey: Survey, state: State, settings: Settings) -> list[str]:
         return []
     return [
         f"the frames moved together by {east:+.2f} m east, {north:+.2f} m north and {up:+.2f} m up, more than "
-        "twice --pose-error: their heights, the scene's place or the focal length of the camera is wrong"
+        "twice --pose-error: their heights, the scene's place or the focal length of the camera is wrong, or the "
+        "frames are too few to hold their poses, which --pose-error 0,0 keeps"
     ]
 
 
