@@ -48,11 +48,12 @@ def settled(poses=None, **changes):
     return survey, state, spread
 
 
-def said(level_of=None, pixel_m=0.1, **changes):
+def said(level_of=None, pixel_m=0.1, times=("",) * COUNT, **changes):
     """The notes on frames of `settled`, in one text."""
     survey, state, spread = settled(**changes)
     found = level_of or Level(0.0, [("pond", 0.0)], [POND])
-    return " ".join(notes_of(survey, [], state, spread, Settings(), pixel_m, found))
+    noon = np.datetime64("2021-07-01T12:00:00")
+    return " ".join(notes_of(replace(survey, times=times), [], state, spread, Settings(), pixel_m, found, noon))
 
 
 def at(number, value, rest=0.0):
@@ -84,6 +85,20 @@ def test_frames_that_contradict_the_map_are_stated(changes, words):
 def test_a_common_move_of_all_frames_is_stated():
     poses = np.array([moved(pose, np.array([0.1, 0.0, -2.9, 0.0, 0.0, 0.0])) for pose in settled()[0].poses])
     assert "the frames moved together by +0.10 m east, +0.00 m north and -2.90 m up" in said(poses=poses)
+
+
+@pytest.mark.parametrize(
+    ("time", "fits"),
+    [("2021:07:01 23:30:00", True), ("2021-07-01T14:10:00+02:00", True), ("2021-07-01T09:30Z", True), ("7 s", True),
+     ("2018:07:01 12:00:00", False), ("2021:06:30 21:00:00", False), ("2021-07-01T12:00:00+05:30", False)],
+)  # fmt: skip
+def test_frames_of_another_time_than_the_scene_s_weather_are_stated(time, fits):
+    text = said(times=(time,) * COUNT)
+    assert (text == "") is fits
+    if not fits:
+        assert text.startswith(
+            f"the times of the frames, such as {time}, are not that of the scene's weather, 2021-07-01T"
+        )
 
 
 def test_references_that_contradict_each_other_or_the_camera_are_stated():

@@ -1,5 +1,6 @@
 """Sentences on a reconstruction: what its frames cannot show, and where they contradict each other or the user."""
 
+import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -11,6 +12,7 @@ from thermorender.inverse.level import Reference
 from thermorender.inverse.poses import deviation
 from thermorender.inverse.solve import Settings, State
 from thermorender.inverse.spread import Spread
+from thermorender.units import utc_text
 
 Floats = NDArray[np.float64]
 # Residuals above both, [K] and as share of the frames' contrast. Real frames at poses of photogrammetry leave 0.3 K.
@@ -24,6 +26,9 @@ _FAR_OFFSETS, _FAR_AMONG = 10.0, 6.0
 _SIGMAS, _TOGETHER = 3.0, 2.0
 # Smaller texels than this share of a pixel are noisier than the pixels.
 _FINE = 0.8
+# Hours by which times of frames may differ from that of the scene: without a zone, and with one.
+_ANY_ZONE_H, _FLIGHT_H = 14.0, 3.0
+_CLOCK = re.compile(r"(\d{4})[:-](\d\d)[:-](\d\d)[ T](\d\d:\d\d(?::\d\d)?)(?:\.\d+)?(Z|[+-]\d\d:?\d\d)?")
 # Names in a sentence.
 _MOST = 5
 
@@ -38,7 +43,7 @@ class Level(NamedTuple):
 
 def notes_of(
     survey: Survey, blind: Sequence[int], state: State, spread: Spread, settings: Settings, pixel_m: float,
-    level: Level,
+    level: Level, time: np.datetime64 | None = None,
 ) -> list[str]:  # fmt: skip
     """Return sentences for the user.
 
@@ -52,10 +57,12 @@ def notes_of(
     pixel_m : float
         Side of a pixel on the ground [m]; 0 if no frame shows it.
     level : Level
+    time : datetime64, optional
+        Of the scene's weather, UTC.
     """
     return [
         *_coverage(survey, blind, spread), *_misfits(survey, state, spread, settings),
-        *_texels(settings, pixel_m), *_level(level, settings), *_headings(survey),
+        *_texels(settings, pixel_m), *_level(level, settings), *_headings(survey), *_times(survey, time),
     ]  # fmt: skip
 
 
@@ -163,6 +170,39 @@ def _headings(survey: Survey) -> list[str]:
             "offsets cannot be told apart; fly lines to and fro, or cross them"
         ]
     return []
+
+
+def _times(survey: Survey, time: np.datetime64 | None) -> list[str]:
+    """A note if no frame was taken at about the hour of the scene's weather."""
+    found = [each for each in map(_instant, survey.times) if each is not None]
+    if time is None or not found:
+        return []
+    beyond = [abs((each - time) / np.timedelta64(3600, "s")) - allowed for each, allowed in found]
+    if min(beyond) <= 0.0:
+        return []
+    first = next(each for each in survey.times if _instant(each) is not None)
+    return [
+        f"the times of the frames, such as {first}, are not that of the scene's weather, {utc_text(time)}, from which "
+        "the written scene moves to other hours; set weather.time in the scene's scene.toml to the hour of the flight"
+    ]
+
+
+def _instant(text: str) -> tuple[np.datetime64, float] | None:
+    """(Instant of a frame as UTC, hours by which it may be wrong), or None for another form of time."""
+    parts = _CLOCK.fullmatch(text)
+    if parts is None:
+        return None
+    try:
+        clock = np.datetime64(f"{parts[1]}-{parts[2]}-{parts[3]}T{parts[4]}", "s")
+    except ValueError:
+        return None
+    zone = parts[5]
+    if zone is None:
+        return clock, _ANY_ZONE_H
+    if zone != "Z":
+        minutes = int(zone[1:3]) * 60 + int(zone[-2:])
+        clock -= np.timedelta64(minutes if zone[0] == "+" else -minutes, "m")
+    return clock, _FLIGHT_H
 
 
 def contrast_k(kelvin: NDArray[np.floating]) -> float:

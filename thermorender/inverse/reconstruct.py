@@ -147,7 +147,8 @@ def reconstruct(
         )
         state, means = replace(state, map=state.map + shift, offsets=state.offsets - shift), means + shift
     pixel_m = problem.reach / reach_px(camera) * lattice.texel_m
-    notes = notes_of(survey, blind, state, spread, settings, pixel_m, Level(shift, residuals, references))
+    found_level = Level(shift, residuals, references)
+    notes = notes_of(survey, blind, state, spread, settings, pixel_m, found_level, scene.time)
     apparent = np.where(seen, linear.kelvin(means), np.nan)
     per_linear = linear.kelvin_per_linear(np.where(seen, apparent, linear.reference_k))
     found, change, trusted = kinetic_of(np.where(seen, means, np.nan), light, renderer, linear)
