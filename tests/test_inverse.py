@@ -382,8 +382,8 @@ def test_files_hold_the_reconstruction(survey, fixed, tmp_path):
     np.testing.assert_allclose(temperature[known], found.kinetic[known], atol=1e-3)
     places = read_poses(tmp_path / "poses.csv", made)
     names = [f"frame_{number:02d}" for number in range(12)]
-    for name in names:
-        write_tlinear(tmp_path / f"{name}.tif", found.survey.kelvin[0])
+    for name, kelvin in zip(names, found.survey.kelvin, strict=True):
+        write_tlinear(tmp_path / f"{name}.tif", kelvin)
     again = read_frames(frame_files([tmp_path / f"{name}.tif" for name in names]), places, made)
     np.testing.assert_allclose(again.poses, found.state.poses, atol=1e-3)
 

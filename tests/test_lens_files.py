@@ -141,6 +141,12 @@ def test_other_files_are_refused(tmp_path, name, text, words):
         read_lens(tmp_path / name)
 
 
+@pytest.mark.parametrize("name", ["a.json", "a.xml"])
+def test_a_missing_file_is_not_called_another_kind_of_file(tmp_path, name):
+    with pytest.raises(ThermorenderError, match=f"^{tmp_path / name} cannot be read"):
+        read_lens(tmp_path / name)
+
+
 def test_terms_of_metashape_without_a_counterpart_are_refused(tmp_path):
     for change, words in (({"p3": 0.1}, "without p3 and p4"), ({"projection": "spherical"}, "'spherical' is not read"),
                           ({"skew": 1.0}, "'skew' is not read")):  # fmt: skip

@@ -16,6 +16,7 @@ from rasterio.warp import transform
 from scipy.spatial.transform import Rotation
 
 import thermorender as tr
+from thermorender.cli.camera import parse_scale
 from thermorender.errors import ThermorenderError
 from thermorender.footage.flir_jpeg import read_flir_jpeg
 from thermorender.footage.radiometric_files import read_temperature
@@ -313,13 +314,52 @@ def test_names_are_compared_beyond_neighbours_in_the_folder(tmp_path):
         frame_files([tmp_path])
 
 
-@pytest.mark.parametrize(("zero", "words"), [(0.0, r"--scale=1,0 for counts of 1 K"), (273.15, r"--scale=1,273\.15")])
-def test_fractions_without_a_unit_are_asked_for_with_the_likely_one(tmp_path, zero, words):
-    values = np.linspace(281.3, 299.2, 20, dtype=np.float32).reshape(4, 5) - np.float32(zero)
-    path = tiff(tmp_path / "a.tif", values)
-    with pytest.raises(ThermorenderError, match=words):
+@pytest.mark.parametrize(
+    ("step", "zero", "words"),
+    [(1.0, 0.0, "--scale=1,0 for counts of 1 K"), (1.0, 273.15, r"--scale=1,273\.15 for counts of 1 °C"),
+     (5.0 / 9.0, 273.15 - 160.0 / 9.0, r"--scale=0\.555556,255\.372 for counts of 1 °F")],
+)  # fmt: skip
+def test_fractions_without_a_unit_are_asked_for_with_the_likely_one(tmp_path, step, zero, words):
+    # Tenths of a degree Celsius would fit the numbers too, and be tens of kelvin wrong.
+    values = (np.linspace(293.3, 311.2, 20).reshape(4, 5) - zero) / step
+    path = tiff(tmp_path / "a.tif", values.astype(np.float32))
+    with pytest.raises(ThermorenderError, match=f"which look like {words}") as refused:
         read_temperature(path)
-    assert read_temperature(path, (1.0, zero)).max() == pytest.approx(299.2, abs=1e-3)
+    assert "counts of 0.1" not in str(refused.value)
+    assert read_temperature(path, (step, zero)).max() == pytest.approx(311.2, abs=1e-3)
+
+
+def test_means_of_counts_are_asked_for_with_the_scale_of_counts(tmp_path):
+    path = tiff(tmp_path / "a.tif", np.linspace(7100.5, 7500.25, 20, dtype=np.float32).reshape(4, 5))
+    with pytest.raises(ThermorenderError, match=r"look like --scale=0\.04,0 for counts of 0\.04 K"):
+        read_temperature(path)
+
+
+def test_a_step_that_turns_warm_into_cold_is_refused():
+    with pytest.raises(ThermorenderError, match=r"--scale=-0\.01,600 has a STEP of -0\.01 .*above 0"):
+        parse_scale("-0.01,600")
+
+
+def test_copies_of_a_frame_are_left_out_and_named(scene, tmp_path):
+    values = np.random.default_rng(0).normal(290.0, 2.0, (2, 4, 5)).astype(np.float32)
+    for name, kelvin in zip("abc", values[[0, 1, 0]], strict=True):
+        tiff(tmp_path / f"{name}.tif", kelvin, unit="K")
+    found = survey_of(tmp_path, scene)
+    assert (found.names, len(found.kelvin), len(found.poses)) == (("a", "b"), 2, 2)
+    assert found.notes[0].startswith("1 frames are copies of others, pixel by pixel, and are left out: c.tif of a.tif")
+
+
+def test_hidden_files_of_a_folder_are_not_frames(tmp_path):
+    for name in ("a.tif", "._a.tif"):
+        (tmp_path / name).touch()
+    assert frame_files([tmp_path]) == [tmp_path / "a.tif"]
+
+
+def test_names_that_differ_between_poses_and_frames_are_shown(scene, tmp_path):
+    tiff(tmp_path / "dji_1.tif", np.full((4, 5), 290.0, np.float32), unit="K")
+    places = read_poses(written(tmp_path / "p.csv", HEAD + "DJI_1.DNG,0,0,40,0,-90,0\n"), scene)
+    with pytest.raises(ThermorenderError, match=r"it names DJI_1\.DNG, and the frames are dji_1\.tif; write"):
+        read_frames(frame_files([tmp_path]), places, scene)
 
 
 def test_pictures_for_display_are_not_temperatures(tmp_path):

@@ -108,4 +108,6 @@ def parse_scale(text: str | None) -> tuple[float, float] | None:
     if not text:
         return None
     step, zero = parse_numbers("--scale", text, ("STEP", "ZERO"))
+    if step <= 0.0:
+        raise ThermorenderError(f"--scale={text} has a STEP of {step:g} kelvin per count; give a number above 0")
     return step, zero

@@ -126,8 +126,9 @@ def read_lens(path: Path) -> Lens:
     """
     if path.suffix.lower() == ".xml":
         return _metashape(path)
+    written = read_text(path, "JSON")
     try:
-        cameras = finite_json(read_text(path, "JSON"))
+        cameras = finite_json(written)
     except ValueError as error:
         raise ThermorenderError(f"{path} is not JSON: {error}; give cameras.json of OpenDroneMap") from None
     if not isinstance(cameras, dict) or not cameras or not all(isinstance(each, dict) for each in cameras.values()):
@@ -175,8 +176,9 @@ def opensfm_lens(camera: Mapping[str, Any], source: str) -> Lens:
 
 
 def _metashape(path: Path) -> Lens:
+    written = read_text(path, "XML")
     try:
-        root = ElementTree.fromstring(read_text(path, "XML"))
+        root = ElementTree.fromstring(written)
     except (ElementTree.ParseError, ValueError) as error:
         raise ThermorenderError(f"{path} is not XML: {error}; give Metashape's calibration") from None
     if root.tag != "calibration" or root.find("f") is None:

@@ -23,13 +23,13 @@ TLINEAR_STEP_K = 0.04
 
 # Common scales of integer files, (kelvin per count, kelvin of 0): hundredths of a kelvin (FLIR Boson and others),
 # TLinear, tenths of a kelvin, and tenths, hundredths and thousandths of a degree Celsius (DJI Thermal SDK,
-# `dji_irp -a measure`: int16 of 0.1 °C); kelvin and degrees Celsius as fractions.
+# `dji_irp -a measure`: int16 of 0.1 °C); kelvin, degrees Celsius and degrees Fahrenheit as fractions.
 _LIKELY = {
-    "1 K": (1.0, 0.0), "1 °C": (1.0, ZERO_CELSIUS_K),
+    "1 K": (1.0, 0.0), "1 °C": (1.0, ZERO_CELSIUS_K), "1 °F": (1.0 / 1.8, ZERO_CELSIUS_K - 32.0 / 1.8),
     "0.01 K": (0.01, 0.0), "0.04 K": (TLINEAR_STEP_K, 0.0), "0.1 K": (0.1, 0.0), "0.1 °C": (0.1, ZERO_CELSIUS_K),
     "0.01 °C": (0.01, ZERO_CELSIUS_K), "0.001 °C": (0.001, ZERO_CELSIUS_K),
 }  # fmt: skip
-_AS_FRACTION = ("1 K", "1 °C")
+_AS_FRACTION = ("1 K", "1 °C", "1 °F")
 _AS_INTENSITY = ("0.04 K", "0.01 °C", "0.001 °C")
 # A landscape in a picture: most pixels, and every pixel [K].
 _COMMON_K, _RARE_K = (238.0, 338.0), (150.0, 1000.0)
@@ -181,7 +181,8 @@ def likely_scales(counts: ArrayLike, signed: bool = True) -> list[str]:
         # Tenths and hundredths of a degree overlap: a landscape differs by more than 1 K.
         if common and rare and (high - low) * step > 1.0:
             found.append(name)
-    return found
+    # Fractions are temperatures before they are counts, such as means of counts.
+    return [name for name in found if name in _AS_FRACTION] or found
 
 
 def scale_request(names: Sequence[str]) -> str:

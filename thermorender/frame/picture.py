@@ -38,8 +38,13 @@ def limits(kelvin: NDArray[Any]) -> tuple[float, float]:
     return float(middle - half), float(middle + half)
 
 
-def draw(figure: Any, kelvin: NDArray[Any], title: str, of: str = "apparent temperature [K]") -> None:
-    """Draw temperatures (h, w) [K] with a colour bar, labelled `of`, into an empty Matplotlib figure."""
+def draw(
+    figure: Any, kelvin: NDArray[Any], title: str, of: str = "apparent temperature [K]", texel_m: float | None = None
+) -> None:  # fmt: skip
+    """Draw temperatures (h, w) [K] with a colour bar, labelled `of`, into an empty Matplotlib figure.
+
+    A map, of which a pixel's side on the ground is `texel_m` [m], has a scale bar below it.
+    """
     from matplotlib.colors import ListedColormap
 
     low, high = limits(kelvin)
@@ -49,16 +54,29 @@ def draw(figure: Any, kelvin: NDArray[Any], title: str, of: str = "apparent temp
     axes.set(xticks=[], yticks=[])
     axes.set_title(label(title), fontsize=9)
     figure.colorbar(drawn, ax=axes, label=of, extend="both", shrink=0.85)
+    if texel_m is not None:
+        metres = bar_m(kelvin.shape[1] * texel_m)
+        end, below = metres / (kelvin.shape[1] * texel_m), -0.03
+        axes.plot([0.0, end], [below, below], "k|-", transform=axes.transAxes, clip_on=False, linewidth=2)
+        axes.text(end + 0.02, below, f"{metres:g} m", transform=axes.transAxes, va="center", fontsize=9)
 
 
-def png(kelvin: NDArray[Any], title: str, of: str = "apparent temperature [K]") -> bytes:
+def bar_m(width_m: float) -> float:
+    """Return the length of the scale bar of a map [m]: 1, 2 or 5 times a power of ten, up to a quarter of its width."""
+    power = 10.0 ** np.floor(np.log10(0.25 * width_m))
+    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= 0.25 * width_m))
+
+
+def png(
+    kelvin: NDArray[Any], title: str, of: str = "apparent temperature [K]", texel_m: float | None = None
+) -> bytes:  # fmt: skip
     """Return the PNG of the picture of temperatures (h, w) [K], as by `draw`."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.5, 5.0), layout="constrained")
     FigureCanvasAgg(figure)
-    draw(figure, kelvin, title, of)
+    draw(figure, kelvin, title, of, texel_m)
     file = io.BytesIO()
     figure.savefig(file, format="png", dpi=100)
     return file.getvalue()

@@ -4,6 +4,7 @@ Temperatures are read by `thermorender.footage`. A frame's own pose comes from i
 `thermorender export geotiff` writes, and DJI's. Poses of other programs are read by `thermorender.inverse.pose_files`.
 """
 
+import hashlib
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -92,7 +93,7 @@ class Survey:
 
 
 def frame_files(paths: Iterable[Path]) -> list[Path]:
-    """Return the frames among files and folders, sorted by name.
+    """Return the frames among files and folders, sorted by name; hidden files of folders are left out.
 
     Raises
     ------
@@ -102,7 +103,9 @@ def frame_files(paths: Iterable[Path]) -> list[Path]:
     found: list[Path] = []
     for path in paths:
         if path.is_dir():
-            found += [each for each in path.iterdir() if each.suffix.lower() in SUFFIXES and not each.is_dir()]
+            # macOS keeps a file ._NAME beside each NAME on drives of other systems.
+            inside = (each for each in path.iterdir() if each.suffix.lower() in SUFFIXES and not each.is_dir())
+            found += [each for each in inside if not each.name.startswith(".")]
         elif path.is_file():
             found.append(path)
         else:
@@ -153,12 +156,12 @@ def read_frames(
         files = [path for path in files if path.stem in own]
         if not files:
             raise ThermorenderError(
-                "no frame has a pose in the file of poses; names must agree without their suffix, such as DJI_0001"
+                f"no frame has a pose in the file of poses: it names {', '.join(sorted(own)[:3])}, and the frames are "
+                f"{', '.join(missing[:3])}; write the frames' names, with the same capitals, into the file"
             )
-    chosen = [own[path.stem] for path in files]
     images: list[NDArray[np.float32]] = []
     settings: list[ThermographySettings] = []
-    invalid = 0
+    invalid, digests, copies = 0, dict[bytes, Path](), dict[Path, Path]()
     for path in files:
         check_upright(path)
         if path.suffix.lower() in FLIR_JPEG:
@@ -169,6 +172,12 @@ def read_frames(
         else:
             read = read_temperature(path, scale)
         kelvin, outside = _known(path, read)
+        # Even frames, such as of a closed shutter, are alike without being copies.
+        even = np.nanmin(kelvin) == np.nanmax(kelvin)
+        kept = path if even else digests.setdefault(hashlib.sha256(kelvin.tobytes()).digest(), path)
+        if kept != path:
+            copies[path] = kept
+            continue
         images.append(kelvin)
         invalid += outside
         if images[0].shape != images[-1].shape:
@@ -181,6 +190,14 @@ def read_frames(
         notes.append(f"{invalid} pixels outside {low:g}–{high:g} K are left out")
     if settings:
         notes.append(_said(settings))
+    if copies:
+        shown = ", ".join(f"{path.name} of {kept.name}" for path, kept in list(copies.items())[:5])
+        notes.append(
+            f"{len(copies)} frames are copies of others, pixel by pixel, and are left out: {shown}; check that the "
+            "pose of the one that is kept is that of the picture"
+        )
+    files = [path for path in files if path not in copies]
+    chosen = [own[path.stem] for path in files]
     poses, said = poses_of(chosen, scene, above_ground_m)
     names = tuple(path.stem for path in files)
     times = tuple(place.time or tagged_time(path) for path, place in zip(files, chosen, strict=True))

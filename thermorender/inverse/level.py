@@ -4,7 +4,7 @@ References are places on the terrain: water, a marker, a station's ground. Their
 emissivity and reflected light make them comparable with the map.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.inverse.kinetic import Light, apparent_of
-from thermorender.inverse.linear import LinearKelvin
+from thermorender.inverse.linear import RANGE_K, LinearKelvin
 from thermorender.inverse.weights import Lattice
 from thermorender.trajectory.tables import rows_of
 from thermorender.units import kelvin
@@ -44,12 +44,12 @@ def read_references(path: Path) -> list[Reference]:
     Raises
     ------
     ThermorenderError
-        A column is missing, a value is not a number or out of range, or there is no row.
+        A column is missing, a value is not a number or out of range, a name is given twice, or there is no row.
     """
     head, rows = rows_of(path)
     if any(name not in head for name in _COLUMNS):
         raise ThermorenderError(f"{path} has the columns {', '.join(head)}; give {', '.join(_COLUMNS)}")
-    found = []
+    found: list[Reference] = []
     for where, row in rows:
         values = []
         for name in _COLUMNS[1:]:
@@ -61,6 +61,14 @@ def read_references(path: Path) -> list[Reference]:
                 raise ThermorenderError(f"{where}: {name}={row[name]!r} is not allowed; give a number, "
                                         "above 0 for radius_m and std_k")  # fmt: skip
         kelvin(f"{where}: kelvin", values[3])
+        if not RANGE_K[0] <= values[3] <= RANGE_K[1]:
+            raise ThermorenderError(
+                f"{where}: kelvin={values[3]:g} is not the temperature of ground; give {RANGE_K[0]:g} to "
+                f"{RANGE_K[1]:g} K, or leave the reference out"
+            )
+        # A row that is there twice would count twice.
+        if row["name"] in {each.name for each in found}:
+            raise ThermorenderError(f"{where}: name={row['name']!r} is given twice; name each reference once")
         found.append(Reference(row["name"], *values))
     return found
 
@@ -84,6 +92,10 @@ def shift_of(
     ------
     ThermorenderError
         A reference that the frames do not show.
+
+    Notes
+    -----
+    References that differ by more than their standard deviations widen that of the level by Birge's ratio.
     """
     position = _positions(renderer, lattice)
     misses, variances = [], []
@@ -92,10 +104,7 @@ def shift_of(
         i, j = np.mgrid[: values.shape[0], : values.shape[1]]
         inside = seen & (np.hypot(i - row, j - column) <= max(each.radius_m / lattice.texel_m, 0.71))
         if not inside.any():
-            raise ThermorenderError(
-                f"reference {each.name!r} at east_m={each.east_m:g}, north_m={each.north_m:g} is on no texel that the "
-                "frames show; correct its position, or leave it out"
-            )
+            raise _unseen(each)
         known = [
             apparent_of(each.kelvin, int(number), float(reflected), renderer, linear)
             for number, reflected in zip(light.material[inside], light.reflected[inside], strict=True)
@@ -105,8 +114,27 @@ def shift_of(
         variances.append(each.std_k**2 + float(np.mean(std[inside] ** 2)))
     weight = 1.0 / np.array(variances)
     shift = float(weight @ np.array(misses) / weight.sum())
-    residuals = [(each.name, miss - shift) for each, miss in zip(references, misses, strict=True)]
-    return shift, float(np.sqrt(1.0 / weight.sum())), residuals
+    rest = np.array(misses) - shift
+    ratio = max(1.0, float(weight @ rest**2) / (len(rest) - 1)) if len(rest) > 1 else 1.0
+    residuals = [(each.name, float(miss)) for each, miss in zip(references, rest, strict=True)]
+    return shift, float(np.sqrt(ratio / weight.sum())), residuals
+
+
+def check_places(references: Sequence[Reference], renderer: "Renderer", lattice: Lattice) -> None:
+    """Raise if a reference is not on the map; that costs nothing before the solution."""
+    position = _positions(renderer, lattice)
+    for each in references:
+        place = position(each.east_m, each.north_m)
+        beyond = max(each.radius_m / lattice.texel_m, 0.71)
+        if not all(-beyond <= at <= side - 1.0 + beyond for at, side in zip(place, lattice.shape, strict=True)):
+            raise _unseen(each)
+
+
+def _unseen(reference: Reference) -> ThermorenderError:
+    return ThermorenderError(
+        f"reference {reference.name!r} at east_m={reference.east_m:g}, north_m={reference.north_m:g} is on no texel "
+        "that the frames show; correct its position, or leave it out"
+    )
 
 
 def _positions(renderer: "Renderer", lattice: Lattice) -> Callable[[float, float], tuple[float, float]]:

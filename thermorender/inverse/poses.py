@@ -23,6 +23,8 @@ _LEVELS = ((4.0, 3), (2.0, 2), (1.0, 2))
 _REACH = 3.0
 # Lowest correlation of a shift that is believed.
 _LEAST_ALIKE = 0.2
+# Fewer pixels than this do not move a pose.
+_LEAST_PIXELS = 100
 # Features with a smaller standard deviation are constant, and share of its variance that a feature loses in a fit.
 _FLAT, _RIDGE = 1e-6, 1e-4
 # Structure coarser than this is left out of the search, as share of the image's height.
@@ -195,7 +197,7 @@ def _step(
 
     camera = viewer.camera
     sight = viewer.sight(pose)
-    if sight.pixel.size < 100:
+    if sight.pixel.size < _LEAST_PIXELS:
         return np.zeros(6)
     known = np.isfinite(image.ravel()[sight.pixel])
     predicted = sight.seen(values, taps_of())
@@ -208,6 +210,9 @@ def _step(
     ])  # fmt: skip
     # Where most of the blur is known.
     inside = smooth[2] > 0.7
+    # Most pixels may have no value, such as in a frame behind a mask.
+    if inside.sum() < _LEAST_PIXELS:
+        return np.zeros(6)
     smooth = smooth[:, inside] / smooth[2, inside]
     row, column = np.divmod(np.flatnonzero(inside), camera.width)
     plain = np.array([np.ones(len(row)), column / camera.width - 0.5, row / camera.height - 0.5, smooth[1]])
@@ -216,6 +221,10 @@ def _step(
     gain = float(basis[:, 3] @ smooth[0]) / (factor[3, 3] or 1.0)
     rest = smooth[[0, *range(3, 9)]]
     rest = rest - (rest @ basis) @ basis.T
+    # Steps towards a map that does not resemble the image would lead anywhere.
+    along = gain * abs(float(factor[3, 3]))
+    if along < _LEAST_ALIKE * np.hypot(along, np.linalg.norm(rest[0])):
+        return np.zeros(6)
     rest[1:] *= np.clip(gain, 0.2, 3.0)
     scale = np.median(np.abs(rest[0])) / 0.6745 + 1e-9
     weight = 1.0 / (1.0 + (rest[0] / (2.0 * scale)) ** 2)

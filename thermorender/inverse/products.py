@@ -1,4 +1,7 @@
-"""The files of a reconstruction: maps, poses, offsets, the camera's own errors, a record, and a scene that renders."""
+"""The files of a reconstruction: maps, poses, offsets, the camera's own errors, a record, a page and a scene.
+
+The page, `report.html`, has maps before and after, residuals, and what is unknown. The scene renders.
+"""
 
 import csv
 import io
@@ -13,11 +16,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from thermorender import formats
+from thermorender.frame.picture import png
 from thermorender.frame.tiff import write_kelvin
 from thermorender.inverse.poses import deviation
 from thermorender.inverse.reconstruct import Reconstruction
 from thermorender.inverse.solve import vignetting
 from thermorender.inverse.weights import Lattice
+from thermorender.output.flight_pages.html import document, figure, table, text
 from thermorender.scene.parts import mesh
 from thermorender.schema import read_toml, toml_text
 from thermorender.trajectory.readers import enu_from_ned_at
@@ -25,6 +30,8 @@ from thermorender.trajectory.rotations import BODY_FROM_CAMERA, angles_from_rota
 from thermorender.versions import versions
 
 Floats = NDArray[np.float64]
+# Pixels along the longer side of a picture.
+_SIDE = 700
 
 
 def write(found: Reconstruction, folder: Path) -> None:
@@ -80,11 +87,11 @@ def _write(path: Path, values: Floats, lattice: Lattice, name: str, unit: str = 
 
 
 def _table(path: Path, rows: Sequence[dict[str, Any]]) -> None:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    lines = io.StringIO()
+    writer = csv.DictWriter(lines, list(rows[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    formats.write_text(path, text.getvalue())
+    formats.write_text(path, lines.getvalue())
 
 
 def _poses(found: Reconstruction) -> list[dict[str, Any]]:
@@ -111,9 +118,16 @@ def _rounded(values: dict[str, float], digits: int) -> dict[str, float]:
 
 def _offsets(found: Reconstruction) -> list[dict[str, Any]]:
     return [
-        {"frame": name, "time": time} | _rounded({"offset_k": offset, "tilt_right_k": right, "tilt_down_k": down}, 5)
-        for name, time, offset, (right, down) in zip(
-            found.survey.names, found.survey.times, found.state.offsets, found.state.tilts, strict=True
+        {"frame": name, "time": time}
+        | _rounded({"offset_k": offset, "tilt_right_k": right, "tilt_down_k": down}, 5)
+        | {"residual_k": round(float(rest), 4) if np.isfinite(rest) else ""}
+        for name, time, offset, (right, down), rest in zip(
+            found.survey.names,
+            found.survey.times,
+            found.state.offsets,
+            found.state.tilts,
+            found.spread.frames,
+            strict=True,
         )
     ]
 
@@ -170,3 +184,75 @@ def _names(value: Any) -> Iterable[str]:
     elif isinstance(value, list):
         for each in value:
             yield from _names(each)
+
+
+def write_page(found: Reconstruction, folder: Path) -> Path:
+    """Write `report.html` of a Reconstruction into a folder and return its path."""
+    facts = record(found)
+    name = text(facts["scene"])
+    lines = [
+        f"{facts['frames']} frames of {facts['camera']}, texels of {facts['texel_m']:g} m, "
+        f"{facts['texels_shown']} of them shown",
+        f"standard deviation of a texel {facts['std_median_k']:.3f} K in the median, without the common level",
+        f"common level ± {facts['level_std_k']:.2f} K, from {facts['level_of']}",
+        f"noise of a pixel {facts['noise_k']:.3f} K; error of the positions {facts['position_error_m']:.3f} m",
+        f"offsets of the frames ± {facts['offsets_std_k']:.3f} K, tilts ± {facts['tilts_rms_k']:.3f} K; vignetting and "
+        f"shading {facts['vignetting_k']:.2f} K",
+        f"poses moved by {facts['poses_moved_m']:.2f} m and turned by {facts['poses_turned_deg']:.2f}° on average",
+    ]
+    unknown = "".join(f"<li>{text(note)}</li>" for note in found.notes)
+    parts = [
+        f"<h1>Temperatures of {name} from frames</h1>", f"<pre>{text(chr(10).join(lines))}</pre>",
+        f"<h2>Assumptions, and what is unknown</h2><ul>{unknown or '<li>nothing to note</li>'}</ul>",
+        "<h2>Maps</h2>",
+        *(
+            _picture(values, title, words, of, found.lattice.texel_m) for values, title, words, of in (
+                (found.prior, "apparent temperature before", "The scene's own temperatures, the prior.", "[K]"),
+                (found.apparent, "apparent temperature after", "The reconstruction.", "[K]"),
+                (found.kinetic, "kinetic temperature", "With the scene's emissivity and reflected light removed; empty "
+                 "where that is not possible.", "[K]"),
+                (found.apparent_std, "standard deviation", "Of each texel, without the common level.", "[K]"),
+                (found.residual, "residual", "Root mean square of the residuals of the pixels on each texel. Large "
+                 "values away from edges are things that moved, reflect or changed.", "[K]"),
+                (np.where(found.views > 0, found.views, np.nan), "frames", "Frames that show each texel.", "count"),
+            )
+        ),
+        "<h2>Camera</h2>",
+        _picture(lens_of(found) + found.state.pattern, "lens", "Vignetting and fixed pattern, common to all frames."),
+        *_references(found), "<h2>Frames</h2>", _frames(found),
+    ]  # fmt: skip
+    path = folder / "report.html"
+    formats.write_text(path, document(f"Reconstruction of {facts['scene']}", parts))
+    return path
+
+
+def _picture(
+    values: NDArray[np.float64], title: str, words: str, of: str = "[K]", texel_m: float | None = None
+) -> str:  # fmt: skip
+    step = max(1, int(np.ceil(max(values.shape) / _SIDE)))
+    side = None if texel_m is None else step * texel_m
+    return figure(png(values[::step, ::step].astype(np.float32), title, of, side), words)
+
+
+def _references(found: Reconstruction) -> list[str]:
+    if not found.references:
+        return []
+    rows = [((name, f"{value:+.3f}"), False) for name, value in found.references]
+    return ["<h2>References</h2>", table(("reference", "residual [K]"), rows)]
+
+
+def _frames(found: Reconstruction) -> str:
+    rows = []
+    for number, name in enumerate(found.survey.names):
+        step = deviation(found.state.poses[number], found.survey.poses[number])
+        moved, turned = np.linalg.norm(step[:3]), np.degrees(np.linalg.norm(step[3:]))
+        error = found.settings.pose_error
+        far = moved > 3.0 * np.sqrt(3.0) * error.position_m or turned > 3.0 * np.sqrt(3.0) * error.angle_deg
+        rest = found.spread.frames[number]
+        cells = (
+            name, found.survey.times[number], f"{found.state.offsets[number]:+.3f}",
+            f"{rest:.3f}" if np.isfinite(rest) else "", f"{moved:.2f}", f"{turned:.2f}",
+        )  # fmt: skip
+        rows.append((cells, bool(far)))
+    head = ("frame", "time", "offset [K]", "residual [K]", "moved [m]", "turned [deg]")
+    return "<p class=note>Red: moved beyond three standard deviations.</p>" + table(head, rows)

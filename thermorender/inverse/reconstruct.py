@@ -18,9 +18,10 @@ from thermorender.inverse.frames import Survey
 from thermorender.inverse.kinetic import Light, kinetic_of, light_of
 from thermorender.inverse.linear import LinearKelvin
 from thermorender.inverse.normal import Prior
+from thermorender.inverse.notes import Level, notes_of
 from thermorender.inverse.solve import Problem, Settings, State, binned, binned_camera, window_of
 from thermorender.inverse.spread import Spread
-from thermorender.inverse.weights import Lattice, Viewer, texel_means
+from thermorender.inverse.weights import Lattice, Viewer, reach_px, texel_means
 from thermorender.scene.scene import Scene
 from thermorender.sensor.camera import Camera
 
@@ -131,6 +132,7 @@ def reconstruct(
     survey = without_air(survey, camera, renderer)
     linear = LinearKelvin(camera.band_um, round(float(np.nanmedian(survey.kelvin)), 1))
     lattice, blind = _window(renderer, camera, survey.poses, settings)
+    level.check_places(references, renderer, lattice)
     light = light_of(renderer, lattice, linear)
     images = np.stack([linear.of(image).astype(np.float32) for image in survey.kelvin])
     problem = Problem(renderer, camera, images, survey.poses, lattice, _prior(light, settings), settings)
@@ -144,6 +146,9 @@ def reconstruct(
             list(references), means, spread.std, seen, light, renderer, lattice, linear
         )
         state, means = replace(state, map=state.map + shift, offsets=state.offsets - shift), means + shift
+    pixel_m = problem.reach / reach_px(camera) * lattice.texel_m
+    found_level = Level(shift, residuals, references)
+    notes = notes_of(survey, blind, state, spread, settings, pixel_m, found_level, scene.time)
     apparent = np.where(seen, linear.kelvin(means), np.nan)
     per_linear = linear.kelvin_per_linear(np.where(seen, apparent, linear.reference_k))
     found, change, trusted = kinetic_of(np.where(seen, means, np.nan), light, renderer, linear)
@@ -152,7 +157,7 @@ def reconstruct(
         survey, camera, settings, lattice, apparent, np.where(seen, spread.std * per_linear, np.nan),
         np.where(trusted, found, np.nan), np.where(trusted, spread.std * np.abs(change), np.nan), spread.views,
         np.where(seen, spread.residual, np.nan), linear.kelvin(light.apparent), state, spread, shift, level_std,
-        residuals, (*survey.notes, *_notes(survey, blind, spread.groups, state.tilt_k, references)), renderer, light,
+        residuals, (*survey.notes, *notes), renderer, light,
     )  # fmt: skip
 
 
@@ -226,46 +231,12 @@ def _kept(path: Path, key: dict[str, Any]) -> State | None:
     found = formats.read_arrays(path, key)
     if found is None:
         raise ThermorenderError(
-            f"{path} belongs to other frames, poses or settings, or is damaged; give another folder, or remove "
-            f"{path.parent} and all in it"
+            f"{path} belongs to other frames, poses or settings, to another scene or camera, or is damaged; give "
+            f"another folder, or remove {path.parent} and all in it"
         )
     tilt_k, noise_k = (float(found.pop(name)) for name in ("tilt_k", "noise_k"))
     rounds = int(found.pop("rounds"))
     return State(**found, tilt_k=tilt_k, noise_k=noise_k, rounds=rounds)
-
-
-def _notes(
-    survey: Survey, blind: Sequence[int], groups: int, tilt_k: float, references: Sequence[Any]
-) -> list[str]:  # fmt: skip
-    """Sentences on what the frames cannot show."""
-    notes = []
-    if blind:
-        names = ", ".join(survey.names[number] for number in blind[:5])
-        notes.append(f"{len(blind)} frames show nothing of the terrain and change nothing: {names}")
-    if len(survey.names) - len(blind) == 1:
-        notes.append("one frame shows the terrain: no other frame tests its offset, its pose and the lens, and the "
-                     "standard deviations hold noise only")  # fmt: skip
-    elif groups > 1:
-        notes.append(
-            f"the frames are {groups} groups that share no texel: the scene's own temperatures alone set the level of "
-            "each group, and the standard deviations leave it out; fly lines that overlap"
-        )
-    if tilt_k > 0.0:
-        notes.append(
-            f"from the middle to the edge, frames differ from the map by {tilt_k:.2f} K: the ground changed between "
-            "passes, or the camera drifted; the map is a mean over the flight"
-        )
-    if not references:
-        notes.append("no reference fixes the common level: all temperatures may be off by one number, stated as level")
-    east = survey.poses[:, :2, 0]
-    turned = np.degrees(np.arccos(np.clip(np.abs(east @ east[0]) / np.linalg.norm(east, axis=1).clip(1e-9), -1.0, 1.0)))
-    opposite = (east @ east[0]).min() < 0.0
-    if len(east) > 1 and turned.max() < 20.0 and not opposite:
-        notes.append(
-            "all frames have nearly the same yaw: a tilt of the scene's temperatures, the shading of the lens and the "
-            "offsets cannot be told apart; fly lines to and fro, or cross them"
-        )
-    return notes
 
 
 def check_folder(folder: str | PathLike[str]) -> None:

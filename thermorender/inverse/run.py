@@ -9,7 +9,6 @@ from thermorender.footage.lens_files import read_lens
 from thermorender.inverse import products
 from thermorender.inverse.frames import frame_files, read_frames
 from thermorender.inverse.level import read_references
-from thermorender.inverse.page import write_page
 from thermorender.inverse.pose_files import read_poses
 from thermorender.inverse.poses import PoseError
 from thermorender.inverse.reconstruct import Progress, reconstruct
@@ -78,5 +77,5 @@ def run(inputs: Inputs, folder: Path, progress: Progress | None = None) -> dict[
         files.remove_parts(out)
         found = reconstruct(scene, survey, camera, settings, references, out, progress)
         products.write(found, out)
-        write_page(found, out)
+        products.write_page(found, out)
     return products.record(found)

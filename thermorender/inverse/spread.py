@@ -61,6 +61,8 @@ class Spread:
         Frames that show each texel.
     residual : (h, w) float64
         Root mean square of the residuals of the pixels on each texel [linear kelvin].
+    frames : (F,) float64
+        Root mean square of the residuals of each frame [linear kelvin]; NaN for one that shows nothing.
     groups : int
         Groups of frames that share no texel; only the prior links their levels.
     """
@@ -71,6 +73,7 @@ class Spread:
     misfit: float
     views: NDArray[np.int32]
     residual: Floats
+    frames: Floats
     groups: int = 1
 
 
@@ -110,6 +113,7 @@ class Draws:
         )
         self._map = np.zeros((DRAWS, *shape))
         self._frames: list[Floats] = []
+        self.misfits: list[float] = []
         self._common = np.zeros((DRAWS, common))
         self.views = np.zeros(shape, np.int32)
         self._square, self._count = np.zeros(shape), np.zeros(shape)
@@ -137,6 +141,8 @@ class Draws:
         self._common += drawn.common
         self._count[window] += drawn.pixels
         self._square[window] += drawn.square
+        pixels = float(drawn.pixels.sum())
+        self.misfits.append(float(np.sqrt(drawn.square.sum() / pixels)) if pixels > 0.0 else np.nan)
         shown, group = drawn.pixels > 0.0, self._group
         self.views[window] += shown
         # A frame joins all groups that it shares a texel with.
@@ -214,7 +220,7 @@ def spread_of(
     alike = np.maximum(factors[2] * beyond, error_of_edges(means, variance, share))
     std = np.sqrt(np.tensordot(factors[:2], shared[:2], axes=1) + alike)
     scale, edge, misfit = (float(each) for each in np.sqrt(factors))
-    return Spread(std, scale, edge, misfit, draws.views, draws.residual, draws.groups)
+    return Spread(std, scale, edge, misfit, draws.views, draws.residual, np.array(draws.misfits), draws.groups)
 
 
 def _near(values: Floats, seen: NDArray[np.bool_], width: float) -> Floats:
