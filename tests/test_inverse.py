@@ -23,8 +23,8 @@ from thermorender.inverse.poses import PoseError, deviation, slopes
 from thermorender.inverse.products import files_of_scene
 from thermorender.inverse.products import write as write_products
 from thermorender.inverse.reconstruct import check_folder, reconstruct
-from thermorender.inverse.solve import Problem, Settings, _tilt, binned, binned_camera, tilting, vignetting
-from thermorender.inverse.weights import Lattice, Viewer, moved, taps_of
+from thermorender.inverse.solve import Problem, Settings, _tilt, tilting, vignetting
+from thermorender.inverse.weights import Lattice, Viewer, binned, binned_camera, moved, taps_of
 from thermorender.physics.planck import brightness_temperature
 from thermorender.render.renderer import Renderer
 from thermorender.scene.spec import TemperatureSpec

@@ -19,9 +19,9 @@ from thermorender.inverse.kinetic import Light, kinetic_of, light_of
 from thermorender.inverse.linear import LinearKelvin
 from thermorender.inverse.normal import Prior
 from thermorender.inverse.notes import Level, notes_of
-from thermorender.inverse.solve import Problem, Settings, State, binned, binned_camera, window_of
+from thermorender.inverse.solve import Problem, Settings, State
 from thermorender.inverse.spread import Spread
-from thermorender.inverse.weights import Lattice, Viewer, reach_px, texel_means
+from thermorender.inverse.weights import Lattice, Viewer, binned, binned_camera, reach_px, texel_means, window_of
 from thermorender.scene.scene import Scene
 from thermorender.sensor.camera import Camera
 
@@ -36,7 +36,7 @@ _REACH = 3.0
 # Rounds on all pixels, the last included; those before them take means of pixels.
 _FULL = 2
 # Files of states have a form of their own.
-_FORM = 3
+_FORM = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,9 +234,9 @@ def _kept(path: Path, key: dict[str, Any]) -> State | None:
             f"{path} belongs to other frames, poses or settings, to another scene or camera, or is damaged; give "
             f"another folder, or remove {path.parent} and all in it"
         )
-    tilt_k, noise_k = (float(found.pop(name)) for name in ("tilt_k", "noise_k"))
+    tilt_k, noise_k, alike_px = (float(found.pop(name)) for name in ("tilt_k", "noise_k", "alike_px"))
     rounds = int(found.pop("rounds"))
-    return State(**found, tilt_k=tilt_k, noise_k=noise_k, rounds=rounds)
+    return State(**found, tilt_k=tilt_k, noise_k=noise_k, alike_px=alike_px, rounds=rounds)
 
 
 def check_folder(folder: str | PathLike[str]) -> None:

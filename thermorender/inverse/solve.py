@@ -5,14 +5,13 @@ mean of radiances, so the forward model is exactly linear in it.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.errors import ThermorenderError
 from thermorender.inverse.normal import Normal, Prior, Sums, Unknowns, footprint
 from thermorender.inverse.poses import PoseError, deviation, explained, registered, slopes
 from thermorender.inverse.spread import Drawn, Draws, Spread, error_of_curvature, spread_of
@@ -21,6 +20,8 @@ from thermorender.inverse.weights import (
     Sight,
     Viewer,
     bilinear,
+    binned,
+    binned_camera,
     moved,
     reach_px,
     sharpened,
@@ -44,6 +45,8 @@ _OUTLIER = 4.0
 TERMS, _SAMPLED = 3, 5
 # Relative residual of a solution in the last round, and in the others.
 _TOLERANCE, _ROUGH = 1e-4, 1e-2
+# Side of the squares whose mean residuals show what neighbouring pixels have in common [px].
+_SQUARE_PX = 16
 # Frames under way at the same time.
 _UNDER_WAY = 3
 # Powers of the radius of the vignetting.
@@ -106,6 +109,8 @@ class State:
     poses : (F, 4, 4) float64
     noise_k : float
         Standard deviation of the residuals of a pixel, robust [K].
+    alike_px : float
+        Neighbouring pixels that have one error in common, by the residuals; 1 if all are independent.
     rounds : int
         Joint solutions so far.
     """
@@ -119,6 +124,7 @@ class State:
     pattern: Floats
     poses: Floats
     noise_k: float
+    alike_px: float
     rounds: int
 
 
@@ -166,7 +172,7 @@ class Problem:
         blank = np.zeros((self.camera.height, self.camera.width))
         return State(
             self.prior.mean.copy(), np.zeros(self.prior.count), offsets, np.zeros((count, 2)), 0.0,
-            np.zeros(terms), blank, self.poses.copy(), max(1.0, self.settings.noise_k), 0,
+            np.zeros(terms), blank, self.poses.copy(), max(1.0, self.settings.noise_k), 1.0, 0,
         )  # fmt: skip
 
     def predicted(self, state: State, number: int, sight: Sight) -> Floats:
@@ -241,7 +247,7 @@ class Problem:
         self, state: State, free: bool, progress: Progress | None, draws: Draws | None = None
     ) -> tuple[State, Normal]:
         settings = self.settings
-        normal, left, weights, noise_k, pattern = self._equations(state, free, progress, draws)
+        normal, left, weights, noise_k, alike_px, pattern = self._equations(state, free, progress, draws)
         gradient = normal.gradient(state.map - self.prior.mean, state.classes, state.vignette)
         with threads() as pool:
             # Later rounds go on with what the first leave.
@@ -250,7 +256,7 @@ class Problem:
         # The first round has the poses of the registration, of which the errors look like tilts.
         square = np.sum(weights * (state.tilts + left) ** 2) / max(float(weights.sum()), 1e-300)
         tilt_k = float(np.sqrt(square)) if state.rounds > 0 else 0.0
-        made = replace(made, noise_k=max(noise_k, settings.noise_k), tilt_k=tilt_k)
+        made = replace(made, noise_k=max(noise_k, settings.noise_k), alike_px=alike_px, tilt_k=tilt_k)
         if tilt_k < settings.noise_k:
             # Below the noise, tilts would only share in what the offsets hold.
             made = replace(made, tilts=np.zeros_like(state.tilts), tilt_k=0.0)
@@ -258,11 +264,14 @@ class Problem:
 
     def _equations(
         self, state: State, free: bool, progress: Progress | None, draws: Draws | None = None
-    ) -> tuple[Normal, Floats, Floats, float, "Common | None"]:  # fmt: skip
-        """(Normal, tilts of the residuals (F, 2), their weights, standard deviation of the residuals, Common)."""
+    ) -> tuple[Normal, Floats, Floats, float, float, "Common | None"]:  # fmt: skip
+        """(Normal, tilts of the residuals (F, 2), their weights, their standard deviation, pixels alike, Common)."""
         settings = self.settings
         tilted = [1.0 / state.tilt_k**2] * 2 if state.tilt_k > 0.0 else []
-        own = np.concatenate([[1.0 / settings.offset_k**2], tilted, settings.pose_error.precision if free else []])
+        # What pixels have in common, such as a change of the ground between passes, would move poses as if each of them
+        # had seen it independently.
+        poses = [state.alike_px * settings.pose_error.precision] if free else []
+        own = np.concatenate([[1.0 / settings.offset_k**2], tilted, *poses])
         terms = np.full(len(self.vignetting), 1.0 / settings.vignette_k**2)
         normal = Normal(self.prior, own, terms)
         pattern = None
@@ -283,9 +292,10 @@ class Problem:
             drawn = draws.of_frame(number, seen, sight.pixel, *given) if draws is not None else None
             return Sums.of(seen, *given), drawn, _tilt(plane, residual, precision), spread, (sight, *given[:2])
 
-        spreads, found = list[float](), list[Floats]()
-        for number, (sums, drawn, tilt, spread, measured) in enumerate(_ahead(summed, len(self.images))):
+        spreads, alike, found = list[float](), list[float](), list[Floats]()
+        for number, (sums, drawn, tilt, spread, seen) in enumerate(_ahead(summed, len(self.images))):
             spreads.append(spread)
+            alike.append(_alike(state.pattern.shape, *seen))
             found.append(tilt)
             away = np.array([state.offsets[number], *(state.tilts[number] if tilted else ())])
             if free:
@@ -294,11 +304,11 @@ class Problem:
             if draws is not None and drawn is not None:
                 draws.add(number, drawn, sums)
             if pattern is not None:
-                pattern.add(number, *measured)
+                pattern.add(number, *seen)
             if progress is not None:
                 progress("solving the map", (number + 1) / (len(self.images) + 1))
         tilts, weights = np.array(found).transpose(1, 0, 2)
-        return normal, tilts, weights, float(np.median(spreads)), pattern
+        return normal, tilts, weights, float(np.median(spreads)), float(np.median(alike)), pattern
 
     def _measured(self, state: State, number: int, slope: Floats) -> tuple[Sight, Floats, Floats, float]:
         """(pixels of a frame, their residuals, 1 over their variances, standard deviation of the residuals).
@@ -327,10 +337,10 @@ class Problem:
         if pattern is not None:
             # Of the vignetting's terms, `_without` leaves nothing.
             made = _without(made + pattern.left(found.map, own, terms).reshape(made.shape), self.vignetting)
-        made_map = state.map + sharpened(found.map, self.reach, TERMS)
-        return State(
-            made_map, state.classes + found.classes, state.offsets + found.frames[:, 0], tilts, state.tilt_k,
-            state.vignette + found.common, made, poses, state.noise_k, state.rounds + 1,
+        return replace(
+            state, map=state.map + sharpened(found.map, self.reach, TERMS), classes=state.classes + found.classes,
+            offsets=state.offsets + found.frames[:, 0], tilts=tilts, vignette=state.vignette + found.common,
+            pattern=made, poses=poses, rounds=state.rounds + 1,
         )  # fmt: skip
 
 
@@ -388,6 +398,20 @@ def _tilt(plane: Floats, residual: Floats, precision: Floats) -> Floats:
     return np.array([found[1:], np.maximum(known, 0.0)])
 
 
+def _alike(shape: tuple[int, int], sight: Sight, residual: Floats, precision: Floats) -> float:
+    """Neighbouring pixels that have one error in common, 1 … `_SQUARE_PX`²: by means over squares of residuals (N,)."""
+    if not residual.size:
+        return 1.0
+    image = np.full(shape, np.nan)
+    # Outliers have less weight.
+    image.ravel()[sight.pixel] = (residual - np.median(residual)) * np.sqrt(precision)
+    means = binned(image, _SQUARE_PX)
+    known = np.isfinite(means)
+    if np.count_nonzero(known) < 2:
+        return 1.0
+    return max(1.0, _SQUARE_PX**2 * float(means[known].var() / max(np.nanvar(image), 1e-300)))
+
+
 def _ahead(job: Callable[[int], _T], count: int) -> Iterator[_T]:
     """Yield the results of a job for 0…count−1 in order, with the next ones under way in threads."""
     with threads() as pool:
@@ -433,53 +457,3 @@ def _without(image: Floats, terms: Floats) -> Floats:
     basis = np.concatenate([np.ones((1, image.size)), terms])
     fit, *_ = np.linalg.lstsq(basis.T, image.ravel(), rcond=None)
     return (image.ravel() - fit @ basis).reshape(image.shape)
-
-
-def binned(image: NDArray[np.floating], factor: int) -> Floats:
-    """Return means over squares of `factor` pixels, NaN where one of them is unknown; rest rows and columns go."""
-    height, width = (side // factor * factor for side in image.shape)
-    parts = np.asarray(image[:height, :width], np.float64)
-    return np.asarray(parts.reshape(height // factor, factor, width // factor, factor).mean(axis=(1, 3)))
-
-
-def binned_camera(camera: Camera, factor: int) -> Camera:
-    """Return the Camera of images after `binned`."""
-    if factor == 1:
-        return camera
-    width, height = camera.width // factor, camera.height // factor
-    # Rows and columns that are left over move the middle.
-    lost = (camera.width - width * factor, camera.height - height * factor)
-    across, along = ((own + 0.5 * gone) / factor for own, gone in zip(camera.principal_offset_px, lost, strict=True))
-    return replace(
-        camera, width=width, height=height, pixel_pitch_um=camera.pixel_pitch_um * factor,
-        principal_offset_px=(across, along), blur_sigma_px=camera.blur_sigma_px / factor,
-    )  # fmt: skip
-
-
-def window_of(lattice: Lattice, viewer: Viewer, poses: Sequence[Floats], margin_m: float) -> tuple[Lattice, list[int]]:
-    """Return (the part of a lattice that frames show, with a margin [m]; numbers of the frames that show nothing).
-
-    Raises
-    ------
-    ThermorenderError
-        They show nothing of it.
-    """
-    low, high = np.full(2, np.inf), np.full(2, -np.inf)
-    blind = []
-    for number, pose in enumerate(poses):
-        sight = viewer.sight(pose)
-        if not sight.pixel.size:
-            blind.append(number)
-        else:
-            place = np.stack([sight.row, sight.column])
-            low, high = np.minimum(low, place.min(axis=1)), np.maximum(high, place.max(axis=1))
-    if not np.isfinite(low).all():
-        raise ThermorenderError(
-            f"no frame shows the scene's terrain in texels of {lattice.texel_m:g} m; check positions and angles (pitch "
-            "−90 looks down, latitude comes before longitude), and give texels of at least a quarter of a pixel on the "
-            "ground and at most a twentieth of the terrain's side"
-        )
-    margin = margin_m / lattice.texel_m + 2.0
-    top, left = np.floor(low - margin).astype(int)
-    bottom, right = np.ceil(high + margin).astype(int) + 1
-    return lattice.cut(int(top), int(left), int(bottom), int(right)), blind

@@ -6,6 +6,7 @@ affine function of the ray, so the pixel's area, the blur of the lens and a smal
 """
 
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -314,6 +315,56 @@ class Viewer:
 
         shape = self.camera.height, self.camera.width
         return ground & ~binary_dilation(objects.reshape(shape), iterations=_BESIDE_PX).ravel()
+
+
+def binned(image: NDArray[np.floating], factor: int) -> Floats:
+    """Return means over squares of `factor` pixels, NaN where one of them is unknown; rest rows and columns go."""
+    height, width = (side // factor * factor for side in image.shape)
+    parts = np.asarray(image[:height, :width], np.float64)
+    return np.asarray(parts.reshape(height // factor, factor, width // factor, factor).mean(axis=(1, 3)))
+
+
+def binned_camera(camera: Camera, factor: int) -> Camera:
+    """Return the Camera of images after `binned`."""
+    if factor == 1:
+        return camera
+    width, height = camera.width // factor, camera.height // factor
+    # Rows and columns that are left over move the middle.
+    lost = (camera.width - width * factor, camera.height - height * factor)
+    across, along = ((own + 0.5 * gone) / factor for own, gone in zip(camera.principal_offset_px, lost, strict=True))
+    return replace(
+        camera, width=width, height=height, pixel_pitch_um=camera.pixel_pitch_um * factor,
+        principal_offset_px=(across, along), blur_sigma_px=camera.blur_sigma_px / factor,
+    )  # fmt: skip
+
+
+def window_of(lattice: Lattice, viewer: Viewer, poses: Sequence[Floats], margin_m: float) -> tuple[Lattice, list[int]]:
+    """Return (the part of a lattice that frames show, with a margin [m]; numbers of the frames that show nothing).
+
+    Raises
+    ------
+    ThermorenderError
+        They show nothing of it.
+    """
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    blind = []
+    for number, pose in enumerate(poses):
+        sight = viewer.sight(pose)
+        if not sight.pixel.size:
+            blind.append(number)
+        else:
+            place = np.stack([sight.row, sight.column])
+            low, high = np.minimum(low, place.min(axis=1)), np.maximum(high, place.max(axis=1))
+    if not np.isfinite(low).all():
+        raise ThermorenderError(
+            f"no frame shows the scene's terrain in texels of {lattice.texel_m:g} m; check positions and angles (pitch "
+            "−90 looks down, latitude comes before longitude), and give texels of at least a quarter of a pixel on the "
+            "ground and at most a twentieth of the terrain's side"
+        )
+    margin = margin_m / lattice.texel_m + 2.0
+    top, left = np.floor(low - margin).astype(int)
+    bottom, right = np.ceil(high + margin).astype(int) + 1
+    return lattice.cut(int(top), int(left), int(bottom), int(right)), blind
 
 
 def _product(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:

@@ -12,8 +12,8 @@ from thermorender.inverse.pose_files import read_poses
 from thermorender.inverse.poses import PoseError, registered
 from thermorender.inverse.products import lens_of
 from thermorender.inverse.reconstruct import reconstruct
-from thermorender.inverse.solve import Settings, binned, binned_camera, tilting
-from thermorender.inverse.weights import Viewer, taps_of
+from thermorender.inverse.solve import Settings, tilting
+from thermorender.inverse.weights import Viewer, binned, binned_camera, taps_of
 from thermorender.scene.import_terrain import import_terrain
 from thermorender.scene.load import load_scene
 from thermorender.sensor.camera import load_camera
@@ -52,7 +52,7 @@ def read_flight(folder: Path, made: Path) -> tuple:
     return scene.with_camera(camera), camera, replace(survey, kelvin=small)
 
 
-def split(scene, camera, survey: Survey, which: int, texel_m: float = 0.12, rounds: int = 5) -> dict:
+def split(scene, camera, survey: Survey, which: int, texel_m: float = 0.12, rounds: int = 4) -> dict:
     """Return the root mean squares of held-out frames, registered and levelled, by method, and of each frame [K]."""
     held = np.arange(len(survey.names)) % EVERY == which
     part = Survey(*(tuple(np.array(values)[~held]) for values in (survey.names, survey.times)),
