@@ -41,7 +41,7 @@ def settled(poses=None, **changes):
     survey = Survey(tuple(f"f{number}" for number in range(COUNT)), ("",) * COUNT, kelvin, given)
     blank = np.zeros((2, 2))
     state = State(blank, blank[0], np.zeros(COUNT), np.zeros((COUNT, 2)), 0.0, blank[0], blank,
-                  given if poses is None else poses, 0.07, 5)  # fmt: skip
+                  given if poses is None else poses, 0.07, 1.0, 5)  # fmt: skip
     spread = Spread(blank, 1.0, 0.0, 0.0, blank.astype(np.int32), blank, np.full(COUNT, 0.1))
     state = replace(state, **{name: value for name, value in changes.items() if hasattr(state, name)})
     spread = replace(spread, **{name: value for name, value in changes.items() if hasattr(spread, name)})
