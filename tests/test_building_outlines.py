@@ -127,6 +127,54 @@ def test_a_hole_beside_its_outline_is_no_building(tmp_path):
     assert areas["roofs"][1] == pytest.approx(14 * 9, rel=0.01)
 
 
+def corners(*places):
+    return [[CORNER[0] + x, CORNER[1] - y] for x, y in places]
+
+
+@pytest.mark.parametrize(
+    ("shape", "reason"),
+    [
+        (polygon(), "with no area or almost none"),
+        (polygon([]), "with no area or almost none"),
+        (polygon(corners((12, 14))), "with no area or almost none"),
+        (polygon(corners((12, 14), (20, 14), (12, 14))), "with no area or almost none"),
+        (polygon(corners((12, 14), (16, 14), (20, 14), (12, 14))), "with no area or almost none"),
+        # 8 m by 1 cm, through the middles of posts; and a triangle, whose border had two points.
+        (polygon(corners((12, 14.495), (20, 14.495), (20, 14.505), (12, 14.505))), "with no area or almost none"),
+        (polygon(corners((12, 14.495), (20, 14.5), (12, 14.505))), "with no area or almost none"),
+        ({"type": "LineString", "coordinates": corners((12, 14), (16, 14), (20, 14), (12, 14))},
+         "with no area or almost none"),
+        ({"type": "MultiPolygon", "coordinates": []}, "without a shape"),
+    ],
+)  # fmt: skip
+def test_an_outline_without_area_is_left_out_and_the_others_are_read(tmp_path, shape, reason):
+    made, areas = imported(tmp_path, HOUSE, (shape, {"building": "yes"}), (polygon(OUTLINE), {"building": "yes"}))
+    assert made["known"] == (f"k.geojson: 1 outlines of buildings; left out: 1 {reason}",)
+    assert areas["roofs"][1] == pytest.approx(14 * 9, rel=0.01)
+    with pytest.raises(ThermorenderError, match=rf"has no polygon with a tag 'building' .*left out: 1 {reason}"):
+        outlines_in(
+            collected(tmp_path / "k.geojson", (shape, {"building": "yes"})), read_elevation(tmp_path / "dsm.tif")[1]
+        )
+
+
+def test_the_rest_of_a_multipolygon_and_of_its_holes_is_read(tmp_path):
+    """One polygon of three is empty. Of the other's holes one is a line, one empty, and one beside the outline."""
+    holes = corners((12, 14), (16, 14), (20, 14), (12, 14)), [], ring(40, 40, 45, 45)
+    shape = {"type": "MultiPolygon", "coordinates": [[], [OUTLINE, *holes]]}
+    made, areas = imported(tmp_path, HOUSE, (shape, {"building": "yes"}))
+    left_out = "2 holes without area, 1 with no area or almost none, 1 holes beside their outlines"
+    assert made["known"] == (f"k.geojson: 1 outlines of buildings; left out: {left_out}",)
+    assert areas["roofs"][1] == pytest.approx(14 * 9, rel=0.01)
+
+
+def test_an_outline_that_crosses_itself_is_two_triangles(tmp_path):
+    """8 by 6 m: each triangle has a quarter of the rectangle."""
+    tie = corners((12, 14), (20, 20), (20, 14), (12, 20))
+    made, areas = imported(tmp_path, HOUSE, (polygon(tie), {"building": "yes"}))
+    assert (made["buildings"], made["known"]) == (1, ())
+    assert areas["roofs"][1] == pytest.approx(8 * 6 / 2, rel=0.01)
+
+
 def test_corners_beyond_any_map_are_refused(tmp_path):
     with pytest.raises(ThermorenderError, match="feature 1 has corners that are not coordinates of EPSG:32634"):
         imported(tmp_path, HOUSE, (polygon([[1e308, 1e308], *OUTLINE]), {"building": "yes"}))
