@@ -240,6 +240,33 @@ def test_ground_that_reaches_the_outline_is_no_courtyard(tmp_path):
     assert areas["roofs"][1] == pytest.approx(14 * 9, rel=0.01)
 
 
+@pytest.mark.parametrize("width", [6, 10, 20])
+def test_roofs_of_a_part_that_tapers_in_the_plan_are_level(tmp_path, width):
+    """A wedge 30 m long is 8 m higher than the house around it. Posts of its tip made peaks of the lower roof."""
+    wedge = (column > 20) & (column < 20 + width * (42 - row) / 30)
+    height = np.where(box(10, 12, 50, 42), np.where(wedge, 32.0, 24.0), 20.0)
+    made, areas = imported(tmp_path, height, (polygon(ring(10, 12, 50, 42)), {"building": "yes"}))
+    assert made["buildings"] == 1
+    assert areas["roofs"] == pytest.approx((40 * 30, 40 * 30), rel=0.002)
+    # 8 m high on both sides of the wedge; its tip, narrower than two posts, may have none.
+    step = areas["walls"][0] - 4.5 * 140 - 8 * width
+    tip = 8 * 2 * 30 * 2 / width
+    side = 8 * (30 + np.hypot(30, width))
+    assert side - tip < step < 1.05 * side
+
+
+@pytest.mark.parametrize("tag", ["building", "building:part"])
+def test_a_step_that_falls_to_nothing_has_a_wall_where_an_outline_ends(tmp_path, tag):
+    """A roof at 12 m beside one that rises from 4 to 12 m over 30 m: without its own outline there is a steep strip."""
+    rising = 24.0 + 8.0 * (row - 12) / 30
+    height = np.where(box(10, 12, 50, 42), np.where(column < 30, 32.0, rising), 20.0)
+    house, part = polygon(ring(10, 12, 50 if ":" in tag else 30, 42)), polygon(ring(30, 12, 50, 42))
+    _, areas = imported(tmp_path, height, (house, {"building": "yes"}), (part, {tag: "yes"}))
+    outer = 12.5 * (20 + 30 + 20) + 4.5 * 20 + 12.5 * 20 + 8.5 * 30
+    assert areas["walls"][0] - outer == pytest.approx(0.5 * 8 * 30, rel=0.02)
+    assert areas["roofs"][1] == pytest.approx(40 * 30, rel=0.002)
+
+
 def test_parts_of_a_building_are_one_with_its_walls(tmp_path):
     """A part has the walls of its building, but for those of its own; another building's part is none of it."""
     whole = {"building": "garage", "building:colour": "red", "building:material": "wood"}
