@@ -144,11 +144,17 @@ def check_levels(
     variance = uniform_filter(off**2, window) - uniform_filter(off, window) ** 2
     floor = variance[whole & (off >= 0.0) & (off < _FLOOR_M)]
     smooth = floor.size and np.sqrt(max(float(np.percentile(floor, 25.0)), 0.0)) < _ROUGH_M
-    if below or smooth:
+    where = f"{middle:.1f} m above the ground's heights in the median and {lowest:.1f} m at its lowest posts"
+    if below:
         raise ThermorenderError(
-            f"the surface model is {middle:.1f} m above the ground's heights in the median and {lowest:.1f} m at its "
-            "lowest posts, so both count from different levels; convert one of them, declare the vertical CRS of "
-            "both, or leave --ground out"
+            f"the surface model is {where}, so both count from different levels; convert one of them, or leave "
+            "--ground out"
+        )
+    if smooth:
+        raise ThermorenderError(
+            f"the surface model is {where}, and smooth there: both count from different levels, or a closed crop "
+            "covers everything; convert one of them, declare the vertical CRS of both, or, above a crop, leave "
+            "--ground out, so that its surface is the ground"
         )
 
 
