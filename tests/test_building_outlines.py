@@ -127,6 +127,54 @@ def test_a_hole_beside_its_outline_is_no_building(tmp_path):
     assert areas["roofs"][1] == pytest.approx(14 * 9, rel=0.01)
 
 
+def corners(*places):
+    return [[CORNER[0] + x, CORNER[1] - y] for x, y in places]
+
+
+@pytest.mark.parametrize(
+    ("shape", "reason"),
+    [
+        (polygon(), "with no area or almost none"),
+        (polygon([]), "with no area or almost none"),
+        (polygon(corners((12, 14))), "with no area or almost none"),
+        (polygon(corners((12, 14), (20, 14), (12, 14))), "with no area or almost none"),
+        (polygon(corners((12, 14), (16, 14), (20, 14), (12, 14))), "with no area or almost none"),
+        # 8 m by 1 cm, through the middles of posts; and a triangle, whose border had two points.
+        (polygon(corners((12, 14.495), (20, 14.495), (20, 14.505), (12, 14.505))), "with no area or almost none"),
+        (polygon(corners((12, 14.495), (20, 14.5), (12, 14.505))), "with no area or almost none"),
+        ({"type": "LineString", "coordinates": corners((12, 14), (16, 14), (20, 14), (12, 14))},
+         "with no area or almost none"),
+        ({"type": "MultiPolygon", "coordinates": []}, "without a shape"),
+    ],
+)  # fmt: skip
+def test_an_outline_without_area_is_left_out_and_the_others_are_read(tmp_path, shape, reason):
+    made, areas = imported(tmp_path, HOUSE, (shape, {"building": "yes"}), (polygon(OUTLINE), {"building": "yes"}))
+    assert made["known"] == (f"k.geojson: 1 outlines of buildings; left out: 1 {reason}",)
+    assert areas["roofs"][1] == pytest.approx(14 * 9, rel=0.01)
+    with pytest.raises(ThermorenderError, match=rf"has no polygon with a tag 'building' .*left out: 1 {reason}"):
+        outlines_in(
+            collected(tmp_path / "k.geojson", (shape, {"building": "yes"})), read_elevation(tmp_path / "dsm.tif")[1]
+        )
+
+
+def test_the_rest_of_a_multipolygon_and_of_its_holes_is_read(tmp_path):
+    """One polygon of three is empty. Of the other's holes one is a line, one empty, and one beside the outline."""
+    holes = corners((12, 14), (16, 14), (20, 14), (12, 14)), [], ring(40, 40, 45, 45)
+    shape = {"type": "MultiPolygon", "coordinates": [[], [OUTLINE, *holes]]}
+    made, areas = imported(tmp_path, HOUSE, (shape, {"building": "yes"}))
+    left_out = "2 holes without area, 1 with no area or almost none, 1 holes beside their outlines"
+    assert made["known"] == (f"k.geojson: 1 outlines of buildings; left out: {left_out}",)
+    assert areas["roofs"][1] == pytest.approx(14 * 9, rel=0.01)
+
+
+def test_an_outline_that_crosses_itself_is_two_triangles(tmp_path):
+    """8 by 6 m: each triangle has a quarter of the rectangle."""
+    tie = corners((12, 14), (20, 20), (20, 14), (12, 20))
+    made, areas = imported(tmp_path, HOUSE, (polygon(tie), {"building": "yes"}))
+    assert (made["buildings"], made["known"]) == (1, ())
+    assert areas["roofs"][1] == pytest.approx(8 * 6 / 2, rel=0.01)
+
+
 def test_corners_beyond_any_map_are_refused(tmp_path):
     with pytest.raises(ThermorenderError, match="feature 1 has corners that are not coordinates of EPSG:32634"):
         imported(tmp_path, HOUSE, (polygon([[1e308, 1e308], *OUTLINE]), {"building": "yes"}))
@@ -192,6 +240,33 @@ def test_ground_that_reaches_the_outline_is_no_courtyard(tmp_path):
     assert areas["roofs"][1] == pytest.approx(14 * 9, rel=0.01)
 
 
+@pytest.mark.parametrize("width", [6, 10, 20])
+def test_roofs_of_a_part_that_tapers_in_the_plan_are_level(tmp_path, width):
+    """A wedge 30 m long is 8 m higher than the house around it. Posts of its tip made peaks of the lower roof."""
+    wedge = (column > 20) & (column < 20 + width * (42 - row) / 30)
+    height = np.where(box(10, 12, 50, 42), np.where(wedge, 32.0, 24.0), 20.0)
+    made, areas = imported(tmp_path, height, (polygon(ring(10, 12, 50, 42)), {"building": "yes"}))
+    assert made["buildings"] == 1
+    assert areas["roofs"] == pytest.approx((40 * 30, 40 * 30), rel=0.002)
+    # 8 m high on both sides of the wedge; its tip, narrower than two posts, may have none.
+    step = areas["walls"][0] - 4.5 * 140 - 8 * width
+    tip = 8 * 2 * 30 * 2 / width
+    side = 8 * (30 + np.hypot(30, width))
+    assert side - tip < step < 1.05 * side
+
+
+@pytest.mark.parametrize("tag", ["building", "building:part"])
+def test_a_step_that_falls_to_nothing_has_a_wall_where_an_outline_ends(tmp_path, tag):
+    """A roof at 12 m beside one that rises from 4 to 12 m over 30 m: without its own outline there is a steep strip."""
+    rising = 24.0 + 8.0 * (row - 12) / 30
+    height = np.where(box(10, 12, 50, 42), np.where(column < 30, 32.0, rising), 20.0)
+    house, part = polygon(ring(10, 12, 50 if ":" in tag else 30, 42)), polygon(ring(30, 12, 50, 42))
+    _, areas = imported(tmp_path, height, (house, {"building": "yes"}), (part, {tag: "yes"}))
+    outer = 12.5 * (20 + 30 + 20) + 4.5 * 20 + 12.5 * 20 + 8.5 * 30
+    assert areas["walls"][0] - outer == pytest.approx(0.5 * 8 * 30, rel=0.02)
+    assert areas["roofs"][1] == pytest.approx(40 * 30, rel=0.002)
+
+
 def test_parts_of_a_building_are_one_with_its_walls(tmp_path):
     """A part has the walls of its building, but for those of its own; another building's part is none of it."""
     whole = {"building": "garage", "building:colour": "red", "building:material": "wood"}
@@ -249,6 +324,32 @@ def test_an_offset_shows_where_ground_is_open(share, shift):
         found.check_levels(GROUND, GROUND + above + shift, 1.0)
     if shift > 0.0:
         found.check_levels(GROUND, GROUND + above + shift, 1.0, declared=True)
+
+
+@pytest.mark.parametrize("farm", [False, True])
+def test_a_closed_crop_is_refused_with_its_terrain_model_and_is_the_ground_without(tmp_path, farm):
+    """Maize of 2.6 m with 0.05 m of noise cannot be told from an offset. A farmhouse in it is 7 m high."""
+    above = 2.6 + 0.05 * np.random.default_rng(0).standard_normal(GROUND.shape)
+    above = np.where(box(30, 30, 40, 42), 7.0, above) if farm else above
+    write_raster(tmp_path / "dsm.tif", (GROUND + above)[None].astype(np.float32), corner=CORNER)
+    write_raster(tmp_path / "dtm.tif", GROUND[None].astype(np.float32), corner=CORNER)
+    with pytest.raises(
+        ThermorenderError, match=r"or a closed crop covers everything; .* above a crop, leave --ground out"
+    ):
+        import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", three_d=ThreeD(tmp_path / "dtm.tif"))
+    made = import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", three_d=ThreeD())
+    assert (made["buildings"], made["trees"]) == (int(farm), 0)
+    scene = tr.load_scene(tmp_path / "s")
+    ground = next(s for s in scene.surfaces if s.name.endswith("ground")).vertices[:, 2] + scene.frame.height_m
+    # From 20 to 21.3 m, and 2.6 m of maize; its noise is within five standard deviations.
+    assert ground.min() > 22.6 - 0.25 and ground.max() < 23.9 + 0.25
+
+
+def test_a_surface_model_below_its_terrain_model_is_not_taken_for_a_crop():
+    with pytest.raises(
+        ThermorenderError, match="count from different levels; convert one of them, or leave --ground out"
+    ):
+        found.check_levels(GROUND, HOUSE - 8.0, 1.0, declared=True)
 
 
 def test_a_terrain_model_above_open_ground_is_refused_though_most_of_the_model_is_wood():

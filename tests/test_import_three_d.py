@@ -1,5 +1,6 @@
 """`import-terrain --three-d`: a house and a tree of known shape, from a surface model to a mesh."""
 
+import itertools
 import json
 
 import numpy as np
@@ -210,12 +211,6 @@ def test_outlines_keep_their_corners_whether_closed_or_not(model, tmp_path):
         assert sorted(map(tuple, outer.round(6))) == sorted(corners)
 
 
-@pytest.mark.parametrize("rings", [[], [[(10, 12), (24, 12), (10, 12)]], [[(10, 12), (17, 12), (24, 12), (10, 12)]]])
-def test_outlines_without_area_are_refused(model, tmp_path, rings):
-    with pytest.raises(ThermorenderError, match="feature 1 has an outline without area"):
-        outlined(model, tmp_path / "k.geojson", rings)
-
-
 def boxes(*given):
     """[Outline] of rectangles (left, top, right, bottom) in posts."""
     return [found.Outline([np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], float)]) for x0, y0, x1, y1 in given]
@@ -316,6 +311,14 @@ def wall_areas(scene):
     facing = np.abs(across[:, 0]) > 0.9 * 2.0 * area
     east = corner.mean(axis=1)[:, 0].round().astype(int)
     return {int(e): float(area[facing & (east == e)].sum()) for e in np.unique(east[facing])}, float(area.sum())
+
+
+def test_a_tip_that_smaller_outlines_leave_of_another_has_no_walls():
+    """A wedge of 20 posts, of which rectangles cover all but the last 0.35: a border of two points."""
+    wedge = found.Outline([np.array([[10.0, 16.0], [30.0, 16.5], [10.0, 17.0]])])
+    ends = np.linspace(9.0, 29.65, 9)
+    made = borders([wedge, *boxes(*((x0, 15, x1, 18) for x0, x1 in itertools.pairwise(ends)))], (48, 48), 1.0)
+    assert not made[0] and all(made[1:])
 
 
 @pytest.mark.parametrize("overlap", [0.0, 0.2, 2.0])

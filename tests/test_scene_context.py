@@ -308,6 +308,29 @@ def test_shapes_that_are_not_used_are_counted(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("kind", "wrapped", "used"),
+    [
+        ("Polygon", lambda _: [], 0),
+        ("Polygon", lambda _: [[]], 0),
+        ("MultiPolygon", lambda _: [], 0),
+        ("Polygon", lambda rings: [*rings, []], 1),
+        ("MultiPolygon", lambda rings: [[], rings, [[]]], 1),
+    ],
+)
+def test_shapes_without_corners_are_counted_and_the_others_are_used(tmp_path, kind, wrapped, used):
+    path = write_raster(tmp_path / "o.tif", np.zeros((3, 64, 64), np.uint8), 0.5)
+    file = shapes(tmp_path / "a.geojson", HOUSE, ({"building": "yes"}, "Polygon", box(20, 20, 30, 30)))
+    content = json.loads(file.read_text())
+    geometry = content["features"][0]["geometry"]
+    geometry.update(type=kind, coordinates=wrapped(geometry["coordinates"]))
+    file.write_text(json.dumps(content))
+    known = read_known(file, grid_of(path), 0.5)
+    assert known.number.sum() == 20 * 20 + used * 12 * 16
+    left_out = () if used else ("a.geojson: left out are 1 without a shape",)
+    assert known.notes[1:] == left_out
+
+
+@pytest.mark.parametrize(
     ("tags", "kinds"),
     [
         ({"building": "garage"}, ("roof",)),

@@ -55,7 +55,7 @@ def import_terrain(
     collar: int = 0, weather: Path | None = None, time: str | None = None, known: Path | None = None,
     three_d: ThreeD | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Write a scene folder and return a summary of the rasters in it.
+    """Write a scene folder from an elevation model and an orthophoto, and return a summary of what is in it.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def import_terrain(
     orthophoto : path or None
         GeoTIFF in colour; without one the ground has the colour of its material.
     folder : path
-        New scene folder; it must not exist, or be empty.
+        New scene folder; it does not exist, or is empty.
     max_vertices : int
         Largest number of posts of the mesh; a finer elevation model is averaged.
     max_texels : int
@@ -81,9 +81,13 @@ def import_terrain(
     sky_temperature : float, optional
         [K]; by default the sky of the weather, or 255 K without one.
     fill : bool
-        Whether the scene fills enclosed gaps in the heights and flags them in the truth mask.
-    bands, colour_range, collar
-        Of the orthophoto, as in `thermorender.scene.parts.orthophoto.read_colour`.
+        Whether the scene fills enclosed gaps in the heights and flags them in the truth mask; not with `three_d`.
+    bands : sequence of int, optional
+        Numbers of the orthophoto's red, green and blue bands; by default those that it declares.
+    colour_range : (float, float), optional
+        Its values of black and white; needed where it does not have 8 bits.
+    collar : int
+        Its borders within this many of 255 levels of black or white are holes: lossy compression changes them.
     weather : path, optional
         A station's CSV, an EPW file, or a TMY3 or PSM table. The scene then has the temperatures of a heat balance, and
         with an orthophoto the materials that a learned map finds in it.
@@ -94,40 +98,30 @@ def import_terrain(
         that a learned map finds in the orthophoto. With `three_d` its buildings are the outlines to extrude instead,
         or those of a raster of classes, and no orthophoto is needed.
     three_d : ThreeD, optional
-        The scene is a mesh with walls below its roofs, and porous trees, all found in the heights. Posts of 1 m or less
-        serve.
+        How the scene becomes a mesh with walls below its roofs and porous trees, all found in the heights. Posts are
+        1 m apart or less, unless `known` states the buildings.
 
     Returns
     -------
     dict
-        crs, posts, post_m, texels, texel_m, height_reference, height_reference_stated (by the caller or the CRS),
-        flight_m (height of flight.csv above the ground), share_without_height, share_filled (of the posts),
-        share_without_colour, share_collar (not empty, but near black or white up to the edge), share_clipped (black or
-        white in some band), the last three None without orthophoto, and known, sentences on the other files; with
-        `three_d` also buildings, trees, flat_outlines (less than a third of each is high), stated_walls (buildings
-        whose outlines declare their walls), unmatched, {declared wall without a match: count}, and kinds (number of
-        typical trees whose copies the trees are; 0 where each has its own leaves).
+        crs, posts and texels ([rows, columns]), post_m, texel_m, height_reference, height_reference_stated (by the
+        caller or the CRS), flight_m (height of flight.csv above the ground), share_without_height, share_filled (of
+        the posts), share_without_colour, share_collar (not empty, but near black or white up to the edge),
+        share_clipped (black or white in some band), the last three None without orthophoto, and known, sentences on
+        what was doubtful or left out in the files. With `three_d` also buildings, trees, flat_outlines (left out, as
+        less than a third of each is high), stated_walls (buildings whose outlines declare their walls), unmatched,
+        {declared wall without a match: count}, and kinds (number of typical trees of which the trees are copies; 0
+        where each has its own leaves).
 
     Raises
     ------
     ThermorenderError
-        A missing or unreadable file, no CRS, no overlap, nothing valid, or a folder in use; nothing is written.
+        A missing or unreadable file, no CRS, no overlap, nothing valid, a folder in use, or arguments that exclude
+        each other; nothing is written.
     """
     _check(model, material, height_reference, geoid_undulation_m, sky_temperature)
     check_new_folder(folder)
-    if three_d and fill:
-        raise ThermorenderError("fill is for a raster of heights, and three_d makes a mesh; leave one of them out")
-    if three_d and three_d.copies and weather is None:
-        raise ThermorenderError(
-            "copies of trees have the temperatures of a heat balance; give a weather and a time too, or leave copies "
-            "out"
-        )
-    if known is not None and orthophoto is None and not three_d:
-        raise ThermorenderError(f"known={known} restricts materials that are read from an orthophoto; give one too")
-    if max_vertices < 4 or max_texels < 2:
-        raise ThermorenderError(
-            f"max_vertices={max_vertices}, max_texels={max_texels} are too small; give at least 4 and 2"
-        )
+    _check_together(orthophoto, known, weather, fill, three_d, max_vertices, max_texels)
     cloud = read_cloud(elevation) if Path(elevation).suffix.lower() in SUFFIXES else None
     height, height_grid = (cloud.surface, cloud.grid) if cloud else read_elevation(elevation)
     notes = cloud.notes if cloud else doubtful_zeros(elevation, height)
@@ -210,6 +204,26 @@ def _check(
     if sky_temperature is not None:
         _finite("sky_temperature", sky_temperature)
         scene_kelvin("sky_temperature", sky_temperature)
+
+
+def _check_together(
+    orthophoto: Path | None, known: Path | None, weather: Path | None, fill: bool, three_d: ThreeD | None,
+    max_vertices: int, max_texels: int,
+) -> None:  # fmt: skip
+    """Refuse arguments that exclude each other, one that needs another, and limits without room for a mesh."""
+    if three_d and fill:
+        raise ThermorenderError("fill is for a raster of heights, and three_d makes a mesh; leave one of them out")
+    if three_d and three_d.copies and weather is None:
+        raise ThermorenderError(
+            "copies of trees have the temperatures of a heat balance; give a weather and a time too, or leave copies "
+            "out"
+        )
+    if known is not None and orthophoto is None and not three_d:
+        raise ThermorenderError(f"known={known} restricts materials that are read from an orthophoto; give one too")
+    if max_vertices < 4 or max_texels < 2:
+        raise ThermorenderError(
+            f"max_vertices={max_vertices}, max_texels={max_texels} are too small; give at least 4 and 2"
+        )
 
 
 def _weather(path: Path | None, time: str | None, height: NDArray[np.float64], grid: Grid) -> dict[str, Any] | None:

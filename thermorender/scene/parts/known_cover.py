@@ -129,6 +129,8 @@ def read_known(path: Path, grid: Grid, texel_m: float) -> KnownCover:
         as_area = kind in _AREAS
         if underground(tags):
             left_out["underground"] += 1
+        elif as_area and _empty(geometry.get("coordinates")):
+            left_out["without a shape"] += 1
         elif not (as_area or (kind in _LINES and width is not None)):
             left_out[f"of {name} as {kind}"] += 1
         elif not as_area and width is not None and width < texel_m:
@@ -137,6 +139,11 @@ def read_known(path: Path, grid: Grid, texel_m: float) -> KnownCover:
             line_px = None if as_area or width is None else width / texel_m
             shapes.append((order, number, geometry, case, name, line_px))
     return _burnt(path, crs, grid, shapes, left_out, silent)
+
+
+def _empty(coordinates: Any) -> bool:
+    """Whether lists of lists hold no corner."""
+    return isinstance(coordinates, list) and all(_empty(each) for each in coordinates)
 
 
 def _burnt(

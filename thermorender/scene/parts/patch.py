@@ -139,6 +139,8 @@ def part_of(grid: Grid, low: ArrayLike, high: ArrayLike) -> tuple[slice, slice]:
 def texels_of(geometry: Any, crs: Any, grid: Grid, where: str) -> tuple[tuple[slice, slice], NDArray[np.bool_]]:
     """Return (part of a grid, which of its texels have their middle in a polygon); the part is empty outside of it.
 
+    Holes without corners are skipped, and so are polygons without corners in a MultiPolygon.
+
     Raises
     ------
     ThermorenderError
@@ -146,7 +148,8 @@ def texels_of(geometry: Any, crs: Any, grid: Grid, where: str) -> tuple[tuple[sl
     """
     try:
         polygons = [geometry["coordinates"]] if geometry["type"] == "Polygon" else list(geometry["coordinates"])
-        rings = [[pixels_of(ring, crs, grid, where) for ring in polygon] for polygon in polygons]
+        filled = [polygon for polygon in polygons if len(polygon) and len(polygon[0])]
+        rings = [[pixels_of(ring, crs, grid, where) for ring in polygon if len(ring)] for polygon in filled]
         outer = np.concatenate([polygon[0] for polygon in rings])
     except ThermorenderError:
         raise

@@ -17,6 +17,8 @@ from thermorender.scene.solids.found import Outline, area_of, even_odd
 _SNAP_M = 0.3
 # Points this near are one; distance from a piece at which its hands are tested [posts].
 _SAME, _BESIDE = 1e-3, 1e-2
+# Outlines of a smaller mean width cannot be built: a test beside one wall is already beyond the opposite one [posts].
+THIN = 2.0 * _BESIDE
 # Longest piece [posts].
 _LONGEST = 2.0
 # Building number of open ground.
@@ -56,7 +58,8 @@ class _Sides(NamedTuple):
 def borders(outlines: Sequence[Outline], shape: tuple[int, int], post_m: float) -> list[list[Loop]]:
     """Return the Loops of each of some outlines, inside a grid of `shape` (rows, columns) posts.
 
-    An outline that smaller ones cover has none. Parts follow the outline that is their `whole`, and are cut by it.
+    An outline that smaller ones cover has none, even if they leave a tip so thin that its border has two points. Parts
+    follow the outline that is their `whole`, and are cut by it.
     """
     rings = _snapped([list(each.rings) for each in outlines], _SNAP_M / post_m)
     number = {each: k for k, each in enumerate(outlines)}
@@ -85,7 +88,8 @@ def borders(outlines: Sequence[Outline], shape: tuple[int, int], post_m: float) 
     table, along = table[order], along[order]
     ends = np.searchsorted(table[:, 2], np.arange(len(outlines) + 1))
     parts = [slice(*each) for each in zip(ends[:-1], ends[1:], strict=True)]
-    return [[_loop(point, table[part], along[part], chain) for chain in _chains(table[part, :2])] for part in parts]
+    made = [[_loop(point, table[part], along[part], chain) for chain in _chains(table[part, :2])] for part in parts]
+    return [loops if sum(len(each.point) for each in loops) > 2 else [] for loops in made]
 
 
 def _snapped(rings: list[list[NDArray[np.float64]]], near: float) -> list[list[NDArray[np.float64]]]:

@@ -13,24 +13,28 @@ from thermorender.scene.raster import Grid, onto
 from thermorender.scene.surface import fill, nearest_valid
 from thermorender.scene.terrain import filled
 
-# Lower things are ground [m]; buildings found by height have at least this area [m²].
+# What is lower than this above the ground is part of it [m]; least area of buildings found by height [m²].
 LEAST_M, LEAST_AREA_M2 = 2.0, 25.0
 # Progressive morphological filter: Zhang and others, IEEE Trans. Geosci. Remote Sens. 41 (2003) 872,
 # doi:10.1109/TGRS.2003.810682: largest window, slope of the ground, first and largest threshold [m].
 _WINDOW_M, _SLOPE, _FIRST_M, _MOST_M = 60.0, 0.15, 0.4, 2.0
-# Roofs are planes: the mean absolute second difference of heights over 3 × 3 posts of 1 m is below this [m].
+# Roofs are smooth: the mean absolute second difference of heights over 3 × 3 posts of 1 m is below this [m].
 _SMOOTH_M = 0.45
-# A building ends in walls on most of its border: within this distance the surface is `LEAST_M` lower at this share of
-# its edge posts. Walls around have all of them, a building dug into a slope three quarters, a terrace's edge a half.
+# At an edge post with a wall, the surface within this distance is lower by more than `LEAST_M` [m]. Smooth areas are
+# buildings if at least this share of their edge posts has a wall. A free-standing building has a share of 1, one that
+# is dug into a slope 3/4, and a terrace 1/2.
 _BESIDE_M, _FREE_SHARE = 3.0, 2.0 / 3.0
-# Missing posts this near to known ones may be of a roof [m].
+# Missing posts within this distance of known ones may belong to a roof [m].
 _GAP_M = 1.0
-# Above this excess green is a plant: 2 g − r − b of shares of sRGB; Woebbecke and others, Trans. ASAE 38 (1995) 259.
+# A post is green if its excess green index is above this: 2 g − r − b, where r, g, b are shares of the sum of the sRGB
+# values; Woebbecke and others, Trans. ASAE 38 (1995) 259.
 _GREEN = 0.10
-# Open ground follows a terrain model within this standard deviation over a window of this side: airborne lidar errs by
-# 0.05 to 0.15 m, and crowns 2 m wide or more are rougher by twice as much. Lowest posts: this far above the lowest [m].
+# On open ground, surface model minus terrain model has at most this standard deviation in a window of this side [m]:
+# airborne lidar has errors of 0.05 to 0.15 m. Crowns 2 m wide or more have at least twice as much. It is tested at the
+# lowest posts, up to this height above the lowest one [m].
 _ROUGH_M, _ROUGH_OVER_M, _FLOOR_M = 0.2, 3.0, 0.5
-# Trees: smoothing of heights and distance of tops [m]; least area of one that stands alone [m²].
+# Trees: standard deviation of the smoothing of heights and least distance of two tops [m]; least area of a narrow crown
+# that stands alone [m²].
 _BLUR_M, _APART_M, _LEAST_CROWN_M2 = 0.8, 3.0, 1.0
 
 Ring = NDArray[np.float64]
@@ -38,10 +42,10 @@ Ring = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """The outer ring and the holes of a building, (N, 2) as (column, row), and what its file says on it.
+    """The outer ring and the holes of a building, (N, 2) each as (column, row), and its tags in the file.
 
-    A part of a building names the outline that bounds it as its `whole`. One with an outline of its own names the
-    building `of` which it is.
+    A part that was cut out of an outline at a step of the roof has that outline as `whole`. A part that the file draws
+    as an outline of its own has the outline of its building as `of`.
     """
 
     rings: Sequence[Ring]
@@ -58,7 +62,7 @@ class Outline:
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """One crown: posts (n, 2) as (row, column), the top's post, and its height above the ground [m]."""
+    """One tree: posts (n, 2) of its crown as (row, column), its highest post, and the height there [m above ground]."""
 
     posts: NDArray[np.int64]
     top: tuple[int, int]
@@ -70,9 +74,9 @@ def ground_below(
 ) -> NDArray[np.float64]:
     """Return the heights of the ground below a surface model, (h, w) [m]; NaN where that has none.
 
-    Openings with growing windows leave what is lower than a window is wide; between the remaining posts heights are
-    linear. Openings cut the edge of a terrace; it is ground again where it is smooth, not `green`, (h, w), and stands
-    free on one side only.
+    Morphological openings with growing windows remove what is narrower than the window. The gaps are filled by linear
+    interpolation. Openings also remove the edge of a terrace. A part of it becomes ground again if it is smooth, is not
+    `green`, (h, w), and has a drop on less than `_FREE_SHARE` of its border.
     """
     from scipy.ndimage import grey_opening
 
@@ -94,7 +98,7 @@ def ground_below(
 def _terraces(
     height: NDArray[np.float64], ground: NDArray[np.float64], post_m: float, green: NDArray[np.bool_] | None
 ) -> NDArray[np.bool_]:
-    """Posts of smooth parts above a filtered ground that have no walls on most of their border."""
+    """Posts of smooth parts above a filtered ground with walls on less than `_FREE_SHARE` of their border."""
     from scipy.ndimage import binary_dilation, binary_erosion, find_objects, label, minimum_filter
 
     parts, _ = label(_high_and_smooth(height, ground, post_m, green))
@@ -108,7 +112,7 @@ def _terraces(
         drop = (level - minimum_filter(outside, reach, mode="nearest"))[edge]
         drop = drop[np.isfinite(drop)]
         if drop.size and (drop > LEAST_M).mean() < _FREE_SHARE:
-            # Posts at the wall bend too much to be smooth.
+            # Posts beside a drop are not smooth, so the part ends before them.
             found[window] |= binary_dilation(part, np.ones((3, 3)), iterations=2) & (parts[window] == 0) | part
     return found
 
@@ -118,9 +122,10 @@ def check_levels(
 ) -> None:
     """Refuse a terrain model and a surface model, (h, w) [m] each, whose heights count from different levels.
 
-    A wood without a gap is above its ground everywhere, as is a surface model that counts from elsewhere. Open ground
-    tells them apart: a surface model follows it, and crowns are rough. Where all is canopy, nothing tells. Files that
-    have `declared` one level are refused only where the surface is below the ground.
+    The surface model is everywhere above the terrain model if their levels differ, but also in a wood without a gap.
+    The lowest posts show the difference: the surface model is smooth above open ground, and rough above crowns. A
+    smooth closed crop looks like open ground. An offset above a wood without a gap is not detected. If both files have
+    `declared` the same level, they are refused only where the surface is below the ground.
 
     Raises
     ------
@@ -138,24 +143,30 @@ def check_levels(
     if not below and (declared or lowest <= LEAST_M):
         return
     window = max(3, 2 * int(0.5 * _ROUGH_OVER_M / post_m) + 1)
-    # Whole windows only, and differences from one height, so that squares lose no digits.
+    # Only windows without missing posts. The lowest step is subtracted, so that squares keep their digits.
     off = np.where(known, step - lowest, 0.0)
     whole = uniform_filter(known.astype(np.float64), window, mode="constant") > 1.0 - 1e-6
     variance = uniform_filter(off**2, window) - uniform_filter(off, window) ** 2
     floor = variance[whole & (off >= 0.0) & (off < _FLOOR_M)]
     smooth = floor.size and np.sqrt(max(float(np.percentile(floor, 25.0)), 0.0)) < _ROUGH_M
-    if below or smooth:
+    where = f"{middle:.1f} m above the ground's heights in the median and {lowest:.1f} m at its lowest posts"
+    if below:
         raise ThermorenderError(
-            f"the surface model is {middle:.1f} m above the ground's heights in the median and {lowest:.1f} m at its "
-            "lowest posts, so both count from different levels; convert one of them, declare the vertical CRS of "
-            "both, or leave --ground out"
+            f"the surface model is {where}, so both count from different levels; convert one of them, or leave "
+            "--ground out"
+        )
+    if smooth:
+        raise ThermorenderError(
+            f"the surface model is {where}, and smooth there: both count from different levels, or a closed crop "
+            "covers everything; convert one of them, declare the vertical CRS of both, or, above a crop, leave "
+            "--ground out, so that its surface is the ground"
         )
 
 
 def ground_given(
     ground: NDArray[np.float64], height: NDArray[np.float64], post_m: float, green: NDArray[np.bool_] | None = None
 ) -> NDArray[np.float64]:
-    """Return the heights of the ground by a terrain model; linear in its holes, and filtered beyond it."""
+    """Return the ground's heights by a terrain model: its holes are interpolated, and a filter estimates the rest."""
     whole, _ = filled(ground)
     whole = np.where(np.isfinite(whole), whole, ground_below(height, post_m, green))
     return np.where(np.isfinite(height), np.minimum(whole, height), whole)
@@ -189,7 +200,7 @@ def _high_and_smooth(
     """Posts of parts as high, smooth and large as buildings."""
     from scipy.ndimage import binary_closing, binary_dilation, binary_opening, uniform_filter
 
-    # Missing posts inside a roof are of it.
+    # Missing posts inside a roof belong to it.
     valid = np.isfinite(height) & np.isfinite(ground)
     near = binary_dilation(valid, iterations=max(1, round(_GAP_M / post_m)))
     level, bare = (fill(each, nearest_valid(valid)) for each in (height, ground))
@@ -199,7 +210,7 @@ def _high_and_smooth(
     if green is not None:
         smooth &= ~green
     seed = binary_opening(smooth, np.ones((3, 3)))
-    # Ridges, gutters and edges are not smooth; they are between smooth parts or beside one.
+    # Ridges, gutters and edges of a roof are not smooth. They lie between smooth parts or beside one.
     steps = max(1, round(1.5 / post_m))
     mask = binary_dilation(binary_closing(seed, np.ones((3, 3)), iterations=steps), np.ones((3, 3)), iterations=steps)
     mask &= high
@@ -209,7 +220,7 @@ def _high_and_smooth(
 
 
 def large(mask: NDArray[np.bool_], post_m: float) -> NDArray[np.bool_]:
-    """Return the parts of a mask that are as large as a building, without threads of single posts."""
+    """Return the parts of a mask that have the area of a building, without lines one or two posts wide."""
     from scipy.ndimage import binary_opening, label
 
     mask = binary_opening(mask, np.ones((3, 3)))
@@ -220,7 +231,7 @@ def large(mask: NDArray[np.bool_], post_m: float) -> NDArray[np.bool_]:
 
 
 def outlines_of(mask: NDArray[np.bool_]) -> list[Outline]:
-    """Return the Outlines of connected posts, with straightened sides."""
+    """Return the Outlines around connected posts of a mask; sides are straight, within a post of the mask's border."""
     import cv2
     from rasterio.features import shapes
 
@@ -247,7 +258,7 @@ def inside(outlines: Sequence[Outline], grid: Grid) -> NDArray[np.bool_]:
 
 
 def trees_in(above: NDArray[np.float64], taken: NDArray[np.bool_], post_m: float) -> list[Tree]:
-    """Return the Trees of heights above the ground, (h, w) [m], outside of `taken`: basins of local maxima."""
+    """Return the Trees of heights above the ground, (h, w) [m], outside of `taken`: one for each local maximum."""
     from scipy.ndimage import find_objects, gaussian_filter
 
     canopy = _canopy((np.nan_to_num(above) > LEAST_M) & ~taken, taken, post_m)
@@ -267,11 +278,11 @@ def trees_in(above: NDArray[np.float64], taken: NDArray[np.bool_], post_m: float
 
 
 def _canopy(high: NDArray[np.bool_], taken: NDArray[np.bool_], post_m: float) -> NDArray[np.bool_]:
-    """The posts of crowns: all that are wide, and narrow ones that stand alone."""
+    """The posts of crowns: all that are three posts wide or more, and narrower ones that stand alone."""
     from scipy.ndimage import binary_dilation, binary_opening, label
 
     wide: NDArray[np.bool_] = binary_opening(high, np.ones((3, 3)))
-    # Fringes of a building beside its outline are narrower than a crown.
+    # High posts of a building just outside of its outline form strips that are narrower than a crown.
     parts, count = label(high, np.ones((3, 3)))
     narrow = np.bincount(parts.ravel(), minlength=count + 1) * post_m**2 >= _LEAST_CROWN_M2
     narrow[np.unique(parts[wide | binary_dilation(taken, np.ones((3, 3)))])] = False
@@ -279,10 +290,10 @@ def _canopy(high: NDArray[np.bool_], taken: NDArray[np.bool_], post_m: float) ->
 
 
 def _basins(height: NDArray[np.float64], canopy: NDArray[np.bool_], reach: int) -> NDArray[np.int64]:
-    """Number of the top that is above each post of a canopy, 1…; 0 elsewhere.
+    """Number of the tree to which each post of a canopy belongs, 1…; 0 elsewhere.
 
-    From each post the way leads to the highest of its neighbours, and from a top to the highest post within `reach`
-    of the same connected canopy.
+    Each post points to the highest of its neighbours, and each local maximum to the highest post within `reach` in the
+    same connected canopy. Posts that lead to the same top are one tree.
     """
     from scipy.ndimage import label
 
@@ -292,7 +303,7 @@ def _basins(height: NDArray[np.float64], canopy: NDArray[np.bool_], reach: int) 
     up, best = number[inner, inner].copy(), level[inner, inner].copy()
     for down, right in ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)):
         beside = slice(1 + down, level.shape[0] - 1 + down), slice(1 + right, level.shape[1] - 1 + right)
-        # Of two equal heights the later one is higher, so that no way is a circle.
+        # Of two equal heights the one with the higher number counts as higher, so that no path is a loop.
         higher = (level[beside] > best) | ((level[beside] == best) & (number[beside] > up))
         higher &= parts[beside] == parts[inner, inner]
         up, best = np.where(higher, number[beside], up), np.where(higher, level[beside], best)

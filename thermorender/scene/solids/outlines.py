@@ -14,6 +14,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.scene.parts.known_cover import counted, tagged, underground
 from thermorender.scene.parts.patch import pixels_of, read_features
 from thermorender.scene.raster import Grid, grid_of, onto, read_classes
+from thermorender.scene.solids.borders import THIN
 from thermorender.scene.solids.facades import COLOURS, MATERIALS
 from thermorender.scene.solids.found import Outline, Ring, area_of, even_odd, outlines_of
 
@@ -22,13 +23,15 @@ _KEYS = ("building", "building:part")
 _NONE = ("no", "false", "0", "entrance", "proposed", "planned", "demolished", "razed", "removed")
 # Tags of a building or part that begins above the ground, and values of `building` without walls.
 _LIFTED, _OPEN = ("min_height", "building:min_height", "building:min_level"), ("roof", "carport")
+# Rings of less area are lines or points [squares of a post].
+_NO_AREA = 1e-6
 
 
 def outlines_in(path: Path, grid: Grid) -> tuple[list[Outline], tuple[str, ...]]:
     """Return (Outlines of a GeoJSON's buildings and their parts, sentences on what the file states beside them).
 
     Closed lines with such a tag are outlines too, and so are polygons in collections. A part inside a building is one
-    `of` it, and has its tags but for those of its own.
+    `of` it, and has its tags but for those of its own. Outlines and holes without area are left out and counted.
 
     Raises
     ------
@@ -47,11 +50,14 @@ def outlines_in(path: Path, grid: Grid) -> tuple[list[Outline], tuple[str, ...]]
             continue
         if underground(tags) or not shapes:
             kind = geometry.get("type")
-            left_out["underground" if shapes else f"drawn as {kind}" if kind else "without a shape"] += 1
+            shapeless = kind in (None, "MultiPolygon")
+            left_out["underground" if shapes else "without a shape" if shapeless else f"drawn as {kind}"] += 1
             continue
         for shape in shapes:
-            rings = _rings(shape, crs, grid, where)
-            if _meets(rings, grid):
+            rings = _rings(shape, crs, grid, where, left_out)
+            if not rings:
+                left_out["with no area or almost none"] += 1
+            elif _meets(rings, grid):
                 found.append(Outline(rings, tags))
             else:
                 left_out[
@@ -107,13 +113,25 @@ def _polygons(geometry: Mapping[str, Any], where: str) -> Iterator[Any]:
         raise ThermorenderError(f"{where} is not a polygon with corners; export polygons from a GIS") from None
 
 
-def _rings(shape: Sequence[Any], crs: Any, grid: Grid, where: str) -> list[Ring]:
-    """The rings of a polygon on a grid."""
-    rings = [_ring(pixels_of(ring, crs, grid, where)) for ring in shape]
-    if not rings or any(len(ring) < 3 or area_of(ring) < 1e-6 for ring in rings):
-        raise ThermorenderError(f"{where} has an outline without area; give it three corners or more, or delete it")
+def _rings(shape: Sequence[Any], crs: Any, grid: Grid, where: str, left_out: Counter[str]) -> list[Ring]:
+    """The rings of a polygon on a grid; none if the outer one has no area. Adds unused holes to `left_out`."""
+    rings = [_ring(pixels_of(ring, crs, grid, where)) if ring else np.empty((0, 2)) for ring in shape]
+    if not rings or _thin(rings[0]):
+        return []
+    holes = [ring for ring in rings[1:] if len(ring) > 2 and area_of(ring) >= _NO_AREA]
     # By the even-odd rule a hole beside its outline would be a building.
-    return [rings[0], *(hole for hole in rings[1:] if even_odd(_inner(hole), rings[:1]).mean() > 0.5)]
+    inner = [hole for hole in holes if even_odd(_inner(hole), rings[:1]).mean() > 0.5]
+    unused = {"holes without area": len(rings) - 1 - len(holes), "holes beside their outlines": len(holes) - len(inner)}
+    left_out.update({name: count for name, count in unused.items() if count})
+    return [rings[0], *inner]
+
+
+def _thin(ring: Ring) -> bool:
+    """Whether a ring has no area, or is thinner than `THIN` in the mean."""
+    if len(ring) < 3 or area_of(ring) < _NO_AREA:
+        return True
+    length = float(np.linalg.norm(np.roll(ring, -1, axis=0) - ring, axis=1).sum())
+    return 2.0 * area_of(ring) < THIN * length
 
 
 def _inner(ring: Ring) -> Ring:

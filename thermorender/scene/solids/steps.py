@@ -58,9 +58,11 @@ def _inside(outline: Outline, first: NDArray[np.int64], shape: tuple[int, ...]) 
 def cut_at_steps(
     outlines: Sequence[Outline], height: NDArray[np.float64], ground: NDArray[np.float64], post_m: float
 ) -> tuple[list[Outline], NDArray[np.float64]]:
-    """Return (outlines followed by their parts, heights without the mixed posts at the steps).
+    """Return (outlines followed by their parts, heights without the posts that would be in the wrong part's roof).
 
-    The largest part of a building keeps the outline; the others name it as their `whole`, from large to small.
+    The largest part of a building keeps the outline; the others name it as their `whole`, from large to small. Borders
+    of parts have straight sides, and so enclose some posts of the next part, most of all where a part tapers in the
+    plan. A step that falls below the slope of `_STEEP` at one end does not separate its roofs, which are one part.
 
     Parameters
     ----------
@@ -79,8 +81,11 @@ def cut_at_steps(
             continue
         inside = _inside(outline, low, level.shape)
         region, mixed = _regions(np.where(inside & (level - ground[window] > LEAST_M), level, np.nan), inside, post_m)
-        clear[window][mixed] = np.nan
-        parts += [Outline([ring + low for ring in each], outline.tags, outline) for each in _rings(region, inside)]
+        owner = np.zeros_like(region)
+        for number, rings in _rings(region, inside):
+            owner[_inside(Outline(rings), np.zeros(2, np.int64), level.shape)] = number
+            parts.append(Outline([ring + low for ring in rings], outline.tags, outline))
+        clear[window][mixed | (inside & (owner != region))] = np.nan
     return [*outlines, *parts], clear
 
 
@@ -143,8 +148,8 @@ def _joined(region: NDArray[np.int64], level: NDArray[np.float64]) -> NDArray[np
     return joined
 
 
-def _rings(region: NDArray[np.int64], inside: NDArray[np.bool_]) -> list[list[NDArray[np.float64]]]:
-    """Rings of all parts but the largest; each reaches over the outline and over smaller parts, which keep theirs."""
+def _rings(region: NDArray[np.int64], inside: NDArray[np.bool_]) -> list[tuple[int, list[NDArray[np.float64]]]]:
+    """(Number, rings) of all parts but the largest; each reaches over the outline and over smaller parts."""
     from scipy.ndimage import binary_dilation
 
     around = binary_dilation(inside, np.ones((3, 3)), iterations=_BESIDE)
@@ -152,5 +157,5 @@ def _rings(region: NDArray[np.int64], inside: NDArray[np.bool_]) -> list[list[ND
     for number in range(1, int(region.max()) + 1):
         part = region == number
         grown = binary_dilation(part, np.ones((3, 3)), iterations=_BESIDE) & (region > number)
-        made += [list(each.rings) for each in outlines_of((part | grown) & around)]
+        made += [(number, list(each.rings)) for each in outlines_of((part | grown) & around)]
     return made
