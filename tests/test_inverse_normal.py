@@ -118,17 +118,17 @@ def test_solution_of_no_pull_is_zero():
 
 def test_common_part_of_residuals_is_their_weighted_mean_after_the_steps():
     rng = np.random.default_rng(5)
-    step, common = rng.normal(size=SHAPE), Common(3, 90, 0.5)
+    step, common = rng.normal(size=SHAPE), Common(3, 90, max(SHAPE), 0.001, 0.5)
     own, terms = rng.normal(size=(3, 2)), rng.normal(size=(2, 90))
     pull, total = np.zeros(90), np.full(90, 4.0)
     for number in range(3):
         sight = replace(seen_at(rng), pixel=rng.permutation(90)[:60])
-        residual, precision = rng.normal(size=60), rng.uniform(0.5, 2.0, 60)
+        residual, precision = rng.normal(size=60), 1e6 * rng.uniform(0.5, 1.0, 60)
         common.add(number, sight, residual, precision)
         pull[sight.pixel] += precision * (residual - dense(sight) @ step.ravel() - own[number] @ terms[:, sight.pixel])
         total[sight.pixel] += precision
-    # Places and precisions are kept in single precision.
-    np.testing.assert_allclose(common.left(step, own, terms), pull / total, atol=1e-5)
+    # Places are kept to 1/65535 of the side, where values differ by up to 3 a texel, and precisions to 1/2048.
+    np.testing.assert_allclose(common.left(step, own, terms), pull / total, atol=3.0 * 7 / 65535 + 3.0 / 2048)
 
 
 @pytest.mark.parametrize(("side", "count"), [(1.0, 1), (2.0, 2), (3.0, 3), (4.0, 4), (1.25, 2000), (0.4, 1)])

@@ -276,7 +276,8 @@ class Problem:
         normal = Normal(self.prior, own, terms)
         pattern = None
         if settings.pattern_k > 0.0 and state.rounds > 0:
-            pattern = Common(len(self.images), state.pattern.size, settings.pattern_k)
+            sizes = len(self.images), state.pattern.size, max(state.map.shape)
+            pattern = Common(*sizes, settings.noise_k, settings.pattern_k)
         # The blur has its part in how an image changes with the pose: slopes of the map alone halve the steps.
         right, down = slopes(softened(state.map, self.reach))
         slope = np.hypot(*slopes(state.map))
@@ -348,25 +349,33 @@ class Common:
     """The part of the residuals that is common to all frames after a step of the map: that of the fixed pattern.
 
     Before the step, map and pattern would both take what either of them explains, and alternate without an end where
-    the frames stand on a grid. Places on the map are kept for that, 12 bytes a pixel, because casting rays takes long.
+    the frames stand on a grid. Places on the map are kept for that, because casting rays takes long: 6 bytes a pixel,
+    with places to 1/65535 of the map's longer side.
 
     Parameters
     ----------
     frames, pixels : int
         Numbers of both.
-    pattern_k : float
-        Standard deviation of the pattern before the frames [K].
+    longest : int
+        Longer side of the map [texels].
+    noise_k, pattern_k : float
+        Least standard deviation of a pixel, and that of the pattern before the frames [K].
     """
 
-    def __init__(self, frames: int, pixels: int, pattern_k: float) -> None:
-        self._row, self._column, self._precision = np.zeros((3, frames, pixels), np.float32)
+    def __init__(self, frames: int, pixels: int, longest: int, noise_k: float, pattern_k: float) -> None:
+        self._row, self._column = np.zeros((2, frames, pixels), np.uint16)
+        # Of the precision of a pixel without misfit.
+        self._share = np.zeros((frames, pixels), np.float16)
+        self._unit, self._best = longest / 65535.0, 1.0 / noise_k**2
         self._pull, self._total = np.zeros(pixels), np.full(pixels, 1.0 / pattern_k**2)
 
     def add(self, number: int, sight: Sight, residual: Floats, precision: Floats) -> None:
         """Add a frame with the residuals (N,) of its pixels and 1 over their variances."""
         at = sight.pixel
-        self._row[number, at], self._column[number, at] = sight.row, sight.column
-        self._precision[number, at] = precision
+        self._row[number, at], self._column[number, at] = (
+            np.rint(place / self._unit) for place in (sight.row, sight.column)
+        )
+        self._share[number, at] = precision / self._best
         self._pull[at] += precision * residual
         self._total[at] += precision
 
@@ -378,8 +387,8 @@ class Common:
         """
 
         def taken(number: int) -> Floats:
-            values = bilinear(step, self._row[number], self._column[number]) + own[number] @ terms
-            return np.asarray(self._precision[number] * values)
+            row, column = (self._unit * each[number] for each in (self._row, self._column))
+            return np.asarray((bilinear(step, row, column) + own[number] @ terms) * self._share[number] * self._best)
 
         taking = np.zeros_like(self._pull)
         for values in _ahead(taken, len(self._row)):
