@@ -29,5 +29,5 @@ def figure(path, result):
         axis.grid(True, axis="y", which="both", lw=0.3, color="0.85")
         axis.set_ylim(top=2.5 * axis.get_ylim()[1])
         axis.set_axisbelow(True)
-    axes[0, 0].legend(fontsize=8, ncols=5)
+    axes[0, 0].legend(fontsize=8, ncols=5, loc="upper left")
     save(drawing, path, dpi=90)
