@@ -256,6 +256,9 @@ class Problem:
         # The first round has the poses of the registration, of which the errors look like tilts.
         square = np.sum(weights * (state.tilts + left) ** 2) / max(float(weights.sum()), 1e-300)
         tilt_k = float(np.sqrt(square)) if state.rounds > 0 else 0.0
+        if state.tilt_k > 0.0 and not state.tilts.any():
+            # Residuals are those before the solution, which is the first with tilts.
+            tilt_k = state.tilt_k
         made = replace(made, noise_k=max(noise_k, settings.noise_k), alike_px=alike_px, tilt_k=tilt_k)
         if tilt_k < settings.noise_k:
             # Below the noise, tilts would only share in what the offsets hold.
@@ -328,15 +331,16 @@ class Problem:
         return sight, residual, precision, spread
 
     def _updated(self, state: State, found: Unknowns, free: bool, pattern: "Common | None") -> State:
-        poses, tilts, own, terms = state.poses, state.tilts, found.frames[:, :1], np.ones((1, state.pattern.size))
+        poses, tilts = state.poses, state.tilts
         if state.tilt_k > 0.0:
             tilts = tilts + found.frames[:, 1:3]
-            own, terms = found.frames[:, :3], np.concatenate([terms, self.tilting])
         if free:
             poses = np.array([moved(pose, step[-6:]) for pose, step in zip(poses, found.frames, strict=True)])
         made = state.pattern
         if pattern is not None:
-            # Of the vignetting's terms, `_without` leaves nothing.
+            common = np.broadcast_to(found.common, (len(poses), len(found.common)))
+            own = np.concatenate([found.frames[:, :1], tilts - state.tilts, common], axis=1)
+            terms = np.concatenate([np.ones((1, made.size)), self.tilting, self.vignetting])
             made = _without(made + pattern.left(found.map, own, terms).reshape(made.shape), self.vignetting)
         return replace(
             state, map=state.map + sharpened(found.map, self.reach, TERMS), classes=state.classes + found.classes,
