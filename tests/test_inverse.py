@@ -298,21 +298,6 @@ def test_tilts_of_frames_are_found_where_they_exceed_the_noise(survey):
     assert not without.state.tilts.any()
 
 
-def test_tilts_are_judged_by_residuals_that_they_have_a_part_in(survey, fixed):
-    (_, clean, _, _), (found, _) = survey, fixed
-    flown, _ = with_errors(clean)
-    linear = LinearKelvin(found.camera.band_um, 300.0)
-    images = np.array([linear.of(image) for image in flown.kelvin], np.float32)
-    prior = Prior(found.state.map, np.ones(found.state.map.shape), np.zeros(found.state.map.shape, int), 1.0)
-    settings = Settings(texel_m=1.0, pose_error=PoseError(0.0, 0.0), noise_k=NOISE_K)
-    problem = Problem(found.renderer, found.camera, images, clean.poses, found.lattice, prior, settings)
-    # The residuals of this state, which has no tilts yet, say little of the tilts that the round finds.
-    blank = np.zeros_like(found.state.tilts)
-    made = problem.round(replace(found.state, classes=np.zeros(1), tilts=blank, tilt_k=0.5))
-    assert made.tilt_k == 0.5 and made.tilts.any()
-    assert problem.round(made).tilt_k < 0.25
-
-
 def test_a_strip_of_a_frame_has_no_weight_in_the_tilts():
     rng = np.random.default_rng(3)
     right, down, noise = rng.uniform(-1.0, 1.0, (3, 400))

@@ -256,9 +256,6 @@ class Problem:
         # The first round has the poses of the registration, of which the errors look like tilts.
         square = np.sum(weights * (state.tilts + left) ** 2) / max(float(weights.sum()), 1e-300)
         tilt_k = float(np.sqrt(square)) if state.rounds > 0 else 0.0
-        if state.tilt_k > 0.0 and not state.tilts.any():
-            # Residuals are those before the solution, which is the first with tilts.
-            tilt_k = state.tilt_k
         made = replace(made, noise_k=max(noise_k, settings.noise_k), alike_px=alike_px, tilt_k=tilt_k)
         if tilt_k < settings.noise_k:
             # Below the noise, tilts would only share in what the offsets hold.
