@@ -8,7 +8,7 @@ import pytest
 
 from thermorender.inverse import normal as normal_module
 from thermorender.inverse.normal import Normal, Prior, Stencil, Sums, footprint, links
-from thermorender.inverse.solve import Common
+from thermorender.inverse.solve import Common, _alike
 from thermorender.inverse.weights import Sight, bilinear, texel_means
 
 SHAPE = (7, 6)
@@ -129,6 +129,17 @@ def test_common_part_of_residuals_is_their_weighted_mean_after_the_steps():
         total[sight.pixel] += precision
     # Places are kept to 1/65535 of the side, where values differ by up to 3 a texel, and precisions to 1/2048.
     np.testing.assert_allclose(common.left(step, own, terms), pull / total, atol=3.0 * 7 / 65535 + 3.0 / 2048)
+
+
+@pytest.mark.parametrize(("side", "alike"), [(1, 1.0), (4, 16.0), (8, 64.0), (16, 256.0)])
+def test_pixels_alike_are_the_pixels_of_a_square_with_one_error(side, alike):
+    # 1280 squares whose means differ: four standard errors of their variance are 16 %.
+    shape, count = (512, 640), 512 * 640
+    squares = np.random.default_rng(6).normal(size=(shape[0] // side, shape[1] // side))
+    residual = np.kron(squares, np.ones((side, side))).ravel()
+    nothing = np.zeros((2, count), np.float32)
+    sight = Sight(np.arange(count), nothing[0], nothing[0], nothing, nothing, nothing, nothing)
+    assert abs(_alike(shape, sight, residual, np.full(count, 9.0)) / alike - 1.0) < 0.16
 
 
 @pytest.mark.parametrize(("side", "count"), [(1.0, 1), (2.0, 2), (3.0, 3), (4.0, 4), (1.25, 2000), (0.4, 1)])

@@ -319,7 +319,7 @@ class Normal:
 
     @property
     def _halves(self) -> tuple[slice, slice]:
-        """Halves of the frames: two whatever the number of threads, which therefore does not change a sum."""
+        """Two halves of the frames. Sums are added in this order for any number of threads."""
         middle = self.count // 2
         return slice(0, middle), slice(middle, self.count)
 

@@ -191,7 +191,7 @@ def write_page(found: Reconstruction, folder: Path) -> Path:
     facts = record(found)
     name = text(facts["scene"])
     lines = [
-        f"{facts['frames']} frames of {facts['camera']}, texels of {facts['texel_m']:g} m, "
+        f"{facts['frames']} frames of {facts['camera']}, texels of {facts['texel_m']:.3g} m, "
         f"{facts['texels_shown']} of them shown",
         f"standard deviation of a texel {facts['std_median_k']:.3f} K in the median, without the common level",
         f"common level ± {facts['level_std_k']:.2f} K, from {facts['level_of']}",

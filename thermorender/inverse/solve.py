@@ -7,7 +7,7 @@ mean of radiances, so the forward model is exactly linear in it.
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -266,7 +266,7 @@ class Problem:
         self, state: State, free: bool, progress: Progress | None, draws: Draws | None = None
     ) -> tuple[Normal, Floats, Floats, float, float, "Common | None"]:  # fmt: skip
         """(Normal, tilts of the residuals (F, 2), their weights, their standard deviation, pixels alike, Common)."""
-        settings = self.settings
+        settings, pattern = self.settings, None
         tilted = [1.0 / state.tilt_k**2] * 2 if state.tilt_k > 0.0 else []
         # What pixels have in common, such as a change of the ground between passes, would move poses as if each of them
         # had seen it independently.
@@ -274,7 +274,6 @@ class Problem:
         own = np.concatenate([[1.0 / settings.offset_k**2], tilted, *poses])
         terms = np.full(len(self.vignetting), 1.0 / settings.vignette_k**2)
         normal = Normal(self.prior, own, terms)
-        pattern = None
         if settings.pattern_k > 0.0 and state.rounds > 0:
             sizes = len(self.images), state.pattern.size, max(state.map.shape)
             pattern = Common(*sizes, settings.noise_k, settings.pattern_k)
@@ -282,7 +281,7 @@ class Problem:
         right, down = slopes(softened(state.map, self.reach))
         slope = np.hypot(*slopes(state.map))
 
-        def summed(number: int) -> tuple[Sums, Drawn | None, Floats, float, tuple[Sight, Floats, Floats]]:
+        def summed(number: int) -> "_Summed":
             sight, residual, precision, spread = self._measured(state, number, slope)
             plane = np.concatenate([np.ones((1, residual.size)), self.tilting[:, sight.pixel]])
             columns = plane if tilted else plane[:1]
@@ -291,12 +290,13 @@ class Problem:
             given = residual, precision, columns, self.vignetting[:, sight.pixel]
             seen = footprint(sight)
             drawn = draws.of_frame(number, seen, sight.pixel, *given) if draws is not None else None
-            return Sums.of(seen, *given), drawn, _tilt(plane, residual, precision), spread, (sight, *given[:2])
+            pixels, tilt = (sight, residual, precision), _tilt(plane, residual, precision)
+            return _Summed(Sums.of(seen, *given), drawn, tilt, spread, _alike(state.pattern.shape, *pixels), pixels)
 
         spreads, alike, found = list[float](), list[float](), list[Floats]()
-        for number, (sums, drawn, tilt, spread, seen) in enumerate(_ahead(summed, len(self.images))):
+        for number, (sums, drawn, tilt, spread, alike_px, pixels) in enumerate(_ahead(summed, len(self.images))):
             spreads.append(spread)
-            alike.append(_alike(state.pattern.shape, *seen))
+            alike.append(alike_px)
             found.append(tilt)
             away = np.array([state.offsets[number], *(state.tilts[number] if tilted else ())])
             if free:
@@ -305,7 +305,7 @@ class Problem:
             if draws is not None and drawn is not None:
                 draws.add(number, drawn, sums)
             if pattern is not None:
-                pattern.add(number, *seen)
+                pattern.add(number, *pixels)
             if progress is not None:
                 progress("solving the map", (number + 1) / (len(self.images) + 1))
         tilts, weights = np.array(found).transpose(1, 0, 2)
@@ -344,6 +344,17 @@ class Problem:
             offsets=state.offsets + found.frames[:, 0], tilts=tilts, vignette=state.vignette + found.common,
             pattern=made, poses=poses, rounds=state.rounds + 1,
         )  # fmt: skip
+
+
+class _Summed(NamedTuple):
+    """What a frame adds to the equations, and what its residuals show."""
+
+    sums: Sums
+    drawn: Drawn | None
+    tilt: Floats
+    spread_k: float
+    alike_px: float
+    pixels: tuple[Sight, Floats, Floats]
 
 
 class Common:
