@@ -337,8 +337,7 @@ def _store_often(folder, name, own, other, count):
 def test_two_processes_store_at_once(terrain, kept, tmp_path):
     # Different light under one key, so that a mixture of both would match neither.
     plain = [
-        radiosity.Transport(*(getattr(light, name) for name in ("rays", "start", "seen", "hits", "up", "down")))
-        for light in (terrain, traced(tmp_path / "s", rough(12), 64)[0])
+        radiosity.Transport(*vars(light).values()) for light in (terrain, traced(tmp_path / "s", rough(12), 64)[0])
     ]
     spawn = multiprocessing.get_context("spawn")
     arguments = [(kept.parent, "d" * 40, *pair, 60) for pair in (plain, plain[::-1])]

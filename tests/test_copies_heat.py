@@ -52,7 +52,8 @@ def test_patches_have_the_mean_temperature_and_the_scatter_of_their_leaves(tmp_p
     single = solved_at(apart(scene), [scene.time])[0].surfaces[1]
     own = single.temperature.ravel()[: len(single.faces)].reshape(len(body), -1)
     geometry = Geometry(activate(), [trees])
-    weight = body.face_area * light_leaves.open_shares(geometry, 0, radiosity.openness).sum(axis=1)
+    opened = light_leaves.open_points(geometry, 0, radiosity.openness)
+    weight = body.face_area * (opened.sky + opened.below)
     total = np.bincount(body.patch, weight)
     mean = np.array([np.bincount(body.patch, weight * copy) / total for copy in own])
     square = np.array([np.bincount(body.patch, weight * copy**2) / total for copy in own])

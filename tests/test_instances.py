@@ -189,7 +189,7 @@ def test_scene_says_how_many_copies_it_has(tmp_path):
 @pytest.mark.parametrize("rays", [2, 6])
 def test_rays_of_copies_need_no_whole_number_of_lanes(tmp_path, rays):
     geometry = Geometry(activate(), tr.load_scene(write_copies(tmp_path / "s")).surfaces)
-    origin, *_ = radiosity.FaceRays(geometry, rays // 2)(0, 3, 0)
+    origin, *_ = radiosity.FaceRays(geometry, rays // 2)(geometry.mi.UInt32([0, 1, 2]), 0)
     assert np.isfinite(np.array(origin)).all() and dr.width(origin) == 3 * rays
 
 

@@ -29,6 +29,7 @@ def closed():
         rays=_RAYS, start=start, seen=np.concatenate([seen for seen, _ in rows]).astype(np.int32),
         hits=np.concatenate([hits for _, hits in rows]).astype(np.uint16),
         up=np.zeros((_FACES, 2, radiosity.SKY_BINS), np.uint16), down=np.zeros((_FACES, 2), np.uint16),
+        touching=np.zeros(0, np.uint32),
     )  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from thermorender.materials.material import Material
 from thermorender.render.arrays import Floats, Jit, Mitsuba
 from thermorender.render.geometry import Geometry
 from thermorender.render.layers import OutgoingRadiance
-from thermorender.render.light import radiosity
+from thermorender.render.light import contacts, radiosity
 from thermorender.render.light.environment import Environment
 from thermorender.render.light.gmres import gmres
 from thermorender.render.plan import Plan
@@ -126,6 +126,8 @@ class DynamicObject:
     ) -> None:  # fmt: skip
         self.surfaces, self._plan = tracked.surfaces, plan
         self.geometry = Geometry(mi, tracked.surfaces)
+        whole = np.arange(self.geometry.face_count)
+        self._covered = contacts.covered(self.geometry, contacts.solid(self.geometry), whole)
         # All texels have the same material.
         self._material = int(tracked.surfaces[0].material.flat[0])
         self._emissivity_at = materials[self._material].emissivity_at
@@ -180,7 +182,8 @@ class DynamicObject:
         spectrum, known = plan.spectrum, len(static.seen)
         half = (plan.rays + 1) // 2
         rays = 2 * half
-        origin, direction, reverse, _ = radiosity.face_rays(self.geometry, half)
+        rays_of = radiosity.FaceRays(self.geometry, half, self._covered)
+        origin, direction, reverse, _ = rays_of(dr.arange(mi.UInt32, count), 0)
         matrix, origin_m = _matrix(mi, pose)
         start, along = matrix @ origin + origin_m, matrix @ direction
         # Rays go both ways from a face: a sheet radiates to both sides, and each end shows the light that the object

@@ -59,7 +59,7 @@ class Geometry:
         Smallest offset used between points [m]: 64 float32 steps at `reach`.
     records : (8 F,) mi.Float
         For each face, gradient and offset of the texel map's column, then of its row.
-    openness : dict
+    openness : dict of int to leaves.Open
         What `light.leaves` has traced of the bodies of copies, by the number of the surface.
     levels : int
         Levels of the texels' averages over squares, see `averaged`; 1 where every surface has a single texel.
@@ -102,7 +102,7 @@ class Geometry:
         squares = squares.transpose(1, 0, 2).reshape(-1, 2)
         start = np.concatenate([[0], np.cumsum(squares.prod(axis=1))])
         self._surfaces, self._boxes = len(surfaces), dict[int, Floats]()
-        self.openness = dict[int, Floats]()
+        self.openness = dict[int, Any]()
         parts = (start[:-1], squares[:, 0], squares[:, 1])
         self._lattice = tuple(mi.Int32(aligned(part, np.int32)) for part in parts)
         self.records = mi.Float(aligned(of_faces(surfaces, _map_records, (8,))))
@@ -112,9 +112,9 @@ class Geometry:
         """Whether a surface consists of copies of a body."""
         return self._copies is not None
 
-    def cast(self, ray: Jit, coherent: bool = False) -> Hit:
-        """Return the Hit of rays (an mi.Ray3f)."""
-        return self._hit(self.caster.ray_intersect_preliminary(ray, coherent=coherent))
+    def cast(self, ray: Jit, coherent: bool = False, active: Jit = True) -> Hit:
+        """Return the Hit of rays (an mi.Ray3f); inactive ones miss."""
+        return self._hit(self.caster.ray_intersect_preliminary(ray, coherent=coherent, active=active))
 
     def _hit(self, found: Jit) -> Hit:
         mi = self.mi

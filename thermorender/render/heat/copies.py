@@ -120,7 +120,9 @@ class Copies:
         sun = mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards))
         for start in range(0, whole, _AT_ONCE):
             count = min(_AT_ONCE, whole - start)
-            origin, _, _, normal = self._rays_of(self.first + start, count, 0)
+            origin, _, _, normal = self._rays_of(
+                dr.arange(mi.UInt32, count) + dr.opaque(mi.UInt32, self.first + start), 0
+            )
             cosine = dr.dot(normal, sun)
             lit = (cosine > 0.0) & ~self._geometry.caster.ray_test(mi.Ray3f(origin, sun), active=cosine > 0.0)
             found = np.array(dr.select(lit, cosine, 0.0)).reshape(count, -1)

@@ -4,13 +4,14 @@ from dataclasses import dataclass
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.physics import sun
 from thermorender.render.air import altitude
 from thermorender.render.arrays import Floats
 from thermorender.render.geometry import Geometry
-from thermorender.render.light import radiosity
+from thermorender.render.light import contacts, radiosity
 from thermorender.render.plan import Plan
 from thermorender.render.spectrum import Spectrum
 from thermorender.scene.scene import Scene
@@ -55,8 +56,8 @@ def even(sky: Floats, background: Floats, faces: int) -> Environment:
     return Environment(bins, np.ones((faces, 1)), np.asarray(background))
 
 
-def of_scene(scene: Scene, plan: Plan, geometry: Geometry) -> Environment:
-    """Return the Environment of a scene's faces."""
+def of_scene(scene: Scene, plan: Plan, geometry: Geometry, touching: NDArray[np.integer]) -> Environment:
+    """Return the Environment of a scene's faces; those `touching` something solid are as of `radiosity.Transport`."""
     spectrum = plan.spectrum
     background = spectrum.black([scene.surroundings_temperature])[0]
     if scene.air is None:
@@ -67,7 +68,7 @@ def of_scene(scene: Scene, plan: Plan, geometry: Geometry) -> Environment:
     position = (height - low) / max(high - low, 1e-9) * (len(levels) - 1)
     level = np.maximum(1.0 - np.abs(position[:, None] - np.arange(len(levels))), 0.0)
     sky = np.stack([spectrum.of_air(sky_bins(scene.air, at)) for at in levels])
-    direct = _sunlight(scene, spectrum, geometry, low) if plan.sun else None
+    direct = _sunlight(scene, spectrum, geometry, low, touching) if plan.sun else None
     return Environment(sky, level, background, direct)
 
 
@@ -84,7 +85,9 @@ def sky_bins(air: Atmosphere, at_m: float) -> Floats:
     return (weight[..., None] * air.sky_radiance(at_m, cosine)).sum(axis=1) / weight.sum(axis=1, keepdims=True)
 
 
-def _sunlight(scene: Scene, spectrum: Spectrum, geometry: Geometry, at_m: float) -> Floats:
+def _sunlight(
+    scene: Scene, spectrum: Spectrum, geometry: Geometry, at_m: float, touching: NDArray[np.integer]
+) -> Floats:
     """The sun's irradiance on each face over π, (F, N) [W m⁻²]."""
     assert scene.air is not None and scene.sun is not None
     mi, towards = geometry.mi, sun.direction(scene.sun.elevation_deg, scene.sun.azimuth_deg)
@@ -93,11 +96,13 @@ def _sunlight(scene: Scene, spectrum: Spectrum, geometry: Geometry, at_m: float)
     share = scene.air.shares(sun.BRIGHTNESS_TEMPERATURE_K)[points.node]
     light = (1.0 - scene.air.cloud_fraction) * sun.irradiance(points.wavelength_um) * points.weight * share
     light = spectrum.gathered(light * passed[points.node]) / np.pi
-    rays_of, seen = radiosity.FaceRays(geometry, _SUN_POINTS // 2), np.empty(geometry.face_count)
+    covered = contacts.covered(geometry, contacts.solid(geometry), touching)
+    rays_of, seen = radiosity.FaceRays(geometry, _SUN_POINTS // 2, covered), np.empty(geometry.face_count)
     direction = mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards))
     for first in range(0, geometry.face_count, _FACES_AT_ONCE):
         count = min(_FACES_AT_ONCE, geometry.face_count - first)
-        origin, _, _, normal = rays_of(first, count, 0)
+        # Opaque: a literal would compile the kernel again for each part.
+        origin, _, _, normal = rays_of(dr.arange(mi.UInt32, count) + dr.opaque(mi.UInt32, first), 0)
         cosine = dr.dot(normal, direction)
         lit = (cosine > 0.0) & ~geometry.cast(mi.Ray3f(origin, direction)).valid
         seen[first : first + count] = np.array(dr.select(lit, cosine, 0.0)).reshape(count, -1).mean(axis=1)

@@ -1,11 +1,11 @@
-"""Rays from the copies of bodies, such as crowns: a patch sends them from its triangles.
+"""Rays from the copies of bodies, such as crowns: a patch sends them from points of its triangles.
 
-Triangles are drawn by their area and by the share of their hemisphere that the body itself leaves open. The light of a
-patch is then that of the leaves that are seen from outside: a leaf that a camera sees also receives more of the sky
-than one within the crown.
+Points are drawn by area among those from which a ray leaves the body. The light of a patch is then that of what is seen
+from outside: a leaf that a camera sees also receives more of the sky than one within the crown.
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import drjit as dr
 import numpy as np
@@ -16,13 +16,26 @@ from thermorender.render.geometry import Geometry
 from thermorender.render.plan import Plan
 from thermorender.render.spectrum import REFERENCE_K
 from thermorender.scene.scene import Scene
-from thermorender.scene.solids.instances import Instances, alone
+from thermorender.scene.solids.instances import alone
 
-# Triangles that represent a patch. Successive rays start from successive ones.
+# Points that represent a patch. Successive rays start from successive ones.
 _DRAWN = 256
 _SEED, _HASH = 0x1EAF, 2654435761
-# Least share of an open hemisphere, so that each patch has triangles to draw.
+# Least weight and share of an open hemisphere, so that each patch has points to draw.
 _LEAST_OPEN = 1e-3
+
+
+class Open(NamedTuple):
+    """How open the triangles of a body alone are."""
+
+    sky: Floats  # (F,) share of each triangle's hemisphere that sees the sky
+    below: Floats  # (F,) share that sees what is beyond all triangles below it
+    point: NDArray[np.float32]  # (F, R, 3) points of each triangle from which rays start [m]
+    out: NDArray[np.bool_]  # (F, R) whether the ray leaves the body
+
+
+# Of a body's Geometry.
+Openness = Callable[[Geometry], Open]
 
 
 def frames(corners: Floats) -> Floats:
@@ -36,26 +49,26 @@ def frames(corners: Floats) -> Floats:
 
 
 class Leaves:
-    """Triangles of patches, and the places of their copies.
+    """Points of patches, and the places of their copies.
 
     Attributes
     ----------
     frames : (n, 4, 3) float64
-        Of the triangles that represent the patches, as `frames`, in the frame of their body.
+        Of the points that represent the patches, as `frames` but without extent, in the frame of their body.
 
     Parameters
     ----------
     openness : callable
-        Returns the shares of each face's hemisphere that see sky and surroundings, (F, 2), of a body's Geometry.
+        As `radiosity.openness`.
     """
 
-    def __init__(self, geometry: Geometry, openness: Callable[[Geometry], Floats]) -> None:
+    def __init__(self, geometry: Geometry, openness: Openness) -> None:
         self._mi = mi = geometry.mi
         first = np.arange(geometry.face_count, dtype=np.uint32)
         drawn = np.ones(geometry.face_count, np.uint32)
         turn = np.tile(np.array([1.0, 0.0, 1.0, 0.0], np.float32), (geometry.face_count, 1))
         shift = np.zeros((geometry.face_count, 3), np.float32)
-        found: list[Floats] = []
+        found = list[Floats]()
         random, count = np.random.Generator(np.random.Philox(_SEED)), geometry.face_count
         for number, surface in enumerate(geometry.surfaces):
             body = surface.instances
@@ -67,9 +80,15 @@ class Leaves:
             matrix = np.repeat(body.matrices, body.patches, axis=0)
             turn[here, 0], turn[here, 1] = matrix[:, 0, 0], matrix[:, 0, 1]
             turn[here, 2], shift[here] = matrix[:, 2, 2], matrix[:, :, 3]
-            weight = body.face_area * np.maximum(open_shares(geometry, number, openness).sum(axis=1), _LEAST_OPEN)
+            opened = open_points(geometry, number, openness)
+            weight = body.face_area[:, None] * np.where(opened.out, 1.0, _LEAST_OPEN)
+            normal = frames(body.vertices[body.faces])[:, 3]
             for patch in range(body.patches):
-                found.append(frames(body.vertices[body.faces[_drawn(body, patch, weight, random)]]))
+                own = np.flatnonzero(body.patch == patch)
+                triangle, ray = np.divmod(_drawn(weight[own].reshape(-1), random), opened.out.shape[1])
+                made = np.zeros((_DRAWN, 4, 3))
+                made[:, 0], made[:, 3] = opened.point[own[triangle], ray], normal[own[triangle]]
+                found.append(made)
                 count += _DRAWN
         self.frames = np.concatenate(found)
         self._first, self._count = (mi.UInt32(aligned(values, np.uint32)) for values in (first, drawn))
@@ -96,24 +115,22 @@ class Leaves:
         return turned(corner) + shift, turned(edge_u), turned(edge_v), turned(normal) / turn.z
 
 
-def open_shares(geometry: Geometry, number: int, openness: Callable[[Geometry], Floats]) -> Floats:
-    """Return `openness` of the body of a surface of copies, by the surface's number; it is traced once."""
+def open_points(geometry: Geometry, number: int, openness: Openness) -> Open:
+    """Return the Open of the body of a surface of copies, by the surface's number; it is traced once."""
     if number not in geometry.openness:
         geometry.openness[number] = openness(Geometry(geometry.mi, [alone(geometry.surfaces[number])]))
-    return geometry.openness[number]
+    found: Open = geometry.openness[number]
+    return found
 
 
-def _drawn(body: Instances, patch: int, weight: Floats, random: np.random.Generator) -> NDArray[np.intp]:
-    """Triangles of a patch, evenly by weight and in random order."""
-    own = np.flatnonzero(body.patch == patch)
-    share = np.cumsum(weight[own])
+def _drawn(weight: Floats, random: np.random.Generator) -> NDArray[np.intp]:
+    """Numbers of points, evenly by weight and in random order, (_DRAWN,)."""
+    share = np.cumsum(weight)
     place = (random.permutation(_DRAWN) + 0.5) / _DRAWN * share[-1]
-    return own[np.minimum(np.searchsorted(share, place), len(own) - 1)]
+    return np.minimum(np.searchsorted(share, place), len(weight) - 1)
 
 
-def within(
-    geometry: Geometry, openness: Callable[[Geometry], Floats], sky: Floats, reflected: NDArray[np.floating]
-) -> Floats:
+def within(geometry: Geometry, openness: Openness, sky: Floats, reflected: NDArray[np.floating]) -> Floats:
     """Return an estimate of the scatter of reflected light within the patches of copies, (F,); 0 for other faces.
 
     Parameters
@@ -156,7 +173,7 @@ def emitted(geometry: Geometry, scene: Scene, plan: Plan) -> Floats:
     return found
 
 
-def within_body(geometry: Geometry, number: int, openness: Callable[[Geometry], Floats]) -> Floats:
+def within_body(geometry: Geometry, number: int, openness: Openness) -> Floats:
     """Return the spread of the share of sky over the triangles of each patch of a body alone, (patches,).
 
     It is the root mean square deviation of triangles that a view from above sees, from the mean of those from which
@@ -164,8 +181,8 @@ def within_body(geometry: Geometry, number: int, openness: Callable[[Geometry], 
     """
     body = geometry.surfaces[number].instances
     assert body is not None
-    up, down = open_shares(geometry, number, openness).T
-    weight = body.face_area * np.maximum(up + down, _LEAST_OPEN)
+    opened = open_points(geometry, number, openness)
+    up, weight = opened.sky, body.face_area * np.maximum(opened.sky + opened.below, _LEAST_OPEN)
     mean = np.bincount(body.patch, weight * up) / np.bincount(body.patch, weight)
     seen = body.face_area * np.maximum(up, _LEAST_OPEN)
     square = np.bincount(body.patch, seen * (up - mean[body.patch]) ** 2) / np.bincount(body.patch, seen)

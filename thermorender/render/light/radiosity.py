@@ -18,7 +18,7 @@ small: see `solve`. Normals are those of the flat faces.
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import drjit as dr
 import numpy as np
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.render.arrays import Floats, Jit, Mitsuba, aligned
 from thermorender.render.geometry import Geometry, of_faces
-from thermorender.render.light import leaves
+from thermorender.render.light import contacts, leaves
 from thermorender.render.light.exchange import Exchange, threads
 from thermorender.render.light.gmres import STEPS
 from thermorender.scene.surface import Surface
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from thermorender.render.light.environment import Environment
 
 # A cached Transport of another version is not used: increase this when the result of `trace` changes.
-VERSION = 4
+VERSION = 5
 # Bins of zenith angle for rays to the sky, even in the root of its cosine: narrow at the horizon.
 SKY_BINS = 16
 # About 30 bytes per ray at once.
@@ -58,6 +58,8 @@ _FACES_AT_ONCE = 3000
 _OPEN_RAYS = 64
 # Steps of the table of chords of the unit disk.
 _CHORDS = 4096
+# In place of the row of a face without a covered part.
+_OPEN = 0xFFFFFFFF
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,7 @@ class Transport:
     hits: NDArray[np.uint16]  # (nnz,) number of rays that hit them
     up: NDArray[np.uint16]  # (F, 2, SKY_BINS) rays of each half that see the sky, by zenith angle
     down: NDArray[np.uint16]  # (F, 2) rays of each half that see the surroundings below the horizon
+    touching: NDArray[np.uint32]  # (n,) faces that something solid may cover in part, see `contacts`
 
     @property
     def sky(self) -> Floats:
@@ -148,25 +151,66 @@ def trace(geometry: Geometry, rays: int, progress: Callable[[float], object] | N
         0…2³²−1; another seed gives an independent estimate.
     """
     mi, count, half = geometry.mi, geometry.face_count, (rays + 1) // 2
-    rays_of = FaceRays(geometry, half)
+    rays_of, solids = FaceRays(geometry, half), contacts.solid(geometry)
+    back = None if solids is None else mi.UInt8(aligned(solids, np.uint8))
     up, down = np.empty((count, 2, SKY_BINS), dtype=np.uint16), np.empty((count, 2), dtype=np.uint16)
-    lengths, seen, hits = list[Any](), list[Any](), list[Any]()
-    step = max(1, _RAYS_AT_ONCE // (2 * half))
-    for first in range(0, count, step):
-        here = min(step, count - first)
-        origin, direction, _, _ = rays_of(first, here, seed)
+    touching = np.zeros(count, dtype=bool)
+
+    def rows_of(rays_of: FaceRays, faces: NDArray[np.uint32]) -> _Rows:
+        """The rows of some faces; what their rays see beyond the surfaces is written to `up` and `down`."""
+        origin, direction, _, _ = rays_of(mi.UInt32(aligned(faces, np.uint32)), seed)
         found = geometry.cast(mi.Ray3f(origin, direction))
         # One number per ray: the face, or face count plus the code of the background.
         code = dr.select(found.valid, found.face, count + background_code(mi, direction))
-        part = _counted(np.array(code, dtype=np.int32).reshape(2 * here, half), count)
-        for whole, values in zip((lengths, seen, hits), part[:3], strict=True):
-            whole.append(values)
-        up[first : first + here] = part[3][:, :SKY_BINS].reshape(here, 2, SKY_BINS)
-        down[first : first + here] = part[3][:, SKY_BINS].reshape(here, 2)
+        if back is not None:
+            behind = contacts.backs(geometry, back, found.face, direction, found.valid)
+            dr.eval(code, behind)
+            touching[faces] |= np.array(behind, dtype=bool).reshape(len(faces), -1).any(axis=1)
+        length, seen, hits, missing = _counted(np.array(code, dtype=np.int32).reshape(2 * len(faces), half), count)
+        up[faces] = missing[:, :SKY_BINS].reshape(-1, 2, SKY_BINS)
+        down[faces] = missing[:, SKY_BINS].reshape(-1, 2)
+        return _Rows(length, seen, hits)
+
+    step = max(1, _RAYS_AT_ONCE // (2 * half))
+    parts = [np.arange(first, min(first + step, count), dtype=np.uint32) for first in range(0, count, step)]
+    rows = list[_Rows]()
+    for part in parts:
+        rows.append(rows_of(rays_of, part))
         if progress:
-            progress((first + here) / count)
-    start = np.concatenate([[0], np.cumsum(np.concatenate(lengths), dtype=np.int64)])
-    return Transport(half, start, np.concatenate(seen), np.concatenate(hits), up, down)
+            progress((int(part[-1]) + 1) / count)
+    at_risk = np.flatnonzero(touching).astype(np.uint32)
+    covered = contacts.covered(geometry, solids, at_risk)
+    if covered is not None:
+        rays_of = FaceRays(geometry, half, covered)
+        for number, part in enumerate(parts):
+            again = covered.faces[slice(*np.searchsorted(covered.faces, [part[0], part[-1] + 1]))]
+            if len(again):
+                rows[number] = rows[number].replaced(again - part[0], rows_of(rays_of, again))
+    lengths, seen, hits = (np.concatenate([getattr(each, name) for each in rows]) for name in _Rows._fields)
+    start = np.concatenate([[0], np.cumsum(lengths, dtype=np.int64)])
+    return Transport(half, start, seen, hits, up, down, at_risk)
+
+
+class _Rows(NamedTuple):
+    """Rows of a Transport: two for each of n faces."""
+
+    length: NDArray[np.int64]  # (2 n,)
+    seen: NDArray[np.int32]
+    hits: NDArray[np.uint16]
+
+    def replaced(self, faces: NDArray[np.integer], others: "_Rows") -> "_Rows":
+        """Return these rows with those of some ascending faces, counted from the first, replaced by others."""
+        new = np.zeros(len(self.length), dtype=bool)
+        new.reshape(-1, 2)[faces] = True
+        length = self.length.copy()
+        length[new] = others.length
+        kept, here = np.repeat(~new, self.length), np.repeat(~new, length)
+        found = []
+        for own, other in ((self.seen, others.seen), (self.hits, others.hits)):
+            values = np.empty(len(here), own.dtype)
+            values[here], values[~here] = own[kept], other
+            found.append(values)
+        return _Rows(length, *found)
 
 
 def sky_edges() -> Floats:
@@ -314,14 +358,6 @@ def blocks(faces: int, nodes: int, vectors: int = STEPS + 4) -> list[slice]:
     return [slice(first, min(first + size, nodes)) for first in range(0, nodes, size)]
 
 
-def face_rays(geometry: Geometry, half: int) -> tuple[Jit, Jit, Jit, Jit]:
-    """Return (origin, direction, origin on the face's other side, normal) of 2 × `half` rays from every face.
-
-    They are Dr.Jit arrays, with the rays of a face side by side.
-    """
-    return FaceRays(geometry, half)(0, geometry.face_count, 0)
-
-
 class FaceRays:
     """The cosine-distributed rays from faces, in two halves of `half` rays.
 
@@ -330,9 +366,11 @@ class FaceRays:
     Cosine-distributed directions are even over the unit disk (Malley's method). The disk is divided here by level
     chords: at angle θ, sin θ from the middle, a share 1/2 + (θ + sin θ cos θ) / π of the disk is below. A far horizon
     then lies at the same share of all chords, whatever the slope, and Sobol points resolve it to 1 / n.
+
+    Rays of covered faces start at their open points, of which the third Sobol dimension chooses one.
     """
 
-    def __init__(self, geometry: Geometry, half: int) -> None:
+    def __init__(self, geometry: Geometry, half: int, covered: contacts.Contacts | None = None) -> None:
         from scipy.stats import qmc
 
         self._mi, self._rays = geometry.mi, 2 * half
@@ -348,14 +386,26 @@ class FaceRays:
             found = np.concatenate([found, self._leaves.frames])
         self._faces = [self._mi.Float(aligned(found[:, k])) for k in range(4)]
         self._lift = dr.opaque(self._mi.Float, geometry.hair)
+        self._covered = None
+        if covered is not None:
+            # By row of the frames: its place in the tables of covered faces.
+            place = np.full(len(found), _OPEN, np.uint32)
+            place[covered.faces] = np.arange(len(covered.faces))
+            tables = place, covered.start, covered.spots
+            self._covered = tuple(self._mi.UInt32(aligned(each, np.uint32)) for each in tables)
+            self._spots = self._mi.Float(aligned(contacts.points()))
 
-    def __call__(self, first: int, count: int, seed: int) -> tuple[Jit, Jit, Jit, Jit]:
-        """(origin, direction, origin on the other side, normal) of the rays of `count` faces from `first` on."""
+    def __call__(self, faces: Jit, seed: int) -> tuple[Jit, Jit, Jit, Jit]:
+        """(origin, direction, origin on the other side, normal) of the rays of faces, (n,) UInt32, side by side."""
         mi = self._mi
-        index = dr.arange(mi.UInt32, count * self._rays)
-        # Opaque: literals would compile the kernel again for each part.
-        face, number = index // self._rays + dr.opaque(mi.UInt32, first), index % self._rays
+        index = dr.arange(mi.UInt32, len(faces) * self._rays)
+        face, number = dr.gather(mi.UInt32, faces, index // self._rays), index % self._rays
         row = face if self._leaves is None else self._leaves.row(face, number)
+        if self._covered is not None:
+            place, start, spots = self._covered
+            place = dr.gather(mi.UInt32, place, row)
+            covered = place != _OPEN
+            row = dr.select(covered, dr.gather(mi.UInt32, start, place, covered), row)
         corner, edge_u, edge_v, normal = (dr.gather(mi.Vector3f, values, row) for values in self._faces)
         if self._leaves is not None:
             corner, edge_u, edge_v, normal = self._leaves.placed(face, corner, edge_u, edge_v, normal)
@@ -372,6 +422,13 @@ class FaceRays:
         across, half_chord = dr.sincos(angle)
         along = (2.0 * u[1] - 1.0) * half_chord
         out = dr.safe_sqrt((1.0 - dr.square(along)) - dr.square(across))
+        if self._covered is not None:
+            spot = dr.minimum(mi.UInt32(u[2] * contacts.SPOTS), contacts.SPOTS - 1)
+            spot = dr.gather(mi.UInt32, spots, place * contacts.SPOTS + spot, covered)
+            for axis in (0, 1):
+                u[2 + axis] = dr.select(
+                    covered, dr.gather(mi.Float, self._spots, 2 * spot + axis, covered), u[2 + axis]
+                )
         spot = mi.warp.square_to_uniform_triangle(mi.Point2f(u[2], u[3]))
         point, lift = corner + spot.x * edge_u + spot.y * edge_v, normal * self._lift
         level = mi.Vector3f(-normal.y, normal.x, 0.0)
@@ -400,10 +457,14 @@ def _counted(
     return np.bincount(first[surface] // rays, minlength=rows), seen[surface], hits[surface], missing
 
 
-def openness(geometry: Geometry) -> Floats:
-    """Return the shares of each face's hemisphere that see the sky and what is beyond all faces below it, (F, 2)."""
-    found = trace(geometry, _OPEN_RAYS)
-    return np.column_stack([found.sky.sum(axis=1), found.background])
+def openness(geometry: Geometry) -> leaves.Open:
+    """Return how open the faces of a Geometry are."""
+    mi, count = geometry.mi, geometry.face_count
+    origin, direction, _, _ = FaceRays(geometry, _OPEN_RAYS // 2)(dr.arange(mi.UInt32, count), 0)
+    out = ~np.array(geometry.cast(mi.Ray3f(origin, direction)).valid, dtype=bool).reshape(count, _OPEN_RAYS)
+    up = np.array(direction.z >= 0.0, dtype=bool).reshape(out.shape)
+    point = np.array(origin, dtype=np.float32).T.reshape(*out.shape, 3)
+    return leaves.Open((out & up).mean(axis=1), (out & ~up).mean(axis=1), point, out)
 
 
 def _frames(surface: Surface, part: slice) -> Floats:

@@ -102,7 +102,7 @@ def solve_scene(
         Called every few milliseconds, without arguments.
     """
     spectrum = plan.spectrum
-    around = environment.of_scene(scene, plan, geometry)
+    around = environment.of_scene(scene, plan, geometry, known.touching)
     tolerance, shares = tolerance_of(plan), black_share(plan)
     shape = (geometry.face_count, spectrum.nodes)
     incident, noise, mean = np.empty(shape, dtype=np.float32), np.zeros(shape[0]), np.zeros(shape[0])

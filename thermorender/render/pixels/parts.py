@@ -264,7 +264,7 @@ def _outside(baked: "BakedScene", faces: NDArray[np.intp]) -> Floats:
     kept, transport = baked._uploaded.get("exact", baked)._uploaded, baked.transport
     assert transport is not None
     if "environment" not in kept:
-        kept["environment"] = environment.of_scene(baked.scene, baked.plan, baked.geometry)
+        kept["environment"] = environment.of_scene(baked.scene, baked.plan, baked.geometry, transport.touching)
     around = kept["environment"]
     up = transport.up[faces].sum(axis=1, dtype=np.int64) / (2.0 * transport.rays)
     sky = around.light(up, np.zeros(len(faces)), faces)

@@ -46,20 +46,13 @@ class Rectangles:
 
 def boxes(surfaces: Sequence[Surface]) -> Floats:
     """Return the corners of boxes round the connected parts of surfaces, (n, 8, 3) [m]."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     found = []
     for surface in surfaces:
         if surface.instances is not None:
             # Leaves thinner than a pixel are many in each, so that its rays find them as they find a texture.
             continue
-        # Parts separated only by an edge of the texture are connected.
-        vertices, index = np.unique(np.asarray(surface.vertices, np.float64), axis=0, return_inverse=True)
-        faces = index.reshape(-1)[surface.faces]
-        sides = np.concatenate([faces[:, :2], faces[:, 1:]]).T
-        links = coo_array((np.ones(sides.shape[1], np.int8), sides), shape=(len(vertices),) * 2)
-        count, part = connected_components(links, directed=False)
+        vertices, _, part = connected(surface)
+        count = int(part.max(initial=-1)) + 1
         order = np.argsort(part, kind="stable")
         vertices, part = vertices[order], part[order]
         first = np.flatnonzero(np.diff(part, prepend=-1))
@@ -82,6 +75,21 @@ def boxes(surfaces: Sequence[Surface]) -> Floats:
         # Single vertices without a face are left out.
         found.append(best[np.bincount(part) > 1])
     return np.concatenate(found) if found else np.empty((0, 8, 3))
+
+
+def connected(surface: Surface) -> tuple[Floats, NDArray[np.integer], NDArray[np.integer]]:
+    """Return (vertices (V, 3) without repetitions, faces (F, 3), connected part of each vertex (V,)) of a surface.
+
+    Parts separated only by an edge of the texture are connected.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    vertices, index = np.unique(np.asarray(surface.vertices, np.float64), axis=0, return_inverse=True)
+    faces = index.reshape(-1)[surface.faces]
+    sides = np.concatenate([faces[:, :2], faces[:, 1:]]).T
+    links = coo_array((np.ones(sides.shape[1], np.int8), sides), shape=(len(vertices),) * 2)
+    return vertices, faces, connected_components(links, directed=False)[1]
 
 
 def rectangles(parts: Sequence[tuple[Floats, Floats]], pose: Floats, camera: Camera) -> Rectangles:

@@ -1,0 +1,258 @@
+"""Faces that a body covers in part: where things stand on the ground, on each other, or reach into it.
+
+Light is constant over a face, and cameras see only the part of a face that lies in the open. The rest is inside a body
+or below the ground, where it is dark or as warm as the body. Rays of a covered face therefore start in its open part.
+A face without an open part takes the rays of the nearest one that has some: nobody sees it, but texels blend into their
+neighbours.
+
+A point is covered if a ray from it first meets the back of something solid. Surfaces are solid if walks from their
+backs, reflected diffusely, do not come into the open air. Sheets and leaves are not, nor is the wall of a cavity that
+is seen from inside; a house without a floor, on ground that goes on below it, is.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.render.arrays import Floats, Jit, Mitsuba, aligned
+from thermorender.render.geometry import Geometry, of_faces
+from thermorender.render.pixels.slender import connected
+from thermorender.scene.surface import Surface
+
+# Points of a face that are tested, in an order in which neighbours are close to each other.
+SPOTS = 64
+# Walks from the back of each part of a surface: its faces, at most, the walks of each, and their longest.
+_FACES, _WALKS, _BOUNCES = 64, 16, 8
+# Walks that may come into the open air from the back of something solid: some leave at the edge of the world.
+_MOST_IN_AIR = 0.05
+# Further rays from a point, where the first leaves doubt.
+_ASIDE = 3
+# Stand-ins are sought among so many of the nearest, and face nearly the same way.
+_NEAREST, _SAME_WAY = 16, 0.7
+_RAYS_AT_ONCE = 1 << 21
+_SEED = 0x50D
+
+
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """Faces with a covered part, and where in them rays start.
+
+    Attributes
+    ----------
+    faces : (n,) uint32
+        Ascending.
+    start : (n,) uint32
+        The face on which their rays start: their own, or that of their stand-in.
+    spots : (n, SPOTS) uint8
+        Numbers of its open points among those of `points`; points of which few are open repeat.
+    """
+
+    faces: NDArray[np.uint32]
+    start: NDArray[np.uint32]
+    spots: NDArray[np.uint8]
+
+
+def points() -> Floats:
+    """Return the points of a face that are tested, (SPOTS, 2) in the unit square, neighbours close to each other."""
+    # Hammersley's points, one in each cell of eight by eight, by Morton's order of the cells.
+    index = np.arange(SPOTS)
+    place = np.column_stack([index + 0.5, _reversed(index) + 0.5]) / SPOTS
+    cell = (place * 8).astype(int)
+    bits = sum(((cell[:, axis] >> k) & 1) << (2 * k + axis) for axis in (0, 1) for k in range(3))
+    return place[np.argsort(bits)]
+
+
+def _reversed(index: NDArray[np.integer]) -> NDArray[np.integer]:
+    """Six bits in reverse order."""
+    return sum((((index >> k) & 1) << (5 - k) for k in range(6)), np.zeros_like(index))
+
+
+def solid(geometry: Geometry) -> NDArray[np.bool_] | None:
+    """Return the faces that have something solid behind them, (F,); None where nothing can cover anything.
+
+    That is a single connected part, such as a terrain without objects.
+    """
+    part = _parts(geometry.surfaces)
+    count = int(part.max(initial=-1)) + 1
+    if count < 2:
+        return None
+    # A lone triangle encloses nothing.
+    size = np.bincount(part[part >= 0], minlength=count)
+    order = np.random.Generator(np.random.Philox(_SEED)).permutation(np.flatnonzero(part >= 0)).astype(np.uint32)
+    order = order[np.argsort(part[order], kind="stable")]
+    place = np.arange(len(order)) - np.repeat(np.cumsum(size) - size, size)
+    drawn = order[(place < _FACES) & (size[part[order]] > 1)]
+    found = np.zeros(count, bool)
+    if drawn.size:
+        step = _RAYS_AT_ONCE // _WALKS
+        air = np.concatenate([_in_air(geometry, drawn[first : first + step]) for first in range(0, len(drawn), step)])
+        total, walks = np.bincount(part[drawn], air, count), np.bincount(part[drawn], minlength=count) * _WALKS
+        found = (walks > 0) & (total <= _MOST_IN_AIR * walks)
+    return np.append(found, False)[part]
+
+
+def covered(geometry: Geometry, solids: NDArray[np.bool_] | None, faces: NDArray[np.integer]) -> Contacts | None:
+    """Return the Contacts among some ascending `faces`; None where all of these are open.
+
+    `solids` are those of `solid`.
+    """
+    if solids is None or not len(faces):
+        return None
+    found = np.asarray(faces, np.uint32)
+    step = _RAYS_AT_ONCE // SPOTS
+    back = geometry.mi.UInt8(aligned(solids, np.uint8))
+    parts = [_open(geometry, back, found[first : first + step]) for first in range(0, len(found), step)]
+    opened = np.concatenate(parts)
+    partly = ~opened.all(axis=1)
+    found, opened = found[partly], opened[partly]
+    if not len(found):
+        return None
+    number = opened.sum(axis=1)
+    # Open points first, in their order; each stands for as many of the numbers.
+    order = np.argsort(~opened, axis=1, kind="stable")
+    chosen = np.arange(SPOTS) * np.maximum(number, 1)[:, None] // SPOTS
+    spots = np.take_along_axis(order, chosen, axis=1).astype(np.uint8)
+    start = found.copy()
+    _stand_in(geometry, found, start, spots, number > 0)
+    return Contacts(found, start, spots)
+
+
+def _stand_in(
+    geometry: Geometry, faces: NDArray[np.uint32], start: NDArray[np.uint32], spots: NDArray[np.uint8],
+    usable: NDArray[np.bool_],
+) -> None:  # fmt: skip
+    """Give faces without an open point the start and spots of the nearest partly open face that faces the same way."""
+    from scipy.spatial import cKDTree
+
+    corner = _corners(geometry, faces)
+    middle, normal = corner.mean(axis=1), np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    surface = np.searchsorted(geometry.face_start, faces, side="right") - 1
+    for one in np.unique(surface[~usable]):
+        hidden, given = np.flatnonzero(~usable & (surface == one)), np.flatnonzero(usable & (surface == one))
+        if not given.size:
+            # Wholly inside something: its light is that of the inside, and nothing visible is near.
+            spots[hidden] = np.arange(SPOTS)
+            continue
+        count = min(_NEAREST, given.size)
+        near = given[cKDTree(middle[given]).query(middle[hidden], k=count)[1].reshape(len(hidden), count)]
+        like = np.einsum("nkj,nj->nk", normal[near], normal[hidden]) > _SAME_WAY
+        best = near[np.arange(len(hidden)), like.argmax(axis=1)]
+        start[hidden], spots[hidden] = faces[best], spots[best]
+
+
+def backs(geometry: Geometry, back: Jit, face: Jit, direction: Jit, active: Jit) -> Jit:
+    """Return whether rays meet faces of something solid from behind, Bool; `back` is `solid` as UInt8."""
+    normal = geometry.mi.Vector3f(*geometry.normals.at(face, active))
+    return active & (dr.dot(normal, direction) > 0.0) & (dr.gather(type(back), back, face, active) > 0)
+
+
+def _open(geometry: Geometry, back: Jit, faces: NDArray[np.uint32]) -> NDArray[np.bool_]:
+    """Whether the points of faces lie in the open, (n, SPOTS)."""
+    mi = geometry.mi
+    corner, edge_u, edge_v, normal = _frames(mi, _corners(geometry, faces))
+    place = mi.Float(aligned(points()))
+    index = dr.arange(mi.UInt32, len(faces) * SPOTS)
+    row, spot = index // SPOTS, index % SPOTS
+    a, b = (dr.gather(mi.Float, place, 2 * spot + axis) for axis in (0, 1))
+    at = mi.warp.square_to_uniform_triangle(mi.Point2f(a, b))
+    corner, edge_u, edge_v, normal = (dr.gather(mi.Vector3f, v, row) for v in (corner, edge_u, edge_v, normal))
+    lift = dr.opaque(mi.Float, geometry.hair)
+    origin = corner + at.x * edge_u + at.y * edge_v + lift * normal
+    # Up, since only then does a ray from below the ground meet its back, but away from the face.
+    slope = dr.square(normal.z)
+    away = dr.select(normal.z >= 0.0, dr.maximum(normal.z, 0.3), 0.3 * (1.0 - slope))
+    towards = mi.Vector3f(0.0, 0.0, 1.0) - normal.z * normal + away * normal
+    towards = dr.normalize(dr.select(dr.squared_norm(towards) > 1e-6, towards, normal))
+    # Where a ray meets a front, that may coincide with the back of the body in which it starts: others go aside.
+    frame, turn = mi.Frame3f(normal), mi.Float(spot) * (2.0 * np.pi * 0.6180339887)
+    hidden, doubtful = mi.Bool(False) & (index >= 0), mi.Bool(True) | (index >= 0)
+    for number in range(1 + _ASIDE):
+        if number:
+            sine, cosine = dr.sincos(turn + number * 2.0 * np.pi / _ASIDE)
+            towards = frame.to_world(mi.Vector3f(0.8 * cosine, 0.8 * sine, 0.6))
+        hit = geometry.cast(mi.Ray3f(mi.Point3f(origin), towards), active=doubtful)
+        behind = backs(geometry, back, hit.face, towards, hit.valid)
+        hidden |= behind
+        doubtful &= hit.valid & ~behind
+        dr.eval(hidden, doubtful)
+    return ~np.array(hidden, dtype=bool).reshape(len(faces), SPOTS)
+
+
+def _in_air(geometry: Geometry, faces: NDArray[np.uint32]) -> Floats:
+    """Number of the walks from the backs of faces that come into the open air, (n,)."""
+    mi = geometry.mi
+    corner, edge_u, edge_v, normal = _frames(mi, _corners(geometry, faces))
+    index = dr.arange(mi.UInt32, len(faces) * _WALKS)
+    row, lift = index // _WALKS, dr.opaque(mi.Float, geometry.hair)
+    corner, edge_u, edge_v, normal = (dr.gather(mi.Vector3f, v, row) for v in (corner, edge_u, edge_v, normal))
+    random = mi.PCG32(len(faces) * _WALKS, initstate=_SEED)
+    at = mi.warp.square_to_uniform_triangle(mi.Point2f(random.next_float32(), random.next_float32()))
+    side = -normal
+    point = corner + at.x * edge_u + at.y * edge_v
+    walking, air = mi.Bool(True) & (index >= 0), mi.Bool(False) & (index >= 0)
+    for _ in range(_BOUNCES):
+        pair = mi.Point2f(random.next_float32(), random.next_float32())
+        towards = mi.Frame3f(side).to_world(mi.warp.square_to_cosine_hemisphere(pair))
+        hit = geometry.cast(mi.Ray3f(mi.Point3f(point + lift * side), towards))
+        normal = mi.Vector3f(*geometry.normals.at(hit.face, hit.valid))
+        # Crowns have no normals, and stand in the open air.
+        porous = hit.valid & (dr.squared_norm(normal) < 0.5)
+        air |= walking & (porous | (~hit.valid & (towards.z > 0.0)))
+        walking &= hit.valid & ~porous
+        point = point + lift * side + hit.distance * towards
+        side = dr.select(walking, -dr.mulsign(normal, dr.dot(normal, towards)), side)
+        point = dr.select(walking, point, 0.0)
+        dr.eval(walking, air, point, side, random)
+    return np.array(air, dtype=np.float64).reshape(len(faces), _WALKS).sum(axis=1)
+
+
+def _parts(surfaces: Sequence[Surface]) -> NDArray[np.int64]:
+    """Number of the connected part that each face belongs to, (F,); −1 for copies of bodies."""
+    found, count = list[NDArray[np.int64]](), 0
+    for surface in surfaces:
+        if surface.instances is not None:
+            found.append(np.full(len(surface.faces), -1))
+            continue
+        if _faces_up(surface):
+            # A terrain, or roofs: what lies below is solid everywhere or nowhere.
+            part = np.zeros(len(surface.faces), np.int64)
+        else:
+            _, index, of_vertex = connected(surface)
+            part = of_vertex[index[:, 0]].astype(np.int64)
+        found.append(part + count)
+        count += int(part.max(initial=-1)) + 1
+    return np.concatenate(found)
+
+
+def _faces_up(surface: Surface) -> bool:
+    """Whether all faces of a surface face upwards."""
+    return bool((of_faces([surface], _rise, ()) > 0.0).all())
+
+
+def _rise(surface: Surface, part: slice) -> Floats:
+    corner = surface.vertices[surface.faces[part]][..., :2]
+    u, v = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    return np.asarray(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
+
+
+def _corners(geometry: Geometry, faces: NDArray[np.integer]) -> Floats:
+    """Corners of ascending or any faces that are no copies, (n, 3, 3) [m]."""
+    found = np.empty((len(faces), 3, 3))
+    surface = np.searchsorted(geometry.face_start, faces, side="right") - 1
+    for one in np.unique(surface):
+        here = surface == one
+        own = geometry.surfaces[one]
+        found[here] = own.vertices[own.faces[faces[here].astype(np.int64) - geometry.face_start[one]]]
+    return found
+
+
+def _frames(mi: Mitsuba, corner: Floats) -> tuple[Jit, ...]:
+    """Corner, edges and unit normal of triangles (n, 3, 3), as flat Float for gathers of Vector3f."""
+    edge_u, edge_v = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    normal = np.cross(edge_u, edge_v)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    return tuple(mi.Float(aligned(values)) for values in (corner[:, 0], edge_u, edge_v, normal))
