@@ -18,7 +18,9 @@ from thermorender.render.dynamic import StaticLight
 from thermorender.render.geometry import Geometry, refuse_other_surfaces
 from thermorender.render.light import cache, leaves, radiosity, texels
 from thermorender.render.light.absorbed import left_out
+from thermorender.render.light.environment import Environment, of_scene
 from thermorender.render.light.solved import SolvedLight, solve_scene
+from thermorender.render.light.walks import Walks
 from thermorender.render.plan import Plan, make_plan
 from thermorender.render.reflection import mirrors
 from thermorender.render.variant import activate
@@ -88,6 +90,21 @@ class BakedScene:
         if "scene" not in self._uploaded:
             self._uploaded["scene"] = DeviceScene(self, self.geometry)
         return self._uploaded["scene"]
+
+    @property
+    def environment(self) -> Environment:
+        """The light from beyond the surfaces; a preview has that of its solution."""
+        exact = self._uploaded.get("exact", self)
+        if "environment" not in exact._uploaded:
+            exact._uploaded["environment"] = of_scene(exact.scene, exact.plan, exact.geometry, exact.transport.touching)
+        return exact._uploaded["environment"]
+
+    @property
+    def walks(self) -> Walks:
+        """Random walks in this scene, to check its light."""
+        if "walks" not in self._uploaded:
+            self._uploaded["walks"] = Walks(self)
+        return self._uploaded["walks"]
 
     def __repr__(self) -> str:
         errors = ", ".join(f"{name} {value:.2g}" for name, value in self.errors_mk.items())

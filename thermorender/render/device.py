@@ -84,6 +84,11 @@ class DeviceScene:
             layers.append(Layer(item.geometry, opaque_view(self._mi, np.linalg.inv(placement.pose) @ pose), radiance))
         return layers
 
+    @property
+    def static_outgoing(self) -> OutgoingRadiance:
+        """The OutgoingRadiance of the static scene without the light of its moving objects."""
+        return self._outgoing
+
     @cached_property
     def copies_error(self) -> float:
         """Root mean square error of the light on copies of bodies [W m⁻² sr⁻¹]; 0 without copies."""

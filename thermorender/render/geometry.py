@@ -114,9 +114,10 @@ class Geometry:
 
     def cast(self, ray: Jit, coherent: bool = False, active: Jit = True) -> Hit:
         """Return the Hit of rays (an mi.Ray3f); inactive ones miss."""
-        return self._hit(self.caster.ray_intersect_preliminary(ray, coherent=coherent, active=active))
+        return self.hit_of(self.caster.ray_intersect_preliminary(ray, coherent=coherent, active=active))
 
-    def _hit(self, found: Jit) -> Hit:
+    def hit_of(self, found: Jit) -> Hit:
+        """Return the Hit of what the caster found."""
         mi = self.mi
         valid = found.is_valid()
         # Shapes of copies have numbers of their own.
@@ -147,7 +148,7 @@ class Geometry:
         # Opaque: a literal would compile the kernel again for each scene.
         aside = dr.opaque(self.mi.Float, self.hair) * self.mi.Vector3f(*_ASIDE)
         beside = self.mi.Ray3f(ray.o + aside, ray.d)
-        found = self._hit(self.caster.ray_intersect_preliminary(beside, coherent=True, active=touches))
+        found = self.hit_of(self.caster.ray_intersect_preliminary(beside, coherent=True, active=touches))
         return Hit(
             dr.select(touches, found.valid, hit.valid), dr.select(touches, found.distance, hit.distance),
             dr.select(touches, found.face, hit.face), dr.select(touches, found.surface, hit.surface),

@@ -127,7 +127,8 @@ def _lands(random):
         far = float(random.uniform(14.0, 40.0))
 
         def view(scene, turn=turn, low=low, far=far):
-            reach = far * np.cos(low)
+            # Within the terrain, to count heights from it.
+            reach = min(far * np.cos(low), 16.0)
             return scene.pose(reach * np.sin(turn), reach * np.cos(turn), far * np.sin(low), look_at=(0.0, 0.0, 0.0))
 
         name = f"{kind} {seed}" + (" in three dimensions" if three_d else "")

@@ -34,7 +34,7 @@ class Environment:
     background: Floats  # (N,) surroundings below the horizon
     direct: Floats | None = None  # (F, N) the sun's irradiance on each face over π, where included
 
-    def light(self, up: Floats, down: Floats, part: slice = _ALL) -> Floats:
+    def light(self, up: Floats, down: Floats, part: slice | NDArray[np.integer] = _ALL) -> Floats:
         """Return the radiance on a part of the faces, (n, N), whose rays see shares of sky (n, B) and background (n,).
 
         Sunlight is excluded, so differences of shares are valid too.

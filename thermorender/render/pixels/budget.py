@@ -3,6 +3,10 @@
 The sampling error of a pixel is first predicted from the image. Some pixels are then rendered again with more rays, and
 the prediction is scaled to the errors measured there. It is thus valid at any distance, for any texture and relief, but
 not for details that no ray has hit and no neighbour indicates.
+
+The error of the light is first that of its rays, as their halves differ, and of baking it. Halves have the same bias,
+so the light in some pixels is computed again by random walks. Where it differs by more than the rays explain, the
+difference counts too.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,8 +18,9 @@ from numpy.typing import NDArray
 
 from thermorender.materials.mixture import Mixture
 from thermorender.physics.planck import band_radiance
-from thermorender.render.arrays import Floats, view_ray
+from thermorender.render.arrays import Floats, aligned, view_ray
 from thermorender.render.dynamic import Placement
+from thermorender.render.layers import Layer
 from thermorender.render.pixels.sampling import STAGES, CameraRays, contrast, edge_estimate, texture_estimate
 from thermorender.render.pixels.tracer import Sampling, Tracer
 from thermorender.render.plan import Plan
@@ -36,6 +41,9 @@ _CLOSE = 2
 # Standard errors added to the measured error: the few pixels with the largest errors are seldom drawn, and one view in
 # thousands may be stated too low.
 _SURE = 3.5
+# Pixels whose light is computed again, of faces beside something solid and of others; points in each of both
+# estimates, and walks from each point.
+_WALKED, _POINTS, _WALKS = 256, 8, 16
 # Largest share of light assumed to be passed on between mirrors.
 _MOST_PASSED = 0.98
 # Smallest predicted error [mK].
@@ -115,7 +123,8 @@ def _light(
     They are the error of the light on the surface, and of limiting the number of mirror reflections.
     """
     device, mi = baked.device, baked.device.geometry.mi
-    slope = rays.slopes(0.5, 0.5, dr.arange(mi.UInt32, 0, len(rays.order), every))
+    numbers = np.arange(0, len(rays.order), every, dtype=np.uint32)
+    slope = rays.slopes(0.5, 0.5, mi.UInt32(aligned(numbers, np.uint32)))
     # Variation within faces is known for the static scene only.
     within = dr.opaque(mi.Float, (baked.errors_mk["faces"] * baked.plan.radiance_per_mk) ** 2)
     distance = dr.full(mi.Float, np.inf, len(slope[0]))
@@ -132,17 +141,98 @@ def _light(
         place = geometry.map_position(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
         own = mi.UInt32(number), hit.face, *mirrors.met(layer, hit, place)
         state = [dr.select(nearer, new, old) for new, old in zip(own, state, strict=True)]
+        if number == 0:
+            texel = geometry.nearest(hit.surface, *place, hit.valid)
+            material = mi.UInt32(dr.gather(type(device.texels[0].material), device.texels[0].material, texel, nearer))
+            reflects = 1.0 - dr.gather(mi.Float, device.emissivities[0], material, nearer)
         distance = dr.select(nearer, hit.distance, distance)
     if any(layer.outgoing.mirror for layer in layers):
         ray = view_ray(mi, *layers[0].view, *slope)
         steps = mirrors.last_steps(layers, ray.o, ray.d, distance, *state)
-    dr.eval(square, steps, distance)
+    dr.eval(square, steps, distance, state, reflects)
     nothing = ~np.isfinite(np.array(distance))
-    found = [np.sqrt(np.array(square, dtype=np.float64)), *(np.array(step, dtype=np.float64) for step in steps)]
+    own = np.array(square, dtype=np.float64)
+    if baked.transport is not None and "preview_rms" not in baked.errors_mk:
+        still = ~nothing & (np.array(state[0]) == 0)
+        face, shares = np.array(state[1])[still], np.array(reflects, dtype=np.float64)[still]
+        own[still] += _unexplained(baked, rays, layers[0], numbers[still], face, shares, own[still])
+    found = [np.sqrt(own), *(np.array(step, dtype=np.float64) for step in steps)]
     light, mirrored, next_step = (np.where(nothing, np.nan, values) / baked.plan.radiance_per_mk for values in found)
     # Later steps are assumed to decrease by the same ratio.
     share = min(_rms(next_step) / max(_rms(mirrored), 1e-30), _MOST_PASSED)
     return light, mirrored / (1.0 - share)
+
+
+def _unexplained(
+    baked: "BakedScene", rays: CameraRays, layer: Layer, pixels: NDArray[np.uint32], face: NDArray[np.uint32],
+    shares: Floats, explained: Floats,
+) -> Floats:  # fmt: skip
+    """Mean square error of the light on static surfaces beyond the `explained` one, (n,) [(W m⁻² sr⁻¹)²].
+
+    `pixels` are numbers of rays (n,) that hit the surfaces on `face`, which reflect `shares` there. Half of those
+    drawn are drawn evenly, a quarter each in proportion to the explained error and to the square of the share
+    reflected. Faces beside something solid are judged apart from others.
+    """
+    found = np.zeros(len(pixels))
+    if not len(pixels):
+        return found
+    assert baked.transport is not None
+    beside = np.isin(face, baked.transport.touching)
+    random = np.random.Generator(np.random.Philox(0))
+    shares = np.square(shares)
+    for stratum in (np.flatnonzero(beside), np.flatnonzero(~beside)):
+        if not stratum.size:
+            continue
+        known, reflects = explained[stratum], shares[stratum]
+        if reflects.sum() == 0.0:
+            continue
+        chance = 0.5 / stratum.size + 0.25 * reflects / reflects.sum()
+        chance += 0.25 * (known / known.sum() if known.sum() > 0.0 else 1.0 / stratum.size)
+        drawn = random.choice(stratum.size, _WALKED, p=chance)
+        one, two = _differences(baked, rays, layer, pixels[stratum[drawn]])
+        square = one * two / (chance[drawn] * stratum.size)
+        more = square.mean() + square.std() / np.sqrt(_WALKED) - known.mean()
+        found[stratum] = max(more, 0.0) * reflects / reflects.mean()
+    return found
+
+
+def _differences(
+    baked: "BakedScene", rays: CameraRays, layer: Layer, pixels: NDArray[np.uint32]
+) -> tuple[Floats, Floats]:
+    """Mean of what leaves the surfaces in pixels, less that of walks, by two independent estimates, (n,) each
+    [W m⁻² sr⁻¹].
+
+    `pixels` are numbers of rays. Each estimate has its own points in a pixel, and its own walks.
+    """
+    from scipy.stats import qmc
+
+    geometry, spectrum, texels, count = layer.geometry, baked.plan.spectrum, baked.device.texels[0], len(pixels)
+    mi, points = geometry.mi, 2 * _POINTS
+    place = qmc.Sobol(2, scramble=False).random_base2(points.bit_length() - 1) + 0.5 / points
+    right, down = (mi.Float(aligned(np.tile(axis, count))) for axis in place.T)
+    ray = view_ray(mi, *layer.view, *rays.slopes(right, down, mi.UInt32(aligned(np.repeat(pixels, points), np.uint32))))
+    found = geometry.caster.ray_intersect_preliminary(ray)
+    hit, surface = geometry.hit_of(found), found.compute_surface_interaction(ray, mi.RayFlags.Minimal)
+    on_map = geometry.map_position(geometry.record(hit.face, hit.valid), surface.p)
+    # Radiance in the band without a path.
+    sums = spectrum.solver.sum(axis=0)
+    shown = baked.device.static_outgoing.at(geometry, hit, on_map)
+    left = sum(weight * np.array(values, dtype=np.float64) for weight, values in zip(sums, shown, strict=True))
+    reflected, share = np.tensordot(sums, spectrum.reflected, (0, 1)), np.zeros((len(right), spectrum.nodes))
+    for texel, weight in geometry.corners(geometry.lattice(hit.surface, hit.valid), *on_map):
+        number = mi.UInt32(dr.gather(type(texels.material), texels.material, texel, hit.valid))
+        read = number, dr.gather(mi.Float, texels.temperature, texel, hit.valid), weight
+        material, kelvin, part = (np.array(each) for each in read)
+        share += part[:, None] * reflected[material]
+        for one in np.unique(material[np.array(hit.valid)]):
+            here = (material == one) & np.array(hit.valid)
+            limits = float(kelvin[here].min()), float(kelvin[here].max())
+            grid, table = spectrum.emitted(baked.scene.materials[one].emissivity_at, *limits, baked.plan.band_um)
+            left[here] -= part[here] * np.interp(kelvin[here], grid, table @ sums)
+    light, node = baked.walks.incident(surface.p, hit.face, mi.Vector3f(surface.n), _WALKS)
+    left = left - (np.take_along_axis(share, node.astype(np.intp), axis=1) * light).mean(axis=1)
+    one, two = np.where(np.array(hit.valid), left, 0.0).reshape(count, 2, _POINTS).mean(axis=2).T
+    return one, two
 
 
 def _rms(values: NDArray[Any]) -> float:

@@ -20,7 +20,6 @@ from thermorender.render.device import flat
 from thermorender.render.edits.known import samples_of
 from thermorender.render.geometry import Hit
 from thermorender.render.labels import object_names, objects_of_surfaces
-from thermorender.render.light import environment
 from thermorender.render.reflection import mirrors
 from thermorender.render.spectrum import REFERENCE_K
 from thermorender.render.view import View
@@ -261,11 +260,8 @@ class _Rays:
 
 def _outside(baked: "BakedScene", faces: NDArray[np.intp]) -> Floats:
     """Light of the sky and of the sun on faces (n,) at each node, (2, n, N) [W m⁻² sr⁻¹]."""
-    kept, transport = baked._uploaded.get("exact", baked)._uploaded, baked.transport
+    around, transport = baked.environment, baked.transport
     assert transport is not None
-    if "environment" not in kept:
-        kept["environment"] = environment.of_scene(baked.scene, baked.plan, baked.geometry, transport.touching)
-    around = kept["environment"]
     up = transport.up[faces].sum(axis=1, dtype=np.int64) / (2.0 * transport.rays)
     sky = around.light(up, np.zeros(len(faces)), faces)
     sun = np.zeros_like(sky) if around.direct is None else around.direct[faces]

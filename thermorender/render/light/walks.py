@@ -1,0 +1,127 @@
+"""Light at single points by random walks: an independent check of the light that is solved between faces.
+
+Walks start at the point itself, use the temperature and material of the texels that they meet, and end where light is
+absorbed or at the sky. They share with the solution the ray caster, the spectral nodes and the tables of the sky, but
+neither faces with constant light nor its rays. Their error is noise.
+"""
+
+from typing import TYPE_CHECKING
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.physics.band import RadianceTable
+from thermorender.render.arrays import Floats, Jit, aligned
+from thermorender.render.light.radiosity import SKY_BINS, background_code
+
+if TYPE_CHECKING:
+    from thermorender.render.baked import BakedScene
+
+# Longest walk, and bounces between looks whether any goes on.
+_LONGEST, _LOOK = 256, 4
+_SEED = 0x3A1C
+
+
+class Walks:
+    """Random walks in a baked scene, without its moving objects."""
+
+    def __init__(self, baked: "BakedScene") -> None:
+        self._geometry = geometry = baked.geometry
+        mi, spectrum, around = geometry.mi, baked.plan.spectrum, baked.environment
+        self._texels = baked.device.texels[0]
+        grid = RadianceTable.grid(baked.plan.coldest, baked.plan.warmest)
+        self._grid = tuple(dr.opaque(mi.Float, float(v)) for v in (grid[0], grid[1] - grid[0], len(grid) - 2))
+        self._size = dr.opaque(mi.UInt32, len(grid))
+        self._black = mi.Float(aligned(spectrum.black(grid).T))
+        self._nodes = dr.opaque(mi.UInt32, spectrum.nodes)
+        self._emissivity = mi.Float(aligned(spectrum.emissivity))
+        # The sky's bins followed by the surroundings, for each level of altitude; a face lies between two of them.
+        levels = around.sky.shape[0]
+        beyond = np.concatenate([around.sky, np.broadcast_to(around.background, (levels, 1, spectrum.nodes))], axis=1)
+        self._beyond = mi.Float(aligned(beyond))
+        position = around.level @ np.arange(levels)
+        self._level, self._levels = mi.Float(aligned(position)), levels
+        self._direct = None if around.direct is None else mi.Float(aligned(around.direct))
+        black = spectrum.black([baked.plan.warmest])[0]
+        self.share = black / black.sum()
+
+    def incident(self, point: Jit, face: Jit, normal: Jit, walks: int) -> tuple[Floats, NDArray[np.uint32]]:
+        """Return (radiance that falls on points, node of each walk), both (n, walks); `walks` is a power of two.
+
+        The radiance [W m⁻² sr⁻¹] is that of the node over the node's `share`: its mean over many walks is the band's.
+        `point`, `face` and `normal` are of n points on surfaces.
+        """
+        from scipy.stats import qmc
+
+        mi, geometry = self._geometry.mi, self._geometry
+        count = len(face)
+        index = dr.arange(mi.UInt32, count * walks)
+        row, number = index // walks, index % walks
+        base = qmc.Sobol(3, scramble=False).random_base2(walks.bit_length() - 1)
+        shifts = (*mi.sample_tea_32(row, _SEED, 8), mi.sample_tea_32(row, _SEED + 1, 8)[0])
+        columns = (mi.UInt32(aligned(column * 2.0**24, np.uint32)) for column in base.T)
+        u = [
+            mi.Float(dr.gather(mi.UInt32, column, number) ^ (shift >> 8)) * 2.0**-24
+            for column, shift in zip(columns, shifts, strict=True)
+        ]
+        edges = mi.Float(aligned(np.append(np.cumsum(self.share)[:-1], 2.0)))
+        node = mi.UInt32(dr.binary_search(0, len(self.share) - 1, lambda k: dr.gather(mi.Float, edges, k) <= u[2]))
+        random = mi.PCG32(count * walks, initstate=_SEED)
+        lift = dr.opaque(mi.Float, geometry.hair)
+        at, side, here = (dr.gather(kind, values, row) for kind, values in (
+            (mi.Point3f, point), (mi.Vector3f, normal), (mi.UInt32, face)
+        ))  # fmt: skip
+        total = self._sun(here, node)
+        walking = dr.full(mi.Bool, True, count * walks)
+        towards = mi.Frame3f(side).to_world(mi.warp.square_to_cosine_hemisphere(mi.Point2f(u[0], u[1])))
+        for step in range(_LONGEST):
+            ray = mi.Ray3f(at + lift * side, towards)
+            found = geometry.caster.ray_intersect_preliminary(ray, active=walking)
+            hit, surface = geometry.hit_of(found), found.compute_surface_interaction(ray, mi.RayFlags.Minimal, walking)
+            total += dr.select(walking & ~hit.valid, self._outside(here, towards, node), 0.0)
+            walking &= hit.valid
+            here, side, at = hit.face, mi.Vector3f(surface.n), surface.p
+            place = geometry.map_position(geometry.record(here, walking), at)
+            texel = geometry.nearest(hit.surface, *place, walking)
+            material = mi.UInt32(dr.gather(type(self._texels.material), self._texels.material, texel, walking))
+            epsilon = dr.gather(mi.Float, self._emissivity, material * self._nodes + node, walking)
+            warm = dr.gather(mi.Float, self._texels.temperature, texel, walking)
+            sent = epsilon * self._planck(warm, node, walking) + (1.0 - epsilon) * self._sun(here, node, walking)
+            total += dr.select(walking, sent, 0.0)
+            # A surface that is seen from behind shows its front's light, as in the solution.
+            walking &= random.next_float32() < 1.0 - epsilon
+            pair = mi.Point2f(random.next_float32(), random.next_float32())
+            towards = mi.Frame3f(side).to_world(mi.warp.square_to_cosine_hemisphere(pair))
+            dr.eval(total, walking, at, side, here, towards, random)
+            if step % _LOOK == _LOOK - 1 and not dr.any(walking):
+                break
+        shape = count, walks
+        node = np.array(node + dr.zeros(mi.UInt32, count * walks)).reshape(shape)
+        return np.array(total, dtype=np.float64).reshape(shape) / self.share[node], node
+
+    def _planck(self, kelvin: Jit, node: Jit, active: Jit) -> Jit:
+        mi, (coldest, step, last) = self._geometry.mi, self._grid
+        position = (kelvin - coldest) / step
+        lower = mi.UInt32(dr.clip(position, 0.0, last))
+        ends = (dr.gather(mi.Float, self._black, node * self._size + lower + k, active) for k in (0, 1))
+        return dr.lerp(*ends, position - mi.Float(lower))
+
+    def _outside(self, face: Jit, towards: Jit, node: Jit) -> Jit:
+        """Radiance of sky or surroundings in a direction, as a face sees it."""
+        mi = self._geometry.mi
+        level = dr.gather(mi.Float, self._level, face)
+        lower = dr.minimum(mi.UInt32(level), max(self._levels - 2, 0))
+        code = background_code(mi, towards)
+
+        def at(step: Jit) -> Jit:
+            return dr.gather(mi.Float, self._beyond, (step * (SKY_BINS + 1) + code) * self._nodes + node)
+
+        return dr.lerp(at(lower), at(dr.minimum(lower + 1, self._levels - 1)), level - mi.Float(lower))
+
+    def _sun(self, face: Jit, node: Jit, active: Jit = True) -> Jit:
+        """The sun's irradiance on faces over π."""
+        mi = self._geometry.mi
+        if self._direct is None:
+            return mi.Float(0.0)
+        return dr.gather(mi.Float, self._direct, face * self._nodes + node, active)
