@@ -31,6 +31,14 @@ def test_directions_and_projection_agree_with_opencv():
     np.testing.assert_allclose(slope, points[:, :2] / points[:, 2:], atol=1e-9)
 
 
+def test_within_a_pixel_a_lens_is_nearly_linear():
+    """3e-4 of a pixel, as the renderer and the reference state that follow it so."""
+    camera = replace(load_camera("ideal"), distortion=(-0.26, 0.10, 7e-4, 3e-4, -0.026))
+    left = np.random.default_rng(1).uniform([0.0, 0.0], [camera.width - 1.0, camera.height - 1.0], (500, 2))
+    begin, middle, end = (camera.directions(left + part) * camera.focal_length_px for part in (0.0, 0.5, 1.0))
+    assert 1e-4 < np.abs(middle - 0.5 * (begin + end)).max() < 3e-4
+
+
 def test_points_behind_the_camera_have_no_pixel():
     assert np.isnan(load_camera("ideal").project([0.0, 0.0, -1.0])).all()
 

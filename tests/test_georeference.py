@@ -13,7 +13,7 @@ def test_ecef_against_proj():
     rng = np.random.default_rng(0)
     lat, lon, h = rng.uniform(-89, 89, 200), rng.uniform(-180, 180, 200), rng.uniform(-500, 30000, 200)
     x, y, z = transform(CRS.from_epsg(4979), CRS.from_epsg(4978), lon, lat, h)
-    np.testing.assert_allclose(ecef_from_geodetic(lat, lon, h), np.stack([x, y, z], -1), atol=1e-6)
+    np.testing.assert_allclose(ecef_from_geodetic(lat, lon, h), np.stack([x, y, z], -1), atol=1e-7)
     back = geodetic_from_ecef(np.stack([x, y, z], -1))
     np.testing.assert_allclose(back[0], lat, atol=1e-11)
     np.testing.assert_allclose(back[1], lon, atol=1e-11)

@@ -79,7 +79,7 @@ def test_drone_photographs(toufeng, name):
     rendered, covered = toufeng.visible(pose_from_map(toufeng.scene.frame, utm, pose), camera=camera)
     found = displacement(rendered, covered, photograph(folder / f"{name}.tif"))
     assert covered.mean() > 0.85 and len(found) > 500
-    assert np.median(found) <= 2.0
+    assert np.median(found) < 0.45
 
 
 @pytest.fixture(scope="module")
@@ -108,4 +108,4 @@ def test_survey_photographs(baviaans, row):
     rendered, covered = baviaans.visible(pose_from_map(scene.frame, scene.grid.crs, pose), camera=camera)
     found = displacement(rendered, covered, photograph(folder / f"{shot['filename']}.tif"))
     assert covered.mean() > 0.5 and len(found) > 200
-    assert np.median(found) <= 2.0
+    assert np.median(found) < 0.2

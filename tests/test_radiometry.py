@@ -39,14 +39,14 @@ def test_formula_is_its_own_inverse(planck):
 
 
 def test_fit_of_the_flat_band():
-    # The best fit of the four constants to 7.5–13.5 µm is off by 73 mK over 233–423 K.
+    # The best fit of the four constants to 7.5–13.5 µm is off by 72 mK over 233–423 K.
     temperature = np.linspace(233.15, 423.15, 1901)
     radiance = band_radiance(temperature, 7.5, 13.5)
     error = fitted_constants((7.5, 13.5), 233.15, 423.15).temperature(radiance) - temperature
-    assert np.abs(error).max() < 0.073
+    assert np.abs(error).max() < 0.0725
     inside = (temperature > 248.15) & (temperature < 408.15)
     error = camera_constants(CAMERA).temperature(radiance[inside]) - temperature[inside]
-    assert np.abs(error).max() < 0.035
+    assert np.abs(error).max() < 0.0345
 
 
 def test_constants_resemble_those_of_a_real_camera():

@@ -167,6 +167,18 @@ def test_the_plan_leaves_out_steps_that_black_scenes_do_not_need(tmp_path, monke
     assert make_plan(grey).bake and make_plan(grey).nodes == 1
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_reflected_light_is_below_the_plans_upper_bound(tmp_path, seed):
+    random = np.random.default_rng(seed)
+    height, warm = random.uniform(0.0, 4.0, (12, 12)), random.uniform(260.0, random.uniform(280.0, 400.0), (24, 24))
+    folder = write_terrain(tmp_path / "s", height=height, temperature=warm, sky=random.uniform(200.0, 300.0))
+    emissivity = random.uniform(0.1, 0.9, 2)
+    scene = tr.load_scene(folder).with_material({1: emissivity[0], 2: emissivity[1]})
+    renderer = tr.Renderer(scene, rays=256)
+    reflected = (1.0 - emissivity.min()) * renderer.baked.incident.sum(axis=1) / renderer.plan.radiance_per_mk
+    assert 0.3 * renderer.plan.reflection_mk < reflected.max() < renderer.plan.reflection_mk
+
+
 def test_plan_gives_quartz_the_nodes_it_needs(tmp_path):
     scene = tr.load_scene(write_terrain(tmp_path / "s"))
     plan = make_plan(scene, tolerance_mk=2.0)

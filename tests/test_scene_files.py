@@ -49,6 +49,14 @@ def test_a_document_shows_in_the_scene_what_a_save_makes_of_it(files, folder):
     assert files.plan(document).files == {}
 
 
+def test_the_shipped_tables_and_scenes_are_not_written(files, folder, monkeypatch, tmp_path):
+    save = files.plan(files.saved.with_text("snow", "emissivity", "0.9"))
+    assert save.files and all(folder in path.parents for path in save.files)
+    monkeypatch.setattr("thermorender.scene.authoring.scene_files.data_folder", lambda kind: tmp_path)
+    with pytest.raises(ThermorenderError, match="is a shipped scene, which is not written"):
+        files.plan(files.saved)
+
+
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 def test_a_save_keeps_comments_line_ends_and_digits(folder, end):
     path = folder / "scene.toml"

@@ -59,7 +59,7 @@ def test_a_crown_lets_light_through_by_beers_law(degrees):
     expected = np.exp(-0.5 * density * depth / np.cos(turn))
     error = through.std(ddof=1) / np.sqrt(len(through))
     print(degrees, through.mean(), expected, error)
-    assert error < 0.03
+    assert error < 0.0045
     assert abs(through.mean() - expected) < 3.0 * error
 
 

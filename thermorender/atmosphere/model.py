@@ -32,7 +32,7 @@ Floats = NDArray[np.float64]
 # Temperature of the nodes' weights.
 REFERENCE_K = 285.0
 LOWEST_M, HIGHEST_CAMERA_M = -500.0, 3.0e4
-# Steps of a path in ln(3 km + altitude). Finer steps change results by at most 6 mK, near the ground by 1 mK.
+# Steps of a path in ln(3 km + altitude). A thousand steps change the light of tested paths by less than 10 mK.
 _STEP = 0.08
 # Paths per batch, so that intermediate values stay in the processor's cache.
 _CHUNK = 128

@@ -19,7 +19,8 @@ LONGEST_M = 2.0 * float(np.sqrt((EARTH_RADIUS_M + TOP_M) ** 2 - EARTH_RADIUS_M**
 # Steps of a path are uniform in ln(this + altitude).
 _SCALE_M = 3.0e3
 _FEWEST_STEPS = 3
-# Steps of a ray that leaves the air, and of its part down to its lowest point. Their error is 4 mK of the sky at 285 K.
+# Steps of a ray that leaves the air, and of its part down to its lowest point. They err by
+# up to 7 mK of the sky at 285 K (tropical air, straight up).
 _OUTWARD_STEPS = 24
 _DESCENT_STEPS = 8
 # Scale of the denser steps of such a ray near its lowest point.

@@ -7,9 +7,8 @@ similarity transform that most features agree on. They are duplicates if their f
 survive changes of brightness, compression, shifts, crops, scale and rotation. Mirrored copies are found only by the
 sketch of the mirrored picture, and few crops of a fifth of the area: `learned.audit.fingerprints` finds those.
 
-Measured on 42 photographs of roads and 30 procedural orthophotos: all copies that were compressed, darkened, blurred,
-reduced to a third, or shifted and cropped by 15 % are found; 96 % of crops that share at least 40 % of their area;
-half of those that share a quarter. Unrelated pictures correlate with at most 0.28.
+Of six procedural lands, at least five are found when halved, shrunk, turned, brightened, compressed or noisy, and none
+is taken for another. Road scenes far apart in time are not taken for each other.
 """
 
 from collections.abc import Callable, Sequence

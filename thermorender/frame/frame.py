@@ -246,8 +246,9 @@ class Frame:
         and texture reads of this frame, from a part of its pixels rendered again. "air": largest error of the spectral
         channels over the same spectra. "mirrors": largest error of reflections up to 80°, and of the third mirror in a
         chain, which is left out. "preview": of a preview of an edit, what it leaves out. "total". "image": the total
-        over all pixels; sky and surroundings only have an error of sampling. These are upper estimates; only that of
-        the solution is a bound. An object that no ray hits is not in them. With a learned emissivity, "emissivity" is
+        over all pixels; sky and surroundings only have an error of sampling. These are estimates; only that of the
+        solution is a bound. Light of faces that an object stands on can err by more, and an object that no ray hits is
+        not in them. With a learned emissivity, "emissivity" is
         its standard deviation under the unobstructed sky; it is a property of the scene, so the total leaves it out.
         None for a frame of the reference engine, whose error is its noise. Most frames of a flight have the budget of
         the frame `budget_frame`.

@@ -1,6 +1,6 @@
 """Materials whose table covers most of a camera's band: the rest is assumed from materials with similar spectra.
 
-The 48 complete Lambertian materials of the shipped library, each cut at 8 µm in turn, are predicted over 7.5–13.5 µm
+The 53 complete Lambertian materials of the shipped library, each cut at 8 µm in turn, are predicted over 7.5–13.5 µm
 with an error of the band emissivity of 0.0010 RMS and 0.0035 at most: 38 and 137 mK at 300 K under a sky of 250 K.
 """
 

@@ -225,7 +225,7 @@ class Material:
         Notes
         -----
         ∫ ε(λ) B(λ, T) dλ / ∫ B(λ, T) dλ by Gauss–Legendre between adjacent rows of the table, where ε is linear and B
-        smooth: exact to 1e-12.
+        smooth: exact to 1e-10.
         """
         between = self.wavelength_um[(self.wavelength_um > lower_um) & (self.wavelength_um < upper_um)]
         steps = np.linspace(lower_um, upper_um, int(np.ceil((upper_um - lower_um) / LONGEST_PANEL_UM)) + 1)

@@ -17,7 +17,7 @@ from thermorender.sensor.psf import COARSE, STEP
 _LOOKS = 9
 # Motion over less than this share of a span is a jump; both its ends are instants.
 _JUMP = 0.02
-# Radiance is nonlinear in temperature: over a step of this size [K] a straight line has a mean error of 10 mK.
+# Radiance is nonlinear in temperature: over a step of this size [K] a straight line has a mean error of 7 mK at 300 K.
 _WARMING_K = 3.0
 # Squares of the coarse blur kernel that reach into a part.
 _REACH = COARSE // 2 + 1

@@ -53,9 +53,8 @@ def differences(
     -----
     95 % intervals [K] by a percentile bootstrap of 1000 draws: of clusters, the same for both groups, and of the maps
     in each group. The sample of n seeds scatters less about its own mean than about the true one, so deviations are
-    multiplied by √(n / (n − 1)). Even so, intervals of three seeds contain the true difference in only 86 % of
-    simulated cases, and a single map does not show how seeds scatter. Only pictures for which every map has an error
-    count; if there are none, the difference is None.
+    multiplied by √(n / (n − 1)). Even so, intervals of three seeds are too short, and a single map does not show how
+    seeds scatter. Only pictures for which every map has an error count; if there are none, the difference is None.
     """
     rows = np.asarray(rows, np.float64)
     shared = (rows[..., 0] > 0).all(axis=0)

@@ -76,7 +76,7 @@ def sky_bins(air: Atmosphere, at_m: float) -> Floats:
     """Return the sky's mean radiance over each bin of zenith angle, (B, n) [W m⁻² sr⁻¹].
 
     The weights are halfway between those of a wall (solid angle) and of level ground (cosine). Light on either, and on
-    slopes, is then accurate to 25 mK of a blackbody of 280 K.
+    slopes, is then within 30 mK of a blackbody of 280 K.
     """
     edge = radiosity.sky_edges()
     half, middle = 0.5 * np.diff(edge)[:, None], 0.5 * (edge[1:] + edge[:-1])[:, None]

@@ -97,7 +97,7 @@ class CameraRays:
         def slopes(right: float, down: float) -> Floats:
             return camera.directions(np.stack([beside[1] + right, beside[0] + down], axis=-1))[:, :2]
 
-        # Within a pixel a lens is linear to 1e-6 of a pixel.
+        # Within a pixel a lens is linear to 3e-4 of a pixel, up to k1 = −0.26.
         across, along = slopes(1.0, 0.5) - slopes(0.0, 0.5), slopes(0.5, 1.0) - slopes(0.5, 0.0)
         off = [(at - inside)[:, None] for at, inside in zip((row, column), beside, strict=True)]
         parts = (slopes(0.5, 0.5) + off[1] * across + off[0] * along, across, along)

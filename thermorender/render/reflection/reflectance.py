@@ -17,7 +17,7 @@ from thermorender.render.geometry import farthest
 from thermorender.render.spectrum import REFERENCE_K, Envelope, Spectrum
 from thermorender.scene.scene import Scene
 
-# Directions of the sky, even in the square root of the cosine of zenith angle; error 5 mK of the sky.
+# Directions of the sky, even in the square root of the cosine of zenith angle.
 _DIRECTIONS = np.linspace(0.0, 1.0, 65) ** 2
 # Steepest view for which effect and error are stated, and angles at which they are evaluated.
 _GRAZING = np.cos(np.radians(80.0))
