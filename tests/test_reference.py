@@ -9,11 +9,12 @@ from scipy.spatial import ConvexHull
 from test_specular import item, own_materials
 
 import thermorender as tr
-from scenes import write_mesh, write_terrain
+from scenes import coarse, write_mesh, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render import reference
 from thermorender.scene.solids.plants import leaves
+from thermorender.scene.surface import BEHIND
 
 BAND = (7.5, 13.5)
 MILLIKELVIN = band_radiance_derivative(300.0, *BAND) * 1e-3
@@ -122,3 +123,18 @@ def test_a_wall_reflects_the_same_horizon_from_any_height(tmp_path, height_m):
     exact = 0.2 * own + 0.8 * (up * sky + (1.0 - up) * around)
     error = radiance - exact
     assert abs(error.mean()) < 4 * error.std() / np.sqrt(error.size) + 5.0 * MILLIKELVIN < 40.0 * MILLIKELVIN
+
+
+def test_sheet_of_the_ground_is_seen_from_both_sides_as_in_frames(tmp_path):
+    # Surroundings as warm as the sky, so that both sides reflect the same light.
+    sheet = trimesh.Trimesh([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]], [[0, 1, 2], [0, 2, 3]], process=False)
+    scene = tr.load_scene(
+        write_mesh(tmp_path / "s", sheet, emissivity=0.6, extra="[surroundings]\ntemperature = 250.0")
+    )
+    scene = coarse(scene, 32)
+    for up, pitch in ((8.0, -90.0), (-8.0, 90.0)):
+        pose = tr.pose(0.0, 0.0, up, pitch_deg=pitch)
+        frame = tr.Renderer(scene).frame(pose)
+        traced = reference.render(scene, pose, 256)
+        assert (frame.truth["mask"] & BEHIND == BEHIND).all() == (up < 0.0)
+        np.testing.assert_allclose(traced.mean(), frame.radiance.mean(), rtol=2e-3)

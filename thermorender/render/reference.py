@@ -35,7 +35,8 @@ from thermorender.trajectory.rotations import checked_pose
 VARIANTS = {"llvm_ad_mono": "llvm_ad_spectral", "cuda_ad_mono": "cuda_ad_spectral"}
 _NAMES = itertools.count()
 _SAMPLES_AT_ONCE = 64
-# Distance of the copies behind the faces of objects, relative to the largest coordinate, and at most [m].
+# Distance of the copies behind faces, relative to the largest coordinate or to the camera's distance; near cameras see
+# no more than this [m].
 _BEHIND, _MOST_BEHIND_M = 64.0 * 2.0**-24, 1e-3
 
 
@@ -159,7 +160,7 @@ def mitsuba_scene(mi: Mitsuba, scene: Scene, pose: Floats, integrator: str, dept
     }
     mirrors = np.isin(np.arange(len(scene.materials)), directional(scene.materials))
     for number, surface in enumerate(scene.surfaces):
-        parts[f"s{number}"] = _mesh(mi, name, number, surface, scene.terrain_count, mirrors)
+        parts[f"s{number}"] = _mesh(mi, name, number, surface, pose, mirrors)
     world = mi.load_dict(parts)
     vars(loaded).clear()
     return world
@@ -206,7 +207,7 @@ def _register_lens(mi: Mitsuba, name: str, camera: Camera, pose: Floats, loaded:
     mi.register_sensor(name, Lens)
 
 
-def _mesh(mi: Mitsuba, name: str, number: int, surface: Surface, terrain_count: int, mirrors: NDArray[np.bool_]) -> Jit:
+def _mesh(mi: Mitsuba, name: str, number: int, surface: Surface, pose: Floats, mirrors: NDArray[np.bool_]) -> Jit:
     """A surface as a stock mesh with map coordinates, a two-sided material and an area emitter.
 
     `mirrors` is True for directional materials, (M,) bool.
@@ -214,25 +215,28 @@ def _mesh(mi: Mitsuba, name: str, number: int, surface: Surface, terrain_count: 
     properties = mi.Properties()
     texture = {"type": name, "surface": number}
     diffuse = {"type": "diffuse", "reflectance": {**texture, "what": "reflectance"}}
-    emitter: dict[str, Any] = {"type": "area", "radiance": {**texture, "what": "emission"}}
+    # Mitsuba samples an emitter with a texture by its map: a point of the map must show one point of the surface, which
+    # both sides, one-texel bodies and mirrored maps do not. Paths find emitters by chance instead.
+    emitter = {"type": "area", "radiance": {**texture, "what": "emission"}, "sampling_weight": 0.0}
     if mirrors[np.unique(surface.material)].any():
         properties["bsdf"] = mi.load_dict({"type": f"{name}-mirror", "surface": number})
-        # The angle of emission is known only at a hit, so the emitter is not sampled.
-        emitter["sampling_weight"] = 0.0
     else:
         properties["bsdf"] = mi.load_dict({"type": "twosided", "bsdf": diffuse})
     properties["emitter"] = mi.load_dict(emitter)
     # Corners are not shared, as each face has its own map coordinates.
     surface = expanded(surface)
     corners, uv = surface.vertices[surface.faces], surface.uv
-    if number >= terrain_count:
-        # A stock area emitter radiates to one side; a copy behind it radiates to the other. The copy sticks out round
-        # the edges of thin bodies, dark from one side, so it is as near as rays tell apart.
-        behind = min(_BEHIND * (1.0 + float(np.abs(corners).max())), _MOST_BEHIND_M)
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-        corners = np.concatenate([corners, (corners - behind * normal[:, None])[:, ::-1]])
-        uv = np.concatenate([uv, uv[:, ::-1]])
+    # A stock area emitter radiates to one side; a copy behind it radiates to the other, so that a surface emits to both
+    # sides as in frames. The copy sticks out round the edges of thin bodies, dark from one side, so it is as near as rays
+    # tell apart.
+    eye = pose[:3, 3]
+    reach = max(float(np.abs(corners).max()), float(np.abs(eye).max()))
+    nearest = float(np.linalg.norm(corners - eye, axis=-1).min())
+    behind = min(_BEHIND * (1.0 + reach), max(_MOST_BEHIND_M, _BEHIND * nearest))
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-300)
+    corners = np.concatenate([corners, (corners - behind * normal[:, None])[:, ::-1]])
+    uv = np.concatenate([uv, uv[:, ::-1]])
     corners = corners.reshape(-1, 3)
     mesh = mi.Mesh(f"s{number}", len(corners), len(corners) // 3, has_vertex_texcoords=True, props=properties)
     parameters = mi.traverse(mesh)
