@@ -135,7 +135,7 @@ class SceneOptions:
             for note in (_sun_of(scene), *scene.weather_notes):
                 typer.echo(f"weather: {note}")
         warn(_one_material(scene))
-        for note in scene.sky_notes:
+        for note in (*scene.sky_notes, *scene.surface_notes):
             warn(note)
         print_map_reports(scene)
         report = scene.emissivity_report

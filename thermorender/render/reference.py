@@ -227,8 +227,8 @@ def _mesh(mi: Mitsuba, name: str, number: int, surface: Surface, pose: Floats, m
     surface = expanded(surface)
     corners, uv = surface.vertices[surface.faces], surface.uv
     # A stock area emitter radiates to one side; a copy behind it radiates to the other, so that a surface emits to both
-    # sides as in frames. The copy sticks out round the edges of thin bodies, dark from one side, so it is as near as rays
-    # tell apart.
+    # sides as in frames. The copy sticks out round the edges of thin bodies, dark from one side, so it is as near as
+    # rays tell apart.
     eye = pose[:3, 3]
     reach = max(float(np.abs(corners).max()), float(np.abs(eye).max()))
     nearest = float(np.linalg.norm(corners - eye, axis=-1).min())

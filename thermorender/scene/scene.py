@@ -18,6 +18,7 @@ from thermorender.materials.material import Material
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene.edit import Edits
 from thermorender.scene.ground import Ground
+from thermorender.scene.parts import coplanar
 from thermorender.scene.parts.cover import Cover, Painted
 from thermorender.scene.parts.read import Parts
 from thermorender.scene.parts.shape import Shape
@@ -284,6 +285,11 @@ class Scene(Edits):
         if self.spec.weather is None or (self._declared.weather is None and self.frame is None):
             return ()
         return contradictions(self._declared, self._derived, self._weather)
+
+    @cached_property
+    def surface_notes(self) -> tuple[str, ...]:
+        """Sentences on objects that share a plane with another surface, so that pixels show either."""
+        return coplanar.notes(self.surfaces, self.terrain_count)
 
     @property
     def weather_notes(self) -> tuple[str, ...]:
