@@ -89,9 +89,9 @@ def test_one_part_alone_needs_no_search():
 
 def rays_of(geometry, rays=64):
     """(covered, origins (F, rays, 3)) of a geometry's rays."""
-    found = contacts.covered(geometry, contacts.solid(geometry), np.arange(geometry.face_count))
-    mi = geometry.mi
-    origin, *_ = radiosity.FaceRays(geometry, rays // 2, found)(dr.arange(mi.UInt32, geometry.face_count), 0)
+    face_rays, mi = radiosity.FaceRays(geometry, rays // 2), geometry.mi
+    found = face_rays.start_in_the_open(contacts.solid(geometry), np.arange(geometry.face_count))
+    origin, *_ = face_rays(dr.arange(mi.UInt32, geometry.face_count), 0)
     return found, np.array(origin).T.reshape(geometry.face_count, rays, 3)
 
 
@@ -147,9 +147,9 @@ def test_ground_beside_a_standing_wall_has_the_closed_form_light(tmp_path):
 def test_sun_reaches_the_open_part_of_a_covered_face():
     geometry = geometry_of(ground(2, 4.0), box([4.0, 9.0, 2.0], [3.0, 0.0, 0.0]))
     transport = radiosity.trace(geometry, 64)
-    covered = contacts.covered(geometry, contacts.solid(geometry), transport.touching)
-    mi = geometry.mi
-    origin, *_ = radiosity.FaceRays(geometry, 8, covered)(mi.UInt32(np.arange(8, dtype=np.uint32)), 0)
+    rays_of, mi = radiosity.FaceRays(geometry, 8), geometry.mi
+    rays_of.start_in_the_open(contacts.solid(geometry), transport.touching)
+    origin, *_ = rays_of(mi.UInt32(np.arange(8, dtype=np.uint32)), 0)
     towards = mi.Vector3f(-0.6, 0.0, 0.8)
     lit = ~np.array(geometry.cast(mi.Ray3f(origin, towards)).valid).reshape(8, 16)
     assert lit.all()
@@ -173,3 +173,15 @@ def test_terrain_with_objects_from_a_file_keeps_its_closed_cavity(tmp_path):
     sphere.invert()
     scene = tr.load_scene(write_mesh(tmp_path / "s", sphere))
     assert not len(radiosity.trace(Geometry(activate(), scene.surfaces), 64).touching)
+
+
+def test_copies_sunk_into_the_ground_start_their_rays_above_it(tmp_path):
+    case = next(case for case in scenes.chosen() if "copies" in case.name)
+    geometry = Geometry(activate(), scenes.load(case, tmp_path / "s").surfaces)
+    transport = radiosity.trace(geometry, 64)
+    rays_of, mi = radiosity.FaceRays(geometry, 32), geometry.mi
+    found = rays_of.start_in_the_open(contacts.solid(geometry), transport.touching)
+    copies = found.faces[found.faces >= geometry.face_start[1]]
+    opened = np.array([len(np.unique(spots)) for spots in found.spots])[np.isin(found.faces, copies)] < contacts.SPOTS
+    origin, *_ = rays_of(mi.UInt32(copies[opened]), 0)
+    assert opened.sum() > 50 and np.array(origin)[2].min() > 0.0

@@ -126,8 +126,8 @@ class DynamicObject:
     ) -> None:  # fmt: skip
         self.surfaces, self._plan = tracked.surfaces, plan
         self.geometry = Geometry(mi, tracked.surfaces)
-        whole = np.arange(self.geometry.face_count)
-        self._covered = contacts.covered(self.geometry, contacts.solid(self.geometry), whole)
+        self._rays_of = radiosity.FaceRays(self.geometry, (plan.rays + 1) // 2)
+        self._rays_of.start_in_the_open(contacts.solid(self.geometry), np.arange(self.geometry.face_count))
         # All texels have the same material.
         self._material = int(tracked.surfaces[0].material.flat[0])
         self._emissivity_at = materials[self._material].emissivity_at
@@ -180,10 +180,8 @@ class DynamicObject:
 
         mi, plan, count, others = self.geometry.mi, self._plan, self.geometry.face_count, geometry.face_count
         spectrum, known = plan.spectrum, len(static.seen)
-        half = (plan.rays + 1) // 2
-        rays = 2 * half
-        rays_of = radiosity.FaceRays(self.geometry, half, self._covered)
-        origin, direction, reverse, _ = rays_of(dr.arange(mi.UInt32, count), 0)
+        rays = 2 * ((plan.rays + 1) // 2)
+        origin, direction, reverse, _ = self._rays_of(dr.arange(mi.UInt32, count), 0)
         matrix, origin_m = _matrix(mi, pose)
         start, along = matrix @ origin + origin_m, matrix @ direction
         # Rays go both ways from a face: a sheet radiates to both sides, and each end shows the light that the object

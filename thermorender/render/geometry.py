@@ -116,6 +116,12 @@ class Geometry:
         """Return the Hit of rays (an mi.Ray3f); inactive ones miss."""
         return self.hit_of(self.caster.ray_intersect_preliminary(ray, coherent=coherent, active=active))
 
+    def cast_with_normal(self, ray: Jit, active: Jit = True) -> tuple[Hit, Jit]:
+        """Return (Hit of rays, unit normal of the triangles they meet, Vector3f); inactive rays miss."""
+        found = self.caster.ray_intersect_preliminary(ray, active=active)
+        surface = found.compute_surface_interaction(ray, self.mi.RayFlags.Minimal, active)
+        return self.hit_of(found), self.mi.Vector3f(surface.n)
+
     def hit_of(self, found: Jit) -> Hit:
         """Return the Hit of what the caster found."""
         mi = self.mi

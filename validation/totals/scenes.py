@@ -58,7 +58,7 @@ class Case:
 
 
 def chosen() -> list[Case]:
-    """Return the nine chosen cases."""
+    """Return the ten chosen cases."""
     # The foot lies in the middle of terrain triangles.
     wall = {"size": [2.0, 30.0, 8.0], "position": [-5.5, 0.0, 0.0]}
     other = {"size": [2.0, 30.0, 8.0], "position": [0.5, 0.0, 0.0]}
@@ -87,6 +87,7 @@ def chosen() -> list[Case]:
         case("wall of 330 K on a slope", steel, hot, slope=0.3, down=False),
         case("car of three boxes", "asphalt", car, down=False, post_m=0.5),
         Case("village with cars", _land("village", 5151), _village),
+        Case("sunken posts as copies", _posts(steel), _oblique),
     ]  # fmt: skip
 
 
@@ -161,6 +162,20 @@ def _land(kind, seed, three_d=False):
         text = (folder / "scene.toml").read_text(encoding="utf-8").replace("zenmuse-xt2", "camera.toml")
         (folder / "scene.toml").write_text(text, encoding="utf-8")
         (folder / "camera.toml").write_text(CAMERA, encoding="utf-8")
+        return folder
+
+    return made
+
+
+def _posts(ground):
+    """Twenty posts, copies of one, a third of each below the ground."""
+    post = {**_box("posts", [0.4, 0.4, 3.0], [0.0, 0.0, -1.0], 340.0, "paint_metallic"), "instances": "posts.csv"}
+
+    def made(folder):
+        _maker(ground, 300.0, [post], 1.0, 0.0)(folder)
+        random = np.random.Generator(np.random.Philox(3))
+        rows = (f"{x:.2f},{y:.2f},{yaw:.0f}\n" for x, y, yaw in random.uniform([-9, -9, 0], [9, 9, 90], (20, 3)))
+        (folder / "posts.csv").write_text("east_m,north_m,yaw_deg\n" + "".join(rows), encoding="utf-8")
         return folder
 
     return made

@@ -10,7 +10,7 @@ backs, reflected diffusely, do not come into the open air. Sheets and leaves are
 is seen from inside; a house without a floor, on ground that goes on below it, is.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import drjit as dr
@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.render.arrays import Floats, Jit, Mitsuba, aligned
-from thermorender.render.geometry import Geometry, of_faces
+from thermorender.render.geometry import Geometry, Hit, of_faces
 from thermorender.render.pixels.slender import connected
+from thermorender.scene.solids.instances import alone
 from thermorender.scene.surface import Surface
 
 # Points of a face that are tested, in an order in which neighbours are close to each other.
@@ -34,6 +35,8 @@ _ASIDE = 3
 _NEAREST, _SAME_WAY = 16, 0.7
 _RAYS_AT_ONCE = 1 << 21
 _SEED = 0x50D
+# (n faces) → their points, a little above them, and unit normals, n × SPOTS Vector3f each.
+PointsOf = Callable[[NDArray[np.integer]], tuple[Jit, Jit]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,34 +80,47 @@ def solid(geometry: Geometry) -> NDArray[np.bool_] | None:
     """
     part = _parts(geometry.surfaces)
     count = int(part.max(initial=-1)) + 1
-    if count < 2:
+    if count < 2 and not geometry.has_copies:
         return None
+    found = np.append(_solid_parts(geometry, part, count), False)[part]
+    for number, surface in enumerate(geometry.surfaces):
+        if surface.instances is not None:
+            # As a whole: a hit tells the patch of a copy, not the part of its body.
+            body = Geometry(geometry.mi, [alone(surface)])
+            own = _solid_parts(body, np.zeros(body.face_count, np.int64), 1)
+            found[slice(*geometry.face_start[number : number + 2])] = own[0]
+    return found
+
+
+def _solid_parts(geometry: Geometry, part: NDArray[np.int64], count: int) -> NDArray[np.bool_]:
+    """Which of `count` parts of a geometry are solid, by the part of each face (F,), −1 for none."""
     # A lone triangle encloses nothing.
     size = np.bincount(part[part >= 0], minlength=count)
     order = np.random.Generator(np.random.Philox(_SEED)).permutation(np.flatnonzero(part >= 0)).astype(np.uint32)
     order = order[np.argsort(part[order], kind="stable")]
     place = np.arange(len(order)) - np.repeat(np.cumsum(size) - size, size)
     drawn = order[(place < _FACES) & (size[part[order]] > 1)]
-    found = np.zeros(count, bool)
-    if drawn.size:
-        step = _RAYS_AT_ONCE // _WALKS
-        air = np.concatenate([_in_air(geometry, drawn[first : first + step]) for first in range(0, len(drawn), step)])
-        total, walks = np.bincount(part[drawn], air, count), np.bincount(part[drawn], minlength=count) * _WALKS
-        found = (walks > 0) & (total <= _MOST_IN_AIR * walks)
-    return np.append(found, False)[part]
+    if not drawn.size:
+        return np.zeros(count, bool)
+    step = _RAYS_AT_ONCE // _WALKS
+    air = np.concatenate([_in_air(geometry, drawn[first : first + step]) for first in range(0, len(drawn), step)])
+    total, walks = np.bincount(part[drawn], air, count), np.bincount(part[drawn], minlength=count) * _WALKS
+    return (walks > 0) & (total <= _MOST_IN_AIR * walks)
 
 
-def covered(geometry: Geometry, solids: NDArray[np.bool_] | None, faces: NDArray[np.integer]) -> Contacts | None:
+def covered(
+    geometry: Geometry, solids: NDArray[np.bool_] | None, faces: NDArray[np.integer], points_of: PointsOf
+) -> Contacts | None:
     """Return the Contacts among some ascending `faces`; None where all of these are open.
 
-    `solids` are those of `solid`.
+    `solids` are those of `solid`, and `points_of` gives the points of faces.
     """
     if solids is None or not len(faces):
         return None
     found = np.asarray(faces, np.uint32)
     step = _RAYS_AT_ONCE // SPOTS
     back = geometry.mi.UInt8(aligned(solids, np.uint8))
-    parts = [_open(geometry, back, found[first : first + step]) for first in range(0, len(found), step)]
+    parts = [_open(geometry, back, *points_of(found[first : first + step])) for first in range(0, len(found), step)]
     opened = np.concatenate(parts)
     partly = ~opened.all(axis=1)
     found, opened = found[partly], opened[partly]
@@ -144,24 +160,20 @@ def _stand_in(
         start[hidden], spots[hidden] = faces[best], spots[best]
 
 
-def backs(geometry: Geometry, back: Jit, face: Jit, direction: Jit, active: Jit) -> Jit:
-    """Return whether rays meet faces of something solid from behind, Bool; `back` is `solid` as UInt8."""
-    normal = geometry.mi.Vector3f(*geometry.normals.at(face, active))
-    return active & (dr.dot(normal, direction) > 0.0) & (dr.gather(type(back), back, face, active) > 0)
+def backs(geometry: Geometry, back: Jit, ray: Jit, active: Jit = True) -> tuple[Hit, Jit]:
+    """Return (Hit of rays, whether they meet something solid from behind, Bool); `back` is `solid` as UInt8."""
+    hit, normal = geometry.cast_with_normal(ray, active)
+    behind = hit.valid & (dr.dot(normal, ray.d) > 0.0) & (dr.gather(type(back), back, hit.face, hit.valid) > 0)
+    return hit, behind
 
 
-def _open(geometry: Geometry, back: Jit, faces: NDArray[np.uint32]) -> NDArray[np.bool_]:
-    """Whether the points of faces lie in the open, (n, SPOTS)."""
+def _open(geometry: Geometry, back: Jit, point: Jit, normal: Jit) -> NDArray[np.bool_]:
+    """Whether points of faces lie in the open, (n, SPOTS)."""
     mi = geometry.mi
-    corner, edge_u, edge_v, normal = _frames(mi, _corners(geometry, faces))
-    place = mi.Float(aligned(points()))
-    index = dr.arange(mi.UInt32, len(faces) * SPOTS)
-    row, spot = index // SPOTS, index % SPOTS
-    a, b = (dr.gather(mi.Float, place, 2 * spot + axis) for axis in (0, 1))
-    at = mi.warp.square_to_uniform_triangle(mi.Point2f(a, b))
-    corner, edge_u, edge_v, normal = (dr.gather(mi.Vector3f, v, row) for v in (corner, edge_u, edge_v, normal))
-    lift = dr.opaque(mi.Float, geometry.hair)
-    origin = corner + at.x * edge_u + at.y * edge_v + lift * normal
+    dr.eval(point, normal)
+    count = dr.width(point) // SPOTS
+    index = dr.arange(mi.UInt32, count * SPOTS)
+    spot = index % SPOTS
     # Up, since only then does a ray from below the ground meet its back, but away from the face.
     slope = dr.square(normal.z)
     away = dr.select(normal.z >= 0.0, dr.maximum(normal.z, 0.3), 0.3 * (1.0 - slope))
@@ -174,12 +186,11 @@ def _open(geometry: Geometry, back: Jit, faces: NDArray[np.uint32]) -> NDArray[n
         if number:
             sine, cosine = dr.sincos(turn + number * 2.0 * np.pi / _ASIDE)
             towards = frame.to_world(mi.Vector3f(0.8 * cosine, 0.8 * sine, 0.6))
-        hit = geometry.cast(mi.Ray3f(mi.Point3f(origin), towards), active=doubtful)
-        behind = backs(geometry, back, hit.face, towards, hit.valid)
+        hit, behind = backs(geometry, back, mi.Ray3f(mi.Point3f(point), towards), doubtful)
         hidden |= behind
         doubtful &= hit.valid & ~behind
         dr.eval(hidden, doubtful)
-    return ~np.array(hidden, dtype=bool).reshape(len(faces), SPOTS)
+    return ~np.array(hidden, dtype=bool).reshape(count, SPOTS)
 
 
 def _in_air(geometry: Geometry, faces: NDArray[np.uint32]) -> Floats:
@@ -197,12 +208,9 @@ def _in_air(geometry: Geometry, faces: NDArray[np.uint32]) -> Floats:
     for _ in range(_BOUNCES):
         pair = mi.Point2f(random.next_float32(), random.next_float32())
         towards = mi.Frame3f(side).to_world(mi.warp.square_to_cosine_hemisphere(pair))
-        hit = geometry.cast(mi.Ray3f(mi.Point3f(point + lift * side), towards))
-        normal = mi.Vector3f(*geometry.normals.at(hit.face, hit.valid))
-        # Crowns have no normals, and stand in the open air.
-        porous = hit.valid & (dr.squared_norm(normal) < 0.5)
-        air |= walking & (porous | (~hit.valid & (towards.z > 0.0)))
-        walking &= hit.valid & ~porous
+        hit, normal = geometry.cast_with_normal(mi.Ray3f(mi.Point3f(point + lift * side), towards), walking)
+        air |= walking & ~hit.valid & (towards.z > 0.0)
+        walking &= hit.valid
         point = point + lift * side + hit.distance * towards
         side = dr.select(walking, -dr.mulsign(normal, dr.dot(normal, towards)), side)
         point = dr.select(walking, point, 0.0)

@@ -96,8 +96,9 @@ def _sunlight(
     share = scene.air.shares(sun.BRIGHTNESS_TEMPERATURE_K)[points.node]
     light = (1.0 - scene.air.cloud_fraction) * sun.irradiance(points.wavelength_um) * points.weight * share
     light = spectrum.gathered(light * passed[points.node]) / np.pi
-    covered = contacts.covered(geometry, contacts.solid(geometry), touching)
-    rays_of, seen = radiosity.FaceRays(geometry, _SUN_POINTS // 2, covered), np.empty(geometry.face_count)
+    rays_of, seen = radiosity.FaceRays(geometry, _SUN_POINTS // 2), np.empty(geometry.face_count)
+    if len(touching):
+        rays_of.start_in_the_open(contacts.solid(geometry), touching)
     direction = mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards))
     for first in range(0, geometry.face_count, _FACES_AT_ONCE):
         count = min(_FACES_AT_ONCE, geometry.face_count - first)

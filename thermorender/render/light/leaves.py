@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from thermorender.render.arrays import Floats, Jit, aligned
 from thermorender.render.geometry import Geometry
+from thermorender.render.light.contacts import SPOTS
 from thermorender.render.plan import Plan
 from thermorender.render.spectrum import REFERENCE_K
 from thermorender.scene.scene import Scene
@@ -101,6 +102,12 @@ class Leaves:
         # Each patch begins elsewhere, so that like copies do not repeat their errors. Lanes of the processor beyond the
         # last ray have gathered a count of 0, and a division by it ends the process.
         return first + (number + ((face * _HASH) >> 16)) % dr.maximum(count, 1)
+
+    def row_of_spot(self, face: Jit, spot: Jit) -> Jit:
+        """Return the row of the frames of a spot of a face, one of `contacts.SPOTS`; UInt32."""
+        mi = self._mi
+        first, count = dr.gather(mi.UInt32, self._first, face), dr.gather(mi.UInt32, self._count, face)
+        return dr.select(count > 1, first + spot * (_DRAWN // SPOTS), face)
 
     def placed(self, face: Jit, corner: Jit, edge_u: Jit, edge_v: Jit, normal: Jit) -> tuple[Jit, ...]:
         """Return frames of triangles in the scene's frame, for the faces that they belong to."""

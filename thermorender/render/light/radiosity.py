@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from thermorender.render.light.environment import Environment
 
 # A cached Transport of another version is not used: increase this when the result of `trace` changes.
-VERSION = 5
+VERSION = 6
 # Bins of zenith angle for rays to the sky, even in the root of its cosine: narrow at the horizon.
 SKY_BINS = 16
 # About 30 bytes per ray at once.
@@ -159,12 +159,15 @@ def trace(geometry: Geometry, rays: int, progress: Callable[[float], object] | N
     def rows_of(rays_of: FaceRays, faces: NDArray[np.uint32]) -> _Rows:
         """The rows of some faces; what their rays see beyond the surfaces is written to `up` and `down`."""
         origin, direction, _, _ = rays_of(mi.UInt32(aligned(faces, np.uint32)), seed)
-        found = geometry.cast(mi.Ray3f(origin, direction))
+        ray, behind = mi.Ray3f(origin, direction), mi.Bool(False)
+        if back is None:
+            found = geometry.cast(ray)
+        else:
+            found, behind = contacts.backs(geometry, back, ray)
         # One number per ray: the face, or face count plus the code of the background.
         code = dr.select(found.valid, found.face, count + background_code(mi, direction))
+        dr.eval(code, behind)
         if back is not None:
-            behind = contacts.backs(geometry, back, found.face, direction, found.valid)
-            dr.eval(code, behind)
             touching[faces] |= np.array(behind, dtype=bool).reshape(len(faces), -1).any(axis=1)
         length, seen, hits, missing = _counted(np.array(code, dtype=np.int32).reshape(2 * len(faces), half), count)
         up[faces] = missing[:, :SKY_BINS].reshape(-1, 2, SKY_BINS)
@@ -179,9 +182,8 @@ def trace(geometry: Geometry, rays: int, progress: Callable[[float], object] | N
         if progress:
             progress((int(part[-1]) + 1) / count)
     at_risk = np.flatnonzero(touching).astype(np.uint32)
-    covered = contacts.covered(geometry, solids, at_risk)
+    covered = rays_of.start_in_the_open(solids, at_risk)
     if covered is not None:
-        rays_of = FaceRays(geometry, half, covered)
         for number, part in enumerate(parts):
             again = covered.faces[slice(*np.searchsorted(covered.faces, [part[0], part[-1] + 1]))]
             if len(again):
@@ -370,10 +372,10 @@ class FaceRays:
     Rays of covered faces start at their open points, of which the third Sobol dimension chooses one.
     """
 
-    def __init__(self, geometry: Geometry, half: int, covered: contacts.Contacts | None = None) -> None:
+    def __init__(self, geometry: Geometry, half: int) -> None:
         from scipy.stats import qmc
 
-        self._mi, self._rays = geometry.mi, 2 * half
+        self._geometry, self._mi, self._rays = geometry, geometry.mi, 2 * half
         # SciPy requires a power of two; the first 2 × half points are used.
         points = qmc.Sobol(4, scramble=False).random_base2((2 * half - 1).bit_length())[: 2 * half]
         self._base = [self._mi.UInt32(aligned(column * 2.0**24, np.uint32)) for column in points.T]
@@ -386,29 +388,52 @@ class FaceRays:
             found = np.concatenate([found, self._leaves.frames])
         self._faces = [self._mi.Float(aligned(found[:, k])) for k in range(4)]
         self._lift = dr.opaque(self._mi.Float, geometry.hair)
-        self._covered = None
-        if covered is not None:
-            # By row of the frames: its place in the tables of covered faces.
-            place = np.full(len(found), _OPEN, np.uint32)
-            place[covered.faces] = np.arange(len(covered.faces))
-            tables = place, covered.start, covered.spots
+        self._spots = self._mi.Float(aligned(contacts.points()))
+        self._covered: tuple[Jit, ...] | None = None
+
+    def start_in_the_open(
+        self, solids: NDArray[np.bool_] | None, faces: NDArray[np.integer]
+    ) -> contacts.Contacts | None:
+        """Return the Contacts among some ascending faces, from whose open parts rays start from now on.
+
+        `solids` are those of `contacts.solid`.
+        """
+        found = contacts.covered(self._geometry, solids, faces, self._points)
+        if found is not None:
+            place = np.full(self._geometry.face_count, _OPEN, np.uint32)
+            place[found.faces] = np.arange(len(found.faces))
+            tables = place, found.start, found.spots
             self._covered = tuple(self._mi.UInt32(aligned(each, np.uint32)) for each in tables)
-            self._spots = self._mi.Float(aligned(contacts.points()))
+        return found
+
+    def _points(self, faces: NDArray[np.integer]) -> tuple[Jit, Jit]:
+        """(points, normals) of the spots of faces, n × SPOTS Vector3f, a little above the faces."""
+        mi = self._mi
+        index = dr.arange(mi.UInt32, len(faces) * contacts.SPOTS)
+        face = dr.gather(mi.UInt32, mi.UInt32(aligned(faces, np.uint32)), index // contacts.SPOTS)
+        spot = index % contacts.SPOTS
+        row = face if self._leaves is None else self._leaves.row_of_spot(face, spot)
+        corner, edge_u, edge_v, normal = self._frame(face, row)
+        at = mi.warp.square_to_uniform_triangle(self._at_spot(spot, True))
+        return corner + at.x * edge_u + at.y * edge_v + self._lift * normal, normal
+
+    def _frame(self, face: Jit, row: Jit) -> tuple[Jit, ...]:
+        """Corner, edges and unit normal of faces, by the row of their frame."""
+        corner, edge_u, edge_v, normal = (dr.gather(self._mi.Vector3f, values, row) for values in self._faces)
+        if self._leaves is None:
+            return corner, edge_u, edge_v, normal
+        return self._leaves.placed(face, corner, edge_u, edge_v, normal)
+
+    def _at_spot(self, spot: Jit, active: Jit) -> Jit:
+        """The points of spots in the unit square."""
+        mi = self._mi
+        return mi.Point2f(*(dr.gather(mi.Float, self._spots, 2 * spot + axis, active) for axis in (0, 1)))
 
     def __call__(self, faces: Jit, seed: int) -> tuple[Jit, Jit, Jit, Jit]:
         """(origin, direction, origin on the other side, normal) of the rays of faces, (n,) UInt32, side by side."""
         mi = self._mi
         index = dr.arange(mi.UInt32, len(faces) * self._rays)
         face, number = dr.gather(mi.UInt32, faces, index // self._rays), index % self._rays
-        row = face if self._leaves is None else self._leaves.row(face, number)
-        if self._covered is not None:
-            place, start, spots = self._covered
-            place = dr.gather(mi.UInt32, place, row)
-            covered = place != _OPEN
-            row = dr.select(covered, dr.gather(mi.UInt32, start, place, covered), row)
-        corner, edge_u, edge_v, normal = (dr.gather(mi.Vector3f, values, row) for values in self._faces)
-        if self._leaves is not None:
-            corner, edge_u, edge_v, normal = self._leaves.placed(face, corner, edge_u, edge_v, normal)
         # One random shift per face decorrelates neighbours and keeps the even spread.
         key = dr.opaque(mi.UInt32, seed) * 2 + _SEED
         # With the usual 4 rounds the shifts of successive faces are correlated; with 6 no test finds a correlation.
@@ -422,14 +447,19 @@ class FaceRays:
         across, half_chord = dr.sincos(angle)
         along = (2.0 * u[1] - 1.0) * half_chord
         out = dr.safe_sqrt((1.0 - dr.square(along)) - dr.square(across))
+        row = face if self._leaves is None else self._leaves.row(face, number)
+        place = mi.Point2f(u[2], u[3])
         if self._covered is not None:
+            of_face, start, spots = self._covered
+            number = dr.gather(mi.UInt32, of_face, face)
+            covered = number != _OPEN
             spot = dr.minimum(mi.UInt32(u[2] * contacts.SPOTS), contacts.SPOTS - 1)
-            spot = dr.gather(mi.UInt32, spots, place * contacts.SPOTS + spot, covered)
-            for axis in (0, 1):
-                u[2 + axis] = dr.select(
-                    covered, dr.gather(mi.Float, self._spots, 2 * spot + axis, covered), u[2 + axis]
-                )
-        spot = mi.warp.square_to_uniform_triangle(mi.Point2f(u[2], u[3]))
+            spot = dr.gather(mi.UInt32, spots, number * contacts.SPOTS + spot, covered)
+            place = dr.select(covered, self._at_spot(spot, covered), place)
+            other = dr.gather(mi.UInt32, start, number, covered)
+            row = dr.select(covered, other if self._leaves is None else self._leaves.row_of_spot(other, spot), row)
+        corner, edge_u, edge_v, normal = self._frame(face, row)
+        spot = mi.warp.square_to_uniform_triangle(place)
         point, lift = corner + spot.x * edge_u + spot.y * edge_v, normal * self._lift
         level = mi.Vector3f(-normal.y, normal.x, 0.0)
         level = dr.normalize(dr.select(dr.squared_norm(level) > 1e-12, level, mi.Vector3f(1.0, 0.0, 0.0)))

@@ -77,11 +77,10 @@ class Walks:
         towards = mi.Frame3f(side).to_world(mi.warp.square_to_cosine_hemisphere(mi.Point2f(u[0], u[1])))
         for step in range(_LONGEST):
             ray = mi.Ray3f(at + lift * side, towards)
-            found = geometry.caster.ray_intersect_preliminary(ray, active=walking)
-            hit, surface = geometry.hit_of(found), found.compute_surface_interaction(ray, mi.RayFlags.Minimal, walking)
+            hit, normal = geometry.cast_with_normal(ray, walking)
             total += dr.select(walking & ~hit.valid, self._outside(here, towards, node), 0.0)
             walking &= hit.valid
-            here, side, at = hit.face, mi.Vector3f(surface.n), surface.p
+            here, side, at = hit.face, normal, mi.Point3f(ray.o + hit.distance * towards)
             place = geometry.map_position(geometry.record(here, walking), at)
             texel = geometry.nearest(hit.surface, *place, walking)
             material = mi.UInt32(dr.gather(type(self._texels.material), self._texels.material, texel, walking))

@@ -211,9 +211,9 @@ def _differences(
     place = qmc.Sobol(2, scramble=False).random_base2(points.bit_length() - 1) + 0.5 / points
     right, down = (mi.Float(aligned(np.tile(axis, count))) for axis in place.T)
     ray = view_ray(mi, *layer.view, *rays.slopes(right, down, mi.UInt32(aligned(np.repeat(pixels, points), np.uint32))))
-    found = geometry.caster.ray_intersect_preliminary(ray)
-    hit, surface = geometry.hit_of(found), found.compute_surface_interaction(ray, mi.RayFlags.Minimal)
-    on_map = geometry.map_position(geometry.record(hit.face, hit.valid), surface.p)
+    hit, normal = geometry.cast_with_normal(ray)
+    point = mi.Point3f(ray.o + hit.distance * ray.d)
+    on_map = geometry.map_position(geometry.record(hit.face, hit.valid), point)
     # Radiance in the band without a path.
     sums = spectrum.solver.sum(axis=0)
     shown = baked.device.static_outgoing.at(geometry, hit, on_map)
@@ -229,7 +229,7 @@ def _differences(
             limits = float(kelvin[here].min()), float(kelvin[here].max())
             grid, table = spectrum.emitted(baked.scene.materials[one].emissivity_at, *limits, baked.plan.band_um)
             left[here] -= part[here] * np.interp(kelvin[here], grid, table @ sums)
-    light, node = baked.walks.incident(surface.p, hit.face, mi.Vector3f(surface.n), _WALKS)
+    light, node = baked.walks.incident(point, hit.face, normal, _WALKS)
     left = left - (np.take_along_axis(share, node.astype(np.intp), axis=1) * light).mean(axis=1)
     one, two = np.where(np.array(hit.valid), left, 0.0).reshape(count, 2, _POINTS).mean(axis=2).T
     return one, two
