@@ -6,7 +6,7 @@ A column is a list of layers from the top down; each layer is one array over all
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -151,54 +151,61 @@ def layered(slabs: Sequence[Slab], skin: float = np.inf, film: float | None = No
     )
 
 
-def top_response(
-    before: list[Any], capacity: list[Any], conductance: list[Any], below_k: Any, seconds: Any,
-    heating: list[Any] | None = None,
-) -> tuple[Any, Any, list[Any], list[Any]]:  # fmt: skip
-    """Return (α, β, pivots, sums) of a column after one implicit stage: its first layer is at α + β Q.
+class Response(NamedTuple):
+    """Response of a column to heat from above over one implicit stage.
 
-    Q is the heat flux into it from the surface [W m⁻²]; `filled` needs the pivots and sums.
+    Attributes
+    ----------
+    alpha, beta : array
+        The first layer warms by α + β Q under a heat flux Q from the surface [K, K m² W⁻¹].
+    pivots, sums : lists of L arrays
+        Of the elimination [W m⁻² K⁻¹, W m⁻²]; `filled` needs them.
+    """
+
+    alpha: Any
+    beta: Any
+    pivots: list[Any]
+    sums: list[Any]
+
+
+def top_response(gains: list[Any], capacity: list[Any], conductance: list[Any], seconds: Any) -> Response:
+    """Return the Response of a column to one implicit stage: its first layer warms by α + β Q.
+
+    Q is the heat flux into the first layer from the surface [W m⁻²].
 
     Parameters
     ----------
-    before : list of L arrays
-        Right-hand side of the stage: temperatures [K].
+    gains : list of L arrays
+        Heat that each layer would gain at the temperatures before, without Q [W m⁻²].
     capacity, conductance : lists of L and L + 1 arrays
         As in `Layers`.
-    below_k : array
-        Temperature of the air below [K].
     seconds : float or array
         Length of the stage [s].
-    heating : list of L arrays, optional
-        Sunlight absorbed in the layers [W m⁻²].
 
     Notes
     -----
-    Backward Euler: C (T − T₀)/Δt = G (T₋ − T) − G₊ (T − T₊), eliminated from the bottom up.
+    Backward Euler for the changes x: C x/Δt = gains + G (x₋ − x) − G₊ (x − x₊), eliminated from the bottom up. All
+    terms of the pivots are positive, so single precision costs a few ulp of x however far G is above C/Δt.
     """
-    count = len(before)
+    count = len(gains)
     pivots: list[Any] = [None] * count
-    sums: list[Any] = [None] * count
-    for i in range(count - 1, -1, -1):
-        inertia = capacity[i] / seconds
-        under = conductance[i + 1]
-        if i == count - 1:
-            diagonal, known = inertia + under, inertia * before[i] + under * below_k
-        else:
-            share = under / pivots[i + 1]
-            diagonal = inertia + under * (1.0 - share)
-            known = inertia * before[i] + share * sums[i + 1]
-        if heating is not None:
-            known = known + heating[i]
-        # The first layer has no layer above; its inflow is Q.
-        pivots[i] = diagonal + (conductance[i] if i else 0.0)
-        sums[i] = known
-    return sums[0] / pivots[0], 1.0 / pivots[0], pivots, sums
+    sums = list(gains)
+    # Conductance into a layer's inertia and all that lies below it.
+    into: Any = capacity[-1] / seconds + conductance[-1]
+    for i in range(count - 1, 0, -1):
+        pivots[i] = conductance[i] + into
+        share = conductance[i] / pivots[i]
+        # conductance · (1 − share) is the same as share · into, but cancels where layers conduct well.
+        into = capacity[i - 1] / seconds + share * into
+        sums[i - 1] = sums[i - 1] + share * sums[i]
+    # The first layer has no layer above; its inflow is Q.
+    pivots[0] = into
+    return Response(sums[0] / pivots[0], 1.0 / pivots[0], pivots, sums)
 
 
-def filled(top_k: Any, conductance: list[Any], pivots: list[Any], sums: list[Any]) -> list[Any]:
-    """Return the temperatures of all layers [K] from the first layer's; see `top_response`."""
-    found = [top_k]
-    for i in range(1, len(pivots)):
-        found.append((sums[i] + conductance[i] * found[-1]) / pivots[i])
+def filled(top: Any, conductance: list[Any], response: Response) -> list[Any]:
+    """Return the changes of all layers [K] from the first layer's."""
+    found = [top]
+    for i in range(1, len(response.pivots)):
+        found.append((response.sums[i] + conductance[i] * found[-1]) / response.pivots[i])
     return found
