@@ -128,6 +128,11 @@ def layered(slabs: Sequence[Slab], skin: float = np.inf, film: float | None = No
         sizes = _GROWTH ** np.arange(count)
         border = np.concatenate([[0.0], np.cumsum(sizes) / sizes.sum()]) * reach[-1]
         node = 0.5 * (border[1:] + border[:-1])
+    elif np.isfinite(reach[-1]):
+        # A half-space to the layers above; the last one reaches down to the lower face.
+        border, node = border.copy(), node.copy()
+        border[-1] = reach[-1]
+        node[-1] = 0.5 * (border[-2] + border[-1])
     cut = np.unique(np.concatenate([border, node, reach[reach < border[-1]]]))
     slab_of = np.searchsorted(reach, 0.5 * (cut[1:] + cut[:-1]), side="right").clip(max=len(slabs) - 1)
     length = np.diff(cut) * speed[slab_of]
