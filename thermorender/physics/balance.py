@@ -186,12 +186,11 @@ def step(xp: Any, state: State, ground: Ground, first: Forcing, second: Forcing,
     stage = _GAMMA * seconds
     if state.remainder_k is None:
         state = state._replace(remainder_k=[0.0 * t for t in state.layers_k])
-    gains = _gains(state, ground.conductance)
-    surface, changes, fluxes = _stage(xp, state, gains, state.surface_k, ground, first, stage)
+    surface, changes, fluxes = _stage(xp, state, None, state.surface_k, ground, first, stage)
     # The second stage starts from an extrapolation of the first.
     ahead = (1.0 - _GAMMA) / _GAMMA / stage
-    gains = [gain + ahead * c * change for gain, c, change in zip(gains, ground.capacity, changes, strict=True)]
-    surface, changes, later = _stage(xp, state, gains, surface, ground, second, stage)
+    sources = [ahead * capacity * change for capacity, change in zip(ground.capacity, changes, strict=True)]
+    surface, changes, later = _stage(xp, state, sources, surface, ground, second, stage)
     net_radiation, sensible, latent, into_ground, evaporated = (
         (1.0 - _GAMMA) * one + _GAMMA * other for one, other in zip(fluxes, later, strict=True)
     )
@@ -218,35 +217,29 @@ def _warmed(kelvin: Any, remainder: Any, change: Any) -> tuple[Any, Any]:
     return after, change - (after - kelvin)
 
 
-def _gains(state: State, conductance: list[Any]) -> list[Any]:
-    """Heat that each layer gains from its neighbours [W m⁻²]."""
-    down = [
-        g * ((over - under) + (more - less))
-        for g, (over, under), (more, less) in zip(
-            conductance[1:-1], pairwise(state.layers_k), pairwise(state.remainder_k), strict=True
-        )
-    ]
-    return [-down[0], *(into - out for into, out in pairwise(down)), down[-1]]
-
-
 def _stage(
-    xp: Any, state: State, gains: list[Any], guess: Any, ground: Ground, forcing: Forcing, seconds: Any
+    xp: Any, state: State, sources: list[Any] | None, guess: Any, ground: Ground, forcing: Forcing, seconds: Any
 ) -> tuple[Any, list[Any], tuple[Any, ...]]:
     """(surface [K], changes of the layers [K], Fluxes without `molten`) after one implicit stage.
 
-    `gains` is the heat that each layer gains from others [W m⁻²].
+    `sources` is heat that the layers gain beside conduction and sunlight [W m⁻²].
     """
-    lost = ground.conductance[-1] * ((state.layers_k[-1] - forcing.below_k) + state.remainder_k[-1])
-    gains = [*gains[:-1], gains[-1] - lost]
+    layers, remainder = state.layers_k, state.remainder_k
+    drops = [
+        (over - under) + (more - less)
+        for (over, under), (more, less) in zip(pairwise(layers), pairwise(remainder), strict=True)
+    ]
+    sources = list(sources or [0.0] * len(layers))
+    sources[-1] = sources[-1] + ground.conductance[-1] * ((forcing.below_k - layers[-1]) - remainder[-1])
     surface_sun = forcing.absorbed
     if ground.sun_share is not None:
         heating = [share * forcing.absorbed for share in ground.sun_share]
         surface_sun = forcing.absorbed - sum(heating)
-        gains = [a + b for a, b in zip(gains, heating, strict=True)]
-    response = top_response(gains, ground.capacity, ground.conductance, seconds)
+        sources = [a + b for a, b in zip(sources, heating, strict=True)]
+    response = top_response(drops, sources, ground.capacity, ground.conductance, seconds)
     # Conductance from the surface into the column: through the skin and the first half layer.
     series = 1.0 / (response.beta + 1.0 / ground.conductance[0])
-    before_k, warmed = state.layers_k[0], response.alpha + state.remainder_k[0]
+    before_k, warmed = layers[0], response.alpha + remainder[0]
     density = exchange.air_density(forcing.pressure_pa, forcing.air_k)
     saturation, _ = exchange.saturation_vapour(xp, forcing.air_k)
     closed = exchange.stomata(xp, ground.resistance, forcing.sunlight, saturation - forcing.vapour_pa)
@@ -290,7 +283,7 @@ def _stage(
     after = t + move(excess, rate)
     more = xp.where((after >= low) & (after <= high), series * move(excess, rate), 0.0)
     into = xp.where(t < cap, conducted + more, radiation - sensible - latent)
-    changes = filled(response.alpha + response.beta * into, ground.conductance, response)
+    changes = filled(response.alpha + response.beta * into, drops, response)
     inside = forcing.absorbed - surface_sun
     return t, changes, (radiation + inside, sensible, latent, into + inside, latent / heat)
 

@@ -163,25 +163,27 @@ class Response(NamedTuple):
     ----------
     alpha, beta : array
         The first layer warms by α + β Q under a heat flux Q from the surface [K, K m² W⁻¹].
-    pivots, sums : lists of L arrays
-        Of the elimination [W m⁻² K⁻¹, W m⁻²]; `filled` needs them.
+    shares, rises : lists of L - 1 arrays
+        Each layer below it warms by share · (drop + change of the layer above) + rise [1, K].
     """
 
     alpha: Any
     beta: Any
-    pivots: list[Any]
-    sums: list[Any]
+    shares: list[Any]
+    rises: list[Any]
 
 
-def top_response(gains: list[Any], capacity: list[Any], conductance: list[Any], seconds: Any) -> Response:
-    """Return the Response of a column to one implicit stage: its first layer warms by α + β Q.
-
-    Q is the heat flux into the first layer from the surface [W m⁻²].
+def top_response(
+    drops: list[Any], sources: list[Any], capacity: list[Any], conductance: list[Any], seconds: Any
+) -> Response:
+    """Return the Response of a column to one implicit stage.
 
     Parameters
     ----------
-    gains : list of L arrays
-        Heat that each layer would gain at the temperatures before, without Q [W m⁻²].
+    drops : list of L - 1 arrays
+        Temperature of each layer minus that of the layer below it, before the stage [K].
+    sources : list of L arrays
+        Heat that each layer gains without conduction between layers and from the surface [W m⁻²].
     capacity, conductance : lists of L and L + 1 arrays
         As in `Layers`.
     seconds : float or array
@@ -189,28 +191,26 @@ def top_response(gains: list[Any], capacity: list[Any], conductance: list[Any], 
 
     Notes
     -----
-    Backward Euler for the changes x: C x/Δt = gains + G (x₋ − x) − G₊ (x − x₊), eliminated from the bottom up. All
-    terms of the pivots are positive, so single precision costs a few ulp of x however far G is above C/Δt.
+    Backward Euler for the changes x: C x/Δt = source + G (drop₋ + x₋ − x) − G₊ (drop + x − x₊), eliminated from the
+    bottom up. Where layers conduct well, G is far above C/Δt; no term is a difference of numbers near G or G · drop, so
+    single precision costs a few ulp of x.
     """
-    count = len(gains)
-    pivots: list[Any] = [None] * count
-    sums = list(gains)
-    # Conductance into a layer's inertia and all that lies below it.
-    into: Any = capacity[-1] / seconds + conductance[-1]
+    count = len(sources)
+    shares, rises = [0.0] * (count - 1), [0.0] * (count - 1)
+    # Conductance into a layer's inertia and all that lies below it, and the heat gained there.
+    into, known = capacity[-1] / seconds + conductance[-1], sources[-1]
     for i in range(count - 1, 0, -1):
-        pivots[i] = conductance[i] + into
-        share = conductance[i] / pivots[i]
-        # conductance · (1 − share) is the same as share · into, but cancels where layers conduct well.
-        into = capacity[i - 1] / seconds + share * into
-        sums[i - 1] = sums[i - 1] + share * sums[i]
-    # The first layer has no layer above; its inflow is Q.
-    pivots[0] = into
-    return Response(sums[0] / pivots[0], 1.0 / pivots[0], pivots, sums)
+        pivot = conductance[i] + into
+        shares[i - 1], rises[i - 1] = conductance[i] / pivot, known / pivot
+        known = sources[i - 1] + shares[i - 1] * (known - into * drops[i - 1])
+        # The same as conductance · (1 − share), which cancels.
+        into = capacity[i - 1] / seconds + shares[i - 1] * into
+    return Response(known / into, 1.0 / into, shares, rises)
 
 
-def filled(top: Any, conductance: list[Any], response: Response) -> list[Any]:
-    """Return the changes of all layers [K] from the first layer's."""
+def filled(top: Any, drops: list[Any], response: Response) -> list[Any]:
+    """Return the changes of all layers [K] from the first layer's; `drops` as of `top_response`."""
     found = [top]
-    for i in range(1, len(response.pivots)):
-        found.append((response.sums[i] + conductance[i] * found[-1]) / response.pivots[i])
+    for drop, share, rise in zip(drops, response.shares, response.rises, strict=True):
+        found.append(share * (drop + found[-1]) + rise)
     return found
