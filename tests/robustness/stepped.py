@@ -18,16 +18,20 @@ def run(precision, ground, act, begin, seconds, count, start_s=0.0):
         Of C columns; NumPy.
     act : callable
         Returns the balance.Forcing at a time [s].
-    begin : (L, C) array
-        Temperatures of the layers [K].
+    begin : (L, C) array or balance.State
+        Temperatures of the layers [K], at rest; or a State in double precision.
     seconds, count : float, int
         Length and number of steps.
     start_s : float, optional
         Time of the first step's beginning [s].
     """
-    xp, array, evaluate = _library(precision, np.shape(begin)[1])
+    given = isinstance(begin, balance.State)
+    xp, array, evaluate = _library(precision, np.shape(begin.layers_k if given else begin)[1])
     ground = balance.Ground(*(_each(array, value) for value in ground))
-    state = balance.at_rest(xp, [array(layer) for layer in begin], ground)
+    if given:
+        state = balance.State(*(_each(array, value) for value in begin))
+    else:
+        state = balance.at_rest(xp, [array(layer) for layer in begin], ground)
     length, seen = array(seconds), []
     for number in range(count):
         at = start_s + number * seconds
