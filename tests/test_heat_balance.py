@@ -129,6 +129,8 @@ CHAINS = {
     "paving on foam": ([Slab(0.02, 1.7, 2e6), Slab(0.05, 0.04, 5e4), Slab(np.inf, 1.2, 2.2e6)], None, 0.1),
     "roof over a room": ([Slab(0.005, 0.2, 1.5e6), Slab(0.15, 0.04, 5e4), Slab(0.2, 1.7, 2.1e6)], 7.7, 0.2),
     "wall": ([Slab(0.2, 1.7, 2.1e6)], 7.7, 0.2),
+    "earth over a room": ([Slab(0.2, 0.8, 1.5e6), Slab(3.0, 1.0, 2.2e6), Slab(0.3, 1.7, 2.1e6)], 7.7, 0.2),
+    "thick wood": ([Slab(1.5, 0.12, 1e6)], 7.7, 0.2),
     "metal sheet": ([Slab(0.0005, 50.0, 3.9e6)], 25.0, 1e-6),
     "deep water": ([Slab(5.0, 0.57, 4.18e6)], None, 0.1),
 }

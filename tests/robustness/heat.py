@@ -1,6 +1,7 @@
 """Stability of the heat balance: thin and thick columns, any step, no wind and storm, nights without end.
 
-Steps are compared with the same day in steps of half a minute. The allowed error of a step has two parts. One is the
+Steps in the single precision that renders are compared with the same day in steps of half a minute in double precision.
+The allowed error of a step has two parts. One is the
 scheme's response error for a wave at twice the day's frequency, at the worst time constant, times half the daily range
 of a surface without mass. The other is a millikelvin for Newton's method.
 """
@@ -10,6 +11,7 @@ from functools import cache
 import numpy as np
 
 from tests.robustness.cases import Found, case
+from tests.robustness.stepped import DOUBLE, SINGLE, run
 from thermorender.physics import balance, exchange
 from thermorender.physics.balance import STEFAN_BOLTZMANN
 from thermorender.physics.conduction import Slab, layered
@@ -50,15 +52,6 @@ def air(**changed):
     return balance.Forcing(**(own | changed))
 
 
-def simulate(ground, act, state, begin_s, seconds, count):
-    """Yield (time [s], State) after each of `count` steps; `act(time)` gives the Forcing."""
-    for number in range(count):
-        at = begin_s + number * seconds
-        stages = (act(at + offset) for offset in balance.stage_times(seconds))
-        state, _ = balance.step(np, state, ground, *stages, seconds)
-        yield at + seconds, state
-
-
 @cache
 def everything():
     """(Ground, day's Forcing by time) of all materials in all winds; the wind varies fastest."""
@@ -77,21 +70,21 @@ def everything():
                    wind_m_s=wind, below_k=kelvin, vapour_pa=1.0)  # fmt: skip
 
     ground = column(cuts, emissivity=emissivity)
-    *_, (_, state) = simulate(
-        ground, day, balance.at_rest(np, [mean_k] * len(ground.capacity), ground), -DAY_S, 900.0, 96
-    )
+    begin = np.tile(mean_k, (len(ground.capacity), 1))
+    _, state = run(DOUBLE, ground, day, begin, 900.0, 96, -DAY_S)
     return ground, day, state
 
 
 @cache
 def fine():
     """{time [s]: surface temperatures} of a day in fine steps, and the State at noon."""
-    ground, day, begin = everything()
-    found, noon = {}, None
-    for t, state in simulate(ground, day, begin, 0.0, FINE_S, round(DAY_S / FINE_S)):
-        found[round(t)] = state.surface_k
-        noon = state if round(t) == round(0.5 * DAY_S) else noon
-    return found, noon
+    ground, day, state = everything()
+    half, found = round(0.5 * DAY_S / FINE_S), []
+    for start_s in (0.0, 0.5 * DAY_S):
+        kelvin, state = run(DOUBLE, ground, day, state, FINE_S, half, start_s)
+        found.append((kelvin, state))
+    seen = np.concatenate([kelvin for kelvin, _ in found])
+    return {round(FINE_S * (1 + number)): kelvin for number, kelvin in enumerate(seen)}, found[0][1]
 
 
 @cache
@@ -101,8 +94,8 @@ def stepped(seconds):
     begin, length = 0.0, DAY_S
     if seconds < FINE_S:
         begin, length, state = 0.5 * DAY_S, SECOND_S, fine()[1]
-    run = simulate(ground, day, state, begin, seconds, round(length / seconds))
-    return {round(t): state.surface_k for t, state in run}
+    kelvin, _ = run(SINGLE, ground, day, state, seconds, round(length / seconds), begin)
+    return {round(begin + seconds * (1 + number)): values for number, values in enumerate(kelvin)}
 
 
 @cache
@@ -143,27 +136,30 @@ def jump(step):
     For an isolated mode (1 + (1 − 2γ) z)/(1 − γ z)² replaces exp(z); later steps forget it with its square.
     """
     seconds = STEPS[step]
-    ground = column([layered([Slab(0.0005, 50.0, 3.9e6)], film=25.0)])
-    begin = balance.at_rest(np, [np.array([288.0])] * len(ground.capacity), ground)
-    *_, (_, begin) = simulate(ground, lambda t: air(), begin, 0.0, 3600.0, 48)
+    ground, begin = _settled_sheet()
     after = air(air_k=318.0, below_k=318.0)
-    *_, (_, found) = simulate(ground, lambda t: after, begin, 0.0, seconds, 1)
-    *_, (_, exact) = simulate(ground, lambda t: after, begin, 0.0, seconds / 200.0, 200)
-    return Found(float(found.surface_k[0]), float(exact.surface_k[0]), 0.2074 * 30.0)
+    found, _ = run(SINGLE, ground, lambda t: after, begin, seconds, 1)
+    exact, _ = run(DOUBLE, ground, lambda t: after, begin, seconds / 200.0, 200)
+    return Found(float(found[-1, 0]), float(exact[-1, 0]), 0.2074 * 30.0)
+
+
+def _settled_sheet():
+    """(Ground, State) of a metal sheet after two days in dark, dry air."""
+    ground = column([layered([Slab(0.0005, 50.0, 3.9e6)], film=25.0)])
+    _, begin = run(DOUBLE, ground, lambda t: air(), np.full((len(ground.capacity), 1), 288.0), 3600.0, 48)
+    return ground, begin
 
 
 @case("heat", "metal sheet, one hour after that jump, steps of 15 min")
 def after_jump():
     """After four steps at most 0.2074⁴ of the jump remains."""
-    ground = column([layered([Slab(0.0005, 50.0, 3.9e6)], film=25.0)])
-    begin = balance.at_rest(np, [np.array([288.0])] * len(ground.capacity), ground)
-    *_, (_, begin) = simulate(ground, lambda t: air(), begin, 0.0, 3600.0, 48)
+    ground, begin = _settled_sheet()
     after = air(air_k=318.0, below_k=318.0)
-    ends = []
-    for count in (4, 600):
-        *_, (_, state) = simulate(ground, lambda t: after, begin, 0.0, 3600.0 / count, count)
-        ends.append(float(state.surface_k[0]))
-    return Found(*ends, 0.2074**4 * 30.0 + NEWTON_K)
+    found, exact = (
+        run(precision, ground, lambda t: after, begin, 3600.0 / count, count)[0][-1, 0]
+        for precision, count in ((SINGLE, 4), (DOUBLE, 600))
+    )
+    return Found(float(found), float(exact), 0.2074**4 * 30.0 + NEWTON_K)
 
 
 CLIMATES = {
@@ -210,9 +206,8 @@ def _balanced(act, **changed):
         return act.absorbed - emitted - h * (kelvin - act.air_k) - latent
 
     exact = brentq(surplus, act.air_k - 60.0, act.air_k + 100.0, xtol=1e-9)
-    begin = balance.at_rest(np, [np.array([act.air_k])] * len(ground.capacity), ground)
-    *_, (_, state) = simulate(ground, lambda t: act, begin, 0.0, 10800.0, 3)
-    return Found(float(state.surface_k[0]), exact, NEWTON_K)
+    found, _ = run(SINGLE, ground, lambda t: act, np.full((len(ground.capacity), 1), act.air_k), 10800.0, 3)
+    return Found(float(found[-1, 0]), exact, NEWTON_K)
 
 
 @case("heat", "energy of a day, as kelvin of a metre of soil")

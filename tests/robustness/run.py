@@ -109,7 +109,12 @@ def table(path, result):
         "case derives the allowed error. Errors of steps are the largest of a day, and of some winds.",
     ]
     for group in dict.fromkeys(case["group"] for case in result["cases"]):
-        lines += ["", f"## {group}", "", f"| {' | '.join(HEADER)} |", "|---" + "|--:" * 4 + "|---|--:|"]
-        own = {**result, "cases": [case for case in result["cases"] if case["group"] == group]}
+        cases = [case for case in result["cases"] if case["group"] == group]
+        lines += ["", f"## {group}", ""]
+        if group == "precision":
+            lines += ["Kernels in single precision against double, largest difference first.", ""]
+            cases.sort(key=lambda case: -np.inf if case["error_k"] is None else -case["error_k"])
+        lines += [f"| {' | '.join(HEADER)} |", "|---" + "|--:" * 4 + "|---|--:|"]
+        own = {**result, "cases": cases}
         lines += [f"| {' | '.join((row[0].partition(': ')[2], *row[1:]))} |" for row in rows(own)]
     formats.write_text(path, "\n".join(lines) + "\n")

@@ -5,6 +5,7 @@ from above, so Newton's method has to find the surface temperature only. Arrays 
 the library; all fields broadcast over the columns.
 """
 
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 from thermorender.physics import exchange
@@ -115,12 +116,16 @@ class State(NamedTuple):
         Free water on the surface [kg m⁻²].
     liquid : list of arrays or None
         Liquid part of the layers' freezable water [kg m⁻²].
+    remainder_k : list of arrays or None
+        What the layers are warmer than `layers_k` can hold [K]; None: nothing. In single precision short steps change
+        deep layers by less than an ulp of `layers_k`, and thin sheets have smaller gradients.
     """
 
     surface_k: Any
     layers_k: list[Any]
     film: Any
     liquid: list[Any] | None
+    remainder_k: Any = None
 
 
 class Fluxes(NamedTuple):
@@ -179,21 +184,25 @@ def step(xp: Any, state: State, ground: Ground, first: Forcing, second: Forcing,
         Length of the step [s].
     """
     stage = _GAMMA * seconds
-    early, fluxes = _stage(xp, state, state.layers_k, state.surface_k, ground, first, stage)
-    ahead = (1.0 - _GAMMA) / _GAMMA
-    known = [t + ahead * (y - t) for t, y in zip(state.layers_k, early[1], strict=True)]
-    late, later = _stage(xp, state, known, early[0], ground, second, stage)
+    if state.remainder_k is None:
+        state = state._replace(remainder_k=[0.0 * t for t in state.layers_k])
+    surface, changes, fluxes = _stage(xp, state, None, state.surface_k, ground, first, stage)
+    # The second stage starts from an extrapolation of the first.
+    ahead = (1.0 - _GAMMA) / _GAMMA / stage
+    sources = [ahead * capacity * change for capacity, change in zip(ground.capacity, changes, strict=True)]
+    surface, changes, later = _stage(xp, state, sources, surface, ground, second, stage)
     net_radiation, sensible, latent, into_ground, evaporated = (
         (1.0 - _GAMMA) * one + _GAMMA * other for one, other in zip(fluxes, later, strict=True)
     )
     rain = (1.0 - _GAMMA) * first.rain_kg_m2_s + _GAMMA * second.rain_kg_m2_s
     film = xp.minimum(xp.maximum(state.film + seconds * (rain - evaporated), 0.0), ground.held)
-    layers, liquid, surface = late[1], state.liquid, late[0]
-    molten = 0.0 * film
+    warmed = [_warmed(*each) for each in zip(state.layers_k, state.remainder_k, changes, strict=True)]
+    liquid, molten = state.liquid, 0.0 * film
     if ground.water is not None:
-        layers, liquid, molten = _melted(xp, layers, liquid, ground)
+        warmed, liquid, molten = _melted(xp, warmed, liquid, ground)
     means = Fluxes(net_radiation, sensible, latent, into_ground, evaporated, molten / seconds)
-    return State(surface, layers, film, liquid), means
+    layers, remainder = zip(*warmed, strict=True)
+    return State(surface, list(layers), film, liquid, list(remainder)), means
 
 
 def stage_times(seconds: float) -> tuple[float, float]:
@@ -201,20 +210,36 @@ def stage_times(seconds: float) -> tuple[float, float]:
     return _GAMMA * seconds, seconds
 
 
+def _warmed(kelvin: Any, remainder: Any, change: Any) -> tuple[Any, Any]:
+    """(temperature, remainder) of a layer after a change, with what the sum's rounding would lose kept."""
+    change = change + remainder
+    after = kelvin + change
+    return after, change - (after - kelvin)
+
+
 def _stage(
-    xp: Any, state: State, known: list[Any], guess: Any, ground: Ground, forcing: Forcing, seconds: Any
-) -> tuple[tuple[Any, list[Any]], tuple[Any, ...]]:
-    """((surface, layers), Fluxes without `molten`) after one implicit stage."""
-    heating = None
+    xp: Any, state: State, sources: list[Any] | None, guess: Any, ground: Ground, forcing: Forcing, seconds: Any
+) -> tuple[Any, list[Any], tuple[Any, ...]]:
+    """(surface [K], changes of the layers [K], Fluxes without `molten`) after one implicit stage.
+
+    `sources` is heat that the layers gain beside conduction and sunlight [W m⁻²].
+    """
+    layers, remainder = state.layers_k, state.remainder_k
+    drops = [
+        (over - under) + (more - less)
+        for (over, under), (more, less) in zip(pairwise(layers), pairwise(remainder), strict=True)
+    ]
+    sources = list(sources or [0.0] * len(layers))
+    sources[-1] = sources[-1] + ground.conductance[-1] * ((forcing.below_k - layers[-1]) - remainder[-1])
     surface_sun = forcing.absorbed
     if ground.sun_share is not None:
         heating = [share * forcing.absorbed for share in ground.sun_share]
         surface_sun = forcing.absorbed - sum(heating)
-    alpha, beta, pivots, sums = top_response(
-        known, ground.capacity, ground.conductance, forcing.below_k, seconds, heating
-    )
+        sources = [a + b for a, b in zip(sources, heating, strict=True)]
+    response = top_response(drops, sources, ground.capacity, ground.conductance, seconds)
     # Conductance from the surface into the column: through the skin and the first half layer.
-    series = 1.0 / (beta + 1.0 / ground.conductance[0])
+    series = 1.0 / (response.beta + 1.0 / ground.conductance[0])
+    before_k, warmed = layers[0], response.alpha + remainder[0]
     density = exchange.air_density(forcing.pressure_pa, forcing.air_k)
     saturation, _ = exchange.saturation_vapour(xp, forcing.air_k)
     closed = exchange.stomata(xp, ground.resistance, forcing.sunlight, saturation - forcing.vapour_pa)
@@ -225,48 +250,62 @@ def _stage(
     t, frozen = guess, guess < ZERO_CELSIUS_K
     low, high = 0.0 * t, 0.0 * t + 1e4
 
-    def exchanged(t: Any) -> tuple[Any, ...]:
-        """(h, its derivative, latent heat, its derivative, heat per mass) at a surface temperature."""
+    def surplus(t: Any) -> tuple[Any, ...]:
+        """(radiation, sensible, latent heat, heat per mass, conducted heat, surplus, its slope) at a temperature."""
         h, bend = exchange.convection(
             xp, t, forcing.air_k, forcing.wind_m_s, density, ground.log_wind, ground.log_heat, ground.height_m
         )
-        return h, bend, *exchange.evaporation(
+        latent, slope, heat = exchange.evaporation(
             xp, t, forcing.vapour_pa, forcing.pressure_pa, h, bend, density, resistance, wet, frozen
-        )  # fmt: skip
-
-    for _ in range(_NEWTON):
-        h, bend, latent, slope, heat = exchanged(t)
+        )
         cube = ground.emissivity * STEFAN_BOLTZMANN * t**3
         warmer = t - forcing.air_k
-        flux = gained - cube * t - (h + rain) * warmer - latent
+        radiation, sensible = gained - cube * t, (h + rain) * warmer
         # The exchange weakens as a surface cools below the air. A lower bound on its slope keeps the step's direction.
         rate = 4.0 * cube + xp.maximum(h + bend * warmer + slope, 0.25 * h) + rain + series
-        excess = flux - series * (t - alpha)
+        conducted = series * ((t - before_k) - warmed)
+        return radiation, sensible, latent, heat, conducted, radiation - sensible - latent - conducted, rate
+
+    def move(excess: Any, rate: Any) -> Any:
+        return xp.minimum(xp.maximum(excess / rate, -_LARGEST_STEP_K), _LARGEST_STEP_K)
+
+    for _ in range(_NEWTON):
+        *_, excess, rate = surplus(t)
         # The slope jumps where stability, dew or ice begin, so steps stay between the known bounds.
         low, high = xp.where(excess > 0.0, t, low), xp.where(excess > 0.0, high, t)
-        move = xp.minimum(xp.maximum(excess / rate, -_LARGEST_STEP_K), _LARGEST_STEP_K)
-        t = xp.where((t + move >= low) & (t + move <= high), t + move, 0.5 * (low + high))
+        after = t + move(excess, rate)
+        t = xp.where((after >= low) & (after <= high), after, 0.5 * (low + high))
     # Melting snow stays at the melting point; the rest of the heat melts its first layer.
     cap = xp.where(ground.melting > 0.5, ZERO_CELSIUS_K, 1e4)
     t = xp.minimum(t, cap)
-    h, _, latent, _, heat = exchanged(t)
-    radiation = gained - ground.emissivity * STEFAN_BOLTZMANN * t**4
-    sensible = (h + rain) * (t - forcing.air_k)
-    into = xp.where(t < cap, series * (t - alpha), radiation - sensible - latent)
-    layers = filled(alpha + beta * into, ground.conductance, pivots, sums)
+    radiation, sensible, latent, heat, conducted, excess, rate = surplus(t)
+    # A last step for the flux alone: in a column that conducts well, an ulp of the temperature is many W m⁻².
+    after = t + move(excess, rate)
+    more = xp.where((after >= low) & (after <= high), series * move(excess, rate), 0.0)
+    into = xp.where(t < cap, conducted + more, radiation - sensible - latent)
+    changes = filled(response.alpha + response.beta * into, drops, response)
     inside = forcing.absorbed - surface_sun
-    return (t, layers), (radiation + inside, sensible, latent, into + inside, latent / heat)
+    return t, changes, (radiation + inside, sensible, latent, into + inside, latent / heat)
 
 
-def _melted(xp: Any, layers: list[Any], liquid: Any, ground: Any) -> tuple[list[Any], list[Any], Any]:
-    """(temperatures, liquid water, melted water of all layers [kg m⁻²]) after warm ice melts and cold water freezes."""
+def _melted(
+    xp: Any, layers: list[tuple[Any, Any]], liquid: Any, ground: Any
+) -> tuple[list[tuple[Any, Any]], list[Any], Any]:
+    """((temperature, remainder) of layers, liquid water, melted water of all layers [kg m⁻²]).
+
+    Warm ice melts and cold water freezes.
+    """
     warm, wet, total = [], [], 0.0
-    for t, now, water, room, capacity in zip(layers, liquid, ground.water, ground.room, ground.capacity, strict=True):
+    for (t, more), now, water, room, capacity in zip(
+        layers, liquid, ground.water, ground.room, ground.capacity, strict=True
+    ):
         # Snow's ice is unlimited, and excess melt water runs off.
         ice = xp.where(room < 0.5 * water, _ENDLESS, water - now)
-        molten = capacity * (t - ZERO_CELSIUS_K) / FUSION
-        molten = xp.minimum(xp.maximum(molten, -now), ice)
-        warm.append(t - molten * FUSION / capacity)
-        wet.append(xp.minimum(now + molten, room))
+        molten = capacity * ((t - ZERO_CELSIUS_K) + more) / FUSION
+        after = now + xp.minimum(xp.maximum(molten, -now), ice)
+        # Heat for less water than the sum can hold stays in the layer.
+        molten = after - now
+        warm.append(_warmed(t, more, -molten * FUSION / capacity))
+        wet.append(xp.minimum(after, room))
         total = total + molten
     return warm, wet, total

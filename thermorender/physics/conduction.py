@@ -6,7 +6,7 @@ A column is a list of layers from the top down; each layer is one array over all
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -128,6 +128,11 @@ def layered(slabs: Sequence[Slab], skin: float = np.inf, film: float | None = No
         sizes = _GROWTH ** np.arange(count)
         border = np.concatenate([[0.0], np.cumsum(sizes) / sizes.sum()]) * reach[-1]
         node = 0.5 * (border[1:] + border[:-1])
+    elif np.isfinite(reach[-1]):
+        # A half-space to the layers above; the last one reaches down to the lower face.
+        border, node = border.copy(), node.copy()
+        border[-1] = reach[-1]
+        node[-1] = 0.5 * (border[-2] + border[-1])
     cut = np.unique(np.concatenate([border, node, reach[reach < border[-1]]]))
     slab_of = np.searchsorted(reach, 0.5 * (cut[1:] + cut[:-1]), side="right").clip(max=len(slabs) - 1)
     length = np.diff(cut) * speed[slab_of]
@@ -151,54 +156,61 @@ def layered(slabs: Sequence[Slab], skin: float = np.inf, film: float | None = No
     )
 
 
-def top_response(
-    before: list[Any], capacity: list[Any], conductance: list[Any], below_k: Any, seconds: Any,
-    heating: list[Any] | None = None,
-) -> tuple[Any, Any, list[Any], list[Any]]:  # fmt: skip
-    """Return (α, β, pivots, sums) of a column after one implicit stage: its first layer is at α + β Q.
+class Response(NamedTuple):
+    """Response of a column to heat from above over one implicit stage.
 
-    Q is the heat flux into it from the surface [W m⁻²]; `filled` needs the pivots and sums.
+    Attributes
+    ----------
+    alpha, beta : array
+        The first layer warms by α + β Q under a heat flux Q from the surface [K, K m² W⁻¹].
+    shares, rises : lists of L - 1 arrays
+        Each layer below it warms by share · (drop + change of the layer above) + rise [1, K].
+    """
+
+    alpha: Any
+    beta: Any
+    shares: list[Any]
+    rises: list[Any]
+
+
+def top_response(
+    drops: list[Any], sources: list[Any], capacity: list[Any], conductance: list[Any], seconds: Any
+) -> Response:
+    """Return the Response of a column to one implicit stage.
 
     Parameters
     ----------
-    before : list of L arrays
-        Right-hand side of the stage: temperatures [K].
+    drops : list of L - 1 arrays
+        Temperature of each layer minus that of the layer below it, before the stage [K].
+    sources : list of L arrays
+        Heat that each layer gains without conduction between layers and from the surface [W m⁻²].
     capacity, conductance : lists of L and L + 1 arrays
         As in `Layers`.
-    below_k : array
-        Temperature of the air below [K].
     seconds : float or array
         Length of the stage [s].
-    heating : list of L arrays, optional
-        Sunlight absorbed in the layers [W m⁻²].
 
     Notes
     -----
-    Backward Euler: C (T − T₀)/Δt = G (T₋ − T) − G₊ (T − T₊), eliminated from the bottom up.
+    Backward Euler for the changes x: C x/Δt = source + G (drop₋ + x₋ − x) − G₊ (drop + x − x₊), eliminated from the
+    bottom up. Where layers conduct well, G is far above C/Δt; no term is a difference of numbers near G or G · drop, so
+    single precision costs a few ulp of x.
     """
-    count = len(before)
-    pivots: list[Any] = [None] * count
-    sums: list[Any] = [None] * count
-    for i in range(count - 1, -1, -1):
-        inertia = capacity[i] / seconds
-        under = conductance[i + 1]
-        if i == count - 1:
-            diagonal, known = inertia + under, inertia * before[i] + under * below_k
-        else:
-            share = under / pivots[i + 1]
-            diagonal = inertia + under * (1.0 - share)
-            known = inertia * before[i] + share * sums[i + 1]
-        if heating is not None:
-            known = known + heating[i]
-        # The first layer has no layer above; its inflow is Q.
-        pivots[i] = diagonal + (conductance[i] if i else 0.0)
-        sums[i] = known
-    return sums[0] / pivots[0], 1.0 / pivots[0], pivots, sums
+    count = len(sources)
+    shares, rises = [0.0] * (count - 1), [0.0] * (count - 1)
+    # Conductance into a layer's inertia and all that lies below it, and the heat gained there.
+    into, known = capacity[-1] / seconds + conductance[-1], sources[-1]
+    for i in range(count - 1, 0, -1):
+        pivot = conductance[i] + into
+        shares[i - 1], rises[i - 1] = conductance[i] / pivot, known / pivot
+        known = sources[i - 1] + shares[i - 1] * (known - into * drops[i - 1])
+        # The same as conductance · (1 − share), which cancels.
+        into = capacity[i - 1] / seconds + shares[i - 1] * into
+    return Response(known / into, 1.0 / into, shares, rises)
 
 
-def filled(top_k: Any, conductance: list[Any], pivots: list[Any], sums: list[Any]) -> list[Any]:
-    """Return the temperatures of all layers [K] from the first layer's; see `top_response`."""
-    found = [top_k]
-    for i in range(1, len(pivots)):
-        found.append((sums[i] + conductance[i] * found[-1]) / pivots[i])
+def filled(top: Any, drops: list[Any], response: Response) -> list[Any]:
+    """Return the changes of all layers [K] from the first layer's; `drops` as of `top_response`."""
+    found = [top]
+    for drop, share, rise in zip(drops, response.shares, response.rises, strict=True):
+        found.append(share * (drop + found[-1]) + rise)
     return found

@@ -66,5 +66,5 @@ class Channels:
         found: list[Jit] = []
         for kind, used, values in self.groups:
             packet = dr.gather(kind, values, index, active)
-            found += [packet] if used == 1 and kind.__name__ == "Float" else [packet[i] for i in range(used)]
+            found += [packet] if dr.depth_v(packet) == 1 else [packet[i] for i in range(used)]
         return found

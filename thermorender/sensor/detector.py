@@ -81,8 +81,9 @@ class PixelState:
     Attributes
     ----------
     time_s : float
-    signal : (H, W) float32
-        Of each pixel, if it were read now [W].
+    signal : (H, W) float32 or float64
+        Of each pixel, if it were read now [W]. Double precision between frames: a frame of a hundredth of a time
+        constant or less changes it by less than single precision holds.
     power : (H, W) float32
         Absorbed by each pixel [W].
     error_mk : float
@@ -90,7 +91,7 @@ class PixelState:
     """
 
     time_s: float
-    signal: Image
+    signal: NDArray[np.floating[Any]]
     power: Image
     error_mk: float = 0.0
 
@@ -105,13 +106,12 @@ def stepped(state: PixelState, time_s: float, power: Image, time_constant_s: flo
     old, _, _ = response_weights(time_s - state.time_s, time_constant_s)
     if old < SETTLED:
         return steady(time_s, power)
-    signal = power + np.float32(old) * (state.signal - power)
-    return PixelState(float(time_s), signal, power)
+    return PixelState(float(time_s), power + old * (state.signal - power), power)
 
 
 def advanced(state: PixelState, time_s: float, power: Image, time_constant_s: float) -> PixelState:
     """Return the PixelState at `time_s` after the power has changed linearly to `power`."""
-    old, first, last = (np.float32(weight) for weight in response_weights(time_s - state.time_s, time_constant_s))
+    old, first, last = response_weights(time_s - state.time_s, time_constant_s)
     return PixelState(float(time_s), old * state.signal + first * state.power + last * power, power)
 
 

@@ -323,8 +323,9 @@ class _Simulation:
             if own is not None and at >= first_s - _OWN_S - 1e-6:
                 index = mi.UInt32(aligned(np.concatenate([np.arange(self.faces), self.faces + own]), np.uint32))
                 own_of = lambda values, index=index: [dr.gather(mi.Float, each, index) for each in values]  # noqa: E731
-                surface_k, *layers_k, film = own_of([state.surface_k, *state.layers_k, state.film])
-                state = State(surface_k, layers_k, film, state.liquid and own_of(state.liquid))
+                surface_k, film = own_of([state.surface_k, state.film])
+                liquid, remainder_k = (each and own_of(each) for each in (state.liquid, state.remainder_k))
+                state = State(surface_k, own_of(state.layers_k), film, liquid, remainder_k)
                 columns, _ = self._columns(texels)
                 _evaluate(state)
                 own = None
@@ -447,4 +448,4 @@ def _varied(ground: Ground, wetness: Jit, exchange: Jit, inertia: Jit) -> Ground
 
 def _evaluate(state: State) -> None:
     """Compute a State in one kernel; dr.eval would use one kernel per entry of a named tuple."""
-    dr.eval(state.surface_k, *state.layers_k, state.film, *(state.liquid or ()))
+    dr.eval(state.surface_k, *state.layers_k, state.film, *(state.liquid or ()), *(state.remainder_k or ()))
