@@ -176,7 +176,7 @@ def _open(geometry: Geometry, back: Jit, point: Jit, normal: Jit) -> NDArray[np.
     spot = index % SPOTS
     # Up, since only then does a ray from below the ground meet its back, but away from the face.
     slope = dr.square(normal.z)
-    away = dr.select(normal.z >= 0.0, dr.maximum(normal.z, 0.3), 0.3 * (1.0 - slope))
+    away = dr.select(normal.z >= 0.0, dr.maximum(normal.z, 0.1), 0.1 * (1.0 - slope))
     towards = mi.Vector3f(0.0, 0.0, 1.0) - normal.z * normal + away * normal
     towards = dr.normalize(dr.select(dr.squared_norm(towards) > 1e-6, towards, normal))
     # Where a ray meets a front, that may coincide with the back of the body in which it starts: others go aside.
@@ -188,6 +188,9 @@ def _open(geometry: Geometry, back: Jit, point: Jit, normal: Jit) -> NDArray[np.
             towards = frame.to_world(mi.Vector3f(0.8 * cosine, 0.8 * sine, 0.6))
         hit, behind = backs(geometry, back, mi.Ray3f(mi.Point3f(point), towards), doubtful)
         hidden |= behind
+        if not number:
+            # Only undersides send it down, and below those in the open is the ground.
+            hidden |= ~hit.valid & (towards.z < 0.0)
         doubtful &= hit.valid & ~behind
         dr.eval(hidden, doubtful)
     return ~np.array(hidden, dtype=bool).reshape(count, SPOTS)

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from thermorender.render.light.environment import Environment
 
 # A cached Transport of another version is not used: increase this when the result of `trace` changes.
-VERSION = 6
+VERSION = 7
 # Bins of zenith angle for rays to the sky, even in the root of its cosine: narrow at the horizon.
 SKY_BINS = 16
 # About 30 bytes per ray at once.
