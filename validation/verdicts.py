@@ -152,6 +152,12 @@ def _budget(found):
             for each in found["cases"].values() if not each["drawn"]]  # fmt: skip
 
 
+def _totals(found):
+    """Whole frames against path tracing; the tolerance is each frame's own total."""
+    return [Verdict(name, "path tracing, RMS", 0.0, _MK * each["true_mk"], _MK * each["stated_mk"], each["seconds"])
+            for name, each in found["cases"].items()]  # fmt: skip
+
+
 def _fuzz(found):
     """Damaged files by reader; no fault is allowed: no foreign error, non-finite number, hanging or crash."""
     verdicts = []
@@ -194,6 +200,8 @@ STUDIES = (
           ("convergence/convergence_*.png",), _convergence, continues=True),
     Study("budget", "validation.budget", "Stated against true sampling error", "budget/budget.json",
           ("budget/budget.png",), _budget, continues=True),
+    Study("totals", "validation.totals", "Stated against true total error", "totals/totals.json", (), _totals,
+          continues=True),
     Study("targets", "validation.targets", "Small and far targets", "targets/targets.json"),
     Study("air", "validation.air", "Spectral channels of the air", "air/air.json", ("air/*.png",), _air),
     Study("soundings", "validation.soundings", "The air of the weather against whole soundings",

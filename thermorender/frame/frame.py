@@ -242,13 +242,13 @@ class Frame:
 
         Over the pixels that show a surface, except for "image". "nodes": largest error of the spectral nodes over the
         spectra of the scene, and the residual bound of the solution. "bake": light between the visible surfaces, from
-        two independent halves of its rays, and light of moving objects, from the number of their rays. "sampling": rays
+        two independent halves of its rays and from random walks at some pixels, and light of moving objects, from the
+        number of their rays. "sampling": rays
         and texture reads of this frame, from a part of its pixels rendered again. "air": largest error of the spectral
         channels over the same spectra. "mirrors": largest error of reflections up to 80°, and of the third mirror in a
         chain, which is left out. "preview": of a preview of an edit, what it leaves out. "total". "image": the total
         over all pixels; sky and surroundings only have an error of sampling. These are estimates; only that of the
-        solution is a bound. Light of faces that an object stands on can err by more, and an object that no ray hits is
-        not in them. With a learned emissivity, "emissivity" is
+        solution is a bound, and an object that no ray hits is not in them. With a learned emissivity, "emissivity" is
         its standard deviation under the unobstructed sky; it is a property of the scene, so the total leaves it out.
         None for a frame of the reference engine, whose error is its noise. Most frames of a flight have the budget of
         the frame `budget_frame`.
