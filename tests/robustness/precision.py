@@ -345,6 +345,26 @@ def noise():
     return Found(float(np.abs(found - exact).max()), 0.0, 4.0 * 2.0**-24 * float(np.abs(exact).max()) + 1e-7)
 
 
+@case("precision", "shipped network from pictures to temperature")
+def network():
+    """Its layers on drawn pictures, 256 pixels a side; its output is a temperature above the air."""
+    import copy
+
+    import torch
+
+    from thermorender.learned.temperature_map import SHIPPED, load_map
+
+    own = load_map(SHIPPED["procedural-compact+"]).predictor
+    planes = np.random.default_rng(7).uniform(-1.0, 1.0, (2, own.encoding.channels, 256, 256)).astype(np.float32)
+    found = []
+    for number in (torch.float32, torch.float64):
+        net = copy.deepcopy(own.net).to("cpu", number)
+        with torch.inference_mode():
+            given = net(torch.from_numpy(planes).to(number))
+        found.append((given[0] if isinstance(given, tuple) else given).numpy()[:, 0])
+    return Found(float(np.abs(found[0] - found[1]).max()) * own.encoding.scale, 0.0, 1e-3)
+
+
 @case(
     "precision",
     "heat of drawn columns, {0[1]} steps of {0[0]:g} s",

@@ -344,8 +344,8 @@ class Exposure:
         before = self.pixels or steady(end_s, power)
         self.pixels = stepped(before, end_s, power, time_constant_s)
         passed = np.maximum(time_s + self._delays - before.time_s, 0.0)
-        old = response_weights(passed, time_constant_s)[0].astype(np.float32)
-        return power if old[0] < SETTLED else power + old[:, None] * (before.signal - power)
+        old = response_weights(passed, time_constant_s)[0][:, None]
+        return power if old[0] < SETTLED else (power + old * (before.signal - power)).astype(np.float32)
 
     def _way(self, relief: Relief, time_s: float, span_s: float) -> tuple[Image, Image]:
         """Motion of each pixel within a time constant, by that in a span before a time: (right, down) (H, W) [px]."""

@@ -48,7 +48,7 @@ _BEFORE_S = 48 * 3600.0
 _LIGHT_S, _RAYS, _REFLECTIONS = 1800.0, 64, 4
 # Time before the first instant in which each texel has its own sun; earlier those of a face and material share it [s].
 _OWN_S = 4 * 3600.0
-# Texels simulated at a time: about 300 bytes each.
+# Texels simulated at a time: about 350 bytes each.
 _AT_ONCE = 1 << 22
 # Largest factor on reflectance from the brightness of a texel over that of its class.
 _BRIGHTEST = 2.0
