@@ -58,11 +58,11 @@ def forgotten_s(camera: Camera) -> float:
 
     Notes
     -----
-    A difference falls as e⁻ᵗ/τ. After 24 ln 2 time constants it is below the last bit of a float32 signal. It then
+    A difference falls as e⁻ᵗ/τ. After 53 ln 2 time constants it is below the last bit of a float64 signal. It then
     changes a rounding with a probability that falls as fast, which ln(100 n) more bring to 1 % for all n pixels.
     Half a count is reached earlier: 2¹⁴ counts fall below it after 15 ln 2 = 10.4 time constants.
     """
-    return camera.time_constant_ms * 1e-3 * float(24.0 * np.log(2.0) + np.log(100.0 * camera.width * camera.height))
+    return camera.time_constant_ms * 1e-3 * float(53.0 * np.log(2.0) + np.log(100.0 * camera.width * camera.height))
 
 
 def row_delays(camera: Camera, frame_interval_s: float = np.inf) -> NDArray[np.float64]:
