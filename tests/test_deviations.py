@@ -31,7 +31,7 @@ def fields(shape, **factors):
 def test_deviations_match_columns_in_the_open(level):
     """Each factor changes both materials as it changes a column simulated with NumPy, to 0.02 K.
 
-    The two simulations differ in their steps, which affects all alike, and in single precision (5 mK,
+    The two simulations differ in their steps, which affects all alike, and in single precision (1 mK,
     test_heat_device.py).
     """
     from thermorender.render.heat.simulation import solved

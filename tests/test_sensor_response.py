@@ -91,6 +91,15 @@ def test_response_agrees_with_a_numerical_solution():
     assert state.signal == pytest.approx(solved.y[0, -1], abs=1e-6)
 
 
+def test_a_slow_pixel_follows_a_step_through_many_short_frames():
+    """30 000 frames of 0.1 ms, three time constants of a second: each changes less than single precision holds."""
+    state = detector.steady(0.0, np.float32(50.0))
+    for frame in range(1, 30_001):
+        state = detector.advanced(state, 1e-4 * frame, np.float32(60.0), 1.0)
+    # The power rises within the first frame, half of it on average.
+    assert state.signal == pytest.approx(60.0 - 10.0 * np.exp(-3.0 + 0.5e-4), abs=1e-6)
+
+
 def test_rows_are_read_one_after_another():
     delays = detector.row_delays(CAMERA)
     assert np.diff(delays) == pytest.approx(63.5e-6) and delays.sum() == pytest.approx(0.0, abs=1e-12)

@@ -5,7 +5,6 @@ from above, so Newton's method has to find the surface temperature only. Arrays 
 the library; all fields broadcast over the columns.
 """
 
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 from thermorender.physics import exchange
@@ -225,10 +224,7 @@ def _stage(
     `sources` is heat that the layers gain beside conduction and sunlight [W m⁻²].
     """
     layers, remainder = state.layers_k, state.remainder_k
-    drops = [
-        (over - under) + (more - less)
-        for (over, under), (more, less) in zip(pairwise(layers), pairwise(remainder), strict=True)
-    ]
+    drops = [(layers[i] - layers[i + 1]) + (remainder[i] - remainder[i + 1]) for i in range(len(layers) - 1)]
     sources = list(sources or [0.0] * len(layers))
     sources[-1] = sources[-1] + ground.conductance[-1] * ((forcing.below_k - layers[-1]) - remainder[-1])
     surface_sun = forcing.absorbed
