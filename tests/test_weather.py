@@ -176,6 +176,51 @@ def test_global_light_is_kept_with_any_other_measurements(tmp_path):
             )
 
 
+# A fully overcast day, its diffuse light and the noise of a tracker [W m⁻²]; the noise may be in any interval.
+def overcast(time, of_clear=0.2):
+    return of_clear * sunlight(time)[0]
+
+
+def noise(time):
+    return 0.6 * (np.arange(len(time)) % 5 == 3)
+
+
+@pytest.mark.parametrize(
+    ("scale", "light", "known", "accepted"),
+    [
+        # Noise, and light in kW and MJ per hour, beside global and diffuse light, global light, or diffuse light alone.
+        (None, "overcast", ("global", "diffuse"), True),
+        (None, "overcast", ("global",), True),
+        (None, "overcast", ("diffuse",), False),
+        (0.0, "overcast", ("diffuse",), True),
+        (None, "clear", ("global", "diffuse"), False),
+        (1e-3, "clear", ("global", "diffuse"), False),
+        (1e-3, "clear", ("global",), False),
+        (1e-3, "clear", ("diffuse",), False),
+        (3.6e-3, "clear", ("global", "diffuse"), False),
+        (3.6e-3, "clear", ("global",), False),
+    ],
+)
+def test_direct_light_of_a_few_watts_is_noise_only_where_the_global_light_leaves_no_more(
+    tmp_path, scale, light, known, accepted
+):
+    total = (lambda t: overcast(t)) if light == "overcast" else (lambda t: sunlight(t)[0])
+    diffuse = (lambda t: 0.98 * overcast(t)) if light == "overcast" else (lambda t: sunlight(t)[2])
+    direct = noise if scale is None else lambda t: scale * sunlight(t)[1]
+    changes = {
+        "sw_down_w_m2": total if "global" in known else None,
+        "sw_direct_normal_w_m2": lambda t: [f"{each:.4f}" for each in direct(t)],
+    }
+    changes |= {"sw_diffuse_w_m2": diffuse} if "diffuse" in known else {}
+    path = station(tmp_path / "s.csv", changes)
+    if accepted:
+        weather = read_station(path, *PLACE)
+        assert weather.direct_w_m2.max() <= 0.6 and weather.diffuse_w_m2.max() > 50.0
+    else:
+        with pytest.raises(ThermorenderError, match=r"sw_direct_normal_w_m2 is .* looks like MJ or kW"):
+            read_station(path, *PLACE)
+
+
 def test_photosynthetic_light_replaces_short_wave(tmp_path):
     path = station(tmp_path / "s.csv", {"sw_down_w_m2": None, "ppfd_umol_m2_s": lambda t: 2.05 * sunlight(t)[0]})
     weather = read_station(path, *PLACE)

@@ -33,7 +33,7 @@ SOURCES = {
     "irrigated_meadow": f"{_MATSCH}/obss/obs/obs0001.txt",
     "savanna": f"{_OZFLUX}/AdelaideRiver/AdelaideRiver_2009_L3.nc",
     "eucalypt": f"{_OZFLUX}/TUM/Tumbarumba_2016_L3.nc",
-    "prairie_grass": "hagne/SURFRAD/7cb8c3e273aa663ca33aca8f16caa3aab3550a42/data/bon_19950510.qdat",
+    "prairie_grass": "hagne/SURFRAD/7cb8c3e273aa653ca33aca8f16caa3aab3550a42/data/bon_19950510.qdat",
     "pasture_weather": f"{_ARM}/sgpmetE13.b1.20190101.000000.cdf",
     "pasture_light": f"{_ARM}/sgpsirsE13.b1.20190101.000000.cdf",
 }

@@ -174,7 +174,9 @@ def measured(site, folder):
         absorbed = np.maximum(level + weather.diffuse_w_m2 - np.maximum(up, 0.0), 0.0)
     if site.radiation:
         total = sum(_whole(column(name), weather.time) for name in site.radiation)
-        absorbed, weather = np.zeros(len(total)), replace(weather, longwave_w_m2=total)
+        # More than a black sky's is sunlight; a Weather refuses it as long-wave.
+        longwave = np.minimum(total, STEFAN_BOLTZMANN * weather.air_k**4)
+        absorbed, weather = total - longwave, replace(weather, longwave_w_m2=longwave)
     if site.longwave_up:
         e = site.emissivity or sum(share * open_ground.broadband(m) for m, share in _materials(site))
         emitted = column(site.longwave_up) - (1.0 - e) * weather.longwave_w_m2
