@@ -11,7 +11,7 @@ from thermorender.materials.shifted import shifted
 from thermorender.physics import moisture
 from thermorender.scene import open_ground
 from thermorender.scene.load import load_scene
-from thermorender.scene.state.weathered_ground import in_weather, lying_snow, water_of
+from thermorender.scene.state.weathered_ground import greenness, in_weather, lying_snow, water_of
 from thermorender.weather.series import Conditions, Weather
 from validation.heat.sites import carried
 
@@ -159,11 +159,29 @@ def test_without_frost_no_snow():
 
 def test_ground_without_rain_or_texture_stays_as_its_table_says():
     dry, wet = (weather_of("2018-06-01", 3, rain_mm_h=only(73, 5, fell)) for fell in (0.0, 4.0))
-    soils = [LIBRARY[name] for name in NAMES]
-    assert not dry.knows_rain and all(a is b for a, b in zip(in_weather(soils, dry, dry.time[-1]), soils, strict=True))
-    others = [LIBRARY[name] for name in ("asphalt", "conifer", "water", "granite", "snow")]
+    bare = [LIBRARY[name] for name in NAMES if LIBRARY[name].thermal.cover != "leaves"]
+    assert not dry.knows_rain and all(a is b for a, b in zip(in_weather(bare, dry, dry.time[-1]), bare, strict=True))
+    others = [LIBRARY[name] for name in ("asphalt", "water", "granite", "snow")]
     assert all(a is b for a, b in zip(in_weather(others, wet, wet.time[-1]), others, strict=True))
     assert all(LIBRARY[name].thermal.texture for name in NAMES)
+
+
+def test_leaves_lose_their_transpiration_in_frost_and_in_dry_air():
+    """The greenness is the mean growing season index of 21 days, times what the roots' water leaves where rain fell."""
+    leaves = [LIBRARY[name] for name in ("grass_green", "broadleaf")]
+    # 21 days of which the last 7 have frost, at −2 °C and below; days at 40° north are longer than 11 h.
+    frost = weather_of("2018-06-01", 28)
+    air = np.where(frost.time < frost.time[-1] - 7 * 24 * HOUR, 293.0, 270.0)
+    frost = replace(frost, air_k=air, vapour_pa=np.full(air.size, 400.0))
+    moist, _ = greenness(frost, frost.time[-1])
+    assert moist == pytest.approx(14.0 / 21.0, abs=0.05)
+    # Air of 20 °C and 400 Pa lacks 1940 Pa of 4100 … 900 Pa, and air of 35 °C more than that.
+    for kelvin, expected in ((293.15, (4100.0 - 1939.0) / 3200.0), (308.15, 0.0)):
+        warm = replace(frost, air_k=np.full(air.size, kelvin))
+        assert greenness(warm, warm.time[-1]) == pytest.approx((1.0, expected), abs=3e-3)
+        found = in_weather(leaves, warm, warm.time[-1])
+        for before, after in zip(leaves, found, strict=True):
+            assert after.thermal.wetness == pytest.approx(expected * before.thermal.wetness, abs=3e-3)
 
 
 def test_days_without_rows_join_their_neighbours():

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -240,6 +241,23 @@ def test_clouds_warm_the_sky(tmp_path):
     cloudy = read_station(station(tmp_path / "c.csv", {"cloud_oktas": [8] * 72}), *PLACE)
     black = 5.670374419e-8 * cloudy.air_k**4
     assert (0.9 * black < cloudy.longwave_w_m2).all() and (cloudy.longwave_w_m2 < black).all()
+
+
+def test_humidity_tells_of_clouds_deep_in_the_night(tmp_path):
+    """Sundqvist's law: half the sky at 87.5 % with a threshold of 50 %; daylight's clouds fade within hours."""
+    np.testing.assert_allclose(sky.cloud_of_humidity(np.array([0.3, 0.5, 0.875, 1.0])), [0.0, 0.0, 0.5, 1.0])
+    cloud = {}
+    for name, percent in (("dry", 40.0), ("moist", 100.0)):
+        weather = read_station(station(tmp_path / "s.csv", {"rh_percent": [percent] * 72}), *PLACE)
+        clear = sky.longwave(weather.air_k, weather.vapour_pa, 0.0)
+        black = 5.670374419e-8 * weather.air_k**4
+        cloud[name] = (weather.longwave_w_m2 - clear) / (sky.CLOUD_EMISSIVITY * (black - clear))
+    # A clear day of July has its last light above 10° at 18:30 UTC; midnight is about 5 h away from it.
+    noon, dusk, night = (weather.time.tolist().index(datetime(2018, 7, 21, hour, 30)) for hour in (11, 18, 23))
+    assert np.abs(cloud["dry"]).max() < 0.05 and abs(cloud["moist"][noon]) < 0.05
+    for row, hours in ((dusk, 1.0), (night, 5.0)):
+        assert cloud["moist"][row] == pytest.approx(1.0 - np.exp(-hours / 12.0), abs=0.1)
+    assert cloud["moist"][night] > cloud["moist"][dusk] + 0.15
 
 
 @pytest.mark.parametrize(

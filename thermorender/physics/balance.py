@@ -7,7 +7,7 @@ the library; all fields broadcast over the columns.
 
 from typing import Any, NamedTuple
 
-from thermorender.physics import exchange
+from thermorender.physics import exchange, leaves
 from thermorender.physics.conduction import filled, top_response
 from thermorender.units import ZERO_CELSIUS_K
 
@@ -54,6 +54,8 @@ class Ground(NamedTuple):
         snow's melt water runs off, and its ice is unlimited.
     sun_share : list or None
         Share of the absorbed sunlight per layer; None: the surface absorbs all of it.
+    gap : array or None
+        Share of the sky that the first layer sees between leaves, 0…1; None: it sees none.
     """
 
     emissivity: Any
@@ -71,6 +73,7 @@ class Ground(NamedTuple):
     water: list[Any] | None = None
     room: list[Any] | None = None
     sun_share: list[Any] | None = None
+    gap: Any = None
 
 
 class Forcing(NamedTuple):
@@ -164,6 +167,13 @@ def at_rest(xp: Any, temperatures_k: list[Any], ground: Ground) -> State:
     return State(temperatures_k[0], list(temperatures_k), 0.0 * temperatures_k[0], liquid)
 
 
+def seen_k(state: State, ground: Ground) -> Any:
+    """Return the temperature at which the columns radiate [K]: of the surface, and of what its gaps show."""
+    if ground.gap is None:
+        return state.surface_k
+    return ((1.0 - ground.gap) * state.surface_k**4 + ground.gap * state.layers_k[0] ** 4) ** 0.25
+
+
 def step(xp: Any, state: State, ground: Ground, first: Forcing, second: Forcing, seconds: Any) -> tuple[State, Fluxes]:
     """Return (State, Fluxes) after one time step.
 
@@ -210,6 +220,13 @@ def _stage(
     if ground.sun_share is not None:
         heating = [share * forcing.absorbed for share in ground.sun_share]
         surface_sun = forcing.absorbed - sum(heating)
+    below = 0.0
+    if ground.gap is not None:
+        below = ground.gap * (
+            surface_sun + ground.emissivity * (forcing.longwave - STEFAN_BOLTZMANN * state.layers_k[0] ** 4)
+        )
+        rest = heating[1:] if heating else [0.0 * below for _ in ground.capacity[1:]]
+        heating = [below + (heating[0] if heating else 0.0), *rest]
     alpha, beta, pivots, sums = top_response(
         known, ground.capacity, ground.conductance, forcing.below_k, seconds, heating
     )
@@ -217,11 +234,14 @@ def _stage(
     series = 1.0 / (beta + 1.0 / ground.conductance[0])
     density = exchange.air_density(forcing.pressure_pa, forcing.air_k)
     saturation, _ = exchange.saturation_vapour(xp, forcing.air_k)
-    closed = exchange.stomata(xp, ground.resistance, forcing.sunlight, saturation - forcing.vapour_pa)
+    deficit = saturation - forcing.vapour_pa
+    closed = leaves.stomata(xp, ground.resistance, forcing.sunlight, deficit, forcing.air_k)
     resistance = xp.where(ground.leaves > 0.5, closed, ground.resistance) / xp.maximum(ground.wetness, 1e-6)
     wet = xp.maximum(xp.minimum(state.film / xp.maximum(ground.held, 1e-3), 1.0), ground.open_water)
     rain = WATER_HEAT * forcing.rain_kg_m2_s
-    gained = surface_sun + ground.emissivity * forcing.longwave
+    covers = 1.0 if ground.gap is None else 1.0 - ground.gap
+    emits = covers * ground.emissivity
+    gained = covers * surface_sun + emits * forcing.longwave
     t, frozen = guess, guess < ZERO_CELSIUS_K
     low, high = 0.0 * t, 0.0 * t + 1e4
 
@@ -236,7 +256,7 @@ def _stage(
 
     for _ in range(_NEWTON):
         h, bend, latent, slope, heat = exchanged(t)
-        cube = ground.emissivity * STEFAN_BOLTZMANN * t**3
+        cube = emits * STEFAN_BOLTZMANN * t**3
         warmer = t - forcing.air_k
         flux = gained - cube * t - (h + rain) * warmer - latent
         # The exchange weakens as a surface cools below the air. A lower bound on its slope keeps the step's direction.
@@ -250,11 +270,11 @@ def _stage(
     cap = xp.where(ground.melting > 0.5, ZERO_CELSIUS_K, 1e4)
     t = xp.minimum(t, cap)
     h, _, latent, _, heat = exchanged(t)
-    radiation = gained - ground.emissivity * STEFAN_BOLTZMANN * t**4
+    radiation = gained - emits * STEFAN_BOLTZMANN * t**4
     sensible = (h + rain) * (t - forcing.air_k)
     into = xp.where(t < cap, series * (t - alpha), radiation - sensible - latent)
     layers = filled(alpha + beta * into, ground.conductance, pivots, sums)
-    inside = forcing.absorbed - surface_sun
+    inside = forcing.absorbed - surface_sun + below
     return (t, layers), (radiation + inside, sensible, latent, into + inside, latent / heat)
 
 

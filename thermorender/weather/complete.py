@@ -14,6 +14,9 @@ LOWEST_M, HIGHEST_M = -500.0, 9000.0
 _LOWEST_FOR_CLOUD_DEG = 10.0
 # Light is averaged over this window before the comparison with a clear sky [h].
 _CLOUD_WINDOW_H = 3.0
+# Hours in which what daylight told of the clouds fades to 1/e; humidity tells the rest. From 6 h to ∞ the error at
+# eleven sites changes by 0.3 W m⁻².
+_CLOUD_LASTS_H = 12.0
 # Below this elevation of the sun the sky is dark, and a sensor reads its offset [deg].
 _DARK_DEG = -6.0
 _WIND_M_S = 2.5
@@ -47,10 +50,11 @@ def complete(
     Notes
     -----
     Short-wave: a global irradiance alone is split by Erbs' correlation; without any, `sky.clear_sky` and `sky.clouded`.
-    Cloud cover for the long-wave: as given, else 1 − global over clear-sky global by day, and linear over the night.
-    The mean absolute error of the long-wave is 11 to 14 W m⁻² at four sites with a pyrgeometer (desert, winter valley,
-    grassland, forest; bias −8 … 0), and 26 to 30 at three sites with sun or sky from elsewhere. Over the seven it is 19
-    with Prata's clear sky, 22 with Brutsaert's (1975), 20 with Dilley and O'Brien's (1998).
+    Clouds for the long-wave: as given, else by day from the deficit of global light against a clear sky. At night
+    it goes over, within hours, from the deficit interpolated between evening and morning to `sky.cloud_of_humidity`.
+    Mean over twelve places with a pyrgeometer, moist tropics to ice sheet: mean absolute error 13 W m⁻² by day and
+    16 W m⁻² at night, bias −1 and 0. Nights under an overcast sky are 24 W m⁻² too low, clear ones 16 W m⁻² too high.
+    Neither the daily range of the air temperature nor its hourly change made nights better at sites left out.
     Snow: from precipitation and air temperature by degree days, `moisture.snow_water`.
     Vapour: saturated at the day's lowest air temperature, FAO Irrigation and Drainage Paper 56 (1998), eq. 48.
     """
@@ -90,7 +94,8 @@ def complete(
     if "longwave_w_m2" in given:
         rest["longwave_w_m2"] = given["longwave_w_m2"]
     else:
-        cloud = _cloud(time, given, direct, diffuse, elevation, clear, notes)
+        humid = rest["vapour_pa"] / humidity.saturation_pressure(air)
+        cloud = _cloud(time, given, direct, diffuse, elevation, clear, humid, notes)
         rest["longwave_w_m2"] = sky.longwave(air, rest["vapour_pa"], cloud)
     return Weather(
         time=time, air_k=air, direct_w_m2=direct, diffuse_w_m2=diffuse, latitude_deg=latitude_deg,
@@ -147,7 +152,7 @@ def _sunlight(given, elevation, distance, clear, limit, notes):
     return np.where(elevation > 0.0, direct, 0.0), np.where(elevation > _DARK_DEG, diffuse, 0.0)
 
 
-def _cloud(time, given, direct, diffuse, elevation, clear, notes):
+def _cloud(time, given, direct, diffuse, elevation, clear, humid, notes):
     """Cloud cover (N,) for the long-wave."""
     if "cloud" in given:
         notes.append("Long-wave is missing: modelled from air, vapour and clouds.")
@@ -157,9 +162,12 @@ def _cloud(time, given, direct, diffuse, elevation, clear, notes):
         return np.zeros(len(time))
     day = elevation > _LOWEST_FOR_CLOUD_DEG
     if not day.any():
-        notes.append("Long-wave is missing, and there is no sun to infer clouds from: modelled for half cloud cover.")
-        return np.full(len(time), 0.5)
-    notes.append("Long-wave is missing: modelled from air, vapour and the sunlight's deficit against a clear sky.")
+        notes.append("Long-wave is missing, and there is no sun to infer clouds from: modelled from air and humidity.")
+        return sky.cloud_of_humidity(humid)
+    notes.append(
+        "Long-wave is missing: modelled from air, vapour and the sunlight's deficit against a clear sky, at night from "
+        "the hours of light and the humidity; ± 16 W/m² by day and ± 20 W/m² at night, 24 W/m² too low if overcast."
+    )
     height = np.sin(np.radians(elevation))
     hour = (time - time[0]).astype(np.float64) / 3600.0
     first = np.searchsorted(hour, hour - 0.5 * _CLOUD_WINDOW_H)
@@ -170,4 +178,10 @@ def _cloud(time, given, direct, diffuse, elevation, clear, notes):
         return (sums[last] - sums[first])[day]
 
     share = windowed(direct * height + diffuse) / windowed(clear[0] * height + clear[1])
-    return np.interp(hour, hour[day], np.clip(1.0 - share, 0.0, 1.0))
+    # The deficit itself is the share of a black sky: Crawford and Duchon, J. Appl. Meteorol. 38 (1999) 474, eq. 20.
+    cover = np.interp(hour, hour[day], np.clip(1.0 - share, 0.0, 1.0) / sky.CLOUD_EMISSIVITY)
+    lit = hour[day]
+    after = np.searchsorted(lit, hour)
+    away = np.minimum(np.abs(hour - lit[np.maximum(after - 1, 0)]), np.abs(hour - lit[np.minimum(after, len(lit) - 1)]))
+    known = np.exp(-away / _CLOUD_LASTS_H)
+    return known * cover + (1.0 - known) * sky.cloud_of_humidity(humid)

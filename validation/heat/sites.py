@@ -295,14 +295,14 @@ class _Drive:
         weather = self.found.weather
         time, absorbed = weather.time[:count], self.found.absorbed
         second = (time - time[0]).astype(float)
-        shown = lambda state: state.layers_k[0] if self.first_layer else state.surface_k  # noqa: E731
+        shown = lambda state: state.layers_k[0] if self.first_layer else balance.seen_k(state, self.columns.ground)  # noqa: E731
         seen = [shown(state)]
         light = None
         if absorbed is not None:
             light = lambda at: np.interp((at - time[0]) / np.timedelta64(1, "s"), second, absorbed[: len(second)])  # noqa: E731
         day = time[0]
         for begin, end in zip(time[:-1], time[1:], strict=True):
-            if weather.knows_rain and begin - day >= np.timedelta64(_DAY_S, "s"):
+            if begin - day >= np.timedelta64(_DAY_S, "s"):
                 before, day = self.columns, begin
                 self.columns = self.columns_at(begin)
                 state = carried(state, before, self.columns)

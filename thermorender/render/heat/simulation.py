@@ -318,7 +318,7 @@ class _Simulation:
         else:
             columns, state = self._columns(texels)
         if not first_s:
-            yield np.array(state.surface_k)
+            yield np.array(balance.seen_k(state, columns.ground))
         for number, (at, seconds) in enumerate(steps):
             if own is not None and at >= first_s - _OWN_S - 1e-6:
                 index = mi.UInt32(aligned(np.concatenate([np.arange(self.faces), self.faces + own]), np.uint32))
@@ -329,13 +329,13 @@ class _Simulation:
                 _evaluate(state)
                 own = None
             if light is None or at >= light.until:
-                light = self._light(at, state.surface_k, columns)
+                light = self._light(at, balance.seen_k(state, columns.ground), columns)
             first, second = (self._forcing(at + offset, light, columns) for offset in balance.stage_times(seconds))
             state, _ = balance.step(Library, state, columns.ground, first, second, dr.opaque(mi.Float, seconds))
             _evaluate(state)
             progress((number + 1) / len(steps))
             if self.start + np.timedelta64(round(at + seconds), "s") in self.asked:
-                yield np.array(state.surface_k)
+                yield np.array(balance.seen_k(state, columns.ground))
 
     def _sun(self, instant: np.datetime64) -> NDArray[np.float64]:
         azimuth, elevation = self.weather.sun(instant)
@@ -383,7 +383,7 @@ class _Simulation:
             below_k=dr.select(columns.indoors, one(self.inside_k), air),
         )
 
-    def _light(self, at_s: float, surface_k: Jit, columns: _Columns) -> "_Light":
+    def _light(self, at_s: float, seen_k: Jit, columns: _Columns) -> "_Light":
         """The _Light between the faces from `at_s` on.
 
         The first guess is the light that arrived from other faces before. Each call adds one more reflection, so in
@@ -400,7 +400,7 @@ class _Simulation:
             lit = np.array(self._cosine((*at, here), mi.Bool(False), towards, at_s + 0.5 * _LIGHT_S))
             own[: self.faces] += np.float32(found.direct_w_m2 / max(level, 1.0)) * lit
         kelvin = self.face_kelvin.copy()
-        kelvin[: self.faces] = np.array(surface_k)[: self.faces]
+        kelvin[: self.faces] = np.array(seen_k)[: self.faces]
         emitted = self.emissivity * np.float32(STEFAN_BOLTZMANN) * kelvin**4
         sky = self.sky * np.float32(found.longwave_w_m2)
         for _ in range(1 if self.arrives is not None else _REFLECTIONS):

@@ -15,7 +15,7 @@ from thermorender.materials.library import find, load_library
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import parts_of
 from thermorender.materials.thermal import Thermal
-from thermorender.physics import humidity, moisture
+from thermorender.physics import humidity, leaves, moisture, sun
 from thermorender.physics.moisture import Bucket, Texture
 from thermorender.units import ZERO_CELSIUS_K
 from thermorender.weather.series import Weather
@@ -63,14 +63,45 @@ def in_weather(
     Moisture begins at the table's `water_share` and follows `moisture.after_day` from the weather's first instant.
     Conductivity changes by Johansen's law from the table's value, heat capacity by that of water.
     """
-    found, days = [], None
+    found, days, green = [], None, None
     for material in materials:
         thermal = material.known_thermal()
+        if thermal.cover == "leaves":
+            green = greenness(weather, at) if green is None else green
+            # Dry air stands for dry soil where no bucket knows its water.
+            share = green[0 if thermal.texture and weather.knows_rain else 1]
+            thermal = replace(thermal, wetness=thermal.wetness * share)
+            material = replace(material, thermal=thermal)
         if thermal.texture and weather.knows_rain:
             days = days or _days(weather, at)
-            material = replace(material, thermal=_moist(thermal, days))
+            material = replace(material, thermal=_moist(thermal, days, green[0] if green else 1.0))
         found.append(covered(material, snow_m) if thermal.texture and snow_m else material)
     return found
+
+
+def greenness(weather: Weather, at: np.datetime64) -> tuple[float, float]:
+    """Return (greenness of leaves at an instant, the same where dry air tells that the soil is dry), 0 … 1.
+
+    Means of `leaves.growing_season` over the 21 days before, or over the first day of a shorter series.
+    """
+    day = np.timedelta64(_DAY_S, "s")
+    first = max(weather.time[0], at - leaves.MEMORY_D * day)
+    rows = np.flatnonzero((weather.time >= first) & (weather.time <= max(at, first + day)))
+    time, air = weather.time[rows], weather.air_k[rows]
+    elevation = weather.sun(time)[1]
+    deficit = np.maximum(humidity.saturation_pressure(air) - weather.vapour_pa[rows], 0.0)
+    number = ((time[-1] - time) / day).astype(int)
+    index, rows_of = [], []
+    for each in np.unique(number):
+        here = number == each
+        up = here & (elevation > 0.0)
+        lowest = air[here].min() - ZERO_CELSIUS_K
+        dry = deficit[up if up.any() else here].mean()
+        length_h = sun.day_h(weather.latitude_deg, float(sun.declination(time[here][0])))
+        index.append([float(leaves.growing_season(lowest, length_h, given)) for given in (None, dry)])
+        rows_of.append(here.sum())
+    moist, dry = np.average(index, axis=0, weights=rows_of)
+    return float(moist), float(dry)
 
 
 def is_snow(material: Material) -> bool:
@@ -119,8 +150,8 @@ def _bucket(thermal: Thermal, days: _Days) -> Bucket:
     return bucket
 
 
-def _moist(thermal: Thermal, days: _Days) -> Thermal:
-    """A soil, or vegetation on it, with the water of its bucket."""
+def _moist(thermal: Thermal, days: _Days, green: float) -> Thermal:
+    """A soil, or vegetation on it of this greenness, with the water of its bucket."""
     texture, bucket = moisture.TEXTURES[thermal.texture], _bucket(thermal, days)
     top = texture.capacity - 1e-3 * bucket.surface_mm / moisture.SURFACE_M
     deep = texture.capacity - 1e-3 * (bucket.roots_mm - bucket.surface_mm) / (moisture.ROOTS_M - moisture.SURFACE_M)
@@ -133,7 +164,7 @@ def _moist(thermal: Thermal, days: _Days) -> Thermal:
         dry = _wetted(thermal, texture, 0.0)
         moist = replace(dry, thickness_m=dry_m, beneath="soil", below=moist)
     if thermal.cover == "leaves":
-        return replace(moist, wetness=float(moisture.transpires(texture, bucket.roots_mm)))
+        return replace(moist, wetness=green * float(moisture.transpires(texture, bucket.roots_mm)))
     soaked, now = (
         float(moisture.resistance(texture, *each)) for each in ((texture.pores, 0.0), (top, bucket.surface_mm))
     )
