@@ -443,8 +443,8 @@ def test_growing_season_follows_its_published_ramps():
     """Jolly, Nemani and Running (2005), table 1: −2 … 5 °C, 10 … 11 h, 4100 … 900 Pa; their product."""
     assert leaves.growing_season([-2.0, 1.5, 5.0, 20.0], 12.0).tolist() == [0.0, 0.5, 1.0, 1.0]
     assert leaves.growing_season(20.0, [9.0, 10.5, 11.0]).tolist() == [0.0, 0.5, 1.0]
-    assert leaves.growing_season(20.0, 12.0, [900.0, 2500.0, 4100.0]).tolist() == [1.0, 0.5, 0.0]
-    assert leaves.growing_season(1.5, 10.5, 2500.0) == 0.125
+    assert leaves.growing_season(1.5, 10.5) == 0.25
+    assert leaves.moist([900.0, 2500.0, 4100.0]).tolist() == [1.0, 0.5, 0.0]
 
 
 def test_wind_over_other_land_follows_two_logarithmic_profiles():

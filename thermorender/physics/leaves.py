@@ -17,8 +17,8 @@ MEMORY_D = 21
 _BEST_K, _LOSS_K2 = 298.0, 0.0016
 
 
-def growing_season(lowest_c: ArrayLike, day_h: ArrayLike, deficit_pa: ArrayLike | None = None) -> Floats:
-    """Return the growing season index of days, 0 (dormant) … 1 (green).
+def growing_season(lowest_c: ArrayLike, day_h: ArrayLike) -> Floats:
+    """Return the growing season index of days by frost and light, 0 (dormant) … 1 (green).
 
     Parameters
     ----------
@@ -26,16 +26,21 @@ def growing_season(lowest_c: ArrayLike, day_h: ArrayLike, deficit_pa: ArrayLike 
         Lowest air temperature of a day [°C].
     day_h : array
         Time from sunrise to sunset [h].
-    deficit_pa : array, optional
-        Mean vapour pressure deficit by day, which stands for dry soil; None: soil is moist, or its water is known.
 
     Notes
     -----
-    Product of three linear ramps: Jolly, Nemani and Running, Glob. Change Biol. 11 (2005) 619,
+    Product of linear ramps, with `moist` as the third: Jolly, Nemani and Running, Glob. Change Biol. 11 (2005) 619,
     doi:10.1111/j.1365-2486.2005.00930.x, eqs 1–4. The greenness of land is its mean over 21 days.
     """
-    index = _ramp(lowest_c, *_COLD_C) * _ramp(day_h, *_DARK_H)
-    return index if deficit_pa is None else index * _ramp(deficit_pa, *_DRY_PA)
+    return _ramp(lowest_c, *_COLD_C) * _ramp(day_h, *_DARK_H)
+
+
+def moist(deficit_pa: ArrayLike) -> Floats:
+    """Return the growing season index by the mean vapour pressure deficit of a day's light [Pa], 0 … 1.
+
+    Dry air stands for dry soil; source as `growing_season`.
+    """
+    return _ramp(deficit_pa, *_DRY_PA)
 
 
 def _ramp(value: ArrayLike, none: float, full: float) -> Floats:

@@ -5,7 +5,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.physics import humidity, moisture, sky, sun
+from thermorender.physics import humidity, moisture, sky, snow, sun
+from thermorender.units import ZERO_CELSIUS_K
 from thermorender.weather.series import Weather
 
 # Range of altitudes on land [m].
@@ -20,9 +21,6 @@ _CLOUD_LASTS_H = 12.0
 # Below this elevation of the sun the sky is dark, and a sensor reads its offset [deg].
 _DARK_DEG = -6.0
 _WIND_M_S = 2.5
-# Density of snow on the ground, that of the material snow_medium [kg/m³]; Sturm et al., J. Hydrometeorol. 11 (2010)
-# 1380, doi:10.1175/2010JHM1202.1, table 4, begins winters on open land with 233 (prairie) and 243 (tundra).
-_SNOW_KG_M3 = 250.0
 
 
 def complete(
@@ -55,7 +53,7 @@ def complete(
     Mean over twelve places with a pyrgeometer, moist tropics to ice sheet: mean absolute error 13 W m⁻² by day and
     16 W m⁻² at night, bias −1 and 0. Nights under an overcast sky are 24 W m⁻² too low, clear ones 16 W m⁻² too high.
     Neither the daily range of the air temperature nor its hourly change made nights better at sites left out.
-    Snow: from precipitation and air temperature by degree days, `moisture.snow_water`.
+    Snow: from precipitation and air temperature by degree days, `moisture.snow_water`, at the density of `snow.depths`.
     Vapour: saturated at the day's lowest air temperature, FAO Irrigation and Drainage Paper 56 (1998), eq. 48.
     """
     latitude_deg, longitude_deg, altitude_m = place
@@ -106,7 +104,7 @@ def complete(
 def _likely_snow(time, latitude_deg, air, rain, notes):
     """Depth of snow (N,) [m] from precipitation and air temperature; its note is added."""
     water, _ = moisture.snow_water(time, latitude_deg, air, rain)
-    depth = water / _SNOW_KG_M3
+    depth = snow.depths(moisture.intervals_s(time), air - ZERO_CELSIUS_K, water)
     how = f"up to {depth.max():.2g} m" if depth.any() else "none"
     notes.append(
         f"Snow on the ground is missing: {how}, from precipitation below {moisture.SNOW_C:g} °C less melt by degree "

@@ -15,19 +15,18 @@ from thermorender.materials.library import find, load_library
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import parts_of
 from thermorender.materials.thermal import Thermal
-from thermorender.physics import humidity, leaves, moisture, sun
+from thermorender.physics import humidity, leaves, moisture, snow, sun
 from thermorender.physics.moisture import Bucket, Texture
+from thermorender.physics.snow import NEW_ALBEDO, NEW_KG_M3, Pack
 from thermorender.units import ZERO_CELSIUS_K
 from thermorender.weather.series import Weather
 
 Floats = NDArray[np.float64]
 
-# Snow covers low ground from this depth on, 1 mm of water at 250 kg/m³: in SNOW-17 new snow covers all of it [m].
-COVERS_M = 0.004
 _DAY_S = 86400
 _WATER_J_M3_K = 4.186e6
-# Thinner dry soil is neglected [m].
-_LEAST_M = 1e-3
+# Thinner dry soil and snow are neglected [m], and smaller shares of ground.
+_LEAST_M, _FEW = 1e-3, 0.01
 
 
 class _Days(NamedTuple):
@@ -38,70 +37,128 @@ class _Days(NamedTuple):
     white: NDArray[np.bool_]
 
 
-def lying_snow(materials: Iterable[Material], weather: Weather, at: np.datetime64) -> float:
-    """Return the depth of snow that covers low ground at an instant [m]; 0 where a material is snow and says where."""
-    depth = float(weather.at(at).snow_m)
-    return depth if depth >= COVERS_M and not any(map(is_snow, materials)) else 0.0
+class Season(NamedTuple):
+    """Shares of full transpiration by frost and length of day, by these and dry air, and by dry air alone, 0 … 1."""
+
+    green: float
+    watered: float
+    moist: float
 
 
-def in_weather(
-    materials: Sequence[Material], weather: Weather, at: np.datetime64, snow_m: float = 0.0
-) -> list[Material]:
-    """Return materials as the weather before an instant leaves them.
+def lying_snow(materials: Iterable[Material], weather: Weather, at: np.datetime64) -> Pack:
+    """Return the snow on low ground at an instant; of depth 0 where a material is snow and says where it lies.
 
-    Parameters
-    ----------
-    materials : sequence of Material
-        Each with thermal properties; no mixtures.
-    weather : Weather
-    at : datetime64
-    snow_m : float
-        Of `lying_snow`.
+    Snow that lies at the weather's first instant is of medium age, as the material snow_medium.
+    """
+    if float(weather.at(at).snow_m) < _LEAST_M or any(map(is_snow, materials)):
+        return Pack(0.0, NEW_KG_M3, NEW_ALBEDO)
+    count = max(int(np.searchsorted(weather.time, at, side="right")), 1)
+    medium = find(load_library(None), "snow_medium", "snow on the ground")
+    first = Pack(float(weather.snow_m[0]), medium.known_thermal().density_kg_m3, 1.0 - medium.solar_absorptance)
+    seconds = moisture.intervals_s(weather.time)[1:count]
+    found = snow.packs(seconds, weather.air_k[1:count] - ZERO_CELSIUS_K, weather.snow_m[1:count], first)
+    return found._replace(depth_m=float(weather.at(at).snow_m))
+
+
+def in_weather(materials: Sequence[Material], weather: Weather, at: np.datetime64) -> list[Material]:
+    """Return materials, each with thermal properties and no mixture, as the weather before an instant leaves them.
+
+    Snow apart; see `parted`.
 
     Notes
     -----
-    Moisture begins at the table's `water_share` and follows `moisture.after_day` from the weather's first instant.
-    Conductivity changes by Johansen's law from the table's value, heat capacity by that of water.
+    Where rain is known, moisture begins at the table's `water_share` and follows `moisture.after_day` from the
+    weather's first instant. Conductivity changes by Johansen's law from the table's value, heat capacity by that of
+    water. Without rain, dry air tells of dry soil. Leaves transpire by `Season`.
     """
-    found, days, green = [], None, None
+    found, days, now = [], None, None
     for material in materials:
         thermal = material.known_thermal()
-        if thermal.cover == "leaves":
-            green = greenness(weather, at) if green is None else green
-            # Dry air stands for dry soil where no bucket knows its water.
-            share = green[0 if thermal.texture and weather.knows_rain else 1]
-            thermal = replace(thermal, wetness=thermal.wetness * share)
-            material = replace(material, thermal=thermal)
-        if thermal.texture and weather.knows_rain:
+        known = bool(thermal.texture) and weather.knows_rain
+        if thermal.cover == "leaves" or thermal.texture:
+            now = now or season(weather, at)
+        if known and now:
             days = days or _days(weather, at)
-            material = replace(material, thermal=_moist(thermal, days, green[0] if green else 1.0))
-        found.append(covered(material, snow_m) if thermal.texture and snow_m else material)
+            material = replace(material, thermal=_moist(thermal, days, now.green))
+        elif thermal.cover == "leaves" and now:
+            material = replace(material, thermal=replace(thermal, wetness=thermal.wetness * now.watered))
+        elif thermal.texture and now:
+            material = replace(material, thermal=_dry_on_top(thermal, now.moist))
+        found.append(material)
     return found
 
 
-def greenness(weather: Weather, at: np.datetime64) -> tuple[float, float]:
-    """Return (greenness of leaves at an instant, the same where dry air tells that the soil is dry), 0 … 1.
+def parts_in_weather(
+    materials: Sequence[Material], weather: Weather, at: np.datetime64, higher_m: float = 0.0
+) -> list[tuple[tuple[Material, float], ...]]:
+    """Return ((material, share), …) of each material at an instant: its parts by `in_weather`, under snow and not.
 
-    Means of `leaves.growing_season` over the 21 days before, or over the first day of a shorter series.
+    `higher_m` is the height of the ground above that of the weather, whose air becomes cooler and thinner with it.
     """
+    weather = _lifted(weather, higher_m)
+    pack = lying_snow(materials, weather, at)
+    parts = [parts_of(material) for material in materials]
+    used = [(number, part, share) for number, each in enumerate(parts) for part, share in each]
+    solved = [each for each in used if each[1].thermal is not None]
+    present = iter(in_weather([part for _, part, _ in solved], weather, at))
+    found: list[list[tuple[Material, float]]] = [[] for _ in materials]
+    for number, part, share in used:
+        own = part if part.thermal is None else next(present)
+        found[number] += [(each, share * of) for each, of in parted(own, pack) if of > 0.0]
+    return [tuple(each) for each in found]
+
+
+def _lifted(weather: Weather, higher_m: float) -> Weather:
+    """Weather at another height: air by the standard lapse, the same relative humidity, pressure with the air."""
+    air = weather.air_k - humidity.LAPSE_K_M * higher_m
+    thinner = (air / weather.air_k) ** humidity.PRESSURE_EXPONENT
+    moister = humidity.saturation_pressure(air) / humidity.saturation_pressure(weather.air_k)
+    return replace(weather, air_k=air, vapour_pa=weather.vapour_pa * moister, pressure_pa=weather.pressure_pa * thinner)
+
+
+def parted(
+    material: Material, pack: Pack, always: bool = False
+) -> tuple[tuple[Material, float], tuple[Material, float]]:
+    """Return ((ground under snow, its share), (what stands out, its share)), by `snow.covers`; below 1 % they are 0.
+
+    Only soil and low vegetation, which name a texture, lie under snow. Bare soil stands out as it is, leaves stand
+    above the snow. With `always` the first one is made whatever its share.
+    """
+    thermal, share = material.thermal, 0.0
+    if thermal is None or not thermal.texture:
+        return (material, 0.0), (material, 1.0)
+    share = float(snow.covers(pack.depth_m, thermal.roughness_m))
+    share = 0.0 if share < _FEW else 1.0 if share > 1.0 - _FEW else share
+    white = covered(material, pack) if share or always else material
+    if thermal.cover == "leaves" and share:
+        below = white.known_thermal()
+        stalks = replace(
+            thermal, conductivity_w_m_k=below.conductivity_w_m_k, density_kg_m3=below.density_kg_m3,
+            specific_heat_j_kg_k=below.specific_heat_j_kg_k, thickness_m=below.thickness_m, below=below.below,
+            texture="", beneath=below.beneath, water_share=0.0, wetness=0.0,
+        )  # fmt: skip
+        material = replace(material, thermal=stalks)
+    return (white, share), (material, 1.0 - share)
+
+
+def season(weather: Weather, at: np.datetime64) -> Season:
+    """Return the Season at an instant: means over the 21 days before, or over the first day of a shorter series."""
     day = np.timedelta64(_DAY_S, "s")
     first = max(weather.time[0], at - leaves.MEMORY_D * day)
     rows = np.flatnonzero((weather.time >= first) & (weather.time <= max(at, first + day)))
     time, air = weather.time[rows], weather.air_k[rows]
-    elevation = weather.sun(time)[1]
+    lit = weather.sun(time)[1] > 0.0
     deficit = np.maximum(humidity.saturation_pressure(air) - weather.vapour_pa[rows], 0.0)
     number = ((time[-1] - time) / day).astype(int)
-    index, rows_of = [], []
+    found, count = [], []
     for each in np.unique(number):
         here = number == each
-        up = here & (elevation > 0.0)
-        lowest = air[here].min() - ZERO_CELSIUS_K
-        dry = deficit[up if up.any() else here].mean()
         length_h = sun.day_h(weather.latitude_deg, float(sun.declination(time[here][0])))
-        index.append([float(leaves.growing_season(lowest, length_h, given)) for given in (None, dry)])
-        rows_of.append(here.sum())
-    moist, dry = np.average(index, axis=0, weights=rows_of)
-    return float(moist), float(dry)
+        green = float(leaves.growing_season(air[here].min() - ZERO_CELSIUS_K, length_h))
+        moist = float(leaves.moist(deficit[here & lit if (here & lit).any() else here].mean()))
+        found.append((green, green * moist, moist))
+        count.append(here.sum())
+    return Season(*np.average(found, axis=0, weights=count).tolist())
 
 
 def is_snow(material: Material) -> bool:
@@ -171,6 +228,15 @@ def _moist(thermal: Thermal, days: _Days, green: float) -> Thermal:
     return replace(moist, wetness=soaked / now)
 
 
+def _dry_on_top(thermal: Thermal, moist: float) -> Thermal:
+    """A soil of unknown water, under the dry top of `moisture.dry_depth` where dry air leaves it this share moist."""
+    dry_m = 0.5 * moisture.SURFACE_M * (1.0 - moist)
+    if dry_m < _LEAST_M:
+        return thermal
+    dry = _wetted(thermal, moisture.TEXTURES[thermal.texture], 0.0)
+    return replace(dry, thickness_m=dry_m, beneath="soil", below=thermal, wetness=thermal.wetness * moist)
+
+
 def _wetted(thermal: Thermal, texture: Texture, water: float) -> Thermal:
     """A layer with this water [m³ m⁻³] in place of its usual water."""
     added = water - thermal.water_share
@@ -183,11 +249,14 @@ def _wetted(thermal: Thermal, texture: Texture, water: float) -> Thermal:
     )  # fmt: skip
 
 
-def covered(material: Material, snow_m: float) -> Material:
-    """Return a ground with thermal properties under this much snow [m]; it keeps its name."""
-    snow = find(load_library(None), "snow_medium", "snow on the ground")
+def covered(material: Material, pack: Pack) -> Material:
+    """Return a ground with thermal properties under snow; it keeps its name."""
+    white = find(load_library(None), "snow_medium", "snow on the ground")
     thermal = material.known_thermal()
     # Leaves are bent down or covered.
     ground = replace(thermal, skin_conductance_w_m2_k=None)
-    own = replace(snow.known_thermal(), thickness_m=snow_m, beneath=material.name, below=ground)
-    return replace(snow, name=material.name, thermal=own)
+    own = replace(
+        white.known_thermal(), thickness_m=max(pack.depth_m, _LEAST_M), density_kg_m3=pack.density_kg_m3,
+        conductivity_w_m_k=float(snow.conductivity(pack.density_kg_m3)), beneath=material.name, below=ground,
+    )  # fmt: skip
+    return replace(white, name=material.name, solar_absorptance=1.0 - pack.albedo, thermal=own)
