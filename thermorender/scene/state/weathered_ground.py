@@ -38,11 +38,10 @@ class _Days(NamedTuple):
 
 
 class Season(NamedTuple):
-    """Shares of full transpiration by frost and length of day, by these and dry air, and by dry air alone, 0 … 1."""
+    """Shares of full transpiration by frost and length of day, and by these and dry air, 0 … 1."""
 
     green: float
     watered: float
-    moist: float
 
 
 def lying_snow(materials: Iterable[Material], weather: Weather, at: np.datetime64) -> Pack:
@@ -69,21 +68,19 @@ def in_weather(materials: Sequence[Material], weather: Weather, at: np.datetime6
     -----
     Where rain is known, moisture begins at the table's `water_share` and follows `moisture.after_day` from the
     weather's first instant. Conductivity changes by Johansen's law from the table's value, heat capacity by that of
-    water. Without rain, dry air tells of dry soil. Leaves transpire by `Season`.
+    water. Leaves transpire by `season`, and where rain is not known, dry air tells of dry roots.
     """
     found, days, now = [], None, None
     for material in materials:
         thermal = material.known_thermal()
         known = bool(thermal.texture) and weather.knows_rain
-        if thermal.cover == "leaves" or thermal.texture:
+        if thermal.cover == "leaves":
             now = now or season(weather, at)
-        if known and now:
+        if known:
             days = days or _days(weather, at)
-            material = replace(material, thermal=_moist(thermal, days, now.green))
+            material = replace(material, thermal=_moist(thermal, days, now.green if now else 1.0))
         elif thermal.cover == "leaves" and now:
             material = replace(material, thermal=replace(thermal, wetness=thermal.wetness * now.watered))
-        elif thermal.texture and now:
-            material = replace(material, thermal=_dry_on_top(thermal, now.moist))
         found.append(material)
     return found
 
@@ -156,7 +153,7 @@ def season(weather: Weather, at: np.datetime64) -> Season:
         length_h = sun.day_h(weather.latitude_deg, float(sun.declination(time[here][0])))
         green = float(leaves.growing_season(air[here].min() - ZERO_CELSIUS_K, length_h))
         moist = float(leaves.moist(deficit[here & lit if (here & lit).any() else here].mean()))
-        found.append((green, green * moist, moist))
+        found.append((green, green * moist))
         count.append(here.sum())
     return Season(*np.average(found, axis=0, weights=count).tolist())
 
@@ -226,15 +223,6 @@ def _moist(thermal: Thermal, days: _Days, green: float) -> Thermal:
         float(moisture.resistance(texture, *each)) for each in ((texture.pores, 0.0), (top, bucket.surface_mm))
     )
     return replace(moist, wetness=soaked / now)
-
-
-def _dry_on_top(thermal: Thermal, moist: float) -> Thermal:
-    """A soil of unknown water, under the dry top of `moisture.dry_depth` where dry air leaves it this share moist."""
-    dry_m = 0.5 * moisture.SURFACE_M * (1.0 - moist)
-    if dry_m < _LEAST_M:
-        return thermal
-    dry = _wetted(thermal, moisture.TEXTURES[thermal.texture], 0.0)
-    return replace(dry, thickness_m=dry_m, beneath="soil", below=thermal, wetness=thermal.wetness * moist)
 
 
 def _wetted(thermal: Thermal, texture: Texture, water: float) -> Thermal:
