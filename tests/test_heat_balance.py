@@ -6,7 +6,7 @@ from conftest import slow
 from scipy.optimize import fsolve
 from scipy.special import erf, erfc
 
-from thermorender.physics import balance, exchange, leaves
+from thermorender.physics import balance, exchange, moisture
 from thermorender.physics.conduction import LAYERS, Slab, ladder, layered
 from thermorender.units import ZERO_CELSIUS_K
 
@@ -429,22 +429,22 @@ def test_stomata_close_in_the_dark_in_dry_air_and_in_frost():
     """The light law's 0.81/0.05 in the dark and 1 in full sun (IFS, eq. 8.11); Leuning's (1 + D/D₀), D₀ 1500 Pa; half
     the conductance 17.7 K from 25 °C (Noilhan and Planton 1989, eq. B5: 1 − 0.0016 ΔT²), none 25 K from it.
     """
-    assert leaves.stomata(np, 60.0, 0.0, 1000.0, 298.0) / 60.0 == pytest.approx(16.2)
-    assert leaves.stomata(np, 60.0, 1000.0, 1000.0, 298.0) / 60.0 == pytest.approx(0.81 * 5.0 / 4.05)
-    dry = leaves.stomata(np, 60.0, 1000.0, 4000.0, 298.0) / leaves.stomata(np, 60.0, 1000.0, 1000.0, 298.0)
+    assert exchange.stomata(np, 60.0, 0.0, 1000.0, 298.0) / 60.0 == pytest.approx(16.2)
+    assert exchange.stomata(np, 60.0, 1000.0, 1000.0, 298.0) / 60.0 == pytest.approx(0.81 * 5.0 / 4.05)
+    dry = exchange.stomata(np, 60.0, 1000.0, 4000.0, 298.0) / exchange.stomata(np, 60.0, 1000.0, 1000.0, 298.0)
     assert dry == pytest.approx((1500.0 + 4000.0) / (1500.0 + 1000.0))
-    open_ = leaves.stomata(np, 60.0, 1000.0, 1000.0, 298.0)
+    open_ = exchange.stomata(np, 60.0, 1000.0, 1000.0, 298.0)
     for away in (-(312.5**0.5), 312.5**0.5):
-        assert leaves.stomata(np, 60.0, 1000.0, 1000.0, 298.0 + away) / open_ == pytest.approx(2.0)
-    assert leaves.stomata(np, 60.0, 1000.0, 1000.0, 273.0) > 500.0 * open_
+        assert exchange.stomata(np, 60.0, 1000.0, 1000.0, 298.0 + away) / open_ == pytest.approx(2.0)
+    assert exchange.stomata(np, 60.0, 1000.0, 1000.0, 273.0) > 500.0 * open_
 
 
 def test_growing_season_follows_its_published_ramps():
     """Jolly, Nemani and Running (2005), table 1: −2 … 5 °C, 10 … 11 h, 4100 … 900 Pa; their product."""
-    assert leaves.growing_season([-2.0, 1.5, 5.0, 20.0], 12.0).tolist() == [0.0, 0.5, 1.0, 1.0]
-    assert leaves.growing_season(20.0, [9.0, 10.5, 11.0]).tolist() == [0.0, 0.5, 1.0]
-    assert leaves.growing_season(1.5, 10.5) == 0.25
-    assert leaves.moist([900.0, 2500.0, 4100.0]).tolist() == [1.0, 0.5, 0.0]
+    assert moisture.growing_season([-2.0, 1.5, 5.0, 20.0], 12.0).tolist() == [0.0, 0.5, 1.0, 1.0]
+    assert moisture.growing_season(20.0, [9.0, 10.5, 11.0]).tolist() == [0.0, 0.5, 1.0]
+    assert moisture.growing_season(1.5, 10.5) == 0.25
+    assert moisture.moist([900.0, 2500.0, 4100.0]).tolist() == [1.0, 0.5, 0.0]
 
 
 def test_wind_over_other_land_follows_two_logarithmic_profiles():

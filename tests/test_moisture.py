@@ -11,7 +11,7 @@ from thermorender.materials.shifted import shifted
 from thermorender.physics import moisture, snow
 from thermorender.scene import open_ground
 from thermorender.scene.load import load_scene
-from thermorender.scene.state.weathered_ground import in_weather, lying_snow, parted, season, water_of
+from thermorender.scene.state.weathered_ground import in_weather, leaf_notes, lying_snow, parted, season, water_of
 from thermorender.weather.series import Conditions, Weather
 from validation.heat.sites import carried
 
@@ -180,6 +180,21 @@ def test_frost_and_dry_air_close_leaves():
         assert season(warm, warm.time[-1]) == pytest.approx((1.0, expected), abs=3e-3)
         for before, after in zip(leaves, in_weather(leaves, warm, warm.time[-1]), strict=True):
             assert after.thermal.wetness == pytest.approx(expected * before.thermal.wetness, abs=3e-3)
+
+
+def test_notes_say_what_leaves_transpire_and_when_the_air_is_as_near():
+    grass, road = [LIBRARY["grass_green"]], [LIBRARY["asphalt"]]
+    summer = weather_of("2018-06-01", 28, air_k=293.15, vapour_pa=1500.0, longwave_w_m2=330.0)
+    noon, midnight = summer.time[-13], summer.time[-1]
+    assert leaf_notes(grass, summer, noon) == () == leaf_notes(grass, summer, midnight)
+    # Overcast, the sky is nearly black at the air's temperature: 419 W/m².
+    dull = replace(summer, longwave_w_m2=np.full(summer.time.size, 410.0))
+    assert leaf_notes(grass, dull, noon) == () == leaf_notes(road, dull, midnight)
+    (note,) = leaf_notes(grass, dull, midnight)
+    assert "on cloudy nights the air's temperature is as near to that of leaves" in note
+    winter = replace(summer, air_k=np.full(summer.time.size, 271.15), vapour_pa=np.full(summer.time.size, 300.0))
+    (note,) = leaf_notes(grass, winter, noon)
+    assert "leaves transpire 0.00 of what they do in season, by frost, short days, and dry air where no rain" in note
 
 
 def test_days_without_rows_join_their_neighbours():

@@ -7,7 +7,7 @@ the library; all fields broadcast over the columns.
 
 from typing import Any, NamedTuple
 
-from thermorender.physics import exchange, leaves
+from thermorender.physics import exchange
 from thermorender.physics.conduction import filled, top_response
 from thermorender.units import ZERO_CELSIUS_K
 
@@ -235,7 +235,7 @@ def _stage(
     density = exchange.air_density(forcing.pressure_pa, forcing.air_k)
     saturation, _ = exchange.saturation_vapour(xp, forcing.air_k)
     deficit = saturation - forcing.vapour_pa
-    closed = leaves.stomata(xp, ground.resistance, forcing.sunlight, deficit, forcing.air_k)
+    closed = exchange.stomata(xp, ground.resistance, forcing.sunlight, deficit, forcing.air_k)
     resistance = xp.where(ground.leaves > 0.5, closed, ground.resistance) / xp.maximum(ground.wetness, 1e-6)
     wet = xp.maximum(xp.minimum(state.film / xp.maximum(ground.held, 1e-3), 1.0), ground.open_water)
     rain = WATER_HEAT * forcing.rain_kg_m2_s

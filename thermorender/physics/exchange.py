@@ -24,6 +24,9 @@ _CALMEST_M_S = 0.1
 # Depth of the layer near the ground in which a calm night's temperature profile lies: a tenth of a stable boundary
 # layer of 100 m (Stull, An Introduction to Boundary Layer Meteorology (1988), sections 1.5 and 12.1) [m].
 STABLE_M = 10.0
+# Air temperature at which stomata are widest [K], and their loss per square kelvin: Noilhan and Planton, Mon. Weather
+# Rev. 117 (1989) 536, doi:10.1175/1520-0493(1989)117<0536:ASPOLS>2.0.CO;2, eq. B5.
+_BEST_K, _LOSS_K2 = 298.0, 0.0016
 # Blending height: above it the wind is independent of the surface below [m].
 BLENDING_M = 60.0
 
@@ -145,3 +148,31 @@ def evaporation(
     steeper = (open_share + (1.0 - open_share) * passed * passed) / (density * AIR_HEAT) * bend
     gain = heat * _VAPOUR_TO_AIR * density / pressure_pa
     return gain * conductance * excess, gain * (conductance * slope + steeper * excess), heat
+
+
+def stomata(xp: Any, resistance: Any, sunlight_w_m2: Any, deficit_pa: Any, air_k: Any) -> Any:
+    """Return the surface resistance of leaves [s/m] for given sunlight, saturation deficit and temperature.
+
+    Parameters
+    ----------
+    xp : module
+        NumPy or Dr.Jit.
+    resistance : array
+        In full sun and moist air [s/m].
+    sunlight_w_m2 : array
+        On the leaves [W m⁻²].
+    deficit_pa : array
+        Saturation deficit of the air [Pa].
+    air_k : array
+        [K]
+
+    Notes
+    -----
+    Sunlight: IFS documentation CY41R2, part IV, eq. 8.11. Deficit: Leuning, Plant Cell Environ. 18 (1995) 339, with
+    half the conductance at 1500 Pa, relative to the 1000 Pa of published minimum resistances. Temperature: Noilhan and
+    Planton (1989), eq. B5; closed 25 K away from 298 K.
+    """
+    light = (0.004 * sunlight_w_m2 + 0.05) / (0.81 * (0.004 * sunlight_w_m2 + 1.0))
+    dry = (1.0 + xp.maximum(deficit_pa, 0.0) / 1500.0) / (1.0 + 1000.0 / 1500.0)
+    warm = 1.0 - _LOSS_K2 * (_BEST_K - air_k) ** 2
+    return resistance * xp.maximum(dry, 0.7) / (xp.minimum(light, 1.0) * xp.maximum(warm, 1e-3))

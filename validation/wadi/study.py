@@ -86,10 +86,14 @@ def weather(days=3):
     return complete(time, PLACE, given, **SENSORS_M)
 
 
-def at_station(albedo=ALBEDO):
-    """Return the modelled minus the measured ground temperature at the station, (N,) [K], at each of its records."""
+def at_station(albedo=ALBEDO, **thermal):
+    """Return the modelled minus the measured ground temperature at the station, (N,) [K], at each of its records.
+
+    `thermal` replaces properties of the material's table.
+    """
     own, air = station(), weather()
     material = load_library()[MATERIAL]
+    material = replace(material, thermal=replace(material.known_thermal(), **thermal))
     columns = open_ground.columns([replace(material, solar_absorptance=1.0 - albedo)], air)
     now, found = air.time[0] + np.timedelta64(1, "D"), []
     state, _ = open_ground.settled(columns, air, now)
