@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 from conftest import slow
+from scipy.optimize import fsolve
 from scipy.special import erf, erfc
 
-from thermorender.physics import balance, exchange
+from thermorender.physics import balance, exchange, moisture
 from thermorender.physics.conduction import LAYERS, Slab, ladder, layered
 from thermorender.units import ZERO_CELSIUS_K
 
@@ -249,6 +250,8 @@ COLUMNS = {
     "dry soil": (ground(layered([SOIL]), emissivity=0.95), {}),
     "wet grass in rain": (ground(layered([SOIL], skin=20.0), emissivity=0.98, resistance=80.0, leaves=1.0, held=0.5),
                           {"rain_kg_m2_s": 1e-4}),
+    "leaves with gaps in rain": (ground(layered([SOIL], skin=10.0), emissivity=0.98, resistance=80.0, leaves=1.0,
+                                        held=0.5, gap=0.1), {"rain_kg_m2_s": 1e-4}),
     "soil that freezes and thaws": (ground(MOIST, emissivity=0.96, resistance=100.0, water=list(MOIST.water)),
                                     {"air_k": 272.0, "longwave": 230.0, "vapour_pa": 400.0}),
     "snow that melts and runs off": (ground(SNOW, emissivity=0.98, resistance=0.0, melting=1.0, water=list(SNOW.water)),
@@ -277,6 +280,27 @@ def test_energy_of_a_day_is_conserved(name):
     assert abs(change - into) < 1e-9 * turned
     assert abs(gained - lost - into) < 1e-6 * turned
     assert turned > 1e6
+
+
+@pytest.mark.parametrize("gap", [0.1, 0.4])
+def test_leaves_over_insulated_ground_share_sun_and_sky_with_it(gap):
+    """Steady state of two temperatures: leaves in calm air, and ground that only its gaps and the leaves heat."""
+    sun, longwave, air, emissivity, skin = 400.0, 300.0, 290.0, 0.97, 10.0
+    column = ground(layered([Slab(0.05, 100.0, 2e5)], skin=skin), emissivity=emissivity, gap=gap)
+
+    def balances(kelvin):
+        leaf, below = kelvin
+        net_leaf, net_below = (sun + emissivity * (longwave - balance.STEFAN_BOLTZMANN * t**4) for t in (leaf, below))
+        passes = column.conductance[0] * (below - leaf)
+        return (1.0 - gap) * net_leaf + passes - exchange.CALM_W_M2_K * (leaf - air), gap * net_below - passes
+
+    leaf, below = fsolve(balances, (300.0, 300.0), xtol=1e-12)
+    steady = forcing(absorbed=sun, longwave=longwave, air_k=air)
+    *_, (_, state, _) = simulate(column, lambda t: steady, 3600.0, 400)
+    assert state.surface_k == pytest.approx(leaf, abs=1e-3) and state.layers_k[0] == pytest.approx(below, abs=1e-3)
+    seen = balance.seen_k(state, column)
+    assert seen == pytest.approx(((1.0 - gap) * leaf**4 + gap * below**4) ** 0.25, abs=1e-3)
+    assert below > leaf
 
 
 def test_snow_melts_at_the_melting_point_by_the_heat_it_receives():
@@ -403,17 +427,34 @@ def test_stable_air_reduces_exchange_by_its_richardson_number():
         exchange.convection(np, t, air, wind, 1.2, *logs, height)[0] - exchange.CALM_W_M2_K for t in (surface, air)
     )
     assert h / neutral == pytest.approx(0.5, rel=1e-9)
+    # A sensor high above a wood: the profile of a calm night lies in the lowest 10 m.
+    low, high = (exchange.convection(np, surface, air, wind, 1.2, *logs, z)[0] for z in (exchange.STABLE_M, 40.0))
+    assert low == high < h
     colder = np.linspace(air, air - 40.0, 400)
     taken = exchange.convection(np, colder, air, wind, 1.2, *logs, height)[0] * (air - colder)
     assert (np.diff(taken) > 0.0).all()
 
 
-def test_stomata_close_in_the_dark_and_in_dry_air():
-    """The light law's 0.81/0.05 in the dark and 1 in full sun (IFS, eq. 8.11); Leuning's (1 + D/D₀), D₀ 1500 Pa."""
-    assert exchange.stomata(np, 60.0, 0.0, 1000.0) / 60.0 == pytest.approx(16.2)
-    assert exchange.stomata(np, 60.0, 1000.0, 1000.0) / 60.0 == pytest.approx(0.81 * 5.0 / 4.05)
-    dry = exchange.stomata(np, 60.0, 1000.0, 4000.0) / exchange.stomata(np, 60.0, 1000.0, 1000.0)
+def test_stomata_close_in_the_dark_in_dry_air_and_in_frost():
+    """The light law's 0.81/0.05 in the dark and 1 in full sun (IFS, eq. 8.11); Leuning's (1 + D/D₀), D₀ 1500 Pa; half
+    the conductance 17.7 K from 25 °C (Noilhan and Planton 1989, eq. B5: 1 − 0.0016 ΔT²), none 25 K from it.
+    """
+    assert exchange.stomata(np, 60.0, 0.0, 1000.0, 298.0) / 60.0 == pytest.approx(16.2)
+    assert exchange.stomata(np, 60.0, 1000.0, 1000.0, 298.0) / 60.0 == pytest.approx(0.81 * 5.0 / 4.05)
+    dry = exchange.stomata(np, 60.0, 1000.0, 4000.0, 298.0) / exchange.stomata(np, 60.0, 1000.0, 1000.0, 298.0)
     assert dry == pytest.approx((1500.0 + 4000.0) / (1500.0 + 1000.0))
+    open_ = exchange.stomata(np, 60.0, 1000.0, 1000.0, 298.0)
+    for away in (-(312.5**0.5), 312.5**0.5):
+        assert exchange.stomata(np, 60.0, 1000.0, 1000.0, 298.0 + away) / open_ == pytest.approx(2.0)
+    assert exchange.stomata(np, 60.0, 1000.0, 1000.0, 273.0) > 500.0 * open_
+
+
+def test_growing_season_follows_its_published_ramps():
+    """Jolly, Nemani and Running (2005), table 1: −2 … 5 °C, 10 … 11 h, 4100 … 900 Pa; their product."""
+    assert moisture.growing_season([-2.0, 1.5, 5.0, 20.0], 12.0).tolist() == [0.0, 0.5, 1.0, 1.0]
+    assert moisture.growing_season(20.0, [9.0, 10.5, 11.0]).tolist() == [0.0, 0.5, 1.0]
+    assert moisture.growing_season(1.5, 10.5) == 0.25
+    assert moisture.moist([900.0, 2500.0, 4100.0]).tolist() == [1.0, 0.5, 0.0]
 
 
 def test_wind_over_other_land_follows_two_logarithmic_profiles():

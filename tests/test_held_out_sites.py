@@ -58,5 +58,7 @@ def test_meadow_is_in_summer_time():
 def test_cover_without_comparison_values_is_refused(tmp_path):
     text = HELD_OUT.read_text("utf-8").replace('"roof_felt"', '"gold_plate"')
     (tmp_path / "sites.toml").write_text(text, "utf-8")
-    with pytest.raises(ThermorenderError, match=r"site 'roof': cover='gold_plate' has no values .* asphalt, broadleaf"):
+    with pytest.raises(
+        ThermorenderError, match=r"site 'roof': cover='gold_plate' has no values .* asphalt, brick_clay"
+    ):
         study.run(tmp_path / "sites.toml", tmp_path)

@@ -8,10 +8,10 @@ import pytest
 from scenes import write_balance
 from thermorender.materials.library import load_library
 from thermorender.materials.shifted import shifted
-from thermorender.physics import moisture
+from thermorender.physics import moisture, snow
 from thermorender.scene import open_ground
 from thermorender.scene.load import load_scene
-from thermorender.scene.state.weathered_ground import in_weather, lying_snow, water_of
+from thermorender.scene.state.weathered_ground import in_weather, leaf_notes, lying_snow, parted, season, water_of
 from thermorender.weather.series import Conditions, Weather
 from validation.heat.sites import carried
 
@@ -159,11 +159,42 @@ def test_without_frost_no_snow():
 
 def test_ground_without_rain_or_texture_stays_as_its_table_says():
     dry, wet = (weather_of("2018-06-01", 3, rain_mm_h=only(73, 5, fell)) for fell in (0.0, 4.0))
-    soils = [LIBRARY[name] for name in NAMES]
-    assert not dry.knows_rain and all(a is b for a, b in zip(in_weather(soils, dry, dry.time[-1]), soils, strict=True))
-    others = [LIBRARY[name] for name in ("asphalt", "conifer", "water", "granite", "snow")]
+    bare = [LIBRARY[name] for name in NAMES if LIBRARY[name].thermal.cover == "bare"]
+    assert not dry.knows_rain and all(a is b for a, b in zip(in_weather(bare, dry, dry.time[-1]), bare, strict=True))
+    others = [LIBRARY[name] for name in ("asphalt", "water", "granite", "snow")]
     assert all(a is b for a, b in zip(in_weather(others, wet, wet.time[-1]), others, strict=True))
     assert all(LIBRARY[name].thermal.texture for name in NAMES)
+
+
+def test_frost_and_dry_air_close_leaves():
+    """The season is the mean index of 21 days; without rain, dry air stands for dry soil."""
+    # 21 days of which the last 7 have frost, at −2 °C and below; days at 40° north are longer than 11 h.
+    frost = weather_of("2018-06-01", 28)
+    air = np.where(frost.time < frost.time[-1] - 7 * 24 * HOUR, 293.0, 270.0)
+    frost = replace(frost, air_k=air, vapour_pa=np.full(air.size, 400.0))
+    assert season(frost, frost.time[-1]).green == pytest.approx(14.0 / 21.0, abs=0.05)
+    leaves = [LIBRARY[name] for name in ("grass_green", "broadleaf")]
+    # Air of 20 °C and 400 Pa lacks 1940 Pa of 4100 … 900 Pa, and air of 35 °C more than that.
+    for kelvin, expected in ((293.15, (4100.0 - 1939.0) / 3200.0), (308.15, 0.0)):
+        warm = replace(frost, air_k=np.full(air.size, kelvin))
+        assert season(warm, warm.time[-1]) == pytest.approx((1.0, expected), abs=3e-3)
+        for before, after in zip(leaves, in_weather(leaves, warm, warm.time[-1]), strict=True):
+            assert after.thermal.wetness == pytest.approx(expected * before.thermal.wetness, abs=3e-3)
+
+
+def test_notes_say_what_leaves_transpire_and_when_the_air_is_as_near():
+    grass, road = [LIBRARY["grass_green"]], [LIBRARY["asphalt"]]
+    summer = weather_of("2018-06-01", 28, air_k=293.15, vapour_pa=1500.0, longwave_w_m2=330.0)
+    noon, midnight = summer.time[-13], summer.time[-1]
+    assert leaf_notes(grass, summer, noon) == () == leaf_notes(grass, summer, midnight)
+    # Overcast, the sky is nearly black at the air's temperature: 419 W/m².
+    dull = replace(summer, longwave_w_m2=np.full(summer.time.size, 410.0))
+    assert leaf_notes(grass, dull, noon) == () == leaf_notes(road, dull, midnight)
+    (note,) = leaf_notes(grass, dull, midnight)
+    assert "on cloudy nights the air's temperature is as near to that of leaves" in note
+    winter = replace(summer, air_k=np.full(summer.time.size, 271.15), vapour_pa=np.full(summer.time.size, 300.0))
+    (note,) = leaf_notes(grass, winter, noon)
+    assert "leaves transpire 0.00 of what they do in season, by frost, short days, and dry air where no rain" in note
 
 
 def test_days_without_rows_join_their_neighbours():
@@ -228,19 +259,59 @@ def test_snow_covers_open_ground_where_no_material_is_snow(monkeypatch):
     weather = weather_of("2018-01-10", 3, air_k=263.0, snow_m=0.2, direct_w_m2=0.0, longwave_w_m2=200.0)
     at = weather.time[-1]
     plain = [LIBRARY[name] for name in ("grass_green", "soil_loam", "asphalt")]
-    assert lying_snow(plain, weather, at) == pytest.approx(0.2)
-    assert lying_snow([*plain, LIBRARY["snow"]], weather, at) == 0.0
-    assert lying_snow(plain, replace(weather, snow_m=np.full(weather.time.size, 0.001)), at) == 0.0
-    grass, soil, road = in_weather(plain, weather, at, 0.2)
+    pack = lying_snow(plain, weather, at)
+    assert pack.depth_m == pytest.approx(0.2)
+    assert lying_snow([*plain, LIBRARY["snow"]], weather, at).depth_m == 0.0
+    assert lying_snow(plain, replace(weather, snow_m=np.full(weather.time.size, 5e-4)), at).depth_m == 0.0
+    (grass, most), (soil, whole), (road, none) = (parted(each, pack)[0] for each in plain)
+    # Niu and Yang (2007), eq. 4: tanh(d / 2.5 z₀), whole from 99 % on.
+    assert (most, whole, none) == (1.0, 1.0, 0.0)
+    thin = pack._replace(depth_m=0.02)
+    assert [parted(each, thin)[0][1] for each in plain] == pytest.approx(
+        [np.tanh(0.02 / 0.075), np.tanh(0.02 / 0.0075), 0.0], abs=0.01
+    )
     assert road is plain[2] and grass.thermal.cover == soil.thermal.cover == "snow" and grass.name == "grass_green"
-    assert grass.thermal.thickness_m == 0.2 and grass.thermal.layers[1].cover == "leaves"
-    assert grass.solar_absorptance == LIBRARY["snow_medium"].solar_absorptance
+    assert grass.thermal.thickness_m == pytest.approx(0.2) and grass.thermal.layers[1].cover == "leaves"
+    # Stalks stand above the same snow.
+    stalks = parted(plain[0], thin)[1][0].thermal
+    assert stalks.cover == "leaves" and stalks.thickness_m == 0.02 and stalks.wetness == 0.0
+    assert stalks.conductivity_w_m_k == grass.thermal.conductivity_w_m_k and stalks.skin_conductance_w_m2_k == 10.0
     columns = open_ground.columns([grass, road], weather)
     assert columns.snow_m == pytest.approx([0.2, 0.0])
     # Ground below snow starts at 0 °C, and stays warmer than the air.
     state, _ = open_ground.settled(columns, weather, at)
     deep = np.argmax(columns.node_m[0] > 0.3)
     assert 268.0 < state.layers_k[deep][0] <= 273.15 and state.surface_k[0] < 263.0
+
+
+def test_snow_ages_by_its_published_rates():
+    """Douville, Royer and Mahfouf (1995): 0.008 a day in frost, a factor of exp(−0.24 t) in melt, new by 10 mm; Essery
+    (2015): density towards 300 in frost and 500 kg/m³ in melt, by e in 200 h.
+    """
+    hour, first = np.full(240, 3600.0), snow.Pack(0.4, 250.0, 0.85)
+    frost = snow.packs(hour, np.full(240, -5.0), np.full(240, 0.4), first)
+    assert frost.albedo == pytest.approx(0.85 - 0.08) and frost.depth_m == 0.4
+    assert frost.density_kg_m3 == pytest.approx(300.0 - 50.0 * np.exp(-1.2), rel=1e-3)
+    melt = snow.packs(hour, np.full(240, 2.0), np.full(240, 0.4), first)
+    assert melt.albedo == pytest.approx(0.5 + 0.35 * np.exp(-2.4))
+    assert melt.density_kg_m3 == pytest.approx(500.0 - 250.0 * np.exp(-1.2), rel=1e-3)
+    # 20 mm of depth, 5 mm of water, renew half of what the albedo has lost; any snow on bare ground is new.
+    fallen = snow.packs(hour[:1], np.full(1, -5.0), np.full(1, 0.42), frost)
+    before = frost.albedo - 0.008 / 24.0
+    assert fallen.albedo == pytest.approx(0.5 * (before + 0.85))
+    assert snow.packs(hour[:1], np.full(1, -5.0), np.full(1, 0.004), snow.Pack(0.0, 250.0, 0.5)).albedo == 0.85
+    # Water is kept: depth times density.
+    fell = np.cumsum(np.full(48, 0.5))
+    depth = snow.depths(hour[:48], np.full(48, -5.0), fell)
+    pack = snow.packs(hour[:48], np.full(48, -5.0), depth, snow.Pack(0.0, 250.0, 0.85))
+    assert pack.depth_m * pack.density_kg_m3 == pytest.approx(24.0, rel=0.03)
+
+
+def test_conductivity_of_snow_agrees_with_the_tables():
+    """Calonne et al. (2011) at the densities of the three snows."""
+    for name in ("snow_fine", "snow_medium", "snow_coarse"):
+        thermal = LIBRARY[name].thermal
+        assert snow.conductivity(thermal.density_kg_m3) == pytest.approx(thermal.conductivity_w_m_k, abs=6e-4)
 
 
 def test_a_state_keeps_its_depths_when_snow_falls(monkeypatch):
@@ -251,7 +322,8 @@ def test_a_state_keeps_its_depths_when_snow_falls(monkeypatch):
     state, _ = open_ground.settled(bare, weather, weather.time[-1])
     same = carried(state, bare, bare)
     assert np.allclose(same.layers_k, state.layers_k) and np.allclose(same.surface_k, state.surface_k)
-    white = open_ground.columns(in_weather(soil, weather, weather.time[-1], 0.1), weather)
+    pack = lying_snow(soil, weather, weather.time[-1])
+    white = open_ground.columns([parted(soil[0], pack)[0][0], soil[1]], weather)
     later = carried(state, bare, white)
     at = np.argmax(white.node_m[0] > 0.5)
     below = np.interp(white.node_m[0][at] - 0.1, bare.node_m[0], [each[0] for each in state.layers_k])
@@ -271,9 +343,10 @@ def test_a_scene_lies_under_likely_snow_unless_it_states_none(tmp_path):
         (folder / "station.csv").write_text(text)
         scene = load_scene(folder)
         notes.append(" ".join(scene.weather_notes))
-        depths.append(lying_snow(scene.materials, scene.weather, scene.time))
-    assert depths[0] == pytest.approx(23.0 / 250.0) and depths[1] == 0.0
-    assert "Snow on the ground is missing: up to 0.092 m" in notes[0] and "lays it on soil, grass and heath" in notes[0]
+        depths.append(lying_snow(scene.materials, scene.weather, scene.time).depth_m)
+    # 23 mm of water two days after they fell.
+    assert 23.0 / 270.0 < depths[0] < 23.0 / 250.0 and depths[1] == 0.0
+    assert "Snow on the ground is missing: up to 0.09" in notes[0] and "lays it on soil, grass and heath" in notes[0]
     assert "states no snow on the ground" in notes[1] and "0 m throughout" in notes[1]
 
 

@@ -54,6 +54,15 @@ class StandIn:
     notes: tuple = ("the sky's long-wave was modelled",)
     latitude_deg: float = 52.0
     altitude_m: float = 0.0
+    knows_rain: bool = False
+
+    @property
+    def air_k(self):
+        return self.at(self.time).air_k
+
+    @property
+    def vapour_pa(self):
+        return np.full(self.time.shape, 1200.0)
 
     def why_no_snow(self, time):
         return ""

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -176,6 +177,51 @@ def test_global_light_is_kept_with_any_other_measurements(tmp_path):
             )
 
 
+# A fully overcast day, its diffuse light and the noise of a tracker [W m⁻²]; the noise may be in any interval.
+def overcast(time, of_clear=0.2):
+    return of_clear * sunlight(time)[0]
+
+
+def noise(time):
+    return 0.6 * (np.arange(len(time)) % 5 == 3)
+
+
+@pytest.mark.parametrize(
+    ("scale", "light", "known", "accepted"),
+    [
+        # Noise, and light in kW and MJ per hour, beside global and diffuse light, global light, or diffuse light alone.
+        (None, "overcast", ("global", "diffuse"), True),
+        (None, "overcast", ("global",), True),
+        (None, "overcast", ("diffuse",), False),
+        (0.0, "overcast", ("diffuse",), True),
+        (None, "clear", ("global", "diffuse"), False),
+        (1e-3, "clear", ("global", "diffuse"), False),
+        (1e-3, "clear", ("global",), False),
+        (1e-3, "clear", ("diffuse",), False),
+        (3.6e-3, "clear", ("global", "diffuse"), False),
+        (3.6e-3, "clear", ("global",), False),
+    ],
+)
+def test_direct_light_of_a_few_watts_is_noise_only_where_the_global_light_leaves_no_more(
+    tmp_path, scale, light, known, accepted
+):
+    total = (lambda t: overcast(t)) if light == "overcast" else (lambda t: sunlight(t)[0])
+    diffuse = (lambda t: 0.98 * overcast(t)) if light == "overcast" else (lambda t: sunlight(t)[2])
+    direct = noise if scale is None else lambda t: scale * sunlight(t)[1]
+    changes = {
+        "sw_down_w_m2": total if "global" in known else None,
+        "sw_direct_normal_w_m2": lambda t: [f"{each:.4f}" for each in direct(t)],
+    }
+    changes |= {"sw_diffuse_w_m2": diffuse} if "diffuse" in known else {}
+    path = station(tmp_path / "s.csv", changes)
+    if accepted:
+        weather = read_station(path, *PLACE)
+        assert weather.direct_w_m2.max() <= 0.6 and weather.diffuse_w_m2.max() > 50.0
+    else:
+        with pytest.raises(ThermorenderError, match=r"sw_direct_normal_w_m2 is .* looks like MJ or kW"):
+            read_station(path, *PLACE)
+
+
 def test_photosynthetic_light_replaces_short_wave(tmp_path):
     path = station(tmp_path / "s.csv", {"sw_down_w_m2": None, "ppfd_umol_m2_s": lambda t: 2.05 * sunlight(t)[0]})
     weather = read_station(path, *PLACE)
@@ -195,6 +241,23 @@ def test_clouds_warm_the_sky(tmp_path):
     cloudy = read_station(station(tmp_path / "c.csv", {"cloud_oktas": [8] * 72}), *PLACE)
     black = 5.670374419e-8 * cloudy.air_k**4
     assert (0.9 * black < cloudy.longwave_w_m2).all() and (cloudy.longwave_w_m2 < black).all()
+
+
+def test_humidity_tells_of_clouds_deep_in_the_night(tmp_path):
+    """Sundqvist's law: half the sky at 87.5 % with a threshold of 50 %; daylight's clouds fade within hours."""
+    np.testing.assert_allclose(sky.cloud_of_humidity(np.array([0.3, 0.5, 0.875, 1.0])), [0.0, 0.0, 0.5, 1.0])
+    cloud = {}
+    for name, percent in (("dry", 40.0), ("moist", 100.0)):
+        weather = read_station(station(tmp_path / "s.csv", {"rh_percent": [percent] * 72}), *PLACE)
+        clear = sky.longwave(weather.air_k, weather.vapour_pa, 0.0)
+        black = 5.670374419e-8 * weather.air_k**4
+        cloud[name] = (weather.longwave_w_m2 - clear) / (sky.CLOUD_EMISSIVITY * (black - clear))
+    # A clear day of July has its last light above 10° at 18:30 UTC; midnight is about 5 h away from it.
+    noon, dusk, night = (weather.time.tolist().index(datetime(2018, 7, 21, hour, 30)) for hour in (11, 18, 23))
+    assert np.abs(cloud["dry"]).max() < 0.05 and abs(cloud["moist"][noon]) < 0.05
+    for row, hours in ((dusk, 1.0), (night, 5.0)):
+        assert cloud["moist"][row] == pytest.approx(1.0 - np.exp(-hours / 12.0), abs=0.1)
+    assert cloud["moist"][night] > cloud["moist"][dusk] + 0.15
 
 
 @pytest.mark.parametrize(
@@ -314,7 +377,8 @@ def test_snow_that_nobody_recorded_is_estimated(tmp_path):
     # The step across midnight counts as one of the hour that follows.
     assert found == pytest.approx([23.5, 10.3, 10.3], abs=0.6)
     inferred = read_station(path, *PLACE)
-    assert inferred.snow_m[-1] == pytest.approx(found[2] / 250.0) and inferred.likely_snow_mm(day[2]) == 0.0
+    # New snow has 250 kg/m³; two days settle it, a day of melt to nearly 280.
+    assert found[2] / 285.0 < inferred.snow_m[-1] < found[2] / 270.0 and inferred.likely_snow_mm(day[2]) == 0.0
     assert weather.likely_snow_mm(weather.time[0]) == 0.0
     recorded = read_station(station(tmp_path / "t.csv", {**changes, "snow_depth_m": np.full(72, 0.1)}), *PLACE)
     assert recorded.likely_snow_mm(day[0]) == 0.0

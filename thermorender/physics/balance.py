@@ -54,6 +54,8 @@ class Ground(NamedTuple):
         snow's melt water runs off, and its ice is unlimited.
     sun_share : list or None
         Share of the absorbed sunlight per layer; None: the surface absorbs all of it.
+    gap : array or None
+        Share of the sky that the first layer sees between leaves, 0…1; None: it sees none.
     """
 
     emissivity: Any
@@ -71,6 +73,7 @@ class Ground(NamedTuple):
     water: list[Any] | None = None
     room: list[Any] | None = None
     sun_share: list[Any] | None = None
+    gap: Any = None
 
 
 class Forcing(NamedTuple):
@@ -168,6 +171,13 @@ def at_rest(xp: Any, temperatures_k: list[Any], ground: Ground) -> State:
     return State(temperatures_k[0], list(temperatures_k), 0.0 * temperatures_k[0], liquid)
 
 
+def seen_k(state: State, ground: Ground) -> Any:
+    """Return the temperature at which the columns radiate [K]: of the surface, and of what its gaps show."""
+    if ground.gap is None:
+        return state.surface_k
+    return ((1.0 - ground.gap) * state.surface_k**4 + ground.gap * state.layers_k[0] ** 4) ** 0.25
+
+
 def step(xp: Any, state: State, ground: Ground, first: Forcing, second: Forcing, seconds: Any) -> tuple[State, Fluxes]:
     """Return (State, Fluxes) after one time step.
 
@@ -232,17 +242,27 @@ def _stage(
         heating = [share * forcing.absorbed for share in ground.sun_share]
         surface_sun = forcing.absorbed - sum(heating)
         sources = [a + b for a, b in zip(sources, heating, strict=True)]
-    response = top_response(drops, sources, ground.capacity, ground.conductance, seconds)
+    capacity, below, loss = ground.capacity, 0.0, 0.0
+    if ground.gap is not None:
+        # Radiation of the first layer through the gaps, linear in its change, so that long steps are stable.
+        cube = ground.gap * ground.emissivity * STEFAN_BOLTZMANN * layers[0] ** 3
+        below = ground.gap * (surface_sun + ground.emissivity * forcing.longwave) - cube * layers[0]
+        sources[0], loss = sources[0] + below, 4.0 * cube
+        capacity = [capacity[0] + loss * seconds, *capacity[1:]]
+    response = top_response(drops, sources, capacity, ground.conductance, seconds)
     # Conductance from the surface into the column: through the skin and the first half layer.
     series = 1.0 / (response.beta + 1.0 / ground.conductance[0])
     before_k, warmed = layers[0], response.alpha + remainder[0]
     density = exchange.air_density(forcing.pressure_pa, forcing.air_k)
     saturation, _ = exchange.saturation_vapour(xp, forcing.air_k)
-    closed = exchange.stomata(xp, ground.resistance, forcing.sunlight, saturation - forcing.vapour_pa)
+    deficit = saturation - forcing.vapour_pa
+    closed = exchange.stomata(xp, ground.resistance, forcing.sunlight, deficit, forcing.air_k)
     resistance = xp.where(ground.leaves > 0.5, closed, ground.resistance) / xp.maximum(ground.wetness, 1e-6)
     wet = xp.maximum(xp.minimum(state.film / xp.maximum(ground.held, 1e-3), 1.0), ground.open_water)
     rain = WATER_HEAT * forcing.rain_kg_m2_s
-    gained = surface_sun + ground.emissivity * forcing.longwave
+    covers = 1.0 if ground.gap is None else 1.0 - ground.gap
+    emits = covers * ground.emissivity
+    gained = covers * surface_sun + emits * forcing.longwave
     t, frozen = guess, guess < ZERO_CELSIUS_K
     low, high = 0.0 * t, 0.0 * t + 1e4
 
@@ -254,7 +274,7 @@ def _stage(
         latent, slope, heat = exchange.evaporation(
             xp, t, forcing.vapour_pa, forcing.pressure_pa, h, bend, density, resistance, wet, frozen
         )
-        cube = ground.emissivity * STEFAN_BOLTZMANN * t**3
+        cube = emits * STEFAN_BOLTZMANN * t**3
         warmer = t - forcing.air_k
         radiation, sensible = gained - cube * t, (h + rain) * warmer
         # The exchange weakens as a surface cools below the air. A lower bound on its slope keeps the step's direction.
@@ -280,7 +300,7 @@ def _stage(
     more = xp.where((after >= low) & (after <= high), series * move(excess, rate), 0.0)
     into = xp.where(t < cap, conducted + more, radiation - sensible - latent)
     changes = filled(response.alpha + response.beta * into, drops, response)
-    inside = forcing.absorbed - surface_sun
+    inside = forcing.absorbed - surface_sun + below - loss * changes[0]
     return t, changes, (radiation + inside, sensible, latent, into + inside, latent / heat)
 
 

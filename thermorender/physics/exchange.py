@@ -21,6 +21,12 @@ _VAPOUR_TO_AIR = 0.622
 # Exchange in calm air: Jordan, CRREL Special Report 91-16 (1991), uses 2 W m⁻² K⁻¹ over snow.
 CALM_W_M2_K = 2.0
 _CALMEST_M_S = 0.1
+# Depth of the layer near the ground in which a calm night's temperature profile lies: a tenth of a stable boundary
+# layer of 100 m (Stull, An Introduction to Boundary Layer Meteorology (1988), sections 1.5 and 12.1) [m].
+STABLE_M = 10.0
+# Air temperature at which stomata are widest [K], and their loss per square kelvin: Noilhan and Planton, Mon. Weather
+# Rev. 117 (1989) 536, doi:10.1175/1520-0493(1989)117<0536:ASPOLS>2.0.CO;2, eq. B5.
+_BEST_K, _LOSS_K2 = 298.0, 0.0016
 # Blending height: above it the wind is independent of the surface below [m].
 BLENDING_M = 60.0
 
@@ -69,16 +75,17 @@ def convection(
     ρ c κ² U f / (ln(z/z₀) ln(z/z₀ₕ)), Garratt, The Atmospheric Boundary Layer (1992), eq. 3.52, plus a constant for
     calm air. Unstable: f of the bulk Richardson number by Louis, Tiedtke & Geleyn, "A short history of the PBL
     parameterization at ECMWF" (1982), b = c = 5. Stable: f = 1 / (1 + 10 Ri), the long tail of Brown et al.,
-    Boundary-Layer Meteorol. 128 (2008) 117. With it the heat flux from the air never falls as the surface cools, so
-    the surface stays coupled on a calm night and has a unique temperature.
+    Boundary-Layer Meteorol. 128 (2008) 117, with the height of Ri limited to `STABLE_M`. With it the heat flux from the
+    air never falls as the surface cools, so the surface stays coupled on a calm night and has a unique temperature.
     """
     wind = xp.maximum(wind_m_s, _CALMEST_M_S)
     slope = GRAVITY * height_m / (0.5 * (surface_k + air_k) * wind * wind)
     richardson = slope * (air_k - surface_k)
-    stable, unstable = xp.maximum(richardson, 0.0), xp.maximum(-richardson, 1e-9)
+    shallow = xp.minimum(height_m, STABLE_M) / xp.maximum(height_m, 1e-6)
+    stable, unstable = shallow * xp.maximum(richardson, 0.0), xp.maximum(-richardson, 1e-9)
     neutral = AIR_HEAT * density * KARMAN**2 / (log_wind * log_heat) * wind
     damped = 1.0 / (1.0 + 10.0 * stable)
-    falls = 10.0 * damped * damped
+    falls = 10.0 * shallow * damped * damped
     free = 75.0 * KARMAN**2 / (log_wind * log_heat) * xp.sqrt(xp.exp(log_wind) * unstable)
     lifted = 15.0 / (1.0 + free)
     warm = richardson < 0.0
@@ -143,24 +150,29 @@ def evaporation(
     return gain * conductance * excess, gain * (conductance * slope + steeper * excess), heat
 
 
-def stomata(xp: Any, resistance: Any, sunlight_w_m2: Any, deficit_pa: Any) -> Any:
-    """Return the surface resistance of leaves [s/m] for given sunlight and saturation deficit.
+def stomata(xp: Any, resistance: Any, sunlight_w_m2: Any, deficit_pa: Any, air_k: Any) -> Any:
+    """Return the surface resistance of leaves [s/m] for given sunlight, saturation deficit and temperature.
 
     Parameters
     ----------
     xp : module
+        NumPy or Dr.Jit.
     resistance : array
         In full sun and moist air [s/m].
     sunlight_w_m2 : array
         On the leaves [W m⁻²].
     deficit_pa : array
         Saturation deficit of the air [Pa].
+    air_k : array
+        [K]
 
     Notes
     -----
     Sunlight: IFS documentation CY41R2, part IV, eq. 8.11. Deficit: Leuning, Plant Cell Environ. 18 (1995) 339, with
-    half the conductance at 1500 Pa, relative to the 1000 Pa of published minimum resistances.
+    half the conductance at 1500 Pa, relative to the 1000 Pa of published minimum resistances. Temperature: Noilhan and
+    Planton (1989), eq. B5; closed 25 K away from 298 K.
     """
     light = (0.004 * sunlight_w_m2 + 0.05) / (0.81 * (0.004 * sunlight_w_m2 + 1.0))
     dry = (1.0 + xp.maximum(deficit_pa, 0.0) / 1500.0) / (1.0 + 1000.0 / 1500.0)
-    return resistance * xp.maximum(dry, 0.7) / xp.minimum(light, 1.0)
+    warm = 1.0 - _LOSS_K2 * (_BEST_K - air_k) ** 2
+    return resistance * xp.maximum(dry, 0.7) / (xp.minimum(light, 1.0) * xp.maximum(warm, 1e-3))

@@ -1,4 +1,4 @@
-"""Water in the ground: snow by degree days, a bucket of two layers, and conduction and evaporation of moist soil.
+"""Water in the ground: snow by degree days, a bucket of two layers, moist soil, and the season of leaves.
 
 The bucket is that of the FAO: Allen et al., Crop Evapotranspiration, FAO Irrigation and Drainage Paper 56 (1998),
 https://www.fao.org/4/X0490E/x0490e00.htm, chapters 3, 4, 7 and 8. Amounts of water are mm, that is kg m⁻².
@@ -33,6 +33,12 @@ _EXPOSED = 0.1
 SOAKED_W_M_K = 2.2
 # How vapour diffuses through dry soil [m² s⁻¹]: 2.5e-5 in air, of which pores of 40 % and their turns leave a quarter.
 _DIFFUSES_M2_S = 6.25e-6
+
+# Lowest temperature of a day [°C], its vapour pressure deficit [Pa] and length [h] at which leaves are absent, and from
+# which on they are unlimited: Jolly, Nemani and Running, Glob. Change Biol. 11 (2005) 619, table 1.
+_COLD_C, _DRY_PA, _DARK_H = (-2.0, 5.0), (4100.0, 900.0), (10.0, 11.0)
+# Days over which the index is averaged: there, page 622.
+MEMORY_D = 21
 
 
 class Texture(NamedTuple):
@@ -263,3 +269,33 @@ def resistance(texture: Texture, water: ArrayLike, surface_mm: ArrayLike) -> Flo
     moist = np.exp(8.206 - 4.225 * np.minimum(np.asarray(water, np.float64) / texture.pores, 1.0))
     share = evaporates(texture, surface_mm)
     return 1.0 / (share / moist + (1.0 - share) / (moist + 0.5 * SURFACE_M / _DIFFUSES_M2_S))
+
+
+def growing_season(lowest_c: ArrayLike, day_h: ArrayLike) -> Floats:
+    """Return the growing season index of days by frost and light, 0 (dormant) … 1 (green).
+
+    Parameters
+    ----------
+    lowest_c : array
+        Lowest air temperature of a day [°C].
+    day_h : array
+        Time from sunrise to sunset [h].
+
+    Notes
+    -----
+    Product of linear ramps, with `moist` as the third: Jolly, Nemani and Running, Glob. Change Biol. 11 (2005) 619,
+    doi:10.1111/j.1365-2486.2005.00930.x, eqs 1–4. The greenness of land is its mean over 21 days.
+    """
+    return _ramp(lowest_c, *_COLD_C) * _ramp(day_h, *_DARK_H)
+
+
+def moist(deficit_pa: ArrayLike) -> Floats:
+    """Return the growing season index by the mean vapour pressure deficit of a day's light [Pa], 0 … 1.
+
+    Dry air stands for dry soil; source as `growing_season`.
+    """
+    return _ramp(deficit_pa, *_DRY_PA)
+
+
+def _ramp(value: ArrayLike, none: float, full: float) -> Floats:
+    return np.clip((np.asarray(value, np.float64) - none) / (full - none), 0.0, 1.0)

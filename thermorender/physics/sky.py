@@ -24,6 +24,8 @@ _OZONE_CM = 0.3
 _RAYLEIGH_MASS, _RAYLEIGH_BEYOND = 14.0, 0.013
 # Of an overcast sky's clouds, as seen from the ground through the air below them: Unsworth and Monteith (1975).
 CLOUD_EMISSIVITY = 0.84
+# Relative humidity near the ground from which on clouds are likely.
+_HUMID = 0.5
 
 
 def standard_aerosol(altitude_m: ArrayLike) -> Floats:
@@ -148,6 +150,18 @@ def clouded(direct: Floats, diffuse: Floats, elevation_deg: Floats, cloud: Float
     total = (direct * height + diffuse) * (1.0 - 0.75 * np.asarray(cloud, np.float64) ** 3.4)
     direct = (1.0 - cloud) * direct
     return direct, total - direct * height
+
+
+def cloud_of_humidity(humidity: Floats) -> Floats:
+    """Return the cloud cover [1] that a relative humidity near the ground [1] makes likely at night.
+
+    Notes
+    -----
+    1 − √((1 − h)/(1 − h₀)): Sundqvist, Berge and Kristjánsson, Mon. Weather Rev. 117 (1989) 1641,
+    doi:10.1175/1520-0493(1989)117<1641:CACPSW>2.0.CO;2, for the humidity of a cloud's layer. Near the ground it is the
+    mean over the nights of eleven places with a pyrgeometer, to 0.1 with h₀ = 0.5, though 0.1 too low in saturated air.
+    """
+    return 1.0 - np.sqrt(np.clip((1.0 - humidity) / (1.0 - _HUMID), 0.0, 1.0))
 
 
 def longwave(air_k: Floats, vapour_pa: Floats, cloud: Floats | float) -> Floats:

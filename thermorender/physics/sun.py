@@ -114,3 +114,11 @@ def sunrise(latitude_deg: float, declination_deg: float) -> float | None:
     if abs(cosine) > 1.0:
         return None
     return 12.0 - np.degrees(np.arccos(cosine)) / 15.0
+
+
+def day_h(latitude_deg: float, declination_deg: float) -> float:
+    """Return the time from sunrise to sunset over level ground [h], 0 … 24; source as `sunrise`."""
+    rises = sunrise(latitude_deg, declination_deg)
+    if rises is None:
+        return 24.0 if latitude_deg * declination_deg > 0.0 else 0.0
+    return 24.0 - 2.0 * rises

@@ -295,6 +295,7 @@ class Scene(Edits):
     def weather_notes(self) -> tuple[str, ...]:
         """Notes on filled gaps of the weather, a short record before `time`, snow, likely snow, rooms and albedo."""
         from thermorender.scene.open_ground import over_room
+        from thermorender.scene.state.weathered_ground import leaf_notes
 
         weather, time = self.weather, self.time
         assert time is not None
@@ -323,7 +324,7 @@ class Scene(Edits):
                 f"rooms below roofs are at inside_c={inside_c:g} °C, and the air outside is at {outside_c:.0f} °C; "
                 "state inside_c in [weather] if that is wrong"
             )
-        return (*notes, *self._albedo_notes)
+        return (*notes, *leaf_notes(self.materials, weather, time), *self._albedo_notes)
 
     @cached_property
     def _albedo_notes(self) -> tuple[str, ...]:

@@ -1,13 +1,14 @@
 """Columns of weather files: names, units and plausible values."""
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.physics import humidity
+from thermorender.physics import humidity, sky
 from thermorender.units import ZERO_CELSIUS_K
 
 
@@ -108,6 +109,9 @@ _RANGES = {
 }
 # Range of the brightest global light (quantile 0.98) relative to Haurwitz' clear sky, J. Meteorol. 2 (1945) 154.
 _CLEAR_SHARES = (0.6, 1.4)
+# Elevation of a sun that direct light is judged by [deg]; by how much two pyranometers differ at zero (ISO 9060:2018,
+# class B [W m⁻²]) and as a share; uncertainty of the diffuse share by Erbs' split (`sky.split_global`).
+_HIGH_DEG, _PYRANOMETERS_W_M2, _PYRANOMETERS, _SPLIT = 10.0, 21.0, 0.05, 0.1
 # Range of the median pressure relative to the standard atmosphere's, by weather and air temperature.
 _PRESSURE_SHARES = (0.86, 1.06)
 
@@ -157,15 +161,21 @@ def check_range(where: object, quantity: str, values: NDArray[np.float64]) -> No
 
 
 def check_light(
-    where: object, column: str, values: NDArray[np.float64], elevation_deg: NDArray[np.float64], step_s: float
-) -> None:
+    where: object, column: str, values: NDArray[np.float64], elevation_deg: NDArray[np.float64], step_s: float,
+    others: Mapping[str, NDArray[np.float64]] = MappingProxyType({}),
+) -> None:  # fmt: skip
     """Refuse sunlight that never exceeds 5 W m⁻² although the sun rises above 20°, or unlike a clear sky's at its best.
 
-    NaN is allowed. Direct light may be 0 all day. The brightest global light is judged over 300 hours or more of a sun
-    above 30°.
+    NaN is allowed. Direct light may be 0 all day, or that low, as a tracker's noise is, where the global light in
+    `others`, the file's quantities, leaves it no more. The brightest global light is judged over 300 hours or more of a
+    sun above 30°.
     """
     most = np.nanmax(values)
-    if elevation_deg.max() > 20.0 and most < 5.0 and not ("direct" in column and most <= 0.0):
+    if (
+        elevation_deg.max() > 20.0
+        and most < 5.0
+        and not ("direct" in column and (most <= 0.0 or _beam_left(others, elevation_deg) <= most))
+    ):
         raise ThermorenderError(
             f"{where}: {column} is {most:g} W/m² at most although the sun rises to {elevation_deg.max():.0f}°; it "
             "looks like MJ or kW, or was not measured, so give W/m² or leave it out"
@@ -182,6 +192,23 @@ def check_light(
             f"{largest:g} are plausible; it looks like another unit, such as J/cm² or Wh in half an hour, or another "
             "quantity, so convert it to global W/m² or leave it out"
         )
+
+
+def _beam_left(others: Mapping[str, NDArray[np.float64]], elevation_deg: NDArray[np.float64]) -> float:
+    """Direct light [W m⁻²] that the brightest tenth of the day has at least, by its global and diffuse light.
+
+    Global less diffuse light, less what two pyranometers differ by; without diffuse light, what Erbs' split gives less
+    three times its uncertainty. Diffuse light alone leaves anything: infinity.
+    """
+    if "global_w_m2" not in others:
+        return np.inf
+    high = elevation_deg > _HIGH_DEG
+    sine, total = np.sin(np.radians(elevation_deg[high])), np.maximum(others["global_w_m2"][high], 0.0)
+    if "diffuse_w_m2" in others:
+        beam = (total - others["diffuse_w_m2"][high] - _PYRANOMETERS_W_M2 - _PYRANOMETERS * total) / sine
+    else:
+        beam = sky.split_global(total, elevation_deg[high], 1.0, np.inf)[0] - 3.0 * _SPLIT * total / sine
+    return float(np.nanquantile(beam, 0.9))
 
 
 def check_pressure(where: object, column: str, values: NDArray[np.float64], altitude_m: float) -> None:

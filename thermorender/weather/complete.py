@@ -5,7 +5,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.physics import humidity, moisture, sky, sun
+from thermorender.physics import humidity, moisture, sky, snow, sun
+from thermorender.units import ZERO_CELSIUS_K
 from thermorender.weather.series import Weather
 
 # Range of altitudes on land [m].
@@ -14,12 +15,12 @@ LOWEST_M, HIGHEST_M = -500.0, 9000.0
 _LOWEST_FOR_CLOUD_DEG = 10.0
 # Light is averaged over this window before the comparison with a clear sky [h].
 _CLOUD_WINDOW_H = 3.0
+# Hours in which what daylight told of the clouds fades to 1/e; humidity tells the rest. From 6 h to ∞ the error at
+# eleven sites changes by 0.3 W m⁻².
+_CLOUD_LASTS_H = 12.0
 # Below this elevation of the sun the sky is dark, and a sensor reads its offset [deg].
 _DARK_DEG = -6.0
 _WIND_M_S = 2.5
-# Density of snow on the ground, that of the material snow_medium [kg/m³]; Sturm et al., J. Hydrometeorol. 11 (2010)
-# 1380, doi:10.1175/2010JHM1202.1, table 4, begins winters on open land with 233 (prairie) and 243 (tundra).
-_SNOW_KG_M3 = 250.0
 
 
 def complete(
@@ -47,9 +48,12 @@ def complete(
     Notes
     -----
     Short-wave: a global irradiance alone is split by Erbs' correlation; without any, `sky.clear_sky` and `sky.clouded`.
-    Cloud cover for the long-wave: as given, else 1 − global over clear-sky global by day, and linear over the night.
-    The mean absolute error of the long-wave is 10 to 26 W m⁻² at twelve pyrgeometers: `validation.longwave`.
-    Snow: from precipitation and air temperature by degree days, `moisture.snow_water`.
+    Clouds for the long-wave: as given, else by day from the deficit of global light against a clear sky. At night
+    it goes over, within hours, from the deficit interpolated between evening and morning to `sky.cloud_of_humidity`.
+    Mean over twelve places with a pyrgeometer, moist tropics to ice sheet: bias −1, mean absolute error 15 W m⁻²; on
+    cloudy nights 18. Nights under an overcast sky are 24 W m⁻² too low, clear ones 16 W m⁻² too high.
+    Neither the daily range of the air temperature nor its hourly change made nights better at sites left out.
+    Snow: from precipitation and air temperature by degree days, `moisture.snow_water`, at the density of `snow.depths`.
     Vapour: saturated at the day's lowest air temperature, FAO Irrigation and Drainage Paper 56 (1998), eq. 48.
     """
     latitude_deg, longitude_deg, altitude_m = place
@@ -88,7 +92,8 @@ def complete(
     if "longwave_w_m2" in given:
         rest["longwave_w_m2"] = given["longwave_w_m2"]
     else:
-        cloud = _cloud(time, given, direct, diffuse, elevation, clear, notes)
+        humid = rest["vapour_pa"] / humidity.saturation_pressure(air)
+        cloud = _cloud(time, given, direct, diffuse, elevation, clear, humid, notes)
         rest["longwave_w_m2"] = sky.longwave(air, rest["vapour_pa"], cloud)
     return Weather(
         time=time, air_k=air, direct_w_m2=direct, diffuse_w_m2=diffuse, latitude_deg=latitude_deg,
@@ -99,7 +104,7 @@ def complete(
 def _likely_snow(time, latitude_deg, air, rain, notes):
     """Depth of snow (N,) [m] from precipitation and air temperature; its note is added."""
     water, _ = moisture.snow_water(time, latitude_deg, air, rain)
-    depth = water / _SNOW_KG_M3
+    depth = snow.depths(moisture.intervals_s(time), air - ZERO_CELSIUS_K, water)
     how = f"up to {depth.max():.2g} m" if depth.any() else "none"
     notes.append(
         f"Snow on the ground is missing: {how}, from precipitation below {moisture.SNOW_C:g} °C less melt by degree "
@@ -145,7 +150,7 @@ def _sunlight(given, elevation, distance, clear, limit, notes):
     return np.where(elevation > 0.0, direct, 0.0), np.where(elevation > _DARK_DEG, diffuse, 0.0)
 
 
-def _cloud(time, given, direct, diffuse, elevation, clear, notes):
+def _cloud(time, given, direct, diffuse, elevation, clear, humid, notes):
     """Cloud cover (N,) for the long-wave."""
     if "cloud" in given:
         notes.append("Long-wave is missing: modelled from air, vapour and clouds.")
@@ -155,9 +160,12 @@ def _cloud(time, given, direct, diffuse, elevation, clear, notes):
         return np.zeros(len(time))
     day = elevation > _LOWEST_FOR_CLOUD_DEG
     if not day.any():
-        notes.append("Long-wave is missing, and there is no sun to infer clouds from: modelled for half cloud cover.")
-        return np.full(len(time), 0.5)
-    notes.append("Long-wave is missing: modelled from air, vapour and the sunlight's deficit against a clear sky.")
+        notes.append("Long-wave is missing, and there is no sun to infer clouds from: modelled from air and humidity.")
+        return sky.cloud_of_humidity(humid)
+    notes.append(
+        "Long-wave is missing: modelled from air, vapour and the sunlight's deficit against a clear sky, at night from "
+        "the hours of light and the humidity; ± 16 W/m² by day and ± 20 W/m² at night, 24 W/m² too low if overcast."
+    )
     height = np.sin(np.radians(elevation))
     hour = (time - time[0]).astype(np.float64) / 3600.0
     first = np.searchsorted(hour, hour - 0.5 * _CLOUD_WINDOW_H)
@@ -168,4 +176,10 @@ def _cloud(time, given, direct, diffuse, elevation, clear, notes):
         return (sums[last] - sums[first])[day]
 
     share = windowed(direct * height + diffuse) / windowed(clear[0] * height + clear[1])
-    return np.interp(hour, hour[day], np.clip(1.0 - share, 0.0, 1.0))
+    # The deficit itself is the share of a black sky: Crawford and Duchon, J. Appl. Meteorol. 38 (1999) 474, eq. 20.
+    cover = np.interp(hour, hour[day], np.clip(1.0 - share, 0.0, 1.0) / sky.CLOUD_EMISSIVITY)
+    lit = hour[day]
+    after = np.searchsorted(lit, hour)
+    away = np.minimum(np.abs(hour - lit[np.maximum(after - 1, 0)]), np.abs(hour - lit[np.minimum(after, len(lit) - 1)]))
+    known = np.exp(-away / _CLOUD_LASTS_H)
+    return known * cover + (1.0 - known) * sky.cloud_of_humidity(humid)

@@ -108,7 +108,7 @@ def read_station(
             rate = values[quantity] * (3600.0 / step_s if quantity == "rain_mm" else 1.0)
             check_rain(path, column_of[quantity], rate, step_s, notes)
         if quantity in _LIGHT:
-            check_light(path, column_of[quantity], values[quantity], elevation, step_s)
+            check_light(path, column_of[quantity], values[quantity], elevation, step_s, values)
             values[quantity] = without_offset(column_of[quantity], values[quantity], notes)
         values[quantity] = filled(
             path, column_of[quantity], quantity, values[quantity], time, step_s, longest_gap_h, notes

@@ -26,6 +26,23 @@ _PROMICE = "GEUS-Glaciology-and-Climate/pypromice/4e0ba2555fdcae906e713ce6c4e259
 _ARM = "ARM-DOE/arm-test-data/579835e49b1fc76783dfb232173b1a8f5e40e043/data"
 _OZFLUX = "gitanjali2022/plot_scale_lst_emissivity/8673e663a9cfea3a502c5e74fddea04b141e7cb2/Data/tern"
 _MATSCH = "EURAC-Ecohydro/GEOtopExamples/df1407b4f5407c30c8453a630b9e50e0128f01e7/tests/Matsch_B2_Ref_007"
+_CROPS = "BryanNsoh/cwsi-swsi-et/6d51384a583e08be19b592dd8963379f9898058d/analysis-2024-09-15/data/data-2024-09-15"
+_HOUSES = "anssilaukkarinen/trh-1/2c7de539209660b370c62bf0948b97c0083c9719/database_read_only"
+# Plots with an infrared thermometer, by crop: field, treatment and number.
+_PLOTS = {
+    "corn": (("CORN", 1, 5006), ("CORN", 1, 5010), ("CORN", 1, 5023), ("CORN", 2, 5003), ("CORN", 2, 5012),
+             ("CORN", 3, 5001), ("CORN", 3, 5018), ("CORN", 3, 5020)),
+    "soybean": (("SOYBEAN", 1, 2006), ("SOYBEAN", 1, 2015), ("SOYBEAN", 1, 2023), ("SOYBEAN", 2, 2001),
+                ("SOYBEAN", 2, 2011), ("SOYBEAN", 2, 2026), ("SOYBEAN", 3, 2003), ("SOYBEAN", 3, 2018),
+                ("SOYBEAN", 3, 2020)),
+}  # fmt: skip
+# Weather and sensor of a construction.
+_BENEATH = {
+    "felt_roof": ("R3_omakotitalo/YP2", "roofmiddle_airtop"),
+    "tile_roof": ("R7_omakotitalo/YP1", "roofmiddle_topofunderlay"),
+    "metal_roof": ("R6_omakotitalo/YP3", "roofsoutheast_topofunderlay"),
+    "brick_wall": ("R1_omakotitalo/US1_puurankaseina_tiiliverhouksella", "tuuletusvali"),
+}
 SOURCES = {
     "ice_margin": f"{_PROMICE}/data/test_raw1.txt",
     "ice_sheet_night": f"{_PROMICE}/unit/bufr_export/tx_l3_test1.csv",
@@ -33,10 +50,15 @@ SOURCES = {
     "irrigated_meadow": f"{_MATSCH}/obss/obs/obs0001.txt",
     "savanna": f"{_OZFLUX}/AdelaideRiver/AdelaideRiver_2009_L3.nc",
     "eucalypt": f"{_OZFLUX}/TUM/Tumbarumba_2016_L3.nc",
-    "prairie_grass": "hagne/SURFRAD/7cb8c3e273aa663ca33aca8f16caa3aab3550a42/data/bon_19950510.qdat",
+    "prairie_grass": "hagne/SURFRAD/7cb8c3e273aa653ca33aca8f16caa3aab3550a42/data/bon_19950510.qdat",
     "pasture_weather": f"{_ARM}/sgpmetE13.b1.20190101.000000.cdf",
     "pasture_light": f"{_ARM}/sgpsirsE13.b1.20190101.000000.cdf",
-}
+    "photovoltaic": "pvlib/pvanalytics/06fd59694b2a9461ff29c5d22d691bb23c4f956e/pvanalytics/data/serf_west_15min.csv",
+    **{f"{crop}_{plot}": f"{_CROPS}/LINEAR_{field}_trt{treatment}_plot_{plot}_20240915.csv"
+       for crop, plots in _PLOTS.items() for field, treatment, plot in plots},
+    **{f"{name}_{part}": f"{_HOUSES}/{house}/{file}.csv"
+       for name, (house, sensor) in _BENEATH.items() for part, file in (("weather", "fmi"), ("sensor", sensor))},
+}  # fmt: skip
 _HOUR = timedelta(hours=1)
 # Sensitivities of the radiometers [µV per W/m²], from the station's configuration: short-wave down and up, long-wave
 # down and up.
@@ -180,6 +202,69 @@ def pasture(weather, light):
     return [each + timedelta(seconds=30) for each in time], air | sun
 
 
+def crop(plots):
+    """Return (times, columns) of hourly means of a field's station, with the mean canopy temperature of its plots.
+
+    Times are those of summer (UTC − 5) and of the start of the hour, as the sunlight tells. The mean needs half of the
+    plots' infrared thermometers.
+    """
+    tables = [_columns(data.decode("utf-8")) for data in plots]
+    first = max(tables, key=lambda table: len(table["TIMESTAMP"]))
+    stamps, canopy = first["TIMESTAMP"], []
+    for table in tables:
+        (name,) = [name for name in table if name.startswith("IRT")]
+        known = dict(zip(table["TIMESTAMP"], _numbers(table[name]), strict=True))
+        canopy.append([known.get(stamp, np.nan) for stamp in stamps])
+    canopy = np.array(canopy)
+    count = np.isfinite(canopy).sum(axis=0)
+    mean = np.where(2 * count >= len(canopy), np.nansum(canopy, axis=0) / np.maximum(count, 1), np.nan)
+    names = {"air_c": "Ta_2m_Avg", "rh_percent": "RH_2m_Avg", "wind_m_s": "WndAveSpd_3m",
+             "sw_down_w_m2": "Solar_2m_Avg", "pressure_hpa": "PresAvg_1pnt5m"}  # fmt: skip
+    columns = {ours: _numbers(first[name]) for ours, name in names.items()}
+    time = [datetime.fromisoformat(stamp) + 5.5 * _HOUR for stamp in stamps]
+    return time, columns | {"canopy_c": mean}
+
+
+def beneath(weather, sensor):
+    """Return (times, columns) of a construction: the nearest station, and the temperature below the outer layer.
+
+    Times are UTC + 2 all year. Temperatures, humidity and wind are instantaneous, light is the mean of the hour before;
+    a row takes those of its hour's middle.
+    """
+    table, found = _columns(weather.decode("utf-8")), _columns(sensor.decode("utf-8"))
+    clock = lambda table: np.array(table["t_UTC+2"], "datetime64[s]") - np.timedelta64(7200, "s")  # noqa: E731
+    at, own = clock(table), clock(found)
+    names = {"air_c": "Te", "rh_percent": "RHe", "wind_m_s": "ws", "sw_down_w_m2": "Rglob", "sw_diffuse_w_m2": "Rdif"}
+    # One house has the air only.
+    names = names if "Te" in table else {"air_c": "T", "rh_percent": "RH"}
+    hours = np.arange(at[0].astype("M8[h]"), at[-1].astype("M8[h]")).astype("M8[s]") + np.timedelta64(1800, "s")
+    seconds = lambda times: (times - at[0]).astype(float)  # noqa: E731
+
+    def through(times, values, later_s=0.0):
+        good = np.isfinite(values)
+        places, known = seconds(hours) + later_s, seconds(times)[good]
+        value = np.interp(places, known, values[good])
+        # Gaps of more than two hours stay.
+        near = known[np.clip(np.searchsorted(known, places), 0, len(known) - 1)]
+        before = known[np.clip(np.searchsorted(known, places) - 1, 0, len(known) - 1)]
+        return np.where(near - before <= 7200.0, value, np.nan)
+
+    columns = {ours: through(at, _numbers(table[name]), 1800.0 if ours.startswith("sw") else 0.0)
+               for ours, name in names.items()}  # fmt: skip
+    columns["rh_percent"] = np.minimum(columns["rh_percent"], 100.0)
+    columns["sensor_c"] = through(own, _numbers(found["T"]))
+    return [each.astype(datetime) for each in hours], columns
+
+
+def photovoltaic(data):
+    """Return (times, columns) of 15-min means in local standard time (UTC − 7): air, light on the modules, modules."""
+    table = _columns(data.decode("utf-8"))
+    time = [datetime.fromisoformat(stamp) + 7.0 * _HOUR for stamp in next(iter(table.values()))]
+    modules = [_numbers(table[f"module_temp_{k}__78{k}"]) for k in (1, 2, 3)]
+    columns = {"air_c": _numbers(table["ambient_temp__780"]), "modules_c": np.median(modules, axis=0)}
+    return time, columns | {"on_modules_w_m2": _numbers(table["poa_irradiance__771"])}
+
+
 def averaged(time, columns, step_min):
     """Return (times, columns) as means over steps of `step_min` min with at least half of the values."""
     first = datetime.combine(time[0].date(), datetime.min.time())
@@ -215,7 +300,9 @@ def main(
     def data(name):
         path = SOURCES[name]
         if sources:
-            return (sources / Path(path).name).read_bytes()
+            # Files of one name are told apart by their folders.
+            own = sources / "-".join(Path(path).parts[-3:])
+            return (own if own.is_file() else sources / Path(path).name).read_bytes()
         # Fixed address of a public file; the scheme is ours.
         with urllib.request.urlopen(f"https://raw.githubusercontent.com/{path}", timeout=60) as answer:
             return bytes(answer.read())
@@ -228,7 +315,12 @@ def main(
     _write(folder / "savanna.csv", *flux_tower(data("savanna"), 9.5, 0.5))
     _write(folder / "eucalypt.csv", *flux_tower(data("eucalypt"), 10.0, 1.0))
     _write(folder / "pasture.csv", *averaged(*pasture(data("pasture_weather"), data("pasture_light")), 10))
-    typer.echo(f"8 tables in {output}")
+    for name, plots in _PLOTS.items():
+        _write(folder / f"{name}.csv", *crop([data(f"{name}_{plot}") for *_, plot in plots]))
+    for name in _BENEATH:
+        _write(folder / f"{name}.csv", *beneath(data(f"{name}_weather"), data(f"{name}_sensor")))
+    _write(folder / "photovoltaic.csv", *photovoltaic(data("photovoltaic")))
+    typer.echo(f"{8 + len(_PLOTS) + len(_BENEATH) + 1} tables in {output}")
 
 
 if __name__ == "__main__":

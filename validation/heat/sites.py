@@ -10,13 +10,14 @@ from thermorender.materials.library import load_library
 from thermorender.physics import balance
 from thermorender.physics.balance import STEFAN_BOLTZMANN
 from thermorender.scene import open_ground
-from thermorender.scene.state.weathered_ground import in_weather, lying_snow
+from thermorender.scene.state.weathered_ground import in_weather, is_snow, lying_snow, parted, season
 from thermorender.schema import Where, choice, flag, key, mapping, number, read, read_toml, tables, text
 from thermorender.units import ZERO_CELSIUS_K, instant
 from thermorender.weather.series import Conditions, Weather
 from thermorender.weather.station import read_columns, read_station
 
 _DAY_S = 86400
+_GROUND_ALBEDO = 0.2
 
 
 def _pairs(read_first, read_second):
@@ -49,14 +50,23 @@ class Site:
     wetness : float or None
         Moisture available to evaporation, in the classes of materials; None: the tables' values.
     depth_m : float or None
-        Depth of water.
-    longwave_up, surface, water : str or None
-        Column of the measurement: upwelling longwave [W m⁻²], infrared surface temperature [°C], or temperature of the
-        water's uppermost layer [°C].
+        Depth of water, or thickness of the uppermost layer.
+    ends : str or None
+        What is below the lowest layer, in place of the tables' ("inside", "outside" or "ventilated").
+    absorptance : float or None
+        Of sunlight; None: the tables'.
+    plane : tuple of (tilt, azimuth clockwise from north) [deg] or None
+        Of a surface that is not level: sunlight and long-wave are those of this plane above level ground that reflects
+        a fifth of the sunlight and is as warm as the air.
+    longwave_up, surface, water, below : str or None
+        Column of the measurement: upwelling longwave [W m⁻²], infrared surface temperature [°C], temperature of the
+        water's uppermost layer [°C], or temperature below the lowest layer [°C].
     emissivity : float or None
         Broadband emissivity for upwelling longwave; that of the cover where None.
     shortwave_up : str or None
         Column of the reflected sunlight, if it replaces the table's absorptance.
+    sunlight : str or None
+        Column of the sunlight on the surface, if it replaces that of the weather.
     radiation : tuple of two str or None
         Columns whose sum is absorbed sunlight and downwelling longwave.
     soil : tuple of (depth [m], column [°C])
@@ -81,11 +91,16 @@ class Site:
     snow_depth_m: float | None = key(number(0.0, 30.0), None)
     canopy_m: float | None = key(number(0.0, 100.0, above=True), None)
     wetness: float | None = key(number(0.0, 1.0), None)
-    depth_m: float | None = key(number(0.1, 200.0), None)
+    depth_m: float | None = key(number(0.001, 200.0), None)
+    ends: str | None = key(choice("inside", "outside", "ventilated"), None)
+    absorptance: float | None = key(number(0.0, 1.0), None)
+    plane: tuple | None = key(number(0.0, 360.0, count=2), None)
     cover: tuple = key(_pairs(text, number(0.0, 1.0, above=True)))
     longwave_up: str | None = key(text, None)
     surface: str | None = key(text, None)
     water: str | None = key(text, None)
+    below: str | None = key(text, None)
+    sunlight: str | None = key(text, None)
     emissivity: float | None = key(number(0.5, 1.0), None)
     shortwave_up: str | None = key(text, None)
     radiation: tuple | None = key(_two(text), None)
@@ -100,7 +115,7 @@ class Site:
 
     def check(self, where, given):
         """Refuse none or several measurements, and shares that do not add up to 1."""
-        where.exactly_one(given, ("longwave_up", "surface", "water"))
+        where.exactly_one(given, ("longwave_up", "surface", "water", "below"))
         total = sum(share for _, share in self.cover)
         if abs(total - 1.0) > 1e-6:
             where.of("cover").refuse(given["cover"], f"shares that add up to 1, not to {total:g}")
@@ -163,7 +178,8 @@ def measured(site, folder):
         longest_gap_h=site.longest_gap_h, wind_m_s=site.wind_m_s, snow_depth_m=site.snow_depth_m,
         air_height_m=site.air_height_m, wind_height_m=site.wind_height_m,
     )  # fmt: skip
-    named = [site.longwave_up, site.surface, site.water, site.shortwave_up, *(site.radiation or ())]
+    named = [site.longwave_up, site.surface, site.water, site.below, site.shortwave_up, site.sunlight]
+    named += site.radiation or ()
     named = [name for name in [*named, *(name for _, name in site.soil)] if name]
     _, numbers = read_columns(path, named, during=site.during)
     column = numbers.__getitem__
@@ -174,13 +190,19 @@ def measured(site, folder):
         absorbed = np.maximum(level + weather.diffuse_w_m2 - np.maximum(up, 0.0), 0.0)
     if site.radiation:
         total = sum(_whole(column(name), weather.time) for name in site.radiation)
-        absorbed, weather = np.zeros(len(total)), replace(weather, longwave_w_m2=total)
+        # More than a black sky's is sunlight; a Weather refuses it as long-wave.
+        longwave = np.minimum(total, STEFAN_BOLTZMANN * weather.air_k**4)
+        absorbed, weather = total - longwave, replace(weather, longwave_w_m2=longwave)
+    if site.plane:
+        weather, absorbed = _on_plane(site, weather)
+    if site.sunlight:
+        absorbed = _absorbs(site) * np.maximum(_whole(column(site.sunlight), weather.time), 0.0)
     if site.longwave_up:
         e = site.emissivity or sum(share * open_ground.broadband(m) for m, share in _materials(site))
         emitted = column(site.longwave_up) - (1.0 - e) * weather.longwave_w_m2
         observed = (emitted / (e * STEFAN_BOLTZMANN)) ** 0.25
     else:
-        observed = column(site.surface or site.water) + ZERO_CELSIUS_K
+        observed = column(site.surface or site.water or site.below) + ZERO_CELSIUS_K
     begin = None
     if site.soil:
         begin = (
@@ -200,6 +222,36 @@ def _materials(site):
                 "`thermorender materials list` prints the names"
             )
     return [(library[name], share) for name, share in site.cover]
+
+
+def _absorbs(site):
+    if site.absorptance is not None:
+        return site.absorptance
+    return sum(share * material.solar_absorptance for material, share in _materials(site))
+
+
+def _on_plane(site, weather):
+    """(Weather with the long-wave, absorbed sunlight (N,)) of a plane that is not level."""
+    tilt, facing = np.radians(site.plane)
+    azimuth, elevation = np.radians(weather.sun(weather.time))
+    cosine = np.sin(elevation) * np.cos(tilt) + np.cos(elevation) * np.sin(tilt) * np.cos(azimuth - facing)
+    sky = 0.5 * (1.0 + np.cos(tilt))
+    level = weather.direct_w_m2 * np.maximum(np.sin(elevation), 0.0) + weather.diffuse_w_m2
+    beam = np.where(elevation > 0.0, weather.direct_w_m2 * np.maximum(cosine, 0.0), 0.0)
+    sunlight = beam + sky * weather.diffuse_w_m2 + (1.0 - sky) * _GROUND_ALBEDO * level
+    longwave = sky * weather.longwave_w_m2 + (1.0 - sky) * STEFAN_BOLTZMANN * weather.air_k**4
+    return replace(weather, longwave_w_m2=longwave), _absorbs(site) * sunlight
+
+
+def _wet(material, wetness):
+    return replace(material, thermal=replace(material.known_thermal(), wetness=wetness))
+
+
+def _ended(thermal, end):
+    """A Thermal whose lowest layer ends at `end`."""
+    if thermal.below is None:
+        return replace(thermal, beneath=end)
+    return replace(thermal, below=_ended(thermal.below, end))
 
 
 def _whole(values, time):
@@ -228,17 +280,33 @@ def modelled(found, step_s=None, layers=None, edit=None):
     rough = site.canopy_m and 0.1 * site.canopy_m
     own = {"roughness_m": rough, "wetness": site.wetness, "thickness_m": site.depth_m}
     own = {name: value for name, value in own.items() if value is not None}
-    # A stated moisture stays.
     own |= {"texture": ""} if site.wetness is not None else {}
     materials = [(replace(m, thermal=replace(m.known_thermal(), **own)), share) for m, share in materials]
+    if site.ends:
+        materials = [(replace(m, thermal=_ended(m.known_thermal(), site.ends)), share) for m, share in materials]
+    if site.absorptance is not None:
+        materials = [(replace(m, solar_absorptance=site.absorptance), share) for m, share in materials]
     if edit:
         materials = [(edit(m), share) for m, share in materials]
     more = {} if layers is None else {"layers": layers}
 
+    own, snowy = [material for material, _ in materials], bool(weather.snow_m.any())
+    snowy &= not any(map(is_snow, own))
+
     def at(instant):
-        own = [material for material, _ in materials]
-        present = in_weather(own, weather, instant, lying_snow(own, weather, instant))
-        return open_ground.columns(present, weather, site.snow_depth_m or 0.0, **more)
+        present = in_weather(own, weather, instant)
+        if site.wetness is not None:
+            # A stated moisture stays, whatever the air tells of the soil.
+            green = season(weather, instant).green
+            present = [_wet(m, site.wetness * (green if m.known_thermal().cover == "leaves" else 1.0)) for m in present]
+        parts = list(zip(present, (share for _, share in materials), strict=True))
+        if snowy:
+            # Each ground is in it with and without snow, at any time.
+            pack = lying_snow(own, weather, instant)
+            parts = [(part, share * of) for ground, share in parts for part, of in parted(ground, pack, always=True)]
+        return open_ground.columns(
+            [part for part, _ in parts], weather, 0.0 if snowy else site.snow_depth_m or 0.0, **more
+        ), [share for _, share in parts]
 
     step_s = step_s or open_ground.STEP_S
     series = _Drive(found, at)
@@ -251,8 +319,7 @@ def modelled(found, step_s=None, layers=None, edit=None):
     else:
         state = series.settled(2.0 * step_s)
         kelvin = series.simulate(state, step_s)
-    share = np.array([share for _, share in materials]) * made.ground.emissivity
-    return (kelvin**4 @ (share / share.sum())) ** 0.25
+    return ((kelvin**4 * series.emits).sum(axis=1) / series.emits.sum(axis=1)) ** 0.25
 
 
 def carried(state, before, after):
@@ -280,33 +347,38 @@ def carried(state, before, after):
 class _Drive:
     """Simulates the columns of a Measured under its weather, from row to row.
 
-    `columns_at` returns the Columns of an instant; they change once a day.
+    `columns_at` returns the Columns of an instant and their shares of the ground; they change once a day.
     """
 
     def __init__(self, found, columns_at):
         self.found, self.columns_at = found, columns_at
-        self.columns = columns_at(found.weather.time[0])
-        self.first_layer = found.site.water is not None
+        self.columns, self.shares = columns_at(found.weather.time[0])
+        # Measured in a layer, not at the surface.
+        self.layer = 0 if found.site.water else -1 if found.site.below else None
 
     def simulate(self, state, step_s, count=None):
-        """Return temperatures (N, M) at each row, or at the first `count` rows."""
+        """Return temperatures (N, M) at each row, or at the first `count` rows; `emits` (N, M) are their weights."""
         weather = self.found.weather
         time, absorbed = weather.time[:count], self.found.absorbed
         second = (time - time[0]).astype(float)
-        shown = lambda state: state.layers_k[0] if self.first_layer else state.surface_k  # noqa: E731
-        seen = [shown(state)]
+
+        def shown(state):
+            return balance.seen_k(state, self.columns.ground) if self.layer is None else state.layers_k[self.layer]
+
+        seen, emits = [shown(state)], [np.multiply(self.shares, self.columns.ground.emissivity)]
         light = None
         if absorbed is not None:
             light = lambda at: np.interp((at - time[0]) / np.timedelta64(1, "s"), second, absorbed[: len(second)])  # noqa: E731
         day = time[0]
         for begin, end in zip(time[:-1], time[1:], strict=True):
-            if weather.knows_rain and begin - day >= np.timedelta64(_DAY_S, "s"):
+            if begin - day >= np.timedelta64(_DAY_S, "s"):
                 before, day = self.columns, begin
-                self.columns = self.columns_at(begin)
+                self.columns, self.shares = self.columns_at(begin)
                 state = carried(state, before, self.columns)
             state, _ = open_ground.march(self.columns, weather, state, begin, end, step_s=step_s, shortwave=light)
             seen.append(shown(state))
-        self.state = state
+            emits.append(np.multiply(self.shares, self.columns.ground.emissivity))
+        self.state, self.emits = state, np.array(emits)
         return np.array(seen)
 
     def settled(self, step_s):

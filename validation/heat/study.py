@@ -42,12 +42,14 @@ _SINUSOID = {
     "soil_arid": (0.33, -3.01, 14.0), "water": (0.0, 0.0, 12.0),
 }  # fmt: skip
 # Covers without values of their own: force–restore takes those of the first, the sinusoid those of the second. For the
-# sinusoid trees, shrubs and dry grass are grass, other ground is bare soil, and snow and ice follow the air.
+# sinusoid trees, shrubs and dry grass are grass, other ground is bare soil, and snow and ice follow the air. Roofs,
+# walls and glass are asphalt.
 _LIKE = {
     "conifer": ("conifer", "grass_green"), "grass_dry": ("grass_dry", "grass_green"),
     "heath_shrub": ("heath_shrub", "grass_green"), "broadleaf": ("conifer", "grass_green"),
     "soil_dark": ("soil_dark", "soil_arid"), "soil_loam": ("soil_loam", "soil_arid"), "snow": ("snow", "water"),
-    "ice": ("snow", "water"), "roof_felt": ("asphalt", "asphalt"),
+    "ice": ("snow", "water"), "roof_felt": ("asphalt", "asphalt"), "roof_tile_loft": ("asphalt", "asphalt"),
+    "metal_painted": ("asphalt", "asphalt"), "brick_clay": ("asphalt", "asphalt"), "glass": ("asphalt", "asphalt"),
 }  # fmt: skip
 _CONDITIONS = tuple(f"{part}, {kind}" for part in ("high sun", "low sun", "night") for kind in ("clear", "cloudy"))
 # Sites, layers and time steps of the study of run time, and the settings that serve as truth.

@@ -33,9 +33,9 @@ PLACE = (31.355, 35.36, -240.0)
 # The authors' model takes the station's wind at 2 m.
 SENSORS_M = {"air_height_m": 2.0, "wind_height_m": 2.0}
 MATERIAL = "soil_arid"
-# Albedo of the ground: arid land of southern Israel reflects up to 0.35 (from the air: Ben-Gai et al., Theor. Appl.
-# Climatol. 61 (1998) 207), and the reanalysis of the data set has 0.26; 0.32 is in the upper part, for bare ground.
-ALBEDO, ALBEDO_STD = 0.32, 0.04
+# Albedo of the ground: that of the reanalysis in the data set, for this flight. Arid land of southern Israel reflects
+# up to 0.35, seen from the air: Ben-Gai et al., Theor. Appl. Climatol. 61 (1998) 207.
+ALBEDO, ALBEDO_STD = 0.2575, 0.04
 # The station's ground sensor minus the thermal map at its place on this flight, which the authors add to the map [K].
 STATION_MINUS_MAP_K = 4.43
 _DAY_S = 86400.0
@@ -86,10 +86,14 @@ def weather(days=3):
     return complete(time, PLACE, given, **SENSORS_M)
 
 
-def at_station(albedo=ALBEDO):
-    """Return the modelled minus the measured ground temperature at the station, (N,) [K], at each of its records."""
+def at_station(albedo=ALBEDO, **thermal):
+    """Return the modelled minus the measured ground temperature at the station, (N,) [K], at each of its records.
+
+    `thermal` replaces properties of the material's table.
+    """
     own, air = station(), weather()
     material = load_library()[MATERIAL]
+    material = replace(material, thermal=replace(material.known_thermal(), **thermal))
     columns = open_ground.columns([replace(material, solar_absorptance=1.0 - albedo)], air)
     now, found = air.time[0] + np.timedelta64(1, "D"), []
     state, _ = open_ground.settled(columns, air, now)

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from thermorender.materials.library import find, load_library
+from thermorender.physics import balance
 from thermorender.physics.sun import solar_hour
 from thermorender.scene import open_ground
 from thermorender.scene.state.weathered_ground import in_weather
@@ -54,6 +55,6 @@ def conditions(weather: Weather, time: np.datetime64, inside_c: float = 20.0) ->
         state = start
         if time > before:
             state, _ = open_ground.march(columns, under, start, before, time, inside_k)
-        for name, kelvin in zip(TYPICAL, state.surface_k, strict=True):
+        for name, kelvin in zip(TYPICAL, balance.seen_k(state, columns.ground), strict=True):
             found[f"{where}_{name}"] = float(kelvin - now.air_k)
     return found

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
-from thermorender.materials.mixture import parts_of
 from thermorender.physics import balance, exchange, humidity
 from thermorender.physics.balance import STEFAN_BOLTZMANN, Forcing, Ground, State
 from thermorender.physics.srgb import linear_from_bytes
@@ -36,7 +35,7 @@ from thermorender.render.variant import activate
 from thermorender.scene import open_ground
 from thermorender.scene.deviations import Deviations
 from thermorender.scene.scene import Scene
-from thermorender.scene.state.weathered_ground import covered, in_weather, lying_snow
+from thermorender.scene.state.weathered_ground import is_snow, parts_in_weather
 from thermorender.scene.surface import fill, nearest_valid
 from thermorender.units import ZERO_CELSIUS_K, utc_text
 
@@ -54,6 +53,8 @@ _AT_ONCE = 1 << 22
 _BRIGHTEST = 2.0
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. ITU-R BT.709-6, item 3.2
 _WHAT = "simulating the heat balance"
+# ((part, share), …) of each material of a scene.
+_Parts = Sequence[tuple[tuple[Material, float], ...]]
 
 
 def solved(
@@ -89,12 +90,13 @@ def solved(
     geometry = geometry or Geometry(activate(), scene.surfaces)
     report_progress = progress or (lambda what, share: None)
     report_progress(_WHAT, 0.0)
-    parts = [parts_of(material) for material in scene.materials]
+    higher_m = scene.altitude_m - scene.weather.altitude_m
+    parts = parts_in_weather(scene.materials, scene.weather, asked[0], higher_m)
     kinds = np.unique(np.concatenate([np.unique(each.material) for each in scene.surfaces[: scene.solved_count]]))
     most = max(len(parts[kind]) for kind in kinds)
     found: Any = 0.0
     share_done = 1.0 / most
-    simulation = _Simulation(scene, geometry, asked, deviations)
+    simulation = _Simulation(scene, parts, geometry, asked, deviations)
     for number in range(most):
         of = {kind: parts[kind][min(number, len(parts[kind]) - 1)][0] for kind in kinds}
         weight = np.array([_emits(part, number) for part in parts])
@@ -144,9 +146,10 @@ class _Simulation:
     """Simulations of a terrain's texels, with the faces and the light between them that all share."""
 
     def __init__(
-        self, scene: Scene, geometry: Geometry, asked: "list[np.datetime64]", deviations: Deviations | None
-    ) -> None:
-        self.scene, self.geometry, self.mi, self.asked = scene, geometry, geometry.mi, asked
+        self, scene: Scene, parts: _Parts, geometry: Geometry, asked: "list[np.datetime64]",
+        deviations: Deviations | None,
+    ) -> None:  # fmt: skip
+        self.scene, self.parts, self.geometry, self.mi, self.asked = scene, parts, geometry, geometry.mi, asked
         assert scene.spec.weather is not None
         self.weather, self.inside_k = scene.weather, scene.spec.weather.inside_c + ZERO_CELSIUS_K
         # Terrain, followed by the copies of bodies whose temperatures are solved.
@@ -164,7 +167,6 @@ class _Simulation:
             )
         self.middle = corner.mean(axis=1).astype(np.float32)
         self.normal = (across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)).astype(np.float32)
-        self.snow_m = lying_snow(scene.materials, self.weather, asked[0])
         self.covers = geometry.face_showing(scene.solved_count)
         self.shown = self.covers < geometry.face_count
         for part in np.split(self.shown, geometry.texel_start[1 : scene.solved_count]):
@@ -192,15 +194,18 @@ class _Simulation:
         temperature = np.concatenate([surface.temperature.ravel() for surface in surfaces])[number]
         self.face_material, self.face_kelvin = material, temperature.astype(np.float32)
         self.face_texel = number
-        of = [self._shown(each) for each in self.scene.materials]
-        reflects = np.array([1.0 - each.solar_absorptance for each in of], np.float32)[material]
-        emits = np.array([open_ground.broadband(each) for each in of], np.float32)[material]
-        return reflects, emits
+        reflects, emits = (
+            np.array([self._mean(number, of) for number in range(len(self.parts))], np.float32)
+            for of in (lambda one: 1.0 - one.solar_absorptance, open_ground.broadband)
+        )
+        return reflects[material], emits[material]
 
-    def _shown(self, material: Material) -> Material:
-        """A material, or the snow on its parts."""
-        parts = [part for part, _ in parts_of(material) if part.thermal and part.thermal.texture]
-        return covered(parts[0], self.snow_m) if self.snow_m and parts else material
+    def _mean(self, number: int, of: Callable[[Material], float]) -> float:
+        """A property of a material, or the mean over its parts where snow lies on one of them."""
+        material, parts = self.scene.materials[number], self.parts[number]
+        if any(is_snow(part) for part, _ in parts):
+            return sum(share * of(part) for part, share in parts)
+        return of(material)
 
     def run(
         self, materials: dict[int, Material], wanted: NDArray[np.bool_], progress: Callable[[float], object]
@@ -212,8 +217,7 @@ class _Simulation:
         self.row = np.zeros(256, dtype=np.uint32)
         self.row[list(materials)] = np.arange(len(materials))
         weather, snow = self.weather, float(self.weather.at(self.asked[0]).snow_m)
-        present = in_weather(list(materials.values()), weather, self.asked[0], self.snow_m)
-        self.columns = open_ground.columns(present, weather, snow, open_ground.STATION_ROUGHNESS_M)
+        self.columns = open_ground.columns(list(materials.values()), weather, snow, open_ground.STATION_ROUGHNESS_M)
         self.state, change = open_ground.settled(self.columns, weather, self.start, self.inside_k)
         self.settled_k = max(self.settled_k, change)
         found = np.zeros((len(self.asked), self.texels), dtype=np.float32)
@@ -250,7 +254,7 @@ class _Simulation:
         mean = np.bincount(self.material, light) / np.maximum(np.bincount(self.material), 1)
         ratio = light / np.maximum(mean[self.material], 1e-4)
         # Dark spots in vegetation, water and snow are shade or depth, not absorption.
-        mineral = np.array([open_ground.bare(self._shown(each)) for each in self.scene.materials])
+        mineral = np.array([all(open_ground.bare(part) for part, _ in parts) for parts in self.parts])
         ratio[~mineral[self.material]] = 1.0
         return np.clip(ratio, 1.0 / _BRIGHTEST, _BRIGHTEST).astype(np.float32)
 
@@ -318,7 +322,7 @@ class _Simulation:
         else:
             columns, state = self._columns(texels)
         if not first_s:
-            yield np.array(state.surface_k)
+            yield np.array(balance.seen_k(state, columns.ground))
         for number, (at, seconds) in enumerate(steps):
             if own is not None and at >= first_s - _OWN_S - 1e-6:
                 index = mi.UInt32(aligned(np.concatenate([np.arange(self.faces), self.faces + own]), np.uint32))
@@ -330,13 +334,13 @@ class _Simulation:
                 _evaluate(state)
                 own = None
             if light is None or at >= light.until:
-                light = self._light(at, state.surface_k, columns)
+                light = self._light(at, balance.seen_k(state, columns.ground), columns)
             first, second = (self._forcing(at + offset, light, columns) for offset in balance.stage_times(seconds))
             state, _ = balance.step(Library, state, columns.ground, first, second, dr.opaque(mi.Float, seconds))
             _evaluate(state)
             progress((number + 1) / len(steps))
             if self.start + np.timedelta64(round(at + seconds), "s") in self.asked:
-                yield np.array(state.surface_k)
+                yield np.array(balance.seen_k(state, columns.ground))
 
     def _sun(self, instant: np.datetime64) -> NDArray[np.float64]:
         azimuth, elevation = self.weather.sun(instant)
@@ -384,7 +388,7 @@ class _Simulation:
             below_k=dr.select(columns.indoors, one(self.inside_k), air),
         )
 
-    def _light(self, at_s: float, surface_k: Jit, columns: _Columns) -> "_Light":
+    def _light(self, at_s: float, seen_k: Jit, columns: _Columns) -> "_Light":
         """The _Light between the faces from `at_s` on.
 
         The first guess is the light that arrived from other faces before. Each call adds one more reflection, so in
@@ -401,7 +405,7 @@ class _Simulation:
             lit = np.array(self._cosine((*at, here), mi.Bool(False), towards, at_s + 0.5 * _LIGHT_S))
             own[: self.faces] += np.float32(found.direct_w_m2 / max(level, 1.0)) * lit
         kelvin = self.face_kelvin.copy()
-        kelvin[: self.faces] = np.array(surface_k)[: self.faces]
+        kelvin[: self.faces] = np.array(seen_k)[: self.faces]
         emitted = self.emissivity * np.float32(STEFAN_BOLTZMANN) * kelvin**4
         sky = self.sky * np.float32(found.longwave_w_m2)
         for _ in range(1 if self.arrives is not None else _REFLECTIONS):
