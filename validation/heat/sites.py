@@ -304,9 +304,13 @@ def modelled(found, step_s=None, layers=None, edit=None):
             # Each ground is in it with and without snow, at any time.
             pack = lying_snow(own, weather, instant)
             parts = [(part, share * of) for ground, share in parts for part, of in parted(ground, pack, always=True)]
-        return open_ground.columns(
+        made = open_ground.columns(
             [part for part, _ in parts], weather, 0.0 if snowy else site.snow_depth_m or 0.0, **more
-        ), [share for _, share in parts]
+        )
+        if any(m.known_thermal().cover == "bare" for m in own):
+            # The cover states its bare ground: the rest has no gaps.
+            made = replace(made, ground=made.ground._replace(gap=None))
+        return made, [share for _, share in parts]
 
     step_s = step_s or open_ground.STEP_S
     series = _Drive(found, at)
