@@ -178,7 +178,7 @@ def longwave(air_k: Floats, vapour_pa: Floats, cloud: Floats | float) -> Floats:
     -----
     Clear-sky emissivity ε: Prata, Q. J. R. Meteorol. Soc. 122 (1996) 1127, doi:10.1002/qj.49712253306. With clouds,
     (1 − 0.84 c) ε + 0.84 c: Unsworth and Monteith, Q. J. R. Meteorol. Soc. 101 (1975) 13,
-    doi:10.1002/qj.49710142703. The error of hourly values on clear nights in valleys is 10 to 20 W m⁻², more under
+    doi:10.1002/qj.49710142703. The error of hourly values on clear nights in valleys is 8 to 18 W m⁻², more under
     clouds.
     """
     water = precipitable_water(vapour_pa, air_k)
