@@ -186,3 +186,19 @@ def test_copies_sunk_into_the_ground_start_their_rays_above_it(tmp_path):
     origin, *_ = rays_of(mi.UInt32(copies[opened]), 0)
     # Where posts stand side by side, a ray up may meet the next one.
     assert opened.sum() > 50 and (np.array(origin)[2] > 0.0).mean() > 0.995
+
+
+def test_copies_of_a_sheet_are_not_solid(tmp_path):
+    sheet = trimesh.Trimesh([[-2, -2, 2], [2, -2, 2], [2, 2, 2], [-2, 2, 2]], [[0, 1, 2], [0, 2, 3]], process=False)
+
+    def with_sheets(folder):
+        scenes.chosen()[-1].make(folder)
+        sheet.export(folder / "sheet.ply")
+        text = (folder / "scene.toml").read_text(encoding="utf-8").replace('shape = "box"', 'file = "sheet.ply"')
+        text = "".join(line for line in text.splitlines(True) if not line.startswith("size"))
+        (folder / "scene.toml").write_text(text, encoding="utf-8")
+        return tr.load_scene(folder)
+
+    geometry = Geometry(activate(), with_sheets(tmp_path / "s").surfaces)
+    found = contacts.solid(geometry)
+    assert found[: geometry.face_start[1]].all() and not found[geometry.face_start[1] :].any()

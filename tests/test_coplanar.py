@@ -36,3 +36,8 @@ def test_bodies_that_stand_on_or_beside_each_other_or_look_alike_are_not(tmp_pat
         tmp_path / "s", ("a", [2, 2, 1], [0, 0, 0], 0.0, 310.0), ("b", [2, 2, 1], place, 0.0, kelvin),
         height=np.zeros((32, 32)),
     )  # fmt: skip
+
+
+def test_undersides_on_the_ground_are_not(tmp_path):
+    two = ("a", [2, 2, 1], [0, 0, 0], 0.0, 310.0), ("b", [2, 2, 2], [1, 0.5, 0], 0.0, 320.0)
+    assert not notes(tmp_path / "s", *two)

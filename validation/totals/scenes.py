@@ -115,7 +115,7 @@ def _bodies(random, number):
     far = random.uniform(25.0, 45.0)
 
     def view(scene):
-        reach, up = far * np.cos(pitch), far * np.sin(pitch)
+        reach, up = min(far * np.cos(pitch), 28.0), far * np.sin(pitch)
         return scene.pose(reach * np.sin(turn), reach * np.cos(turn), up, look_at=(0.0, 0.0, 1.0))
 
     return Case(f"bodies {number} on {ground}", _maker(ground, ground_k, objects, post, slope), view)

@@ -87,13 +87,16 @@ def solid(geometry: Geometry) -> NDArray[np.bool_] | None:
         if surface.instances is not None:
             # As a whole: a hit tells the patch of a copy, not the part of its body.
             body = Geometry(geometry.mi, [alone(surface)])
-            own = _solid_parts(body, np.zeros(body.face_count, np.int64), 1)
+            own = _solid_parts(body, np.zeros(body.face_count, np.int64), 1, stands=False)
             found[slice(*geometry.face_start[number : number + 2])] = own[0]
     return found
 
 
-def _solid_parts(geometry: Geometry, part: NDArray[np.int64], count: int) -> NDArray[np.bool_]:
-    """Which of `count` parts of a geometry are solid, by the part of each face (F,), −1 for none."""
+def _solid_parts(geometry: Geometry, part: NDArray[np.int64], count: int, stands: bool = True) -> NDArray[np.bool_]:
+    """Which of `count` parts of a geometry are solid, by the part of each face (F,), −1 for none.
+
+    Below all faces of a geometry that `stands` on its ground is nothing; below a body alone is air.
+    """
     # A lone triangle encloses nothing.
     size = np.bincount(part[part >= 0], minlength=count)
     order = np.random.Generator(np.random.Philox(_SEED)).permutation(np.flatnonzero(part >= 0)).astype(np.uint32)
@@ -103,7 +106,9 @@ def _solid_parts(geometry: Geometry, part: NDArray[np.int64], count: int) -> NDA
     if not drawn.size:
         return np.zeros(count, bool)
     step = _RAYS_AT_ONCE // _WALKS
-    air = np.concatenate([_in_air(geometry, drawn[first : first + step]) for first in range(0, len(drawn), step)])
+    air = np.concatenate(
+        [_in_air(geometry, drawn[first : first + step], stands) for first in range(0, len(drawn), step)]
+    )
     total, walks = np.bincount(part[drawn], air, count), np.bincount(part[drawn], minlength=count) * _WALKS
     return (walks > 0) & (total <= _MOST_IN_AIR * walks)
 
@@ -196,8 +201,8 @@ def _open(geometry: Geometry, back: Jit, point: Jit, normal: Jit) -> NDArray[np.
     return ~np.array(hidden, dtype=bool).reshape(count, SPOTS)
 
 
-def _in_air(geometry: Geometry, faces: NDArray[np.uint32]) -> Floats:
-    """Number of the walks from the backs of faces that come into the open air, (n,)."""
+def _in_air(geometry: Geometry, faces: NDArray[np.uint32], stands: bool) -> Floats:
+    """Number of the walks from the backs of faces that come into the open air, (n,); see `_solid_parts`."""
     mi = geometry.mi
     corner, edge_u, edge_v, normal = _frames(mi, _corners(geometry, faces))
     index = dr.arange(mi.UInt32, len(faces) * _WALKS)
@@ -212,7 +217,7 @@ def _in_air(geometry: Geometry, faces: NDArray[np.uint32]) -> Floats:
         pair = mi.Point2f(random.next_float32(), random.next_float32())
         towards = mi.Frame3f(side).to_world(mi.warp.square_to_cosine_hemisphere(pair))
         hit, normal = geometry.cast_with_normal(mi.Ray3f(mi.Point3f(point + lift * side), towards), walking)
-        air |= walking & ~hit.valid & (towards.z > 0.0)
+        air |= walking & ~hit.valid & ((towards.z > 0.0) | (not stands))
         walking &= hit.valid
         point = point + lift * side + hit.distance * towards
         side = dr.select(walking, -dr.mulsign(normal, dr.dot(normal, towards)), side)

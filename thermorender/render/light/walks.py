@@ -80,15 +80,17 @@ class Walks:
             hit, normal = geometry.cast_with_normal(ray, walking)
             total += dr.select(walking & ~hit.valid, self._outside(here, towards, node), 0.0)
             walking &= hit.valid
-            here, side, at = hit.face, normal, mi.Point3f(ray.o + hit.distance * towards)
+            behind = dr.dot(normal, towards)
+            # Walks go on on the side that they met; in the solution a back has its front's light.
+            here, side, at = hit.face, -dr.mulsign(normal, behind), mi.Point3f(ray.o + hit.distance * towards)
             place = geometry.map_position(geometry.record(here, walking), at)
             texel = geometry.nearest(hit.surface, *place, walking)
             material = mi.UInt32(dr.gather(type(self._texels.material), self._texels.material, texel, walking))
             epsilon = dr.gather(mi.Float, self._emissivity, material * self._nodes + node, walking)
             warm = dr.gather(mi.Float, self._texels.temperature, texel, walking)
-            sent = epsilon * self._planck(warm, node, walking) + (1.0 - epsilon) * self._sun(here, node, walking)
+            sun = self._sun(here, node, walking & (behind < 0.0))
+            sent = epsilon * self._planck(warm, node, walking) + (1.0 - epsilon) * sun
             total += dr.select(walking, sent, 0.0)
-            # A surface that is seen from behind shows its front's light, as in the solution.
             walking &= random.next_float32() < 1.0 - epsilon
             pair = mi.Point2f(random.next_float32(), random.next_float32())
             towards = mi.Frame3f(side).to_world(mi.warp.square_to_cosine_hemisphere(pair))

@@ -123,7 +123,10 @@ def _light(
     They are the error of the light on the surface, and of limiting the number of mirror reflections.
     """
     device, mi = baked.device, baked.device.geometry.mi
-    numbers = np.arange(0, len(rays.order), every, dtype=np.uint32)
+    # One of each group: a regular choice would be a lattice in the image, which errors a pixel wide can miss.
+    numbers = np.arange(0, len(rays.order), every)
+    numbers = numbers + np.random.Generator(np.random.Philox(0)).integers(0, every, len(numbers))
+    numbers = np.minimum(numbers, len(rays.order) - 1).astype(np.uint32)
     slope = rays.slopes(0.5, 0.5, mi.UInt32(aligned(numbers, np.uint32)))
     # Variation within faces is known for the static scene only.
     within = dr.opaque(mi.Float, (baked.errors_mk["faces"] * baked.plan.radiance_per_mk) ** 2)
@@ -152,7 +155,7 @@ def _light(
     dr.eval(square, steps, distance, state, reflects)
     nothing = ~np.isfinite(np.array(distance))
     own = np.array(square, dtype=np.float64)
-    if baked.transport is not None and "preview_rms" not in baked.errors_mk:
+    if baked.transport is not None:
         still = ~nothing & (np.array(state[0]) == 0)
         face, shares = np.array(state[1])[still], np.array(reflects, dtype=np.float64)[still]
         own[still] += _unexplained(baked, rays, layers[0], numbers[still], face, shares, own[still])
@@ -214,6 +217,8 @@ def _differences(
     hit, normal = geometry.cast_with_normal(ray)
     point = mi.Point3f(ray.o + hit.distance * ray.d)
     on_map = geometry.map_position(geometry.record(hit.face, hit.valid), point)
+    # A back shows its front's light, and is judged by that of its own side.
+    normal = -dr.mulsign(normal, dr.dot(normal, ray.d))
     # Radiance in the band without a path.
     sums = spectrum.solver.sum(axis=0)
     shown = baked.device.static_outgoing.at(geometry, hit, on_map)

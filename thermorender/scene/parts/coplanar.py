@@ -13,6 +13,8 @@ _Floats = NDArray[np.float64]
 _NORMAL, _STEP_M, _SAME_M = 1e-3, 1e-3, 1e-5
 # A centroid this far within a triangle, as a share of it, lies on it.
 _WITHIN = 1e-6
+# Faces that look down at least this much are undersides.
+_UNDERSIDE = -0.99
 _MOST_NAMED = 5
 # Cells along each side of the plan in which the ground below objects is found.
 _CELLS = 512
@@ -33,6 +35,9 @@ def notes(surfaces: Sequence[Surface], terrain_count: int) -> tuple[str, ...]:
     normal, place = (np.concatenate([plane[k] for plane in planes]) for k in (0, 1))
     face = np.concatenate([np.arange(len(surfaces[number].faces))[faces[number]] for number in whole])
     surface = np.repeat(whole, [len(plane[1]) for plane in planes])
+    # Undersides stand on the ground, where nobody sees them.
+    seen = normal[:, 2] > _UNDERSIDE
+    normal, place, face, surface = normal[seen], place[seen], face[seen], surface[seen]
     found: dict[tuple[int, int], _Floats] = {}
     for shift in (0.0, 0.5):
         key = _number(normal, place, shift)
