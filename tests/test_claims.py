@@ -104,6 +104,6 @@ def test_a_number_that_differs_from_its_result_is_found():
 def test_the_table_of_studies_is_that_of_the_verdicts():
     page = plain("docs/accuracy.md")
     found = {row[0]: row for row in rows(gathered(ROOT / "validation"))}
-    for name in ("stability", "fuzz", "convergence", "budget", "air", "sensor", "heat", "moved"):
+    for name in ("stability", "fuzz", "convergence", "budget", "totals", "air", "sensor", "heat", "moved"):
         _, cases, hold, worst, _ = found[name]
         assert re.search(rf"\| {name}: [^|]*\| {cases} \| {hold} \| {float(worst):g} \|", page), found[name]
