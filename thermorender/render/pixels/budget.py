@@ -44,6 +44,8 @@ _SURE = 3.5
 # Pixels whose light is computed again, of faces beside something solid and of others; points in each of both
 # estimates, and walks from each point.
 _WALKED, _POINTS, _WALKS = 256, 8, 16
+# Standard errors added to the error that walks find.
+_WALKED_SURE = 2.0
 # Largest share of light assumed to be passed on between mirrors.
 _MOST_PASSED = 0.98
 # Smallest predicted error [mK].
@@ -123,10 +125,7 @@ def _light(
     They are the error of the light on the surface, and of limiting the number of mirror reflections.
     """
     device, mi = baked.device, baked.device.geometry.mi
-    # One of each group: a regular choice would be a lattice in the image, which errors a pixel wide can miss.
-    numbers = np.arange(0, len(rays.order), every)
-    numbers = numbers + np.random.Generator(np.random.Philox(0)).integers(0, every, len(numbers))
-    numbers = np.minimum(numbers, len(rays.order) - 1).astype(np.uint32)
+    numbers, judged = _one_of(every, len(rays.order)), _one_of(_PIXELS, len(rays.order))
     slope = rays.slopes(0.5, 0.5, mi.UInt32(aligned(numbers, np.uint32)))
     # Variation within faces is known for the static scene only.
     within = dr.opaque(mi.Float, (baked.errors_mk["faces"] * baked.plan.radiance_per_mk) ** 2)
@@ -158,7 +157,8 @@ def _light(
     if baked.transport is not None:
         still = ~nothing & (np.array(state[0]) == 0)
         face, shares = np.array(state[1])[still], np.array(reflects, dtype=np.float64)[still]
-        own[still] += _unexplained(baked, rays, layers[0], numbers[still], face, shares, own[still])
+        again = np.isin(numbers[still], judged)
+        own[still] += _unexplained(baked, rays, layers[0], numbers[still], again, face, shares, own[still])
     found = [np.sqrt(own), *(np.array(step, dtype=np.float64) for step in steps)]
     light, mirrored, next_step = (np.where(nothing, np.nan, values) / baked.plan.radiance_per_mk for values in found)
     # Later steps are assumed to decrease by the same ratio.
@@ -166,36 +166,43 @@ def _light(
     return light, mirrored / (1.0 - share)
 
 
+def _one_of(every: int, count: int) -> NDArray[np.uint32]:
+    """Numbers of rays, one of each `every` successive ones of `count`, drawn at random.
+
+    A regular choice would be a lattice in the image, which errors a pixel wide can miss.
+    """
+    numbers = np.arange(0, count, every)
+    numbers = numbers + np.random.Generator(np.random.Philox(0)).integers(0, every, len(numbers))
+    return np.minimum(numbers, count - 1).astype(np.uint32)
+
+
 def _unexplained(
-    baked: "BakedScene", rays: CameraRays, layer: Layer, pixels: NDArray[np.uint32], face: NDArray[np.uint32],
-    shares: Floats, explained: Floats,
+    baked: "BakedScene", rays: CameraRays, layer: Layer, pixels: NDArray[np.uint32], judged: NDArray[np.bool_],
+    face: NDArray[np.uint32], shares: Floats, explained: Floats,
 ) -> Floats:  # fmt: skip
     """Mean square error of the light on static surfaces beyond the `explained` one, (n,) [(W m⁻² sr⁻¹)²].
 
-    `pixels` are numbers of rays (n,) that hit the surfaces on `face`, which reflect `shares` there. Half of those
-    drawn are drawn evenly, a quarter each in proportion to the explained error and to the square of the share
-    reflected. Faces beside something solid are judged apart from others.
+    `pixels` are numbers of rays (n,) that hit the surfaces on `face`, which reflect `shares` there. Some of those that
+    are `judged` are drawn: half evenly, a quarter each in proportion to the explained error and to the square of the
+    share reflected. Faces beside something solid are judged apart from others.
     """
     found = np.zeros(len(pixels))
-    if not len(pixels):
-        return found
     assert baked.transport is not None
     beside = np.isin(face, baked.transport.touching)
     random = np.random.Generator(np.random.Philox(0))
     shares = np.square(shares)
-    for stratum in (np.flatnonzero(beside), np.flatnonzero(~beside)):
-        if not stratum.size:
-            continue
-        known, reflects = explained[stratum], shares[stratum]
+    for stratum in (beside, ~beside):
+        here = np.flatnonzero(stratum & judged)
+        known, reflects = explained[here], shares[here]
         if reflects.sum() == 0.0:
             continue
-        chance = 0.5 / stratum.size + 0.25 * reflects / reflects.sum()
-        chance += 0.25 * (known / known.sum() if known.sum() > 0.0 else 1.0 / stratum.size)
-        drawn = random.choice(stratum.size, _WALKED, p=chance)
-        one, two = _differences(baked, rays, layer, pixels[stratum[drawn]])
-        square = one * two / (chance[drawn] * stratum.size)
-        more = square.mean() + square.std() / np.sqrt(_WALKED) - known.mean()
-        found[stratum] = max(more, 0.0) * reflects / reflects.mean()
+        chance = 0.5 / here.size + 0.25 * reflects / reflects.sum()
+        chance += 0.25 * (known / known.sum() if known.sum() > 0.0 else 1.0 / here.size)
+        drawn = random.choice(here.size, _WALKED, p=chance)
+        one, two = _differences(baked, rays, layer, pixels[here[drawn]])
+        square = one * two / (chance[drawn] * here.size)
+        more = square.mean() + _WALKED_SURE * square.std() / np.sqrt(_WALKED) - known.mean()
+        found[stratum] = max(more, 0.0) * shares[stratum] / reflects.mean()
     return found
 
 
