@@ -6,7 +6,7 @@ import pytest
 import thermorender as tr
 from scenes import write_raster
 from thermorender.errors import ThermorenderError
-from thermorender.physics.balance import STEFAN_BOLTZMANN
+from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.render.geometry import Geometry
 from thermorender.render.variant import activate
 from thermorender.scene import open_ground

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from thermorender.physics.balance import STEFAN_BOLTZMANN
 from thermorender.physics.heat import saturation_vapour, step
+from thermorender.physics.planck import STEFAN_BOLTZMANN
 
 
 def test_start_is_forgotten_after_a_day():

@@ -8,7 +8,7 @@ from conftest import shared_data, slow
 
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
-from thermorender.physics.balance import STEFAN_BOLTZMANN
+from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.scene import open_ground
 from validation.heat import study as heat
 from validation.heat.sites import measured, modelled, read_sites

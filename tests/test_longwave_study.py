@@ -7,7 +7,7 @@ import pytest
 
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.physics import sky
-from thermorender.physics.balance import STEFAN_BOLTZMANN
+from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.weather.complete import complete
 from validation.longwave import study
 

@@ -9,7 +9,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.materials.library import find, load_library
 from thermorender.materials.thermal import table_text
 from thermorender.physics import exchange
-from thermorender.physics.balance import STEFAN_BOLTZMANN
+from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.scene import open_ground
 from thermorender.units import ZERO_CELSIUS_K
 from thermorender.weather.named_day import named_day

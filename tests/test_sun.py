@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from thermorender.physics import humidity, sky, sun
-from thermorender.physics.balance import STEFAN_BOLTZMANN
+from thermorender.physics.planck import STEFAN_BOLTZMANN
 
 # time, latitude, longitude, azimuth, elevation without refraction: pvlib 0.16.1, `spa_python` (NREL's SPA).
 SPA = [

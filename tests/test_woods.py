@@ -126,4 +126,4 @@ def test_stated_error_of_patches_covers_that_of_a_drawn_wood(tmp_path, seed):
     assert (np.abs(found["mean_of_crowns"]) < found["stated"]).all()
     # As the pages state.
     assert found["pixels_of_crowns"].max() < 445.0 and np.abs(found["mean_of_crowns"]).max() < 265.0
-    assert found["stated"].min() > 425.0 and found["stated"].max() < 1185.0
+    assert found["stated"].min() > 415.0 and found["stated"].max() < 1185.0

@@ -13,8 +13,8 @@ import numpy as np
 from tests.robustness.cases import Found, case
 from tests.robustness.stepped import DOUBLE, SINGLE, run
 from thermorender.physics import balance, exchange
-from thermorender.physics.balance import STEFAN_BOLTZMANN
 from thermorender.physics.conduction import Slab, layered
+from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.units import ZERO_CELSIUS_K
 
 DAY_S = 86400.0

@@ -10,10 +10,10 @@ from tests.robustness.cases import Found, case
 from thermorender.defaults import BAND_UM
 from thermorender.materials.material import grey
 from thermorender.materials.mixture import mix
-from thermorender.physics.balance import STEFAN_BOLTZMANN
 from thermorender.physics.band import emitted_radiance
 from thermorender.physics.planck import (
     C2,
+    STEFAN_BOLTZMANN,
     band_radiance,
     band_radiance_derivative,
     brightness_temperature,

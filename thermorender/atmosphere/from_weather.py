@@ -15,8 +15,8 @@ from thermorender.atmosphere.checks import check_within, name_index
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.tables import read_table
 from thermorender.physics import sky
-from thermorender.physics.balance import STEFAN_BOLTZMANN
 from thermorender.physics.humidity import dew_point
+from thermorender.physics.planck import STEFAN_BOLTZMANN
 
 Floats = NDArray[np.float64]
 

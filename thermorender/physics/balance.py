@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 from thermorender.physics import exchange
 from thermorender.physics.conduction import filled, top_response
+from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.units import ZERO_CELSIUS_K
 
-STEFAN_BOLTZMANN = 5.670374419e-8  # W m⁻² K⁻⁴, CODATA 2018
 FUSION = 3.337e5  # J kg⁻¹
 WATER_HEAT = 4186.0  # J kg⁻¹ K⁻¹
 # Both stages of Alexander's two-stage scheme, which is L-stable and of second order: SIAM J. Numer. Anal. 14 (1977)

@@ -168,7 +168,7 @@ def reference_evapotranspiration(
 
 def net_radiation(sunlight_w_m2: ArrayLike, longwave_w_m2: ArrayLike, air_k: ArrayLike) -> Floats:
     """Return the net radiation of reference grass [W m⁻²]: albedo 0.23 (FAO-56, eq. 38), and as warm as the air."""
-    from thermorender.physics.balance import STEFAN_BOLTZMANN
+    from thermorender.physics.planck import STEFAN_BOLTZMANN
 
     sunlight, longwave, air = (np.asarray(each, np.float64) for each in (sunlight_w_m2, longwave_w_m2, air_k))
     return 0.77 * sunlight + longwave - STEFAN_BOLTZMANN * air**4

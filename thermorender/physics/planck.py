@@ -22,6 +22,7 @@ BOLTZMANN = 1.380649e-23
 # First radiation constant for radiance, 2hc² [W m⁻² sr⁻¹ µm⁴], and second radiation constant hc/k [µm K].
 C1L = 2.0 * _H * _C**2 * 1e24
 C2 = _H * _C / BOLTZMANN * 1e6
+STEFAN_BOLTZMANN = 5.670374419e-8  # W m⁻² K⁻⁴, CODATA 2018
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
 _NODES = 0.5 * (_NODES + 1.0)

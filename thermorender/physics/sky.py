@@ -7,8 +7,8 @@ downward on a level plane. Arguments broadcast.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from thermorender.physics.balance import STEFAN_BOLTZMANN
 from thermorender.physics.humidity import precipitable_water
+from thermorender.physics.planck import STEFAN_BOLTZMANN
 
 Floats = NDArray[np.float64]
 

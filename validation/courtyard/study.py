@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.physics.balance import STEFAN_BOLTZMANN
+from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.physics.sun import direction
 from thermorender.render.arrays import aligned
 from thermorender.render.geometry import Geometry

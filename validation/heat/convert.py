@@ -18,7 +18,7 @@ from thermorender import files
 from thermorender.cli.terminal import output_option
 from thermorender.errors import ThermorenderError
 from thermorender.formats import write_text
-from thermorender.physics.balance import STEFAN_BOLTZMANN
+from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.units import ZERO_CELSIUS_K
 from validation.command import run_command
 

@@ -8,7 +8,7 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
 from thermorender.physics import balance
-from thermorender.physics.balance import STEFAN_BOLTZMANN
+from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.scene import open_ground
 from thermorender.scene.state.weathered_ground import in_weather, is_snow, lying_snow, parted, season
 from thermorender.schema import Where, choice, flag, key, mapping, number, read, read_toml, tables, text

@@ -15,7 +15,7 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.physics import heat as force_restore
 from thermorender.physics import sky
-from thermorender.physics.balance import STEFAN_BOLTZMANN
+from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.units import ZERO_CELSIUS_K
 from validation.heat.sites import measured, modelled, read_sites
 

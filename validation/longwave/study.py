@@ -11,7 +11,7 @@ import numpy as np
 
 from thermorender.formats import write_text
 from thermorender.physics import sky
-from thermorender.physics.balance import STEFAN_BOLTZMANN
+from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.scene.state.derived import air_of
 from thermorender.versions import versions
 from thermorender.weather.complete import complete

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
 from thermorender.physics import balance, exchange, humidity
-from thermorender.physics.balance import STEFAN_BOLTZMANN, Forcing, Ground, State
+from thermorender.physics.balance import Forcing, Ground, State
+from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.physics.srgb import linear_from_bytes
 from thermorender.physics.sun import direction
 from thermorender.render.arrays import Jit, aligned

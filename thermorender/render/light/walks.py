@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 # Longest walk, and bounces between looks whether any goes on.
 _LONGEST, _LOOK = 256, 4
 _SEED = 0x3A1C
+# Entries of the table of nodes.
+_TABLE = 1024
 
 
 class Walks:
@@ -41,10 +43,14 @@ class Walks:
         beyond = np.concatenate([around.sky, np.broadcast_to(around.background, (levels, 1, spectrum.nodes))], axis=1)
         self._beyond = mi.Float(aligned(beyond))
         position = around.level @ np.arange(levels)
-        self._level, self._levels = mi.Float(aligned(position)), levels
+        self._level, self._last = mi.Float(aligned(position)), dr.opaque(mi.UInt32, levels - 1)
         self._direct = None if around.direct is None else mi.Float(aligned(around.direct))
+        # Walks choose their node from this table, each at least once.
         black = spectrum.black([baked.plan.warmest])[0]
-        self.share = black / black.sum()
+        number = np.maximum(np.rint(_TABLE * black / black.sum()).astype(int), 1)
+        self._node = mi.UInt32(aligned(np.repeat(np.arange(spectrum.nodes), number), np.uint32))
+        self._choices = dr.opaque(mi.UInt32, int(number.sum()))
+        self.share = number / number.sum()
 
     def incident(self, point: Jit, face: Jit, normal: Jit, walks: int) -> tuple[Floats, NDArray[np.uint32]]:
         """Return (radiance that falls on points, node of each walk), both (n, walks); `walks` is a power of two.
@@ -65,8 +71,9 @@ class Walks:
             mi.Float(dr.gather(mi.UInt32, column, number) ^ (shift >> 8)) * 2.0**-24
             for column, shift in zip(columns, shifts, strict=True)
         ]
-        edges = mi.Float(aligned(np.append(np.cumsum(self.share)[:-1], 2.0)))
-        node = mi.UInt32(dr.binary_search(0, len(self.share) - 1, lambda k: dr.gather(mi.Float, edges, k) <= u[2]))
+        node = dr.gather(
+            mi.UInt32, self._node, dr.minimum(mi.UInt32(u[2] * mi.Float(self._choices)), self._choices - 1)
+        )
         random = mi.PCG32(count * walks, initstate=_SEED)
         lift = dr.opaque(mi.Float, geometry.hair)
         at, side, here = (dr.gather(kind, values, row) for kind, values in (
@@ -98,7 +105,7 @@ class Walks:
             if step % _LOOK == _LOOK - 1 and not dr.any(walking):
                 break
         shape = count, walks
-        node = np.array(node + dr.zeros(mi.UInt32, count * walks)).reshape(shape)
+        node = np.array(node).reshape(shape)
         return np.array(total, dtype=np.float64).reshape(shape) / self.share[node], node
 
     def _planck(self, kelvin: Jit, node: Jit, active: Jit) -> Jit:
@@ -112,13 +119,13 @@ class Walks:
         """Radiance of sky or surroundings in a direction, as a face sees it."""
         mi = self._geometry.mi
         level = dr.gather(mi.Float, self._level, face)
-        lower = dr.minimum(mi.UInt32(level), max(self._levels - 2, 0))
+        lower = dr.minimum(mi.UInt32(level), self._last)
         code = background_code(mi, towards)
 
         def at(step: Jit) -> Jit:
             return dr.gather(mi.Float, self._beyond, (step * (SKY_BINS + 1) + code) * self._nodes + node)
 
-        return dr.lerp(at(lower), at(dr.minimum(lower + 1, self._levels - 1)), level - mi.Float(lower))
+        return dr.lerp(at(lower), at(dr.minimum(lower + 1, self._last)), level - mi.Float(lower))
 
     def _sun(self, face: Jit, node: Jit, active: Jit = True) -> Jit:
         """The sun's irradiance on faces over π."""
