@@ -41,3 +41,13 @@ def test_bodies_that_stand_on_or_beside_each_other_or_look_alike_are_not(tmp_pat
 def test_undersides_on_the_ground_are_not(tmp_path):
     two = ("a", [2, 2, 1], [0, 0, 0], 0.0, 310.0), ("b", [2, 2, 2], [1, 0.5, 0], 0.0, 320.0)
     assert not notes(tmp_path / "s", *two)
+
+
+def test_an_object_that_only_faces_down_is_no_error(tmp_path):
+    sheet = "v -1 -1 2\nv 1 -1 2\nv 1 1 2\nv -1 1 2\nf 1 4 3 2\n"
+    folder = write_terrain(
+        tmp_path / "s", extra='[[object]]\nname = "sheet"\nfile = "sheet.obj"\nposition = [0, 0, 0]\n'
+        'temperature = 300.0\nmaterial = "asphalt"\n',
+    )  # fmt: skip
+    (folder / "sheet.obj").write_text(sheet)
+    assert tr.load_scene(folder).surface_notes == ()

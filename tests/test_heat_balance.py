@@ -303,6 +303,22 @@ def test_leaves_over_insulated_ground_share_sun_and_sky_with_it(gap):
     assert below > leaf
 
 
+def test_light_ground_below_gaps_is_stable_in_steps_of_three_hours_and_keeps_its_heat():
+    column = ground(layered([Slab(1e-3, 1.0, 2e6)], skin=0.5), emissivity=0.95, gap=0.9)
+    steady = forcing(absorbed=500.0, longwave=330.0, air_k=290.0)
+    fine, state = (balance.at_rest(np, [np.float64(290.0)] * len(column.capacity), column) for _ in range(2))
+    for _ in range(2000):
+        fine, _ = balance.step(np, fine, column, steady, steady, 20.0)
+    for _ in range(20):
+        before = state
+        state, fluxes = balance.step(np, state, column, steady, steady, 10800.0)
+        stored = sum(c * (a - b) for c, a, b in zip(column.capacity, state.layers_k, before.layers_k, strict=True))
+        stored += sum(c * a for c, a in zip(column.capacity, state.remainder_k, strict=True))
+        stored -= sum(c * a for c, a in zip(column.capacity, before.remainder_k or [0.0] * 99, strict=False))
+        assert stored == pytest.approx(10800.0 * fluxes.into_ground, abs=1e-6)
+    assert state.layers_k[0] == pytest.approx(fine.layers_k[0], abs=1e-3)
+
+
 def test_snow_melts_at_the_melting_point_by_the_heat_it_receives():
     """Surface and snow stay at 273.15 K through the afternoon; melt = absorbed heat / heat of fusion."""
     column, weather = COLUMNS["snow that melts and runs off"]

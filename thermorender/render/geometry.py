@@ -366,6 +366,16 @@ def refuse_other_surfaces(known: Sequence[Surface], surfaces: Sequence[Surface])
         )
 
 
+def frames(corners: Floats) -> Floats:
+    """Return corner, first edge, second edge and unit normal of triangles (n, 3, 3), (n, 4, 3)."""
+    edge_u, edge_v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(edge_u, edge_v)
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    # The light on a face without area does not matter, but its rays need a direction.
+    normal = np.where(length > 0.0, normal / np.where(length > 0.0, length, 1.0), [0.0, 0.0, 1.0])
+    return np.stack([corners[:, 0], edge_u, edge_v, normal], axis=1)
+
+
 def of_faces(
     surfaces: Sequence[Surface], job: Callable[[Surface, slice], NDArray[Any]], shape: tuple[int, ...],
     dtype: Any = np.float32,

@@ -1,13 +1,13 @@
-"""Faces that a body covers in part: where things stand on the ground, on each other, or reach into it.
+"""Contacts: faces that a body covers in part, where objects stand on the ground, touch, or intersect.
 
-Light is constant over a face, and cameras see only the part of a face that lies in the open. The rest is inside a body
-or below the ground, where it is dark or as warm as the body. Rays of a covered face therefore start in its open part.
-A face without an open part takes the rays of the nearest one that has some: nobody sees it, but texels blend into their
+Light is constant over a face, and a camera sees only the uncovered part. Points in the covered part are inside a body
+or below the ground, and receive other light. Rays of a partly covered face therefore start in its uncovered part. A
+fully covered face uses the rays of the nearest partly covered one: it is invisible, but texels blend into their
 neighbours.
 
-A point is covered if a ray from it first meets the back of something solid. Surfaces are solid if walks from their
-backs, reflected diffusely, do not come into the open air. Sheets and leaves are not, nor is the wall of a cavity that
-is seen from inside; a house without a floor, on ground that goes on below it, is.
+A point is covered if a ray from it first hits the back of a solid surface. A surface is solid if diffuse random walks
+from its back do not reach the open air. Sheets, leaves and the walls of open cavities are not solid. A house without a
+floor is solid if the ground continues below it.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,8 +17,8 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.render.arrays import Floats, Jit, Mitsuba, aligned
-from thermorender.render.geometry import Geometry, Hit, of_faces
+from thermorender.render.arrays import Floats, Jit, aligned
+from thermorender.render.geometry import Geometry, Hit, frames, of_faces
 from thermorender.render.pixels.slender import connected
 from thermorender.scene.solids.instances import alone
 from thermorender.scene.surface import Surface
@@ -149,8 +149,7 @@ def _stand_in(
     from scipy.spatial import cKDTree
 
     corner = _corners(geometry, faces)
-    middle, normal = corner.mean(axis=1), np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    middle, normal = corner.mean(axis=1), frames(corner)[:, 3]
     surface = np.searchsorted(geometry.face_start, faces, side="right") - 1
     for one in np.unique(surface[~usable]):
         hidden, given = np.flatnonzero(~usable & (surface == one)), np.flatnonzero(usable & (surface == one))
@@ -204,7 +203,8 @@ def _open(geometry: Geometry, back: Jit, point: Jit, normal: Jit) -> NDArray[np.
 def _in_air(geometry: Geometry, faces: NDArray[np.uint32], stands: bool) -> Floats:
     """Number of the walks from the backs of faces that come into the open air, (n,); see `_solid_parts`."""
     mi = geometry.mi
-    corner, edge_u, edge_v, normal = _frames(mi, _corners(geometry, faces))
+    whole = frames(_corners(geometry, faces))
+    corner, edge_u, edge_v, normal = (mi.Float(aligned(whole[:, k])) for k in range(4))
     index = dr.arange(mi.UInt32, len(faces) * _WALKS)
     row, lift = index // _WALKS, dr.opaque(mi.Float, geometry.hair)
     corner, edge_u, edge_v, normal = (dr.gather(mi.Vector3f, v, row) for v in (corner, edge_u, edge_v, normal))
@@ -264,11 +264,3 @@ def _corners(geometry: Geometry, faces: NDArray[np.integer]) -> Floats:
         own = geometry.surfaces[one]
         found[here] = own.vertices[own.faces[faces[here].astype(np.int64) - geometry.face_start[one]]]
     return found
-
-
-def _frames(mi: Mitsuba, corner: Floats) -> tuple[Jit, ...]:
-    """Corner, edges and unit normal of triangles (n, 3, 3), as flat Float for gathers of Vector3f."""
-    edge_u, edge_v = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-    normal = np.cross(edge_u, edge_v)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    return tuple(mi.Float(aligned(values)) for values in (corner[:, 0], edge_u, edge_v, normal))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.render.arrays import Floats, Jit, aligned
-from thermorender.render.geometry import Geometry
+from thermorender.render.geometry import Geometry, frames
 from thermorender.render.light.contacts import SPOTS
 from thermorender.render.plan import Plan
 from thermorender.render.spectrum import REFERENCE_K
@@ -39,23 +39,13 @@ class Open(NamedTuple):
 Openness = Callable[[Geometry], Open]
 
 
-def frames(corners: Floats) -> Floats:
-    """Return corner, first edge, second edge and unit normal of triangles (n, 3, 3), (n, 4, 3)."""
-    edge_u, edge_v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(edge_u, edge_v)
-    length = np.linalg.norm(normal, axis=-1, keepdims=True)
-    # The light on a face without area does not matter, but its rays need a direction.
-    normal = np.where(length > 0.0, normal / np.where(length > 0.0, length, 1.0), [0.0, 0.0, 1.0])
-    return np.stack([corners[:, 0], edge_u, edge_v, normal], axis=1)
-
-
 class Leaves:
     """Points of patches, and the places of their copies.
 
     Attributes
     ----------
     frames : (n, 4, 3) float64
-        Of the points that represent the patches, as `frames` but without extent, in the frame of their body.
+        Of the points that represent the patches, as `geometry.frames` but without extent, in the frame of their body.
 
     Parameters
     ----------

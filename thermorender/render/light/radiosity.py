@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.render.arrays import Floats, Jit, Mitsuba, aligned
-from thermorender.render.geometry import Geometry, of_faces
+from thermorender.render.geometry import Geometry, frames, of_faces
 from thermorender.render.light import contacts, leaves
 from thermorender.render.light.exchange import Exchange, threads
 from thermorender.render.light.gmres import STEPS
@@ -499,4 +499,4 @@ def openness(geometry: Geometry) -> leaves.Open:
 
 def _frames(surface: Surface, part: slice) -> Floats:
     """Corner, first edge, second edge and unit normal of faces, (n, 4, 3)."""
-    return leaves.frames(surface.vertices[surface.faces[part]])
+    return frames(surface.vertices[surface.faces[part]])

@@ -29,6 +29,7 @@ class Walks:
     """Random walks in a baked scene, without its moving objects."""
 
     def __init__(self, baked: "BakedScene") -> None:
+        self._baked, self._emitted = baked, dict[int, tuple[Floats, Floats]]()
         self._geometry = geometry = baked.geometry
         mi, spectrum, around = geometry.mi, baked.plan.spectrum, baked.environment
         self._texels = baked.device.texels[0]
@@ -37,7 +38,8 @@ class Walks:
         self._size = dr.opaque(mi.UInt32, len(grid))
         self._black = mi.Float(aligned(spectrum.black(grid).T))
         self._nodes = dr.opaque(mi.UInt32, spectrum.nodes)
-        self._emissivity = mi.Float(aligned(spectrum.emissivity))
+        # A spare row: an array of one entry is a constant to Dr.Jit, and another kernel.
+        self._emissivity = mi.Float(aligned(np.vstack([spectrum.emissivity, np.zeros(spectrum.nodes)])))
         # The sky's bins followed by the surroundings, for each level of altitude; a face lies between two of them.
         levels = around.sky.shape[0]
         beyond = np.concatenate([around.sky, np.broadcast_to(around.background, (levels, 1, spectrum.nodes))], axis=1)
@@ -88,7 +90,7 @@ class Walks:
             total += dr.select(walking & ~hit.valid, self._outside(here, towards, node), 0.0)
             walking &= hit.valid
             behind = dr.dot(normal, towards)
-            # Walks go on on the side that they met; in the solution a back has its front's light.
+            # Continue on the side that was hit; the solution gives a back its front's light instead.
             here, side, at = hit.face, -dr.mulsign(normal, behind), mi.Point3f(ray.o + hit.distance * towards)
             place = geometry.map_position(geometry.record(here, walking), at)
             texel = geometry.nearest(hit.surface, *place, walking)
@@ -107,6 +109,18 @@ class Walks:
         shape = count, walks
         node = np.array(node).reshape(shape)
         return np.array(total, dtype=np.float64).reshape(shape) / self.share[node], node
+
+    def emitted(self, material: NDArray[np.integer], kelvin: NDArray[np.floating]) -> Floats:
+        """Return the band radiance that materials (n,) emit at temperatures (n,) [K], without a path [W m⁻² sr⁻¹]."""
+        plan, found = self._baked.plan, np.empty(len(material))
+        for one in np.unique(material):
+            if one not in self._emitted:
+                at = self._baked.scene.materials[one].emissivity_at
+                grid, table = plan.spectrum.emitted(at, plan.coldest, plan.warmest, plan.band_um)
+                self._emitted[one] = grid, table @ plan.spectrum.solver.sum(axis=0)
+            here = material == one
+            found[here] = np.interp(kelvin[here], *self._emitted[one])
+        return found
 
     def _planck(self, kelvin: Jit, node: Jit, active: Jit) -> Jit:
         mi, (coldest, step, last) = self._geometry.mi, self._grid

@@ -236,11 +236,7 @@ def _differences(
         read = number, dr.gather(mi.Float, texels.temperature, texel, hit.valid), weight
         material, kelvin, part = (np.array(each) for each in read)
         share += part[:, None] * reflected[material]
-        for one in np.unique(material[np.array(hit.valid)]):
-            here = (material == one) & np.array(hit.valid)
-            limits = float(kelvin[here].min()), float(kelvin[here].max())
-            grid, table = spectrum.emitted(baked.scene.materials[one].emissivity_at, *limits, baked.plan.band_um)
-            left[here] -= part[here] * np.interp(kelvin[here], grid, table @ sums)
+        left -= part * baked.walks.emitted(material, kelvin)
     light, node = baked.walks.incident(point, hit.face, normal, _WALKS)
     left = left - (np.take_along_axis(share, node.astype(np.intp), axis=1) * light).mean(axis=1)
     one, two = np.where(np.array(hit.valid), left, 0.0).reshape(count, 2, _POINTS).mean(axis=2).T

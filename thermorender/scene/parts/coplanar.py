@@ -42,6 +42,9 @@ def notes(surfaces: Sequence[Surface], terrain_count: int) -> tuple[str, ...]:
     for shift in (0.0, 0.5):
         key = _number(normal, place, shift)
         kept = np.flatnonzero(np.isin(key, key[surface >= terrain_count]))
+        if not len(kept):
+            # Objects of undersides only.
+            continue
         kept = kept[np.lexsort((surface[kept], key[kept]))]
         first = np.flatnonzero(np.diff(key[kept], prepend=key[kept[0]] - 1))
         for part in np.split(kept, first[1:]):
