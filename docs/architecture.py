@@ -5,43 +5,97 @@ are parsed, not imported, and imports inside functions count like any others.
 """
 
 import ast
+import re
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[1] / "thermorender"
 DRAWING = Path(__file__).with_name("architecture.svg")
-# From the ground up, with what each room holds: a room imports only from itself and from those before it.
-ROOMS = {
-    "ground": "errors, units, defaults, paths, versions, files, formats, cache, schema, progress, timing",
+# The core, from the ground up, with what each room holds: a room imports only from itself and from those before it.
+CORE = {
+    "ground": "errors, units, defaults, paths, versions, files, formats, numbers, cache, schema, progress, timing",
     "physics": "Planck's law, bands, emission, Fresnel, surfaces, sun, heat, geodesy: NumPy only",
     "atmosphere": "air: model, rays, profile, standard table, MODTRAN, LOWTRAN7's aerosols",
     "weather": "a station's, a typical year's or a named day's: missing values are modelled, wrong ones refused",
-    "materials": "one material, the library, mixtures, files; import, check, compare, plot",
+    "materials": "one material, the library, mixtures, files",
     "trajectory": "flight logs to timed poses",
-    "sensor": "radiance to counts to picture",
-    "footage": "files of real cameras: readers, statistics, calibration",
-    "learned": "RGB to temperature, RGB to material",
+    "sensor": "radiance to counts to picture; files of temperature",
+    "learned": "RGB to temperature, RGB to material: maps applied",
     "scene": "the user's description: specification, terrain, mesh, objects, temperature sources",
-    "synthetic": "worlds from a seed",
     "frame": "the Frame: a value; its picture, files and map",
     "render": "the only importer of Mitsuba and Dr.Jit: bake, trace, budget, truth, reference",
     "output": "images, video, records, flights",
-    "campaign": "data sets for learned maps",
-    "inverse": "from frames back to the scene: forward model, normal equations, poses, uncertainty, files",
-    "compare": "learned translation against the render, maps on a data set, the cost of a frame, the self-test",
-    "link": "frames to a simulator over a socket: protocol, server, sessions, client",
-    "cluster": "flights by the workers of Dask: connecting, what they are sent, what comes back",
-    "studio": "materials edited in the browser: session, page, frames in the background",
-    "cli": "every command, and code that commands share",
+    "cli": "the registry of verbs, the core's own, and what verbs share",
 }
-GROUND = {name.strip() for name in ROOMS["ground"].split(",")}
-# The package's own front, which hands out the public names.
+# The applications, each a folder of `thermorender/apps`.
+APPS = {
+    "training": "pictures and renderings to data sets, data sets to maps",
+    "compare": "maps and translations against the render",
+    "lands": "scenes from a seed or from survey files",
+    "survey": "from frames back to cameras and temperatures",
+    "studio": "materials edited in the browser",
+    "link": "frames to a simulator over a socket",
+    "cluster": "work spread over processes and machines",
+    "export": "labels, masks, geotagged images",
+    "material_tables": "tables imported, checked, compared",
+}
+GROUND = {name.strip() for name in CORE["ground"].split(",")}
+# The package's own front, which hands out the public names of core and applications.
 FRONT = {"__init__", "__main__"}
+PUBLIC = Path(__file__).with_name("reference") / "python.md"
 
 
 def room_of(module):
-    """Return the room of a dotted module name inside the package, such as "render.plan"; None for the front."""
-    first = module.split(".")[0]
+    """Return the room of a dotted name inside the package: "render" of "render.plan", "apps.link" of "apps.link.wire".
+
+    None for the package's front, and for that of the applications.
+    """
+    first, _, rest = module.partition(".")
+    if first == "apps":
+        return f"apps.{rest.split('.')[0]}" if rest else None
     return "ground" if first in GROUND else None if first in FRONT or not first else first
+
+
+def public_names():
+    """Return {dotted name inside the package: set of the names that other rooms' applications may import}.
+
+    The page of the Python API lists them: each `automodule` with its members.
+    """
+    text = PUBLIC.read_text(encoding="utf-8")
+    listed = re.findall(r"^\.\. automodule:: thermorender\.(\S+)\n +:members: (.+)$", text, flags=re.M)
+    return {module: {name.strip() for name in names.split(",")} for module, names in listed}
+
+
+def crossings():
+    """Return the sentences on imports that break the rule of core and applications.
+
+    The core imports no application. An application imports only public names from the core and from other applications.
+    """
+    public, known, found = public_names(), modules(), []
+    for module, path in known.items():
+        here = room_of(module)
+        if here is None:
+            continue
+        for source, name in imported_names(path):
+            there = room_of(source)
+            if there in (here, None):
+                continue
+            if not here.startswith("apps."):
+                if there.startswith("apps."):
+                    found.append(f"{module} imports {source}, which is an application")
+            elif there != "ground" and (source not in public or (name is not None and name not in public[source])):
+                found.append(f"{module} imports {source}.{name or '*'}, which {PUBLIC.name} does not list")
+    return found
+
+
+def imported_names(path):
+    """Yield (module inside the package, name) of each name that a file imports; the name is None for a whole module."""
+    known = modules()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("thermorender"):
+            source = node.module.removeprefix("thermorender").lstrip(".")
+            for alias in node.names:
+                whole = f"{source}.{alias.name}".lstrip(".")
+                yield (whole, None) if whole in known else (source, alias.name)
 
 
 def modules():
@@ -124,33 +178,64 @@ def circles():
 
 
 def drawing():
-    """Return the import graph as SVG: rooms from the ground up, an arc from each importing room to what it imports."""
-    order, step, top, left, width = list(ROOMS), 46, 30, 20, 560
+    """Return the import graph as SVG: the core's rooms from the ground up in the middle, applications around it."""
+    order, step, top, left, width = list(CORE), 46, 60, 330, 440
     middle = {room: top + (len(order) - 1 - number) * step + 16 for number, room in enumerate(order)}
-    height = top + len(order) * step + 10
+    bottom = top + len(order) * step
     lines = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="1000" height="{height}" font-family="sans-serif">',
-        f'<rect width="1000" height="{height}" fill="white"/>',
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="1200" height="{bottom + 40}" font-family="sans-serif">',
+        f'<rect width="1200" height="{bottom + 40}" fill="white"/>',
+        f'<rect x="8" y="8" width="1184" height="{bottom + 24}" rx="30" fill="#fbf6ec" stroke="#c9a86a"/>',
+        '<text x="32" y="34" font-size="15" font-weight="bold" fill="#8a6a2a">applications</text>',
+        f'<rect x="{left - 20}" y="{top - 34}" width="{width + 160}" height="{bottom - top + 40}" rx="14" fill="white" '
+        'stroke="#8899aa"/>',
+        f'<text x="{left}" y="{top - 14}" font-size="15" font-weight="bold" fill="#445566">core</text>',
     ]
-    for (here, there), count in sorted(room_imports().items()):
-        upward = order.index(there) >= order.index(here)
-        start, end = middle[here] + 4, middle[there] - 4
-        edge, colour = left + width, "#d62728" if upward else "#1f77b4"
-        bulge = edge + 30 + 22 * abs(order.index(here) - order.index(there))
-        lines += [
-            f'<path d="M {edge} {start} C {bulge} {start}, {bulge} {end}, {edge + 6} {end}" fill="none" '
-            f'stroke="{colour}" stroke-opacity="0.55" stroke-width="{1 + 0.5 * count**0.5:.1f}">',
-            f"<title>{here} imports {there}: {count} modules</title></path>",
-            f'<path d="M {edge + 7} {end - 4} l -7 4 l 7 4 z" fill="{colour}"/>',
-        ]
-    for room, what in ROOMS.items():
+    count = room_imports()
+    # Each application has a place left or right of the core; its imports of the core end at the core's frame.
+    places, half = {}, (len(APPS) + 1) // 2
+    for number, name in enumerate(APPS):
+        right, row = number >= half, number % half
+        places[name] = (950 if right else 24, top + 10 + row * (bottom - top - 40) // half)
+    for (here, there), number in sorted(count.items()):
+        if here.startswith("apps.") and there.startswith("apps."):
+            (x0, y0), (x1, y1) = places[here[5:]], places[there[5:]]
+            lines.append(
+                f'<path d="M {x0 + 113} {y0 + 30} C {x0 + 113} {(y0 + y1) // 2}, {x1 + 113} {(y0 + y1) // 2}, '
+                f'{x1 + 113} {y1 + 30}" fill="none" stroke="#c98a2a" stroke-opacity="0.7">'
+                f"<title>{here} imports {there}: {number} modules</title></path>"
+            )
+        elif not here.startswith("apps."):
+            start, end, edge = middle[here] + 4, middle[there] - 4, left + width
+            colour = "#d62728" if order.index(there) >= order.index(here) else "#1f77b4"
+            bulge = edge + 20 + 9 * abs(order.index(here) - order.index(there))
+            lines += [
+                f'<path d="M {edge} {start} C {bulge} {start}, {bulge} {end}, {edge + 6} {end}" fill="none" '
+                f'stroke="{colour}" stroke-opacity="0.5" stroke-width="{1 + 0.4 * number**0.5:.1f}">',
+                f"<title>{here} imports {there}: {number} modules</title></path>",
+                f'<path d="M {edge + 7} {end - 4} l -7 4 l 7 4 z" fill="{colour}"/>',
+            ]
+    for room, what in CORE.items():
         y = middle[room]
         files = sum(1 for module in modules() if room_of(module) == room)
         lines += [
-            f'<rect x="{left}" y="{y - 17}" width="{width}" height="34" rx="5" fill="#f2f5f8" stroke="#8899aa"/>',
+            f'<rect x="{left}" y="{y - 17}" width="{width}" height="36" rx="5" fill="#f2f5f8" stroke="#8899aa"/>',
             f'<text x="{left + 10}" y="{y - 2}" font-size="14" font-weight="bold">{room}</text>',
             f'<text x="{left + width - 10}" y="{y - 2}" font-size="11" text-anchor="end">{files} modules</text>',
-            f'<text x="{left + 10}" y="{y + 12}" font-size="11" fill="#333">{what}</text>',
+            f'<text x="{left + 10}" y="{y + 13}" font-size="9" fill="#333">{what}</text>',
+        ]
+    for name, what in APPS.items():
+        x, y = places[name]
+        files = sum(1 for module in modules() if room_of(module) == f"apps.{name}")
+        rooms = sorted(there for here, there in count if here == f"apps.{name}" and not there.startswith("apps."))
+        edge, core = (x + 226, left - 20) if x < left else (x, left + width + 140)
+        lines += [
+            f'<path d="M {edge} {y + 30} L {core} {y + 30}" stroke="#1f77b4" stroke-opacity="0.6">'
+            f"<title>{name} imports public names of {', '.join(rooms)}</title></path>",
+            f'<rect x="{x}" y="{y}" width="226" height="60" rx="10" fill="#fff3d9" stroke="#c9a86a"/>',
+            f'<text x="{x + 10}" y="{y + 20}" font-size="14" font-weight="bold">{name}</text>',
+            f'<text x="{x + 216}" y="{y + 20}" font-size="11" text-anchor="end">{files} modules</text>',
+            f'<text x="{x + 10}" y="{y + 40}" font-size="9" fill="#333">{what}</text>',
         ]
     return "\n".join([*lines, "</svg>"]) + "\n"
 

@@ -5,7 +5,7 @@ from scipy.ndimage import gaussian_filter
 
 import thermorender as tr
 from scenes import coarse, write_raster, write_terrain
-from thermorender.link.stage import Stage
+from thermorender.apps.link.stage import Stage
 
 MAP = "fok-1to1"
 # Middle of the fire [m].

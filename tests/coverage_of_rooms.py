@@ -15,7 +15,7 @@ def rooms(report):
         parts = PurePath(file).parts
         # The last folder of the name, as a checkout may be called so too.
         inside = parts[len(parts) - parts[::-1].index("thermorender") :]
-        room = inside[0] if len(inside) > 1 else "thermorender"
+        room = "/".join(inside[: 2 if inside[0] == "apps" else 1]) if len(inside) > 1 else "thermorender"
         covered[room] += found["summary"]["covered_lines"]
         lines[room] += found["summary"]["num_statements"]
     return {room: (covered[room], lines[room]) for room in sorted(lines) if lines[room]}

@@ -7,11 +7,11 @@ from contextlib import contextmanager, suppress
 import numpy as np
 
 from thermorender import link
+from thermorender.apps.link.connections import Limits
+from thermorender.apps.link.messages import Opened, reply_bytes, reply_head
+from thermorender.apps.link.server import Server
+from thermorender.apps.link.wire import HEADER, IMAGES, Type
 from thermorender.errors import ThermorenderError
-from thermorender.link.connections import Limits
-from thermorender.link.messages import Opened, reply_bytes, reply_head
-from thermorender.link.server import Server
-from thermorender.link.wire import HEADER, IMAGES, Type
 
 # Time at which a session of `Stills` fails.
 FAULT_S = -13.25

@@ -12,9 +12,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from typer.main import get_command
 
-from thermorender.cli import app as cli
+from thermorender.cli import registry
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -168,9 +167,8 @@ def test_verbs_and_options_of_a_page_exist(page):
     inline = re.findall(r"`thermorender ([a-z][^`\n]*)`", text)
     for command in re.findall(r"^ *thermorender ([a-z].*)", fenced, flags=re.M) + inline:
         words = command.split()
-        verbs = get_command(cli.app).commands
-        assert words[0] in verbs, f"thermorender {command}"
-        verb = verbs[words[0]]
+        assert words[0] in registry.verbs(), f"thermorender {command}"
+        verb = registry.command(words[0])
         if getattr(verb, "commands", None) and len(words) > 1 and words[1] in verb.commands:
             verb = verb.commands[words[1]]
         known = {option for parameter in verb.params for option in parameter.opts} | {"--help"}

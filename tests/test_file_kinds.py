@@ -3,10 +3,10 @@
 import re
 from pathlib import Path
 
-from thermorender.footage.radiometric_files import SUFFIXES
-from thermorender.learned.translate import VIDEOS
+from thermorender.apps.lands.solids.clouds import SUFFIXES as CLOUDS
+from thermorender.apps.training.translate import VIDEOS
 from thermorender.scene.parts.mesh import FORMATS
-from thermorender.scene.solids.clouds import SUFFIXES as CLOUDS
+from thermorender.sensor.radiometric_files import SUFFIXES
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs" / "reference" / "file-formats.md").read_text(encoding="utf-8")

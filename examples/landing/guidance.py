@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thermorender.compare import hot_spots
+from thermorender.apps.compare import hot_spots
 
 # Smallest responses to detect and to follow a spot, in standard deviations of the response; consecutive pictures with
 # the spot until it is accepted, and without it until it is lost.

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from thermorender import defaults
-from thermorender.campaign.procedural_truth import write
+from thermorender.apps.lands.procedural.procedural_scene import make, weather_of
+from thermorender.apps.lands.procedural.truth import write
 from thermorender.scene.load import load_scene
-from thermorender.synthetic.procedural_scene import make, weather_of
 
 # Name and width [m] of the marker, a black disc, and the name of the worlds' own marker, which is removed.
 MARKER, MARKER_M, _OTHER = "landing_marker", 0.5, "marker"

@@ -155,8 +155,8 @@ def day(folder):
 def training(folder):
     """Train a narrow network in FOLDER/run, and write its weights and the losses of its epochs."""
     from tests.robustness.maps import pictures, task
-    from thermorender.learned.networks.loop import train_network
-    from thermorender.learned.networks.runs import read_log
+    from thermorender.apps.training.networks.loop import train_network
+    from thermorender.apps.training.networks.runs import read_log
 
     _begun()
     job = task("compact", pictures(), run=folder / "run", resume=True)
@@ -218,14 +218,14 @@ def images(folder):
 def learner():
     """Return a Learner with a narrow network."""
     from tests.robustness.maps import trained
-    from thermorender.learned.networks.loop import _Applied
+    from thermorender.apps.training.networks.loop import _Applied
 
     return _Applied(trained("compact").predictor.net)
 
 
 def write_checkpoint(path):
     """Write the state of that Learner."""
-    from thermorender.learned.networks import checkpoint
+    from thermorender.apps.training.networks import checkpoint
 
     checkpoint.save(path, learner(), {"crops": 1})
 
@@ -245,7 +245,7 @@ def _write_video(path):
 
 
 def _write_radiometric(path):
-    from thermorender.footage.radiometric_files import write_tlinear
+    from thermorender.sensor.radiometric_files import write_tlinear
 
     with formats.atomic_raster(path) as part:
         write_tlinear(part, np.full((32, 40), 300.0))

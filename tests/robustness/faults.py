@@ -246,7 +246,7 @@ def _ends_in_a_sentence(job, words=""):
 def worker(which):
     import imageio_ffmpeg
 
-    from thermorender.compare.machine import apart
+    from thermorender.apps.compare.machine import apart
     from thermorender.output.video import write_video
 
     # Searched for once, by running it.
@@ -399,7 +399,7 @@ class _Evil:
 
 @case("faults", "files of arrays, maps and weights with a pickle inside: run, or not refused in a sentence")
 def pickles():
-    from thermorender.learned.networks.architectures.perception import Perception
+    from thermorender.apps.training.networks.perception import Perception
 
     wrong, perception = 0, Reader("vgg.safetensors", READERS["checkpoint"].make, Perception)
     for reader in (*map(READERS.get, _OF_ARRAYS), perception):

@@ -40,7 +40,7 @@ def pictures(count=12, side=64):
 
 def task(method, examples, **more):
     """Return the Task of a method on examples, of the settings above where it is a network."""
-    from thermorender.learned.training_methods import method as known
+    from thermorender.apps.training.training_methods import method as known
 
     options = known(method).options | (_SETTINGS if known(method).long else {})
     intensity = (_KELVIN - _COLD) / (_WARM - _COLD)
@@ -51,7 +51,7 @@ def task(method, examples, **more):
 @cache
 def trained(method):
     """Return a map trained by a method on the examples above."""
-    from thermorender.learned.training_methods import method as known
+    from thermorender.apps.training.training_methods import method as known
 
     predictor = known(method).fit(task(method, pictures()))
     return TemperatureMap(method, method, predictor, (_COLD, _WARM), BAND_UM, 0.2, (0.2, 0.2), "x", 255.0, "x")
@@ -95,7 +95,7 @@ def gain_of_noise():
 
 @case("maps", "rank-deficient fit of {}: grey pictures, with a penalty: error [K]", (1, 3))
 def grey_fit(size):
-    from thermorender.learned.correlation_training import fit_correlation
+    from thermorender.apps.training.correlation_training import fit_correlation
 
     grey = []
     for each in pictures():
@@ -112,7 +112,7 @@ def grey_fit(size):
 @case("maps", "{}: black, white, grey and wholly invalid pictures in a training: numbers that are not finite",
       ("unet-gan-keras", "compact"))  # fmt: skip
 def odd_pictures(method):
-    from thermorender.learned.networks.loop import train_network
+    from thermorender.apps.training.networks.loop import train_network
 
     odd = pictures()
     for number, level in enumerate((0, 255, 128)):
@@ -129,7 +129,7 @@ def odd_pictures(method):
 
 @case("maps", "a GAN that explodes stops, with its last good state: numbers that are not finite")
 def explodes():
-    from thermorender.learned.networks import loop
+    from thermorender.apps.training.networks import loop
 
     original, steps = loop._Run._step, iter(range(100))
 
@@ -154,7 +154,7 @@ class _Cut(BaseException):
 
 @case("maps", "a training that ends at {} and is resumed: weights that differ", ("its third step", "a full disk"))
 def resumed(end):
-    from thermorender.learned.networks import checkpoint, loop
+    from thermorender.apps.training.networks import checkpoint, loop
 
     calls, original = iter(range(1, 100)), checkpoint.save_file
 

@@ -81,7 +81,7 @@ def texture(rows):
 @case("pixels", "one texel of 1000 K among 65 536, from {:g} m: error of a frame by what is stated", (120.0, 3000.0))
 def hot_texel(up):
     """Half a metre: three pixels, and a sixteenth of one. The error of the frame against 256 rays a pixel, RMS."""
-    from thermorender.compare.sampling_error import converged
+    from thermorender.apps.compare.sampling_error import converged
     from validation.budget.scenes import level
 
     warm = np.full((256, 256), _GROUND_K)

@@ -22,7 +22,7 @@ from tests.robustness import (
 )
 from tests.robustness.cases import CASES
 from thermorender import formats
-from thermorender.compare.machine import machine
+from thermorender.apps.compare.machine import machine
 from thermorender.errors import ThermorenderError
 from thermorender.versions import versions
 

@@ -100,7 +100,7 @@ def rays_per_face(rays):
 @cache
 def _hills():
     """(Renderer, pose, the image by 256 rays per pixel) of hills from 120 m, 160 × 128 pixels."""
-    from thermorender.compare.sampling_error import converged
+    from thermorender.apps.compare.sampling_error import converged
     from thermorender.render.renderer import Renderer
     from thermorender.trajectory.path import pose
     from validation.made_scenes import terrain

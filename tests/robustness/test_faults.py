@@ -13,8 +13,8 @@ from conftest import slow
 from tests.robustness import cases, crash_targets, faults
 from tests.robustness import run as stability
 from thermorender import files, formats
+from thermorender.apps.training.networks import checkpoint
 from thermorender.errors import ThermorenderError
-from thermorender.learned.networks import checkpoint
 from thermorender.output.video import write_video
 
 # Simulated flights and trainings take longer; the network's own tests kill one of these, too. Fewer frames than a

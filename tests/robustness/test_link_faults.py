@@ -19,11 +19,11 @@ from link_support import TOKEN, Stills, connected, read, serving, settled
 import thermorender as tr
 from scenes import coarse, write_terrain
 from thermorender import link
-from thermorender.link import Code
-from thermorender.link.access import read_token, token_file
-from thermorender.link.messages import Open, Request
-from thermorender.link.stage import Stage
-from thermorender.link.wire import HEADER, Type, message
+from thermorender.apps.link import Code
+from thermorender.apps.link.access import read_token, token_file
+from thermorender.apps.link.messages import Open, Request
+from thermorender.apps.link.stage import Stage
+from thermorender.apps.link.wire import HEADER, Type, message
 
 DOWN = (0.0, 0.0, 12.0, 0.0, 1.0, 0.0, 0.0)
 HEADS = [struct.pack("<I", value) for value in (0, 1, 2**31 - 1, 2**32 - 1)] + [

@@ -45,7 +45,7 @@ def doctor(
 
 
 def _self_test() -> None:
-    from thermorender.compare.self_test import HEADER, run
+    from thermorender.render.self_test import HEADER, run
 
     with progress() as report:
         checks = run(report)

@@ -194,8 +194,8 @@ class TemperatureOptions:
 
     def source(self) -> "TemperatureSpec | None":
         """Return the source of temperatures; None for the scene's own."""
+        from thermorender.numbers import parse_numbers
         from thermorender.scene.spec import TemperatureSpec
-        from thermorender.trajectory import parse_numbers
 
         if self.temperature:
             limits: Any = parse_numbers("--range-c", self.range_c, ("COLD", "WARM")) if self.range_c else None
@@ -224,7 +224,7 @@ class ViewOptions:
 
     def numbers(self) -> tuple[tuple[float, ...], tuple[float, ...] | None]:
         """Return the numbers of --pose and of --look-at."""
-        from thermorender.trajectory import parse_numbers
+        from thermorender.numbers import parse_numbers
 
         place = ("E", "N", "U")
         if self.look_at is None:

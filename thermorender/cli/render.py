@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from thermorender import defaults, files, formats
-from thermorender.cli.cluster import ClusterOptions
 from thermorender.cli.options import (
     Air,
     Device,
@@ -27,6 +26,7 @@ from thermorender.cli.options import (
     profiled,
 )
 from thermorender.cli.terminal import NewResults, Results, output_option, progress, split, warn
+from thermorender.cli.workers import ClusterOptions
 from thermorender.errors import ThermorenderError
 from thermorender.timing import phase, profile_entry
 

@@ -21,7 +21,7 @@ from thermorender import files, formats
 from thermorender.defaults import BAND_UM, CAMERA, TRAINED_MAPS
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.learned import correlation
-from thermorender.learned.audit.fingerprints import Fingerprints
+from thermorender.learned.fingerprints import Fingerprints
 from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance, kelvin_per_radiance
 from thermorender.schema import did_you_mean

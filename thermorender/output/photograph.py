@@ -3,12 +3,11 @@
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from thermorender.physics.srgb import bytes_from_linear
+from thermorender.physics.srgb import bytes_from_linear, decoded
 from thermorender.scene.surface import BACKGROUND, SURFACE
 from thermorender.sensor.camera import Camera
-from thermorender.synthetic.light import sky_colour
 
 if TYPE_CHECKING:
     from thermorender.render.renderer import Renderer
@@ -69,3 +68,27 @@ def cloud_of(scene: "Scene") -> float:
 def sky_of(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Return where a truth mask, (H, W) uint8, shows neither the scene nor the ground beyond it."""
     return (mask & (SURFACE | BACKGROUND)) == 0
+
+
+def sky_colour(sine: ArrayLike, cloud: float = 0.0) -> NDArray[np.float32]:
+    """Return the linear sRGB colour of the daytime sky, (..., 3) float32.
+
+    Parameters
+    ----------
+    sine : (...) array
+        Sine of the elevation above the horizon, 0…1.
+    cloud : float
+        Cloud fraction, 0…1, spread evenly without single clouds.
+
+    Notes
+    -----
+    Blue overhead and white towards the horizon, where the air path is long; grey under clouds, three times as bright at
+    the zenith as at the horizon (Moon & Spencer, 1942, the CIE overcast sky). Colours are chosen.
+    """
+    high = np.clip(np.asarray(sine, np.float32), 0.0, 1.0)[..., None]
+    zenith, horizon, grey = (
+        decoded(np.array(colour, np.float32) / 255.0) for colour in ((92, 138, 200), (206, 219, 232), (214, 216, 220))
+    )
+    clear = zenith + (horizon - zenith) * np.exp(-4.0 * high)
+    overcast = grey * (1.0 + 2.0 * high) / 3.0
+    return ((1.0 - cloud) * clear + cloud * overcast).astype(np.float32)

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from thermorender import defaults
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic
-from thermorender.footage.radiometric_files import write_tlinear
 from thermorender.formats import encoded_image
 from thermorender.frame.exr import exr_encoder
 from thermorender.sensor.camera import Camera
+from thermorender.sensor.radiometric_files import write_tlinear
 from thermorender.sensor.radiometry import ThermographySettings, thermography_reading
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ from thermorender.physics.sun import irradiance
 from thermorender.render.pixels.sampling import PATTERNS, STAGES
 from thermorender.render.reflection.reflectance import ReflectanceTables, make_tables
 from thermorender.render.spectrum import REFERENCE_K, Envelope, Spectrum, kept_spectrum, make_spectrum
+from thermorender.scene.instances import PATCHES
 from thermorender.scene.scene import Scene
-from thermorender.scene.solids.instances import PATCHES
 
 # Rays per pixel, texture taps per ray, error above which an edge pixel gets more rays [mK], and rays per face.
 QUALITIES = {"fast": (1, 4, 500.0, 128), "standard": (1, 4, 150.0, 128), "high": (4, 4, 24.0, 512)}

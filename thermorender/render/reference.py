@@ -26,8 +26,8 @@ from thermorender.render.pixels.shapes import positions
 from thermorender.render.reflection.reflectance import directional
 from thermorender.render.renderer import Renderer
 from thermorender.render.variant import activate, switch
+from thermorender.scene.instances import expanded
 from thermorender.scene.scene import Scene
-from thermorender.scene.solids.instances import expanded
 from thermorender.scene.surface import Surface
 from thermorender.sensor.camera import Camera
 from thermorender.trajectory.rotations import checked_pose

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from thermorender.errors import ThermorenderError
 
 if TYPE_CHECKING:
-    from thermorender.scene.solids.instances import Instances
+    from thermorender.scene.instances import Instances
 from thermorender.units import kelvin
 
 # Flags of texels, and of the pixels that show them (the truth mask of a frame).

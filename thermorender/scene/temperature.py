@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from thermorender.defaults import TEMPERATURE_MAP
 from thermorender.errors import ThermorenderError
-from thermorender.footage.radiometric_files import likely_scales
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import Mixture, parts_of
 from thermorender.scene.parts.textures import Texture, onto_texels, separate
@@ -18,6 +17,7 @@ from thermorender.scene.raster import Grid, grid_of, onto, opened, read_band
 from thermorender.scene.spec import TemperatureSpec, WeatherSpec
 from thermorender.scene.surface import FALLBACK, MOST_OPEN, Surface, fill, nearest_valid, open_share, scene_kelvin
 from thermorender.schema import Where, read
+from thermorender.sensor.radiometric_files import likely_scales
 from thermorender.units import ZERO_CELSIUS_K, kelvin_scale
 
 if TYPE_CHECKING:

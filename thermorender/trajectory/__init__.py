@@ -7,7 +7,6 @@ from thermorender.trajectory.path import (
     parse_anchor,
     parse_lever_arm,
     parse_mount,
-    parse_numbers,
 )
 from thermorender.trajectory.readers import read_trajectory
 
@@ -18,6 +17,5 @@ __all__ = [
     "parse_anchor",
     "parse_lever_arm",
     "parse_mount",
-    "parse_numbers",
     "read_trajectory",
 ]

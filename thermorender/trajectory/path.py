@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from thermorender.errors import ThermorenderError
+from thermorender.numbers import parse_numbers
 from thermorender.physics.geodesy import FARTHEST_M
 from thermorender.trajectory.rotations import (
     BODY_FROM_CAMERA,
@@ -277,30 +278,6 @@ def check_above_ground(trajectory: Trajectory, ground: GroundHeight, minimum_m: 
             "reference, raise the flight with an anchor, or allow flights below ground"
         )
     return float(np.nanmin(height)) if np.isfinite(height).any() else float("nan")
-
-
-def parse_numbers(name: str, text: str, labels: Sequence[str]) -> tuple[float, ...]:
-    """Return the comma-separated numbers of a command-line option as floats, one per label.
-
-    Raises
-    ------
-    ThermorenderError
-        Their number differs, or one is not a finite number.
-    """
-    cells = [cell.strip() for cell in str(text).split(",")]
-    wanted = ",".join(labels)
-    if len(cells) != len(labels):
-        raise ThermorenderError(f"{name}={text!r} has {len(cells)} values; {len(labels)} are needed: {wanted}")
-    values = []
-    for label, cell in zip(labels, cells, strict=True):
-        try:
-            value = float(cell)
-        except ValueError:
-            value = float("nan")
-        if not np.isfinite(value):
-            raise ThermorenderError(f"{name}={text!r}: {label} is {cell!r}, not a finite number; give {wanted}")
-        values.append(value)
-    return tuple(values)
 
 
 def parse_anchor(text: str) -> Anchor:

@@ -8,9 +8,9 @@ import time
 
 import numpy as np
 
-from thermorender.compare.bench import views
-from thermorender.compare.machine import machine
-from thermorender.compare.sampling_error import rms_mk
+from thermorender.apps.compare.bench import views
+from thermorender.apps.compare.machine import machine
+from thermorender.apps.compare.sampling_error import rms_mk
 from thermorender.render.renderer import Renderer
 from thermorender.versions import versions
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from thermorender.cli.cluster import Cluster, spread_over
+from thermorender.cli.workers import Cluster, spread_over
 from validation.budget import study
 from validation.command import Device, Out, conclude, continued_results, run_command
 

@@ -9,8 +9,8 @@ import time
 import numpy as np
 
 from thermorender import defaults, files, formats
-from thermorender.compare import machine
-from thermorender.compare.sampling_error import converged
+from thermorender.apps.compare import machine
+from thermorender.apps.compare.sampling_error import converged
 from thermorender.render.renderer import Renderer
 from thermorender.scene.load import load_scene
 from thermorender.versions import versions

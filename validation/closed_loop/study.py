@@ -14,12 +14,12 @@ import numpy as np
 
 import thermorender as tr
 from thermorender import link
-from thermorender.compare.evaluation.figures import pyplot, save
-from thermorender.compare.machine import machine
+from thermorender.apps.compare.evaluation.figures import pyplot, save
+from thermorender.apps.compare.machine import machine
+from thermorender.apps.link.access import new_token
+from thermorender.apps.link.server import Server
+from thermorender.apps.link.stage import Stage
 from thermorender.errors import ThermorenderError
-from thermorender.link.access import new_token
-from thermorender.link.server import Server
-from thermorender.link.stage import Stage
 from thermorender.paths import data_folder
 from thermorender.versions import versions
 

@@ -36,8 +36,8 @@ def _ip(*words):
 
 
 def _measured(folder, workers, stack):
-    from thermorender.cluster.connect import Address
-    from thermorender.cluster.fly import fly
+    from thermorender.apps.cluster.connect import Address
+    from thermorender.apps.cluster.fly import fly
     from thermorender.output import flight as here
     from validation.cluster import study
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from thermorender import formats
-from thermorender.compare import machine
+from thermorender.apps.compare import machine
 from thermorender.versions import versions
 from validation.cluster.figure import figure
 from validation.cluster.simulation import Costs, simulate
@@ -100,7 +100,7 @@ def _remove(folder):
 
 def one_block(folder):
     """Return the seconds of one core of the parts of a block, its bytes, and the memory of a worker."""
-    from thermorender.cluster.work import do_block, file_of, store
+    from thermorender.apps.cluster.work import do_block, file_of, store
     from thermorender.output.blocks import finished_blocks, join, write_block
     from thermorender.output.flight import Flight
 
@@ -143,8 +143,8 @@ def one_block(folder):
 
 def scheduler_costs():
     """Return the seconds that client and scheduler take for a unit without work, by two local workers."""
-    from thermorender.cluster.connect import Address, connected
-    from thermorender.cluster.dispatch import results
+    from thermorender.apps.cluster.connect import Address, connected
+    from thermorender.apps.cluster.dispatch import results
 
     with connected(Address(local=2)) as client:
         list(results(client, _nothing, range(50), lambda line: None))
@@ -161,8 +161,8 @@ def _nothing(number):
 
 def scaling(folder, workers):
     """Return the times of a flight by each number of local workers, and whether its bytes are those of one process."""
-    from thermorender.cluster.connect import Address
-    from thermorender.cluster.fly import fly
+    from thermorender.apps.cluster.connect import Address
+    from thermorender.apps.cluster.fly import fly
     from thermorender.output import flight as here
 
     renderer, path, options = setting()

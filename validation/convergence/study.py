@@ -17,8 +17,8 @@ from math import inf
 import numpy as np
 
 from thermorender import defaults, files, formats
-from thermorender.compare import bench, machine
-from thermorender.compare.sampling_error import (
+from thermorender.apps.compare import bench, machine
+from thermorender.apps.compare.sampling_error import (
     after_optics,
     cache_off,
     converged,

@@ -22,6 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
+from thermorender.apps.lands.import_terrain import import_terrain
+from thermorender.apps.lands.solids.importing import ThreeD
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.physics.sun import direction
@@ -30,10 +32,8 @@ from thermorender.render.geometry import Geometry
 from thermorender.render.heat.simulation import solved
 from thermorender.render.variant import activate
 from thermorender.scene import open_ground
-from thermorender.scene.import_terrain import import_terrain
 from thermorender.scene.load import load_scene
 from thermorender.scene.raster import grid_of, lon_lat
-from thermorender.scene.solids.importing import ThreeD
 from thermorender.versions import versions
 
 HEADER = ("walls, sky", "from", "measured", "bias", "MAE", "RMS [W/m²]", "walls in view", "walls' bias", "MAE [K]")

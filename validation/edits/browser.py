@@ -17,7 +17,7 @@ import numpy as np
 import typer
 
 from thermorender import formats
-from thermorender.compare.machine import machine
+from thermorender.apps.compare.machine import machine
 from thermorender.versions import versions
 from validation.command import Out, conclude, continued_results, run_command
 

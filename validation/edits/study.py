@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 import thermorender as tr
-from thermorender.compare.machine import machine
+from thermorender.apps.compare.machine import machine
 from thermorender.versions import versions
 
 # (east, north, height [m]) of the camera; it looks at the middle.

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender.campaign.material_training import band_emissivity_of
-from thermorender.compare.evaluation.figures import pyplot, save
+from thermorender.apps.compare.evaluation.figures import pyplot, save
+from thermorender.apps.training.emissivity_adaptation import adapted
+from thermorender.apps.training.emissivity_training import Labelled
+from thermorender.apps.training.material_training import band_emissivity_of
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.formats import decoded
-from thermorender.learned.emissivity.adaptation import adapted
 from thermorender.learned.emissivity.mapping import load_map, map_materials
-from thermorender.learned.emissivity.training import Labelled
 from thermorender.materials.extended import within_band
 from thermorender.materials.library import load_library
 from thermorender.physics.planck import band_radiance, brightness_temperature

@@ -5,9 +5,9 @@ Run it as `python -m validation.emissivity.relief`.
 
 import numpy as np
 
+from thermorender.apps.lands.procedural.procedural_scene import make
 from thermorender.learned.emissivity import relief
 from thermorender.learned.emissivity.kinds import kinds_of
-from thermorender.synthetic.procedural_scene import make
 
 LANDS = (("village", 101), ("village", 102), ("village", 103), ("heath", 101), ("heath", 102))
 

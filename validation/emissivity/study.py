@@ -11,6 +11,7 @@ import time
 
 import numpy as np
 
+from thermorender.apps.lands.procedural.procedural_scene import KINDS, make
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic
@@ -22,7 +23,6 @@ from thermorender.materials.library import find, load_library
 from thermorender.physics.band import RadianceTable, quadrature
 from thermorender.physics.planck import spectral_radiance
 from thermorender.scene.spec import DEFAULT_CONFIDENCE
-from thermorender.synthetic.procedural_scene import KINDS, make
 
 METHODS = (
     "learned, mean of all",

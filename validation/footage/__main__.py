@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from thermorender import defaults
-from thermorender.cli.camera import Base, Frames, Scale, parse_scale
+from thermorender.apps.survey.verbs import Base, Frames, Scale, parse_scale
 from validation.command import Device, Out, conclude, new_results, run_command
 from validation.footage import study
 

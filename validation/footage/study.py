@@ -11,8 +11,14 @@ from pathlib import Path
 import numpy as np
 
 from thermorender import defaults, formats
-from thermorender.footage.calibration import fit_camera, frame_files, noise_scale, read_frame, write_camera
-from thermorender.footage.noise_statistics import Spectra, block_means, block_powers, noise_of
+from thermorender.apps.survey.footage.calibration import (
+    fit_camera,
+    frame_files,
+    noise_scale,
+    read_frame,
+    write_camera,
+)
+from thermorender.apps.survey.footage.noise_statistics import Spectra, block_means, block_powers, noise_of
 from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance
 from thermorender.sensor.camera import load_camera

@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from thermorender import files, formats
-from thermorender.compare import bench, machine
-from thermorender.compare.sampling_error import cache_off
+from thermorender.apps.compare import bench, machine
+from thermorender.apps.compare.sampling_error import cache_off
 from thermorender.versions import versions
 from validation.growth.figure import figure
 from validation.kept_cases import kept_cases

@@ -12,8 +12,8 @@ import time
 import numpy as np
 
 from thermorender import defaults, files, formats
-from thermorender.compare import bench, machine
-from thermorender.compare.sampling_error import converged, optics_sigma_px, rms_mk
+from thermorender.apps.compare import bench, machine
+from thermorender.apps.compare.sampling_error import converged, optics_sigma_px, rms_mk
 from thermorender.render.renderer import Renderer
 from thermorender.scene.load import load_scene
 from thermorender.versions import versions

@@ -7,9 +7,9 @@ from typing import Annotated
 import typer
 
 from thermorender import formats
-from thermorender.campaign.procedural_truth import write
-from thermorender.inverse.solve import Settings
-from thermorender.synthetic.procedural_scene import make
+from thermorender.apps.lands.procedural.procedural_scene import make
+from thermorender.apps.lands.procedural.truth import write
+from thermorender.apps.survey.inverse.solve import Settings
 from validation.command import Out, conclude, continued_results, seeds_of
 from validation.command import run_command as run
 from validation.inverse import flight, study

@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import rasterio
 
-from thermorender.inverse.frames import Survey, frame_files, read_frames
-from thermorender.inverse.linear import LinearKelvin
-from thermorender.inverse.pose_files import read_poses
-from thermorender.inverse.poses import PoseError, registered
-from thermorender.inverse.products import lens_of
-from thermorender.inverse.reconstruct import reconstruct
-from thermorender.inverse.solve import Settings, tilting
-from thermorender.inverse.weights import Viewer, binned, binned_camera, taps_of
-from thermorender.scene.import_terrain import import_terrain
+from thermorender.apps.lands.import_terrain import import_terrain
+from thermorender.apps.survey.inverse.frames import Survey, frame_files, read_frames
+from thermorender.apps.survey.inverse.linear import LinearKelvin
+from thermorender.apps.survey.inverse.pose_files import read_poses
+from thermorender.apps.survey.inverse.poses import PoseError, registered
+from thermorender.apps.survey.inverse.products import lens_of
+from thermorender.apps.survey.inverse.reconstruct import reconstruct
+from thermorender.apps.survey.inverse.solve import Settings, tilting
+from thermorender.apps.survey.inverse.weights import Viewer, binned, binned_camera, taps_of
 from thermorender.scene.load import load_scene
 from thermorender.sensor.camera import load_camera
 from validation.inverse import rivals

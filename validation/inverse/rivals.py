@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from thermorender.inverse.solve import vignetting
-from thermorender.inverse.weights import Viewer
+from thermorender.apps.survey.inverse.solve import vignetting
+from thermorender.apps.survey.inverse.weights import Viewer
 
 
 def _binned(sight, values, shape):

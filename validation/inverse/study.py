@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from thermorender.inverse.frames import Survey
-from thermorender.inverse.kinetic import light_of
-from thermorender.inverse.level import Reference
-from thermorender.inverse.linear import LinearKelvin
-from thermorender.inverse.poses import PoseError, deviation
-from thermorender.inverse.reconstruct import reconstruct
-from thermorender.inverse.solve import Settings
-from thermorender.inverse.weights import Lattice, Viewer, moved, taps_of
+from thermorender.apps.survey.inverse.frames import Survey
+from thermorender.apps.survey.inverse.kinetic import light_of
+from thermorender.apps.survey.inverse.level import Reference
+from thermorender.apps.survey.inverse.linear import LinearKelvin
+from thermorender.apps.survey.inverse.poses import PoseError, deviation
+from thermorender.apps.survey.inverse.reconstruct import reconstruct
+from thermorender.apps.survey.inverse.solve import Settings
+from thermorender.apps.survey.inverse.weights import Lattice, Viewer, moved, taps_of
 from thermorender.physics.planck import brightness_temperature
 from thermorender.render.renderer import Renderer
 from thermorender.scene.load import load_scene

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender.campaign import duplicates
-from thermorender.compare.machine import machine
+from thermorender.apps.compare.machine import machine
+from thermorender.apps.lands.procedural.procedural_scene import make
+from thermorender.apps.training import duplicates
+from thermorender.apps.training.translate import PICTURES, read_picture
 from thermorender.errors import ThermorenderError
-from thermorender.learned.audit import fingerprints
-from thermorender.learned.translate import PICTURES, read_picture
-from thermorender.synthetic.procedural_scene import make
+from thermorender.learned import fingerprints
 from thermorender.versions import versions
 
 # Numbers of procedural pictures that a map was trained on, and of innocent ones.

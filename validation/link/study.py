@@ -15,9 +15,9 @@ from contextlib import contextmanager
 import numpy as np
 
 import thermorender as tr
-from thermorender.compare.bench import bench
-from thermorender.compare.machine import machine
-from thermorender.link.access import token_file
+from thermorender.apps.compare.bench import bench
+from thermorender.apps.compare.machine import machine
+from thermorender.apps.link.access import token_file
 from thermorender.render.flight.live import LiveFrames
 from thermorender.trajectory.path import Trajectory
 from thermorender.trajectory.rotations import rotation_from_wxyz, wxyz

@@ -9,9 +9,9 @@ from typing import Annotated
 import typer
 
 from thermorender import formats
-from thermorender.campaign.dataset import read_dataset
+from thermorender.apps.compare.evaluation.figures import against_share, against_shift
+from thermorender.apps.training.dataset import read_dataset
 from thermorender.cli.terminal import split
-from thermorender.compare.evaluation.figures import against_share, against_shift
 from validation.command import Out, conclude, new_results, run_command
 from validation.maps import study
 

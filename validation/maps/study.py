@@ -7,12 +7,12 @@ shifted, or on its pairs of the kind left out. The time of each training is reco
 
 import numpy as np
 
-from thermorender.campaign.map_inputs import ground_of, inputs_of
-from thermorender.campaign.map_training import has_conditions, refuse_missing_conditions, train_map
-from thermorender.compare.machine import machine
+from thermorender.apps.compare.machine import machine
+from thermorender.apps.training.map_inputs import ground_of, inputs_of
+from thermorender.apps.training.map_training import has_conditions, refuse_missing_conditions, train_map
+from thermorender.apps.training.training_methods import method
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
-from thermorender.learned.training_methods import method
 from thermorender.versions import versions
 
 METHODS = ("correlation-1to1", "correlation-9to1", "correlation-5x5", "palette", "correlation+")

@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from thermorender import defaults
-from thermorender.campaign.procedural_truth import write
+from thermorender.apps.lands.procedural.procedural_scene import make
+from thermorender.apps.lands.procedural.truth import write
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
 from thermorender.materials.shifted import strayed
@@ -28,7 +29,6 @@ from thermorender.render.variant import activate
 from thermorender.scene.load import load_scene
 from thermorender.scene.spec import TemperatureSpec, WeatherSpec
 from thermorender.scene.surface import FILLED, UNMOVED
-from thermorender.synthetic.procedural_scene import make
 
 # Kinds with the sides of the terrain, of a texel and of a height post [m].
 SIZES = dict(zip(defaults.SCENES, ((64.0, 0.5, 2.0), (64.0, 0.5, 1.0), (256.0, 2.0, 8.0)), strict=True))

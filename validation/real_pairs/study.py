@@ -10,16 +10,16 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender.campaign.dataset import read_dataset
-from thermorender.campaign.map_inputs import ground_of, inputs_of
-from thermorender.campaign.map_training import train_map
-from thermorender.campaign.prepare import Source, prepare
-from thermorender.compare.evaluation import structure, sums
-from thermorender.compare.evaluation.training_part import Levels, read_training_part
-from thermorender.compare.machine import machine
+from thermorender.apps.compare.evaluation import structure, sums
+from thermorender.apps.compare.evaluation.training_part import Levels, read_training_part
+from thermorender.apps.compare.machine import machine
+from thermorender.apps.training.dataset import read_dataset
+from thermorender.apps.training.map_inputs import ground_of, inputs_of
+from thermorender.apps.training.map_training import train_map
+from thermorender.apps.training.prepare import Source, prepare
+from thermorender.apps.training.training_pictures import search_in
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
-from thermorender.learned.audit.training_pictures import search_in
 from thermorender.schema import read_toml
 from thermorender.versions import versions
 

@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from thermorender import formats
+from thermorender.apps.lands.procedural.procedural_scene import KINDS
 from thermorender.cli.terminal import split
-from thermorender.synthetic.procedural_scene import KINDS
 from validation.command import Out, conclude, new_results, run_command, seeds_of
 from validation.referee import study
 from validation.referee.figure import draw

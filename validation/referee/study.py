@@ -8,18 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender.campaign.procedural_truth import write
-from thermorender.compare.machine import machine
-from thermorender.compare.referee import emissivities, findings, views
-from thermorender.compare.referee.flight import Flight
-from thermorender.compare.referee.frames import Frames
-from thermorender.compare.referee.methods import Method
-from thermorender.compare.referee.trial import Setup, Totals, Trial
+from thermorender.apps.compare.machine import machine
+from thermorender.apps.compare.referee import emissivities, findings, views
+from thermorender.apps.compare.referee.flight import Flight
+from thermorender.apps.compare.referee.frames import Frames
+from thermorender.apps.compare.referee.methods import Method
+from thermorender.apps.compare.referee.trial import Setup, Totals, Trial
+from thermorender.apps.lands.procedural.procedural_scene import KINDS, make, weather_of
+from thermorender.apps.lands.procedural.truth import write
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance
 from thermorender.render.renderer import Renderer
 from thermorender.scene.load import load_scene
-from thermorender.synthetic.procedural_scene import KINDS, make, weather_of
 from thermorender.trajectory.path import Trajectory
 from thermorender.versions import versions
 from validation.referee import plants

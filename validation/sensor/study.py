@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from thermorender import defaults, files, formats
-from thermorender.compare.bench import views
-from thermorender.compare.machine import machine
+from thermorender.apps.compare.bench import views
+from thermorender.apps.compare.machine import machine
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
 from thermorender.physics.planck import band_radiance, band_radiance_derivative

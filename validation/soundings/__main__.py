@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from thermorender import formats
-from thermorender.cli.cluster import Cluster, spread_over
+from thermorender.cli.workers import Cluster, spread_over
 from validation.command import Out, conclude, new_results, run_command
 from validation.soundings import study
 

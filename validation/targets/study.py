@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from thermorender.compare import machine
+from thermorender.apps.compare import machine
 from thermorender.files import atomic
 from thermorender.materials.library import load_library
 from thermorender.render.renderer import Renderer

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender.campaign.three_d.write import SURVEY, write
-from thermorender.scene.import_terrain import import_terrain
+from thermorender.apps.lands.import_terrain import import_terrain
+from thermorender.apps.lands.procedural.three_d import SURVEY, write
+from thermorender.apps.lands.procedural.world import make_world
+from thermorender.apps.lands.solids.importing import ThreeD
 from thermorender.scene.load import load_scene
-from thermorender.scene.solids.importing import ThreeD
-from thermorender.synthetic.world import make_world
 from thermorender.versions import versions
 from validation.three_d import study
 

@@ -15,9 +15,9 @@ import typer
 from rasterio.windows import from_bounds
 
 from thermorender import formats
+from thermorender.apps.lands.import_terrain import import_terrain
+from thermorender.apps.lands.solids.importing import ThreeD
 from thermorender.output.photograph import photograph
-from thermorender.scene.import_terrain import import_terrain
-from thermorender.scene.solids.importing import ThreeD
 from thermorender.scene.surface import SURFACE
 from validation.command import Device, run_command
 from validation.three_d.study import ANGLES, pose_at, renderer_of

@@ -19,8 +19,9 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 from scipy.stats import kendalltau
 
-from thermorender.campaign.three_d.write import SURVEY, write
-from thermorender.compare.machine import machine
+from thermorender.apps.compare.machine import machine
+from thermorender.apps.lands.procedural.three_d import SURVEY, write
+from thermorender.apps.lands.procedural.world import make_world
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
 from thermorender.learned.temperature_map import Inputs, load_model
@@ -29,7 +30,6 @@ from thermorender.physics.planck import band_radiance_derivative
 from thermorender.render.renderer import Renderer
 from thermorender.scene.load import load_scene
 from thermorender.scene.surface import SURFACE
-from thermorender.synthetic.world import make_world
 from thermorender.trajectory.path import pose
 from thermorender.versions import versions
 

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from thermorender.campaign.procedural_truth import write
-from thermorender.campaign.three_d.write import write as write_world
+from thermorender.apps.lands.procedural.procedural_scene import make
+from thermorender.apps.lands.procedural.three_d import write as write_world
+from thermorender.apps.lands.procedural.truth import write
+from thermorender.apps.lands.procedural.world import make_world
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.scene.load import load_scene
-from thermorender.synthetic.procedural_scene import make
-from thermorender.synthetic.world import make_world
 
 BAND_UM = (7.5, 13.5)
 # A camera of 45° by 37° without noise of its own.

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from thermorender import files, formats
-from thermorender.compare import machine
+from thermorender.apps.compare import machine
 from thermorender.physics.planck import brightness_temperature
 from thermorender.render import reference
 from thermorender.render.renderer import Renderer

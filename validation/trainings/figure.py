@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from thermorender import files
-from thermorender.learned.networks.runs import SAMPLES, read_log
+from thermorender.apps.training.networks.runs import SAMPLES, read_log
 
 # Number of epochs in a strip, spaced by the logarithm of their crops.
 _EPOCHS = 4
@@ -22,7 +22,7 @@ def curves(path, result):
     result : dict
         As `validation.trainings.study.run` returns it.
     """
-    from thermorender.compare.evaluation.figures import pyplot, save
+    from thermorender.apps.compare.evaluation.figures import pyplot, save
 
     figure, axis = pyplot().subplots(figsize=(10, 5.5), layout="constrained")
     for number, each in enumerate(result["runs"]):
@@ -55,7 +55,7 @@ def strip(path, folder):
     """
     import cv2
 
-    from thermorender.compare.evaluation.figures import pyplot, save
+    from thermorender.apps.compare.evaluation.figures import pyplot, save
 
     error = {line["crops"]: line["validation_mae_k"] for line in read_log(folder)}
     pictures = {int(each.stem): each for each in sorted((Path(folder) / SAMPLES).glob("*.png"))

@@ -11,9 +11,9 @@ far over the later half of the crops, and extended to twice the core time. The r
 
 import numpy as np
 
+from thermorender.apps.training.networks.runs import read_log, read_settings
 from thermorender.errors import ThermorenderError
 from thermorender.learned.networks.recipes import RECIPES
-from thermorender.learned.networks.runs import read_log, read_settings
 
 HEADER = ("run", "method", "width", "batch", "crops seen", "published", "core hours", "validation [K]", "at crops",
           "at core hours", "last fifth")  # fmt: skip

@@ -13,9 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from thermorender import defaults
-from thermorender.campaign.dataset import read_dataset
-from thermorender.campaign.map_inputs import inputs_of
-from thermorender.compare.machine import apart, forget_peak_memory, machine, peak_memory_mib
+from thermorender.apps.compare.machine import apart, forget_peak_memory, machine, peak_memory_mib
+from thermorender.apps.training.dataset import read_dataset
+from thermorender.apps.training.map_inputs import inputs_of
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
 from thermorender.learned.networks.recipes import RECIPES

@@ -82,7 +82,7 @@ def _of(material):
 
 
 def _sample(path, **more):
-    from thermorender.materials.from_samples import import_files
+    from thermorender.apps.material_tables.from_samples import import_files
 
     origin = {} if path.suffix == ".txt" else {"source": "made", "citation": "none", "licence": "none"}
     import_files([path], path.parent / "materials", "tried", solar_absorptance=0.7, replace=True, **origin, **more)
@@ -144,7 +144,7 @@ def _indexed(path):
 
 def _selected(path):
     """A frame of ground of the first material in a selection of samples."""
-    from thermorender.materials.from_samples import read_selection
+    from thermorender.apps.material_tables.from_samples import read_selection
     from thermorender.materials.store import write_materials
 
     made = read_selection(path, [path.parent])

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from thermorender.render.arrays import Floats, Jit, aligned
 from thermorender.render.geometry import Geometry, Hit, frames, of_faces
 from thermorender.render.pixels.slender import connected
-from thermorender.scene.solids.instances import alone
+from thermorender.scene.instances import alone
 from thermorender.scene.surface import Surface
 
 # Points of a face that are tested, in an order in which neighbours are close to each other.

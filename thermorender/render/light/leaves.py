@@ -16,8 +16,8 @@ from thermorender.render.geometry import Geometry, frames
 from thermorender.render.light.contacts import SPOTS
 from thermorender.render.plan import Plan
 from thermorender.render.spectrum import REFERENCE_K
+from thermorender.scene.instances import alone
 from thermorender.scene.scene import Scene
-from thermorender.scene.solids.instances import alone
 
 # Points that represent a patch. Successive rays start from successive ones.
 _DRAWN = 256

@@ -12,12 +12,12 @@ from thermorender.materials import library as material_tables
 from thermorender.materials.material import Material
 from thermorender.physics.geodesy import FARTHEST_M, LocalFrame
 from thermorender.scene import terrain
+from thermorender.scene.instances import read_places
 from thermorender.scene.parts import mesh
 from thermorender.scene.parts.orthophoto import read_colour
 from thermorender.scene.parts.textures import Texture, onto_texels, stating, texel_size_m
 from thermorender.scene.parts.tracks import TrackedObject, read_track
 from thermorender.scene.raster import Grid, bounds_in, grid_of, onto, read_classes
-from thermorender.scene.solids.instances import read_places
 from thermorender.scene.spec import ObjectSpec, SceneSpec
 from thermorender.scene.surface import FILLED, SURFACE, Surface
 

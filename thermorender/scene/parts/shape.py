@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
+from thermorender.scene import instances
 from thermorender.scene.ground import Ground
 from thermorender.scene.parts.read import Parts
 from thermorender.scene.parts.refine import evened, refined
 from thermorender.scene.parts.textures import Texture
 from thermorender.scene.parts.tracks import TrackedObject
 from thermorender.scene.raster import Grid
-from thermorender.scene.solids import instances
 from thermorender.scene.spec import ObjectSpec
 from thermorender.scene.surface import Surface
 

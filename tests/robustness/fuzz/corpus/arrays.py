@@ -85,7 +85,7 @@ def _write_checkpoint(path):
 @reader("checkpoint", "last.safetensors", _write_checkpoint)
 def _checkpoint(path):
     from tests.robustness.crash_targets import learner
-    from thermorender.learned.networks import checkpoint
+    from thermorender.apps.training.networks import checkpoint
 
     kept = learner()
     return checkpoint.load(path, kept), [

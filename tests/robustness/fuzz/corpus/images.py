@@ -59,14 +59,14 @@ def _classes(path):
 
 
 def _write_counts(path):
-    from thermorender.footage.radiometric_files import write_tlinear
+    from thermorender.sensor.radiometric_files import write_tlinear
 
     write_tlinear(path, np.random.default_rng(0).uniform(280.0, 300.0, (24, 32)).astype(np.float32))
 
 
 @reader("radiometric TIFF", "counts.tif", _write_counts)
 def _counts(path):
-    from thermorender.footage.radiometric_files import read_temperature
+    from thermorender.sensor.radiometric_files import read_temperature
 
     kelvin = read_temperature(path)
     return kelvin[~np.isnan(kelvin)]
@@ -96,7 +96,7 @@ def _write_picture(path):
 
 @reader("picture", "picture.jpg", _write_picture)
 def _picture(path):
-    from thermorender.campaign.pictures import read_visible
+    from thermorender.apps.training.pictures import read_visible
 
     return read_visible(path)
 
@@ -124,7 +124,7 @@ def _write_flir(path):
 
 @reader("FLIR JPEG", "picture.jpg", _write_flir)
 def _flir(path):
-    from thermorender.footage.flir_jpeg import read_flir_jpeg
+    from thermorender.sensor.flir_jpeg import read_flir_jpeg
 
     found = read_flir_jpeg(path)
     # A signal below the formula's zero has no temperature.
@@ -167,7 +167,7 @@ def _write_thermal(path):
 
 @reader("thermal picture", "picture.png", _write_thermal)
 def _thermal(path):
-    from thermorender.campaign.pictures import read_thermal
+    from thermorender.apps.training.pictures import read_thermal
 
     return read_thermal(path, (0.04, 0.0))
 
@@ -181,7 +181,7 @@ def _write_photograph(path):
 
 @reader("photograph", "photograph.png", _write_photograph)
 def _photograph(path):
-    from thermorender.learned.translate import read_picture
+    from thermorender.apps.training.translate import read_picture
 
     return read_picture(path)
 
@@ -193,7 +193,7 @@ for _name in ("webp", "tif", "bmp", "jpg"):
 def _write_video(path):
     import cv2
 
-    from thermorender.learned.translate import VIDEOS
+    from thermorender.apps.training.translate import VIDEOS
 
     codec = cv2.VideoWriter_fourcc(*VIDEOS[path.suffix])
     writer, generator = cv2.VideoWriter(str(path), codec, 8.0, (64, 48)), np.random.default_rng(0)
@@ -204,9 +204,9 @@ def _write_video(path):
 
 def _translated(path):
     """Translate a video; raise the error with which it is refused."""
-    from thermorender.footage.radiometric_files import read_temperature
+    from thermorender.apps.training.translate import UnreadableError, translate
     from thermorender.learned.temperature_map import load_model
-    from thermorender.learned.translate import UnreadableError, translate
+    from thermorender.sensor.radiometric_files import read_temperature
 
     with TemporaryDirectory(dir=path.parent) as folder:
         report = translate(load_model(TEMPERATURE_MAPS[0]), [path], folder, frames=True)

@@ -28,8 +28,8 @@ def _copied(folder):
 
 
 def _write_dataset(folder):
-    from thermorender.campaign.dataset import Entry, ThermalScale
-    from thermorender.campaign.dataset_writer import Writer, packed
+    from thermorender.apps.training.dataset import Entry, ThermalScale
+    from thermorender.apps.training.dataset_writer import Writer, packed
 
     generator, shape = np.random.default_rng(0), (24, 32)
     writer = Writer(folder, _CARD, ThermalScale("kelvin", 0.01, 0.0))
@@ -46,8 +46,8 @@ def _write_dataset(folder):
 
 def _of_dataset(path):
     """Read a data set, and continue a copy of it."""
-    from thermorender.campaign.dataset import read_dataset
-    from thermorender.campaign.dataset_writer import Writer
+    from thermorender.apps.training.dataset import read_dataset
+    from thermorender.apps.training.dataset_writer import Writer
 
     folder = path.parents[path.parent.name == "shards"]
     found = read_dataset(folder)
@@ -149,8 +149,8 @@ for _name in ("flight.json", "frames.jsonl", "sensor_odd.npz", "frame_000001_cou
 
 
 def _translate(photographs, folder, count=2):
+    from thermorender.apps.training.translate import translate
     from thermorender.learned.temperature_map import load_model
-    from thermorender.learned.translate import translate
 
     model = load_model(TEMPERATURE_MAPS[0])
     translate(model, [photographs / f"{number}.png" for number in range(count)], folder, resume=True)

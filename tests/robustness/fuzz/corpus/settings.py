@@ -56,14 +56,14 @@ def _mapping(path):
     "shift_px": [1.0, -2.0], "rotation_deg": 0.5, "k1": -0.01,
 }))  # fmt: skip
 def _rig(path):
-    from thermorender.campaign.registration.rig import load_rig
+    from thermorender.apps.training.registration.rig import load_rig
 
     return load_rig(path)
 
 
 @reader("split", "split.json", json.dumps({"train": ["a", "b"], "validation": ["c"], "test": ["d"]}))
 def _split(path):
-    from thermorender.campaign.splits import read_split
+    from thermorender.apps.training.splits import read_split
 
     return read_split(path)
 
@@ -96,7 +96,7 @@ def _write_polygons(path):
 
 @reader("polygons", "ground.geojson", _write_polygons)
 def _polygons(path):
-    from thermorender.campaign.material_training import read_polygons
+    from thermorender.apps.training.material_training import read_polygons
     from thermorender.scene.raster import grid_of
 
     return read_polygons(path, grid_of(path.with_name("orthophoto.tif")))

@@ -85,7 +85,7 @@ def _thermal(path):
     f"{7 + 0.25 * k:.2f},{94 + k % 3}\n" for k in range(30)
 ))  # fmt: skip
 def _sample(path):
-    from thermorender.materials.samples import read_sample
+    from thermorender.apps.material_tables.samples import read_sample
 
     return read_sample(path)
 
@@ -99,7 +99,7 @@ _ECOSTRESS = (
 
 @reader("ECOSTRESS", "sample.txt", _ECOSTRESS)
 def _ecostress(path):
-    from thermorender.materials.samples import read_sample
+    from thermorender.apps.material_tables.samples import read_sample
 
     return read_sample(path)
 
@@ -341,7 +341,7 @@ def _write_slum(path):
 
 @reader("SLUM", "made_IR.csv", _write_slum)
 def _slum(path):
-    from thermorender.materials.samples import read_sample
+    from thermorender.apps.material_tables.samples import read_sample
 
     return read_sample(path, "A001")
 
@@ -357,7 +357,7 @@ def _write_selection(path):
 
 @reader("selection of samples", "selection.csv", _write_selection)
 def _selection(path):
-    from thermorender.materials.from_samples import read_selection
+    from thermorender.apps.material_tables.from_samples import read_selection
 
     return [(each.wavelength_um, each.emissivity, each.colour, each.solar_absorptance, each.temperature)
             for each in read_selection(path, [path.parent])]  # fmt: skip

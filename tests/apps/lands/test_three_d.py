@@ -1,0 +1,213 @@
+"""Scenes in three dimensions: porous crowns, quadrilaterals with pictures, their files, and the survey of a world."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import thermorender as tr
+from thermorender.apps.lands.procedural.buildings import ROOFS, Window, house
+from thermorender.apps.lands.procedural.canvas import Canvas
+from thermorender.apps.lands.procedural.solids import Solids
+from thermorender.apps.lands.procedural.three_d import SURVEY, write
+from thermorender.apps.lands.procedural.world import make_world
+from thermorender.apps.lands.solids.plants import Plants, leaves, surface_m2
+from thermorender.apps.lands.solids.quads import Quads
+from thermorender.apps.lands.solids.skin import write_mesh
+from thermorender.errors import ThermorenderError
+from thermorender.physics.srgb import linear_from_bytes
+from thermorender.render.from_above import from_above
+from thermorender.render.geometry import Geometry
+from thermorender.render.variant import activate
+from thermorender.scene.parts.mesh import load
+from thermorender.scene.spec import WeatherSpec
+from thermorender.scene.surface import Surface
+from validation.three_d import imported, pictures, study
+
+
+def surface_of(vertices, faces):
+    """A Surface of one texel, of triangles in memory."""
+    texel = np.zeros((1, 1), np.uint8)
+    uv = np.full((len(faces), 3, 2), 0.5, np.float32)
+    return Surface("s", vertices, np.asarray(faces, np.int32), uv, np.zeros((1, 1, 3), np.uint8), texel,
+                   texel.astype(np.float32), texel, 1.0)  # fmt: skip
+
+
+@pytest.mark.parametrize("degrees", [0.0, 30.0, 55.0, 70.0])
+def test_a_crown_lets_light_through_by_beers_law(degrees):
+    """A layer of leaves of all orientations, 2 m deep, seen at an angle: exp(−G D s) with G = 1/2 (Ross 1981).
+
+    The clusters are few, so that the share itself is uncertain; the spread between strips gives its standard error.
+    """
+    density, depth, half = 1.2, 2.0, 9.0
+    cell = 0.5
+    line = np.arange(-half + 0.25, half, cell)
+    x, y = (each.ravel() for each in np.meshgrid(line, line))
+    column = np.column_stack([x, y, np.zeros(len(x)), np.full(len(x), depth)])
+    plants = Plants()
+    plants.fill(np.random.default_rng(3), column, cell, 0.3, density, np.full((len(x), 3), 0.2), 1)
+    skin = plants.skin("leaves")
+    # Turning the layer about the x axis is looking at it at an angle.
+    turn = np.radians(degrees)
+    matrix = np.array([[1, 0, 0], [0, np.cos(turn), -np.sin(turn)], [0, np.sin(turn), np.cos(turn)]])
+    geometry = Geometry(activate(), [surface_of((skin.vertices - [0, 0, 0.5 * depth]) @ matrix.T, skin.faces)])
+    # Rays that stay inside the layer's sides.
+    reach = half * np.cos(turn) - 0.5 * depth * np.sin(turn) - 0.3
+    east, north = np.meshgrid(np.linspace(-half + 0.3, half - 0.3, 480), np.linspace(-reach, reach, 240))
+    _, texel = from_above(geometry, east, north)
+    through = (texel < 0).mean(axis=0).reshape(24, 20).mean(axis=1)
+    expected = np.exp(-0.5 * density * depth / np.cos(turn))
+    error = through.std(ddof=1) / np.sqrt(len(through))
+    print(degrees, through.mean(), expected, error)
+    assert error < 0.0045
+    assert abs(through.mean() - expected) < 3.0 * error
+
+
+def test_leaves_are_closed_bodies_of_their_stated_surface():
+    vertices, faces = leaves(np.random.default_rng(0), np.zeros((5, 3)), 0.4)
+    corner = vertices[faces]
+    across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    area = 0.5 * np.linalg.norm(across, axis=1).reshape(5, 4).sum(axis=1)
+    assert area == pytest.approx(np.full(5, surface_m2(0.4)))
+    # Normals of a closed body add up to nothing, and its volume is positive where they point outwards.
+    assert across.reshape(5, 4, 3).sum(axis=1) == pytest.approx(np.zeros((5, 3)), abs=1e-12)
+    assert (np.einsum("fi,fi->f", corner.mean(axis=1), across).reshape(5, 4).sum(axis=1) > 0.0).all()
+
+
+def test_a_trunk_has_a_texel_for_each_short_length():
+    """A gap of the crown then lights a part of the trunk, not a whole side."""
+    plants = Plants()
+    plants.trunk(2.0, 3.0, 1.0, 8.0, 0.2, np.full(3, 0.2), 1)
+    skin = plants.skin("trunk")
+    corner = skin.vertices[skin.faces]
+    assert np.ptp(corner[..., 2], axis=1).max() < 1.0
+    assert len(np.unique(skin.uv.mean(axis=1), axis=0)) == len(skin.faces) == plants.faces
+    across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    # Sides of a hexagonal frustum whose radius goes from 0.2 to 0.07 m: trapezia of the two edges.
+    height = np.hypot(7.0, (0.2 - 0.07) * np.cos(np.pi / 6.0))
+    assert 0.5 * np.linalg.norm(across, axis=1).sum() == pytest.approx(6.0 * 0.5 * (0.2 + 0.07) * height)
+    assert ((corner.mean(axis=1) - [2.0, 3.0, 4.5])[:, :2] * across[:, :2]).sum(axis=1).min() > 0.0
+
+
+def test_a_picture_is_upright_on_its_wall_and_comes_back_from_the_file(tmp_path):
+    """A wall that faces south, 4 m wide and 2 m high: red at its foot, blue in its upper eastern quarter."""
+
+    def paint(s, t):
+        blue = (s > 0.5) & (t > 0.5)
+        red = t < 0.5
+        return np.stack([1.0 * red, 0.0 * s, 1.0 * blue], axis=-1), np.where(red, 1, np.where(blue, 2, 3))
+
+    quads = Quads(0.1)
+    quads.add([(0, 0, 0), (4, 0, 0), (4, 0, 2), (0, 0, 2)], paint)
+    quads.add([(0, 9, 0), (0, 9, 0.5), (-1, 9, 0.5), (-1, 9, 0)], lambda s, t: ((0.2, 0.2, 0.2), 4))
+    skin = quads.skin("walls")
+    write_mesh(tmp_path / "w.glb", [skin])
+    (part,) = load(tmp_path / "w.glb", named=("walls",))
+    corner = part.vertices[part.faces]
+    across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    middle, wall = corner.mean(axis=1), corner[:, 0, 1] < 1.0
+    assert (across[wall, 1] < 0.0).all() and np.abs(across[wall][:, [0, 2]]).max() < 1e-6
+    rows, columns = part.colour.shape[:2]
+    at = (part.uv.mean(axis=1) * (columns, rows)).astype(int)
+    shown = linear_from_bytes(part.colour)[at[:, 1], at[:, 0]]
+    low = wall & (middle[:, 2] < 1.0)
+    upper_east = wall & (middle[:, 2] > 1.0) & (middle[:, 0] > 2.0)
+    assert low.any() and (shown[low] == (1.0, 0.0, 0.0)).all()
+    assert upper_east.any() and (shown[upper_east] == (0.0, 0.0, 1.0)).all()
+    assert (skin.classes[at[:, 1], at[:, 0]][low] == 1).all() and (skin.classes[at[:, 1], at[:, 0]][~wall] == 4).all()
+
+
+@pytest.mark.parametrize(("roof", "hip"), [(ROOFS[0], False), (ROOFS[0], True), (ROOFS[-1], False)])
+def test_a_house_has_the_heights_of_its_surface_model_and_walls_below_its_eaves(roof, hip):
+    """The 2.5-D scene paints the same house as heights from above, by a formula of its own."""
+    canvas = Canvas(1, 24.0, 0.1)
+    canvas.value("grass_green")
+    canvas.solids = Solids(canvas)
+    window = Window(canvas, 1.0, -0.5, 25.0, 11.0)
+    fine = np.zeros(canvas.shape, np.float32)
+    body = house(window, fine, np.random.default_rng(5), 0.5, 0.3, 5.5, 4.2, 4.0, roof, 38.0, hip)
+    skin = canvas.solids.quads.skin("house")
+    geometry = Geometry(activate(), [surface_of(skin.vertices, skin.faces)])
+    east, north = np.broadcast_arrays(canvas.east, canvas.north)
+    height, texel = from_above(geometry, east, north)
+    there = np.zeros(canvas.shape, bool)
+    window.view(there)[...] = body
+    assert ((texel >= 0) == there).mean() > 0.995
+    apart = np.abs(height - canvas.top)[there & (texel >= 0)]
+    print(roof[0], hip, np.median(apart), np.quantile(apart, [0.9, 0.98]))
+    # But for chimneys, whose width differs, and texels across an edge.
+    assert np.quantile(apart, 0.95) < 0.12
+    corner = skin.vertices[skin.faces]
+    across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    upright = np.abs(across[:, 2]) < 1e-9
+    # Four walls of 11 by 8.4 m, at least to the height of the eaves.
+    assert 0.5 * np.linalg.norm(across[upright], axis=1).sum() > 2.0 * (11.0 + 8.4) * 3.9
+
+
+def test_snow_is_refused():
+    winter = WeatherSpec(
+        time=np.datetime64("2018-01-17T08:00:00"), air_low_c=-12.0, air_high_c=-3.0, humidity=0.9, wind_m_s=2.0,
+        cloud=0.1, snow_depth_m=0.3,
+    )  # fmt: skip
+    with pytest.raises(ThermorenderError, match=r"snow_depth_m=0\.3: snow on walls and crowns is not modelled"):
+        make_world("village", 0, 40.0, 0.5, 1.0, weather=winter)
+
+
+@pytest.mark.slow
+def test_a_world_and_its_survey_are_the_same_from_above(tmp_path):
+    """From straight above both show the same ground at the same place; a house's wall is in the world only."""
+    folder = write(make_world("village", 2, 48.0, 0.4, 0.8), tmp_path / "world")
+    world, survey = tr.load_scene(folder), tr.load_scene(folder / SURVEY)
+    assert (survey.frame.latitude_deg, survey.frame.height_m) == (world.frame.latitude_deg, world.frame.height_m)
+    shown = []
+    for scene in (world, survey):
+        camera = replace(scene.camera, width=96, height=80, pixel_pitch_um=scene.camera.pixel_pitch_um * 640 / 96)
+        renderer = tr.Renderer(scene.with_camera(camera), quality="fast", rays=64)
+        shown.append((renderer.frame(tr.pose(0, 0, 45, pitch_deg=-90)), renderer.scene))
+    frames = [frame.apparent_temperature for frame, _ in shown]
+    names = np.array([material.name for material in world.materials])
+    ground = np.isin(names[shown[0][0].truth["material"]], ("grass_green", "grass_dry", "asphalt", "concrete"))
+    apart = np.abs(frames[0] - frames[1])[ground]
+    print("ground", np.median(apart), np.quantile(apart, 0.9), "all", np.median(np.abs(frames[0] - frames[1])))
+    # Two surveys of one ground: noise of the light between surfaces, and edges of crowns.
+    assert ground.mean() > 0.15 and np.median(apart) < 0.1
+    # Walls: brick in the world's truth, and no upright brick from above.
+    assert {"brick_painted", "brick_clay"} & set(names)
+    kelvin = np.concatenate([surface.temperature.ravel() for surface in world.surfaces])
+    assert kelvin.min() > 280.0 and kelvin.max() < 345.0
+
+
+@pytest.mark.slow
+def test_the_study_finds_the_error_at_walls_and_none_on_open_ground():
+    found = study.run(seeds=(7,), views=1, size_m=56.0, maps=("constant", "fok-1to1"))
+    error = {(case["angle_deg"], case["kind"]): case.get("mae_k", 0.0) for case in found["cases"]}
+    for angle in study.ANGLES[:3]:
+        assert error[angle, "far ground"] < 0.5 < error[angle, "façade"]
+    assert set(found["ranking"]["mae_k"]) == {"constant", "fok-1to1"} and found["ranking"]["tau"]["3-D"] == 1.0
+    assert len(study.rows(found)) > 12 and len(study.budget_rows(found["budget"])) == len(study.ANGLES)
+    # Views of all angles, and in each the stated error exceeds the true one.
+    assert [view["angle_deg"] for view in found["budget"]] == list(study.ANGLES)
+    assert all(0.0 < view["true_mk"] < view["stated_mk"] for view in found["budget"]), found["budget"]
+
+
+@pytest.mark.slow
+def test_the_stated_error_of_an_imported_scene_exceeds_the_true_one_in_oblique_views():
+    found = imported.run(seed=7, views=1, size_m=56.0)
+    assert found["buildings"] > 0 and found["trees"] > 0
+    assert [view["angle_deg"] for view in found["views"]] == list(study.ANGLES)
+    assert all(0.0 < view["true_mk"] < view["stated_mk"] for view in found["views"]), found["views"]
+
+
+def test_a_sheet_has_one_scale_of_grey_for_both_scenes_and_none_for_the_sky():
+    visible = np.full((2, 100, 3), 7, np.uint8)
+    warm = np.linspace(280.0, 300.0, 200).reshape(2, 100)
+    cold = warm - 20.0
+    cold[0, 0] = np.nan
+    made = pictures.sheet([(visible, cold)], [(visible, warm)])
+    assert made.shape == (6, 416, 3) and (made[:2, :100] == 7).all() and (made[:2, 100:104] == 255).all()
+    draped, solid = made[:2, 208:308, 0].astype(float), made[:2, 312:412, 0].astype(float)
+    assert draped[0, 0] == 0.0
+    # Both cover 260 K to 300 K without one percent at each end; a level of grey is 0.15 K, and a pixel 0.1 K.
+    kelvin = [260.0 + 40.0 * (0.01 + 0.98 * grey / 255.0) for grey in (draped, solid)]
+    assert kelvin[0][:, 2:].ravel() == pytest.approx(np.nan_to_num(cold)[:, 2:].ravel(), abs=0.2)
+    assert kelvin[1][:, :-5].ravel() == pytest.approx(warm[:, :-5].ravel(), abs=0.2)

@@ -1,0 +1,3 @@
+"""Comparisons: learned translation with the render, learned maps with a data set, a frame with its cost."""
+
+VERBS = {"compare": "verbs:compare", "evaluate": "verbs:evaluate", "bench": "verbs:bench", "demo": "verbs:demo"}

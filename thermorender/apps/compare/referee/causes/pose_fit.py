@@ -1,0 +1,269 @@
+"""The fit of one pose: how offset, contrast, shift, blur and materials together explain a picture's difference.
+
+The model of a method's picture s is s = offset + mean + gain (t − mean), where t is the reference, moved and blurred,
+and `mean` the reference's mean over the ground. Gauss–Newton finds shift and blur; the rest is linear. Each material
+adds two columns: an offset on its pixels, and the change by its emissivity. The normal equations are kept by piece of
+ground, because errors of neighbouring pixels are correlated.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.apps.compare.referee.causes.moved import moved
+
+_Value = TypeVar("_Value", bound=np.generic)
+
+# Columns of the normal equations before those of the materials: their number, and the place of each cause.
+BASE = {"offset": (0,), "contrast": (1,), "shift": (2, 3), "blur": (4,)}
+WIDTH = 5
+# Largest number of pixels in the normal equations; more are thinned out to a grid.
+_MOST_PIXELS = 40_000
+# Pixels this near to unknown ones or to objects are left out [px].
+_BORDER_PX = 3
+# Gauss–Newton: most steps, largest step of shift [px] and variance [px²], convergence [px], range of the variance.
+_STEPS, _STEP_PX, _STEP_PX2, _DONE = 8, 0.7, 1.5, 0.01
+_VARIANCE = (-0.3, 25.0)
+# Below these, one linearisation holds with and without shift and blur [px, px²].
+_SMALL_PX, _SMALL_PX2 = 0.2, 0.3
+# Residuals beyond this many robust standard deviations count less. Ridge relative to the reference's variance.
+_ROBUST, _RIDGE = 3.0, 1e-6
+# Least share of pixels of a single material at which the others are left out.
+_PURE = 0.3
+# Least number of pixels of a fit.
+_FEWEST = 200
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A method's picture and the reference of one pose.
+
+    Attributes
+    ----------
+    seen, truth : (H, W) arrays
+        Apparent temperature [K].
+    ground : (H, W) bool
+        Pixels of ground with known temperature.
+    known : (H, W) bool
+        Pixels where the reference is known, objects too.
+    material : (H, W) uint8
+    names : sequence of str
+        Name of each material number.
+    emissivity_k : (H, W) array
+        Change of apparent temperature by a unit of emissivity [K].
+    cell : (H, W) int
+        Number of the piece of ground that a pixel shows.
+    pure : (H, W) bool
+        Pixels that show a single material.
+    """
+
+    seen: NDArray[np.floating]
+    truth: NDArray[np.floating]
+    ground: NDArray[np.bool_]
+    known: NDArray[np.bool_]
+    material: NDArray[np.uint8]
+    names: Sequence[str]
+    emissivity_k: NDArray[np.floating]
+    cell: NDArray[np.integer]
+    pure: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Normal equations of one pose by piece of ground, about the fitted shift and blur.
+
+    Attributes
+    ----------
+    matrix : (K, Q, Q) float64
+        AᵀA.
+    right : (K, Q) float64
+        Aᵀy; y is linearised, so that the solution is the deviation from a perfect picture.
+    square : (K,) float64
+        yᵀy [K²].
+    """
+
+    matrix: NDArray[np.float64]
+    right: NDArray[np.float64]
+    square: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PoseFit:
+    """The fit of one pose.
+
+    Attributes
+    ----------
+    cells : (K,) int
+        Numbers of the pieces of ground.
+    materials : tuple of str
+        Materials with columns, in their order.
+    equations : dict of (bool, bool) to Equations
+        By whether shift and blur are free; a missing one equals that of (True, True).
+    middle_k : float
+        Median error [K].
+    """
+
+    cells: NDArray[np.intp]
+    materials: tuple[str, ...]
+    equations: dict[tuple[bool, bool], Equations]
+    middle_k: float
+
+    def at(self, shift: bool, blur: bool) -> Equations:
+        """Return the Equations for models with or without shift and blur."""
+        return self.equations.get((shift, blur), self.equations[True, True])
+
+
+def fit(pair: Pair, start: tuple[float, float] = (0.0, 0.0), least_share: float = 0.005) -> PoseFit | None:
+    """Return the PoseFit of a Pair, None with too few pixels.
+
+    Parameters
+    ----------
+    pair : Pair
+    start : (2,) tuple of float
+        First guess of the shift to the right and down [px].
+    least_share : float
+        Least share of the ground of a material with columns.
+    """
+    picture = _Picture(pair, start)
+    if picture.count < _FEWEST:
+        return None
+    materials = picture.materials(least_share)
+    origin = np.array([*start, 0.0])
+    found = {(True, True): picture.solved(origin, (True, True))}
+    right, down, variance = found[True, True]
+    if np.hypot(right, down) > _SMALL_PX or abs(variance) > _SMALL_PX2:
+        found[True, False] = picture.solved(np.array([right, down, 0.0]), (True, False))
+        found[False, True] = picture.solved(np.array([0.0, 0.0, max(variance, 0.0)]), (False, True))
+        found[False, False] = np.zeros(3)
+    cells, order, edges = picture.sorted_cells()
+    equations = {free: picture.equations(at, materials, order, edges) for free, at in found.items()}
+    names = tuple(pair.names[number] for number in materials)
+    return PoseFit(cells, names, equations, picture.middle_k)
+
+
+class _Picture:
+    """The pixels of a Pair that take part in the fit."""
+
+    def __init__(self, pair: Pair, start: tuple[float, float]) -> None:
+        import cv2
+
+        known = pair.known & np.isfinite(pair.truth)
+        sides = np.ones((2 * _BORDER_PX + 1,) * 2, np.uint8)
+        inside = cv2.erode(known.astype(np.uint8), sides, borderType=cv2.BORDER_CONSTANT, borderValue=0).astype(bool)
+        ground = cv2.erode(pair.ground.astype(np.uint8), sides).astype(bool)
+        # Pixels must be known before and after the shift, so that all models are fitted to the same ones.
+        whole = tuple(round(value) for value in start)
+        used = inside & ground & _rolled(inside, whole) & np.isfinite(pair.seen)
+        # Pixels of several materials have errors that none of the materials has, but fine mosaics have no others.
+        if (used & pair.pure).sum() >= _PURE * used.sum():
+            used &= pair.pure
+        step = max(1, round(np.sqrt(used.sum() / _MOST_PIXELS)))
+        grid = np.zeros(used.shape, bool)
+        grid[step // 2 :: step, step // 2 :: step] = True
+        self._used = used & grid
+        self.count = int(self._used.sum())
+        if not self.count:
+            return
+        truth = np.asarray(pair.truth, np.float32)
+        self._mean = float(truth[self._used].mean(dtype=np.float64))
+        self._variance_k2 = float(truth[self._used].var(dtype=np.float64))
+        self._truth = np.where(known, truth - np.float32(self._mean), np.float32(0.0))
+        self._seen = np.asarray(pair.seen, np.float64)[self._used] - self._mean
+        self.middle_k = float(np.median(self._seen - self._truth[self._used]))
+        self._material = pair.material[self._used]
+        self._emissivity = np.asarray(pair.emissivity_k, np.float64)[self._used]
+        self._cell = pair.cell[self._used]
+
+    def materials(self, least_share: float) -> list[int]:
+        """Return the numbers of materials with at least this share of the pixels; none if there is only one."""
+        counts = np.bincount(self._material, minlength=256)[:255]
+        found = np.flatnonzero(counts >= max(least_share * self.count, 20)).tolist()
+        return found if len(found) > 1 else []
+
+    def sorted_cells(self) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+        """Return (numbers of the cells, order of the pixels by cell, their edges in this order)."""
+        order = np.argsort(self._cell, kind="stable")
+        cells, first = np.unique(self._cell[order], return_index=True)
+        return cells, order, np.append(first, self.count)
+
+    def columns(self, at: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return (base columns (n, 5), residual of the best offset and gain (n,), weights (n,)) of a moved picture.
+
+        The weights are Huber's: a material with a large error does not move the shift.
+        """
+        right, down, variance = at.tolist()
+        whole = round(right), round(down)
+        shown = moved(_rolled(self._truth, whole), right - whole[0], down - whole[1], variance)
+        image, *slopes = (part[self._used].astype(np.float64) for part in shown)
+        flat = np.stack([np.ones(self.count), image], axis=-1)
+        weight = np.ones(self.count)
+        for _ in range(2):
+            weighted = flat * weight[:, None]
+            best = np.linalg.lstsq(weighted.T @ flat, weighted.T @ self._seen, rcond=None)[0]
+            residual = self._seen - flat @ best
+            scale = max(_ROBUST * 1.4826 * float(np.median(np.abs(residual))), 1e-3)
+            weight = np.minimum(1.0, scale / np.maximum(np.abs(residual), 1e-9))
+        return np.column_stack([flat, *(best[1] * slope for slope in slopes)]), residual, weight
+
+    def solved(self, at: NDArray[np.float64], free: tuple[bool, bool]) -> NDArray[np.float64]:
+        """Return the best (right, down, variance) by Gauss–Newton; what is not free keeps its value."""
+        kept = [0, 1, *((2, 3) if free[0] else ()), *((4,) if free[1] else ())]
+        limits = np.array([_STEP_PX, _STEP_PX, _STEP_PX2])
+        best, least = at, np.inf
+        for _ in range(_STEPS):
+            columns, residual, weight = self.columns(at)
+            loss = float(np.minimum(weight, 1.0) @ residual**2)
+            if loss < least:
+                best, least = at, loss
+            part = columns[:, kept]
+            weighted = part * weight[:, None]
+            matrix = weighted.T @ part
+            # A flat picture has no derivatives; its shift remains zero.
+            matrix[np.diag_indices_from(matrix)] += _RIDGE * self.count * max(self._variance_k2, 1e-6)
+            step = np.zeros(WIDTH)
+            step[kept] = np.linalg.solve(matrix, weighted.T @ residual)
+            after = at + np.clip(step[2:], -limits, limits)
+            after[2] = np.clip(after[2], *_VARIANCE)
+            if np.abs(after - at).max() < _DONE:
+                break
+            at = after
+        return best
+
+    def equations(
+        self, at: NDArray[np.float64], materials: Sequence[int], order: NDArray[np.intp], edges: NDArray[np.intp]
+    ) -> Equations:
+        """Return the Equations at a shift and variance."""
+        base, _, _ = self.columns(at)
+        size = WIDTH + 2 * len(materials)
+        columns = np.zeros((self.count, size))
+        columns[:, :WIDTH] = base
+        for k, number in enumerate(materials):
+            here = self._material == number
+            columns[here, WIDTH + 2 * k] = 1.0
+            columns[here, WIDTH + 2 * k + 1] = self._emissivity[here]
+        # y: the residual plus the effect of the deviations from a perfect picture (gain 1, nothing else).
+        wanted = self._seen - base[:, 1] + base[:, 2:] @ at
+        columns, wanted = columns[order], wanted[order]
+        matrix = np.empty((len(edges) - 1, size, size))
+        right, square = np.empty((len(edges) - 1, size)), np.empty(len(edges) - 1)
+        for k, (first, last) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+            part, own = columns[first:last], wanted[first:last]
+            matrix[k], right[k], square[k] = part.T @ part, part.T @ own, own @ own
+        return Equations(matrix, right, square)
+
+
+def _rolled(image: NDArray[_Value], whole: tuple[int, ...]) -> NDArray[_Value]:
+    """Return a picture moved by whole pixels (right, down); what enters is zero."""
+    right, down = whole
+    if not right and not down:
+        return image
+    found = np.zeros_like(image)
+    height, width = image.shape
+    if abs(right) < width and abs(down) < height:
+        found[max(down, 0) : height + min(down, 0), max(right, 0) : width + min(right, 0)] = image[
+            max(-down, 0) : height + min(-down, 0), max(-right, 0) : width + min(-right, 0)
+        ]
+    return found

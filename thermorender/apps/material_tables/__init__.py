@@ -1,0 +1,3 @@
+"""Tables of surface materials: imported, checked, compared, copied and plotted."""
+
+VERBS = {"materials": "verbs:app"}

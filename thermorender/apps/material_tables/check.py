@@ -1,0 +1,420 @@
+"""Check of material tables: all faults at once, each with its correction.
+
+Reading a library stops at the first fault. The check continues, and also looks for likely mistakes in valid tables:
+units in nanometres, percent or wavenumbers, gaps, missing spreads, tables without a row in the index.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from thermorender.apps.material_tables.from_samples import WANTED_RANGE_UM
+from thermorender.apps.material_tables.samples import (
+    QUANTITIES,
+    WAVELENGTH_UNITS,
+    ecostress_lines,
+    is_ecostress,
+    stated_units,
+)
+from thermorender.errors import ThermorenderError, shortened
+from thermorender.materials.csv_tables import (
+    ANGLE_COLUMN,
+    INDEX_COLUMNS,
+    INDEX_OF_REFRACTION_COLUMNS,
+    LONGEST_WAVELENGTH_UM,
+    ROUGHNESS_COLUMN,
+    SOLAR_STD_COLUMN,
+    SPECTRUM_COLUMNS,
+    beyond,
+    csv_rows,
+    decimal,
+    gaps,
+    number_in_cell,
+)
+from thermorender.materials.library import DIRECTIONAL_MODELS, NAME, stray
+from thermorender.materials.thermal import THERMAL_COLUMNS, beneath, beneath_fault, parsed, read_thermals
+from thermorender.paths import data_folder, inside
+from thermorender.physics.fresnel import LARGEST_SLOPE
+from thermorender.units import LOWEST_KELVIN, ZERO_CELSIUS_K
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A finding: whether it prevents use of the table (`fault`), its location, and a sentence with its correction."""
+
+    fault: bool
+    where: str
+    text: str
+
+    def __str__(self):
+        return f"{'fault' if self.fault else 'note '}  {self.where}: {self.text}"
+
+
+def check(path: str | Path) -> list[Finding]:
+    """Return the findings on a materials folder, or on a spectrum file of any kind that `import` reads.
+
+    Parameters
+    ----------
+    path : path
+        Folder with `index.csv`, `spectra/` and `thermal/`; or a CSV or ECOSTRESS file.
+
+    Returns
+    -------
+    list of Finding
+        Faults prevent reading or using the library; notes do not.
+
+    Raises
+    ------
+    ThermorenderError
+        The path does not exist.
+    """
+    path = Path(path)
+    if path.is_dir():
+        return _check_library(path)
+    if not path.is_file():
+        raise ThermorenderError(f"{path} does not exist; give a materials folder or a spectrum file")
+    if is_ecostress(path):
+        return _check_ecostress(path)
+    return _check_spectrum(path, path.name, None)
+
+
+def _check_library(folder):
+    rows, findings = [], []
+    # A folder with only thermal properties needs no index.
+    if (folder / "index.csv").exists() or not any((folder / "thermal").glob("*.csv")):
+        _, rows, findings = _table(folder, folder / "index.csv", INDEX_COLUMNS)
+    seen = set()
+    for row, cells in rows:
+        where, name = f"index.csv, row {row}", cells["name"]
+        if not NAME.fullmatch(name):
+            findings.append(Finding(True, where, f"name={name!r} is not a material name; use letters, digits, _ and -"))
+            continue
+        if name in seen:
+            findings.append(Finding(True, where, f"material {name!r} is listed twice; delete one row or rename it"))
+        seen.add(name)
+        findings += check_row(where, cells)
+        findings += _check_spectrum(
+            folder / "spectra" / f"{name}.csv", f"spectra/{name}.csv", cells["directional"], folder, cells["samples"]
+        )
+    for table in sorted((folder / "spectra").glob("*.csv")) if rows else []:
+        if table.stem not in seen:
+            findings.append(
+                Finding(False, f"spectra/{table.name}", "has no row in index.csv; add a row, or delete the file")
+            )
+    return findings + _check_thermals(folder, seen)
+
+
+def _check_thermals(folder, names):
+    """Return the findings on the thermal tables of a folder whose index has `names`."""
+    shipped, own, unreadable, findings = read_thermals(data_folder("materials")), {}, set(), []
+    for path in sorted((folder / "thermal").glob("*.csv")):
+        where = f"thermal/{path.name}"
+        _, rows, found = _table(folder, path, THERMAL_COLUMNS, where)
+        thermal, faults = parsed(rows) if rows or not found else (None, [])
+        findings += found + _thermal_findings(where, faults)
+        if thermal:
+            own[path.stem] = thermal
+        else:
+            unreadable.add(path.stem)
+    for name in sorted({*own, *unreadable} - {*names, *shipped, *beneath(own)}):
+        findings.append(Finding(True, f"thermal/{name}.csv", stray(name, {*names, *shipped})))
+    for name, thermal in own.items():
+        # A table that cannot be read still exists for the layers above it.
+        if thermal.beneath not in unreadable and (fault := beneath_fault(name, shipped | own)):
+            findings.append(Finding(True, f"thermal/{name}.csv", fault))
+    return findings
+
+
+def _thermal_findings(where, faults):
+    return [Finding(True, f"{where}, row {row}" if row else where, sentence) for row, sentence in faults]
+
+
+def check_row(where: str, cells: Mapping[str, str]) -> list[Finding]:
+    """Return the findings on one row of the index, {column: text}."""
+    findings = [
+        Finding(True, where, f"{column} of material {cells['name']!r} is missing; say where the numbers come from and "
+                "on what terms ('own measurement, 2024' will do)")
+        for column in ("title", "source", "citation", "licence")
+        if not cells[column]
+    ]  # fmt: skip
+    if cells["directional"] not in DIRECTIONAL_MODELS:
+        findings.append(
+            Finding(True, where, f"directional={cells['directional']!r} is not known; write "
+                    f"{' or '.join(DIRECTIONAL_MODELS)}")
+        )  # fmt: skip
+    limits = [
+        ("solar_absorptance", 0.0, 1.0, "give the share absorbed, 0.7 for 70 %"),
+        ("temperature_k", LOWEST_KELVIN, 6000.0, f"values are kelvin, add {ZERO_CELSIUS_K} to °C"),
+        ("samples", 1.0, 1e6, "count the measured samples"),
+        *((f"colour_{c}", 0.0, 255.0, "give sRGB as a colour picker shows it") for c in "rgb"),
+    ]
+    if cells.get(ROUGHNESS_COLUMN):
+        limits.append((ROUGHNESS_COLUMN, 0.0, LARGEST_SLOPE, "give the root mean square slope, 0 for a mirror"))
+    if cells.get(SOLAR_STD_COLUMN):
+        limits.append((SOLAR_STD_COLUMN, 0.0, 1.0, "give one standard deviation, or leave the cell empty"))
+    for column, low, high, advice in limits:
+        try:
+            number_in_cell("", 0, column, cells[column], low, high, advice)
+        except ThermorenderError as error:
+            findings.append(Finding(True, where, str(error).partition(": ")[2]))
+    return findings
+
+
+def _check_spectrum(path, where, directional, folder=None, samples=""):
+    """Return the findings on a CSV table; with `directional` None its headings determine its kind."""
+    header, rows, findings = _table(folder, path, (), where)
+    if directional is None and "property" in header:
+        missing = [column for column in THERMAL_COLUMNS if column not in header]
+        lacks = f"row 1 lacks column {', '.join(missing)}; it must hold {', '.join(THERMAL_COLUMNS)}"
+        faults = [(None, lacks)] if missing else parsed(rows)[1]
+        return findings + _thermal_findings(where, faults)
+    if not rows:
+        if header and not findings:
+            findings.append(Finding(True, where, "has no row of data; a spectrum needs at least 2"))
+        return findings
+    if directional is None and header[0].lower() == "wavelength":
+        return findings + _check_slum(where, header, rows)
+    quantities = _quantities(header, directional)
+    first = next((key for key in WAVELENGTH_UNITS if key in header), None)
+    # Tables of a library are in µm only.
+    if first is None or not quantities or (directional is not None and first != "wavelength_um"):
+        wanted = {
+            "fresnel": ", ".join(INDEX_OF_REFRACTION_COLUMNS),
+            "table": "wavelength_um, at_0 … at_90",
+            None: f"one of {', '.join(WAVELENGTH_UNITS)} and one of {', '.join(QUANTITIES)}",
+        }.get(directional, ", ".join(SPECTRUM_COLUMNS))
+        return findings + [
+            Finding(True, where, f"row 1 holds {shortened(', '.join(header))}; it must hold {wanted}, which state the "
+                    "units")
+        ]  # fmt: skip
+    numbers = [row for row, _ in rows]
+    axis, found = _column(where, numbers, first, [cells[first] for _, cells in rows])
+    findings += found
+    if first == "wavelength_um":
+        axis, found = _to_um(where, axis)
+        # In another unit all values are outside, which is reported once.
+        findings += found or _outside(where, numbers, first, axis, 0.0, LONGEST_WAVELENGTH_UM, "the column is in µm")
+    else:
+        axis = WAVELENGTH_UNITS[first](axis)
+    # Wavenumbers, and tables that `import` sorts, may be in either order.
+    order = _order(where, numbers, axis, first)
+    if directional is not None or found or np.any(np.diff(axis) >= 0.0):
+        findings += order if not (found and np.all(np.diff(axis) < 0.0)) else []
+    for column in quantities:
+        values, found = _column(where, numbers, column, [cells[column] for _, cells in rows])
+        findings += found
+        if column in ("n", "k"):
+            findings += _outside(where, numbers, column, values, 1e-3 if column == "n" else 0.0, 1e3, "give n + ik")
+        else:
+            findings += _share(where, numbers, column, values, "percent" in column)
+    if "emissivity_std" in header:
+        findings += _spread(where, numbers, [cells["emissivity_std"] for _, cells in rows], samples)
+    return findings + _coverage(where, axis)
+
+
+def _check_slum(where, header, rows):
+    """Return the findings on a SLUM table: emissivity against µm, or reflectance [%] against nm, one column each."""
+    numbers = [row for row, _ in rows]
+    axis, findings = _column(where, numbers, header[0], [cells[header[0]] for _, cells in rows])
+    short_wave = bool(np.nanmax(axis) > LONGEST_WAVELENGTH_UM)
+    axis = axis / 1e3 if short_wave else axis
+    findings += _order(where, numbers, axis, header[0])
+    for column in header[1:]:
+        values, found = _column(where, numbers, column, [cells[column] for _, cells in rows])
+        findings += found + _share(where, numbers, column, values, short_wave)
+    return findings if short_wave else findings + _coverage(where, axis)
+
+
+def _check_ecostress(path):
+    where = path.name
+    header, pairs = ecostress_lines(path)
+    findings = []
+    to_um, divisor = WAVELENGTH_UNITS["wavelength_um"], 100.0
+    try:
+        to_um, divisor = stated_units(where, header)
+    except ThermorenderError as error:
+        findings.append(Finding(True, where, str(error).removeprefix(f"{where} ")))
+    if "hemispherical" not in header.get("measurement", "").lower():
+        findings.append(
+            Finding(True, where, f"measured as {header.get('measurement', 'not stated')!r}; one minus reflectance is "
+                    "emissivity for hemispherical reflectance only, so leave the sample out")
+        )  # fmt: skip
+    if len(pairs) < 2:
+        return findings + [Finding(True, where, f"holds {len(pairs)} pairs of numbers; order the whole file again")]
+    if not header.get("origin") and not header.get("owner"):
+        findings.append(Finding(False, where, "names neither origin nor owner; add the source yourself"))
+    numbers = list(range(1, len(pairs) + 1))
+    x, y = np.array(pairs).T
+    with np.errstate(divide="ignore"):
+        wavelength, percent = to_um(x), 100.0 * y / divisor
+    if wavelength[0] > wavelength[-1]:
+        wavelength, percent, numbers = wavelength[::-1], percent[::-1], numbers[::-1]
+    wavelength, found = _to_um(where, wavelength)
+    findings += found + _order(where, numbers, wavelength, "wavelength", "pair")
+    thermal = wavelength > 3.2
+    inside = _share(where, np.array(numbers)[thermal], "reflectance", percent[thermal], True, "pair")
+    return findings + inside + _coverage(where, wavelength)
+
+
+def _table(folder, path, columns, where=None):
+    """Return header, rows and findings of a CSV file, continuing after faults if possible."""
+    where, findings = where or path.name, []
+    if folder is not None and not inside(path, folder):
+        return [], [], [Finding(True, where, f"leads out of {folder}; put the file itself into the folder")]
+    if not path.is_file():
+        text = "does not exist; a materials folder holds index.csv and spectra/<name>.csv"
+        return [], [], [Finding(True, where, text)]
+    raw = path.read_bytes()
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        text = f"is not UTF-8 text ({error.reason} at byte {error.start}); save it as 'CSV UTF-8' in the spreadsheet"
+        findings.append(Finding(True, where, text))
+        text = raw.decode("latin-1")
+    first = text.partition("\n")[0]
+    delimiter = ","
+    if ";" in first and "," not in first:
+        findings.append(Finding(True, where, "is separated by semicolons; save it comma-separated"))
+        delimiter = ";"
+    try:
+        table = csv_rows(text, where, delimiter)
+    except ThermorenderError as error:
+        row, _, fault = str(error).partition(": ")
+        return [], [], findings + [Finding(True, row, fault)]
+    header = [cell.strip() for cell in table[0]] if table else []
+    missing = [column for column in columns if column not in header]
+    twice = {column for column in header if column and header.count(column) > 1}
+    if missing or not header or twice:
+        fault = f"lacks column {', '.join(missing)}" if missing else "holds no headings"
+        fault = f"holds column {', '.join(sorted(twice))} twice" if twice else fault
+        advice = f"; the first row must hold {', '.join(columns) or 'the names of the columns'}, each once"
+        return header, [], findings + [Finding(True, where, f"row 1 {fault}{advice}")]
+    rows = []
+    for number, cells in enumerate(table[1:], start=2):
+        if any(cell.strip() for cell in cells):
+            if fault := beyond(header, cells):
+                findings.append(Finding(True, f"{where}, row {number}", fault))
+            cells = cells + [""] * (len(header) - len(cells))
+            rows.append((number, {key: cell.strip() for key, cell in zip(header, cells, strict=False)}))
+    return header, rows, findings
+
+
+def _quantities(header, directional):
+    """Return the value columns that a table of this kind must have; empty if they are missing."""
+    angles = [column for column in header if ANGLE_COLUMN.fullmatch(column)]
+    if directional == "fresnel" or (directional is None and {"n", "k"} <= set(header)):
+        return ["n", "k"] if {"n", "k"} <= set(header) else []
+    if directional == "table" or (directional is None and angles):
+        return angles if {"at_0", "at_90"} <= set(angles) else []
+    if directional is None:
+        return [column for column in QUANTITIES if column in header][:1]
+    return ["emissivity"] if set(SPECTRUM_COLUMNS) <= set(header) else []
+
+
+def _column(where, numbers, column, texts):
+    """Return the values of a column, NaN where a cell is not a number, and one finding on these."""
+    values = np.full(len(texts), np.nan)
+    for index, text in enumerate(texts):
+        try:
+            values[index] = decimal(text)
+        except ValueError:
+            continue
+    bad = np.flatnonzero(~np.isfinite(values))
+    if not bad.size:
+        return values, []
+    first = shortened(repr(texts[bad[0]]))
+    text = f"{column}={first} is not a number{_more(bad)}; write it with a point as decimal mark and no unit"
+    return values, [Finding(True, f"{where}, row {numbers[bad[0]]}", text)]
+
+
+def _to_um(where, wavelength):
+    """Return the wavelengths converted to µm from their apparent unit, and a finding if that is not µm."""
+    known = wavelength[np.isfinite(wavelength)]
+    if not known.size or (known.max() <= LONGEST_WAVELENGTH_UM and not known.min() >= 300.0):
+        return wavelength, []
+    span = f"wavelength_um runs over {known.min():g}–{known.max():g}"
+    # 1–100 µm is 100–10000 cm⁻¹, and 1000–100000 nm; a thermal table that ends below 5000 is in wavenumbers.
+    if known.max() < 5000.0:
+        return 1e4 / wavelength, [Finding(True, where, f"{span}: wavenumbers in cm⁻¹? write 10000 divided by them")]
+    return wavelength / 1e3, [Finding(True, where, f"{span}: nanometres? divide the column by 1000")]
+
+
+def _order(where, numbers, wavelength, column, word="row"):
+    steps = np.diff(wavelength)
+    findings = []
+    repeated, falling = np.flatnonzero(steps == 0.0), np.flatnonzero(steps < 0.0)
+    if repeated.size:
+        at = repeated[0] + 1
+        text = f"{column} repeats the {word} above ({wavelength[at]:g} µm){_more(repeated)}; keep one {word} for each"
+        findings.append(Finding(True, f"{where}, {word} {numbers[at]}", text))
+    if falling.size:
+        at = falling[0] + 1
+        text = (
+            f"{column} is less than in the {word} above ({wavelength[at]:g} after {wavelength[at - 1]:g} µm)"
+            f"{_more(falling)}; sort the table by it, ascending"
+        )
+        findings.append(Finding(True, f"{where}, {word} {numbers[at]}", text))
+    return findings
+
+
+def _share(where, numbers, column, values, percent, word="row"):
+    """Return the findings on values within 0…1, or within 0…100 percent."""
+    known = values[np.isfinite(values)]
+    if not percent and known.size and np.median(known) > 1.5 and known.max() <= 100.0:
+        text = f"{column} runs over {known.min():g}–{known.max():g}: percent? divide the column by 100"
+        return [Finding(True, where, text)]
+    top = 100.0 if percent else 1.0
+    return _outside(where, numbers, column, values, 0.0, top, "leave the sample out, or correct it", word)
+
+
+def _outside(where, numbers, column, values, low, high, advice, word="row"):
+    bad = np.flatnonzero((values < low) | (values > high))
+    if not bad.size:
+        return []
+    text = f"{column}={values[bad[0]]:g} is not within {low:g}…{high:g}{_more(bad)}; {advice}"
+    return [Finding(True, f"{where}, {word} {numbers[bad[0]]}", text)]
+
+
+def _spread(where, numbers, texts, samples):
+    values, findings = _column(where, numbers, "emissivity_std", [text or "0" for text in texts])
+    findings += _outside(where, numbers, "emissivity_std", values, 0.0, 1.0, "give the standard deviation, or nothing")
+    if samples.isdigit() and int(samples) > 1 and not any(texts):
+        text = f"emissivity_std is empty for {samples} samples; give their standard deviation"
+        findings.append(Finding(False, where, text))
+    if samples == "1" and any(text and decimal(text) == 0.0 for text in texts if _is_number(text)):
+        text = "emissivity_std is 0 for one sample, whose spread is unknown; leave the column empty"
+        findings.append(Finding(False, where, text))
+    return findings
+
+
+def _coverage(where, wavelength):
+    """Return the findings on gaps and on the range of the wavelengths [µm]."""
+    known = np.unique(wavelength[np.isfinite(wavelength)])
+    if known.size < 2:
+        return [Finding(True, where, f"holds {known.size} wavelengths; a spectrum needs at least 2")]
+    findings = [
+        Finding(True, where, f"has a gap: no row between {start:g} and {end:g} µm, and wavelengths there are refused; "
+                "measure there, or add rows of your own")
+        for start, end in gaps(known)
+        if end > WANTED_RANGE_UM[0] and start < WANTED_RANGE_UM[1]
+    ]  # fmt: skip
+    if known[0] > WANTED_RANGE_UM[0] + 1e-9 or known[-1] < WANTED_RANGE_UM[1] - 1e-9:
+        text = (
+            f"covers {known[0]:g}–{known[-1]:g} µm, not all of {WANTED_RANGE_UM[0]:g}–{WANTED_RANGE_UM[1]:g}; a camera "
+            "whose band reaches further refuses it"
+        )
+        findings.append(Finding(False, where, text))
+    return findings
+
+
+def _more(bad):
+    return f" (and {bad.size - 1} more)" if bad.size > 1 else ""
+
+
+def _is_number(text):
+    try:
+        return np.isfinite(decimal(text))
+    except ValueError:
+        return False

@@ -1,0 +1,3 @@
+"""The material studio: a page in the browser where an edit of a material table shows in the rendered frame."""
+
+VERBS = {"studio": "verbs:studio"}

@@ -1,0 +1,160 @@
+"""The web application of the studio: its routes, how it is served, and who may use it."""
+
+import asyncio
+import contextlib
+import hmac
+import secrets
+import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import uvicorn
+from fastapi import FastAPI, Response
+from nicegui import ui
+from starlette.datastructures import Headers
+from starlette.requests import HTTPConnection
+from starlette.responses import PlainTextResponse, RedirectResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from thermorender.apps.studio.ground import map_picture
+from thermorender.apps.studio.page import Tab
+from thermorender.apps.studio.session import Session
+from thermorender.apps.studio.spectrum import MOST_BYTES
+
+if TYPE_CHECKING:
+    import socket
+
+    from thermorender.apps.studio.scene_files import SceneFiles
+    from thermorender.render.renderer import Renderer
+
+_LEAVES_S = 3
+_LOCAL = ("127.0.0.1", "localhost", "[::1]")
+_NOT_KEPT = {"cache-control": "no-store"}
+
+
+class Guard:
+    """An ASGI application in front of another one, which refuses what does not come from the studio's own page.
+
+    Parameters
+    ----------
+    app : ASGI application
+    token : str
+    host : str
+        Address that is listened on. One that is reached from other machines admits every host name.
+    port : int
+    """
+
+    def __init__(self, app: ASGIApp, token: str, host: str, port: int) -> None:
+        # A cookie of the port, since a browser sends the cookies of all ports of an address.
+        self._app, self._token, self._cookie = app, token, f"thermorender_studio_{port}"
+        self._names = _LOCAL if host in (*_LOCAL, "::1") else None
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request or a websocket, or refuse it with a sentence."""
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+            return
+        asked, web = HTTPConnection(scope), scope["type"] == "http"
+        answer: ASGIApp = self._app
+        if fault := self._fault(asked.headers):
+            answer = PlainTextResponse(f"{fault}\n", 403, _NOT_KEPT)
+        elif web and self._is_token(asked.query_params.get("token", "")):
+            # The token goes into a cookie, and out of the address.
+            answer = RedirectResponse("/", 303, _NOT_KEPT)
+            answer.set_cookie(self._cookie, self._token, httponly=True, samesite="strict")
+        elif not self._is_token(asked.cookies.get(self._cookie, "")):
+            fault = "the token is missing or wrong; open the address that thermorender printed"
+            answer = PlainTextResponse(f"{fault}\n", 403, _NOT_KEPT)
+        elif web and int(asked.headers.get("content-length") or 0) > MOST_BYTES:
+            fault = f"the file is larger than {MOST_BYTES // 1_000_000} MB; give a smaller one"
+            answer = PlainTextResponse(f"{fault}\n", 413, _NOT_KEPT)
+        await answer(scope, _limited(receive) if web else receive, send)
+
+    def _fault(self, headers: Headers) -> str:
+        """Why the addresses of a request are not the studio's; "" if they are."""
+        host, origin = headers.get("host", ""), headers.get("origin")
+        if self._names is not None and host.rpartition(":")[0] not in self._names:
+            return f"host {host[:80]!r} is not the studio's; open the address that thermorender printed"
+        if origin not in (None, f"http://{host}", f"https://{host}"):
+            return f"origin {str(origin)[:80]!r} is not the studio's page; open the address that thermorender printed"
+        return ""
+
+    def _is_token(self, given: str) -> bool:
+        return hmac.compare_digest(given.encode(), self._token.encode())
+
+
+def _limited(receive: Receive) -> Receive:
+    """`receive` that ends a body without a stated length where it becomes too long."""
+    count = 0
+
+    async def limited() -> Message:
+        nonlocal count
+        message = await receive()
+        count += len(message.get("body", b""))
+        return message if count <= MOST_BYTES else {"type": "http.disconnect"}
+
+    return limited
+
+
+def run(
+    renderer: "Renderer", files: "SceneFiles", listening: "socket.socket", host: str, pose: str, quality: str,
+    announce: Callable[[str], object],
+) -> None:  # fmt: skip
+    """Serve the studio until Ctrl-C.
+
+    Parameters
+    ----------
+    renderer : Renderer
+    files : SceneFiles
+        Of its scene, from when it was loaded.
+    listening : socket
+        Of `thermorender.apps.link.access.listening`.
+    host : str
+        Its address.
+    pose : str
+        E,N,U,YAW,PITCH,ROLL of the first view.
+    quality : str
+        Of the renderer.
+    announce : callable (address)
+        Called with the address that a browser opens.
+    """
+    token, port = secrets.token_urlsafe(24), int(listening.getsockname()[1])
+    session = Session(renderer, quality, files)
+    config = uvicorn.Config(
+        Guard(_application(session, pose), token, host, port), log_level="error", access_log=False, lifespan="on",
+        timeout_graceful_shutdown=_LEAVES_S, ws_max_size=4_000_000, server_header=False,
+    )  # fmt: skip
+    reached = "127.0.0.1" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
+    session.renders.start()
+    announce(f"http://{reached}:{port}/?token={token}")
+    sys.stdout.flush()
+    try:
+        with contextlib.suppress(KeyboardInterrupt, asyncio.CancelledError):
+            uvicorn.Server(config).run(sockets=[listening])
+    finally:
+        session.close()
+
+
+def _application(session: Session, pose: str) -> FastAPI:
+    app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
+
+    @app.get("/frame/{tab}/{number}")
+    async def frame(tab: str, number: int) -> Response:
+        picture = session.renders.fetch(tab)
+        if picture is None or not picture.data:
+            return Response(status_code=404)
+        return Response(picture.data, media_type=picture.kind, headers=_NOT_KEPT)
+
+    @app.get("/map/{layer}/{version}/{percent}")
+    def map_of(layer: str, version: int, percent: int) -> Response:
+        return Response(map_picture(session, percent, layer), media_type="image/jpeg", headers=_NOT_KEPT)
+
+    @ui.page("/", title=f"{session.base.name} – thermorender studio", reconnect_timeout=30.0)
+    def page() -> None:
+        Tab(session, pose)
+
+    ui.run_with(
+        app, binding_refresh_interval=None, reconnect_timeout=30.0, tailwind=False, show_welcome_message=False,
+        favicon="🌡️",
+    )  # fmt: skip
+    return app

@@ -1,0 +1,198 @@
+"""What a tab looks at: a pose that a hand can turn, how the picture is drawn, and both as a file or lines of code."""
+
+import shlex
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from thermorender.errors import ThermorenderError
+from thermorender.files import scratch_folder
+from thermorender.numbers import parse_numbers
+from thermorender.trajectory.path import pose as local_pose
+from thermorender.trajectory.rotations import BODY_FROM_CAMERA, ENU_FROM_NED, angles_from_rotation
+from thermorender.units import utc_text
+
+if TYPE_CHECKING:
+    from thermorender.apps.studio.session import Session
+    from thermorender.scene.scene import Scene
+
+MODES = {
+    "apparent": "Apparent temperature",
+    "difference": "Difference to saved",
+    "display": "Camera display",
+    "photograph": "Photograph",
+    "materials": "Material map",
+    "map": "Map to paint on",
+}
+POSE_PARTS = ("E", "N", "U", "YAW", "PITCH", "ROLL")
+_LEAST_ABOVE_M, _NEAREST_M, _FARTHEST_M = 2.0, 5.0, 20_000.0
+_STEEPEST_DEG, _FLATTEST_DEG = -90.0, 5.0
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A camera's local position [m] and angles [deg], and the distance of the point it turns around [m]."""
+
+    east: float
+    north: float
+    up: float
+    yaw_deg: float
+    pitch_deg: float
+    roll_deg: float
+    distance_m: float
+
+    @classmethod
+    def typed(cls, text: str, scene: "Scene", where: str = "pose") -> "Pose":
+        """Return the Pose of E,N,U,YAW,PITCH,ROLL, with U above the ground, as `--pose` on the command line."""
+        east, north, above, *angles = parse_numbers(where, text, POSE_PARTS)
+        return cls.seen(scene.pose(east, north, above, angles[0], angles[1], angles[2]), scene)
+
+    @classmethod
+    def seen(cls, matrix: NDArray[np.float64], scene: "Scene") -> "Pose":
+        """Return the Pose of a world_from_camera."""
+        turned = Rotation.from_matrix(ENU_FROM_NED.T @ matrix[:3, :3] @ BODY_FROM_CAMERA.T)
+        yaw, pitch, roll = (float(angle) for angle in angles_from_rotation(turned))
+        east, north, up = (float(v) for v in matrix[:3, 3])
+        made = cls(east, north, up, yaw % 360.0, pitch, roll, 200.0)
+        return replace(made, distance_m=made._to_ground(scene))
+
+    def matrix(self) -> NDArray[np.float64]:
+        """Return world_from_camera, (4, 4)."""
+        return local_pose(self.east, self.north, self.up, self.yaw_deg, self.pitch_deg, self.roll_deg)
+
+    def text(self, scene: "Scene") -> str:
+        """Return E,N,U,YAW,PITCH,ROLL with U above the ground."""
+        above = self.up - self._ground(scene, self.east, self.north)
+        numbers = (self.east, self.north, above, self.yaw_deg, self.pitch_deg, self.roll_deg)
+        return ",".join(f"{number:.1f}".replace("-0.0", "0.0").removesuffix(".0") for number in numbers)
+
+    def orbited(self, right_deg: float, up_deg: float, zoom: float, scene: "Scene") -> "Pose":
+        """Return the Pose turned around the point in the middle of the picture, at `zoom` times the distance."""
+        steepest, flattest = min(_STEEPEST_DEG, self.pitch_deg), max(_FLATTEST_DEG, self.pitch_deg)
+        other = replace(
+            self, yaw_deg=(self.yaw_deg + right_deg) % 360.0,
+            pitch_deg=float(np.clip(self.pitch_deg + up_deg, steepest, flattest)),
+            distance_m=float(np.clip(self.distance_m * zoom, _NEAREST_M, _FARTHEST_M)),
+        )  # fmt: skip
+        target = self.matrix()[:3, 3] + self.distance_m * self.matrix()[:3, 2]
+        east, north, up = (float(v) for v in target - other.distance_m * other.matrix()[:3, 2])
+        return replace(other, east=east, north=north, up=up)._above(scene)
+
+    def moved(self, right: float, down: float, scene: "Scene") -> "Pose":
+        """Return the Pose after a pan along the ground, by shares of the distance."""
+        yaw = np.radians(self.yaw_deg)
+        east = self.distance_m * (-right * np.cos(yaw) + down * np.sin(yaw))
+        north = self.distance_m * (right * np.sin(yaw) + down * np.cos(yaw))
+        return replace(self, east=self.east + float(east), north=self.north + float(north))._above(scene)
+
+    def _above(self, scene: "Scene") -> "Pose":
+        least = self._ground(scene, self.east, self.north) + _LEAST_ABOVE_M
+        return replace(self, up=max(self.up, least))
+
+    def _to_ground(self, scene: "Scene") -> float:
+        axis, distance = self.matrix()[:3, 2], 200.0
+        if axis[2] > -0.05:
+            return distance
+        for _ in range(3):
+            ground = self._ground(scene, self.east + distance * axis[0], self.north + distance * axis[1])
+            distance = float(np.clip((self.up - ground) / -axis[2], _NEAREST_M, _FARTHEST_M))
+        return distance
+
+    @staticmethod
+    def _ground(scene: "Scene", east: float, north: float) -> float:
+        ground = float(scene.ground(east, north))
+        return ground if ground == ground else 0.0
+
+
+@dataclass(frozen=True)
+class View:
+    """A pose and how its picture is drawn.
+
+    Attributes
+    ----------
+    pose : Pose
+    time_s : float
+        On the tracks of moving objects [s].
+    mode : str
+        One of `MODES`.
+    palette : str
+    limits : (float, float) or None
+        Fixed ends of the colours [K]; None: as the picture needs.
+    """
+
+    pose: Pose
+    time_s: float = 0.0
+    mode: str = "apparent"
+    palette: str = "ironbow"
+    limits: tuple[float, float] | None = None
+
+
+def limits_of(low: str, high: str) -> tuple[float, float] | None:
+    """Return the fixed ends of the colours from two texts [K]; None where both are empty.
+
+    Raises
+    ------
+    ThermorenderError
+        A text is not a number, or the ends are not in order.
+    """
+    if not low.strip() and not high.strip():
+        return None
+    try:
+        ends = float(low), float(high)
+    except ValueError:
+        raise ThermorenderError(
+            f"range={low!r}…{high!r} is not two numbers; give both ends in kelvin, or leave both empty"
+        ) from None
+    if not 0.0 <= ends[0] < ends[1]:
+        raise ThermorenderError(f"range={low}…{high} is not in order; give the colder end first, in kelvin")
+    return ends
+
+
+def exported(session: "Session", tab: str, kind: str, metres: float) -> tuple[bytes, str]:
+    """Return (contents, name) of a file of a tab's frame: png, exr, npz, tif, or map for an orthorectified GeoTIFF."""
+    frame = session.renders.frame(tab)
+    if frame is None or kind not in ("png", "exr", "npz", "tif", "map"):
+        raise ThermorenderError("there is no frame yet, or no such kind of file; reload the page")
+    name = f"{session.base.name}-{kind}.tif" if kind == "map" else f"{session.base.name}.{kind}"
+
+    def made() -> bytes:
+        with scratch_folder() as scratch:
+            path = scratch / f"frame.{'tif' if kind == 'map' else kind}"
+            (frame.orthorectified(metres) if kind == "map" else frame).save(path)
+            return path.read_bytes()
+
+    return session.renders.call(made), name
+
+
+def commands(session: "Session", view: View) -> tuple[str, str]:
+    """Return (Python, command line) that render a view; unsaved edits of tables are named, not repeated."""
+    scene, document, saved = session.base, session.document, session.files.saved
+    pose, place = view.pose.text(scene), str(scene.spec.folder)
+    numbers = pose.replace(",", ", ")
+    edits: dict[Any, str] = {key: name for key, name in document.classes.items() if name != saved.classes.get(key)}
+    objects = {key: each for key, each in document.objects.items() if each != saved.objects.get(key)}
+    edits |= {key: name for key, (name, _) in objects.items() if name != saved.objects[key][0]}
+    kelvin = {key: k for key, (_, k) in objects.items() if k != saved.objects[key][1]}
+    unsaved = document.changed(saved) + (["painted areas"] if document.painted != saved.painted else [])
+    python = [_not_here(unsaved) + f"import thermorender as tr\n\nscene = tr.load_scene({place!r})"]
+    python += [f"scene = scene.at({utc_text(document.time)!r})"] if document.time is not None else []
+    python += [f"scene = scene.with_material({edits!r})"] if edits else []
+    python += [f"scene = scene.with_objects({kelvin!r})"] if kelvin else []
+    python += [f"renderer = tr.Renderer(scene, {session.quality!r})"]
+    python += [f"frame = renderer.frame(scene.pose({numbers}), {view.time_s:g})", 'frame.save("frame.exr")', ""]
+    return "\n".join(python), _not_here(unsaved + [str(key) for key in {**edits, **kelvin}]) + command(session, view)
+
+
+def _not_here(unsaved: list[str]) -> str:
+    return f"# not saved yet, so not in these lines: {', '.join(unsaved)}\n" if unsaved else ""
+
+
+def command(session: "Session", view: View) -> str:
+    """Return the command line that renders a view of the saved scene."""
+    scene, time = session.base, session.document.time
+    options = [str(scene.spec.folder), "--quality", session.quality, f"--pose={view.pose.text(scene)}"]
+    options += ["--time", utc_text(time)] if time is not None else []
+    return shlex.join(["thermorender", "render", *options, "-o", "out"]) + "\n"

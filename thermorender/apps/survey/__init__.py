@@ -1,0 +1,3 @@
+"""Real frames: cameras fitted to their footage, and maps of temperature reconstructed from surveys."""
+
+VERBS = {"fit-camera": "verbs:fit_camera", "reconstruct": "verbs:reconstruct"}

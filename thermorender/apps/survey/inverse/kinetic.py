@@ -1,0 +1,126 @@
+"""Between apparent and kinetic temperature of the terrain's texels, with the scene's emissivity and reflected light.
+
+A texel emits by its own temperature and reflects sky and surroundings. The reflected radiance is that of the scene's
+light, solved with its own temperatures; it changes little with those of a reconstruction.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.apps.survey.inverse.linear import RANGE_K, LinearKelvin
+from thermorender.apps.survey.inverse.weights import Lattice
+from thermorender.learned.apply import LOWEST_EMISSIVITY
+from thermorender.physics.band import RadianceTable, emitted_radiance
+from thermorender.physics.surface import reflected_radiance
+
+if TYPE_CHECKING:
+    from thermorender.render.renderer import Renderer
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """The terrain's radiance by a scene's own temperatures and light, on the texels of a map.
+
+    Attributes
+    ----------
+    apparent : (h, w) float64
+        Radiance that leaves each texel [linear kelvin].
+    reflected : (h, w) float64
+        Reflected part [W m⁻² sr⁻¹].
+    material : (h, w) uint8
+        Of the texel's middle, index in the scene's materials.
+    kinetic : (h, w) float64
+        The scene's own temperature [K].
+    """
+
+    apparent: Floats
+    reflected: Floats
+    material: NDArray[np.uint8]
+    kinetic: Floats
+
+
+def light_of(renderer: "Renderer", lattice: Lattice, linear: LinearKelvin) -> Light:
+    """Return the Light of a renderer's scene on a map."""
+    scene, baked = renderer.scene, renderer.baked
+    ground = scene.surfaces[0]
+    count = ground.material.size
+    leaving = sum(channel[:count].astype(np.float64) for channel in baked.texels)
+    if baked.faces is not None:
+        own = np.append(baked.faces.sum(axis=1, dtype=np.float64), 0.0)
+        leaving = leaving + own[np.array(baked.geometry.face_of_texel)[:count]]
+    leaving = np.asarray(leaving).reshape(ground.material.shape)
+    emitted = np.empty(leaving.shape)
+    for number in np.unique(ground.material):
+        here = ground.material == number
+        emitted[here] = _table(renderer, int(number), linear)(ground.temperature[here])
+    material = ground.material[np.ix_(*lattice.middles(ground.material.shape))]
+    return Light(
+        lattice.of_scene(linear.of_radiance(leaving)), lattice.of_scene(leaving - emitted), material,
+        lattice.of_scene(ground.temperature),
+    )  # fmt: skip
+
+
+def kinetic_of(
+    apparent: Floats, light: Light, renderer: "Renderer", linear: LinearKelvin
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:  # fmt: skip
+    """Return (kinetic temperature (h, w) [K], its change with linear kelvin (h, w), trusted (h, w) bool).
+
+    Parameters
+    ----------
+    apparent : (h, w) array
+        Linear kelvin of the radiance that leaves each texel; NaN where unknown.
+    light : Light
+    renderer : Renderer
+    linear : LinearKelvin
+
+    Notes
+    -----
+    A texel is not trusted if its emissivity is below 0.5, if it reflects by angle as water and glass do, or if the
+    equation has no solution. Its kinetic temperature is that of the scene.
+    """
+    scene = renderer.scene
+    emitted = linear.radiance(apparent) - light.reflected
+    kinetic, change = light.kinetic.copy(), np.zeros(apparent.shape)
+    trusted = np.zeros(apparent.shape, bool)
+    for number in np.unique(light.material):
+        here, material = light.material == number, scene.materials[number]
+        low = material.band_emissivity(*linear.band_um, linear.reference_k) < LOWEST_EMISSIVITY
+        table = _table(renderer, int(number), linear)
+        step = 0.05 * linear.slope
+        found = table.inverse(emitted[here])
+        slope = (table.inverse(emitted[here] + step) - table.inverse(emitted[here] - step)) / 0.1
+        known = np.isfinite(found) & np.isfinite(slope)
+        if low or material.emissivity_by_angle is not None:
+            known[:] = False
+        kinetic[here] = np.where(known, found, kinetic[here])
+        change[here] = np.where(known, slope, 0.0)
+        trusted[here] = known
+    return kinetic, change, trusted
+
+
+def apparent_of(kinetic_k: float, number: int, reflected: float, renderer: "Renderer", linear: LinearKelvin) -> float:
+    """Return linear kelvin of a texel of a material with a kinetic temperature [K] that reflects a radiance.
+
+    Water and glass, which reflect by angle, are taken as seen from above under the scene's sky.
+    """
+    material = renderer.scene.materials[number]
+    if material.emissivity_by_angle is None:
+        emitted = float(_table(renderer, number, linear)(np.array([kinetic_k]))[0])
+    else:
+
+        def upward(wavelength_um: Floats) -> Floats:
+            return np.asarray(material.emissivity_at_angle(wavelength_um, 1.0))
+
+        emitted = float(emitted_radiance(upward, kinetic_k, *linear.band_um))
+        reflected = float(reflected_radiance(upward, renderer.scene.sky_temperature, *linear.band_um))
+    return float(linear.of_radiance(np.array([emitted + reflected]))[0])
+
+
+def _table(renderer: "Renderer", number: int, linear: LinearKelvin) -> RadianceTable:
+    material = renderer.scene.materials[number]
+    return RadianceTable.of(material.emissivity_at, *RANGE_K, *linear.band_um)

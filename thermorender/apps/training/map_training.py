@@ -1,0 +1,291 @@
+"""Training of a learned temperature map on a data set: the method's inputs, and the map's metadata."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from thermorender.apps.training.bounds import bounds_of_dataset
+from thermorender.apps.training.cut import Cut, moved
+from thermorender.apps.training.dataset import Dataset
+from thermorender.apps.training.map_inputs import depth_of, ground_of, inputs_of
+from thermorender.apps.training.training_methods import METHODS, method
+from thermorender.errors import ThermorenderError
+from thermorender.learned.fingerprints import fingerprints_of, stored_numbers
+from thermorender.learned.temperature_map import ASSUMED_SKY_K, Inputs, TemperatureMap
+from thermorender.learned.training import Example, Task
+from thermorender.physics.planck import band_radiance, brightness_temperature
+from thermorender.units import ZERO_CELSIUS_K
+from thermorender.versions import version_of, versions
+
+# Lowest temperature of intensity 0 [K], below any sky's in the band. Chosen.
+_COLDEST_K = 150.0
+# A map's stated error is measured on this many evenly spaced validation pairs, at every n-th row and column.
+_ERROR_PAIRS = 60
+_EVERY = 4
+# Conditions whose range over the training pairs is recorded.
+_RANGES = ("air_k", "wind_m_s", "snow_m", "sun_elevation_deg", "solar_hour", "day")
+
+
+def train_map(
+    name: str, method_name: str, dataset: Dataset, options: Mapping[str, Any] | None = None, seed: int = 0,
+    progress: Callable[[str, float], None] | None = None, parts: Sequence[str] = ("train", "validation"),
+    material: bool = False, shift_px: float = 0.0, share: float = 1.0, run: str | Path | None = None,
+    resume: bool = False,
+) -> TemperatureMap:  # fmt: skip
+    """Return the TemperatureMap of a method, trained on some parts of a Dataset.
+
+    Parameters
+    ----------
+    name : str
+    method_name : str
+        Name as `learned.training_methods.method` takes it.
+    dataset : Dataset
+    options : dict, optional
+        Options that replace the method's defaults.
+    seed : int
+    progress : callable, optional
+        Called with (task, fraction done).
+    parts : sequence of str
+        The published correlations were fitted on training and validation.
+    material : bool
+        Give the method the true material of each pixel: a privileged map.
+    shift_px : float
+        Shift each thermal picture by a random vector of this length, to train on misaligned pairs [px].
+    share : float
+        Share of the sequences to train on, evenly spaced over the data set's order, at least one.
+    run : path, optional
+        Folder for checkpoints, log and sample pictures of a network's training.
+    resume : bool
+        Resume the training of that folder.
+
+    Raises
+    ------
+    ThermorenderError
+        The method or an option is unknown, or the data set lacks pairs or inputs of the method.
+
+    Notes
+    -----
+    Intensity follows equation 2 of the published method: 0 and 1 are 1.5 interquartile ranges below and above the
+    quartiles of the training values, with 0 at 150 K or above. Saturated pixels are left out.
+    """
+    how, report_progress = method(method_name), progress or (lambda task, fraction: None)
+    options = checked_options(method_name, how.options, options or {})
+    if material:
+        _refuse_privileged(method_name)
+    pairs, cut = _some(dataset.of(*parts), share), Cut(shift_px=shift_px, seed=seed)
+    if not len(pairs):
+        raise ThermorenderError(f"{dataset.folder} has no pairs in {' or '.join(parts)}; give a split that has some")
+    refuse_missing_conditions(method_name, pairs)
+    report_progress("counting values", 0.0)
+    scale, usable = dataset.scale, ~_saturated(dataset.card, np.arange(65536))
+    bounds = bounds_of_dataset(dataset.of("train") if len(dataset.of("train")) else pairs, usable)
+    range_k = _range_k(scale, bounds)
+    cold, warm = band_radiance(np.array(range_k), *scale.band_um)
+    depth = pairs.pair(pairs.entries[0], truth=False).thermal.dtype
+    radiance = scale.radiance(np.arange(np.iinfo(depth).max + 1))
+    with np.errstate(invalid="ignore"):
+        kelvin = brightness_temperature(np.maximum(radiance, 1e-6), *scale.band_um)
+    started = time.perf_counter()
+    texel_m, texel_range_m = _sampling(pairs.entries)
+    held = np.array([entry.part == "validation" for entry in pairs.entries])
+    task = Task(
+        _Examples(pairs, how.plus, options, material, cut, usable), (radiance - cold) / (warm - cold), kelvin, seed,
+        report_progress, options, texel_m, texel_range_m, held if held.any() and not held.all() else None, run, resume,
+    )  # fmt: skip
+    predictor = how.fit(task)
+    # A resumed training records the time of all its runs.
+    seconds = getattr(predictor, "trained", {}).get("seconds", time.perf_counter() - started)
+    skies = [entry.sky_temperature for entry in pairs.entries if entry.sky_temperature]
+    made = TemperatureMap(
+        name=name, method=method_name, predictor=predictor, range_k=range_k, band_um=scale.band_um,
+        texel_m=texel_m, texel_range_m=texel_range_m, camera=dataset.card.get("camera", "unknown"),
+        sky_temperature=float(np.mean(skies)) if skies else ASSUMED_SKY_K,
+        source=f"{method_name} on {_name_of(dataset, len(pairs))}", fingerprints=_fingerprints(pairs),
+    )  # fmt: skip
+    about = _about(dataset, pairs, parts, bounds, {"shift_px": shift_px, "share": share}) | {
+        "options": options, "seed": seed, "training_s": round(seconds, 2),
+        "training": getattr(predictor, "trained", {}), "versions": versions() | _library(method_name),
+    }  # fmt: skip
+    return _with_error(made, about, dataset, material)
+
+
+def _fingerprints(pairs):
+    """Fingerprints of the training pictures, or of as many as a map stores."""
+    some = [pairs.entries[k] for k in stored_numbers(len(pairs))]
+    return fingerprints_of((pairs.pair(entry, truth=False).visible for entry in some), len(pairs))
+
+
+def _library(method_name):
+    """{name: version} of the library that fitted a method, beside NumPy."""
+    name = "torch" if method(method_name).long else "lightgbm" if method_name.startswith("trees") else None
+    return {} if name is None else {name: version_of(name)}
+
+
+def _sampling(entries):
+    """(median, (least, most)) ground sampling distance of entries [m]."""
+    known = np.array([entry.texel_m for entry in entries if entry.texel_m] or [1.0])
+    return float(np.exp(np.median(np.log(known)))), (float(known.min()), float(known.max()))
+
+
+def _name_of(dataset, count):
+    """Words for the training pairs of a map's source."""
+    rendered = ", rendered from procedural scenes" if dataset.card.get("origin") == "rendered" else ""
+    return f"{count} pairs of {dataset.card.get('name', dataset.folder.name)}{rendered}"
+
+
+def _about(dataset, pairs, parts, bounds, shares):
+    """What a map records of its training pairs."""
+    return {
+        "dataset": {key: dataset.card.get(key) for key in ("name", "origin", "licence", "camera")},
+        "sky_assumed": not any(entry.sky_temperature for entry in pairs.entries),
+        "pairs": {part: len(pairs.of(part)) for part in parts}, **shares,
+        "sequences": len({entry.sequence for entry in pairs.entries}),
+        "conditions": _ranges(pairs.entries), "bounds": [bounds.low, bounds.high], "unit": dataset.scale.unit,
+    }  # fmt: skip
+
+
+def _range_k(scale, bounds):
+    """Temperatures of intensity 0 and 1 [K]."""
+    if scale.unit == "intensity":
+        return tuple(limit + ZERO_CELSIUS_K for limit in scale.range_c)
+    # With much sky in the pictures, the lower bound may be a negative radiance.
+    ends = np.maximum(scale.radiance([bounds.low, bounds.high]), band_radiance(_COLDEST_K, *scale.band_um))
+    return tuple(map(float, brightness_temperature(ends, *scale.band_um)))
+
+
+class _Examples(Sequence):
+    """Examples of a Dataset's pairs, read on demand."""
+
+    def __init__(self, pairs, plus, options, material, cut, usable):
+        self._pairs, self._plus, self._options, self._material = pairs, plus, options, material
+        self._cut, self._usable = cut, usable
+
+    def __len__(self):
+        return len(self._pairs)
+
+    def __getitem__(self, number):
+        entry, card = self._pairs.entries[number], self._pairs.card
+        planes = (*card.get("terrain", ()), *(["material"] if self._material else ())) if self._plus else ()
+        pair = self._pairs.pair(entry, truth=(*planes, *(["depth"] if self._options.get("depth") else ())))
+        if self._plus:
+            inputs = inputs_of(pair, card, self._material)
+        else:
+            # Colour only, plus air or depth if an option asks for it.
+            known = entry.conditions if self._options.get("above_air") else {}
+            inputs = Inputs(pair.visible, entry.texel_m, {}, known, depth_of(pair))
+        values, valid = pair.thermal, pair.valid
+        if self._cut.shift_px:
+            values, valid = moved(values, valid, entry.key, self._cut)
+        return Example(inputs, values, valid & self._usable[values])
+
+
+def has_conditions(dataset: Dataset) -> bool:
+    """Return whether a Dataset has the terrain's relief, and hour and weather of all its pairs."""
+    return bool(dataset.card.get("terrain")) and all(entry.conditions for entry in dataset.entries)
+
+
+def refuse_missing_conditions(method_name: str, dataset: Dataset) -> None:
+    """Refuse a method that needs relief, hour and weather for a Dataset that lacks them.
+
+    Raises
+    ------
+    ThermorenderError
+        The Dataset lacks them, or the method is unknown.
+    """
+    if method(method_name).plus and not has_conditions(dataset):
+        raise ThermorenderError(
+            f"method {method_name!r} needs the terrain's relief, hour and weather, which {dataset.folder} does not "
+            f"have; take {method_name.rstrip('+') if method_name != 'correlation+' else 'correlation-9to1'}"
+        )
+
+
+def _refuse_privileged(method_name):
+    """Refuse a method that does not use materials."""
+    if not method(method_name).classes:
+        known = ", ".join(name for name, each in METHODS.items() if each.classes)
+        raise ThermorenderError(
+            f"method {method_name!r} does not use materials, so its map cannot be privileged; take {known}, or leave "
+            "out --privileged"
+        )
+
+
+def _some(dataset, share):
+    """A data set with a share of its sequences, at least one; those of validation all stay."""
+    if share >= 1.0:
+        return dataset
+    names = list(dict.fromkeys(entry.sequence for entry in dataset.entries if entry.part != "validation"))
+    count = max(1, round(share * len(names)))
+    chosen = {names[k] for k in (np.arange(count) * len(names)) // count}
+    return dataset.having([each for each in dataset.entries if each.sequence in chosen or each.part == "validation"])
+
+
+def _with_error(model, about, dataset, material):
+    """The map with its metadata and its error on some validation pairs."""
+    model = replace(model, about=about)
+    held = dataset.of("validation")
+    if not len(held):
+        return model
+    squares, count = 0.0, 0
+    for index in np.unique(np.linspace(0, len(held) - 1, min(_ERROR_PAIRS, len(held))).astype(int)):
+        pair = held.pair(held.entries[index])
+        inputs = inputs_of(pair, dataset.card, material)
+        part = np.s_[::_EVERY, ::_EVERY]
+        found, known = (brightness_temperature(each[part], *model.band_um) for each in
+                        (model.radiance(inputs), pair.reference))  # fmt: skip
+        # Pixels without a predicted temperature have no error in kelvin.
+        here = ground_of(pair)[part] & ~_saturated(dataset.card, pair.thermal[part]) & np.isfinite(found - known)
+        squares += float(((found - known)[here] ** 2).sum())
+        count += int(here.sum())
+    return replace(model, error_k=float(np.sqrt(squares / count))) if count else model
+
+
+def _saturated(card, values):
+    """Where values of a known camera are at either end of its range."""
+    from thermorender.sensor.camera import load_camera
+    from thermorender.sensor.readout import saturated
+
+    if card.get("origin") != "rendered":
+        return np.zeros(np.shape(values), bool)
+    return saturated(values, load_camera(card["camera"], "camera"))
+
+
+def _ranges(entries):
+    """{condition: [least, most]} of the recorded conditions."""
+    known = [entry.conditions for entry in entries if entry.conditions]
+    return {name: [min(each[name] for each in known), max(each[name] for each in known)] for name in _RANGES
+            if known and all(name in each for each in known)}  # fmt: skip
+
+
+def checked_options(method_name: str, known: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a method's options with the given values, converted to the options' types.
+
+    Raises
+    ------
+    ThermorenderError
+        The method has no such option, or a value has another type.
+    """
+    found = dict(known)
+    for key, value in given.items():
+        if key not in known:
+            allowed = f"it has {', '.join(known)}" if known else "it has none"
+            raise ThermorenderError(f"method {method_name!r} has no option {key!r}; {allowed}")
+        kind = type(known[key])
+        try:
+            if kind is str:
+                found[key] = str(value)
+            elif kind is bool:
+                found[key] = {"true": True, "false": False}[str(value).lower()]
+            else:
+                found[key] = kind(value)
+                if not np.isfinite(found[key]) or found[key] < 0:
+                    raise ValueError
+        except (ValueError, KeyError, TypeError):
+            wanted = {bool: "true or false", int: "a whole number from 0 up"}.get(kind, "a number from 0 up")
+            raise ThermorenderError(
+                f"option {key}={value!r} of {method_name!r} is not allowed; give {wanted}"
+            ) from None
+    return found

@@ -1,0 +1,226 @@
+"""Training of an emissivity map on scenes with a class raster or labelled polygons, or on procedural ones."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.apps.training.emissivity_training import Labelled, train
+from thermorender.defaults import BAND_UM
+from thermorender.errors import ThermorenderError, shortened
+from thermorender.learned.emissivity.mapping import MOST_MATERIALS, EmissivityMap
+from thermorender.materials import library as material_tables
+from thermorender.scene.material_map import UNKNOWN_CLASS, orthophoto_of
+from thermorender.scene.parts.patch import name_of, read_features, texels_of
+from thermorender.scene.raster import Grid, grid_of, onto, read_classes
+from thermorender.scene.spec import read_scene
+
+# Seeds of the shipped map's training scenes.
+PROCEDURAL_SEEDS = (101, 102, 103, 104, 105)
+DEFAULT_TEXEL_M = 0.5
+# Versions of each scene, and towns, that the shipped map is trained on besides.
+_VERSIONS, _TOWNS = 2, 24
+
+
+def train_on(
+    folders: Sequence[str | Path] = (), polygons: str | Path | Mapping[str, Any] | None = None, name: str = "map",
+    texel_m: float | None = None, augmentations: int | None = None, seed: int = 0,
+    progress: Callable[[str, float], None] | None = None,
+) -> tuple[EmissivityMap, NDArray]:  # fmt: skip
+    """Return (EmissivityMap, confusion) trained on the given scenes; on procedural ones if there are none.
+
+    Parameters
+    ----------
+    folders : sequence of path
+        Scene folders; see `labelled_scene`.
+    polygons : path or dict, optional
+        GeoJSON, a file or its contents, that replaces the class raster of the single scene.
+    name : str
+        Name of the map.
+    texel_m : float, optional
+        Ground sampling distance of the training [m]; default: 0.5, or the coarsest orthophoto's.
+    augmentations : int, optional
+        See `emissivity.training.train`; default: 0 for given scenes, 1 for procedural ones.
+    seed, progress
+        See `emissivity.training.train`.
+
+    Raises
+    ------
+    ThermorenderError
+        Polygons are given without exactly one scene, a number is out of range, or as `labelled_scene` and `train`.
+    """
+    from thermorender.scene.load import scene_folder
+
+    if polygons and len(folders) != 1:
+        raise ThermorenderError(
+            f"--labels={name_of(polygons)!r} belongs to one scene, but {len(folders)} are given; give one"
+        )
+    if texel_m is not None and not 0.01 <= texel_m <= 1000.0:
+        raise ThermorenderError(f"--texel-m={texel_m:g} is not allowed; give 0.01…1000 m")
+    if folders:
+        labelled = [labelled_scene(scene_folder(folder), polygons) for folder in folders]
+        texel_m = texel_m or max(DEFAULT_TEXEL_M, *(item.texel_m for item in labelled))
+        augmentations = 0 if augmentations is None else augmentations
+    else:
+        labelled = varied(PROCEDURAL_SEEDS, seed)
+        texel_m, augmentations = texel_m or DEFAULT_TEXEL_M, 1 if augmentations is None else augmentations
+    if not 0 <= augmentations <= 20:
+        raise ThermorenderError(f"--augmentations={augmentations} is not allowed; give 0…20")
+    return train(labelled, texel_m, name, band_emissivity_of(folders), augmentations, seed, progress)
+
+
+def band_emissivity_of(folders: Sequence[str | Path] = ()) -> Callable[[str], float]:
+    """Return a function (material) → its emissivity at 300 K over what is measured of 7.5–13.5 µm.
+
+    Materials are those of the library and of the scenes' own tables.
+    """
+    own = [Path(folder) / "materials" for folder in folders]
+    library = material_tables.load_library()
+    for folder in own:
+        library = library | (material_tables.load_library(folder) if folder.is_dir() else {})
+
+    def found(name: str) -> float:
+        material = material_tables.find(library, name, "the labels")
+        low, high = (limit(pair) for limit, pair in zip((max, min), zip(BAND_UM, material.valid_range_um, strict=True),
+                                                        strict=True))  # fmt: skip
+        return float(material.band_emissivity(low, high, 300.0))
+
+    return found
+
+
+def adapted_to(
+    folder: str | Path, model: str | Path, polygons: str | Path | None = None, name: str = "map", seed: int = 0
+) -> EmissivityMap:
+    """Return an EmissivityMap for a scene, updated by its class raster or polygons; see `emissivity.adaptation`.
+
+    Parameters
+    ----------
+    folder : path
+        Scene folder; see `labelled_scene`.
+    model : str or path
+        Name or file of the map to update.
+    polygons, name, seed
+        See `train_on`.
+    """
+    from thermorender.apps.training.emissivity_adaptation import adapted
+    from thermorender.learned.emissivity.mapping import load_map
+    from thermorender.scene.load import scene_folder
+
+    own = scene_folder(folder)
+    return adapted(load_map(model), labelled_scene(own, polygons), name, band_emissivity_of([own]), seed)
+
+
+def labelled_scene(folder: str | Path, polygons: str | Path | Mapping[str, Any] | None = None) -> Labelled:
+    """Return the Labelled of a scene: its orthophoto, with labels from its class raster or a GeoJSON.
+
+    Parameters
+    ----------
+    folder : path
+        Scene folder; its [emissivity] names the class raster, used if there are no polygons.
+    polygons : path or dict, optional
+        GeoJSON, a file or its contents, of polygons with a property "material" from the material library, in longitude
+        and latitude or in the CRS of its "crs" member. Later polygons cover earlier ones.
+
+    Raises
+    ------
+    ThermorenderError
+        The scene has neither class raster nor polygons, or the polygons cannot be used.
+    """
+    spec = read_scene(folder)
+    picture = orthophoto_of(spec)
+    grid = picture.grid
+    where, unused = spec.folder / "scene.toml", ""
+    library = material_tables.load_library(spec.folder / "materials" if (spec.folder / "materials").is_dir() else None)
+    if polygons:
+        material, names, unused = read_polygons(polygons, grid)
+        source = f"{Path(name_of(polygons)).name} on {spec.folder.name}"
+    elif spec.emissivity.source == "classes":
+        raster = spec.emissivity.raster
+        numbers = onto(read_classes(raster), grid_of(raster), grid, "nearest")
+        material, names = numbers.astype(np.uint8), dict(spec.emissivity.classes)
+        named = np.isin(np.arange(256), list(names))
+        material = np.where(named[material] & (material != UNKNOWN_CLASS), material, 0).astype(np.uint8)
+        source = f"{raster.name} of {spec.folder.name}"
+    else:
+        raise ThermorenderError(
+            f"{where} has no class raster to train on (emissivity.source={spec.emissivity.source!r}); give polygons "
+            "with --labels, or a raster with emissivity.source='classes'"
+        )
+    for name in names.values():
+        material_tables.find(library, name, name_of(polygons or where))
+    known = np.where(picture.valid, material, 0).astype(np.uint8)
+    return Labelled(picture.colour, known, names, picture.texel_m, source, unused=unused)
+
+
+def procedural(seeds: Iterable[int]) -> Iterator[Labelled]:
+    """Yield the Labelled of a procedural scene of every kind and seed."""
+    from thermorender.apps.lands.procedural.procedural_scene import KINDS, make
+
+    for seed in seeds:
+        for kind in KINDS:
+            scene = make(kind, seed)
+            yield Labelled(
+                scene.orthophoto,
+                scene.classes,
+                scene.class_names,
+                scene.texel_m,
+                f"procedural {kind} seed {seed}",
+                kind,
+            )
+
+
+def varied(seeds: Iterable[int], seed: int) -> Iterator[Labelled]:
+    """Yield the procedural scenes, versions of each with other colours and cover, and made towns."""
+    from thermorender.apps.training.varied_land import town, versions
+
+    generator = np.random.Generator(np.random.Philox(seed))
+    for item in procedural(seeds):
+        yield item
+        yield from versions(item, _VERSIONS, generator)
+    for number in range(_TOWNS):
+        yield town(number)
+
+
+def read_polygons(
+    given: str | Path | Mapping[str, Any], grid: Grid
+) -> tuple[NDArray[np.uint8], dict[int, str], str]:  # fmt: skip
+    """Return (material number (h, w) uint8, {number: name}, unused polygons) of GeoJSON polygons on a Grid.
+
+    0 is outside all polygons. The last is a sentence on polygons that label no texel, or ""; errors as
+    `labelled_scene`.
+    """
+    (features, crs), path = read_features(given), name_of(given)
+    names: list[str] = []
+    burnt, empty = np.zeros((grid.height, grid.width), np.uint8), []
+    for number, feature in enumerate(features, 1):
+        try:
+            geometry, name = feature["geometry"], feature["properties"]["material"]
+            if geometry["type"] not in ("Polygon", "MultiPolygon") or not isinstance(name, str):
+                raise ValueError
+        except Exception:  # whatever stands in place of a feature
+            raise ThermorenderError(
+                f"{path}, feature {number} is not a polygon with a property 'material'; name the material of each "
+                "polygon"
+            ) from None
+        names += [name] if name not in names else []
+        part, inside = texels_of(geometry, crs, grid, f"{path}, feature {number}")
+        if inside.any():
+            burnt[part][inside] = min(names.index(name) + 1, 255)
+        else:
+            empty.append(f"{number} ({name})")
+    if not 0 < len(names) <= MOST_MATERIALS:
+        raise ThermorenderError(f"{path} names {len(names)} materials; label polygons of 2…{MOST_MATERIALS} materials")
+    if not burnt.any():
+        raise ThermorenderError(
+            f"{path} covers no texel of {grid.name}; its coordinates must be longitude and latitude unless a 'crs' "
+            "member names another CRS; export it again"
+        )
+    unused = ""
+    if empty:
+        unused = (
+            f"{len(empty)} of the {len(features)} polygons of {Path(path).name} label no texel, because they are "
+            f"outside the picture or smaller than a texel: {shortened(', '.join(empty), 200)}"
+        )
+    return burnt, dict(enumerate(names, 1)), unused

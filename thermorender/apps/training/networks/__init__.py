@@ -1,0 +1,1 @@
+"""Training of networks: the loop, its checkpoints, logs and sample pictures."""

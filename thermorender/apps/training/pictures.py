@@ -1,0 +1,363 @@
+"""Picture files of a data set: which files form pairs and sequences, and reading them.
+
+A thermal file is an 8-bit picture, a 16-bit one, a TIFF of temperatures or FLIR's radiometric JPEG. Temperatures become
+16-bit values of 0.01 K; values of unknown scale stay unchanged.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.errors import ThermorenderError
+from thermorender.formats import decoded
+from thermorender.sensor.flir_jpeg import DJI, dji_thermal, read_flir_jpeg
+from thermorender.sensor.radiometric_files import likely_scales, read_tiff, scale_request, sequence_hint
+from thermorender.sensor.radiometry import ThermographySettings
+from thermorender.units import ZERO_CELSIUS_K, kelvin
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+# Step of stored temperatures [K]; 16 bits reach 655.35 K.
+STEP_K = 0.01
+# Smallest accepted side of a picture [px].
+LEAST_SIDE = 16
+# Number of files that a message names.
+_NAMED = 8
+# A landscape's median above this is in kelvin, not °C.
+_HOT_C = 150.0
+
+
+@dataclass(frozen=True)
+class Files:
+    """A visible and a thermal file of the same view, and their mask.
+
+    Attributes
+    ----------
+    name : str
+        Common part of their names.
+    visible, thermal : Path
+    valid : Path or None
+    """
+
+    name: str
+    visible: Path
+    thermal: Path
+    valid: Path | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Thermal:
+    """A thermal picture.
+
+    Attributes
+    ----------
+    values : (H, W) uint8 or uint16
+    unit : {"kelvin", "intensity"}
+        Hundredths of a kelvin, or counts of unknown scale.
+    valid : (H, W) bool
+        False where the file has no value, or one out of range.
+    """
+
+    values: NDArray[np.uint8] | NDArray[np.uint16]
+    unit: str
+    valid: NDArray[np.bool_]
+
+
+def matched(
+    visible_folder: str | Path, thermal_folder: str | Path, visible: str = "*", thermal: str = "*",
+    valid: str | None = None,
+) -> tuple[list[Files], list[str]]:  # fmt: skip
+    """Return the Files of two folders that share a name, sorted by name, and the names without a partner.
+
+    Parameters
+    ----------
+    visible_folder, thermal_folder : path
+    visible, thermal : str
+        Patterns of file names, such as *_rgb.png; the text that the wildcards match is the pair's name.
+    valid : str, optional
+        Pattern of masks in the visible folder, non-zero where both pictures show the same.
+
+    Raises
+    ------
+    ThermorenderError
+        A folder is missing, a pattern matches nothing or one name twice, or there is no pair.
+    """
+    found = _named(visible_folder, visible, "visible"), _named(thermal_folder, thermal, "thermal")
+    masks = _named(visible_folder, valid, "valid") if valid else {}
+    names = sorted(found[0].keys() & found[1].keys(), key=_by_number)
+    if not names:
+        raise ThermorenderError(
+            f"no file of {visible_folder} ({visible}) shares its name with one in {thermal_folder} ({thermal}): there "
+            f"are {listed(found[0])} and {listed(found[1])}; give --visible and --thermal with * for the common part"
+        )
+    if masks:
+        lacking = [name for name in names if name not in masks]
+        if lacking:
+            raise ThermorenderError(f"mask ({valid}) is missing for {listed(lacking)}; add it, or leave out --valid")
+    pairs = [Files(name, found[0][name], found[1][name], masks.get(name)) for name in names]
+    return pairs, sorted(found[0].keys() ^ found[1].keys(), key=_by_number)
+
+
+def read_visible(path: str | Path) -> tuple[NDArray[np.uint8], bool]:
+    """Return ((H, W, 3) uint8 sRGB, whether it is grey) of a visible picture.
+
+    Raises
+    ------
+    ThermorenderError
+        The file cannot be read, is not 8-bit, is too small, or is constant.
+    """
+    image = _decoded(path)
+    if image.dtype != np.uint8:
+        raise ThermorenderError(f"{path} has {image.dtype} values; give 8-bit visible pictures")
+    if image.ndim == 2:
+        image = np.repeat(image[..., None], 3, axis=-1)
+    # Without alpha; OpenCV orders blue, green, red.
+    image = np.ascontiguousarray(image[..., 2::-1])
+    _check_content(path, image)
+    return image, bool((image[..., 0] == image[..., 1]).all() and (image[..., 1] == image[..., 2]).all())
+
+
+def read_thermal(path: str | Path, scale: Sequence[float] | None = None, intensity: bool = False) -> Thermal:
+    """Return the Thermal picture of a file.
+
+    Parameters
+    ----------
+    path : path
+    scale : (2,) floats, optional
+        (kelvin per count, kelvin of count 0) of files that declare no scale.
+    intensity : bool
+        16 bits without a scale are intensities, even where they look like temperatures.
+
+    Raises
+    ------
+    ThermorenderError
+        The file cannot be read, has colours or an unsupported depth, is too small, or is constant.
+    """
+    path = Path(path)
+    if path.suffix.lower() in (".jpg", ".jpeg") and _radiometric(path):
+        # Apparent temperature, before any correction for surface and air.
+        found = _of_kelvin(read_flir_jpeg(path).temperature(ThermographySettings()))
+    elif path.suffix.lower() in (".tif", ".tiff"):
+        found = _of_tiff(path, scale, intensity)
+    else:
+        image = _decoded(path)
+        if image.ndim == 3:
+            if image.shape[2] > 3 or (image != image[..., :1]).any():
+                raise ThermorenderError(
+                    f"{path} is a thermal picture in colours, whose palette cannot be undone; give grey values, a TIFF "
+                    "or the camera's radiometric JPEG"
+                )
+            image = image[..., 0]
+        if image.dtype not in (np.uint8, np.uint16):
+            raise ThermorenderError(f"{path} has {image.dtype} values; give 8 or 16 bits")
+        found = _of_counts(path, image.astype(np.float64), scale, intensity, image.dtype.name)
+    if not found.valid.any():
+        raise ThermorenderError(f"{path} has no temperature between 0 and {65535 * STEP_K:.2f} K; leave it out")
+    if found.unit == "kelvin":
+        kelvin(f"the median temperature of {path}", STEP_K * float(np.median(found.values[found.valid])))
+    _check_content(path, found.values, found.values[found.valid])
+    return found
+
+
+def read_valid(path: str | Path, shape: Sequence[int]) -> NDArray[np.bool_]:
+    """Return (H, W) bool, where a mask is not zero.
+
+    Raises
+    ------
+    ThermorenderError
+        The file cannot be read or has another size.
+    """
+    image = _decoded(path)
+    if image.shape[:2] != tuple(shape):
+        raise ThermorenderError(
+            f"mask {path} is {image.shape[1]}×{image.shape[0]} pixels and its visible picture {shape[1]}×{shape[0]}; "
+            "give masks of the same size"
+        )
+    return image > 0 if image.ndim == 2 else (image > 0).any(axis=-1)
+
+
+def place_of(path: str | Path) -> tuple[float, float] | None:
+    """Return (latitude, longitude) [deg] from a picture's EXIF, None without valid coordinates."""
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            gps = image.getexif().get_ifd(0x8825)
+        degrees = [float(gps[tag][0]) + float(gps[tag][1]) / 60.0 + float(gps[tag][2]) / 3600.0 for tag in (2, 4)]
+        signs = (-1.0 if gps[1] == "S" else 1.0, -1.0 if gps[3] == "W" else 1.0)
+        place = tuple(round(sign * value, 7) for sign, value in zip(signs, degrees, strict=True))
+    except (OSError, KeyError, ValueError, TypeError, IndexError, ZeroDivisionError, SyntaxError):
+        return None
+    return place if abs(place[0]) <= 90.0 and abs(place[1]) <= 180.0 else None
+
+
+def listed(names: Iterable[str]) -> str:
+    """Return names joined for a sentence, shortened to the first few."""
+    names = list(names)
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return ", ".join(names[:_NAMED]) + more
+
+
+def keys_of(pairs: Sequence[Files]) -> dict[str, str]:
+    """Return {name: key in a data set} of pairs; refuse names that become the same key."""
+    keys = {pair.name: re.sub(r"[^A-Za-z0-9_-]+", "-", pair.name)[:100] for pair in pairs}
+    twice = [key for key, count in Counter(keys.values()).items() if count > 1]
+    if twice:
+        names = [name for name, key in keys.items() if key == twice[0]]
+        raise ThermorenderError(
+            f"{listed(names)} differ only in characters that keys cannot have, so all become {twice[0]!r}; "
+            "rename the files"
+        )
+    return keys
+
+
+def sequences_of(pairs: Sequence[Files], sequence: str | None = None, gap: int | None = None) -> dict[str, str]:
+    """Return {name: sequence} of pairs sorted by name.
+
+    Parameters
+    ----------
+    pairs : sequence of Files
+    sequence : str, optional
+        Regular expression whose group is the sequence in a name; default: the name without its last digits.
+    gap : int, optional
+        A larger step of the last number in the names starts a new sequence.
+    """
+    try:
+        expression = re.compile(sequence) if sequence else None
+    except re.error as error:
+        raise ThermorenderError(
+            f"--sequence={sequence!r} is not a regular expression: {error}; put the sequence in a group, as in "
+            r"'(flight\d+)_'"
+        ) from None
+    found, before = {}, {}
+    for pair in pairs:
+        number = re.search(r"(\d+)\D*$", pair.name)
+        number = int(number[1]) if number else None
+        base = re.sub(r"[_\-. ]*\d*$", "", pair.name) or "all"
+        if expression is not None:
+            match = expression.search(pair.name)
+            if match is None:
+                raise ThermorenderError(
+                    f"--sequence={sequence!r} does not match {pair.name!r}; give one that matches every name"
+                )
+            base = match[1] if expression.groups else match[0]
+        found[pair.name] = base
+        if gap is not None and number is not None:
+            last, current = before.get(base, (None, None))
+            if last is None or number - last > gap:
+                current = f"{base}_{number}"
+            before[base], found[pair.name] = (number, current), current
+    return found
+
+
+def _named(folder, pattern, what):
+    """{name: path} of the pictures in a folder that match a pattern."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise ThermorenderError(f"{what} folder {folder} does not exist; give a folder of pictures")
+    expression = re.compile("".join({"*": "(.*)", "?": "(.)"}.get(each, re.escape(each)) for each in pattern))
+    found = {}
+    for path in sorted(folder.iterdir()):
+        match = expression.fullmatch(path.name)
+        if match is None or path.suffix.lower() not in SUFFIXES or path.name.startswith("."):
+            continue
+        name = "".join(match.groups())
+        name = name.removesuffix(path.suffix) or path.stem
+        if name in found:
+            raise ThermorenderError(
+                f"{found[name]} and {path} are both pair {name!r} by pattern {pattern!r}; give a pattern that one of "
+                "them does not match"
+            )
+        found[name] = path
+    if not found:
+        raise ThermorenderError(
+            f"{folder} has no picture ({', '.join(SUFFIXES)}) that matches {pattern!r}; give another --{what}"
+            f"{sequence_hint(folder.iterdir())}"
+        )
+    return found
+
+
+def _by_number(name):
+    """Sort key in which 10 comes after 9."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)]
+
+
+def _decoded(path):
+    """The picture of a file as OpenCV decodes it, with one or more channels."""
+    import cv2
+
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        raise ThermorenderError(f"{path} cannot be read ({error.strerror}); give a picture") from None
+    flags = cv2.IMREAD_UNCHANGED
+    if Path(path).suffix.lower() in (".jpg", ".jpeg"):
+        # As stored, because the thermal picture has no EXIF orientation.
+        flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
+        if b"\xff\xd9" not in data[-65536:]:
+            raise ThermorenderError(f"{path} is a truncated JPEG; copy it again, or leave it out")
+    image = decoded(data, flags)
+    if image is None:
+        raise ThermorenderError(f"{path} is not a readable picture; copy it again, or leave it out")
+    return image
+
+
+def _radiometric(path):
+    """Whether a JPEG carries FLIR's data; DJI's own are refused."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ThermorenderError(f"{path} cannot be read ({error.strerror}); give a picture") from None
+    if dji_thermal(data):
+        raise ThermorenderError(f"{path} {DJI}")
+    return re.search(rb"\xff\xe1..FLIR\0", data, re.DOTALL) is not None
+
+
+def _of_tiff(path, scale, intensity):
+    values, declared, kind = read_tiff(path)
+    scale = declared or scale
+    if kind in ("float32", "float64"):
+        if scale is None and np.isfinite(values).any() and np.nanmedian(values) > _HOT_C:
+            raise ThermorenderError(
+                f"{path} has floats around {np.nanmedian(values):.0f} without a unit, which would be °C; give "
+                "--scale=1,0 if they are kelvin"
+            )
+        return _of_kelvin(values * scale[0] + scale[1] if scale else values + ZERO_CELSIUS_K)
+    if kind not in ("uint8", "int16", "uint16", "int32", "uint32"):
+        raise ThermorenderError(f"{path} has {kind} values; give integers of 8, 16 or 32 bits, or °C in floats")
+    return _of_counts(path, values, scale, intensity, kind)
+
+
+def _of_counts(path, values, scale, intensity, kind):
+    """Counts in kelvin by a scale; without one, refuse those that look like temperatures."""
+    if scale is not None:
+        return _of_kelvin(values * float(scale[0]) + float(scale[1]))
+    valid = np.isfinite(values)
+    likely = [] if kind == "uint8" else likely_scales(values, signed=kind != "uint16")
+    if kind not in ("uint8", "uint16") or (likely and not intensity):
+        raise ThermorenderError(
+            f"{path} has {kind} counts of undeclared scale; {scale_request(likely)}"
+            + ("; or give --range-c=COLD,WARM if they are intensities" if kind == "uint16" else "")
+        )
+    return Thermal(np.where(valid, values, 0.0).astype(kind), "intensity", valid)
+
+
+def _of_kelvin(temperature):
+    """Hundredths of a kelvin, where they fit."""
+    counts = np.rint(np.nan_to_num(np.asarray(temperature, np.float64) / STEP_K, nan=-1.0, posinf=-1.0, neginf=-1.0))
+    valid = (counts >= 1.0) & (counts <= 65535.0)
+    return Thermal(np.where(valid, counts, 0.0).astype(np.uint16), "kelvin", valid)
+
+
+def _check_content(path, image, known=None):
+    if min(image.shape[:2]) < LEAST_SIDE:
+        raise ThermorenderError(
+            f"{path} is {image.shape[1]}×{image.shape[0]} pixels; give pictures of at least {LEAST_SIDE} on each side"
+        )
+    known = image if known is None else known
+    if (known == known.flat[0]).all():
+        raise ThermorenderError(f"{path} is {known.flat[0]} in all pixels; leave it out")

@@ -1,0 +1,143 @@
+"""Search for a map's training pictures in the pictures that it is applied to or tested on."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.apps.training.translate import VIDEOS, UnreadableError, read_picture, sources_of
+from thermorender.files import PathLike
+from thermorender.learned.fingerprints import Seen, search
+from thermorender.learned.temperature_map import TemperatureMap
+
+# Most pictures that are searched, evenly spaced over the given ones.
+MOST_SEARCHED = 200
+_MOST_NAMED = 5
+
+
+@dataclass(frozen=True)
+class Search:
+    """Result of a search for a map's training pictures.
+
+    Attributes
+    ----------
+    model : TemperatureMap
+    given, searched : int
+        Number of pictures, and of those that were searched.
+    found : dict of str to Seen
+        Pictures that show training pictures, by name.
+    unreadable : tuple of str
+        Names of pictures that could not be read, which are not among the searched ones.
+    """
+
+    model: TemperatureMap
+    given: int
+    searched: int = 0
+    found: dict[str, Seen] = field(default_factory=dict)
+    unreadable: tuple[str, ...] = ()
+
+    @property
+    def line(self) -> str:
+        """The result as one sentence."""
+        model, prints = self.model, self.model.fingerprints
+        if prints is None:
+            stated = model.about.get("training_pictures", model.source)
+            return (
+                f"what this map was trained on is unknown: the file of {model.name!r} has no fingerprints of training "
+                f"pictures and states only {stated!r}"
+            )
+        limits = [f"{self.searched} of {self.given} pictures searched"] if self.searched < self.given else []
+        if self.unreadable:
+            limits.append(f"{len(self.unreadable)} could not be read: {_listed(self.unreadable)}")
+        if len(prints) < prints.pictures:
+            limits.append(f"fingerprints of {len(prints)} of {prints.pictures} training pictures")
+        limited = f" ({'; '.join(limits)})" if limits else ""
+        if not self.searched:
+            return (
+                f"map {model.name!r} was trained on {prints.pictures} pictures, and none was searched for them{limited}"
+            )
+        if not self.found:
+            return (
+                f"map {model.name!r} was trained on {prints.pictures} pictures, and none of the {self.searched} "
+                f"shows one of them{limited}"
+            )
+        return (
+            f"map {model.name!r} was trained on {len(self.found)} of these {self.searched} pictures or parts of "
+            f"them{limited}: {_listed(list(self.found))}; its results on them measure memory"
+        )
+
+    def summary(self) -> dict[str, Any]:
+        """Return the result as plain values for JSON."""
+        prints = self.model.fingerprints
+        return {
+            "line": self.line, "training_pictures": None if prints is None else prints.pictures,
+            "fingerprints": 0 if prints is None else len(prints), "given": self.given, "searched": self.searched,
+            "unreadable": list(self.unreadable), "found": {name: asdict(seen) for name, seen in self.found.items()},
+        }  # fmt: skip
+
+
+def _listed(names: Sequence[str]) -> str:
+    rest = f" and {len(names) - _MOST_NAMED} others" if len(names) > _MOST_NAMED else ""
+    return ", ".join(names[:_MOST_NAMED]) + rest
+
+
+def search_in(
+    model: TemperatureMap, names: Sequence[str], read: Callable[[int], NDArray[np.uint8] | None],
+    progress: Callable[[float], object] | None = None,
+) -> Search:  # fmt: skip
+    """Return the Search for a map's training pictures in named pictures.
+
+    Parameters
+    ----------
+    model : TemperatureMap
+    names : sequence of str
+    read : callable
+        Number of a name → its picture, (h, w, 3) uint8, or None where it cannot be read.
+    progress : callable, optional
+        Called with the share done.
+    """
+    if model.fingerprints is None or not names:
+        return Search(model, len(names))
+    chosen = np.unique(np.linspace(0, len(names) - 1, min(len(names), MOST_SEARCHED)).round()).astype(int)
+    searched, unreadable = [], []
+
+    def pictures() -> Iterator[NDArray[np.uint8]]:
+        for number in map(int, chosen):
+            if (picture := read(number)) is None:
+                unreadable.append(names[number])
+            else:
+                searched.append(names[number])
+                yield picture
+
+    seen = search(
+        model.fingerprints, pictures(),
+        lambda done: progress((done + len(unreadable)) / len(chosen)) if progress else None,
+    )  # fmt: skip
+    found = {name: one for name, one in zip(searched, seen, strict=True) if one is not None}
+    return Search(model, len(names), len(searched), found, tuple(unreadable))
+
+
+def search_in_files(
+    model: TemperatureMap, paths: Sequence[PathLike], progress: Callable[[float], object] | None = None
+) -> Search:
+    """Return the Search for a map's training pictures in pictures, the first frames of videos, or folders of them.
+
+    An unreadable file is stated, and not searched.
+    """
+    files = sources_of(paths)
+
+    def read(number: int) -> NDArray[np.uint8] | None:
+        import cv2
+
+        path = files[number]
+        if path.suffix.lower() in VIDEOS:
+            whole, image = cv2.VideoCapture(str(path)).read()
+            return image[..., ::-1] if whole else None
+        try:
+            return read_picture(path)[0]
+        except UnreadableError:
+            return None
+
+    return search_in(model, [path.name for path in files], read, progress)

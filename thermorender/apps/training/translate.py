@@ -1,0 +1,441 @@
+"""Translation of pictures and videos into apparent temperature by a learned map, from colour alone.
+
+Each picture gives a 16-bit TIFF of apparent temperature and an 8-bit picture; each video gives a video and optionally
+the same two files per frame. All 8-bit pictures share one scale, the range of the map. `translate.json` holds the
+settings, `translated.jsonl` the finished files.
+"""
+
+import json
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from thermorender import files, formats
+from thermorender.errors import ThermorenderError
+from thermorender.learned.temperature_map import MOST_SPACING, Inputs, TemperatureMap
+from thermorender.physics.planck import band_radiance
+from thermorender.sensor.display import DisplaySettings
+from thermorender.sensor.palettes import palette as known_palette
+from thermorender.sensor.radiometric_files import TLINEAR_STEP_K, write_tlinear_counts
+from thermorender.versions import versions
+
+PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
+# Suffixes of videos, with the codec for writing.
+VIDEOS = {".mp4": "mp4v", ".avi": "MJPG"}
+# Of a JPEG that holds several pictures, as drones write them, the first is read.
+_FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP")
+# 16 and 32-bit grey, which photographs do not have.
+_DEEP_GREY = ("I", "I;16", "I;16B", "I;16L", "F")
+# Pixels with less alpha count as empty.
+_LEAST_ALPHA = 128
+# Most pixels of the strips that pictures are translated in.
+_STRIP = 1 << 21
+# Share of frames that a video may lack of its header's number, which some writers only estimate.
+_MISSING_FRAMES = 0.01
+RECORD, DONE = "translate.json", "translated.jsonl"
+
+
+class UnreadableError(ThermorenderError):
+    """A file cannot be translated; others can."""
+
+
+@dataclass(frozen=True, eq=False)
+class Translation:
+    """Settings of a translation.
+
+    Attributes
+    ----------
+    model : TemperatureMap
+    texel_m : float or None
+        Ground sampling distance of the pictures [m]; None means the map's own.
+    palette : str
+        Palette of the 8-bit pictures.
+    inner : bool
+        Leave out the border in which edge pixels are repeated, as published; else pictures keep their size.
+
+    Raises
+    ------
+    ThermorenderError
+        The map needs more than a picture, has no border to leave out, or its texel is too different.
+    """
+
+    model: TemperatureMap
+    texel_m: float | None = None
+    palette: str = "white-hot"
+    inner: bool = False
+
+    def __post_init__(self):
+        model = self.model
+        if model.needs:
+            # This raises the error that names the missing inputs.
+            model.radiance(Inputs(np.zeros((1, 1, 3), np.uint8)))
+        if self.texel_m is not None and not 1.0 / MOST_SPACING <= self.texel_m / model.texel_m <= MOST_SPACING:
+            raise ThermorenderError(
+                f"texel_m={self.texel_m:g} is too far from the {model.texel_m:.3g} m of learned map {model.name!r}; "
+                f"give {model.texel_m / MOST_SPACING:.3g}…{model.texel_m * MOST_SPACING:.3g} m"
+            )
+        if self.inner and not hasattr(model.predictor, "inner"):
+            raise ThermorenderError(
+                f"learned map {model.name!r} ({model.method}) has no border to leave out; run it without --inner"
+            )
+        known_palette(self.palette)
+
+    @cached_property
+    def display(self) -> DisplaySettings:
+        """The DisplaySettings of the 8-bit pictures."""
+        return DisplaySettings("linear", self.palette)
+
+    def counts(self, rgb: np.ndarray, known: np.ndarray | None = None) -> np.ndarray:
+        """Return apparent temperature of a picture, (h, w) uint16, `TLINEAR_STEP_K` kelvin a count; 0 where unknown.
+
+        Parameters
+        ----------
+        rgb : (h, w, 3) uint8
+            sRGB.
+        known : (h, w) bool, optional
+            Where the picture is not empty.
+        """
+        height, width = rgb.shape[:2]
+        predictor = self.model.predictor
+        # Other predictors may use the whole picture.
+        local = hasattr(predictor, "reach")
+        reach = predictor.reach(self._spacing) if local else 0
+        rows = max(_STRIP // width, 4 * reach, 1) if local else height
+        found, steps = np.empty((height, width), np.uint16), _steps(*self.model.band_um)
+        for start in range(0, height, rows):
+            stop = min(start + rows, height)
+            top = max(start - reach, 0)
+            radiance = self.model.radiance(Inputs(rgb[top : stop + reach], self.texel_m))[start - top :][: stop - start]
+            found[start:stop] = np.where(np.isfinite(radiance), np.searchsorted(steps, radiance), 0)
+        if known is not None:
+            found[~known] = 0
+        if self.inner:
+            found = predictor.inner(found, self._spacing)
+        return found
+
+    def picture(self, counts: np.ndarray) -> np.ndarray:
+        """Return counts as an 8-bit picture, the map's range from black to white: (h, w) grey or (h, w, 3) RGB."""
+        return self.display.shown(counts, self._ends)
+
+    def share_outside(self, counts: np.ndarray) -> float:
+        """Return the share of known counts outside the map's range, 0 if none are known."""
+        known = counts[counts > 0]
+        return float(np.mean((known < self._ends[0]) | (known > self._ends[1]))) if known.size else 0.0
+
+    @cached_property
+    def _spacing(self):
+        return 1.0 if self.texel_m is None else self.model.texel_m / self.texel_m
+
+    @cached_property
+    def _ends(self):
+        return np.array(self.model.range_k) / TLINEAR_STEP_K
+
+
+@lru_cache(4)
+def _steps(lower_um, upper_um):
+    """Radiances at the limits between counts, (65535,) [W m⁻² sr⁻¹]."""
+    return band_radiance((np.arange(65535) + 0.5) * TLINEAR_STEP_K, lower_um, upper_um)
+
+
+def translate(
+    model: TemperatureMap, paths: Sequence[files.PathLike], output: files.PathLike, texel_m: float | None = None,
+    palette: str = "white-hot", inner: bool = False, frames: bool = False, resume: bool = False,
+    progress: Callable[[str, float], object] | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Translate pictures and videos into a folder; an unreadable one does not stop the others.
+
+    Parameters
+    ----------
+    model : TemperatureMap
+    paths : sequence of path
+        Pictures, videos, or folders of them.
+    output : path
+        Folder.
+    texel_m, palette, inner
+        As for `Translation`.
+    frames : bool
+        Also write the frames of videos.
+    resume : bool
+        Continue in a folder of the same settings and skip finished files.
+    progress : callable, optional
+        Called with (what, share done).
+
+    Returns
+    -------
+    dict
+        "done" and "passed over", numbers of files; "failed", {path: sentence}; "warning", a sentence or None.
+
+    Raises
+    ------
+    ThermorenderError
+        There is nothing to translate, two files would have the same output, outputs exist, or the settings differ from
+        those of the folder.
+    """
+    report = progress or (lambda what, share: None)
+    how = Translation(model, texel_m, palette, inner)
+    sources = sources_of(paths)
+    outputs = {source: _outputs(source, Path(output), frames) for source in sources}
+    _refuse_clashes(outputs, resume)
+    settings = {
+        "model": _record_of(model), "texel_m": texel_m, "palette": palette, "inner": inner, "frames": frames,
+        "kelvin_per_count": TLINEAR_STEP_K,
+    }  # fmt: skip
+    done, failed, passed = 0, {}, 0
+    with files.output_folder(output) as folder, files.in_use(folder):
+        before = _begin(folder, settings, resume)
+        for number, source in enumerate(sources):
+            name, checksum = str(source.resolve()), _checksum(source)
+            if before.get(name) == (checksum, _sizes(outputs[source])):
+                passed += 1
+                continue
+            if name in before:
+                _forget(folder / DONE, name)
+
+            def report_share(share, number=number):
+                report("translating", (number + share) / len(sources))
+
+            report_share(0.0)
+            try:
+                if source.suffix.lower() in VIDEOS:
+                    facts = _video(how, source, outputs[source], report_share)
+                else:
+                    facts = _picture(how, source, outputs[source])
+            except UnreadableError as error:
+                failed[source] = str(error)
+                continue
+            written = _sizes(outputs[source])
+            files.on_disk(*outputs[source])
+            formats.append_json(folder / DONE, {"source": name, "checksum": checksum, "files": written, **facts})
+            done += 1
+    return {"done": done, "passed over": passed, "failed": failed, "warning": model.texel_warning(texel_m)}
+
+
+def read_picture(path: files.PathLike) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return (sRGB (h, w, 3) uint8, where it is not empty (h, w) bool or None for everywhere) of a picture's file.
+
+    It is rotated by its EXIF orientation. Grey, palettes, CMYK (without its profile) and 16-bit colour become 8-bit
+    RGB.
+
+    Raises
+    ------
+    UnreadableError
+        The file is damaged, of another format, 16-bit grey, or too large.
+    """
+    from PIL import Image, ImageOps
+
+    try:
+        # Pillow warns about large pictures and harmless oddities.
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(path, formats=_FORMATS) as image:
+                mode = image.mode
+                if mode not in _DEEP_GREY:
+                    image = ImageOps.exif_transpose(image)
+                    if "A" in image.getbands() or "transparency" in image.info:
+                        rgba = np.asarray(image.convert("RGBA"))
+                        known = rgba[..., 3] >= _LEAST_ALPHA
+                        return np.ascontiguousarray(rgba[..., :3]), None if known.all() else known
+                    return np.asarray(image.convert("RGB")), None
+    except Image.DecompressionBombError:
+        raise UnreadableError(
+            f"{path} has more than {2 * Image.MAX_IMAGE_PIXELS / 1e6:.0f} million pixels; cut it into pieces"
+        ) from None
+    # Each format raises its own kinds of errors for a damaged file.
+    except Exception as error:
+        raise UnreadableError(
+            f"{path} cannot be read as a picture ({' '.join(str(error).split()) or type(error).__name__}); give a "
+            "whole JPEG, PNG, TIFF, BMP or WebP"
+        ) from None
+    raise UnreadableError(
+        f"{path} is grey in 16 bits or more ({mode}), as thermal cameras write; give the photograph, in colour or in "
+        "8 bits"
+    )
+
+
+# --- one file ---------------------------------------------------------------------------------------------------
+
+
+def _picture(how, source, outputs):
+    rgb, known = read_picture(source)
+    counts = how.counts(rgb, known)
+    _refuse_empty(source, counts, known is None or known.any())
+    _write_counts(how, counts, *outputs)
+    return {"shape": list(counts.shape), "share_outside_0_1": how.share_outside(counts)}
+
+
+def _video(how, source, outputs, report_share):
+    """Translate a video frame by frame; outputs are its file and, if frames are requested, their folder."""
+    import cv2
+
+    try:
+        str(source).encode()
+    except UnicodeEncodeError:
+        # OpenCV would abort the process.
+        raise UnreadableError(f"{str(source)!a} is not valid Unicode; rename the video") from None
+    reader = cv2.VideoCapture(str(source))
+    with ExitStack() as stack:
+        stack.callback(reader.release)
+        declared = int(reader.get(cv2.CAP_PROP_FRAME_COUNT))
+        rate_hz = reader.get(cv2.CAP_PROP_FPS)
+        whole, image = reader.read()
+        if not whole or not 0.0 < rate_hz < math.inf:
+            raise UnreadableError(f"{source} cannot be read as a video; give a whole MP4 or AVI")
+        part = stack.enter_context(files.atomic(outputs[0]))
+        folder = stack.enter_context(files.atomic_folder(outputs[1], overwrite=True)) if outputs[1:] else None
+        writer, number, outside = None, 0, 0.0
+        while whole:
+            counts = how.counts(np.ascontiguousarray(image[..., ::-1]))
+            _refuse_empty(source, counts, True)
+            shown = how.picture(counts)
+            if writer is None:
+                codec = cv2.VideoWriter_fourcc(*VIDEOS[outputs[0].suffix])
+                writer = cv2.VideoWriter(str(part), codec, rate_hz, counts.shape[::-1])
+                stack.callback(writer.release)
+                if not writer.isOpened():
+                    raise OSError(f"OpenCV has no encoder for {outputs[0].suffix}")
+            writer.write(cv2.cvtColor(shown, cv2.COLOR_GRAY2BGR if shown.ndim == 2 else cv2.COLOR_RGB2BGR))
+            if folder:
+                _write_counts(how, counts, folder / f"{number:06d}.tif", folder / f"{number:06d}.png")
+            number += 1
+            outside += how.share_outside(counts)
+            report_share(number / max(declared, number))
+            whole, image = reader.read()
+        writer.release()
+        _refuse_cut(part, number)
+        if number < declared - max(1.0, _MISSING_FRAMES * declared):
+            raise UnreadableError(f"{source} breaks off after {number} of {declared} frames; give the whole video")
+    return {"shape": list(counts.shape), "frames": number, "rate_hz": rate_hz, "share_outside_0_1": outside / number}
+
+
+def _refuse_cut(path, frames):
+    """Raise OSError if a video lacks frames that were written: OpenCV does not report a full disk."""
+    import cv2
+
+    reader, found = cv2.VideoCapture(str(path)), 0
+    while reader.grab():
+        found += 1
+    reader.release()
+    if found != frames:
+        raise OSError(f"{found} of {frames} frames reached the disk")
+
+
+def _refuse_empty(source, counts, shows):
+    if not counts.size:
+        raise UnreadableError(f"{source} is smaller than the border that --inner leaves out; translate it without")
+    if shows and not counts.any():
+        raise UnreadableError(f"{source} gets no temperature anywhere from this map; take another map")
+
+
+def _write_counts(how, counts, tiff, png):
+    with formats.atomic_raster(tiff) as part:
+        write_tlinear_counts(part, counts)
+    formats.write_image(png, how.picture(counts))
+
+
+# --- files and record -------------------------------------------------------------------------------------------
+
+
+def sources_of(paths: Sequence[files.PathLike]) -> list[Path]:
+    """Return the pictures and videos of paths and folders, each once; raise ThermorenderError if there are none."""
+    known = (*PICTURES, *VIDEOS)
+    found = []
+    for path in map(Path, paths):
+        if path.is_dir():
+            inside = sorted(each for each in path.iterdir() if each.suffix.lower() in known and each.is_file())
+            if not inside:
+                raise ThermorenderError(f"{path} holds no picture or video ({', '.join(known)}); give another folder")
+            found += inside
+        elif not path.is_file():
+            raise ThermorenderError(f"{path} does not exist; give pictures, videos or folders of them")
+        elif path.suffix.lower() not in known:
+            raise ThermorenderError(f"{path} is of unknown kind; give one of {', '.join(known)}")
+        else:
+            found.append(path)
+    return list({path.resolve(): path for path in found}.values())
+
+
+def _outputs(source, folder, frames):
+    if source.suffix.lower() in VIDEOS:
+        video = folder / f"{source.stem}{source.suffix.lower()}"
+        return (video, folder / f"{source.stem}_frames") if frames else (video,)
+    return folder / f"{source.stem}.tif", folder / f"{source.stem}.png"
+
+
+def _refuse_clashes(outputs, resume):
+    """Raise ThermorenderError if two sources have the same output, or an output exists."""
+    owner, sources = {}, {source.resolve() for source in outputs}
+    for source, written in outputs.items():
+        for path in written:
+            if path in owner:
+                raise ThermorenderError(
+                    f"{owner[path]} and {source} would both be written as {path.name}; translate them into different "
+                    "folders"
+                )
+            owner[path] = source
+            if path.resolve() in sources or (path.exists() and not resume):
+                raise ThermorenderError(f"{path} exists; give another folder, or --resume to continue")
+
+
+def _begin(folder, settings, resume):
+    """Write the record, or compare it with the existing one; return {path: (checksum, `_sizes`)} of finished files."""
+    path = folder / RECORD
+    if resume:
+        files.remove_parts(folder)
+    # Types as after reading it back.
+    settings = json.loads(json.dumps(settings))
+    if not path.exists():
+        formats.write_json(path, settings | {"versions": versions()})
+        return {}
+    if not resume:
+        raise ThermorenderError(f"{folder} holds translations; give another folder, or --resume to continue")
+    try:
+        before = json.loads(formats.read_text(path))
+        other = next((key for key in settings if before.get(key) != settings[key]), None)
+    except (ValueError, AttributeError):
+        raise ThermorenderError(f"{path} is not a record of translations; give another folder") from None
+    if other:
+        raise ThermorenderError(
+            f"{path} was made with another {other}; continue with the same settings, or give another folder"
+        )
+    path = folder / DONE
+    try:
+        return {line["source"]: (line["checksum"], line["files"]) for line in formats.read_json_lines(path)}
+    except (ValueError, KeyError, TypeError):
+        raise ThermorenderError(f"{path} is not a list of translations; give another folder") from None
+
+
+def _forget(path, source):
+    """Remove a source from the list of finished files."""
+    kept = [line for line in formats.read_json_lines(path) if line["source"] != source]
+    formats.write_text(path, "".join(json.dumps(line) + "\n" for line in kept))
+
+
+def _checksum(source):
+    try:
+        return formats.checksum(source)
+    except OSError:
+        # Reading the file will report the error.
+        return None
+
+
+def _sizes(outputs):
+    """{name: bytes} of existing files; for a folder [number of files, bytes]."""
+    return {path.name: _held(path) if path.is_dir() else path.stat().st_size for path in outputs if path.exists()}
+
+
+def _held(folder):
+    sizes = [path.stat().st_size for path in folder.iterdir()]
+    return [len(sizes), sum(sizes)]
+
+
+def _record_of(model):
+    """A map's entry in the record: plain values, and a digest of everything it computes with."""
+    plain = ("name", "method", "range_k", "band_um", "texel_m", "camera", "sky_temperature", "source")
+    return {name: getattr(model, name) for name in plain} | {"digest": model.digest()}

@@ -1,1 +1,0 @@
-"""Data sets for learned maps, gathered from scenes."""

@@ -1,1 +1,0 @@
-"""Campaigns on several machines, by Dask: where the workers are, what they are sent, and what comes back."""

@@ -1,1 +1,0 @@
-"""What a survey sees of a scene's surfaces: daylight on their texels, and the view straight down."""

@@ -1,0 +1,233 @@
+"""Files of temperature: 16-bit TIFFs linear in kelvin, written and read, and FLIR's radiometric JPEGs.
+
+Cameras write counts to a TIFF without the unit of a count: 0.04 K for a FLIR core in TLinear mode, a thousandth of a
+degree Celsius for others. The scale of a file is used if it is declared with its unit; otherwise the user has to give
+it.
+"""
+
+import struct
+import warnings
+from collections.abc import Iterable, Sequence
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from thermorender.errors import ThermorenderError
+from thermorender.sensor.radiometry import ThermographySettings
+from thermorender.units import ZERO_CELSIUS_K, kelvin_scale
+
+# FLIR Tau 2 product specification, TLinear: kelvin per count in high resolution, as in the TIFFs of a Zenmuse XT2.
+TLINEAR_STEP_K = 0.04
+
+# Common scales of integer files, (kelvin per count, kelvin of 0): hundredths of a kelvin (FLIR Boson and others),
+# TLinear, tenths of a kelvin, and tenths, hundredths and thousandths of a degree Celsius (DJI Thermal SDK,
+# `dji_irp -a measure`: int16 of 0.1 °C); kelvin, degrees Celsius and degrees Fahrenheit as fractions.
+_LIKELY = {
+    "1 K": (1.0, 0.0), "1 °C": (1.0, ZERO_CELSIUS_K), "1 °F": (1.0 / 1.8, ZERO_CELSIUS_K - 32.0 / 1.8),
+    "0.01 K": (0.01, 0.0), "0.04 K": (TLINEAR_STEP_K, 0.0), "0.1 K": (0.1, 0.0), "0.1 °C": (0.1, ZERO_CELSIUS_K),
+    "0.01 °C": (0.01, ZERO_CELSIUS_K), "0.001 °C": (0.001, ZERO_CELSIUS_K),
+}  # fmt: skip
+_AS_FRACTION = ("1 K", "1 °C", "1 °F")
+_AS_INTENSITY = ("0.04 K", "0.01 °C", "0.001 °C")
+# A landscape in a picture: most pixels, and every pixel [K].
+_COMMON_K, _RARE_K = (238.0, 338.0), (150.0, 1000.0)
+FLIR_JPEG = (".jpg", ".jpeg")
+SUFFIXES = (".tif", ".tiff", *FLIR_JPEG)
+# The tag of EXIF and TIFF.
+_ORIENTATION = 274
+_SEQUENCES = (".seq", ".csq", ".ats", ".fcf", ".sfmov")
+
+
+def write_tlinear(path: str | PathLike[str], temperature: ArrayLike, step_k: float = TLINEAR_STEP_K) -> None:
+    """Write temperatures as a 16-bit TIFF of `step_k` kelvin per count that declares scale and unit.
+
+    Parameters
+    ----------
+    path : path
+    temperature : (H, W) array
+        [K]. NaN is written as 0, a value out of range as the nearest count.
+    step_k : float
+
+    Notes
+    -----
+    The TIFF has GDAL's scale, offset and unit, so GDAL, rasterio and QGIS show kelvin; other programs show counts.
+    """
+    counts = np.rint(np.nan_to_num(np.asarray(temperature, np.float64), nan=0.0) / step_k)
+    write_tlinear_counts(path, np.clip(counts, 0, 65535).astype(np.uint16), step_k)
+
+
+def write_tlinear_counts(path: str | PathLike[str], counts: NDArray[np.uint16], step_k: float = TLINEAR_STEP_K) -> None:
+    """Write counts, (H, W) uint16 of `step_k` kelvin each, as `write_tlinear` does."""
+    import rasterio
+
+    height, width = counts.shape
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        with rasterio.open(
+            path, "w", driver="GTiff", width=width, height=height, count=1, dtype="uint16", compress="deflate"
+        ) as file:
+            file.write(counts, 1)
+            file.scales, file.offsets, file.units = (step_k,), (0.0,), ("K",)
+
+
+def read_temperature(
+    path: str | PathLike[str], scale: tuple[float, float] | None = None,
+    thermography: ThermographySettings | None = None,
+) -> NDArray[np.float64]:  # fmt: skip
+    """Return the temperatures of a radiometric file, (H, W) float64 [K]; NaN where it has none.
+
+    Parameters
+    ----------
+    path : path
+        TIFF of one band, or a radiometric JPEG of FLIR.
+    scale : (2,) floats, optional
+        (kelvin per count, kelvin of count 0) of a TIFF that does not declare them.
+    thermography : ThermographySettings, optional
+        In place of the settings stored in a JPEG.
+
+    Raises
+    ------
+    ThermorenderError
+        A file that cannot be read, has several bands, or does not declare the unit of a count.
+    """
+    path = Path(path)
+    if path.suffix.lower() in FLIR_JPEG:
+        from thermorender.sensor.flir_jpeg import read_flir_jpeg
+
+        if scale is not None:
+            raise ThermorenderError(f"{path} contains its calibration; leave out the scale")
+        return read_flir_jpeg(path).temperature(thermography)
+    if path.suffix.lower() not in SUFFIXES:
+        raise ThermorenderError(f"{path} is of unknown kind; give one of {', '.join(SUFFIXES)}{sequence_hint([path])}")
+    counts, declared, kind = read_tiff(path)
+    if scale is None and declared is None and kind in ("uint8", "int8"):
+        raise ThermorenderError(
+            f"{path} has 8 bits a pixel, which is a picture for display; give the radiometric file, or state kelvin "
+            "per count and kelvin of count 0 with --scale"
+        )
+    if scale is None and declared is None:
+        raise ThermorenderError(
+            f"{path} does not declare the unit of its counts; {scale_request(likely_scales(counts))}, or declare them "
+            "in the file, for example with `gdal_edit.py -scale STEP -offset ZERO -units K`"
+        )
+    if scale is not None and declared is not None and not np.allclose(scale, declared):
+        raise ThermorenderError(
+            f"{path} declares {declared[0]:g} K per count and {declared[1]:g} K at count 0, not the given "
+            f"{scale[0]:g},{scale[1]:g}; leave the scale out, or correct the file with "
+            "`gdal_edit.py -scale STEP -offset ZERO`"
+        )
+    step, zero = scale or declared  # type: ignore[misc]  # one of them is given
+    return counts * float(step) + float(zero)
+
+
+def check_upright(path: Path) -> None:
+    """Raise if a file's tags state that its pixels are stored turned or mirrored."""
+    from PIL import Image, TiffImagePlugin
+
+    value = 1
+    try:
+        if path.suffix.lower() in FLIR_JPEG:
+            with Image.open(path) as image:
+                value = image.getexif().get(_ORIENTATION, 1)
+        else:
+            # Pillow opens fewer kinds of pixels than TIFF has.
+            with path.open("rb") as file:
+                start = file.read(8)
+                big = start[2:3] == b"+" or start[3:4] == b"+"
+                tags = TiffImagePlugin.ImageFileDirectory_v2(start + (file.read(8) if big else b""))
+                file.seek(tags.next)
+                tags.load(file)
+                value = tags.get(_ORIENTATION, 1)
+    except (OSError, SyntaxError, ValueError, struct.error):
+        return  # `read_temperature` says what is wrong with the file.
+    if value != 1:
+        raise ThermorenderError(
+            f"{path} states orientation {value} in its tags, so its pixels are stored turned or mirrored; if its pose "
+            f"is that of the stored pixels, as in OpenSfM's files, set it to 1 with `exiftool -n -Orientation=1 "
+            f"{path}`, otherwise turn the pixels"
+        )
+
+
+def sequence_hint(paths: Iterable[Path]) -> str:
+    """Return what to do with FLIR's recorded sequences among files, after another sentence; empty without any."""
+    found = next((path.name for path in paths if path.suffix.lower() in _SEQUENCES), None)
+    if found is None:
+        return ""
+    return (
+        f"; {found} is a sequence of FLIR, so export its frames as radiometric JPEG or as TIFF in kelvin, for example "
+        "with FLIR Thermal Studio"
+    )
+
+
+def likely_scales(counts: ArrayLike, signed: bool = True) -> list[str]:
+    """Return the names of common scales by which counts are temperatures of a landscape.
+
+    Without a sign, counts are often intensities, so scales that common intensities fit too are left out.
+    """
+    known = np.asarray(counts, np.float64)
+    known = known[np.isfinite(known)]
+    if not known.size or (not signed and known.max() <= 255.0):
+        return []
+    low, high = np.percentile(known, (1.0, 99.0))
+    whole = bool((known == np.rint(known)).all())
+    found = []
+    for name, (step, zero) in _LIKELY.items():
+        if (not signed and name in _AS_INTENSITY) or (whole and name in _AS_FRACTION):
+            continue
+        common = _COMMON_K[0] <= low * step + zero and high * step + zero <= _COMMON_K[1]
+        rare = _RARE_K[0] <= known.min() * step + zero and known.max() * step + zero <= _RARE_K[1]
+        # Tenths and hundredths of a degree overlap: a landscape differs by more than 1 K.
+        if common and rare and (high - low) * step > 1.0:
+            found.append(name)
+    # Fractions are temperatures before they are counts, such as means of counts.
+    return [name for name in found if name in _AS_FRACTION] or found
+
+
+def scale_request(names: Sequence[str]) -> str:
+    """Return the half sentence that asks for a scale, with the options of the likely ones."""
+    likely = [f"--scale={_LIKELY[name][0]:g},{_LIKELY[name][1]:g} for counts of {name}" for name in names]
+    return "state kelvin per count and kelvin of count 0, " + (
+        "which look like " + " or ".join(likely) if likely else "e.g. --scale=0.04,0 for a FLIR core in TLinear mode"
+    )
+
+
+def read_tiff(path: Path) -> tuple[NDArray[np.float64], tuple[float, float] | None, str]:
+    """Return ((H, W) float64 values, declared (step, zero) in kelvin or None, dtype in the file) of a TIFF.
+
+    Values are NaN where it has no data. Scale and offset tags without a unit of temperature are applied, and the dtype
+    is then float64.
+
+    Raises
+    ------
+    ThermorenderError
+        A file that cannot be read, has several bands or pictures, or floats in another unit.
+    """
+    import rasterio
+
+    if not path.is_file():
+        raise ThermorenderError(f"{path} does not exist; give a radiometric TIFF")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+            with rasterio.open(path) as file:
+                if file.count != 1:
+                    raise ThermorenderError(f"{path} has {file.count} bands; give a TIFF of one band, the counts")
+                values = file.read(1, masked=True).astype(np.float64).filled(np.nan)
+                unit, step, zero, kind = file.units[0], file.scales[0], file.offsets[0], file.dtypes[0]
+                if file.subdatasets:
+                    raise ThermorenderError(
+                        f"{path} has {len(file.subdatasets)} pictures; write each to its own file, for example with "
+                        f"`rio convert {file.subdatasets[0]} FIRST.tif`"
+                    )
+    except rasterio.errors.RasterioError as error:
+        raise ThermorenderError(f"{path} cannot be read as TIFF: {error}; give a complete file") from None
+    scale = kelvin_scale(unit)
+    if scale is not None:
+        return values, (scale[0] * step, scale[0] * zero + scale[1]), kind
+    if (step, zero) != (1.0, 0.0):
+        values, kind = values * step + zero, "float64"
+    if unit and kind.startswith("float"):
+        raise ThermorenderError(f"{path} holds values in {unit!r}; give a TIFF in K, °C or °F")
+    return values, None, kind

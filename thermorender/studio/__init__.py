@@ -1,1 +1,0 @@
-"""The material studio: a page in the browser where an edit of a material table shows in the rendered frame."""
