@@ -35,11 +35,6 @@ def atomic(path: PathLike) -> Iterator[Path]:
     """Yield a temporary path with the suffix of `path`; rename it to `path` if the block ends without error.
 
     Missing folders are made.
-
-    Raises
-    ------
-    ThermorenderError
-        The file cannot be written (missing permission, full disk); nothing is left behind.
     """
     path = Path(path)
     _refuse_other_than_file(path)
@@ -69,13 +64,7 @@ def scratch_folder() -> Iterator[Path]:
 
 
 def write_aside(path: PathLike, data: bytes) -> Path:
-    """Write bytes to a temporary file in the folder of `path`, which must exist, and return it for `put_in_place`.
-
-    Raises
-    ------
-    ThermorenderError
-        The file cannot be written; nothing is left behind.
-    """
+    """Write bytes to a temporary file in the folder of `path`, which must exist, and return it for `put_in_place`."""
     part = _part(Path(path))
     try:
         with reported(path):
@@ -102,12 +91,6 @@ def atomic_folder(path: PathLike, overwrite: bool = False) -> Iterator[Path]:
         Must not exist, or be empty.
     overwrite : bool
         Replace a folder that is not empty.
-
-    Raises
-    ------
-    ThermorenderError
-        The folder is not empty, cannot be made, or another process is writing it. Nothing is left behind, and an old
-        folder stays as it was.
     """
     given, path = path, Path(os.path.realpath(path))
     _refuse_used_folder(given, overwrite)
@@ -231,11 +214,6 @@ def in_use(folder: PathLike, wait: bool = False) -> Iterator[None]:
     folder : path
     wait : bool
         Wait for another process that holds the lock, instead of raising.
-
-    Raises
-    ------
-    ThermorenderError
-        Another process holds the lock, or the folder cannot be written to.
     """
     with _locked(Path(folder) / _LOCK, folder, wait):
         yield
@@ -353,13 +331,7 @@ def _remove(path):
 
 
 def on_disk(*paths: PathLike) -> None:
-    """Wait until files and the entries of their folders are on the disk (fsync).
-
-    Raises
-    ------
-    ThermorenderError
-        The disk is full or broken.
-    """
+    """Wait until files and the entries of their folders are on the disk (fsync)."""
     for path in (*paths, *{Path(path).parent for path in paths}):
         try:
             handle = os.open(path, os.O_RDONLY)

@@ -8,13 +8,7 @@ from thermorender.errors import ThermorenderError
 
 
 def parse_numbers(name: str, text: str, labels: Sequence[str]) -> tuple[float, ...]:
-    """Return the comma-separated numbers of a command-line option as floats, one per label.
-
-    Raises
-    ------
-    ThermorenderError
-        Their number differs, or one is not a finite number.
-    """
+    """Return the comma-separated numbers of a command-line option as floats, one per label."""
     cells = [cell.strip() for cell in str(text).split(",")]
     wanted = ",".join(labels)
     if len(cells) != len(labels):

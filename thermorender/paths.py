@@ -10,11 +10,6 @@ def data_folder(kind: str) -> Path:
     """Return the folder of the shipped data of one kind, "materials" or "scenes".
 
     It is `_data/<kind>` inside an installed package, and `<kind>` at the top level of a source checkout.
-
-    Raises
-    ------
-    ThermorenderError
-        Neither folder exists.
     """
     package = Path(__file__).resolve().parent
     candidates = (package / "_data" / kind, package.parent / kind)

@@ -34,24 +34,12 @@ _UNITS = {"um": "µm", "mm": "mm", "m": "m", "km": "km", "k": "K", "mk": "mK", "
 
 @dataclass(frozen=True)
 class Where:
-    """A position in a settings file, for messages.
+    """A position in a settings file, for messages."""
 
-    Attributes
-    ----------
-    file : str or path
-        Start of the messages.
-    folder : Path, optional
-        Folder that files named in the settings must be in.
-    key : str
-        Dotted; empty for the outermost table.
-    top : str
-        Name of the outermost table in a sentence; may be empty.
-    """
-
-    file: object
-    folder: Path | None = None
-    key: str = ""
-    top: str = ""
+    file: object  # Start of the messages
+    folder: Path | None = None  # Folder that files named in the settings must be in
+    key: str = ""  # Dotted; empty for the outermost table
+    top: str = ""  # Name of the outermost table in a sentence; may be empty
 
     def __str__(self) -> str:
         return f"{self.file}: {self.key or self.top}"
@@ -134,11 +122,6 @@ def read(cls: type[_Table], raw: object, where: Where, **more: Any) -> _Table:
     where : Where
     more
         Values of fields that are not keys.
-
-    Raises
-    ------
-    ThermorenderError
-        An unknown or missing key, or a value that is not allowed.
     """
     if not isinstance(raw, dict):
         where.refuse(raw, "a table")
@@ -321,13 +304,7 @@ def entry(name: str, read_value: Reader, default: Any = MISSING) -> Reader:
 
 
 def read_toml(path: Any, name: str | None = None) -> dict[str, Any]:
-    """Return the dict of a TOML file, with or without a byte order mark; messages begin with `name` or the path.
-
-    Raises
-    ------
-    ThermorenderError
-        The file cannot be read or is not TOML; the message has the line.
-    """
+    """Return the dict of a TOML file, with or without a byte order mark; messages begin with `name` or the path."""
     name = path if name is None else name
     try:
         data = path.read_bytes()

@@ -48,11 +48,6 @@ def kelvin(name: str, temperature: _Temperature, allow_zero: bool = False) -> _T
         Kelvin; NaN means "no value" and is allowed in arrays, not in a single value.
     allow_zero : bool
         Accept exactly 0 K, which radiates nothing (a cold space outside a cavity).
-
-    Raises
-    ------
-    ThermorenderError
-        A value is below 100 K (most likely °C) and not Stated, or infinite.
     """
     values = np.asarray(temperature, dtype=np.float64)
     bad = (values < LOWEST_KELVIN) | np.isinf(values) | (np.isnan(values) & (values.ndim == 0))
@@ -86,11 +81,6 @@ def instant(name: str, value: str | datetime.datetime | np.datetime64) -> np.dat
     value : str, datetime or datetime64
         ISO 8601 with a zone, such as 2018-07-28T14:30Z or 2018-07-28T16:30:00+02:00, to whole seconds; a datetime
         with a zone; a datetime64, which is UTC.
-
-    Raises
-    ------
-    ThermorenderError
-        The value is not an instant or has no zone.
     """
     if isinstance(value, np.datetime64) and not np.isnat(value):
         return value.astype("datetime64[s]")

@@ -23,11 +23,6 @@ def declared_air(
         Path of the scene file, for messages.
     of_weather : callable, optional
         Returns the air of the weather from aerosol, cloud_fraction and cloud_base_m.
-
-    Raises
-    ------
-    ThermorenderError
-        A name is unknown, a value is out of range, a file is invalid, or a table does not cover the band.
     """
     if spec is None:
         return None

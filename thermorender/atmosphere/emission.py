@@ -18,20 +18,14 @@ _SPACING = np.diff(ALTITUDE_M)
 
 @dataclass(frozen=True)
 class Profile:
-    """Density and Planck radiance of the air on the grid.
+    """Density and Planck radiance of the air on the grid."""
 
-    Attributes
-    ----------
-    density, rise, column : (1600, J), (1599, J), (1600, J) float64
-        Density of each absorber, its change to the next point, and its integral from the ground.
-    planck : (1600, N) float64
-        At the air's temperature, per node.
-    """
-
+    # density, rise, column: (1600, J) density of each absorber, its change to the next point, and its integral from
+    # the ground
     density: Floats
     rise: Floats
     column: Floats
-    planck: Floats
+    planck: Floats  # (1600, N) float64 at the air's temperature, per node
 
     @classmethod
     def of(cls, density: Floats, planck: Floats) -> "Profile":

@@ -72,11 +72,6 @@ def from_weather(
     cloud_fraction, cloud_base_m : float, optional
         In place of those that the long-wave irradiance and the dew point suggest.
 
-    Raises
-    ------
-    ThermorenderError
-        A name is unknown, or a value is out of range.
-
     Notes
     -----
     Temperature: that of the climate plus the difference at the ground, which decays by 1/e in 4 km. Vapour: the

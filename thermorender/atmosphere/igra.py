@@ -37,11 +37,6 @@ def read_igra(path: object, lines: list[tuple[int, str]]) -> list[NDArray[np.flo
         For messages.
     lines : list of (line number, text)
 
-    Raises
-    ------
-    ThermorenderError
-        The file holds several soundings, is truncated, or has a level that is not of this format.
-
     Notes
     -----
     Levels without temperature or humidity are left out. Levels without a height get it from the hydrostatic thickness,

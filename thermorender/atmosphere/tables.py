@@ -32,13 +32,7 @@ def read_table() -> Arrays:
 
 
 def read_saved(path: str | PathLike[str]) -> tuple[Arrays, tuple[float, float]]:
-    """Return (arrays of an Atmosphere by name, (cloud fraction, cloud base [m])) of a file of `Atmosphere.save`.
-
-    Raises
-    ------
-    ThermorenderError
-        The file is missing or not a table, or an array is missing, of another type or shape, or impossible.
-    """
+    """Return (arrays of an Atmosphere by name, (cloud fraction, cloud base [m])) of a file of `Atmosphere.save`."""
     values = read_arrays(path, "atmosphere", _AXES, _first_wrong, "a file written by Atmosphere.save")
     cloud = values.pop("cloud")
     return values, (float(cloud[0]), float(cloud[1]))
@@ -60,11 +54,6 @@ def read_arrays(
         `gas` has text, others finite numbers.
     first_wrong : callable
         Returns the fault of the first invalid array, as a clause, or None.
-
-    Raises
-    ------
-    ThermorenderError
-        The file is missing or not an .npz file, or an array is missing, of another type or shape, or impossible.
     """
     try:
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:

@@ -38,18 +38,10 @@ _PICTURES_AT_ONCE, _KNOWN_AT_ONCE = 16, 32
 
 @dataclass(frozen=True, eq=False)
 class Fingerprints:
-    """Fingerprints of the pictures that a map was trained on.
+    """Fingerprints of the pictures that a map was trained on."""
 
-    Attributes
-    ----------
-    rows : (n, BYTES) uint8
-        Rows and columns of each grid, then its bits, row by row.
-    pictures : int
-        Number of training pictures, of which n are stored.
-    """
-
-    rows: NDArray[np.uint8]
-    pictures: int
+    rows: NDArray[np.uint8]  # (n, BYTES) uint8 rows and columns of each grid, then its bits, row by row
+    pictures: int  # Number of training pictures, of which n are stored
 
     def __post_init__(self) -> None:
         rows = self.rows

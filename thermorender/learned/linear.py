@@ -48,21 +48,11 @@ _COLOURS = ("", "L", "a", "b", "L²", "a²", "b²", "L a", "L b", "a b")
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """A linear predictor of kelvin above the air.
+    """A linear predictor of kelvin above the air."""
 
-    Attributes
-    ----------
-    extra : ExtraInputs
-        Inputs besides the picture.
-    weight : (K,) float64
-        Weights of the columns [K per unit of each].
-    offset : float
-        Prediction where every column is 0 [K].
-    """
-
-    extra: ExtraInputs
-    weight: np.ndarray
-    offset: float
+    extra: ExtraInputs  # Inputs besides the picture
+    weight: np.ndarray  # (K,) float64 weights of the columns [K per unit of each]
+    offset: float  # Prediction where every column is 0 [K]
 
     above_air = True
 
@@ -72,13 +62,7 @@ class Linear:
         return self.extra.needs
 
     def predict(self, inputs: Inputs, texel_m: float) -> np.ndarray:
-        """Return kelvin above the air, (h, w) float64; an image at another texel is resampled to the map's and back.
-
-        Raises
-        ------
-        ThermorenderError
-            A terrain plane or a condition is missing.
-        """
+        """Return kelvin above the air, (h, w) float64; an image at another texel is resampled to the map's and back."""
         image = at_texel(inputs, texel_m)
         self.extra.check(image)
         height, width = image.rgb.shape[:2]
@@ -226,11 +210,6 @@ def fit_linear(task: Task) -> Linear:
 
     It minimises the mean squared error plus λ, the option `penalty`, times the sum of the squared coefficients of
     standardised columns. A column is standardised by its spread or its usual spread, the greater of the two.
-
-    Raises
-    ------
-    ThermorenderError
-        `penalty` is negative, examples have no air temperature, or no pixel is valid.
     """
     penalty = float(task.options["penalty"])
     if not 0.0 <= penalty < np.inf:

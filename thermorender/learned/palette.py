@@ -25,21 +25,11 @@ _CHUNK = 1 << 20
 
 @dataclass(frozen=True, eq=False)
 class Palette:
-    """Intensity of each cell of CIELAB.
+    """Intensity of each cell of CIELAB."""
 
-    Attributes
-    ----------
-    cell : float
-        Side of a cell.
-    value : (n, n, n) float64
-        Intensity, by cells of L, a and b; n is a power of two.
-    count : (n, n, n) int64
-        Training pixels of each cell.
-    """
-
-    cell: float
-    value: np.ndarray
-    count: np.ndarray
+    cell: float  # Side of a cell
+    value: np.ndarray  # (n, n, n) float64 intensity, by cells of L, a and b; n is a power of two
+    count: np.ndarray  # (n, n, n) int64 training pixels of each cell
 
     needs = ()
     above_air = False
@@ -96,11 +86,6 @@ def fit_palette(task: Task) -> Palette:
 
     Options: `cell`, a cell's side in CIELAB, and `shrinkage`, the number of pixels at which a cell's own mean counts as
     much as the wider cell's.
-
-    Raises
-    ------
-    ThermorenderError
-        An option is out of range, or no pixel is valid.
     """
     cell, shrinkage = float(task.options["cell"]), float(task.options["shrinkage"])
     if not _FINEST <= cell <= _COARSEST:

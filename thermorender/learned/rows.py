@@ -60,14 +60,9 @@ def at_shape(image: np.ndarray, shape: Sequence[int]) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ExtraInputs:
-    """Names of a map's inputs besides the picture, sorted.
+    """Names of a map's inputs besides the picture, sorted."""
 
-    Attributes
-    ----------
-    terrain, conditions : tuple of str
-        Fields of Inputs.
-    """
-
+    # terrain, conditions: Fields of Inputs
     terrain: tuple[str, ...] = ()
     conditions: tuple[str, ...] = ()
 
@@ -154,38 +149,20 @@ class ExtraInputs:
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """Pixels drawn from an example.
+    """Pixels drawn from an example."""
 
-    Attributes
-    ----------
-    number : int
-        Index of the example.
-    inputs : Inputs
-        At the map's ground sampling distance.
-    window : (4,) ints
-        First row, end row, first column and end column of the window that holds them.
-    pixels : (n,) int
-        Row times width plus column, ascending.
-    target : (n,) float64
-        Intensity, or apparent temperature above the air's [K].
-    """
-
-    number: int
-    inputs: Inputs
+    number: int  # Index of the example
+    inputs: Inputs  # At the map's ground sampling distance
+    # (4,) ints first row, end row, first column and end column of the window that holds them
     window: tuple[int, int, int, int]
-    pixels: np.ndarray
-    target: np.ndarray
+    pixels: np.ndarray  # (n,) int row times width plus column, ascending
+    target: np.ndarray  # (n,) float64 intensity, or apparent temperature above the air's [K]
 
 
 def drawn(task: Task, extra: ExtraInputs, most: int) -> Iterator[Drawn]:
     """Yield the Drawn of each example of a Task: `most` pixels of each, or all if it has fewer.
 
     They are drawn from a window placed at random around one of the picture's valid pixels.
-
-    Raises
-    ------
-    ThermorenderError
-        No example has a valid pixel, or one lacks an input that others have.
     """
     generator = np.random.Generator(np.random.Philox(task.seed))
     empty = True

@@ -65,21 +65,11 @@ _BY_CLASS, _LEFT, _MISSING, _NAN = 1, 2, 12, 8
 
 @dataclass(frozen=True, eq=False)
 class Trees:
-    """Boosted trees over the columns of `rows.ExtraInputs.tiles`.
+    """Boosted trees over the columns of `rows.ExtraInputs.tiles`."""
 
-    Attributes
-    ----------
-    text : str
-        The model as LightGBM writes it.
-    extra : ExtraInputs
-        Inputs besides the picture.
-    begin : Linear or None
-        The linear base that the trees are added to, if air temperature is an input.
-    """
-
-    text: str
-    extra: ExtraInputs
-    begin: Linear | None = None
+    text: str  # The model as LightGBM writes it
+    extra: ExtraInputs  # Inputs besides the picture
+    begin: Linear | None = None  # The linear base that the trees are added to, if air temperature is an input
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -92,13 +82,7 @@ class Trees:
         return self.extra.above_air
 
     def predict(self, inputs: Inputs, texel_m: float) -> np.ndarray:
-        """Return intensity, or kelvin above the air, (h, w) float64.
-
-        Raises
-        ------
-        ThermorenderError
-            A terrain plane, a condition or LightGBM is missing.
-        """
+        """Return intensity, or kelvin above the air, (h, w) float64."""
         image = at_texel(inputs, texel_m)
         found = np.empty(image.rgb.shape[:2])
 
@@ -296,11 +280,6 @@ def fit_trees(task: Task) -> Trees:
 
     The same number of pixels is drawn from each example and the absolute error is minimised. Trees are added until the
     error of the held-out runs stops falling. If air temperature is an input, they are added to a Linear.
-
-    Raises
-    ------
-    ThermorenderError
-        LightGBM is missing, or no pixel is valid.
     """
     lightgbm = _lightgbm()
     extra = ExtraInputs.of(task.examples[0].inputs)

@@ -44,13 +44,7 @@ GAP_STEPS = 5.0
 
 
 def read_text(path: str | Path, directory: str | Path | None = None) -> str:
-    """Return the text of a UTF-8 file inside `directory`.
-
-    Raises
-    ------
-    ThermorenderError
-        The file is missing, is outside the folder, or is not UTF-8.
-    """
+    """Return the text of a UTF-8 file inside `directory`."""
     path = Path(path)
     if directory is not None and not inside(path, directory):
         raise ThermorenderError(f"{path} leads out of {directory}; put the file itself into the folder")
@@ -74,12 +68,6 @@ def read_table(
         Required columns.
     directory : path, optional
         Folder that must contain the file.
-
-    Raises
-    ------
-    ThermorenderError
-        The file is missing, outside the folder, not UTF-8 or separated by semicolons; a column is missing or repeated;
-        or a row is longer than the first.
     """
     text = read_text(path, directory)
     first_line = text.partition("\n")[0]
@@ -120,13 +108,7 @@ def beyond(header: Sequence[str], cells: Sequence[str]) -> str | None:
 
 
 def csv_rows(text: str, path: str | Path, delimiter: str = ",") -> list[list[str]]:
-    """Return the rows of a CSV text as lists of cells.
-
-    Raises
-    ------
-    ThermorenderError
-        A quotation mark is unbalanced or inside a cell, which would merge cells silently.
-    """
+    """Return the rows of a CSV text as lists of cells."""
     rows = []
     try:
         for cells in csv.reader(io.StringIO(text), delimiter=delimiter, strict=True):
@@ -147,13 +129,7 @@ def decimal(text: str) -> float:
 
 
 def number_in_cell(path: str | Path, row: int, column: str, text: str, low: float, high: float, advice: str) -> float:
-    """Return the number in a table's cell, checked to be within low…high.
-
-    Raises
-    ------
-    ThermorenderError
-        The text is not a number or out of range; the message names file, row, column, value, range and `advice`.
-    """
+    """Return the number in a table's cell, checked to be within low…high."""
     try:
         value = decimal(text)
     except ValueError:
@@ -181,13 +157,7 @@ def gaps(wavelength_um: ArrayLike) -> list[tuple[float, float]]:
 
 
 def read_emissivity(path: str | Path, directory: str | Path | None = None) -> dict[str, Any]:
-    """Return a Lambertian table as arguments of a Material: wavelength_um, emissivity, emissivity_std, gaps_um.
-
-    Raises
-    ------
-    ThermorenderError
-        A cell is invalid; the message names file, row and column.
-    """
+    """Return a Lambertian table as arguments of a Material: wavelength_um, emissivity, emissivity_std, gaps_um."""
     advice = "give the standard deviation over the samples, or leave the cell empty"
     rows, wavelength = _rows(path, SPECTRUM_COLUMNS, directory)
     return {

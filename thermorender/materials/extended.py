@@ -25,23 +25,12 @@ _REFERENCE_K = 300.0
 
 @dataclass(frozen=True)
 class Assumption:
-    """Part of a band whose emissivity is assumed.
-
-    Attributes
-    ----------
-    material : str
-    limits_um : (2,) floats
-        The part [µm].
-    share : float
-        Its share of the band's blackbody radiance at 300 K.
-    emissivity_std : float
-        Standard deviation of the band emissivity that follows [1].
-    """
+    """Part of a band whose emissivity is assumed."""
 
     material: str
-    limits_um: tuple[float, float]
-    share: float
-    emissivity_std: float
+    limits_um: tuple[float, float]  # (2,) floats the part [µm]
+    share: float  # Its share of the band's blackbody radiance at 300 K
+    emissivity_std: float  # Standard deviation of the band emissivity that follows [1]
 
 
 def missing(material: Material, band_um: tuple[float, float]) -> list[tuple[float, float]]:
@@ -83,11 +72,6 @@ def within_band(
         Materials to compare with.
     where : str
         Start of the message.
-
-    Raises
-    ------
-    ThermorenderError
-        More than a fifth of the band is not measured, a gap is inside the band, or the material is not Lambertian.
 
     Notes
     -----

@@ -21,17 +21,11 @@ _BAND_SAMPLES = 48
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Mixture(Material):
-    """A Material made of others.
+    """A Material made of others."""
 
-    Attributes
-    ----------
-    parts : tuple of (Material, share)
-        Its main materials, whose temperatures it combines. The shares sum to one.
-    possible : tuple of (Material, probability)
-        The materials whose mean its emissivity is, where these are more than its parts. The probabilities sum to one.
-    """
-
+    # Its main materials, whose temperatures it combines. The shares sum to one.
     parts: tuple[tuple[Material, float], ...] = ()
+    # The materials whose mean its emissivity is, where these are more than its parts. The probabilities sum to one.
     possible: tuple[tuple[Material, float], ...] = ()
 
     def band_emissivity_std(self, lower_um: float, upper_um: float, temperature: float) -> float:

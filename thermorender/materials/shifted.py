@@ -32,11 +32,6 @@ def shifted(material: Material, name: str) -> Material:
         has a texture, the resistance moves up.
         "exchange": momentum roughness length up and heat_roughness_ratio down, each by 1/√2 standard deviations, so
         that their joint effect is one standard deviation.
-
-    Raises
-    ------
-    ThermorenderError
-        The material has no thermal properties.
     """
     if isinstance(material, Mixture):
         return replace(material, parts=tuple((shifted(part, name), share) for part, share in material.parts))

@@ -53,64 +53,35 @@ _METAL_W_M_K, _METAL_KG_M3 = 20.0, 1700.0
 
 @dataclass(frozen=True)
 class Thermal:
-    """Thermal properties of a material, as in its table.
+    """Thermal properties of a material, as in its table."""
 
-    Attributes
-    ----------
-    cover : str
-        Which laws of exchange apply: "bare", "leaves", "water" or "snow".
-    conductivity_w_m_k, density_kg_m3, specific_heat_j_kg_k : float
-        Of the layer at its usual moisture.
-    thickness_m : float or None
-        Thickness of the layer [m]; None: unlimited.
-    beneath : str
-        Material below the layer; "inside": indoor air through a film; "outside": outdoor air; "ventilated": outdoor air
-        in a ventilated cavity or loft; "": unlimited layer.
-    skin_conductance_w_m2_k : float or None
-        Between the radiating surface and the top of the layer (leaves over ground); None: in contact.
-    roughness_m : float
-        Momentum roughness length z0 of land covered with it [m].
-    heat_roughness_ratio : float
-        ln(z0/z0h), often written kB⁻¹ [1].
-    surface_resistance_s_m : float or None
-        Resistance to evaporation [s/m]: for leaves the minimum of the canopy, in full sun and well watered; 0 for
-        free water; None: only rain and dew on it evaporate.
-    wetness : float
-        Usual moisture available to evaporation, 0…1.
-    water_share : float
-        Freezable water [m³ per m³ of the layer].
-    attenuation_1_m : float or None
-        Of sunlight inside the layer [1/m]; None: opaque.
-    melting_k : float or None
-        Upper limit of the surface temperature [K].
-    texture : str
-        Kind of soil, one of `SOILS`, whose moisture follows the weather's rain; "": moisture is always the usual one.
-    uncertainty : dict of str to float
-        One standard deviation of each number, in its unit. Positive numbers are log-normal: roughness lengths are
-        known to a factor.
-    source : dict of str to str
-        Source of each value; "chosen: …" without a measurement.
-    below : Thermal or None
-        Properties of the material `beneath`, filled in by the library; None if there is none, or not yet looked up.
-    """
-
-    cover: str
+    cover: str  # Which laws of exchange apply: "bare", "leaves", "water" or "snow"
+    # conductivity_w_m_k, density_kg_m3, specific_heat_j_kg_k: Of the layer at its usual moisture
     conductivity_w_m_k: float
     density_kg_m3: float
     specific_heat_j_kg_k: float
-    roughness_m: float
-    heat_roughness_ratio: float
-    wetness: float
-    water_share: float
-    thickness_m: float | None = None
+    roughness_m: float  # Momentum roughness length z0 of land covered with it [m]
+    heat_roughness_ratio: float  # ln(z0/z0h), often written kB⁻¹ [1]
+    wetness: float  # Usual moisture available to evaporation, 0…1
+    water_share: float  # Freezable water [m³ per m³ of the layer]
+    thickness_m: float | None = None  # Thickness of the layer [m]; None: unlimited
+    # Material below the layer; "inside": indoor air through a film; "outside": outdoor air; "ventilated": outdoor air
+    # in a ventilated cavity or loft; "": unlimited layer
     beneath: str = ""
+    # Between the radiating surface and the top of the layer (leaves over ground); None: in contact
     skin_conductance_w_m2_k: float | None = None
+    # Resistance to evaporation [s/m]: for leaves the minimum of the canopy, in full sun and well watered; 0 for free
+    # water; None: only rain and dew on it evaporate
     surface_resistance_s_m: float | None = None
-    attenuation_1_m: float | None = None
-    melting_k: float | None = None
+    attenuation_1_m: float | None = None  # Of sunlight inside the layer [1/m]; None: opaque
+    melting_k: float | None = None  # Upper limit of the surface temperature [K]
+    # Kind of soil, one of `SOILS`, whose moisture follows the weather's rain; "": moisture is always the usual one
     texture: str = ""
+    # One standard deviation of each number, in its unit. Positive numbers are log-normal: roughness lengths are known
+    # to a factor.
     uncertainty: dict[str, float] = field(default_factory=dict)
-    source: dict[str, str] = field(default_factory=dict)
+    source: dict[str, str] = field(default_factory=dict)  # Source of each value; "chosen: …" without a measurement
+    # Properties of the material `beneath`, filled in by the library; None if there is none, or not yet looked up
     below: "Thermal | None" = None
 
     @property
@@ -138,11 +109,6 @@ class Thermal:
         """All layers from the surface down.
 
         The last one is unlimited, or ends at one of `ENDS`.
-
-        Raises
-        ------
-        ThermorenderError
-            `beneath` has not been looked up, because the material does not come from `load_library`.
         """
         if self.below is None and self.beneath not in ("", *ENDS):
             raise ThermorenderError(
@@ -171,11 +137,6 @@ def read_thermal(path: str | Path, directory: str | Path | None = None) -> Therm
         CSV; a missing row means an empty value.
     directory : path, optional
         Folder that must contain the file.
-
-    Raises
-    ------
-    ThermorenderError
-        The first fault of the file, with row, value, allowed values and advice.
     """
     thermal, faults = parsed(read_table(path, THERMAL_COLUMNS, directory))
     for row, sentence in faults:
@@ -333,11 +294,6 @@ def stacked(thermals: Mapping[str, Thermal], where: str | Path) -> dict[str, The
     thermals : dict of str to Thermal
     where : str
         Folder for messages.
-
-    Raises
-    ------
-    ThermorenderError
-        `beneath` is not a material with thermal properties, or leads in a circle.
     """
     for name in thermals:
         if fault := beneath_fault(name, thermals):

@@ -36,26 +36,18 @@ _LEAST, _OVER_WARM_UP = 40, 10
 
 @dataclass(frozen=True)
 class Block:
-    """The record of finished frames.
+    """The record of finished frames."""
 
-    Attributes
-    ----------
-    first, stop : int
-        Number of the first frame, and of that behind the last.
-    before, after : str
-        Checksum of the sensor's state before the first frame, "" at the start of a flight, and after the last.
-    lines : list of dict
-        Of the frames, as in `frames.jsonl`; left out by `finished_blocks`, since those of a campaign fill the memory.
-    settings : str
-        Checksum of the flight's settings.
-    """
-
+    # first, stop: Number of the first frame, and of that behind the last
     first: int
     stop: int
+    # before, after: Checksum of the sensor's state before the first frame, "" at the start of a flight, and after the
+    # last
     before: str
     after: str
+    # Of the frames, as in `frames.jsonl`; left out by `finished_blocks`, since those of a campaign fill the memory
     lines: list[dict[str, Any]]
-    settings: str
+    settings: str  # Checksum of the flight's settings
 
 
 def settings_digest(settings: dict[str, Any]) -> str:

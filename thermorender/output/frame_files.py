@@ -17,21 +17,11 @@ from thermorender.timing import phase
 
 @dataclass(frozen=True)
 class Prepared:
-    """A frame whose files are on the disk under temporary names.
+    """A frame whose files are on the disk under temporary names."""
 
-    Attributes
-    ----------
-    line : dict
-        The frame's line in `frames.jsonl`.
-    parts : dict
-        {path: temporary file}.
-    image : (H, W) or (H, W, 3) uint8, optional
-        The display image, for the video.
-    """
-
-    line: dict[str, Any]
-    parts: dict[Path, Path]
-    image: NDArray[np.uint8] | None = None
+    line: dict[str, Any]  # The frame's line in `frames.jsonl`
+    parts: dict[Path, Path]  # {path: temporary file}
+    image: NDArray[np.uint8] | None = None  # (H, W) or the display image, for the video
 
     def discard(self) -> None:
         """Remove the temporary files."""
@@ -60,11 +50,6 @@ def prepare(
         not waited for on the disk.
     image : array, optional
         As of Prepared.
-
-    Raises
-    ------
-    ThermorenderError
-        A file that cannot be written, or a folder that was moved meanwhile; no temporary file is left behind.
     """
     frame, known = Prepared({}, {}), {}
     try:
@@ -93,11 +78,6 @@ def put_in_place(folder: Path, place: os.stat_result, described: Callable[[], di
     """Give the files of a frame their names, then append its line to `frames.jsonl`.
 
     The first frame also writes `flight.json`, the value of `described`: an error before it leaves no files.
-
-    Raises
-    ------
-    ThermorenderError
-        A file that cannot be written, or a folder that was moved meanwhile.
     """
     refuse_moved(folder, place)
     if not (folder / "flight.json").exists():

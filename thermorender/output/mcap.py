@@ -70,13 +70,7 @@ def check_mcap(first_s: float, absolute: bool) -> None:
 
 
 def write_mcap(path: str | PathLike[str], frames: Sequence[Path]) -> None:
-    """Write EXR files of a flight's frames, in order, as an MCAP file.
-
-    Raises
-    ------
-    ThermorenderError
-        A damaged EXR.
-    """
+    """Write EXR files of a flight's frames, in order, as an MCAP file."""
     writer_of = _library()
     with atomic(path) as part, open(part, "wb") as file:
         writer = writer_of(file)

@@ -20,11 +20,6 @@ def fly_part(
     """Render the frames from `first` up to `stop`, or to the flight's end, as a block; do nothing if it is finished.
 
     A flight into the folder with `resume` takes over the blocks.
-
-    Raises
-    ------
-    ThermorenderError
-        The flight has no such frames, or the folder holds another flight.
     """
     flight = Flight(renderer, trajectory, options, None)
     flight.sheet = []

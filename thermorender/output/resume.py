@@ -32,11 +32,6 @@ def finished(folder: Path, settings: dict[str, Any], products: Sequence[str], re
         Otherwise the folder must not hold a flight.
     verify : bool
         Whether files are compared by checksum, not by size only.
-
-    Raises
-    ------
-    ThermorenderError
-        A folder in use, a damaged `flight.json`, or other settings.
     """
     described, lines = folder / "flight.json", folder / "frames.jsonl"
     if not resume:
@@ -107,13 +102,7 @@ def whole(path: Path, known: tuple[int, str], verify: bool) -> bool:
 
 
 def refuse_moved(folder: Path, before: os.stat_result) -> None:
-    """Refuse to continue in a folder that is not the one of the start: files would be lost and locks separate.
-
-    Raises
-    ------
-    ThermorenderError
-        The folder was removed, moved or replaced.
-    """
+    """Refuse to continue in a folder that is not the one of the start: files would be lost and locks separate."""
     try:
         same = os.path.samestat(os.stat(folder), before)
     except OSError:

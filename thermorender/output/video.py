@@ -113,11 +113,6 @@ def write_video(path: str | PathLike[str], images: Sequence[Path], rate_hz: floa
         Display images, in order.
     rate_hz : float
         Frames per second.
-
-    Raises
-    ------
-    ThermorenderError
-        A damaged image, or an encoder that ends too early: killed, or on a full disk.
     """
     with VideoWriter(path, rate_hz) as video:
         for image in images:

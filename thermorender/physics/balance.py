@@ -25,136 +25,67 @@ _ENDLESS = 1e9  # kg m⁻²
 
 
 class Ground(NamedTuple):
-    """Properties of the columns: arrays over the columns, or lists of them over the layers.
+    """Properties of the columns: arrays over the columns, or lists of them over the layers."""
 
-    Attributes
-    ----------
-    emissivity : array
-        Broadband hemispherical [1].
-    log_wind, log_heat, height_m : array
-        As in `exchange.convection`.
-    resistance : array
-        To evaporation when moist [s/m]; for leaves, of the stomata in full sun.
-    wetness : array
-        Moisture available to evaporation, 0…1; the resistance is divided by it.
-    open_water : array
-        Share of the surface that is always free water, 0…1.
-    leaves : array
-        1 where stomata evaporate, 0 elsewhere.
-    held : array
-        Free water that the surface can hold [kg m⁻²].
-    melting : array
-        1 where the surface is snow or ice, 0 elsewhere.
-    capacity, conductance : list
-        As in `conduction.Layers`.
-    water : list or None
-        Freezable water of the layers [kg m⁻²]; None: nothing freezes or melts.
-    room : list or None
-        Liquid water that a layer can hold [kg m⁻²]: all its water in soil and lakes, little in snow. The rest of the
-        snow's melt water runs off, and its ice is unlimited.
-    sun_share : list or None
-        Share of the absorbed sunlight per layer; None: the surface absorbs all of it.
-    gap : array or None
-        Share of the sky that the first layer sees between leaves, 0…1; None: it sees none.
-    """
-
-    emissivity: Any
+    emissivity: Any  # Broadband hemispherical [1]
+    # log_wind, log_heat, height_m: As in `exchange.convection`
     log_wind: Any
     log_heat: Any
     height_m: Any
-    resistance: Any
-    wetness: Any
-    open_water: Any
-    leaves: Any
-    held: Any
-    melting: Any
+    resistance: Any  # To evaporation when moist [s/m]; for leaves, of the stomata in full sun
+    wetness: Any  # Moisture available to evaporation, 0…1; the resistance is divided by it
+    open_water: Any  # Share of the surface that is always free water, 0…1
+    leaves: Any  # 1 where stomata evaporate, 0 elsewhere
+    held: Any  # Free water that the surface can hold [kg m⁻²]
+    melting: Any  # 1 where the surface is snow or ice, 0 elsewhere
+    # capacity, conductance: As in `conduction.Layers`
     capacity: list[Any]
     conductance: list[Any]
-    water: list[Any] | None = None
+    water: list[Any] | None = None  # Freezable water of the layers [kg m⁻²]; None: nothing freezes or melts
+    # Liquid water that a layer can hold [kg m⁻²]: all its water in soil and lakes, little in snow. The rest of the
+    # snow's melt water runs off, and its ice is unlimited.
     room: list[Any] | None = None
+    # Share of the absorbed sunlight per layer; None: the surface absorbs all of it
     sun_share: list[Any] | None = None
-    gap: Any = None
+    gap: Any = None  # Share of the sky that the first layer sees between leaves, 0…1; None: it sees none
 
 
 class Forcing(NamedTuple):
-    """Radiation and weather on the columns at one instant.
+    """Radiation and weather on the columns at one instant."""
 
-    Attributes
-    ----------
-    absorbed : array
-        Absorbed sunlight [W m⁻²].
-    longwave : array
-        Incident long-wave [W m⁻²].
-    sunlight : array
-        Incident sunlight from sun and sky, for the stomata [W m⁻²].
-    air_k, vapour_pa, wind_m_s, pressure_pa : array
-        Of the air; the wind over this surface.
-    rain_kg_m2_s : array
-    below_k : array
-        Temperature of the air below the column, if any [K].
-    """
-
-    absorbed: Any
-    longwave: Any
-    sunlight: Any
+    absorbed: Any  # Absorbed sunlight [W m⁻²]
+    longwave: Any  # Incident long-wave [W m⁻²]
+    sunlight: Any  # Incident sunlight from sun and sky, for the stomata [W m⁻²]
+    # air_k, vapour_pa, wind_m_s, pressure_pa: Of the air; the wind over this surface
     air_k: Any
     vapour_pa: Any
     wind_m_s: Any
     pressure_pa: Any
     rain_kg_m2_s: Any
-    below_k: Any
+    below_k: Any  # Temperature of the air below the column, if any [K]
 
 
 class State(NamedTuple):
-    """State of the columns at one instant.
+    """State of the columns at one instant."""
 
-    Attributes
-    ----------
-    surface_k : array
-        [K]
-    layers_k : list of arrays
-        [K]
-    film : array
-        Free water on the surface [kg m⁻²].
-    liquid : list of arrays or None
-        Liquid part of the layers' freezable water [kg m⁻²].
-    remainder_k : list of arrays or None
-        What the layers are warmer than `layers_k` can hold [K]; None: nothing. In single precision short steps change
-        deep layers by less than an ulp of `layers_k`, and thin sheets have smaller gradients.
-    """
-
-    surface_k: Any
-    layers_k: list[Any]
-    film: Any
-    liquid: list[Any] | None
+    surface_k: Any  # [K]
+    layers_k: list[Any]  # [K]
+    film: Any  # Free water on the surface [kg m⁻²]
+    liquid: list[Any] | None  # Liquid part of the layers' freezable water [kg m⁻²]
+    # What the layers are warmer than `layers_k` can hold [K]; None: nothing. In single precision short steps change
+    # deep layers by less than an ulp of `layers_k`, and thin sheets have smaller gradients.
     remainder_k: Any = None
 
 
 class Fluxes(NamedTuple):
-    """Means over a step; net_radiation = sensible + latent + into_ground, up to Newton's residual.
+    """Means over a step; net_radiation = sensible + latent + into_ground, up to Newton's residual."""
 
-    Attributes
-    ----------
-    net_radiation : array
-        Absorbed sunlight and long-wave minus emission [W m⁻²].
-    sensible : array
-        Heat given to the air and to rain [W m⁻²].
-    latent : array
-        Heat of evaporation [W m⁻²]; negative for dew and frost.
-    into_ground : array
-        Heat gained by the layers through the surface and by absorbed sunlight [W m⁻²].
-    evaporated : array
-        [kg m⁻² s⁻¹]
-    molten : array
-        Melted minus frozen water of the layers [kg m⁻² s⁻¹].
-    """
-
-    net_radiation: Any
-    sensible: Any
-    latent: Any
-    into_ground: Any
-    evaporated: Any
-    molten: Any
+    net_radiation: Any  # Absorbed sunlight and long-wave minus emission [W m⁻²]
+    sensible: Any  # Heat given to the air and to rain [W m⁻²]
+    latent: Any  # Heat of evaporation [W m⁻²]; negative for dew and frost
+    into_ground: Any  # Heat gained by the layers through the surface and by absorbed sunlight [W m⁻²]
+    evaporated: Any  # [kg m⁻² s⁻¹]
+    molten: Any  # Melted minus frozen water of the layers [kg m⁻² s⁻¹]
 
 
 def at_rest(xp: Any, temperatures_k: list[Any], ground: Ground) -> State:

@@ -22,50 +22,25 @@ _GROWTH = 1.15
 
 @dataclass(frozen=True)
 class Slab:
-    """A homogeneous slab of material beneath a surface.
+    """A homogeneous slab of material beneath a surface."""
 
-    Attributes
-    ----------
-    thickness_m : float
-        May be infinite.
-    conductivity : float
-        [W m⁻¹ K⁻¹]
-    capacity : float
-        Heat per volume [J m⁻³ K⁻¹].
-    water : float
-        Freezable water per volume [1].
-    """
-
-    thickness_m: float
-    conductivity: float
-    capacity: float
-    water: float = 0.0
+    thickness_m: float  # May be infinite
+    conductivity: float  # [W m⁻¹ K⁻¹]
+    capacity: float  # Heat per volume [J m⁻³ K⁻¹]
+    water: float = 0.0  # Freezable water per volume [1]
 
 
 @dataclass(frozen=True)
 class Layers:
-    """A column divided into layers, from the top down.
+    """A column divided into layers, from the top down."""
 
-    Attributes
-    ----------
-    edge_m : (L + 1,) float64
-        Depth of the layers' edges [m].
-    node_m : (L,) float64
-        Depth of the layers' temperature nodes [m].
-    capacity : (L,) float64
-        Heat capacity [J m⁻² K⁻¹].
-    conductance : (L + 1,) float64
-        From the surface to the first node, between nodes, and from the last node to the air below (0: insulated)
-        [W m⁻² K⁻¹].
-    water : (L,) float64
-        Freezable water [kg m⁻²].
-    """
-
-    edge_m: Floats
-    node_m: Floats
-    capacity: Floats
+    edge_m: Floats  # (L + 1,) float64 depth of the layers' edges [m]
+    node_m: Floats  # (L,) float64 depth of the layers' temperature nodes [m]
+    capacity: Floats  # (L,) float64 heat capacity [J m⁻² K⁻¹]
+    # (L + 1,) float64 from the surface to the first node, between nodes, and from the last node to the air below (0:
+    # insulated) [W m⁻² K⁻¹]
     conductance: Floats
-    water: Floats
+    water: Floats  # (L,) float64 freezable water [kg m⁻²]
 
 
 @cache
@@ -157,18 +132,12 @@ def layered(slabs: Sequence[Slab], skin: float = np.inf, film: float | None = No
 
 
 class Response(NamedTuple):
-    """Response of a column to heat from above over one implicit stage.
+    """Response of a column to heat from above over one implicit stage."""
 
-    Attributes
-    ----------
-    alpha, beta : array
-        The first layer warms by α + β Q under a heat flux Q from the surface [K, K m² W⁻¹].
-    shares, rises : lists of L - 1 arrays
-        Each layer below it warms by share · (drop + change of the layer above) + rise [1, K].
-    """
-
+    # alpha, beta: The first layer warms by α + β Q under a heat flux Q from the surface [K, K m² W⁻¹]
     alpha: Any
     beta: Any
+    # shares, rises: Each layer below it warms by share · (drop + change of the layer above) + rise [1, K]
     shares: list[Any]
     rises: list[Any]
 

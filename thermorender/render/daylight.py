@@ -16,21 +16,11 @@ _AT_ONCE = 1 << 22
 
 
 class Daylight(NamedTuple):
-    """Daylight on texels, (T,) float32 each.
+    """Daylight on texels, (T,) float32 each."""
 
-    Attributes
-    ----------
-    cosine : (T,)
-        Between the normal and the sun, 0 in shadow.
-    sky : (T,)
-        Share of the hemisphere that is sky, cosine weighted.
-    shown : (T,) bool
-        Whether a face shows the texel; the others have neither.
-    """
-
-    cosine: NDArray[np.float32]
-    sky: NDArray[np.float32]
-    shown: NDArray[np.bool_]
+    cosine: NDArray[np.float32]  # (T,) between the normal and the sun, 0 in shadow
+    sky: NDArray[np.float32]  # (T,) share of the hemisphere that is sky, cosine weighted
+    shown: NDArray[np.bool_]  # (T,) bool whether a face shows the texel; the others have neither
 
 
 def daylight(

@@ -60,11 +60,6 @@ def placements(
     `objects` replaces values of the tracks: {name: {column of its track: value}}. `lit_s` is the time whose light they
     receive and give [s]; near it this saves tracing the light, as costly as the rest of a frame. `lit_objects` is
     `objects` at that time, by default the same.
-
-    Raises
-    ------
-    ThermorenderError
-        The time is not a finite number, an object has no track or leaves the terrain, or a column is unknown.
     """
     try:
         finite = np.isfinite(float(time_s))

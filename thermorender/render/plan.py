@@ -25,71 +25,41 @@ QUALITIES = {"fast": (1, 4, 500.0, 128), "standard": (1, 4, 150.0, 128), "high":
 # Compared by identity: its spectrum holds arrays.
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """The choices for one scene.
+    """The choices for one scene."""
 
-    Attributes
-    ----------
-    band_um : (2,) floats
-    tolerance_mk : float
-        Error allowed to the spectral nodes and to the solution of the light between surfaces [mK]. A proven bound
-        limits the solution's error to a tenth of it; the nodes' error is the largest on the scene's envelope.
-    spectrum : Spectrum
-        Nodes at which light between surfaces is solved, and channels of a texel.
-    reflection_mk : float
-        Upper bound of the light reflected by diffuse surfaces, without sunlight: as if their whole surroundings were as
-        bright as the warmest of the scene's surfaces, sky and air [mK at 300 K].
-    bake : bool
-        Whether reflection is solved.
-    rays : int
-        Rays per face of the bake.
-    samples, taps : int
-        Rays per pixel, and texture taps per ray.
-    edge_mk : float
-        Error above which a pixel that shows an edge gets more rays [mK]; infinite: never.
-    coldest, warmest : float
-        Temperatures of the scene, its sky and surroundings [K].
-    dynamic : int
-        Number of objects with a track.
-    air_mk : float or None
-        Change of a surface of 300 K behind a kilometre of the scene's air [mK]; None without air.
-    sun_mk : float or None
-        Upper bound of sunlight in the camera's band reflected by any diffuse surface, facing the sun above the air [mK
-        at 300 K]; None where the scene declares no sun.
-    sun : bool
-        Whether sunlight is included.
-    specular_mk : float or None
-        Estimate from above of the effect of the angle of view on directional materials, up to 80° [mK at 300 K]; None
-        without such materials.
-    specular : ReflectanceTables or None
-        How such materials reflect; None where mirror rays are left out.
-    assumed : tuple of (Assumption, float)
-        Parts of the band where a material was not measured, and one standard deviation of the effect on a surface of
-        300 K under the scene's sky [mK].
-    inferred : tuple of str
-        Parts of a mesh whose shape nobody has seen.
-    copies, bodies : int
-        Copies of bodies, and bodies that they are copies of.
-    """
-
-    band_um: tuple[float, float]
+    band_um: tuple[float, float]  # (2,) floats
+    # Error allowed to the spectral nodes and to the solution of the light between surfaces [mK]. A proven bound
+    # limits the solution's error to a tenth of it; the nodes' error is the largest on the scene's envelope.
     tolerance_mk: float
-    spectrum: Spectrum
+    spectrum: Spectrum  # Nodes at which light between surfaces is solved, and channels of a texel
+    # Upper bound of the light reflected by diffuse surfaces, without sunlight: as if their whole surroundings were as
+    # bright as the warmest of the scene's surfaces, sky and air [mK at 300 K]
     reflection_mk: float
-    bake: bool
-    rays: int
+    bake: bool  # Whether reflection is solved
+    rays: int  # Rays per face of the bake
+    # samples, taps: Rays per pixel, and texture taps per ray
     samples: int
     taps: int
-    edge_mk: float
+    edge_mk: float  # Error above which a pixel that shows an edge gets more rays [mK]; infinite: never
+    # coldest, warmest: Temperatures of the scene, its sky and surroundings [K]
     coldest: float
     warmest: float
-    dynamic: int
+    dynamic: int  # Number of objects with a track
+    # Change of a surface of 300 K behind a kilometre of the scene's air [mK]; None without air
     air_mk: float | None
+    # Upper bound of sunlight in the camera's band reflected by any diffuse surface, facing the sun above the air [mK
+    # at 300 K]; None where the scene declares no sun
     sun_mk: float | None
-    sun: bool
+    sun: bool  # Whether sunlight is included
+    # Estimate from above of the effect of the angle of view on directional materials, up to 80° [mK at 300 K]; None
+    # without such materials
     specular_mk: float | None
-    specular: ReflectanceTables | None
+    specular: ReflectanceTables | None  # How such materials reflect; None where mirror rays are left out
+    # Parts of the band where a material was not measured, and one standard deviation of the effect on a surface of
+    # 300 K under the scene's sky [mK]
     assumed: tuple[tuple[Assumption, float], ...] = ()
-    inferred: tuple[str, ...] = ()
+    inferred: tuple[str, ...] = ()  # Parts of a mesh whose shape nobody has seen
+    # copies, bodies: Copies of bodies, and bodies that they are copies of
     copies: int = 0
     bodies: int = 0
 
@@ -205,13 +175,7 @@ def checked(
     quality: str = "standard", samples: int | None = None, taps: int | None = None, edge_mk: float | None = None,
     rays: int | None = None, tolerance_mk: float = 5.0,
 ) -> tuple[int, int, float, int]:  # fmt: skip
-    """Return (samples, taps, edge_mk, rays) of a quality, or those given instead; parameters as of `make_plan`.
-
-    Raises
-    ------
-    ThermorenderError
-        A setting is out of range.
-    """
+    """Return (samples, taps, edge_mk, rays) of a quality, or those given instead; parameters as of `make_plan`."""
     if quality not in QUALITIES:
         raise ThermorenderError(f"quality={quality!r} is unknown; give one of {', '.join(QUALITIES)}")
     preset = QUALITIES[quality]
@@ -252,11 +216,6 @@ def make_plan(
         of it to any pixel, at 300 K, is left out.
     kept : (Plan, Scene), optional
         Before an edit of materials or temperatures: spectral nodes and channels stay, whatever their error.
-
-    Raises
-    ------
-    ThermorenderError
-        A setting is out of range, temperatures are not solved, or parts of the scene disagree.
     """
     samples, taps, edge_mk, rays = checked(quality, samples, taps, edge_mk, rays, tolerance_mk)
     scene.refuse_disagreement()

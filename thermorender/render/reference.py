@@ -59,11 +59,6 @@ def render(
         Mitsuba's; "direct" includes one reflection only.
     progress : callable, optional
         Called with the share done.
-
-    Raises
-    ------
-    ThermorenderError
-        The pose is not a rigid transform, samples are below 1, or the scene has air.
     """
     pose = checked_pose(pose)
     camera = scene.camera

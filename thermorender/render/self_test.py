@@ -47,16 +47,10 @@ _COUNTS_K = 1e-3
 
 @dataclass(frozen=True)
 class Check:
-    """A found value beside its closed form.
-
-    Attributes
-    ----------
-    name : str
-    expected_k, found_k, allowed_k : float
-        Value by the closed form, value found, and largest allowed difference [K].
-    """
+    """A found value beside its closed form."""
 
     name: str
+    # expected_k, found_k, allowed_k: Value by the closed form, value found, and largest allowed difference [K]
     expected_k: float
     found_k: float
     allowed_k: float

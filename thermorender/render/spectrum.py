@@ -248,11 +248,6 @@ def make_spectrum(materials: Sequence[Material], envelope: Envelope, tolerance_m
     A material's reflection of a node's light is not its mean reflectance in the node. It is a least-squares fit, over
     the envelope's light, to the reflection at the points, regularised towards the mean. This corrects most variation
     within a node and needs a third of the nodes.
-
-    Raises
-    ------
-    ThermorenderError
-        The tolerance is not reached with 64 nodes.
     """
     points = Points.of(envelope.band_um, envelope.air)
     pure, shares = _pure(materials)

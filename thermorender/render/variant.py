@@ -69,13 +69,7 @@ def llvm_libraries() -> dict[Path, int | None]:
 
 
 def usable_llvm() -> tuple[Path, int | None] | None:
-    """Return (path, version) of the newest usable LLVM library, or None; DRJIT_LIBLLVM_PATH comes first.
-
-    Raises
-    ------
-    ThermorenderError
-        DRJIT_LIBLLVM_PATH names a library that is missing or too old.
-    """
+    """Return (path, version) of the newest usable LLVM library, or None; DRJIT_LIBLLVM_PATH comes first."""
     chosen = os.environ.get("DRJIT_LIBLLVM_PATH")
     if chosen:
         version = llvm_version(chosen)
@@ -100,11 +94,6 @@ def activate(device: str = "auto") -> Any:
     ----------
     device : {"auto", "cpu", "cuda"}
         "auto" uses the GPU if Dr.Jit finds one, else the CPU.
-
-    Raises
-    ------
-    ThermorenderError
-        The device is unknown, no GPU or usable system library exists, or this process already uses another device.
     """
     if device not in ("auto", *DEVICES):
         raise ThermorenderError(f"device={device!r} is unknown; give one of auto, {', '.join(DEVICES)}")
@@ -194,13 +183,7 @@ def works(variant: str) -> tuple[bool, str]:
 
 
 def install_libraries() -> str:
-    """Install libatomic and an LLVM runtime with apt if they are missing; return a sentence about the result.
-
-    Raises
-    ------
-    ThermorenderError
-        A library is missing and cannot be installed.
-    """
+    """Install libatomic and an LLVM runtime with apt if they are missing; return a sentence about the result."""
     llvm, atomic = usable_llvm(), lacks_atomic()
     if llvm and not atomic:
         return f"LLVM {llvm[1]} is present: {llvm[0]}"

@@ -10,33 +10,16 @@ from thermorender.errors import ThermorenderError
 
 @dataclass(frozen=True, eq=False)
 class Deviations:
-    """Factors on what the tables give, per texel of the terrain: 1 is the table itself.
+    """Factors on what the tables give, per texel of the terrain: 1 is the table itself."""
 
-    Attributes
-    ----------
-    reflectance : (H, W) array
-        On the reflectance of sunlight; the absorptance that is left stays within 0.02…0.98.
-    wetness : (H, W) array
-        On the moisture available to evaporation, up to 1.
-    exchange : (H, W) array
-        On the turbulent exchange with the air, where it is neutral.
-    inertia : (H, W) array
-        On the thermal inertia √(kρc): of all layers' capacities and conductances.
-    """
-
+    # (H, W) on the reflectance of sunlight; the absorptance that is left stays within 0.02…0.98
     reflectance: NDArray[np.float32]
-    wetness: NDArray[np.float32]
-    exchange: NDArray[np.float32]
-    inertia: NDArray[np.float32]
+    wetness: NDArray[np.float32]  # (H, W) on the moisture available to evaporation, up to 1
+    exchange: NDArray[np.float32]  # (H, W) on the turbulent exchange with the air, where it is neutral
+    inertia: NDArray[np.float32]  # (H, W) on the thermal inertia √(kρc): of all layers' capacities and conductances
 
     def columns(self, texels: int) -> NDArray[np.float32]:
-        """Return (4, texels) float32: the factors in the order above, row by row of the terrain.
-
-        Raises
-        ------
-        ThermorenderError
-            A field of another size, or a factor that is not a positive number.
-        """
+        """Return (4, texels) float32: the factors in the order above, row by row of the terrain."""
         for name, values in vars(self).items():
             if np.size(values) != texels:
                 raise ThermorenderError(

@@ -44,18 +44,10 @@ def pose_from_map(frame: LocalFrame, crs: Any, pose: ArrayLike) -> NDArray[np.fl
 
 @dataclass(frozen=True)
 class Place:
-    """Where a scene lies on Earth.
+    """Where a scene lies on Earth."""
 
-    Attributes
-    ----------
-    frame : LocalFrame
-        The scene's.
-    crs : rasterio.crs.CRS
-        Of its map: the terrain's rasters, or for a mesh with [frame] the UTM zone of its origin.
-    """
-
-    frame: LocalFrame
-    crs: Any
+    frame: LocalFrame  # The scene's
+    crs: Any  # Of its map: the terrain's rasters, or for a mesh with [frame] the UTM zone of its origin
 
     def to_map(self, position: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return map coordinates (x, y), each (N,), of local positions (N, 3) [m]."""

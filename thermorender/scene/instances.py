@@ -34,25 +34,13 @@ MOST_EXPANDED = 10_000_000
 
 @dataclass(frozen=True, eq=False)
 class Instances:
-    """Copies of a body.
+    """Copies of a body."""
 
-    Attributes
-    ----------
-    vertices : (V, 3) float64
-        Of the body in its own frame: x right, y ahead, z up [m].
-    faces : (F, 3) int32
-    patch : (F,) uint8
-        Patch of each triangle, from 0.
-    position : (n, 3) float64
-        Place of each copy's origin in the scene's frame [m].
-    yaw_deg, scale : (n,) float64
-        Heading, clockwise from north, and factor on all lengths.
-    """
-
-    vertices: Floats
-    faces: NDArray[np.int32]
-    patch: NDArray[np.uint8]
-    position: Floats
+    vertices: Floats  # (V, 3) float64 of the body in its own frame: x right, y ahead, z up [m]
+    faces: NDArray[np.int32]  # (F, 3) int32
+    patch: NDArray[np.uint8]  # (F,) uint8 patch of each triangle, from 0
+    position: Floats  # (n, 3) float64 place of each copy's origin in the scene's frame [m]
+    # yaw_deg, scale: (n,) float64 heading, clockwise from north, and factor on all lengths
     yaw_deg: Floats
     scale: Floats
 
@@ -166,13 +154,7 @@ def alone(surface: Surface) -> Surface:
 
 
 def expanded(surface: Surface) -> Surface:
-    """Return a surface whose copies are ordinary triangles, each with the texel of its patch.
-
-    Raises
-    ------
-    ThermorenderError
-        More triangles than an ordinary machine holds.
-    """
+    """Return a surface whose copies are ordinary triangles, each with the texel of its patch."""
     body = surface.instances
     if body is None:
         return surface
@@ -193,14 +175,7 @@ def expanded(surface: Surface) -> Surface:
 
 
 def read_places(path: Path) -> dict[str, Floats]:
-    """Return {column: (n,)} of a table of copies: a CSV with east_m and north_m, and any of the other columns.
-
-    Raises
-    ------
-    ThermorenderError
-        An unreadable file, too many rows, unknown or missing columns, cells that are not numbers, or a scale that is
-        not positive.
-    """
+    """Return {column: (n,)} of a table of copies: a CSV with east_m and north_m, and any of the other columns."""
     from thermorender.scene.parts.tracks import read_columns
 
     columns, rows = read_columns(path, ("east_m", "north_m"), ("above_ground_m", "yaw_deg", "scale"))

@@ -42,20 +42,11 @@ _DISTINCT = 20.0
 
 @dataclass(frozen=True, eq=False)
 class Context:
-    """What a scene knows of its ground beside the orthophoto.
+    """What a scene knows of its ground beside the orthophoto."""
 
-    Attributes
-    ----------
-    case : (h, w) uint8 or None
-        Cases of `relief.case_of`, where heights tell materials apart.
-    known : KnownCover or None
-    notes : tuple of str
-        What is used and what is not, one sentence each.
-    """
-
-    case: NDArray[np.uint8] | None
+    case: NDArray[np.uint8] | None  # (h, w) uint8 cases of `relief.case_of`, where heights tell materials apart
     known: KnownCover | None
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # What is used and what is not, one sentence each
 
     def evidence(self, materials: Sequence[str]) -> list[Evidence]:
         """Return the Evidence on materials by name."""
@@ -65,26 +56,13 @@ class Context:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A photograph of ground: an orthophoto or the texture of a mesh.
+    """A photograph of ground: an orthophoto or the texture of a mesh."""
 
-    Attributes
-    ----------
-    colour : (h, w, 3) uint8
-        sRGB, holes filled.
-    valid : (h, w) bool
-        False where holes were filled, and where no ground shows the texel.
-    texel_m : float
-    context : Context, optional
-        Of an orthophoto.
-    name : str
-        For messages.
-    """
-
-    colour: NDArray[np.uint8]
-    valid: NDArray[np.bool_]
+    colour: NDArray[np.uint8]  # (h, w, 3) uint8 sRGB, holes filled
+    valid: NDArray[np.bool_]  # (h, w) bool false where holes were filled, and where no ground shows the texel
     texel_m: float
-    context: Context | None = None
-    name: str = "the picture"
+    context: Context | None = None  # Of an orthophoto
+    name: str = "the picture"  # For messages
 
 
 def context_of(
@@ -109,13 +87,7 @@ def context_of(
 def model_of(
     source: EmissivitySpec, library: Mapping[str, Material], where: str, no_snow: str = ""
 ) -> tuple[EmissivityMap, tuple[str, ...]]:
-    """Return (EmissivityMap of a source "learned" without what does not occur, sentences on what weather excludes).
-
-    Raises
-    ------
-    ThermorenderError
-        The map cannot be used, or lacks a material of `source.present` or `source.without`.
-    """
+    """Return (EmissivityMap of a source "learned" without what does not occur, sentences on what weather excludes)."""
     assert source.model is not None
     whole = load_map(source.model)
     model = whole.without(source.without)
@@ -160,11 +132,6 @@ def learned_materials(
     report : dict
         Shares of texels with the fallback and with a large standard deviation, mean confidence and standard deviation
         (left out if all have the fallback), errors of the palette, the coarsest texel, and sentences on the context.
-
-    Raises
-    ------
-    ThermorenderError
-        The map cannot be used, or materials of it were not measured over the band.
     """
     assert source.fallback is not None
     model, notes = model_of(source, library, where, no_snow)
@@ -253,13 +220,7 @@ class Orthophoto:
 
 
 def orthophoto_of(spec: SceneSpec) -> Orthophoto:
-    """Return the Orthophoto of a scene.
-
-    Raises
-    ------
-    ThermorenderError
-        The scene has none.
-    """
+    """Return the Orthophoto of a scene."""
     source = spec.terrain
     if source.mesh:
         raise ThermorenderError(

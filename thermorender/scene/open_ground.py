@@ -60,30 +60,15 @@ _DAY = np.timedelta64(86400, "s")
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Columns of some materials under a weather.
+    """Columns of some materials under a weather."""
 
-    Attributes
-    ----------
-    ground : balance.Ground
-        Arrays (M,), and lists of L arrays (M,).
-    absorptance : (M,) float64
-        Of sunlight.
-    wind_factor : (M,)
-        Wind over the material as a share of the station's.
-    indoors : (M,) bool
-        Whether indoor air is below; otherwise outdoor air, or air without effect.
-    node_m : (M, L)
-        Depth of the layers' temperatures [m].
-    snow_m : (M,)
-        Depth of snow on top [m].
-    """
-
-    ground: Ground
-    absorptance: NDArray[np.float64]
-    wind_factor: NDArray[np.float64]
+    ground: Ground  # Arrays (M,), and lists of L arrays (M,)
+    absorptance: NDArray[np.float64]  # (M,) float64 of sunlight
+    wind_factor: NDArray[np.float64]  # (M,) wind over the material as a share of the station's
+    # (M,) bool whether indoor air is below; otherwise outdoor air, or air without effect
     indoors: NDArray[np.bool_]
-    node_m: NDArray[np.float64]
-    snow_m: NDArray[np.float64]
+    node_m: NDArray[np.float64]  # (M, L) depth of the layers' temperatures [m]
+    snow_m: NDArray[np.float64]  # (M,) depth of snow on top [m]
 
 
 def columns(
@@ -103,11 +88,6 @@ def columns(
     station_roughness_m : float, optional
         Of the land around the station; None: the station is on the material itself.
     layers : int
-
-    Raises
-    ------
-    ThermorenderError
-        A material without thermal properties; a station on a material that reaches up to its sensors.
     """
     made = [_column(material, weather, snow_m, station_roughness_m, layers) for material in materials]
     stacked: dict[str, Any] = {}

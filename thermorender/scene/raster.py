@@ -110,13 +110,7 @@ def files_of(path: Path) -> list[str]:
 
 
 def grid_of(path: Path) -> Grid:
-    """Return the Grid of a raster file.
-
-    Raises
-    ------
-    ThermorenderError
-        A missing or unreadable file, or one without a coordinate reference system or position on its map.
-    """
+    """Return the Grid of a raster file."""
     with opened(path) as dataset:
         if dataset.crs is None:
             raise ThermorenderError(
@@ -137,13 +131,7 @@ def grid_of(path: Path) -> Grid:
 
 
 def bounds_in(crs: Any, grid: Grid) -> tuple[float, float, float, float]:
-    """Return a Grid's (left, bottom, right, top) in the units of another map.
-
-    Raises
-    ------
-    ThermorenderError
-        The grid's coordinates have no position on that map.
-    """
+    """Return a Grid's (left, bottom, right, top) in the units of another map."""
     from rasterio.warp import transform_bounds
 
     if grid.crs == crs:
@@ -158,13 +146,7 @@ def bounds_in(crs: Any, grid: Grid) -> tuple[float, float, float, float]:
 def lon_lat(
     grid: Grid, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return WGS 84 longitude and latitude [deg] of map coordinates, (N,), in a grid's CRS.
-
-    Raises
-    ------
-    ThermorenderError
-        The coordinates are not on Earth in that CRS.
-    """
+    """Return WGS 84 longitude and latitude [deg] of map coordinates, (N,), in a grid's CRS."""
     from rasterio.crs import CRS
     from rasterio.warp import transform
 
@@ -221,13 +203,7 @@ def read_band(path: Path, missing: Sequence[float] = ()) -> NDArray[np.float64]:
 
 
 def read_classes(path: Path) -> NDArray[np.int16]:
-    """Return the class numbers of a raster, (h, w) int16, 0 where it has no data.
-
-    Raises
-    ------
-    ThermorenderError
-        A value that is not a whole number 0…255.
-    """
+    """Return the class numbers of a raster, (h, w) int16, 0 where it has no data."""
     numbers = np.nan_to_num(read_band(path), nan=0.0)
     odd = (numbers < 0.0) | (numbers > 255.0) | (numbers % 1.0 != 0.0)
     if odd.any():

@@ -454,12 +454,6 @@ def read_scene(folder: Path | str) -> SceneSpec:
     ----------
     folder : path
         Folder holding `scene.toml` (or the path of that file itself).
-
-    Raises
-    ------
-    ThermorenderError
-        A missing file, invalid TOML, an unknown or missing key, a value out of range; the message names
-        file, table, key, what arrived and what is allowed.
     """
     path = Path(folder)
     if path.name != "scene.toml":

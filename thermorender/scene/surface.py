@@ -30,43 +30,20 @@ MOST_MATERIALS = 255
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A triangle mesh with a texel map.
-
-    Attributes
-    ----------
-    name : str
-    vertices : (V, 3) float64
-        Positions in the scene's local frame [m].
-    faces : (F, 3) int32
-        Vertex indices, counter-clockwise seen from outside.
-    uv : (F, 3, 2) float32
-        Map coordinates of each face's corners, 0…1, u to the right and v down the image.
-    colour : (h, w, 3) uint8
-        sRGB of each texel.
-    material : (h, w) uint8
-        Index of each texel's material in `Scene.materials`.
-    temperature : (h, w) float32
-        Kinetic temperature [K].
-    flags : (h, w) uint8
-        Bitwise or of the flags of this module.
-    texel_m : float
-        Side of a texel on the ground [m].
-    instances : Instances, optional
-        Copies of a body that rays meet; the faces then stand for their patches.
-    scatter_k : (h, w) float32, optional
-        Standard deviation of the temperature within texels [K], of copies whose heat balance is solved.
-    """
+    """A triangle mesh with a texel map."""
 
     name: str
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
+    vertices: NDArray[np.float64]  # (V, 3) float64 positions in the scene's local frame [m]
+    faces: NDArray[np.int32]  # (F, 3) int32 vertex indices, counter-clockwise seen from outside
+    # (F, 3, 2) float32 map coordinates of each face's corners, 0…1, u to the right and v down the image
     uv: NDArray[np.float32]
-    colour: NDArray[np.uint8]
-    material: NDArray[np.uint8]
-    temperature: NDArray[np.float32]
-    flags: NDArray[np.uint8]
-    texel_m: float
-    instances: "Instances | None" = None
+    colour: NDArray[np.uint8]  # (h, w, 3) uint8 sRGB of each texel
+    material: NDArray[np.uint8]  # (h, w) uint8 index of each texel's material in `Scene.materials`
+    temperature: NDArray[np.float32]  # (h, w) float32 kinetic temperature [K]
+    flags: NDArray[np.uint8]  # (h, w) uint8 bitwise or of the flags of this module
+    texel_m: float  # Side of a texel on the ground [m]
+    instances: "Instances | None" = None  # Copies of a body that rays meet; the faces then stand for their patches
+    # (h, w) float32 standard deviation of the temperature within texels [K], of copies whose heat balance is solved
     scatter_k: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
@@ -118,11 +95,6 @@ def scene_kelvin(name: str, temperature: _Kelvin, allow_zero: bool = False) -> _
     ----------
     name, temperature, allow_zero
         As in `thermorender.units.kelvin`.
-
-    Raises
-    ------
-    ThermorenderError
-        A value is below 100 K (most likely °C), above 3000 K or infinite.
     """
     kelvin(name, temperature, allow_zero)
     highest = np.nanmax(np.asarray(temperature))

@@ -34,36 +34,18 @@ _PLACEHOLDER = 1e6
 
 @dataclass(frozen=True)
 class Texels:
-    """Texels of one surface, the input of a temperature source.
+    """Texels of one surface, the input of a temperature source."""
 
-    Attributes
-    ----------
-    colour : (h, w, 3) uint8
-    material : (h, w) uint8
-    materials : sequence of Material
-    grid : Grid or None
-        The texels' pixel grid on the map, for rasters; None for meshes.
-    texel_m : float
-    where : str
-        Name of the scene file, for messages.
-    report : dict
-    model : TemperatureMap or None
-        The map of a source "learned", as by `learned_map`.
-    on_ground : (h, w) bool or None
-        Texels on the terrain; None if all of them are.
-    surface, texture : Surface and Texture, or None
-        Of a mesh, for rasters in the pixels of its texture.
-    """
-
-    colour: NDArray[np.uint8]
-    material: NDArray[np.uint8]
+    colour: NDArray[np.uint8]  # (h, w, 3) uint8
+    material: NDArray[np.uint8]  # (h, w) uint8
     materials: Sequence[Material]
-    grid: Grid | None
+    grid: Grid | None  # The texels' pixel grid on the map, for rasters; None for meshes
     texel_m: float
-    where: str
+    where: str  # Name of the scene file, for messages
     report: dict[str, Any] = field(default_factory=dict)
-    model: "TemperatureMap | None" = None
-    on_ground: NDArray[np.bool_] | None = None
+    model: "TemperatureMap | None" = None  # The map of a source "learned", as by `learned_map`
+    on_ground: NDArray[np.bool_] | None = None  # (h, w) bool texels on the terrain; None if all of them are
+    # surface, texture: Of a mesh, for rasters in the pixels of its texture
     surface: Surface | None = None
     texture: Texture | None = None
 
@@ -85,11 +67,6 @@ def trained(spec: TemperatureSpec, model: "TemperatureMap | None" = None) -> Wea
     """Return the instant and weather that a source's temperatures are for; None if neither it nor its map states them.
 
     `model` is the learned map of the source, if it has already been read.
-
-    Raises
-    ------
-    ThermorenderError
-        The map states an instant or weather that is not allowed.
     """
     if spec.trained or spec.source != "learned":
         return spec.trained

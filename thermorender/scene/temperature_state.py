@@ -26,21 +26,11 @@ class Balance:
 
 @dataclass(frozen=True, eq=False)
 class Moved:
-    """Temperatures of a map at the instant it was trained for, which the heat balance moves to the scene's instant.
+    """Temperatures of a map at the instant it was trained for, which the heat balance moves to the scene's instant."""
 
-    Attributes
-    ----------
-    temperatures : tuple of (h, w) float32
-        Of each terrain surface at the trained instant [K].
-    trained : WeatherSpec
-        The instant and the weather of these temperatures.
-    error_k : float
-        One standard deviation of the map's own error [K].
-    """
-
-    temperatures: tuple[NDArray[np.float32], ...]
-    trained: WeatherSpec
-    error_k: float
+    temperatures: tuple[NDArray[np.float32], ...]  # Of each terrain surface at the trained instant [K]
+    trained: WeatherSpec  # The instant and the weather of these temperatures
+    error_k: float  # One standard deviation of the map's own error [K]
 
     @property
     def words(self) -> str:
@@ -50,15 +40,9 @@ class Moved:
 
 @dataclass(frozen=True, eq=False)
 class Conditional:
-    """Temperatures of a learned map that takes relief, hour or weather as input.
+    """Temperatures of a learned map that takes relief, hour or weather as input."""
 
-    Attributes
-    ----------
-    model : TemperatureMap
-        As read when the source was set, even if its file changes later.
-    """
-
-    model: Any
+    model: Any  # As read when the source was set, even if its file changes later
 
     @property
     def words(self) -> str:
@@ -71,27 +55,16 @@ WeatherSource = Balance | Moved | Conditional
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """The terrain's temperatures are in its texels.
+    """The terrain's temperatures are in its texels."""
 
-    Attributes
-    ----------
-    source : Balance, Moved, Conditional or None
-        The source they were solved from; None where they do not follow the weather.
-    time : datetime64[s] or None
-        The instant they were solved for, UTC; None where they do not follow the weather.
-    report : dict
-        Reports of the learned maps, by their names.
-    moved_report : dict
-        Report of moving a map to `time`; empty for other sources.
-    notes : tuple of str
-        Notes of solving, added to those of the weather.
-    """
-
+    # The source they were solved from; None where they do not follow the weather
     source: WeatherSource | None = None
+    # The instant they were solved for, UTC; None where they do not follow the weather
     time: "np.datetime64 | None" = None
-    report: Mapping[str, Any] = field(default_factory=dict)
+    report: Mapping[str, Any] = field(default_factory=dict)  # Reports of the learned maps, by their names
+    # Report of moving a map to `time`; empty for other sources
     moved_report: Mapping[str, Any] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # Notes of solving, added to those of the weather
 
     @property
     def solved(self) -> bool:
@@ -106,16 +79,10 @@ class Known:
 
 @dataclass(frozen=True, eq=False)
 class Pending:
-    """The terrain's temperatures are NaN: a renderer solves them for the scene's instant.
-
-    Attributes
-    ----------
-    source : Balance, Moved or Conditional
-    report : dict
-        Report of the learned map of a Moved source, by its name.
-    """
+    """The terrain's temperatures are NaN: a renderer solves them for the scene's instant."""
 
     source: WeatherSource
+    # Report of the learned map of a Moved source, by its name
     report: Mapping[str, Any] = field(default_factory=dict)
 
     @property

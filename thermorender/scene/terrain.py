@@ -23,14 +23,7 @@ _DOUBTFUL_M = 20.0
 
 
 def read_elevation(path: Path) -> tuple[NDArray[np.float64], Grid]:
-    """Return (heights (h, w) float64 [m] with NaN where missing, Grid) of an elevation raster.
-
-    Raises
-    ------
-    ThermorenderError
-        No CRS or one that its coordinates do not fit, fewer than 2 × 2 posts, no valid height, or a unit of height that
-        is not known or contradictory.
-    """
+    """Return (heights (h, w) float64 [m] with NaN where missing, Grid) of an elevation raster."""
     grid = grid_of(path)
     left, bottom, right, top = grid.bounds
     lon_lat(grid, np.array([left, right]), np.array([bottom, top]))
@@ -84,11 +77,6 @@ def metres_of_heights(path: Path, crs: Any, unit: str, declare: str) -> float:
         As the file declares it beside the CRS; empty if it does not.
     declare : str
         How to declare it, for messages.
-
-    Raises
-    ------
-    ThermorenderError
-        The unit is not known, contradictory, or not declared on a map in feet; or the CRS counts downward.
     """
     map_unit = crs.linear_units if crs.is_projected else "metre"
     crs = crs.to_dict(projjson=True)

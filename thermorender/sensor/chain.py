@@ -29,27 +29,16 @@ from thermorender.units import ZERO_CELSIUS_K
 
 @dataclass(frozen=True)
 class Moment:
-    """The state of the camera when an image is taken.
+    """The state of the camera when an image is taken."""
 
-    Attributes
-    ----------
-    index : int
-        Number of the frame; with the seed it determines the noise.
-    correction : int
-        Number of the last flat-field correction; with the seed it determines the fixed pattern.
-    case_k, corrected_k : float
-        Temperature of the case now, and at the correction [K].
-    frozen : bool
-        Whether the shutter is closed and the last image is repeated.
-    time_s, corrected_s : float
-        Time since the start of the camera, now and at the correction [s]; with the seed they determine the drift.
-    """
-
-    index: int
-    correction: int
+    index: int  # Number of the frame; with the seed it determines the noise
+    correction: int  # Number of the last flat-field correction; with the seed it determines the fixed pattern
+    # case_k, corrected_k: Temperature of the case now, and at the correction [K]
     case_k: float
     corrected_k: float
-    frozen: bool = False
+    frozen: bool = False  # Whether the shutter is closed and the last image is repeated
+    # time_s, corrected_s: Time since the start of the camera, now and at the correction [s]; with the seed they
+    # determine the drift
     time_s: float = 0.0
     corrected_s: float = 0.0
 

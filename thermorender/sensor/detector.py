@@ -76,23 +76,14 @@ def row_delays(camera: Camera, frame_interval_s: float = np.inf) -> NDArray[np.f
 
 @dataclass(frozen=True)
 class PixelState:
-    """The pixels at one instant, from which the next frame starts.
-
-    Attributes
-    ----------
-    time_s : float
-    signal : (H, W) float32 or float64
-        Of each pixel, if it were read now [W]. Double precision between frames: a frame of a hundredth of a time
-        constant or less changes it by less than single precision holds.
-    power : (H, W) float32
-        Absorbed by each pixel [W].
-    error_mk : float
-        Estimated error of the signal from following parts of the image, root mean square over all pixels [mK].
-    """
+    """The pixels at one instant, from which the next frame starts."""
 
     time_s: float
+    # (H, W) float32 of each pixel, if it were read now [W]. Double precision between frames: a frame of a hundredth
+    # of a time constant or less changes it by less than single precision holds.
     signal: NDArray[np.floating[Any]]
-    power: Image
+    power: Image  # (H, W) float32 absorbed by each pixel [W]
+    # Estimated error of the signal from following parts of the image, root mean square over all pixels [mK]
     error_mk: float = 0.0
 
 

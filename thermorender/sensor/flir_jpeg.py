@@ -32,26 +32,14 @@ DJI = (
 
 @dataclass(frozen=True)
 class RadiometricJpeg:
-    """One radiometric JPEG.
+    """One radiometric JPEG."""
 
-    Attributes
-    ----------
-    raw : (H, W) uint16
-        Signal of the detector.
-    planck : PlanckConstants
-        Of the factory's calibration, with `raw` as the signal.
-    thermography : ThermographySettings
-        Settings stored in the file.
-    air : AirModel
-    camera : dict
-        model, serial, lens, range_c (the calibrated range) and scale_raw (the signals at the ends of the colour
-        scale; None if the file has none).
-    """
-
-    raw: NDArray[np.uint16]
-    planck: PlanckConstants
-    thermography: ThermographySettings
+    raw: NDArray[np.uint16]  # (H, W) uint16 signal of the detector
+    planck: PlanckConstants  # Of the factory's calibration, with `raw` as the signal
+    thermography: ThermographySettings  # Settings stored in the file
     air: AirModel
+    # model, serial, lens, range_c (the calibrated range) and scale_raw (the signals at the ends of the colour scale;
+    # None if the file has none)
     camera: dict[str, Any]
 
     def temperature(self, thermography: ThermographySettings | None = None) -> NDArray[np.float64]:
@@ -60,13 +48,7 @@ class RadiometricJpeg:
 
 
 def read_flir_jpeg(path: str | PathLike[str]) -> RadiometricJpeg:
-    """Return the RadiometricJpeg of a file.
-
-    Raises
-    ------
-    ThermorenderError
-        The file is not a radiometric JPEG of FLIR, or is damaged; the message says what is missing.
-    """
+    """Return the RadiometricJpeg of a file."""
     path = Path(path)
     try:
         data = path.read_bytes()

@@ -25,43 +25,24 @@ _REACH = COARSE // 2 + 1
 
 @dataclass(frozen=True)
 class Mover:
-    """An object that moves or warms along a track.
+    """An object that moves or warms along a track."""
 
-    Attributes
-    ----------
-    corners_at : callable
-        Time [s] → (n, 3) corners of its bounding box, in the world [m].
-    temperature_at : callable
-        Time [s] → [K].
-    times_s : (n,) float64
-        Rising; position and temperature are linear between them [s].
-    """
-
+    # Time [s] → (n, 3) corners of its bounding box, in the world [m]
     corners_at: Callable[[float], NDArray[np.float64]]
-    temperature_at: Callable[[float], float]
-    times_s: NDArray[np.float64]
+    temperature_at: Callable[[float], float]  # Time [s] → [K]
+    times_s: NDArray[np.float64]  # (n,) float64 rising; position and temperature are linear between them [s]
 
 
 @dataclass(frozen=True)
 class Part:
-    """A part of an image that moving objects change.
+    """A part of an image that moving objects change."""
 
-    Attributes
-    ----------
-    rows, columns : slice
-        Of the image.
-    px_per_s : float
-        Largest speed of the objects in the image, without jumps [px/s].
-    bends_s : (n,) float64
-        Bends of their tracks, rising [s].
-    warming_s : (n,) float64
-        Times between, where they warm so fast that radiance is not linear in time, rising [s].
-    """
-
+    # rows, columns: Of the image
     rows: slice
     columns: slice
-    px_per_s: float
-    bends_s: NDArray[np.float64]
+    px_per_s: float  # Largest speed of the objects in the image, without jumps [px/s]
+    bends_s: NDArray[np.float64]  # (n,) float64 bends of their tracks, rising [s]
+    # (n,) float64 times between, where they warm so fast that radiance is not linear in time, rising [s]
     warming_s: NDArray[np.float64]
 
     def around(self, height: int, width: int) -> tuple[slice, slice]:

@@ -30,13 +30,7 @@ PALETTES: dict[str, Callable[[], NDArray[np.uint8]]] = {
 
 
 def palette(name: str) -> NDArray[np.uint8]:
-    """Return the colours of the 256 levels, (256,) grey or (256, 3) RGB, uint8.
-
-    Raises
-    ------
-    ThermorenderError
-        An unknown name; the message lists the known ones.
-    """
+    """Return the colours of the 256 levels, (256,) grey or (256, 3) RGB, uint8."""
     if name not in PALETTES:
         raise ThermorenderError(f"palette {name!r} is unknown; give one of {', '.join(PALETTES)}")
     return PALETTES[name]()

@@ -80,19 +80,12 @@ def otf(camera: Camera, frequency: ArrayLike) -> NDArray[np.float64]:
 
 
 class Blur(NamedTuple):
-    """A blur as two kernels, one on the pixels and one on squares of `STEP` pixels for the far tails.
+    """A blur as two kernels, one on the pixels and one on squares of `STEP` pixels for the far tails."""
 
-    Attributes
-    ----------
-    fine, coarse : (n, n) float32
-        Their total sum is 1.
-    error : float
-        Root mean square error over the contrast of a scene, with the scene spectrum of `blur_of`.
-    """
-
+    # fine, coarse: (n, n) float32 their total sum is 1
     fine: Image
     coarse: Image
-    error: float
+    error: float  # Root mean square error over the contrast of a scene, with the scene spectrum of `blur_of`
 
 
 @lru_cache(maxsize=16)

@@ -86,11 +86,6 @@ def read_temperature(
         (kelvin per count, kelvin of count 0) of a TIFF that does not declare them.
     thermography : ThermographySettings, optional
         In place of the settings stored in a JPEG.
-
-    Raises
-    ------
-    ThermorenderError
-        A file that cannot be read, has several bands, or does not declare the unit of a count.
     """
     path = Path(path)
     if path.suffix.lower() in FLIR_JPEG:
@@ -198,11 +193,6 @@ def read_tiff(path: Path) -> tuple[NDArray[np.float64], tuple[float, float] | No
 
     Values are NaN where it has no data. Scale and offset tags without a unit of temperature are applied, and the dtype
     is then float64.
-
-    Raises
-    ------
-    ThermorenderError
-        A file that cannot be read, has several bands or pictures, or floats in another unit.
     """
     import rasterio
 

@@ -41,27 +41,13 @@ _SAMPLED = 4
 
 @dataclass(frozen=True)
 class Schedule:
-    """Instants of one frame.
+    """Instants of one frame."""
 
-    Attributes
-    ----------
-    times_s : (n,) float64
-        Increasing; the last is that of the last row [s].
-    renders : (m,) int64
-        Indices of the rendered instants.
-    own : int
-        Index of the frame's own time; it is rendered.
-    row_times_s : (H,) float64
-        When each row is read [s].
-    spacing_px : float
-        Motion between two instants [px].
-    """
-
-    times_s: NDArray[np.float64]
-    renders: NDArray[np.int64]
-    own: int
-    row_times_s: NDArray[np.float64]
-    spacing_px: float
+    times_s: NDArray[np.float64]  # (n,) float64 increasing; the last is that of the last row [s]
+    renders: NDArray[np.int64]  # (m,) int64 indices of the rendered instants
+    own: int  # Index of the frame's own time; it is rendered
+    row_times_s: NDArray[np.float64]  # (H,) float64 when each row is read [s]
+    spacing_px: float  # Motion between two instants [px]
 
     def moved_middles(self, time_constant_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return (time to the nearest render [time constants], share of the signal) of each middle of two instants.

@@ -170,13 +170,7 @@ def find_resets(table: Table, mapping: Mapping) -> Resets:
 
 
 def drop_invalid(table: Table, mapping: Mapping, resets: Resets, notes: list[str]) -> tuple[Table, Resets]:
-    """Return the valid rows of a table and their resets; append what was dropped to `notes`.
-
-    Raises
-    ------
-    ThermorenderError
-        No row is valid, or the estimator's resets between the valid rows are unknown.
-    """
+    """Return the valid rows of a table and their resets; append what was dropped to `notes`."""
     names = table.header or tuple(table.columns)
     valid, reasons = np.ones(len(table), bool), []
     for column in (column for column in mapping.valid if column in names):

@@ -67,12 +67,6 @@ def read_log(table: Table, mapping: Mapping, duplicates: str = "refuse") -> Log:
     duplicates : {"refuse", "spread", "first"}
         Treatment of different rows with equal times: refuse them, spread them evenly within the last digit of the
         log's clock, or keep only the first.
-
-    Raises
-    ------
-    ThermorenderError
-        A cell is missing, not a number, NaN or infinite; no row is valid; time runs backwards, or stands still and
-        `duplicates` is "refuse".
     """
     if duplicates not in DUPLICATES:
         raise ThermorenderError(f"duplicates={duplicates!r} is unknown; give one of {', '.join(DUPLICATES)}")

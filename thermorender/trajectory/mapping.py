@@ -163,13 +163,7 @@ def bundled_formats() -> list[str]:
 
 
 def load_mapping(name: str | PathLike[str] | None) -> Mapping:
-    """Return the `Mapping` of a bundled format or of a TOML file; None gives our own columns.
-
-    Raises
-    ------
-    ThermorenderError
-        The format does not exist, or the file has an unknown key or an invalid value.
-    """
+    """Return the `Mapping` of a bundled format or of a TOML file; None gives our own columns."""
     if name is None:
         return Mapping()
     if str(name) in bundled_formats():

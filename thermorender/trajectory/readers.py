@@ -94,11 +94,6 @@ def read_trajectory(
     course : bool
         Turn a vehicle without yaw to its course over ground; see `track.course_deg`.
 
-    Raises
-    ------
-    ThermorenderError
-        A file or an argument is invalid; for a log the message names file, row and column.
-
     Notes
     -----
     `Trajectory.notes` says what was dropped, corrected or assumed: rows that the log marks as invalid, the estimator's

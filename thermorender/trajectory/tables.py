@@ -25,30 +25,14 @@ _MARKS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Columns of one file, or of one message of a binary log.
+    """Columns of one file, or of one message of a binary log."""
 
-    Attributes
-    ----------
-    path : str
-        The file and, for a binary log, the message.
-    columns : dict
-        Name to cells: text from CSV, numbers from other files.
-    row : (N,) int array
-        Number of each row in messages.
-    what : str
-        What a row is called in messages.
-    header : tuple of str
-        Row 1 of a CSV file with repeated names; else the names of the columns.
-    notes : tuple of str
-        Sentences for the user, from the reader of the file.
-    """
-
-    path: str
-    columns: dict[str, Sequence[Any] | Floats]
-    row: NDArray[np.int64]
-    what: str = "row"
-    header: tuple[str, ...] = ()
-    notes: tuple[str, ...] = field(default=())
+    path: str  # The file and, for a binary log, the message
+    columns: dict[str, Sequence[Any] | Floats]  # Name to cells: text from CSV, numbers from other files
+    row: NDArray[np.int64]  # (N,) int number of each row in messages
+    what: str = "row"  # What a row is called in messages
+    header: tuple[str, ...] = ()  # Row 1 of a CSV file with repeated names; else the names of the columns
+    notes: tuple[str, ...] = field(default=())  # Sentences for the user, from the reader of the file
 
     def __len__(self) -> int:
         return self.row.size
@@ -114,13 +98,7 @@ def _is_finite_number(cell: str) -> bool:
 
 
 def rows_of(path: str | PathLike[str]) -> tuple[list[str], list[tuple[str, dict[str, str]]]]:
-    """Return (column names, [(file and row for messages, {column: text}), …]) of a CSV file.
-
-    Raises
-    ------
-    ThermorenderError
-        As `read_csv`, or two columns have the same name.
-    """
+    """Return (column names, [(file and row for messages, {column: text}), …]) of a CSV file."""
     (table,) = read_csv(path)
     head = list(table.header)
     cells = zip(*(table.text(name) for name in head), strict=True)
@@ -131,13 +109,7 @@ def rows_of(path: str | PathLike[str]) -> tuple[list[str], list[tuple[str, dict[
 
 
 def read_csv(path: str | PathLike[str]) -> list[Table]:
-    """Return the `Table` of a CSV file, in a list; blank rows are skipped.
-
-    Raises
-    ------
-    ThermorenderError
-        The file is missing, not CSV, empty or without rows, or a row has another number of cells than row 1.
-    """
+    """Return the `Table` of a CSV file, in a list; blank rows are skipped."""
     try:
         lines = list(csv.reader(io.StringIO(read_text(path, "CSV UTF-8"))))
     except csv.Error as error:

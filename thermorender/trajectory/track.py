@@ -58,11 +58,6 @@ def course_deg(log: Log, position: Floats) -> Floats:
     position : (N, 3) array
         East, north, up [m].
 
-    Raises
-    ------
-    ThermorenderError
-        The positions move less than 1 m.
-
     Notes
     -----
     The course is that of steps of at least 1 m, each at the middle of its time, and turns evenly between them. It is

@@ -42,11 +42,6 @@ def check_clock(
         Of the station; length of an averaging interval.
     light_shift_min : float, optional
         Value of the user's option of this name [min], for the message; None if there is no such option.
-
-    Raises
-    ------
-    ThermorenderError
-        The light agrees with the sun after a shift, and some of it is impossible without the shift.
     """
     note, found = None, []
     block = ((time - time[0]) / np.timedelta64(_BLOCK_D, "D")).astype(int)

@@ -127,11 +127,6 @@ def check_values(where: object, column: str, values: NDArray[np.float64], rows: 
         Key of `COLUMNS`.
     values, rows : (N,)
         Values in the quantity's unit, and their rows in the file.
-
-    Raises
-    ------
-    ThermorenderError
-        A value is out of range.
     """
     quantity, scale, after, before = COLUMNS[column]
     low, high, allowed = _RANGES[quantity]

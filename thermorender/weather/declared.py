@@ -37,12 +37,6 @@ def declared_weather(
     time : datetime64, datetime or str, optional
         Instant to use instead of the table's. It chooses the date of a named day and the year of a typical year; a
         station's file must cover it.
-
-    Raises
-    ------
-    ThermorenderError
-        A file or value is invalid, the altitude is impossible on land, or the time is outside the file. The message
-        begins with [weather].
     """
     place = latitude_deg, longitude_deg, altitude_m
     snow = spec.snow_depth_m

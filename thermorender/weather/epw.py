@@ -46,11 +46,6 @@ def read_epw(
     light_shift_min : float
         Added to the times of the sunlight [min], for a file whose radiation belongs to other instants than its format
         says: 30 if it belongs to the labels themselves, -30 if it belongs to an hour before them.
-
-    Raises
-    ------
-    ThermorenderError
-        The file is missing, a value is not a number, rows do not follow each other, or a gap exceeds 3 h.
     """
     file = read_year_file(path)
     place, zone_h, step_min = file.place, file.zone_h, file.step_min

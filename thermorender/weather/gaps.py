@@ -54,11 +54,6 @@ def filled(
         Step of the series; longest gap to interpolate.
     notes : list
         Gets a note on the gaps.
-
-    Raises
-    ------
-    ThermorenderError
-        A gap is longer; the message has its start and end.
     """
     hole = np.isnan(values)
     if not hole.any():

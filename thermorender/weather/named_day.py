@@ -42,11 +42,6 @@ def named_day(
     Half cosines from sunrise to 14 h and from there to the next sunrise: de Wit, Goudriaan and van Laar (1978) as
     in Reicosky and others, Agric. For. Meteorol. 46 (1989) 193, doi:10.1016/0168-1923(89)90064-6. On days without
     sunrise the lowest temperature is at 2 h. Sun, sky and long-wave as in `complete`.
-
-    Raises
-    ------
-    ThermorenderError
-        A value is out of range.
     """
     latitude_deg, longitude_deg, _ = place
     wind = np.broadcast_to(np.asarray(wind_m_s, np.float64), (24,)) if np.ndim(wind_m_s) == 0 else np.asarray(wind_m_s)

@@ -74,12 +74,6 @@ def read_station(
     Notes
     -----
     `complete` models missing quantities; the Weather's notes list them.
-
-    Raises
-    ------
-    ThermorenderError
-        The file is not such a table, times do not rise, a value is impossible, a gap is too long, or the clock is
-        wrong; the message names file, row and column.
     """
     place = latitude_deg, longitude_deg, altitude_m
     header, cells, rows = _read(path, names or {})
@@ -176,11 +170,6 @@ def read_columns(
         Names in the file.
     during, utc_offset_h
         As in `read_station`.
-
-    Raises
-    ------
-    ThermorenderError
-        The file is not such a table, a column is missing, or a cell is not a number.
     """
     header, cells, rows = _read(path, {})
     time = _times(path, header, cells, rows, utc_offset_h)

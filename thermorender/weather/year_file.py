@@ -73,39 +73,17 @@ _AVERAGING = re.compile(r"Averaging Method: *([\w ]+)", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class YearFile:
-    """A table of whole days.
+    """A table of whole days."""
 
-    Attributes
-    ----------
-    place : (latitude_deg, longitude_deg, altitude_m)
-    zone_h : float
-        Of the labels, hours east of UTC.
-    values : dict of (N,)
-        Quantities by name, NaN where missing.
-    days : tuple of (month, day)
-        Of each of the N / `per_day` days, in order.
-    years : set of int
-        Calendar years of the rows.
-    per_day : int
-        Rows of a day.
-    first_min : float
-        Label of a day's first row, after midnight [min].
-    interval_min : float
-        From a label to the middle of its averaging interval [min], not above 0.
-    light_min : float
-        From a label to the instant of its sunlight [min].
-    notes : list of str
-    """
-
-    place: tuple[float, float, float]
-    zone_h: float
-    values: dict[str, NDArray[np.float64]]
-    days: tuple[tuple[int, int], ...]
-    years: set[int]
-    per_day: int
-    first_min: float
-    interval_min: float
-    light_min: float
+    place: tuple[float, float, float]  # (latitude_deg, longitude_deg, altitude_m)
+    zone_h: float  # Of the labels, hours east of UTC
+    values: dict[str, NDArray[np.float64]]  # Quantities by name, NaN where missing
+    days: tuple[tuple[int, int], ...]  # Of each of the N / `per_day` days, in order
+    years: set[int]  # Calendar years of the rows
+    per_day: int  # Rows of a day
+    first_min: float  # Label of a day's first row, after midnight [min]
+    interval_min: float  # From a label to the middle of its averaging interval [min], not above 0
+    light_min: float  # From a label to the instant of its sunlight [min]
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -123,12 +101,6 @@ def read_year_file(path: str | PathLike[str]) -> YearFile:
     """Return the YearFile of an EPW file, or of a TMY3 or PSM table, which its first lines distinguish.
 
     The text may be UTF-8 or, with letters in comments and names, of a Western European code page.
-
-    Raises
-    ------
-    ThermorenderError
-        The file is missing or of another kind, a unit or clock is not one of those read, or rows do not follow each
-        other.
     """
     lines = _lines(path)
     reader = _reader(lines)

@@ -18,31 +18,16 @@ _ANSWER_S = 20.0
 
 @dataclass(frozen=True)
 class Address:
-    """Where the workers are.
+    """Where the workers are."""
 
-    Attributes
-    ----------
-    local : int
-        Processes to start on this machine; 0: none.
-    scheduler : str or None
-        Address of a scheduler.
-    config : Path or None
-        A Dask configuration (YAML) with `scheduler-address`, and the certificates of `distributed.comm.tls` if needed.
-    """
-
-    local: int = 0
-    scheduler: str | None = None
+    local: int = 0  # Processes to start on this machine; 0: none
+    scheduler: str | None = None  # Address of a scheduler
+    # A Dask configuration (YAML) with `scheduler-address`, and the certificates of `distributed.comm.tls` if needed
     config: Path | None = None
 
 
 def parse_cluster(text: str) -> Address:
-    """Return the Address of an option --cluster.
-
-    Raises
-    ------
-    ThermorenderError
-        The text has none of the allowed forms, or names a file that does not exist.
-    """
+    """Return the Address of an option --cluster."""
     if match := re.fullmatch(r"local:([1-9]\d{0,3})", text):
         return Address(local=int(match[1]))
     if re.fullmatch(r"(tcp|tls)://[^/\s]+:\d+", text):
@@ -57,13 +42,7 @@ def parse_cluster(text: str) -> Address:
 
 @contextmanager
 def connected(address: Address) -> Iterator["Client"]:
-    """Yield a Dask client; local processes end with the block.
-
-    Raises
-    ------
-    ThermorenderError
-        Dask is not installed, or no scheduler answers.
-    """
+    """Yield a Dask client; local processes end with the block."""
     try:
         import dask
         from distributed import Client

@@ -31,11 +31,6 @@ def results(
         Called with lines on workers that join or are lost.
     then : str
         Advice for a lost scheduler.
-
-    Raises
-    ------
-    ThermorenderError
-        The scheduler was lost.
     """
     from distributed import CancelledError, KilledWorker, as_completed
 

@@ -23,13 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class Tally:
-    """What one worker has done.
-
-    Attributes
-    ----------
-    blocks, frames, failed, bytes : int
-    loading_s, warm_up_s, frames_s, moving_s : float
-    """
+    """What one worker has done."""
 
     blocks: int = 0
     frames: int = 0
@@ -81,12 +75,6 @@ def fly(
         Called with (worker, its frames, frames in total).
     report : callable
         Called with lines on workers that join, are lost, or fail.
-
-    Raises
-    ------
-    ThermorenderError
-        As of `thermorender.output.flight.fly`; a block that failed, after all others are finished; a scheduler that
-        was lost.
     """
     flight = Flight(renderer, trajectory, options, None)
     total = len(flight.times)

@@ -27,21 +27,14 @@ _known: tuple[str, Callable[[Any], Any]] | None = None
 
 @dataclass(frozen=True)
 class _Job:
-    """A function for workers; it is sent with every unit, so it is small.
+    """A function for workers; it is sent with every unit, so it is small."""
 
-    Attributes
-    ----------
-    path, checksum : str
-        Of the file that holds the function with its arguments. It is unpickled only if it has this checksum.
-    processes : int
-        On this machine, which share its cores; 0: unknown.
-    versions, device : dict
-        Other workers are refused.
-    """
-
+    # path, checksum: Of the file that holds the function with its arguments. It is unpickled only if it has this
+    # checksum.
     path: str
     checksum: str
-    processes: int
+    processes: int  # On this machine, which share its cores; 0: unknown
+    # versions, device: Other workers are refused
     versions: dict[str, str] = field(default_factory=versions)
     device: dict[str, str] = field(default_factory=active_device)
 
@@ -60,11 +53,6 @@ def spreading(address: Address, output: str | os.PathLike[str], report: Report =
         Of the results.
     report : callable
         Called with lines on workers that join or are lost.
-
-    Raises
-    ------
-    ThermorenderError
-        No scheduler answers, it was lost, or a unit failed.
     """
     parent = Path(output).resolve().parent
     with connected(address) as client, files.output_folder(parent):

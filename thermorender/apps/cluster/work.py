@@ -28,21 +28,12 @@ _known: tuple[str, "Flight"] | None = None
 
 @dataclass(frozen=True)
 class Job:
-    """A flight for workers; it is sent with every block, so it is small.
+    """A flight for workers; it is sent with every block, so it is small."""
 
-    Attributes
-    ----------
-    folder : str
-        Of the flight, on a disk that all workers share.
-    checksum : str
-        Of the file that holds the flight with its baked scene. It is unpickled only if it has this checksum.
-    processes : int
-        On this machine, which share its cores; 0: unknown.
-    """
-
-    folder: str
+    folder: str  # Of the flight, on a disk that all workers share
+    # Of the file that holds the flight with its baked scene. It is unpickled only if it has this checksum.
     checksum: str
-    processes: int = 0
+    processes: int = 0  # On this machine, which share its cores; 0: unknown
 
 
 def file_of(folder: Path) -> Path:

@@ -64,11 +64,6 @@ def bench(
         radiance_over_rays, frame_over_rays, frames_per_s, error_mk, optics_error_mk}}}}}}. rays_ms is the time of
         casting all rays of the frame. Times are medians; ratios are (25, 50, 75) percentiles. peak_mib is the
         process's peak memory from the first renderer to the last timed frame, None where unknown (not on Linux).
-
-    Raises
-    ------
-    ThermorenderError
-        No scene, an unknown scene, or repeats below 1.
     """
     if repeats < 1:
         raise ThermorenderError(f"repeats={repeats} is not allowed; give 1 or more")

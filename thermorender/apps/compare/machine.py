@@ -27,13 +27,7 @@ def machine() -> dict[str, Any]:
 
 
 def apart(function: Callable[..., _Result], *arguments: Any) -> _Result:
-    """Run a function in a separate process, so that its memory and time can be measured; return its result.
-
-    Raises
-    ------
-    ThermorenderError
-        The process was killed before it ended.
-    """
+    """Run a function in a separate process, so that its memory and time can be measured; return its result."""
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         try:
             return pool.submit(function, *arguments).result()

@@ -111,11 +111,6 @@ def optics_sigma_px(camera: Camera) -> float:
     exp(−π² σ²/2) = MTF. At f/1.25, 10.5 µm and 17 µm pixels MTF = 0.521 and σ = 0.363 px. The images already contain
     the pixel's own width, 1/√12 px; together they are as wide as a Gaussian of 0.464 px. A real lens blurs more and
     hides more of the error.
-
-    Raises
-    ------
-    ThermorenderError
-        Diffraction removes all contrast at the Nyquist frequency.
     """
     mtf = float(lens_otf(0.5 / camera.pixel_pitch_um, float(np.mean(camera.band_um)), camera.f_number))
     if mtf <= 0.0:

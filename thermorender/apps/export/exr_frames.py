@@ -24,11 +24,6 @@ def exr_frames(folder: str | PathLike[str], channels: Sequence[str], entries: Se
     folder : path
     channels, entries : sequence of str
         Channels and entries of the record that each file must have.
-
-    Raises
-    ------
-    ThermorenderError
-        A folder without frames, or a frame without one of the channels or entries.
     """
     # Other files, such as a copy of a frame, have no number of their own.
     numbered = {

@@ -112,12 +112,6 @@ def import_terrain(
         less than a third of each is high), stated_walls (buildings whose outlines declare their walls), unmatched,
         {declared wall without a match: count}, and kinds (number of typical trees of which the trees are copies; 0
         where each has its own leaves).
-
-    Raises
-    ------
-    ThermorenderError
-        A missing or unreadable file, no CRS, no overlap, nothing valid, a folder in use, or arguments that exclude
-        each other; nothing is written.
     """
     _check(model, material, height_reference, geoid_undulation_m, sky_temperature)
     check_new_folder(folder)

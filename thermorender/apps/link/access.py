@@ -15,13 +15,7 @@ from thermorender.errors import ThermorenderError
 
 
 def listening(host: str, port: int) -> socket.socket:
-    """Return a socket that listens on an address of this machine; port 0 chooses a free one.
-
-    Raises
-    ------
-    ThermorenderError
-        The address cannot be listened on.
-    """
+    """Return a socket that listens on an address of this machine; port 0 chooses a free one."""
     if not host:
         raise ThermorenderError("host is empty; give 0.0.0.0 for all addresses of this machine, or leave --host out")
     try:
@@ -55,13 +49,7 @@ def found_token_file(address: str, port: int) -> Path:
 
 
 def new_token(path: str | PathLike[str]) -> str:
-    """Return a new token, written to a file of mode 0600.
-
-    Raises
-    ------
-    ThermorenderError
-        The file cannot be written.
-    """
+    """Return a new token, written to a file of mode 0600."""
     path, token = Path(path), secrets.token_hex(TOKEN_BYTES // 2)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
@@ -88,13 +76,7 @@ def drop_token(path: str | PathLike[str], token: str) -> None:
 
 
 def read_token(path: str | PathLike[str]) -> str:
-    """Return the token of a file.
-
-    Raises
-    ------
-    ThermorenderError
-        The file does not exist, cannot be read, or holds something else.
-    """
+    """Return the token of a file."""
     try:
         with open(path, "rb") as file:
             text = file.read(TOKEN_BYTES + 2).decode("ascii", "replace").strip()

@@ -11,34 +11,19 @@ from thermorender.apps.link.wire import Head
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of a server.
+    """Limits of a server."""
 
-    Attributes
-    ----------
-    connections : int
-        At once.
-    sessions : int
-        Open at once, of all connections.
-    waiting : int
-        Messages of one connection that are not answered yet; the server reads no more before.
-    memory_bytes : int
-        Of requests and replies in hand.
-    sent_bytes : int
-        Of a connection's replies that the system keeps until the client takes them.
-    hello_s, message_s, reply_s : float
-        Time for the first message, for a message once it has begun, and for a client to take a reply [s].
-    samples : int
-        Of the requests that one later request may replace: poses, values of objects, and one for each.
-    """
-
-    connections: int = 256
-    sessions: int = 64
-    waiting: int = 8
-    memory_bytes: int = 512 << 20
-    sent_bytes: int = 4 << 20
+    connections: int = 256  # At once
+    sessions: int = 64  # Open at once, of all connections
+    waiting: int = 8  # Messages of one connection that are not answered yet; the server reads no more before
+    memory_bytes: int = 512 << 20  # Of requests and replies in hand
+    sent_bytes: int = 4 << 20  # Of a connection's replies that the system keeps until the client takes them
+    # hello_s, message_s, reply_s: Time for the first message, for a message once it has begun, and for a client to
+    # take a reply [s]
     hello_s: float = 5.0
     message_s: float = 10.0
     reply_s: float = 30.0
+    # Of the requests that one later request may replace: poses, values of objects, and one for each
     samples: int = 16_384
 
 

@@ -107,35 +107,21 @@ class Open:
 
 @dataclass(frozen=True)
 class Opened:
-    """A session as the server has opened it.
+    """A session as the server has opened it."""
 
-    Attributes
-    ----------
-    width, height : int
-        Of the image [px].
-    rate_hz : float
-    half_readout_s : float
-        From the frame's time, the middle of the read-out, to the last row: what late rows see of the path [s].
-    ahead_s : float
-        Time beyond the frame's on which a frame depends at most: half a read-out; with dynamic objects also the time
-        over which the sensor moves images, to find the part of the image that they change [s].
-    time_constant_s : float
-        Of the pixels.
-    band_um : (2,) tuple of float
-    bits : int
-        Of the counts.
-    range_k : (2,) tuple of float
-        Temperatures of intensity 0 and 1 of the learned map [K]; NaN for method A.
-    """
-
+    # width, height: Of the image [px]
     width: int
     height: int
     rate_hz: float
+    # From the frame's time, the middle of the read-out, to the last row: what late rows see of the path [s]
     half_readout_s: float
+    # Time beyond the frame's on which a frame depends at most: half a read-out; with dynamic objects also the time
+    # over which the sensor moves images, to find the part of the image that they change [s]
     ahead_s: float
-    time_constant_s: float
-    band_um: tuple[float, float]
-    bits: int
+    time_constant_s: float  # Of the pixels
+    band_um: tuple[float, float]  # (2,) tuple
+    bits: int  # Of the counts
+    # (2,) tuple temperatures of intensity 0 and 1 of the learned map [K]; NaN for method A
     range_k: tuple[float, float]
 
     def packed(self) -> bytes:
@@ -154,32 +140,16 @@ class Opened:
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """One frame that a client asks for.
+    """One frame that a client asks for."""
 
-    Attributes
-    ----------
-    time_s : float
-        Of the frame [s].
-    products : int
-        Bits of Product.
-    latest : bool
-        A later request of the session may replace this one if it waits.
-    poses : (n, 8) float64
-        Time [s], position, attitude: the next samples of the path.
-    objects : list of (name, time [s], {column: value})
-    picture : (h, w, 3) uint8 or None
-        The client's own photograph, for method B.
-    texel_m : float
-        Ground sampling distance of the picture [m]; 0: the map's own.
-    """
-
-    time_s: float
-    products: int = int(Product.COUNTS)
-    latest: bool = False
+    time_s: float  # Of the frame [s]
+    products: int = int(Product.COUNTS)  # Bits of Product
+    latest: bool = False  # A later request of the session may replace this one if it waits
+    # (n, 8) float64 time [s], position, attitude: the next samples of the path
     poses: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 8)))
     objects: Sequence[tuple[str, float, dict[str, float]]] = ()
-    picture: NDArray[np.uint8] | None = None
-    texel_m: float = 0.0
+    picture: NDArray[np.uint8] | None = None  # (h, w, 3) uint8 the client's own photograph, for method B
+    texel_m: float = 0.0  # Ground sampling distance of the picture [m]; 0: the map's own
 
     @property
     def samples(self) -> int:
@@ -274,45 +244,25 @@ def _object(payload: bytes, start: int) -> tuple[str, float, dict[str, float]]:
 
 @dataclass(frozen=True, eq=False)
 class Reply:
-    """One frame.
+    """One frame."""
 
-    Attributes
-    ----------
-    session, id : int
-        Those of the request.
-    time_s : float
-        Of the frame [s].
-    seed, index : int
-        They determine the noise.
-    budget_mk, image_budget_mk : float
-        Error without the sensor's noise over the surfaces, and over the whole image, root mean square [mK at 300 K];
-        NaN for method B, whose error is the map's.
-    age_s : float
-        From the arrival of the request to the reply's departure.
-    render_s : float
-        Of this, the time of the frame and its products.
-    superseded : int
-        Earlier requests that this one replaced.
-    frozen : bool
-        The counts repeat those before a flat-field correction.
-    products : dict
-        {Product: image (height, width) or (height, width, 3)}.
-    targets : dict or None
-        {name: {"pixel", "in_view", "visible", "range_m"}}, as `Frame.targets`.
-    """
-
+    # session, id: Those of the request
     session: int
     id: int
-    time_s: float
+    time_s: float  # Of the frame [s]
+    # seed, index: They determine the noise
     seed: int
     index: int
+    # budget_mk, image_budget_mk: Error without the sensor's noise over the surfaces, and over the whole image, root
+    # mean square [mK at 300 K]; NaN for method B, whose error is the map's
     budget_mk: float
     image_budget_mk: float
-    age_s: float
-    render_s: float
-    superseded: int
-    frozen: bool
-    products: dict[Product, NDArray[Any]]
+    age_s: float  # From the arrival of the request to the reply's departure
+    render_s: float  # Of this, the time of the frame and its products
+    superseded: int  # Earlier requests that this one replaced
+    frozen: bool  # The counts repeat those before a flat-field correction
+    products: dict[Product, NDArray[Any]]  # {Product: image (height, width) or (height, width, 3)}
+    # {name: {"pixel", "in_view", "visible", "range_m"}}, as `Frame.targets`
     targets: dict[str, dict[str, Any]] | None
 
     def __repr__(self) -> str:

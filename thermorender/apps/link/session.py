@@ -72,13 +72,7 @@ class Session:
         return reply_bytes(ALL_PRODUCTS, self.opened.width, self.opened.height, targets)
 
     def add(self, request: Request) -> None:
-        """Add what a replaced request gives to the path and to the objects.
-
-        Raises
-        ------
-        ThermorenderError
-            A value that is not allowed; the session is then as before.
-        """
+        """Add what a replaced request gives to the path and to the objects."""
         self.frames.add(request.time_s, self._path(request.poses) if len(request.poses) else None, request.objects)
 
     def answer(self, requests: Sequence[Request], arrived_s: float, added: int = 0) -> list[Any]:
@@ -93,11 +87,6 @@ class Session:
             When the last of them arrived, on the clock of `time.perf_counter` [s].
         added : int
             Replaced requests that `add` took before.
-
-        Raises
-        ------
-        ThermorenderError
-            A value that is not allowed; the session is then as before.
         """
         start, request = time.perf_counter(), requests[-1]
         frame = self._frame(requests)

@@ -22,23 +22,14 @@ MOST_RENDERERS = 16
 
 @dataclass
 class Stage:
-    """A scene that sessions look at.
+    """A scene that sessions look at."""
 
-    Attributes
-    ----------
-    renderer : Renderer
-        Of the scene with its own camera.
-    cameras : dict
-        {name: Camera} that a session may choose; the scene's own is always there.
-    maps : sequence of str
-        Learned maps that a session may choose, names or files; a file goes by its own name.
-    settings : dict
-        Keywords of Renderer, for other cameras and for method C.
-    """
-
-    renderer: Renderer
+    renderer: Renderer  # Of the scene with its own camera
+    # {name: Camera} that a session may choose; the scene's own is always there
     cameras: Mapping[str, Camera] = field(default_factory=dict)
+    # Learned maps that a session may choose, names or files; a file goes by its own name
     maps: tuple[str, ...] = ()
+    # Keywords of Renderer, for other cameras and for method C
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -79,13 +70,7 @@ class Stage:
         }
 
     def open(self, settings: Open) -> Session:
-        """Return a new session.
-
-        Raises
-        ------
-        ThermorenderError
-            An unknown camera or map, a mount without a vehicle's attitude, or a place that the scene does not have.
-        """
+        """Return a new session."""
         name = settings.camera or self.renderer.scene.camera.name
         if name not in self.cameras:
             raise ThermorenderError(

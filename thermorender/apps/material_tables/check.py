@@ -64,11 +64,6 @@ def check(path: str | Path) -> list[Finding]:
     -------
     list of Finding
         Faults prevent reading or using the library; notes do not.
-
-    Raises
-    ------
-    ThermorenderError
-        The path does not exist.
     """
     path = Path(path)
     if path.is_dir():

@@ -29,23 +29,14 @@ _COMPARED = (
 
 @dataclass(frozen=True)
 class Difference:
-    """Difference of one material between two libraries.
-
-    Attributes
-    ----------
-    name : str
-    emissivity : (float or None, float or None)
-        Hemispherical band emissivity in the first and the second; None if absent or not measured.
-    millikelvin : float or None
-        Apparent temperature of the second minus the first [mK], at 300 K under a 250 K sky.
-    what : str
-        What differs, in words.
-    """
+    """Difference of one material between two libraries."""
 
     name: str
+    # (float or None, float or None) hemispherical band emissivity in the first and the second; None if absent or not
+    # measured
     emissivity: tuple[float | None, float | None]
-    millikelvin: float | None
-    what: str
+    millikelvin: float | None  # Apparent temperature of the second minus the first [mK], at 300 K under a 250 K sky
+    what: str  # What differs, in words
 
 
 def apparent_temperature(
@@ -143,12 +134,6 @@ def merge(
     output : path
         Folder to create; it must not exist, or be empty.
     prefer : {None, "first", "second"}
-
-    Raises
-    ------
-    ThermorenderError
-        There are conflicts and no winner, the output is not empty, or a library cannot be read. Nothing is written
-        then.
     """
     first, second, output = Path(first), Path(second), Path(output)
     check_new_folder(output)

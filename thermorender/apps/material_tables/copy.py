@@ -46,11 +46,6 @@ def copy_material(
         Materials folder that overrides the shipped one.
     replace : bool
         Whether a material of that name in the folder may be replaced.
-
-    Raises
-    ------
-    ThermorenderError
-        An unknown material or property, a value out of range, or a name that the folder already has.
     """
     known = find(load_library(library), source, "materials copy")
     own = None if library is None else _row(Path(library), source)

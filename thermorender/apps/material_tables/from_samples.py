@@ -70,12 +70,6 @@ def from_samples(
         Default: the standard deviation over the samples that cover the solar range, if they are three or more.
     source, citation, licence : str, optional
         For samples of an unknown library; known for ECOSTRESS and SLUM.
-
-    Raises
-    ------
-    ThermorenderError
-        There is no sample, one is outside 0…1 in the table's range, no sample covers a wavelength, or none covers the
-        solar range.
     """
     if not samples:
         raise ThermorenderError(f"material {name!r} has no sample; give at least one spectrum file")
@@ -135,12 +129,6 @@ def import_files(
         Roughness, for n and k only.
     others
         As in `from_samples`.
-
-    Raises
-    ------
-    ThermorenderError
-        As `from_samples` and `store`; also if source, citation or licence of an unknown library, or the solar
-        absorptance of n and k is missing.
     """
     kelvin("temperature", temperature)
     paths = [Path(path) for path in paths]
@@ -188,12 +176,6 @@ def read_selection(path: str | Path, folders: Sequence[str | Path]) -> list[Mate
     path : path
     folders : sequence of path
         Folders searched for the spectrum files, in this order.
-
-    Raises
-    ------
-    ThermorenderError
-        As `from_samples`; also if a cell is not a number, a file is missing, or there is no row. The message names file
-        and row.
     """
     groups = {}
     for row, cells in read_table(path, SELECTION_COLUMNS):

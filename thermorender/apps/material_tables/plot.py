@@ -36,11 +36,6 @@ def plot(
     -----
     Lines are hemispherical emissivity, shaded bands ± one standard deviation over the samples. For materials with an
     angular model, a second panel shows band emissivity against the angle from the normal.
-
-    Raises
-    ------
-    ThermorenderError
-        There are no or too many materials, or the path is not a PNG.
     """
     path = Path(path)
     if not 1 <= len(materials) <= MOST_MATERIALS:

@@ -60,25 +60,17 @@ QUANTITIES = {
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One measured sample.
+    """One measured sample."""
 
-    Attributes
-    ----------
-    name, source : str
-        Its name, and the file (and column) it comes from.
-    library : str
-        Key of LIBRARIES, or "" for the user's own.
-    wavelength_um, reflectance : (N,) float64 arrays
-        Ascending wavelength [µm] and hemispherical reflectance [1] in the thermal range.
-    sunlight_um, sunlight_reflectance : (M,) float64 arrays
-        The same in the measured part of the solar range; may be empty.
-    """
-
+    # name, source: Its name, and the file (and column) it comes from
     name: str
     source: str
-    library: str
+    library: str  # Key of LIBRARIES, or "" for the user's own
+    # wavelength_um, reflectance: (N,) float64 ascending wavelength [µm] and hemispherical reflectance [1] in the
+    # thermal range
     wavelength_um: NDArray[np.float64]
     reflectance: NDArray[np.float64]
+    # sunlight_um, sunlight_reflectance: (M,) float64 the same in the measured part of the solar range; may be empty
     sunlight_um: NDArray[np.float64]
     sunlight_reflectance: NDArray[np.float64]
 
@@ -94,11 +86,6 @@ def read_sample(path: str | Path, column: str | None = None) -> Sample:
         emissivity_percent, reflectance or reflectance_percent.
     column : str, optional
         Sample of a table with several.
-
-    Raises
-    ------
-    ThermorenderError
-        The file is missing, of another kind, or not a valid spectrum.
     """
     path = Path(path)
     if not path.is_file():
@@ -123,11 +110,6 @@ def read_ecostress(path: str | Path) -> Sample:
     """Return the Sample of an ECOSTRESS spectrum file.
 
     Wavelengths may be in either order; repeated ones are averaged.
-
-    Raises
-    ------
-    ThermorenderError
-        The file is missing, is not hemispherical reflectance in stated units, or has no spectrum.
     """
     path = Path(path)
     if not path.is_file():
@@ -182,13 +164,7 @@ def _check_extent(path, header, pairs):
 def stated_units(
     path: str | Path, header: dict[str, str]
 ) -> tuple[Callable[[NDArray[np.float64]], NDArray[np.float64]], float]:
-    """Return (function of x to µm, what reflectance 1 is in y) that the header of an ECOSTRESS file states.
-
-    Raises
-    ------
-    ThermorenderError
-        The units are not stated, or others, or y is not reflectance.
-    """
+    """Return (function of x to µm, what reflectance 1 is in y) that the header of an ECOSTRESS file states."""
     x, y = header.get("x units", "nothing"), header.get("y units", "nothing")
     to_um = next((unit for words, unit in _X_UNITS if any(word in x.lower() for word in words)), None)
     divisor = next((one for words, one in _Y_UNITS if any(word in y.lower() for word in words)), None)
@@ -223,11 +199,6 @@ def read_slum(path: str | Path, column: str | None) -> Sample:
     """Return the Sample of one column of a SLUM table of emissivity against µm, with its short-wave reflectance.
 
     The short-wave reflectance [%] against nm comes from the file with `_SW` for `_IR` in the same folder, if any.
-
-    Raises
-    ------
-    ThermorenderError
-        The column is missing or not given.
     """
     path = Path(path)
     wavelength, emissivity = _slum_column(path, column)
@@ -247,13 +218,7 @@ def read_slum(path: str | Path, column: str | None) -> Sample:
 
 
 def read_columns(path: str | Path) -> Sample:
-    """Return the Sample of a CSV of two columns whose headings state quantity and unit.
-
-    Raises
-    ------
-    ThermorenderError
-        A heading is unknown, a cell is not a number, or wavelengths repeat.
-    """
+    """Return the Sample of a CSV of two columns whose headings state quantity and unit."""
     path = Path(path)
     rows = read_table(path, ())
     header = list(rows[0][1]) if rows else []

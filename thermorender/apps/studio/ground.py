@@ -25,24 +25,12 @@ _MISSING = "No map is learned yet: label areas of two or more materials, and pre
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """Colours over an orthophoto.
+    """Colours over an orthophoto."""
 
-    Attributes
-    ----------
-    photograph : (h, w, 3) uint8
-        sRGB.
-    level : (h, w) uint8
-    colours : (256, 3) uint8
-        sRGB of each level.
-    words : str
-        What they show.
-    legend : Legend
-    """
-
-    photograph: NDArray[np.uint8]
-    level: NDArray[np.uint8]
-    colours: NDArray[np.uint8]
-    words: str
+    photograph: NDArray[np.uint8]  # (h, w, 3) uint8 sRGB
+    level: NDArray[np.uint8]  # (h, w) uint8
+    colours: NDArray[np.uint8]  # (256, 3) uint8 sRGB of each level
+    words: str  # What they show
     legend: Legend
 
 
@@ -127,11 +115,6 @@ def learned_from(session: "Session", progress: Callable[[str, float], None]) -> 
     """Return the layers of a map that the session's labels give on the scene as saved.
 
     `progress` may raise to end the training.
-
-    Raises
-    ------
-    ThermorenderError
-        As `thermorender.apps.training.material_training.train_on`.
     """
     from thermorender.apps.training.material_training import band_emissivity_of, train_on
     from thermorender.learned.emissivity.mapping import map_materials

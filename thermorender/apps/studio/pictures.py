@@ -26,40 +26,20 @@ _NO_SURFACE = (24, 28, 36)
 
 @dataclass(frozen=True)
 class Picture:
-    """An encoded picture with what stands beside it.
+    """An encoded picture with what stands beside it."""
 
-    Attributes
-    ----------
-    number, version : int
-        Count of the tab's pictures, and version of the edits.
-    words : str
-        "exact", or "preview ± x mK".
-    exact : bool
-    data : bytes
-    kind : str
-        Media type of the data.
-    ends : (float, float) or None
-        Of the colour bar; None without one.
-    gradient : str
-        Its colours as CSS.
-    unit : str
-    notes : str
-        Mean and extremes of a difference, or why there is no picture.
-    legend : Legend
-        Materials in view.
-    """
-
+    # number, version: Count of the tab's pictures, and version of the edits
     number: int
     version: int
-    words: str
+    words: str  # "exact", or "preview ± x mK"
     exact: bool
     data: bytes = b""
-    kind: str = "image/png"
-    ends: tuple[float, float] | None = None
-    gradient: str = ""
+    kind: str = "image/png"  # Media type of the data
+    ends: tuple[float, float] | None = None  # (float, float) or of the colour bar; None without one
+    gradient: str = ""  # Its colours as CSS
     unit: str = ""
-    notes: str = ""
-    legend: Legend = field(default=())
+    notes: str = ""  # Mean and extremes of a difference, or why there is no picture
+    legend: Legend = field(default=())  # Materials in view
 
     @classmethod
     def of_fault(cls, sentence: str, version: int) -> "Picture":

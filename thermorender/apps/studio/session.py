@@ -85,11 +85,6 @@ class History:
             Raises where the changed Document cannot be used.
         by : str
             The tab.
-
-        Raises
-        ------
-        ThermorenderError
-            Another tab has made a version since the one that the user saw, or `change` or `check` refuses.
         """
         self.refuse_outdated(version, by)
         made = change(self.document)
@@ -204,13 +199,7 @@ class Session:
             self._render()
 
     def write(self, save: Save) -> None:
-        """Write a Save; the edits count as saved: differences begin from them, and undo still goes behind them.
-
-        Raises
-        ------
-        ThermorenderError
-            Files or edits have changed since the Save was planned, or a file cannot be written.
-        """
+        """Write a Save; the edits count as saved: differences begin from them, and undo still goes behind them."""
         with self._editing:
             if save.document is not self.document:
                 raise ThermorenderError(

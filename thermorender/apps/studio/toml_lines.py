@@ -23,11 +23,6 @@ def stated(text: str, table: str, name: str | None, key: str, value: str | None)
     key : str
     value : str or None
         As TOML; None: the key is removed.
-
-    Raises
-    ------
-    ThermorenderError
-        The file does not state the key on a line of its own.
     """
     lines = text.splitlines(keepends=True)
     bare = [line.split("#")[0].strip() for line in lines]

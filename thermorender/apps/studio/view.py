@@ -109,35 +109,18 @@ class Pose:
 
 @dataclass(frozen=True)
 class View:
-    """A pose and how its picture is drawn.
-
-    Attributes
-    ----------
-    pose : Pose
-    time_s : float
-        On the tracks of moving objects [s].
-    mode : str
-        One of `MODES`.
-    palette : str
-    limits : (float, float) or None
-        Fixed ends of the colours [K]; None: as the picture needs.
-    """
+    """A pose and how its picture is drawn."""
 
     pose: Pose
-    time_s: float = 0.0
-    mode: str = "apparent"
+    time_s: float = 0.0  # On the tracks of moving objects [s]
+    mode: str = "apparent"  # One of `MODES`
     palette: str = "ironbow"
+    # (float, float) or fixed ends of the colours [K]; None: as the picture needs
     limits: tuple[float, float] | None = None
 
 
 def limits_of(low: str, high: str) -> tuple[float, float] | None:
-    """Return the fixed ends of the colours from two texts [K]; None where both are empty.
-
-    Raises
-    ------
-    ThermorenderError
-        A text is not a number, or the ends are not in order.
-    """
+    """Return the fixed ends of the colours from two texts [K]; None where both are empty."""
     if not low.strip() and not high.strip():
         return None
     try:

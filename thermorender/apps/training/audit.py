@@ -32,27 +32,13 @@ _MOST_NAMED = 5
 
 @dataclass(frozen=True)
 class Leak:
-    """One kind of leak from training to test pairs.
+    """One kind of leak from training to test pairs."""
 
-    Attributes
-    ----------
-    kind : str
-        Of `KINDS`, or "duplicate".
-    tests : int
-        Test pairs with this leak.
-    asked : int
-        Test pairs that could be checked; the others lack a place, or labels and conditions.
-    median : float or None
-        Median over the leaking pairs of the measure that `KINDS` names.
-    worst : tuple of (str, str, float)
-        Test pair, training pair and measure, worst first.
-    """
-
-    kind: str
-    tests: int
-    asked: int
-    median: float | None
-    worst: tuple[tuple[str, str, float], ...]
+    kind: str  # Of `KINDS`, or "duplicate"
+    tests: int  # Test pairs with this leak
+    asked: int  # Test pairs that could be checked; the others lack a place, or labels and conditions
+    median: float | None  # Median over the leaking pairs of the measure that `KINDS` names
+    worst: tuple[tuple[str, str, float], ...]  # Test pair, training pair and measure, worst first
 
     @property
     def share(self) -> float:
@@ -72,19 +58,12 @@ class Leak:
 
 @dataclass(frozen=True)
 class Audit:
-    """The audit of a split.
+    """The audit of a split."""
 
-    Attributes
-    ----------
-    tests, training : int
-        Number of pairs.
-    leaks : dict of str to Leak
-        By kind, most severe first.
-    """
-
+    # tests, training: Number of pairs
     tests: int
     training: int
-    leaks: dict[str, Leak]
+    leaks: dict[str, Leak]  # By kind, most severe first
 
     @property
     def verdict(self) -> str:
@@ -153,11 +132,6 @@ def audit(dataset: Dataset, near_m: float = NEAR_M, progress: Callable[[str, flo
         Distance within which places coincide [m].
     progress : callable, optional
         Called with (task, fraction done).
-
-    Raises
-    ------
-    ThermorenderError
-        A part has no pairs, or a shard is damaged.
     """
     report_progress = progress or (lambda task, fraction: None)
     test, train = dataset.of("test").entries, dataset.of("train").entries

@@ -44,33 +44,20 @@ class Histogram:
 
 @dataclass(frozen=True)
 class Bounds:
-    """Bounds of thermal values.
+    """Bounds of thermal values."""
 
-    Attributes
-    ----------
-    low, high : float
-        Q1 − 1.5 IQR and Q3 + 1.5 IQR.
-    first_quartile, third_quartile : float
-    share_below, share_above : float
-        Shares of the values outside the bounds.
-    """
-
+    # low, high: Q1 − 1.5 IQR and Q3 + 1.5 IQR
     low: float
     high: float
     first_quartile: float
     third_quartile: float
+    # share_below, share_above: Shares of the values outside the bounds
     share_below: float
     share_above: float
 
 
 def bounds_of(histogram: Histogram) -> Bounds:
-    """Return the Bounds of a Histogram.
-
-    Raises
-    ------
-    ThermorenderError
-        The histogram is empty, or its quartiles are equal.
-    """
+    """Return the Bounds of a Histogram."""
     total = int(histogram.counts.sum())
     if total == 0:
         raise ThermorenderError("the training part has no valid thermal pixel; give other shares or pictures")

@@ -41,11 +41,6 @@ def fit_correlation(task: Task, size: int) -> Correlation:
         mean squared error, for colours in 0…1; above_air, bool, to learn kelvin above the air instead of intensity.
     size : int
         Odd.
-
-    Raises
-    ------
-    ThermorenderError
-        All pictures are smaller than the neighbourhood, or their colours do not determine the coefficients.
     """
     above_air = task.options.get("above_air", False)
     table, n = _Table(task.temperature if above_air else task.intensity), 3 * size * size

@@ -13,21 +13,11 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Cut:
-    """How pairs of pictures are cropped and shifted.
+    """How pairs of pictures are cropped and shifted."""
 
-    Attributes
-    ----------
-    crops : int
-        Square crops per pair, at uniformly distributed positions; 0 keeps the whole picture.
-    size : int
-        Side of a crop [px].
-    shift_px : float
-        Length of the random vector by which each thermal picture is shifted, rounded to whole pixels to avoid blur.
-    seed : int
-    """
-
-    crops: int = 0
-    size: int = 256
+    crops: int = 0  # Square crops per pair, at uniformly distributed positions; 0 keeps the whole picture
+    size: int = 256  # Side of a crop [px]
+    # Length of the random vector by which each thermal picture is shifted, rounded to whole pixels to avoid blur
     shift_px: float = 0.0
     seed: int = 0
 

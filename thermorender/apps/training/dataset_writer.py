@@ -169,12 +169,6 @@ class Writer:
         Returns
         -------
         tuple of Entry
-
-        Raises
-        ------
-        ThermorenderError
-            A name or key is not allowed, two pairs share a key, a part is unknown, or a file cannot be written. The
-            data set stays as it was.
         """
         entries, shard = [], f"shards/{name}.tar"
         if not is_shard(shard):

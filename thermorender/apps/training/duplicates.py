@@ -36,21 +36,11 @@ _TESTS_AT_ONCE = 256
 
 @dataclass(frozen=True, eq=False)
 class Sketch:
-    """Description of a picture.
+    """Description of a picture."""
 
-    Attributes
-    ----------
-    grey : (h, w) uint8
-        Small picture of given mean and contrast.
-    place : (n, 2) float32
-        Column and row of its features [px].
-    bits : (n, 32) uint8
-        Comparisons of each feature.
-    """
-
-    grey: NDArray[np.uint8]
-    place: NDArray[np.float32]
-    bits: NDArray[np.uint8]
+    grey: NDArray[np.uint8]  # (h, w) uint8 small picture of given mean and contrast
+    place: NDArray[np.float32]  # (n, 2) float32 column and row of its features [px]
+    bits: NDArray[np.uint8]  # (n, 32) uint8 comparisons of each feature
 
 
 @dataclass(frozen=True)

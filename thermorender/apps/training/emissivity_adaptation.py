@@ -39,11 +39,6 @@ def adapted(
     emissivity : callable (material) → float
         Band emissivity of the materials of both; the probabilities are calibrated for it.
     seed : int
-
-    Raises
-    ------
-    ThermorenderError
-        The orthophoto is too coarse, there are fewer than four polygons or two materials, or too many materials.
     """
     import cv2
 

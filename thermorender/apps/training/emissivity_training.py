@@ -38,32 +38,15 @@ _THRESHOLD_MARGIN = 1.15
 
 @dataclass(frozen=True)
 class Labelled:
-    """An orthophoto with labels.
+    """An orthophoto with labels."""
 
-    Attributes
-    ----------
-    rgb : (h, w, 3) uint8
-        sRGB.
-    material : (h, w) uint8
-        Number of each texel's material in `names`; 0 where unknown.
-    names : dict of int to str
-    texel_m : float
-        Ground sampling distance [m].
-    source : str
-        Origin, for the record.
-    domain : str
-        Kind of landscape, camera or season; calibration holds out whole domains.
-    unused : str
-        A sentence on labels that are on no texel, for the record.
-    """
-
-    rgb: np.ndarray
-    material: np.ndarray
+    rgb: np.ndarray  # (h, w, 3) uint8 sRGB
+    material: np.ndarray  # (h, w) uint8 number of each texel's material in `names`; 0 where unknown
     names: dict[int, str]
-    texel_m: float
-    source: str
-    domain: str = ""
-    unused: str = ""
+    texel_m: float  # Ground sampling distance [m]
+    source: str  # Origin, for the record
+    domain: str = ""  # Kind of landscape, camera or season; calibration holds out whole domains
+    unused: str = ""  # A sentence on labels that are on no texel, for the record
 
 
 def train(
@@ -92,11 +75,6 @@ def train(
     Returns
     -------
     confusion : rows are the true material, columns the most probable one, counted over the held-out ground.
-
-    Raises
-    ------
-    ThermorenderError
-        scikit-learn is missing, an orthophoto is too coarse, or fewer than two materials have texels to train on.
     """
     try:
         import sklearn  # noqa: F401

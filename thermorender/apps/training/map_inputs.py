@@ -34,11 +34,6 @@ def inputs_of(pair: Pair, card: dict[str, Any], material: bool = False) -> Input
     material : bool
         Add the plane "material": indices into `card["materials"]`, NaN for sky. For privileged maps only, as no
         other map knows the true material.
-
-    Raises
-    ------
-    ThermorenderError
-        The pair lacks a plane that the card names, or its materials.
     """
     names = [*card.get("terrain", ()), *(["material"] if material else ())]
     for name in names:

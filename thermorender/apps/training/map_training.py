@@ -62,11 +62,6 @@ def train_map(
     resume : bool
         Resume the training of that folder.
 
-    Raises
-    ------
-    ThermorenderError
-        The method or an option is unknown, or the data set lacks pairs or inputs of the method.
-
     Notes
     -----
     Intensity follows equation 2 of the published method: 0 and 1 are 1.5 interquartile ranges below and above the
@@ -189,13 +184,7 @@ def has_conditions(dataset: Dataset) -> bool:
 
 
 def refuse_missing_conditions(method_name: str, dataset: Dataset) -> None:
-    """Refuse a method that needs relief, hour and weather for a Dataset that lacks them.
-
-    Raises
-    ------
-    ThermorenderError
-        The Dataset lacks them, or the method is unknown.
-    """
+    """Refuse a method that needs relief, hour and weather for a Dataset that lacks them."""
     if method(method_name).plus and not has_conditions(dataset):
         raise ThermorenderError(
             f"method {method_name!r} needs the terrain's relief, hour and weather, which {dataset.folder} does not "
@@ -261,13 +250,7 @@ def _ranges(entries):
 
 
 def checked_options(method_name: str, known: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a method's options with the given values, converted to the options' types.
-
-    Raises
-    ------
-    ThermorenderError
-        The method has no such option, or a value has another type.
-    """
+    """Return a method's options with the given values, converted to the options' types."""
     found = dict(known)
     for key, value in given.items():
         if key not in known:

@@ -45,11 +45,6 @@ def train_on(
         See `emissivity.training.train`; default: 0 for given scenes, 1 for procedural ones.
     seed, progress
         See `emissivity.training.train`.
-
-    Raises
-    ------
-    ThermorenderError
-        Polygons are given without exactly one scene, a number is out of range, or as `labelled_scene` and `train`.
     """
     from thermorender.scene.load import scene_folder
 
@@ -122,11 +117,6 @@ def labelled_scene(folder: str | Path, polygons: str | Path | Mapping[str, Any] 
     polygons : path or dict, optional
         GeoJSON, a file or its contents, of polygons with a property "material" from the material library, in longitude
         and latitude or in the CRS of its "crs" member. Later polygons cover earlier ones.
-
-    Raises
-    ------
-    ThermorenderError
-        The scene has neither class raster nor polygons, or the polygons cannot be used.
     """
     spec = read_scene(folder)
     picture = orthophoto_of(spec)

@@ -36,11 +36,6 @@ def render_campaign_by(
 
     The folder must be on a disk that all workers share. Shards have the bytes of one machine; the lines of the index
     come in the order in which worlds are finished.
-
-    Raises
-    ------
-    ThermorenderError
-        As of `render_campaign`; worlds that failed, after all others are finished; a scheduler that was lost.
     """
     # Without a world of its own, it makes the folder or refuses another data set.
     render_campaign(folder, of, hours, views, resume=resume, turn=(len(of), 1))

@@ -33,17 +33,9 @@ _HOT_C = 150.0
 
 @dataclass(frozen=True)
 class Files:
-    """A visible and a thermal file of the same view, and their mask.
+    """A visible and a thermal file of the same view, and their mask."""
 
-    Attributes
-    ----------
-    name : str
-        Common part of their names.
-    visible, thermal : Path
-    valid : Path or None
-    """
-
-    name: str
+    name: str  # Common part of their names
     visible: Path
     thermal: Path
     valid: Path | None = None
@@ -51,20 +43,11 @@ class Files:
 
 @dataclass(frozen=True, eq=False)
 class Thermal:
-    """A thermal picture.
+    """A thermal picture."""
 
-    Attributes
-    ----------
-    values : (H, W) uint8 or uint16
-    unit : {"kelvin", "intensity"}
-        Hundredths of a kelvin, or counts of unknown scale.
-    valid : (H, W) bool
-        False where the file has no value, or one out of range.
-    """
-
-    values: NDArray[np.uint8] | NDArray[np.uint16]
-    unit: str
-    valid: NDArray[np.bool_]
+    values: NDArray[np.uint8] | NDArray[np.uint16]  # (H, W) uint8
+    unit: str  # Hundredths of a kelvin, or counts of unknown scale
+    valid: NDArray[np.bool_]  # (H, W) bool false where the file has no value, or one out of range
 
 
 def matched(
@@ -80,11 +63,6 @@ def matched(
         Patterns of file names, such as *_rgb.png; the text that the wildcards match is the pair's name.
     valid : str, optional
         Pattern of masks in the visible folder, non-zero where both pictures show the same.
-
-    Raises
-    ------
-    ThermorenderError
-        A folder is missing, a pattern matches nothing or one name twice, or there is no pair.
     """
     found = _named(visible_folder, visible, "visible"), _named(thermal_folder, thermal, "thermal")
     masks = _named(visible_folder, valid, "valid") if valid else {}
@@ -103,13 +81,7 @@ def matched(
 
 
 def read_visible(path: str | Path) -> tuple[NDArray[np.uint8], bool]:
-    """Return ((H, W, 3) uint8 sRGB, whether it is grey) of a visible picture.
-
-    Raises
-    ------
-    ThermorenderError
-        The file cannot be read, is not 8-bit, is too small, or is constant.
-    """
+    """Return ((H, W, 3) uint8 sRGB, whether it is grey) of a visible picture."""
     image = _decoded(path)
     if image.dtype != np.uint8:
         raise ThermorenderError(f"{path} has {image.dtype} values; give 8-bit visible pictures")
@@ -131,11 +103,6 @@ def read_thermal(path: str | Path, scale: Sequence[float] | None = None, intensi
         (kelvin per count, kelvin of count 0) of files that declare no scale.
     intensity : bool
         16 bits without a scale are intensities, even where they look like temperatures.
-
-    Raises
-    ------
-    ThermorenderError
-        The file cannot be read, has colours or an unsupported depth, is too small, or is constant.
     """
     path = Path(path)
     if path.suffix.lower() in (".jpg", ".jpeg") and _radiometric(path):
@@ -164,13 +131,7 @@ def read_thermal(path: str | Path, scale: Sequence[float] | None = None, intensi
 
 
 def read_valid(path: str | Path, shape: Sequence[int]) -> NDArray[np.bool_]:
-    """Return (H, W) bool, where a mask is not zero.
-
-    Raises
-    ------
-    ThermorenderError
-        The file cannot be read or has another size.
-    """
+    """Return (H, W) bool, where a mask is not zero."""
     image = _decoded(path)
     if image.shape[:2] != tuple(shape):
         raise ThermorenderError(

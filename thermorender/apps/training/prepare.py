@@ -30,34 +30,20 @@ _PER_SHARD = 64
 
 @dataclass(frozen=True)
 class Source:
-    """Folders of pictures and how to read them.
-
-    Attributes
-    ----------
-    visible_folder, thermal_folder : path
-    visible, thermal : str
-        Patterns of file names; the text that their wildcards match is a pair's name.
-    valid : str or None
-        Pattern of masks in the visible folder, non-zero where both pictures show the same.
-    scale : (2,) tuple of float, or None
-        (kelvin per count, kelvin of count 0) of files that declare no scale.
-    sequence : str or None
-        Regular expression whose group is the sequence in a name; None: the name without its last digits.
-    gap : int or None
-        A larger step of the last number in the names starts a new sequence.
-    intensity : bool
-        16 bits without a scale are intensities, even where they look like temperatures.
-    """
+    """Folders of pictures and how to read them."""
 
     visible_folder: Path
     thermal_folder: Path
+    # visible, thermal: Patterns of file names; the text that their wildcards match is a pair's name
     visible: str = "*"
     thermal: str = "*"
-    valid: str | None = None
+    valid: str | None = None  # Pattern of masks in the visible folder, non-zero where both pictures show the same
+    # (2,) tuple (kelvin per count, kelvin of count 0) of files that declare no scale
     scale: tuple[float, float] | None = None
+    # Regular expression whose group is the sequence in a name; None: the name without its last digits
     sequence: str | None = None
-    gap: int | None = None
-    intensity: bool = False
+    gap: int | None = None  # A larger step of the last number in the names starts a new sequence
+    intensity: bool = False  # 16 bits without a scale are intensities, even where they look like temperatures
 
 
 @dataclass(frozen=True)
@@ -105,11 +91,6 @@ def prepare(
         pairs, entries, parts {name: count}, sequences, left_out {name: reason}, grey (pairs whose visible picture has
         no colour), bounds (of the training part, or of all parts if it is empty), rig, scale, audit (an Audit, or
         None without training or test part).
-
-    Raises
-    ------
-    ThermorenderError
-        Pictures cannot be used, with their names, or settings contradict them. Nothing is written then.
     """
     report_progress, cut, output = progress or (lambda task, fraction: None), cut or Cut(), Path(output)
     _check_settings(cut, texel_m, range_c)

@@ -68,13 +68,7 @@ class World:
 def worlds(
     train: int = 60, validation: int = 6, test: int = 12, seed: int = 0, kinds: Sequence[str] = tuple(KINDS)
 ) -> list[World]:
-    """Return the Worlds of a campaign: the given number per part, kinds in turn, every land and weather once.
-
-    Raises
-    ------
-    ThermorenderError
-        There is no world, or a kind is unknown.
-    """
+    """Return the Worlds of a campaign: the given number per part, kinds in turn, every land and weather once."""
     for kind in kinds:
         if kind not in KINDS:
             raise ThermorenderError(f"kind={kind!r} is not a synthetic scene; choose one of {', '.join(KINDS)}")
@@ -111,11 +105,6 @@ def render_campaign(
         Called with (task, fraction done).
     turn : (k, n)
         For several processes on one folder: render every n-th world from index k.
-
-    Raises
-    ------
-    ThermorenderError
-        A number is out of range, or the folder cannot be used.
     """
     if not (1 <= hours <= 24 and 1 <= views <= MOST_VIEWS):
         raise ThermorenderError(f"hours={hours}, views={views} are not allowed; give 1…24 and 1…{MOST_VIEWS}")

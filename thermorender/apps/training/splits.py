@@ -52,11 +52,6 @@ def assign(
     -------
     dict
         Every part whose share is above 0 has at least one group.
-
-    Raises
-    ------
-    ThermorenderError
-        The rule is unknown, shares are invalid, groups are fewer than parts, or entries lack a place.
     """
     if rule in PARTS:
         return {entry.key: rule for entry in entries}
@@ -100,11 +95,6 @@ def read_split(path: str | Path) -> dict[str, str]:
     ----------
     path : path
         JSON {"train": [keys], "validation": [keys], "test": [keys]}, or CSV with the columns key and part.
-
-    Raises
-    ------
-    ThermorenderError
-        The file has another form, or names an unknown part or a key twice.
     """
     path = Path(path)
     form = 'JSON {"train": [keys], …} or CSV with the columns key,part'

@@ -12,27 +12,13 @@ from thermorender.schema import did_you_mean
 
 @dataclass(frozen=True)
 class Method:
-    """A training method.
+    """A training method."""
 
-    Attributes
-    ----------
-    fit : callable
-        Task → predictor.
-    plus : bool
-        Whether it takes relief, hour and weather as input.
-    options : dict of str to value
-        Its options with their defaults.
-    classes : bool
-        Whether it can use class numbers, such as a privileged map's materials, as input.
-    long : bool
-        Whether it is trained step by step, in a folder from which it can be resumed.
-    """
-
-    fit: Callable
-    plus: bool
-    options: dict
-    classes: bool = False
-    long: bool = False
+    fit: Callable  # Task → predictor
+    plus: bool  # Whether it takes relief, hour and weather as input
+    options: dict  # Its options with their defaults
+    classes: bool = False  # Whether it can use class numbers, such as a privileged map's materials, as input
+    long: bool = False  # Whether it is trained step by step, in a folder from which it can be resumed
 
 
 def _correlation(size):
@@ -85,13 +71,7 @@ _NXN = re.compile(r"correlation-(\d+)x\1")
 
 
 def method(name: str) -> Method:
-    """Return the Method of a name, one of `METHODS` or correlation-NxN with odd N up to 15.
-
-    Raises
-    ------
-    ThermorenderError
-        The name is unknown; the message lists all names.
-    """
+    """Return the Method of a name, one of `METHODS` or correlation-NxN with odd N up to 15."""
     if name in METHODS:
         return METHODS[name]
     size = _NXN.fullmatch(name)

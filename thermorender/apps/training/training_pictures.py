@@ -19,23 +19,14 @@ _MOST_NAMED = 5
 
 @dataclass(frozen=True)
 class Search:
-    """Result of a search for a map's training pictures.
-
-    Attributes
-    ----------
-    model : TemperatureMap
-    given, searched : int
-        Number of pictures, and of those that were searched.
-    found : dict of str to Seen
-        Pictures that show training pictures, by name.
-    unreadable : tuple of str
-        Names of pictures that could not be read, which are not among the searched ones.
-    """
+    """Result of a search for a map's training pictures."""
 
     model: TemperatureMap
+    # given, searched: Number of pictures, and of those that were searched
     given: int
     searched: int = 0
-    found: dict[str, Seen] = field(default_factory=dict)
+    found: dict[str, Seen] = field(default_factory=dict)  # Pictures that show training pictures, by name
+    # Names of pictures that could not be read, which are not among the searched ones
     unreadable: tuple[str, ...] = ()
 
     @property

@@ -50,16 +50,6 @@ class UnreadableError(ThermorenderError):
 class Translation:
     """Settings of a translation.
 
-    Attributes
-    ----------
-    model : TemperatureMap
-    texel_m : float or None
-        Ground sampling distance of the pictures [m]; None means the map's own.
-    palette : str
-        Palette of the 8-bit pictures.
-    inner : bool
-        Leave out the border in which edge pixels are repeated, as published; else pictures keep their size.
-
     Raises
     ------
     ThermorenderError
@@ -67,8 +57,9 @@ class Translation:
     """
 
     model: TemperatureMap
-    texel_m: float | None = None
-    palette: str = "white-hot"
+    texel_m: float | None = None  # Ground sampling distance of the pictures [m]; None means the map's own
+    palette: str = "white-hot"  # Palette of the 8-bit pictures
+    # Leave out the border in which edge pixels are repeated, as published; else pictures keep their size
     inner: bool = False
 
     def __post_init__(self):
@@ -171,12 +162,6 @@ def translate(
     -------
     dict
         "done" and "passed over", numbers of files; "failed", {path: sentence}; "warning", a sentence or None.
-
-    Raises
-    ------
-    ThermorenderError
-        There is nothing to translate, two files would have the same output, outputs exist, or the settings differ from
-        those of the folder.
     """
     report = progress or (lambda what, share: None)
     how = Translation(model, texel_m, palette, inner)

@@ -37,42 +37,22 @@ _LEAST = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class EmissivityMap:
-    """A trained RGB → materials map.
-
-    Attributes
-    ----------
-    name : str
-    materials : tuple of str
-        Names of its C materials, in the order of its probabilities.
-    texel_m : float
-        Ground sampling distance of its training [m].
-    mean, scale : (F,) float32
-        Mean and scale that standardise the features.
-    layers : tuple of (weight (n, m), bias (m,)) float32
-        The network's layers: rectified linear units, softmax at the end.
-    centres : (K, len(NEAR)) float32
-        Typical standardised features of the training texels' near surroundings.
-    threshold : float
-        Distance from the nearest centre above which a texel is unlike the training data.
-    about : dict
-        Its training: scenes, seeds, split, accuracy on held-out texels, and what was not tested.
-    softening : float
-        Temperature that the network's scores are divided by, 1 or more in general.
-    prior : float
-        Share of the uniform prior in the probabilities, 0…1.
-    """
+    """A trained RGB → materials map."""
 
     name: str
-    materials: tuple[str, ...]
-    texel_m: float
+    materials: tuple[str, ...]  # Names of its C materials, in the order of its probabilities
+    texel_m: float  # Ground sampling distance of its training [m]
+    # mean, scale: (F,) float32 mean and scale that standardise the features
     mean: np.ndarray
     scale: np.ndarray
+    # The network's layers: rectified linear units, softmax at the end
     layers: tuple[tuple[np.ndarray, np.ndarray], ...]
-    centres: np.ndarray
-    threshold: float
+    centres: np.ndarray  # (K, len(NEAR) typical standardised features of the training texels' near surroundings
+    threshold: float  # Distance from the nearest centre above which a texel is unlike the training data
+    # Its training: scenes, seeds, split, accuracy on held-out texels, and what was not tested
     about: dict[str, Any]
-    softening: float = 1.0
-    prior: float = 0.0
+    softening: float = 1.0  # Temperature that the network's scores are divided by, 1 or more in general
+    prior: float = 0.0  # Share of the uniform prior in the probabilities, 0…1
 
     def probabilities(self, described: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return (probabilities (N, C) float32, novelty (N,) float32) of features, (N, F).
@@ -87,13 +67,7 @@ class EmissivityMap:
         return value, distance / np.float32(self.threshold)
 
     def without(self, materials: Sequence[str]) -> "EmissivityMap":
-        """Return this map for land where some of its materials are known not to occur.
-
-        Raises
-        ------
-        ThermorenderError
-            The map does not have such a material, or fewer than two are left.
-        """
+        """Return this map for land where some of its materials are known not to occur."""
         for material in materials:
             if material not in self.materials:
                 raise ThermorenderError(
@@ -124,18 +98,10 @@ class EmissivityMap:
 
 @dataclass(frozen=True, eq=False)
 class Mapped:
-    """The materials of an orthophoto by a map.
+    """The materials of an orthophoto by a map."""
 
-    Attributes
-    ----------
-    probability : (h, w, C) uint8
-        Probability of every material, in 1/255.
-    confidence : (h, w) float32
-        Largest probability; 0 where the texel is unlike the training data.
-    """
-
-    probability: np.ndarray
-    confidence: np.ndarray
+    probability: np.ndarray  # (h, w, C) uint8 probability of every material, in 1/255
+    confidence: np.ndarray  # (h, w) float32 largest probability; 0 where the texel is unlike the training data
 
     @cached_property
     def index(self) -> np.ndarray:
@@ -166,18 +132,12 @@ class Mapped:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What else is known on the materials of a picture's texels.
+    """What else is known on the materials of a picture's texels."""
 
-    Attributes
-    ----------
-    number : (h, w) uint8
-        Number of each texel's case.
-    factor : (N, M) float32
-        Factors on the probabilities of the materials in each of N cases. A factor of 0 excludes a material; each case
-        leaves one or more. Materials beyond the map's C occur only where all of the map's are excluded.
-    """
-
-    number: np.ndarray
+    number: np.ndarray  # (h, w) uint8 number of each texel's case
+    # (N, M) float32 factors on the probabilities of the materials in each of N cases. A factor of 0 excludes a
+    # material; each case leaves one or more. Materials beyond the map's C occur only where all of the map's are
+    # excluded.
     factor: np.ndarray
 
 
@@ -223,11 +183,6 @@ def map_materials(
         Each multiplies the probabilities, which are then scaled to a sum of one; all have the same materials.
     name : str
         Of the orthophoto, for messages.
-
-    Raises
-    ------
-    ThermorenderError
-        The orthophoto is too coarse for this map.
 
     Notes
     -----
@@ -339,13 +294,7 @@ def save_map(model: EmissivityMap, path: files.PathLike) -> None:
 
 
 def load_map(name: files.PathLike) -> EmissivityMap:
-    """Return the EmissivityMap of a file, or a shipped one by name.
-
-    Raises
-    ------
-    ThermorenderError
-        It does not exist, or is not an emissivity map that this version reads.
-    """
+    """Return the EmissivityMap of a file, or a shipped one by name."""
     path = SHIPPED.get(str(name), Path(name))
     if not path.is_file():
         raise ThermorenderError(

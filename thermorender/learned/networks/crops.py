@@ -24,19 +24,11 @@ _LEAST_VALID, _DRAWS = 0.3, 4
 
 @dataclass(frozen=True, eq=False)
 class Crop:
-    """A square crop of a picture.
-
-    Attributes
-    ----------
-    inputs : Inputs
-    target : (side, side) float32
-        Intensity, or kelvin above the air; 0 where it is not valid.
-    valid : (side, side) bool
-    """
+    """A square crop of a picture."""
 
     inputs: Inputs
-    target: np.ndarray
-    valid: np.ndarray
+    target: np.ndarray  # (side, side) float32 intensity, or kelvin above the air; 0 where it is not valid
+    valid: np.ndarray  # (side, side) bool
 
 
 class Crops:

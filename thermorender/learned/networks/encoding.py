@@ -29,25 +29,14 @@ _UNITS = (("normal_", 1.0), ("above_m", 5.0), ("sky_view", 1.0), ("sun", 300.0))
 
 @dataclass(frozen=True)
 class Encoding:
-    """Encoding of Inputs.
+    """Encoding of Inputs."""
 
-    Attributes
-    ----------
-    extra : ExtraInputs
-        Inputs besides the picture.
-    depth : bool
-        Whether depth is an input, with a plane that is 1 where it is known.
-    offset, scale : float
-        The encoded target is (intensity or kelvin above the air − `offset`) / `scale`.
-    base : Linear or None
-        A linear predictor whose kelvin are the last plane.
-    """
-
-    extra: ExtraInputs = ExtraInputs()
-    depth: bool = False
+    extra: ExtraInputs = ExtraInputs()  # Inputs besides the picture
+    depth: bool = False  # Whether depth is an input, with a plane that is 1 where it is known
+    # offset, scale: The encoded target is (intensity or kelvin above the air − `offset`) / `scale`
     offset: float = 0.0
     scale: float = 1.0
-    base: Linear | None = None
+    base: Linear | None = None  # A linear predictor whose kelvin are the last plane
 
     @classmethod
     def measured(
@@ -104,13 +93,7 @@ class Encoding:
         return 3 + 2 * self.depth + relief + self.mixed
 
     def planes(self, inputs: Inputs) -> np.ndarray:
-        """Return the planes of Inputs, (channels, h, w) float32: the picture in −1…1 first.
-
-        Raises
-        ------
-        ThermorenderError
-            The inputs lack a terrain plane or a condition.
-        """
+        """Return the planes of Inputs, (channels, h, w) float32: the picture in −1…1 first."""
         self.extra.check(inputs)
         found = np.zeros((self.channels, *inputs.rgb.shape[:2]), np.float32)
         found[:3] = np.moveaxis(inputs.rgb, -1, 0).astype(np.float32) / np.float32(127.5) - np.float32(1.0)

@@ -26,42 +26,24 @@ _COUNTED = "num_batches_tracked"
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """A network of a recipe.
+    """A network of a recipe."""
 
-    Attributes
-    ----------
-    method : str
-        Name of the recipe.
-    width : int
-    encoding : Encoding
-    texel_range_m : (2,) tuple of float
-        Ground sampling distances it was trained at; others are brought to the nearest.
-    state : dict of str to array
-        Its weights.
-    above_air : bool
-        Whether it gives kelvin above the air instead of intensity.
-    published : bool
-        Apply it as pix2pix was: the state of the last epoch, with the statistics of each square and dropout, drawn from
-        a fixed seed. Else the state of least validation error, with the statistics of the training and no dropout, so
-        that neighbouring squares agree.
-    trained : dict
-        What its training was: crops, seconds, curve; empty for one of a file.
-    architecture : str or None
-        That of the recipe, or another; None is the recipe's.
-    steps : dict of str to float
-        Of tensors that the file holds as whole multiples of a step, by `packing.coarsest_steps`; it holds the others in
-        half precision.
-    """
-
-    method: str
+    method: str  # Name of the recipe
     width: int
     encoding: Encoding
+    # (2,) tuple ground sampling distances it was trained at; others are brought to the nearest
     texel_range_m: tuple
-    state: dict
-    above_air: bool
+    state: dict  # Its weights
+    above_air: bool  # Whether it gives kelvin above the air instead of intensity
+    # Apply it as pix2pix was: the state of the last epoch, with the statistics of each square and dropout, drawn from
+    # a fixed seed. Else the state of least validation error, with the statistics of the training and no dropout, so
+    # that neighbouring squares agree.
     published: bool = False
+    # What its training was: crops, seconds, curve; empty for one of a file
     trained: dict = field(default_factory=dict)
-    architecture: str | None = None
+    architecture: str | None = None  # That of the recipe, or another; None is the recipe's
+    # Of tensors that the file holds as whole multiples of a step, by `packing.coarsest_steps`; it holds the others in
+    # half precision
     steps: dict = field(default_factory=dict)
 
     @cached_property
@@ -86,13 +68,7 @@ class Network:
         return net.to(device(), memory_format=torch.channels_last).requires_grad_(False).train(self.published)
 
     def predict(self, inputs, texel_m):
-        """Return intensity or kelvin above the air, (h, w) float64.
-
-        Raises
-        ------
-        ThermorenderError
-            A plane of the terrain or a condition is missing.
-        """
+        """Return intensity or kelvin above the air, (h, w) float64."""
         return self.with_spread(inputs)[0]
 
     def with_spread(self, inputs):

@@ -41,64 +41,30 @@ _JITTER = 286
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a network is built and trained.
+    """How a network is built and trained."""
 
-    Attributes
-    ----------
-    net : str
-        Its architecture, of `building`.
-    width : int
-        Channels of its outermost level; of the architecture `dense`, the size of the hidden layer.
-    learner : str
-        Its learner, of `building`.
-    optimiser : {"adam", "nadam", "adamw"}
-    rate : float
-        To begin with.
-    betas : (2,) tuple of float
-    schedule : {"constant", "halfway", "cosine"}
-        Of the rate: constant; constant and from the middle on falling to 0; risen over the first 10 %, then a cosine
-        to 0.
-    batch : int
-    published_crops : int or None
-        Training crops of the study, its epochs times its pairs; None: not published.
-    published_steps : int or None
-        Its training crops if its epochs are steps; None: they are not.
-    crops : int
-        Default number of training crops.
-    target : (offset, scale), or None
-        Of the target's intensity: (0.5, 0.5) is −1…1; None: measured on the training pictures.
-    side : int
-        Side of the training crops [pixels]; may be chosen for networks that take whole pictures.
-    whole : bool
-        Whether it takes pictures of any size whole; else squares of `side`, blended.
-    multiple : int
-        Sides of its input are multiples of this [pixels].
-    plus : bool
-        Whether it takes relief, hour and weather as input.
-    weight : float
-        Weight of the second loss, λ in the papers; the first has 1.
-    options : dict
-        Options that not all recipes have, with their defaults.
-    """
-
-    net: str
-    width: int
-    learner: str
+    net: str  # Its architecture, of `building`
+    width: int  # Channels of its outermost level; of the architecture `dense`, the size of the hidden layer
+    learner: str  # Its learner, of `building`
     optimiser: str
-    rate: float
+    rate: float  # To begin with
+    # Of the rate: constant; constant and from the middle on falling to 0; risen over the first 10 %, then a cosine to
+    # 0
     schedule: str
     batch: int
-    crops: int
+    crops: int  # Default number of training crops
+    # Training crops of the study, its epochs times its pairs; None: not published
     published_crops: int | None = None
-    published_steps: int | None = None
-    betas: tuple = (0.9, 0.999)
+    published_steps: int | None = None  # Its training crops if its epochs are steps; None: they are not
+    betas: tuple = (0.9, 0.999)  # (2,) tuple
+    # (offset, scale) of the target's intensity: (0.5, 0.5) is −1…1; None: measured on the training pictures
     target: tuple | None = (0.0, 1.0)
-    side: int = 256
-    whole: bool = False
-    multiple: int = 256
-    plus: bool = False
-    weight: float = 0.0
-    options: dict = field(default_factory=dict)
+    side: int = 256  # Side of the training crops [pixels]; may be chosen for networks that take whole pictures
+    whole: bool = False  # Whether it takes pictures of any size whole; else squares of `side`, blended
+    multiple: int = 256  # Sides of its input are multiples of this [pixels]
+    plus: bool = False  # Whether it takes relief, hour and weather as input
+    weight: float = 0.0  # Weight of the second loss, λ in the papers; the first has 1
+    options: dict = field(default_factory=dict)  # Options that not all recipes have, with their defaults
 
     @property
     def bounded(self):
@@ -162,13 +128,7 @@ _ARCHITECTURES = {
 
 
 def recipe_of(method, architecture=None):
-    """Return the Recipe of a method, with another architecture where one is given.
-
-    Raises
-    ------
-    ThermorenderError
-        The method does not have this architecture.
-    """
+    """Return the Recipe of a method, with another architecture where one is given."""
     recipe = RECIPES[method]
     if architecture in (None, recipe.net):
         return recipe

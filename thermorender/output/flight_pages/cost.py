@@ -11,27 +11,14 @@ MEASURED = 2
 
 @dataclass(frozen=True)
 class Cost:
-    """The cost of the frames of a flight that are still to be written.
+    """The cost of the frames of a flight that are still to be written."""
 
-    Attributes
-    ----------
-    frames : int
-        Still to be written.
-    seconds : float
-        For the frame that was measured last, with its files, which are written while the next frame is rendered.
-    sizes : dict
-        {product: bytes of a frame}, the mean of the frames measured.
-    free : int
-        Free bytes of the output's file system.
-    memory : int or None
-        Most memory that this process had in use [bytes]; None where the system does not state it.
-    """
-
-    frames: int
+    frames: int  # Still to be written
+    # For the frame that was measured last, with its files, which are written while the next frame is rendered
     seconds: float
-    sizes: Mapping[str, float]
-    free: int
-    memory: int | None
+    sizes: Mapping[str, float]  # {product: bytes of a frame}, the mean of the frames measured
+    free: int  # Free bytes of the output's file system
+    memory: int | None  # Most memory that this process had in use [bytes]; None where the system does not state it
 
     @classmethod
     def of(cls, folder: PathLike[str], frames: int, seconds: float, sizes: Mapping[str, float]) -> "Cost":

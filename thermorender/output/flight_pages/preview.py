@@ -34,11 +34,6 @@ def preview(
         For the page; without it nothing is written.
     outlook : callable, optional
         As of `thermorender.output.flight.fly`.
-
-    Raises
-    ------
-    ThermorenderError
-        As of `thermorender.output.flight.fly`.
     """
     report = outlook or (lambda part: None)
     rate_hz = renderer.scene.camera.frame_rate_hz if options.rate_hz is None else options.rate_hz

@@ -27,46 +27,29 @@ _MOTION = 98.0
 
 @dataclass(frozen=True, eq=False)
 class Prospect:
-    """A flight before it is rendered.
+    """A flight before it is rendered."""
 
-    Attributes
-    ----------
-    frames : int
-        Frames of the flight.
-    rate_hz : float
-    index, time_s : (N,) array
-        Numbers and times of the frames that are looked at.
-    position : (N, 3) float64
-        Of the camera [m].
-    above_ground_m : (N,) float64
-        NaN off the terrain.
-    outline : (N, K, 2) float64
-        East and north on the ground, around the footprint, clockwise: of the rays to a point of the frame's border,
-        the outermost that meets a surface; NaN where none does [m].
-    shows_terrain : (N,) bool
-        Whether a ray of the frame meets a surface, or a corner of the terrain's faces is in the picture.
-    pixel_m : (N,) float64
-        Size of a pixel across the view, the median over the frame's rays that meet a surface; NaN without one [m].
-    motion_px : (N,) float64
-        Motion of the image within a time constant of the detector, the 98th percentile over the frame; NaN unknown.
-    texel_m, time_constant_s : float
-    length_m : float
-        Of the path over the ground between the frames that are looked at.
-    """
-
-    frames: int
+    frames: int  # Frames of the flight
     rate_hz: float
+    # index, time_s: (N,) numbers and times of the frames that are looked at
     index: NDArray[np.int64]
     time_s: Floats
-    position: Floats
-    above_ground_m: Floats
+    position: Floats  # (N, 3) float64 of the camera [m]
+    above_ground_m: Floats  # (N,) float64 naN off the terrain
+    # (N, K, 2) float64 east and north on the ground, around the footprint, clockwise: of the rays to a point of the
+    # frame's border, the outermost that meets a surface; NaN where none does [m]
     outline: Floats
+    # (N,) bool whether a ray of the frame meets a surface, or a corner of the terrain's faces is in the picture
     shows_terrain: NDArray[np.bool_]
+    # (N,) float64 size of a pixel across the view, the median over the frame's rays that meet a surface; NaN without
+    # one [m]
     pixel_m: Floats
+    # (N,) float64 motion of the image within a time constant of the detector, the 98th percentile over the frame; NaN
+    # unknown
     motion_px: Floats
     texel_m: float
     time_constant_s: float
-    length_m: float
+    length_m: float  # Of the path over the ground between the frames that are looked at
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures of `lines` as plain values, for the record of the flight."""

@@ -25,55 +25,30 @@ _MOST_PAIRS = 255
 
 @dataclass(frozen=True, eq=False)
 class Touched:
-    """Texels that an edit changes, and their faces.
+    """Texels that an edit changes, and their faces."""
 
-    Attributes
-    ----------
-    differ : (M, M') bool
-        Whether each material before differs from each after in what it emits or reflects.
-    kinds, kelvin : UInt8 and Float
-        Material and temperature of all texels after the edit.
-    changed : UInt8
-        1 for texels with another material, another spectrum of their material, or another temperature.
-    materials : (m,) int
-        Materials after the edit on these texels.
-    pair : UInt8
-        Number of the texel's pair of materials, before and after the edit.
-    pairs : (p, 2) int
-        Of each number.
-    faces : (n,) int
-        Faces with such texels, ascending.
-    """
-
+    # (M, M') bool whether each material before differs from each after in what it emits or reflects
     differ: NDArray[np.bool_]
+    # kinds, kelvin: Material and temperature of all texels after the edit
     kinds: Jit
     kelvin: Jit
-    changed: Jit
-    materials: NDArray[np.intp]
-    pair: Jit
-    pairs: NDArray[np.intp]
-    faces: NDArray[np.intp]
+    changed: Jit  # 1 for texels with another material, another spectrum of their material, or another temperature
+    materials: NDArray[np.intp]  # (m,) int materials after the edit on these texels
+    pair: Jit  # Number of the texel's pair of materials, before and after the edit
+    pairs: NDArray[np.intp]  # (p, 2) int of each number
+    faces: NDArray[np.intp]  # (n,) int faces with such texels, ascending
 
 
 @dataclass(frozen=True, eq=False)
 class Change(Touched):
-    """What an edit changes, as the known light shows it.
+    """What an edit changes, as the known light shows it."""
 
-    Attributes
-    ----------
-    plan : Plan
-        Of the edited scene, with the nodes and channels of the one before.
-    tables : Tables
-        Of blackbodies.
-    sent : (N, n) float32
-        Change of the radiance that these faces send at each node, in the light before the edit [W m⁻² sr⁻¹].
-    strongest : (n,) float32
-        Largest reflectance of a point of these faces at any node, after the edit.
-    """
-
-    plan: Plan
-    tables: Tables
+    plan: Plan  # Of the edited scene, with the nodes and channels of the one before
+    tables: Tables  # Of blackbodies
+    # (N, n) float32 change of the radiance that these faces send at each node, in the light before the edit [W m⁻²
+    # sr⁻¹]
     sent: NDArray[np.float32]
+    # (n,) float32 largest reflectance of a point of these faces at any node, after the edit
     strongest: NDArray[np.float32]
 
 

@@ -44,21 +44,12 @@ _WORTH, _QUICK_RAYS = 1.3, 1_000_000
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """Light that a preview leaves out.
+    """Light that a preview leaves out."""
 
-    Attributes
-    ----------
-    missing : (F,) float32
-        Reflected light that is not followed, of each face, summed over the nodes [W m⁻² sr⁻¹].
-    outside : float
-        The same of the surroundings.
-    faces : (n,) int
-        Faces where it matters most among those that edits changed.
-    """
-
+    # (F,) float32 reflected light that is not followed, of each face, summed over the nodes [W m⁻² sr⁻¹]
     missing: NDArray[np.float32]
-    outside: float
-    faces: NDArray[np.intp]
+    outside: float  # The same of the surroundings
+    faces: NDArray[np.intp]  # (n,) int faces where it matters most among those that edits changed
 
 
 def preview(baked: "BakedScene", scene: Scene) -> "BakedScene | None":

@@ -72,17 +72,11 @@ Instant = tuple[Weather, np.datetime64]
 
 @dataclass(frozen=True)
 class Moved:
-    """A map moved to one instant.
+    """A map moved to one instant."""
 
-    Attributes
-    ----------
-    scene : Scene
-        With the moved temperatures, UNMOVED in its flags, and a summary in the `moved_report` of its temperature state.
-    std_k : tuple of (h, w) float32 arrays
-        One standard deviation of the temperatures of each of the terrain's surfaces [K].
-    """
-
+    # With the moved temperatures, UNMOVED in its flags, and a summary in the `moved_report` of its temperature state
     scene: Scene
+    # One standard deviation of the temperatures of each of the terrain's surfaces [K]
     std_k: tuple[NDArray[np.float32], ...]
 
 
@@ -99,12 +93,6 @@ def moved(
         UTC, inside the weather.
     geometry, progress
         As of `heat.simulation.solved`.
-
-    Raises
-    ------
-    ThermorenderError
-        A material has no thermal properties, an instant is outside the weather, or the trained instant is outside its
-        own.
 
     Notes
     -----
@@ -129,13 +117,7 @@ def moved(
 
 
 def balances(scene: Scene) -> tuple[Scene, Scene]:
-    """Return (the scene with source "balance", the same at the trained instant and weather), both unsolved.
-
-    Raises
-    ------
-    ThermorenderError
-        The scene has no map to move, or the weather it was trained in cannot be read.
-    """
+    """Return (the scene with source "balance", the same at the trained instant and weather), both unsolved."""
     if not isinstance(scene.temperature_state.source, MovedSource):
         raise ThermorenderError(
             f"{scene.where} has no map that could be moved; add [weather], and [temperature.trained] with the time and "

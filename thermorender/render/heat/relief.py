@@ -76,11 +76,6 @@ def reliefs(
         weighted, one value per face; sunlight on the surface, direct with shadow plus diffuse by sky view [W m⁻²], now
         and as weighted means over the past. The past begins with the weather; if that begins at the instant, the means
         are the present value. The planes of an instant do not depend on the other instants.
-
-    Raises
-    ------
-    ThermorenderError
-        The scene has no weather.
     """
     geometry = geometry or Geometry(activate(), scene.surfaces)
     asked = (*times, scene.weather_digest())

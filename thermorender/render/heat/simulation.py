@@ -77,11 +77,6 @@ def solved(
     deviations : Deviations, optional
         Deviations of the texels from their materials' properties, for a truth that differs from the tables.
 
-    Raises
-    ------
-    ThermorenderError
-        A material has no thermal properties, or an instant is outside the weather.
-
     Notes
     -----
     Objects keep the temperatures of the scene file, except copies whose temperature is "balance"; they cast shadows and

@@ -41,20 +41,12 @@ PointsOf = Callable[[NDArray[np.integer]], tuple[Jit, Jit]]
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """Faces with a covered part, and where in them rays start.
+    """Faces with a covered part, and where in them rays start."""
 
-    Attributes
-    ----------
-    faces : (n,) uint32
-        Ascending.
-    start : (n,) uint32
-        The face on which their rays start: their own, or that of their stand-in.
-    spots : (n, SPOTS) uint8
-        Numbers of its open points among those of `points`; points of which few are open repeat.
-    """
-
-    faces: NDArray[np.uint32]
+    faces: NDArray[np.uint32]  # (n,) uint32 ascending
+    # (n,) uint32 the face on which their rays start: their own, or that of their stand-in
     start: NDArray[np.uint32]
+    # (n, SPOTS) uint8 numbers of its open points among those of `points`; points of which few are open repeat
     spots: NDArray[np.uint8]
 
 

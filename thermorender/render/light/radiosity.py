@@ -230,29 +230,16 @@ def background_code(mi: Mitsuba, direction: Jit) -> Jit:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The light on faces, all in W m⁻² sr⁻¹.
+    """The light on faces, all in W m⁻² sr⁻¹."""
 
-    Attributes
-    ----------
-    incident : (F, N)
-        Mean incident radiance of each face.
-    bound : float
-        Its error bound at every node.
-    noise : (F,)
-        A draw of the Monte Carlo error of each face's reflected radiance, summed over the nodes. Only its root mean
-        square over many faces is meaningful: it is one standard error. Draws of other nodes of the same transport add
-        with their signs.
-    rest : (F, N)
-        Light that faces have not sent.
-    rounding : float
-        Error of `incident` apart from the rest.
-    """
-
-    incident: Floats
-    bound: float
+    incident: Floats  # (F, N) mean incident radiance of each face
+    bound: float  # Its error bound at every node
+    # (F,) a draw of the Monte Carlo error of each face's reflected radiance, summed over the nodes. Only its root
+    # mean square over many faces is meaningful: it is one standard error. Draws of other nodes of the same transport
+    # add with their signs.
     noise: Floats
-    rest: Floats
-    rounding: float
+    rest: Floats  # (F, N) light that faces have not sent
+    rounding: float  # Error of `incident` apart from the rest
 
 
 def solve(
@@ -273,11 +260,6 @@ def solve(
         An incident radiance close to the solution, which saves time; zeros by default.
     tick : callable, optional
         Called every few milliseconds, without arguments; it may raise.
-
-    Raises
-    ------
-    ThermorenderError
-        The system does not converge to the tolerance.
 
     Notes
     -----
@@ -321,11 +303,6 @@ def amplification(transport: Transport, reflectance: NDArray[np.floating]) -> fl
     """Return by how much light may exceed its sources, from a bound of the share that is passed on.
 
     `reflectance` (F, N) is that of each face at each node.
-
-    Raises
-    ------
-    ThermorenderError
-        Light never leaves.
     """
     reflected = float(reflectance.max(initial=0.0))
     if reflected > _MUCH_REFLECTED:

@@ -24,27 +24,13 @@ Steps = tuple[NDArray[np.int8], Floats]
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """What the solution of an edit begins from, beside the incident radiance.
+    """What the solution of an edit begins from, beside the incident radiance."""
 
-    Attributes
-    ----------
-    rest : (F, N) int8
-        Light that faces have not sent, in units of `step`.
-    step : (N,) float64
-        Of each node [W m⁻² sr⁻¹].
-    residual : float
-        Error of the incident radiance, and so of what faces send, apart from the rest [W m⁻² sr⁻¹].
-    noise : (F,) float32
-        As of SolvedLight.
-    reflectance : (F, N) float32 or None
-        Of each face at each node, where it is known.
-    """
-
-    rest: NDArray[np.int8]
-    step: Floats
-    residual: float
-    noise: NDArray[np.float32]
-    reflectance: NDArray[np.float32] | None = None
+    rest: NDArray[np.int8]  # (F, N) int8 light that faces have not sent, in units of `step`
+    step: Floats  # (N,) float64 of each node [W m⁻² sr⁻¹]
+    residual: float  # Error of the incident radiance, and so of what faces send, apart from the rest [W m⁻² sr⁻¹]
+    noise: NDArray[np.float32]  # (F,) float32 as of SolvedLight
+    reflectance: NDArray[np.float32] | None = None  # (F, N) float32 of each face at each node, where it is known
 
     @classmethod
     def of(

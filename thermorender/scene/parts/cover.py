@@ -50,24 +50,12 @@ class Painted:
 
 @dataclass(frozen=True, eq=False)
 class Cover:
-    """Materials of a scene.
+    """Materials of a scene."""
 
-    Attributes
-    ----------
-    materials : tuple of Material
-        In the order of their first use; what material numbers index.
-    ground : tuple of Painted
-        One per terrain surface.
-    objects : tuple of int
-        The material number of each object.
-    report : dict
-        Report of the learned emissivity map; empty without one.
-    """
-
-    materials: tuple[Material, ...]
-    ground: tuple[Painted, ...]
-    objects: tuple[int, ...]
-    report: Mapping[str, Any]
+    materials: tuple[Material, ...]  # In the order of their first use; what material numbers index
+    ground: tuple[Painted, ...]  # One per terrain surface
+    objects: tuple[int, ...]  # The material number of each object
+    report: Mapping[str, Any]  # Report of the learned emissivity map; empty without one
 
 
 class MaterialList:
@@ -133,12 +121,6 @@ def cover_of(
         Path of the scene file, for messages.
     no_snow : str
         Why no snow lies on the ground, for a learned map; "" if it may.
-
-    Raises
-    ------
-    ThermorenderError
-        A material that is unknown or not measured over the band, too many materials, or a replacement of something
-        that the scene does not have.
     """
     materials = MaterialList(parts.library, replaced, band_um, where)
     report: dict[str, Any] = {}

@@ -62,21 +62,12 @@ _PAIR, _UNESCAPED = re.compile(r'"((?:[^"\\]|\\.)*)"\s*=>\s*"((?:[^"\\]|\\.)*)"'
 
 @dataclass(frozen=True, eq=False)
 class KnownCover:
-    """What a GeoJSON says on the materials of a picture's texels.
+    """What a GeoJSON says on the materials of a picture's texels."""
 
-    Attributes
-    ----------
-    number : (h, w) uint8
-        1 … N of the case, 0 where nothing is known.
-    cases : tuple
-        The kinds of material that N cases allow, or the name of one material.
-    notes : tuple of str
-        What was used and what was not, one sentence each.
-    """
-
-    number: NDArray[np.uint8]
+    number: NDArray[np.uint8]  # (h, w) uint8 1 … N of the case, 0 where nothing is known
+    # The kinds of material that N cases allow, or the name of one material
     cases: tuple[tuple[str, ...] | str, ...]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # What was used and what was not, one sentence each
 
     def beyond(self, materials: Sequence[str]) -> list[str]:
         """Return the materials of cases that allow none of those given, one for each."""
@@ -108,11 +99,6 @@ def read_known(path: Path, grid: Grid, texel_m: float) -> KnownCover:
         Texels of the picture.
     texel_m : float
         Their side on the ground [m].
-
-    Raises
-    ------
-    ThermorenderError
-        The file cannot be read, its coordinates do not fit its CRS, or it restricts no texel.
     """
     features, crs = read_features(path)
     left_out: Counter[str] = Counter()

@@ -37,29 +37,16 @@ _IMAGE = f"give a complete PNG or JPEG image of up to {MOST_TEXELS} pixels"
 
 @dataclass(frozen=True)
 class Part:
-    """One mesh with one colour image.
-
-    Attributes
-    ----------
-    name : str
-    vertices : (V, 3) float64
-    faces : (F, 3) int32
-    uv : (F, 3, 2) float32
-        0…1, u to the right and v down the image.
-    colour : (h, w, 3) uint8
-        sRGB.
-    names : tuple of tuple of str
-        What the file calls each of the pieces joined here: node, group, material, texture.
-    texture : (2,) tuple of int, or None
-        Rows and columns of the texture, which `colour` repeats where faces need that; None without a texture.
-    """
+    """One mesh with one colour image."""
 
     name: str
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
-    uv: NDArray[np.float32]
-    colour: NDArray[np.uint8]
+    vertices: NDArray[np.float64]  # (V, 3) float64
+    faces: NDArray[np.int32]  # (F, 3) int32
+    uv: NDArray[np.float32]  # (F, 3, 2) float32 0…1, u to the right and v down the image
+    colour: NDArray[np.uint8]  # (h, w, 3) uint8 sRGB
+    # What the file calls each of the pieces joined here: node, group, material, texture
     names: tuple[tuple[str, ...], ...] = ()
+    # (2,) tuple rows and columns of the texture, which `colour` repeats where faces need that; None without a texture
     texture: tuple[int, int] | None = None
 
 
@@ -73,13 +60,6 @@ def load(path: Path | str, folder: Path | None = None, named: Collection[str] = 
         Material libraries, textures and buffers that the file names must be inside it. Default: the file's folder.
     named : collection of str
         Names that the pieces of one part must share or lack.
-
-    Raises
-    ------
-    ThermorenderError
-        An unreadable file, no triangle with an area, or a vertex more than 100 km from the origin; an image texture
-        without map coordinates, repeated too often or with an unsupported glTF feature; a file that the mesh names but
-        that is missing, broken, too large or outside `folder`.
     """
     path = Path(path)
     if path.suffix.lower() not in FORMATS:

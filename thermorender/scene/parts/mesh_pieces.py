@@ -19,60 +19,29 @@ _MOST_STARTS = 64
 
 @dataclass(frozen=True, eq=False)
 class Coat:
-    """Colour of triangles, as their file states it.
+    """Colour of triangles, as their file states it."""
 
-    Attributes
-    ----------
-    what : str
-        "texture 'a.png'" or "texture of material 'a'", for messages.
-    colour : (3,) uint8
-        sRGB where there is no image.
-    image : bytes, optional
-        An image file.
-    factor : (3,) float64
-        On the linear light of the colour or image.
-    repeats : bool
-        Whether the image repeats beyond 0…1; otherwise its edge is clamped or mirrored.
-    cut_below : float
-        Texels of a smaller alpha, 0…1, are holes.
-    file : str
-        Name of the image file, without its folder.
-    """
-
-    what: str = "texture"
-    colour: NDArray[np.uint8] = field(default_factory=GREY.copy)
-    image: bytes | None = None
+    what: str = "texture"  # "texture 'a.png'" or "texture of material 'a'", for messages
+    colour: NDArray[np.uint8] = field(default_factory=GREY.copy)  # (3,) uint8 sRGB where there is no image
+    image: bytes | None = None  # An image file
+    # (3,) float64 on the linear light of the colour or image
     factor: NDArray[np.float64] = field(default_factory=lambda: np.ones(3))
-    repeats: bool = True
-    cut_below: float = 0.0
-    file: str = ""
+    repeats: bool = True  # Whether the image repeats beyond 0…1; otherwise its edge is clamped or mirrored
+    cut_below: float = 0.0  # Texels of a smaller alpha, 0…1, are holes
+    file: str = ""  # Name of the image file, without its folder
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """Triangles with one Coat.
-
-    Attributes
-    ----------
-    name : str
-    vertices : (V, 3) float64
-        z up.
-    faces : (F, 3) int64
-    uv : (F, 3, 2) float64, optional
-        u to the right and v down the image.
-    coat : Coat
-    names : tuple of str
-        What the file calls its node, group, material and texture.
-    tint : (F, 3) float32, optional
-        Linear light of each face, on which `coat.factor` works, where the file states several colours.
-    """
+    """Triangles with one Coat."""
 
     name: str
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    uv: NDArray[np.float64] | None
+    vertices: NDArray[np.float64]  # (V, 3) float64 z up
+    faces: NDArray[np.int64]  # (F, 3) int64
+    uv: NDArray[np.float64] | None  # (F, 3, 2) float64 u to the right and v down the image
     coat: Coat
-    names: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()  # What the file calls its node, group, material and texture
+    # (F, 3) float32 linear light of each face, on which `coat.factor` works, where the file states several colours
     tint: NDArray[np.float32] | None = None
 
     def compact(self) -> "Piece":
@@ -94,13 +63,7 @@ class Beside:
                                  self.path.parent / name.replace("\\", "/")) if p.is_file()), first)  # fmt: skip
 
     def get(self, name: str) -> bytes:
-        """Return the bytes of a file.
-
-        Raises
-        ------
-        ThermorenderError
-            It is missing, outside the folder or unreadable.
-        """
+        """Return the bytes of a file."""
         try:
             path = self.find(name)
             if not inside(path, self.folder):
@@ -141,11 +104,6 @@ def triangles(
     vertices : (V, 3) float64
     path : Path
         For messages.
-
-    Raises
-    ------
-    ThermorenderError
-        A vertex that does not exist, or a concave polygon that no such split covers.
     """
     if index.size and not (index.min() >= 0 and index.max() < len(vertices)):
         raise ThermorenderError(

@@ -29,11 +29,6 @@ def read_colour(
         Values that become 0 and 255; needed for other than 8 bits.
     collar : int
         A border within this many levels of black or white is empty.
-
-    Raises
-    ------
-    ThermorenderError
-        The file does not say which bands are red, green and blue, or is not in 8 bits and has no range.
     """
     with opened(path) as dataset:
         names = [each.name for each in dataset.colorinterp]

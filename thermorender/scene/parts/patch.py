@@ -41,11 +41,6 @@ def read_features(given: str | PathLike[str] | Mapping[str, Any]) -> tuple[list[
     ----------
     given : path or dict
         The file, or its contents.
-
-    Raises
-    ------
-    ThermorenderError
-        The file cannot be read, or is not a FeatureCollection.
     """
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
@@ -104,13 +99,7 @@ def areas(given: Any, place: Place, ground: Ground) -> list[tuple[Any, str | Non
 
 
 def pixels_of(corners: Any, crs: Any, grid: Grid, where: str) -> NDArray[np.float64]:
-    """Return corners in a CRS as (column, row) of a grid, (N, 2).
-
-    Raises
-    ------
-    ThermorenderError
-        They are not coordinates of that CRS; the message begins with `where`.
-    """
+    """Return corners in a CRS as (column, row) of a grid, (N, 2)."""
     from rasterio.warp import transform
 
     try:
@@ -140,11 +129,6 @@ def texels_of(geometry: Any, crs: Any, grid: Grid, where: str) -> tuple[tuple[sl
     """Return (part of a grid, which of its texels have their middle in a polygon); the part is empty outside of it.
 
     Holes without corners are skipped, and so are polygons without corners in a MultiPolygon.
-
-    Raises
-    ------
-    ThermorenderError
-        It is not a polygon, or not in the CRS; the message begins with `where`.
     """
     try:
         polygons = [geometry["coordinates"]] if geometry["type"] == "Polygon" else list(geometry["coordinates"])

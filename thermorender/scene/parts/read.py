@@ -24,56 +24,26 @@ from thermorender.scene.surface import FILLED, SURFACE, Surface
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """The content of a scene folder.
-
-    Attributes
-    ----------
-    frame : LocalFrame or None
-    grid : Grid or None
-        Map grid of the terrain's texels; None for a mesh.
-    ground : tuple of Surface
-        The terrain, not refined yet; materials and temperatures are placeholders.
-    colour : (h, w, 3) uint8 or None
-        The orthophoto with its holes; None without one.
-    valid : (h, w) bool or None
-        Where the orthophoto has colour.
-    classes : (h, w) uint8 or None
-        Class numbers on the texel grid, 0 for no data; None without a class raster.
-    filled : (h, w) bool or None
-        Where heights were filled; None where none were.
-    on_ground : (h, w) bool or None
-        Texels on the terrain; None if all of them are.
-    objects : tuple of TrackedObject
-        Every object, in its own frame; one without a track has one row.
-    library : dict of str to Material
-    textures : tuple of Texture
-        One per surface of a mesh; empty for a raster terrain.
-    height : ((h, w) float64 [m], Grid) or None
-        The elevation raster beside an orthophoto.
-    """
+    """The content of a scene folder."""
 
     frame: LocalFrame | None
-    grid: Grid | None
-    ground: tuple[Surface, ...]
-    colour: NDArray[np.uint8] | None
-    valid: NDArray[np.bool_] | None
+    grid: Grid | None  # Map grid of the terrain's texels; None for a mesh
+    ground: tuple[Surface, ...]  # The terrain, not refined yet; materials and temperatures are placeholders
+    colour: NDArray[np.uint8] | None  # (h, w, 3) uint8 the orthophoto with its holes; None without one
+    valid: NDArray[np.bool_] | None  # (h, w) bool where the orthophoto has colour
+    # (h, w) uint8 class numbers on the texel grid, 0 for no data; None without a class raster
     classes: NDArray[np.uint8] | None
-    filled: NDArray[np.bool_] | None
-    on_ground: NDArray[np.bool_] | None
-    objects: tuple[TrackedObject, ...]
+    filled: NDArray[np.bool_] | None  # (h, w) bool where heights were filled; None where none were
+    on_ground: NDArray[np.bool_] | None  # (h, w) bool texels on the terrain; None if all of them are
+    objects: tuple[TrackedObject, ...]  # Every object, in its own frame; one without a track has one row
     library: Mapping[str, Material]
-    textures: tuple[Texture, ...] = ()
+    textures: tuple[Texture, ...] = ()  # One per surface of a mesh; empty for a raster terrain
+    # ((h, w) float64 the elevation raster beside an orthophoto
     height: tuple[NDArray[np.float64], Grid] | None = None
 
 
 def read_parts(spec: SceneSpec, where: str) -> Parts:
-    """Return the Parts of a scene file.
-
-    Raises
-    ------
-    ThermorenderError
-        A file that cannot be used, or files that do not belong together.
-    """
+    """Return the Parts of a scene file."""
     own = spec.folder / "materials"
     library = material_tables.load_library(own if own.is_dir() else None)
     parts = _raster_terrain(spec, where, library) if spec.terrain.elevation else _mesh_terrain(spec, where, library)

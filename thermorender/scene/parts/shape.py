@@ -24,52 +24,24 @@ Held = Mapping[str, frozenset[str]]
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """Surfaces of a scene without what covers them.
-
-    Attributes
-    ----------
-    frame : LocalFrame or None
-    grid : Grid or None
-    ground : tuple of Surface
-        The terrain.
-    on_ground : (h, w) bool or None
-        Texels on the terrain; None if all of them are.
-    static : tuple of Surface
-        Of objects without a track, in the scene's frame.
-    static_of : tuple of int
-        Number of the object that each of `static` belongs to.
-    balanced : int
-        Number of `static`, the first ones, whose temperatures the heat balance solves.
-    tracked : tuple of TrackedObject
-    tracked_of : tuple of int
-        Number of the object of each of `tracked`.
-    highest_m : float
-        Highest vertex of terrain and objects, along their tracks too [m].
-    textures : tuple of Texture
-        One per surface of a mesh; empty for a raster terrain and for surfaces made in memory.
-    """
+    """Surfaces of a scene without what covers them."""
 
     frame: LocalFrame | None
     grid: Grid | None
-    ground: tuple[Surface, ...]
-    on_ground: NDArray[np.bool_] | None
-    static: tuple[Surface, ...]
-    static_of: tuple[int, ...]
+    ground: tuple[Surface, ...]  # The terrain
+    on_ground: NDArray[np.bool_] | None  # (h, w) bool texels on the terrain; None if all of them are
+    static: tuple[Surface, ...]  # Of objects without a track, in the scene's frame
+    static_of: tuple[int, ...]  # Number of the object that each of `static` belongs to
     tracked: tuple[TrackedObject, ...]
-    tracked_of: tuple[int, ...]
-    highest_m: float
+    tracked_of: tuple[int, ...]  # Number of the object of each of `tracked`
+    highest_m: float  # Highest vertex of terrain and objects, along their tracks too [m]
+    # One per surface of a mesh; empty for a raster terrain and for surfaces made in memory
     textures: tuple[Texture, ...] = ()
-    balanced: int = 0
+    balanced: int = 0  # Number of `static`, the first ones, whose temperatures the heat balance solves
 
 
 def shape_of(parts: Parts, objects: Sequence[ObjectSpec], held: Held, where: str) -> Shape:
-    """Return the Shape of a scene's parts with its objects where `objects` says.
-
-    Raises
-    ------
-    ThermorenderError
-        An object stands where there is no terrain.
-    """
+    """Return the Shape of a scene's parts with its objects where `objects` says."""
     ground = Ground(parts.ground)
     posed = [_posed(part, item, held) for part, item in zip(parts.objects, objects, strict=True)]
 

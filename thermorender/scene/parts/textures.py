@@ -19,21 +19,14 @@ _BITS = 4
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """What a mesh's file says of one surface.
+    """What a mesh's file says of one surface."""
 
-    Attributes
-    ----------
-    names : tuple of tuple of str
-        What the file calls each of its pieces: node, group, material, texture.
-    size : (2,) tuple of int, or None
-        Rows and columns of the texture, which the texels repeat where faces need that; None without a texture.
-    classes : (h, w) uint8, optional
-        Class numbers of the texels, 0 for no data.
-    """
-
+    # What the file calls each of its pieces: node, group, material, texture
     names: tuple[tuple[str, ...], ...] = ()
+    # (2,) tuple rows and columns of the texture, which the texels repeat where faces need that; None without a
+    # texture
     size: tuple[int, int] | None = None
-    classes: NDArray[np.uint8] | None = None
+    classes: NDArray[np.uint8] | None = None  # (h, w) uint8 class numbers of the texels, 0 for no data
 
     @property
     def known(self) -> frozenset[str]:
@@ -42,13 +35,7 @@ class Texture:
 
 
 def named(textures: Sequence[Texture], names: Sequence[str], where: str, what: str = "surface") -> list[int | None]:
-    """Return the place in `names` of the one that names each of a mesh's surfaces; None where none does.
-
-    Raises
-    ------
-    ThermorenderError
-        A name that the mesh does not have, or that belongs to a part of a surface; two names of one surface.
-    """
+    """Return the place in `names` of the one that names each of a mesh's surfaces; None where none does."""
     known = dict.fromkeys(name for texture in textures for piece in texture.names for name in piece)
     found: list[int | None] = [None] * len(textures)
     for number, name in enumerate(names):
@@ -86,13 +73,7 @@ def stating(
 
 
 def onto_texels(values: NDArray[Any], path: Path, surface: Surface, texture: Texture) -> NDArray[Any]:
-    """Return a raster in the pixels of a surface's texture on its texels, (h, w); row 0 is the image's top.
-
-    Raises
-    ------
-    ThermorenderError
-        The surface has no texture, or one of another size.
-    """
+    """Return a raster in the pixels of a surface's texture on its texels, (h, w); row 0 is the image's top."""
     if texture.size is None:
         raise ThermorenderError(
             f"{path} is a raster for surface {surface.name!r}, which has no texture that it could lie on; give that "

@@ -28,29 +28,15 @@ _LIMITS = {
 
 @dataclass(frozen=True, eq=False)
 class TrackedObject:
-    """An object with a track.
+    """An object with a track."""
 
-    Attributes
-    ----------
-    item : ObjectSpec
-        The object in the scene file; its values are used for columns that the track leaves out.
-    surfaces : tuple of Surface
-        In the object's own frame: x right, y ahead, z up, the middle of its base at the origin.
-    lift_m : float
-        Added to the stated height of its base, so that a disc is not in the ground [m].
-    time_s : (n,) float64
-        Rising [s].
-    columns : dict
-        {name of COLUMNS: (n,) float64}.
-    places : dict or None
-        {column: (n,) float64} of the copies of an object with instances, from `read_places`.
-    """
-
-    item: ObjectSpec
+    item: ObjectSpec  # The object in the scene file; its values are used for columns that the track leaves out
+    # In the object's own frame: x right, y ahead, z up, the middle of its base at the origin
     surfaces: tuple[Surface, ...]
-    lift_m: float
-    time_s: NDArray[np.float64]
-    columns: Mapping[str, NDArray[np.float64]]
+    lift_m: float  # Added to the stated height of its base, so that a disc is not in the ground [m]
+    time_s: NDArray[np.float64]  # (n,) float64 rising [s]
+    columns: Mapping[str, NDArray[np.float64]]  # {name of COLUMNS: (n,) float64}
+    # {column: (n,) float64} of the copies of an object with instances, from `read_places`
     places: Mapping[str, NDArray[np.float64]] | None = None
 
     @property
@@ -66,11 +52,6 @@ class TrackedObject:
         time_s : float
         given : float
             Values of COLUMNS to use instead.
-
-        Raises
-        ------
-        ThermorenderError
-            An unknown column, or a value that is not finite.
         """
         for name, value in given.items():
             if name not in COLUMNS:
@@ -118,11 +99,6 @@ class TrackedObject:
         values : dict
         ground : callable
             (east, north) → height of the terrain [m].
-
-        Raises
-        ------
-        ThermorenderError
-            There is no terrain at that position.
         """
         east, north = values["east_m"], values["north_m"]
         height = float(ground(east, north))
@@ -150,11 +126,6 @@ def read_columns(
         Columns that the file must and may have.
     least : int
         Number of `others` that it must have.
-
-    Raises
-    ------
-    ThermorenderError
-        An unreadable file, unknown or missing columns, or cells that are not numbers or out of range.
     """
     try:
         lines = list(csv.reader(io.StringIO(read_text(path, "CSV UTF-8"))))
@@ -194,13 +165,7 @@ def read_columns(
 
 
 def read_track(path: Path) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
-    """Return (time_s (n,), {column: (n,)}) of a track: a CSV with `time_s` and any of COLUMNS.
-
-    Raises
-    ------
-    ThermorenderError
-        As of `read_columns`, or time that does not rise.
-    """
+    """Return (time_s (n,), {column: (n,)}) of a track: a CSV with `time_s` and any of COLUMNS."""
     columns, numbers = read_columns(path, ("time_s",), COLUMNS, 1)
     time_s = columns.pop("time_s")
     if (np.diff(time_s) <= 0.0).any():

@@ -26,13 +26,7 @@ _AIR_K, _SKY_W_M2 = 5.0, 15.0
 
 
 def refuse_disagreement(declared: Declared, derived: Derived) -> None:
-    """Raise where parts of a scene do not belong together.
-
-    Raises
-    ------
-    ThermorenderError
-        States which parts disagree and which edit corrects it.
-    """
+    """Raise where parts of a scene do not belong together."""
     where, band, air = declared.where, declared.camera.band_um, derived.air
     if air is None and declared.spec.sky_temperature is None:
         raise ThermorenderError(f"{where}: the scene has neither sky nor air; call with_sky(kelvin) or with_air(name)")

@@ -66,11 +66,6 @@ def with_albedo(materials: Sequence[Material], share: NDArray[np.float64], albed
         Mean reflectance of the terrain for sunlight.
     where : str
         Name of the scene file, for messages.
-
-    Raises
-    ------
-    ThermorenderError
-        The terrain has no bare material, or no factor gives that mean.
     """
     from thermorender.scene import open_ground
 

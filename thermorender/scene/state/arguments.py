@@ -56,11 +56,6 @@ def checked_spec(spec: _Spec, name: str, folder: Path, given: Iterable[str] = ()
     """Return keys of a scene file that were made in code, each checked by its reader; messages begin with `name`.
 
     Files may be in any folder. Keys in `given` come in another way and may be missing.
-
-    Raises
-    ------
-    ThermorenderError
-        A value is not allowed, a needed one is missing, or one would be ignored.
     """
     where, found, read = Where(name, top=""), {}, {}
     for item in fields(spec):

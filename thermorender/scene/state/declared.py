@@ -20,55 +20,29 @@ from thermorender.sensor.camera import Camera
 
 @dataclass(frozen=True, eq=False)
 class Declared:
-    """Declarations of a scene.
+    """Declarations of a scene."""
 
-    Attributes
-    ----------
-    spec : SceneSpec
-        The scene file with those edits that it has keys for.
-    camera : Camera
-    time : datetime64[s] or None
-        The instant requested, UTC; None without [weather].
-    altitude_m : float or None
-        Altitude of the frame's origin that the scene file's [atmosphere] states [m]. It belongs to the place, so
-        another air does not change it.
-    sky_temperature : float or None
-        The last declared sky [K], which `with_air(None)` restores.
-    air : Atmosphere or None
-        In place of the air that `spec` names; not cut to the camera's band.
-    weather : Weather or None
-        In place of the weather that `spec` names.
-    model : TemperatureMap or None
-        The learned map of the temperatures, in place of its file.
-    kelvin : tuple of (h, w) arrays, or None
-        Temperatures of the terrain in place of the raster's or the map's [K].
-    replaced : dict
-        Materials in place of others, as `thermorender.scene.parts.cover.Replaced` says.
-    painted : tuple of Patch
-        Areas of the terrain with another material, the latest last.
-    held : dict
-        Columns of tracks that an edit fixes at one value, by the name of the object.
-    truth, truth_weather : Path and WeatherSpec, or None
-        The truth raster of the scene file, and the weather it belongs to.
-    given : bool
-        Whether the terrain's temperatures came with surfaces made in memory.
-    """
-
-    spec: SceneSpec
+    spec: SceneSpec  # The scene file with those edits that it has keys for
     camera: Camera
-    time: "np.datetime64 | None" = None
+    time: "np.datetime64 | None" = None  # The instant requested, UTC; None without [weather]
+    # Altitude of the frame's origin that the scene file's [atmosphere] states [m]. It belongs to the place, so
+    # another air does not change it.
     altitude_m: float | None = None
-    sky_temperature: float | None = None
-    air: Atmosphere | None = None
-    weather: Any = None
-    model: Any = None
+    sky_temperature: float | None = None  # The last declared sky [K], which `with_air(None)` restores
+    air: Atmosphere | None = None  # In place of the air that `spec` names; not cut to the camera's band
+    weather: Any = None  # In place of the weather that `spec` names
+    model: Any = None  # The learned map of the temperatures, in place of its file
+    # Temperatures of the terrain in place of the raster's or the map's [K]
     kelvin: tuple[NDArray[Any], ...] | None = None
+    # Materials in place of others, as `thermorender.scene.parts.cover.Replaced` says
     replaced: Mapping[int | str, Material] = field(default_factory=dict)
-    painted: tuple[Patch, ...] = ()
+    painted: tuple[Patch, ...] = ()  # Areas of the terrain with another material, the latest last
+    # Columns of tracks that an edit fixes at one value, by the name of the object
     held: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    # truth, truth_weather: The truth raster of the scene file, and the weather it belongs to
     truth: Path | None = None
     truth_weather: WeatherSpec | None = None
-    given: bool = False
+    given: bool = False  # Whether the terrain's temperatures came with surfaces made in memory
 
     @property
     def where(self) -> str:

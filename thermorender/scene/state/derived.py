@@ -34,32 +34,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Derived:
-    """State derived from a scene's files and declarations.
-
-    Attributes
-    ----------
-    shape : Shape
-    cover : Cover
-    air : Atmosphere or None
-        In the camera's band.
-    weather : Weather or None
-        That of the air, if the air is that of the weather.
-    surfaces : tuple of Surface
-        The terrain's first, then those of objects without a track.
-    tracked_objects : tuple of TrackedObject
-    temperature_state : Known or Pending
-    no_snow : str
-        Why a learned emissivity map found no snow; "" if it may.
-    """
+    """State derived from a scene's files and declarations."""
 
     shape: Shape
     cover: Cover
-    air: Atmosphere | None
-    surfaces: tuple[Surface, ...]
+    air: Atmosphere | None  # In the camera's band
+    surfaces: tuple[Surface, ...]  # The terrain's first, then those of objects without a track
     tracked_objects: tuple[TrackedObject, ...]
     temperature_state: TemperatureState
-    weather: "Weather | None" = None
-    no_snow: str = ""
+    weather: "Weather | None" = None  # That of the air, if the air is that of the weather
+    no_snow: str = ""  # Why a learned emissivity map found no snow; "" if it may
 
 
 def derived(parts: Parts | None, now: Declared, old: tuple[Declared, Derived] | None = None) -> Derived:
@@ -72,11 +56,6 @@ def derived(parts: Parts | None, now: Declared, old: tuple[Declared, Derived] | 
     now : Declared
     old : (Declared, Derived), optional
         Before an edit; unaffected stages are kept.
-
-    Raises
-    ------
-    ThermorenderError
-        The declarations contradict each other.
     """
     before, had = old or (None, None)
     shape = had.shape if had and before and _shape_key(before) == _shape_key(now) else _shape(parts, now)

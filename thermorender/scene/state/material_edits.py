@@ -35,11 +35,6 @@ class MaterialEdits:
         """Return this scene with its terrain's materials read from orthophoto or textures, as of a source "learned".
 
         The materials of a [[surface]] stay.
-
-        Raises
-        ------
-        ThermorenderError
-            A terrain without an orthophoto, or a map that cannot be used.
         """
         if not isinstance(spec, EmissivitySpec) or spec.source != "learned":
             shown = f"source={spec.source!r}" if isinstance(spec, EmissivitySpec) else f"a {type(spec).__name__}"
@@ -68,11 +63,6 @@ class MaterialEdits:
             the name of a material, as in the scene's files; the first of these that the scene has counts. A value is
             the name of a material, a grey emissivity 0…1, or a Material. All replacements apply at once: with
             `grass="sand"` and `sand="snow"` grass becomes sand, and sand becomes snow.
-
-        Raises
-        ------
-        ThermorenderError
-            Something the scene does not have, an unknown material, or one not measured over the camera's band.
         """
         now, parts = self._declared, self._parts
         refuse_other("with_material", replaced or {}, "{what it replaces: material}, or name=material")
@@ -109,12 +99,6 @@ class MaterialEdits:
         material : str, float or Material, optional
             The name of a material, a grey emissivity 0…1, or a Material; by default the property "material" of each
             polygon. It has no other effect: temperatures of a raster or map stay.
-
-        Raises
-        ------
-        ThermorenderError
-            An area off the terrain, an unknown material or one not measured over the camera's band, or a terrain that
-            is not an elevation raster.
         """
         now, parts = self._declared, self._parts
         place = place_of(parts.frame, parts.grid) if parts else None

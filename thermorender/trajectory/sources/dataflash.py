@@ -26,13 +26,7 @@ _FIX = 3
 
 
 def read_dataflash(path: str) -> list[Table]:
-    """Return the tables of a dataflash log: positions, attitudes and, if logged, the mount's angles.
-
-    Raises
-    ------
-    ThermorenderError
-        The file is not a dataflash log or is damaged, or has neither POS nor GPS.
-    """
+    """Return the tables of a dataflash log: positions, attitudes and, if logged, the mount's angles."""
     check_file(path, _HEAD, "an ArduPilot dataflash log")
     reader = library("pymavlink.DFReader", "an ArduPilot log")
     rows: dict[str, list[list[float]]] = {name: [] for name in _FIELDS}

@@ -11,13 +11,7 @@ from thermorender.errors import ThermorenderError
 
 
 def library(name: str, what: str) -> Any:
-    """Return a module of the extra `logs`.
-
-    Raises
-    ------
-    ThermorenderError
-        It is not installed; the message has the command that installs it.
-    """
+    """Return a module of the extra `logs`."""
     try:
         return import_module(name)
     except ImportError as error:

@@ -10,13 +10,7 @@ _COLUMNS = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 
 
 def read_poses(path: str) -> list[Table]:
-    """Return the table of a list of poses; lines that begin with # are comments.
-
-    Raises
-    ------
-    ThermorenderError
-        A line has other than eight columns separated by blanks, or the file has no pose.
-    """
+    """Return the table of a list of poses; lines that begin with # are comments."""
     rows, numbers = [], []
     for number, line in enumerate(read_text(path, "UTF-8").splitlines(), start=1):
         if not line.strip() or line.lstrip().startswith("#"):

@@ -32,14 +32,7 @@ _FIX_COLUMNS = ("time_s", "lat_deg", "lon_deg", "alt_ellipsoid_m", "fix")
 
 
 def read_rosbag(path: str) -> list[Table]:
-    """Return the table of one topic of a bag, in a list.
-
-    Raises
-    ------
-    ThermorenderError
-        The bag cannot be read, has no topic of the name or of a known kind, or has several and none is named; the
-        topic has no messages, or its frame has other axes.
-    """
+    """Return the table of one topic of a bag, in a list."""
     bag, topic = _split(path)
     highlevel, typesys = (library(f"rosbags.{part}", "a bag of ROS") for part in ("highlevel", "typesys"))
     try:

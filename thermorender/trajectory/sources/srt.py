@@ -40,13 +40,7 @@ _M_PER_DEG = 111_320.0
 
 
 def read_srt(path: str) -> list[Table]:
-    """Return the tables of a DJI subtitle file: positions and, if present, the gimbal's and the aircraft's angles.
-
-    Raises
-    ------
-    ThermorenderError
-        The file is not SRT text, or no cue has a position and a height.
-    """
+    """Return the tables of a DJI subtitle file: positions and, if present, the gimbal's and the aircraft's angles."""
     cues, numbers = [], []
     blocks = re.split(r"\n\s*\n", read_text(path, "UTF-8").replace("\r\n", "\n"))
     for number, block in enumerate((block for block in blocks if block.strip()), start=1):

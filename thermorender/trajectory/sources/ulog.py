@@ -29,13 +29,7 @@ _VEHICLE = 32
 
 
 def read_ulog(path: str) -> list[Table]:
-    """Return the tables of a ULog file: position, attitude and, if it is logged, the gimbal's angles.
-
-    Raises
-    ------
-    ThermorenderError
-        The file is not ULog or is damaged, or has no position or attitude.
-    """
+    """Return the tables of a ULog file: position, attitude and, if it is logged, the gimbal's angles."""
     check_file(path, _MAGIC, "a PX4 log in ULog")
     pyulog = library("pyulog", "a PX4 log in ULog")
     try:

@@ -22,13 +22,7 @@ _HEIGHTS = {"absolute": "alt_geoid_m", "relativeToGround": "above_ground_m", "cl
 
 
 def read_gpx(path: str) -> list[Table]:
-    """Return the table of all track points of a GPX file.
-
-    Raises
-    ------
-    ThermorenderError
-        The file is not GPX, or a point has no time, elevation, latitude or longitude.
-    """
+    """Return the table of all track points of a GPX file."""
     root = _root(path, "gpx")
     segments = [node for node in root.iter() if _name(node) == "trkseg"]
     points = [node for segment in segments for node in segment if _name(node) == "trkpt"]
@@ -57,13 +51,7 @@ def read_gpx(path: str) -> list[Table]:
 
 
 def read_kml(path: str) -> list[Table]:
-    """Return the table of all samples of the tracks (gx:Track) of a KML file.
-
-    Raises
-    ------
-    ThermorenderError
-        The file is not KML or has no track, its altitudes have no reference, or times and positions differ in number.
-    """
+    """Return the table of all samples of the tracks (gx:Track) of a KML file."""
     root = _root(path, "kml")
     tracks = [node for node in root.iter() if _name(node) == "Track"]
     if not tracks:

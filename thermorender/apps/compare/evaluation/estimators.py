@@ -31,50 +31,27 @@ PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A pair with its true temperature and the pixels that are scored.
-
-    Attributes
-    ----------
-    pair : Pair
-    card : dict
-        Card of its data set.
-    band_um : (2,) tuple of float
-    true : (H, W) float32
-        True apparent temperature [K].
-    known : (H, W) bool
-        Pixels that are scored.
-    sky : (H, W) bool
-        Pixels of the sky according to the truth.
-    """
+    """A pair with its true temperature and the pixels that are scored."""
 
     pair: Pair
-    card: dict[str, Any]
-    band_um: tuple[float, float]
-    true: NDArray[np.float32]
-    known: NDArray[np.bool_]
-    sky: NDArray[np.bool_]
+    card: dict[str, Any]  # Card of its data set
+    band_um: tuple[float, float]  # (2,) tuple
+    true: NDArray[np.float32]  # (H, W) float32 true apparent temperature [K]
+    known: NDArray[np.bool_]  # (H, W) bool pixels that are scored
+    sky: NDArray[np.bool_]  # (H, W) bool pixels of the sky according to the truth
 
 
 @dataclass
 class Spent:
-    """The cost of a map's predictions, and how far it knows its own errors.
+    """The cost of a map's predictions, and how far it knows its own errors."""
 
-    Attributes
-    ----------
-    seconds_per_mpixel : list of float
-        Run time of each prediction.
-    peak_mib : float or None
-        Peak memory of the process during a prediction.
-    covered : (5,) float64
-        For maps that predict a standard deviation σ for each pixel: number of pixels, of errors within σ and within
-        2 σ, Σσ² and Σ of squared errors [K²].
-    unseen : (2, sums.WIDTH) float64
-        For maps that flag colours absent from training: sums of errors of the other and of the flagged pixels.
-    """
-
-    seconds_per_mpixel: list[float] = field(default_factory=list)
-    peak_mib: float | None = None
+    seconds_per_mpixel: list[float] = field(default_factory=list)  # Run time of each prediction
+    peak_mib: float | None = None  # Peak memory of the process during a prediction
+    # (5,) float64 for maps that predict a standard deviation σ for each pixel: number of pixels, of errors within σ
+    # and within 2 σ, Σσ² and Σ of squared errors [K²]
     covered: NDArray[np.float64] = field(default_factory=lambda: np.zeros(5))
+    # (2, sums.WIDTH) float64 for maps that flag colours absent from training: sums of errors of the other and of the
+    # flagged pixels
     unseen: NDArray[np.float64] = field(default_factory=lambda: np.zeros((2, WIDTH)))
 
     def add(self, more: "Spent") -> None:
@@ -87,22 +64,12 @@ class Spent:
 
 @dataclass
 class LearnedMap:
-    """A TemperatureMap as a method.
-
-    Attributes
-    ----------
-    label : str
-    model : TemperatureMap
-    privileged : bool
-        Whether it takes the material as input.
-    spent : Spent
-        Of the last prediction.
-    """
+    """A TemperatureMap as a method."""
 
     label: str
     model: TemperatureMap
-    privileged: bool = False
-    spent: Spent = field(default_factory=Spent)
+    privileged: bool = False  # Whether it takes the material as input
+    spent: Spent = field(default_factory=Spent)  # Of the last prediction
 
     @property
     def kind(self) -> str:
@@ -302,13 +269,7 @@ class Foreign:
         return image.astype(np.float64)
 
     def fitted(self, views: Iterable[View]) -> "Foreign":
-        """Find the affine fit over Views, where one is needed; return self.
-
-        Raises
-        ------
-        ThermorenderError
-            All values are the same.
-        """
+        """Find the affine fit over Views, where one is needed; return self."""
         if self.scaled:
             return self
         # Σ 1, x, y, x², xy relative to the first values, so that squares stay small.

@@ -82,11 +82,6 @@ def evaluate(
         Called with (step, share done).
     spread : callable
         (do, units) → do(unit) of each, in order: it scores the pairs.
-
-    Raises
-    ------
-    ThermorenderError
-        No map or no pair to score, an unknown map, or a map whose inputs the data set lacks.
     """
     if not models:
         raise ThermorenderError("models is empty; give at least one learned map, by its name or file")

@@ -44,24 +44,13 @@ class Levels:
 
 @dataclass(frozen=True)
 class TrainingPart:
-    """Statistics of the training part.
+    """Statistics of the training part."""
 
-    Attributes
-    ----------
-    pairs : int
-        Number of pairs read.
-    mean_k : float or None
-        Apparent temperature of the mean radiance [K]; None without pairs.
-    material_k : dict of str to float
-        The same for each material that occurs [K].
-    bounds_k : (2,) tuple of float or None
-        Bounds of the 8-bit scale [K]: 1.5 interquartile ranges beyond the quartiles of all values; for pictures of
-        unknown scale, the assumed temperatures.
-    """
-
-    pairs: int
-    mean_k: float | None
-    material_k: dict[str, float]
+    pairs: int  # Number of pairs read
+    mean_k: float | None  # Apparent temperature of the mean radiance [K]; None without pairs
+    material_k: dict[str, float]  # The same for each material that occurs [K]
+    # (2,) tuple bounds of the 8-bit scale [K]: 1.5 interquartile ranges beyond the quartiles of all values; for
+    # pictures of unknown scale, the assumed temperatures
     bounds_k: tuple[float, float] | None
 
 

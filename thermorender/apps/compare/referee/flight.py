@@ -11,20 +11,11 @@ from thermorender.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class Flight:
-    """A scene and the poses from which it is seen.
-
-    Attributes
-    ----------
-    scene : Scene
-    times : (P,) array
-        [s]
-    poses : (P, 4, 4) array
-        world_from_camera.
-    """
+    """A scene and the poses from which it is seen."""
 
     scene: Scene
-    times: NDArray[np.float64]
-    poses: NDArray[np.float64]
+    times: NDArray[np.float64]  # (P,) [s]
+    poses: NDArray[np.float64]  # (P, 4, 4) world_from_camera
 
     @classmethod
     def of(

@@ -54,37 +54,18 @@ _PATCH_PX = 256
 
 @dataclass
 class Method:
-    """One way to make an infrared frame.
+    """One way to make an infrared frame."""
 
-    Attributes
-    ----------
-    letter : str
-        "B", "C1", "C2", "D", "E", "F", "P", "foreign".
-    name : str
-        Name of the map, or of the method where there is no map.
-    bounds : str or None
-        Source of the temperatures of intensity 0 and 1: "own", "refitted" or "calibrated"; None without intensities.
-    knows : str
-        Its knowledge beyond a photograph.
-    true_objects : bool
-        Whether it knows the objects' true temperatures.
-    model : TemperatureMap or None
-    build : callable or None
-        () → Renderer, for rendered methods.
-    kelvin : dict of str to float
-        Temperatures of the objects in the rendered scene [K].
-    paint : callable or None
-        (view) → radiance, for methods that are neither translated nor rendered.
-    """
-
-    letter: str
-    name: str
+    letter: str  # "B", "C1", "C2", "D", "E", "F", "P", "foreign"
+    name: str  # Name of the map, or of the method where there is no map
+    # Source of the temperatures of intensity 0 and 1: "own", "refitted" or "calibrated"; None without intensities
     bounds: str | None = None
-    knows: str = ""
-    true_objects: bool = False
+    knows: str = ""  # Its knowledge beyond a photograph
+    true_objects: bool = False  # Whether it knows the objects' true temperatures
     model: TemperatureMap | None = None
-    build: Callable[[], Renderer] | None = None
-    kelvin: dict[str, float] = field(default_factory=dict)
+    build: Callable[[], Renderer] | None = None  # () → Renderer, for rendered methods
+    kelvin: dict[str, float] = field(default_factory=dict)  # Temperatures of the objects in the rendered scene [K]
+    # (view) → radiance, for methods that are neither translated nor rendered
     paint: Callable[[View], NDArray[np.floating]] | None = None
 
     @property

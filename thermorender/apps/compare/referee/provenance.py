@@ -24,21 +24,11 @@ PHOTOGRAPHS, _PICTURES = 6, 2000
 
 @dataclass
 class Provenance:
-    """Provenance of one map.
+    """Provenance of one map."""
 
-    Attributes
-    ----------
-    header : dict
-        What its file records of its training.
-    audited : str
-        The pictures that its training was compared with, in words.
-    leaks : list of str
-        Sentences; empty where no leak was found.
-    """
-
-    header: dict[str, Any]
-    audited: str = "not audited"
-    leaks: list[str] = field(default_factory=list)
+    header: dict[str, Any]  # What its file records of its training
+    audited: str = "not audited"  # The pictures that its training was compared with, in words
+    leaks: list[str] = field(default_factory=list)  # Sentences; empty where no leak was found
 
 
 def provenance_of(model: TemperatureMap) -> Provenance:
@@ -131,13 +121,7 @@ def circular(rendered: Scene, truth: Scene) -> str | None:
 
 
 def matched(datasets: Sequence[TrainingPictures], model: TemperatureMap) -> TrainingPictures | None:
-    """Return the TrainingPictures that a map names as its training data, or None.
-
-    Raises
-    ------
-    ThermorenderError
-        Two data sets of one name.
-    """
+    """Return the TrainingPictures that a map names as its training data, or None."""
     name = model.about.get("dataset", {}).get("name")
     found = [each for each in datasets if each.name == name]
     if len(found) > 1:

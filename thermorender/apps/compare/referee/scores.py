@@ -88,15 +88,10 @@ class PixelClasses:
 
 @dataclass
 class Gain:
-    """The share of the reference's contrast that a method shows on the ground, over all poses.
+    """The share of the reference's contrast that a method shows on the ground, over all poses."""
 
-    Attributes
-    ----------
-    moments : (3,) array
-        Σs², Σst, Σt² of the method's (s) and the true (t) temperature minus their means over the pose [K²]: an offset
-        of a pose is not contrast.
-    """
-
+    # (3,) σs², Σst, Σt² of the method's (s) and the true (t) temperature minus their means over the pose [K²]: an
+    # offset of a pose is not contrast
     moments: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
 
     def add(self, seen: NDArray[np.floating], truth: NDArray[np.floating]) -> None:
@@ -123,24 +118,13 @@ class Gain:
 
 @dataclass
 class Tally:
-    """Errors of a method over all scenes.
+    """Errors of a method over all scenes."""
 
-    Attributes
-    ----------
-    poses : dict of (stage, part) to list of (5,) array
-        Sums of each pose; parts are "ground", "with objects" and "objects".
-    blocks : dict of (land, block) to (5,) array
-        Sums of the ground, radiometric.
-    groups : dict of (stage, grouping, class) to (5,) array
-        Sums of ground and objects.
-    scenes : dict of (stage, scene) to (5,) array
-        Sums of the ground.
-    """
-
+    # Sums of each pose; parts are "ground", "with objects" and "objects"
     poses: dict[tuple[str, str], list[Sums]] = field(default_factory=dict)
-    blocks: dict[tuple[str, int], Sums] = field(default_factory=dict)
-    groups: dict[tuple[str, str, str], Sums] = field(default_factory=dict)
-    scenes: dict[tuple[str, str], Sums] = field(default_factory=dict)
+    blocks: dict[tuple[str, int], Sums] = field(default_factory=dict)  # Sums of the ground, radiometric
+    groups: dict[tuple[str, str, str], Sums] = field(default_factory=dict)  # Sums of ground and objects
+    scenes: dict[tuple[str, str], Sums] = field(default_factory=dict)  # Sums of the ground
 
     def add(
         self, scene: str, land: str, view: View, stage: str, classes: PixelClasses, error: NDArray[np.float64]

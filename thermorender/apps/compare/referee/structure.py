@@ -88,20 +88,12 @@ def power(found: Transform) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 @dataclass
 class Registration:
-    """Shift of pictures against others, over all poses.
+    """Shift of pictures against others, over all poses."""
 
-    Attributes
-    ----------
-    surfaces : list of (2 n + 1, 2 n + 1) array
-        Sums of cross-correlations at small shifts (see `correlation`) of up to `_GROUPS` groups of poses; leaving out
-        one at a time gives the standard error.
-    scales : list of float
-        Sums of their scales.
-    poses : int
-    """
-
+    # Sums of cross-correlations at small shifts (see `correlation`) of up to `_GROUPS` groups of poses; leaving out
+    # one at a time gives the standard error
     surfaces: list[NDArray[np.float64]] = field(default_factory=list)
-    scales: list[float] = field(default_factory=list)
+    scales: list[float] = field(default_factory=list)  # Sums of their scales
     poses: int = 0
 
     def add(self, found: Transform, reference: Transform) -> tuple[float, float, float, float] | None:
@@ -182,18 +174,11 @@ def same_edges(image: NDArray[np.floating], others: Sequence[NDArray[np.floating
 
 @dataclass
 class Likeness:
-    """Whether pictures that do not correlate with the reference are mirrored, or show the same edges.
+    """Whether pictures that do not correlate with the reference are mirrored, or show the same edges."""
 
-    Attributes
-    ----------
-    mirrored : dict of str to Registration
-        Shifts of the mirrored pictures against the reference, by `MIRRORED`.
-    edges : list of float
-        `same_edges` of each pose.
-    """
-
+    # Shifts of the mirrored pictures against the reference, by `MIRRORED`
     mirrored: dict[str, Registration] = field(default_factory=dict)
-    edges: list[float] = field(default_factory=list)
+    edges: list[float] = field(default_factory=list)  # `same_edges` of each pose
 
     def add(
         self,
@@ -217,21 +202,13 @@ class Likeness:
 
 @dataclass
 class Structure:
-    """Spectrum and shift of a method, over all poses.
+    """Spectrum and shift of a method, over all poses."""
 
-    Attributes
-    ----------
-    power, frequency : array or None
-        Sum over poses of the power [K² px²] at each frequency [cycles/px].
-    poses : int
-    registration : Registration
-        Against the reference.
-    """
-
+    # power, frequency: Sum over poses of the power [K² px²] at each frequency [cycles/px]
     power: NDArray[np.float64] | None = None
     frequency: NDArray[np.float64] | None = None
     poses: int = 0
-    registration: Registration = field(default_factory=Registration)
+    registration: Registration = field(default_factory=Registration)  # Against the reference
 
     def add(self, found: Transform, reference: Transform) -> tuple[float, float, float, float] | None:
         """Add the transform of a pose, and its correlation with that of the reference; return the pose's `peak`."""

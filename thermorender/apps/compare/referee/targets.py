@@ -28,21 +28,12 @@ _MOST_FALSE = 10.0
 
 @dataclass
 class Targets:
-    """Targets in the frames of a method, over all poses.
+    """Targets in the frames of a method, over all poses."""
 
-    Attributes
-    ----------
-    rows : list of dict
-        For each pose and target: scene, pose, object, pixels, contrast_k, true_contrast_k, offset_px, response.
-    false : list of float
-        Responses of peaks away from any target.
-    frames : int
-        Number of poses with targets.
-    """
-
+    # For each pose and target: scene, pose, object, pixels, contrast_k, true_contrast_k, offset_px, response
     rows: list[dict[str, Any]] = field(default_factory=list)
-    false: list[float] = field(default_factory=list)
-    frames: int = 0
+    false: list[float] = field(default_factory=list)  # Responses of peaks away from any target
+    frames: int = 0  # Number of poses with targets
 
     def add(
         self, scene: str, view: View, objects: Sequence[str], seen: NDArray[np.floating], counts: NDArray[np.generic]

@@ -35,49 +35,28 @@ _SAME, _PLACES = 0.05, 128
 
 @dataclass(frozen=True, eq=False)
 class Thermal:
-    """Statistics of the thermal frames of one scene.
+    """Statistics of the thermal frames of one scene."""
 
-    Attributes
-    ----------
-    land, campaign : str
-        Fingerprints of its relief, and of its hour, weather and camera.
-    histogram : Histogram
-        Counts of known ground.
-    radiance, pixels : dict of str to float
-        Sum of band radiance and number of pixels of each material.
-    pairs : dict of str to (5,) array
-        For each map: number, Σs, ΣL, Σs², ΣsL of its intensities s and band radiances L of the same ground.
-    """
-
+    # land, campaign: Fingerprints of its relief, and of its hour, weather and camera
     land: str
     campaign: str
-    histogram: Histogram
+    histogram: Histogram  # Counts of known ground
+    # radiance, pixels: Sum of band radiance and number of pixels of each material
     radiance: dict[str, float]
     pixels: dict[str, int]
+    # For each map: number, Σs, ΣL, Σs², ΣsL of its intensities s and band radiances L of the same ground
     pairs: dict[str, NDArray[np.float64]]
 
 
 @dataclass(frozen=True)
 class Training:
-    """The training part of a scene's campaign.
-
-    Attributes
-    ----------
-    lands : int
-    bounds_c : (2,) tuple of float
-        Refitted temperatures of intensity 0 and 1 [°C].
-    mean_k : float
-        Apparent temperature of the mean radiance [K].
-    material_k : dict of str to float
-        The same per material [K].
-    calibrations : dict of str to (2,) tuple of float
-        For each map: band radiance at intensity 0, and its change from 0 to 1 [W m⁻² sr⁻¹].
-    """
+    """The training part of a scene's campaign."""
 
     lands: int
-    bounds_c: tuple[float, float]
-    mean_k: float
-    material_k: dict[str, float]
+    bounds_c: tuple[float, float]  # (2,) tuple refitted temperatures of intensity 0 and 1 [°C]
+    mean_k: float  # Apparent temperature of the mean radiance [K]
+    material_k: dict[str, float]  # The same per material [K]
+    # For each map: band radiance at intensity 0, and its change from 0 to 1 [W m⁻² sr⁻¹]
     calibrations: dict[str, tuple[float, float]]
 
 

@@ -46,47 +46,26 @@ _ASSUMED = ("constant", "material", "learned")
 
 @dataclass
 class Found:
-    """Results of a method, summed over all scenes.
+    """Results of a method, summed over all scenes."""
 
-    Attributes
-    ----------
-    method : Method
-        Without renderer: the fields that the summary uses are equal in all scenes.
-    tally, targets, structure
-        Sums over all poses.
-    causes : Causes
-        Fits of some poses.
-    likeness : Likeness
-        Of the poses of another program that look unlike the reference.
-    gain : Gain
-    scene_emissivities : dict of str to (4,) array
-        For a rendered method, as `emissivities.of_scenes` returns them.
-    registered : Registration
-        Shift of its pictures against the same map rendered.
-    changes : (3,) array
-        Number, sum and square sum of changes of the same ground from pose to pose [K].
-    seconds : list of float
-        Run time of each pose.
-    circular : list of str
-        Sentences.
-    once_s : float
-        Time needed once per scene, summed over scenes [s].
-    in_scenes : int
-    """
-
-    method: Method
+    method: Method  # Without renderer: the fields that the summary uses are equal in all scenes
+    # tally, targets, structure: Sums over all poses
     tally: scores.Tally = field(default_factory=scores.Tally)
     targets: Targets = field(default_factory=Targets)
     structure: Structure = field(default_factory=Structure)
-    causes: Causes = field(default_factory=Causes)
+    causes: Causes = field(default_factory=Causes)  # Fits of some poses
+    # Of the poses of another program that look unlike the reference
     likeness: Likeness = field(default_factory=Likeness)
     gain: scores.Gain = field(default_factory=scores.Gain)
+    # For a rendered method, as `emissivities.of_scenes` returns them
     scene_emissivities: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    # Shift of its pictures against the same map rendered
     registered: Registration = field(default_factory=Registration)
+    # (3,) number, sum and square sum of changes of the same ground from pose to pose [K]
     changes: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
-    seconds: list[float] = field(default_factory=list)
-    circular: list[str] = field(default_factory=list)
-    once_s: float = 0.0
+    seconds: list[float] = field(default_factory=list)  # Run time of each pose
+    circular: list[str] = field(default_factory=list)  # Sentences
+    once_s: float = 0.0  # Time needed once per scene, summed over scenes [s]
     in_scenes: int = 0
 
     def summary(self, origin: provenance.Provenance | None, seed: int) -> dict[str, Any]:
@@ -126,47 +105,23 @@ class Found:
 
 @dataclass
 class Totals:
-    """Results of a comparison, summed over all scenes.
+    """Results of a comparison, summed over all scenes."""
 
-    Attributes
-    ----------
-    methods : dict of str to Found
-        By label.
-    targets : Targets
-        Targets of the reference.
-    table : list of tuple
-        Rows of `pixels.csv`.
-    """
-
-    methods: dict[str, Found] = field(default_factory=dict)
-    targets: Targets = field(default_factory=Targets)
-    table: list[tuple[Any, ...]] = field(default_factory=list)
+    methods: dict[str, Found] = field(default_factory=dict)  # By label
+    targets: Targets = field(default_factory=Targets)  # Targets of the reference
+    table: list[tuple[Any, ...]] = field(default_factory=list)  # Rows of `pixels.csv`
 
 
 @dataclass
 class Setup:
-    """A scene with its reference and methods.
-
-    Attributes
-    ----------
-    flight : Flight
-    land : str
-        As `training.lands_of` names it.
-    reference : Renderer
-        Renderer at the true temperatures, or of the scene as it is if they are unknown.
-    has_truth : bool
-    campaign : Training or None
-    frames : Frames
-        Frames of the rendered methods.
-    methods : list of Method
-    """
+    """A scene with its reference and methods."""
 
     flight: "Flight"
-    land: str
-    reference: Renderer
+    land: str  # As `training.lands_of` names it
+    reference: Renderer  # Renderer at the true temperatures, or of the scene as it is if they are unknown
     has_truth: bool
     campaign: Training | None
-    frames: Frames
+    frames: Frames  # Frames of the rendered methods
     methods: list[Method] = field(default_factory=list)
 
 

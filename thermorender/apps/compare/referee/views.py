@@ -14,51 +14,23 @@ from thermorender.scene.surface import FALLBACK, FILLED, SURFACE
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A pose of a scene.
-
-    Attributes
-    ----------
-    index : int
-    time_s : float
-    pose : (4, 4) float64
-        world_from_camera.
-    visible : (H, W, 3) uint8
-        Photograph registered to the thermal camera.
-    texel_m : float or None
-        Median ground sampling distance [m]; None where no ground is visible.
-    known : (H, W) bool
-        Pixels that are scored: surfaces of known colour and temperature.
-    object : (H, W) int
-        Number of the visible object, −1 for ground and sky.
-    material : (H, W) uint8
-        Number in `material_names`, 255 for none.
-    material_names : tuple of str
-    kinetic : (H, W) float32
-        Kinetic temperature of the surface [K].
-    depth : (H, W) float32
-        Depth along the optical axis [m], infinite without a surface.
-    position : (H, W, 3) float32
-        Position of the surface in the world [m].
-    truth_radiance : (H, W) float32 or None
-        Band radiance of the reference [W m⁻² sr⁻¹]; None if the scene's temperatures are unknown.
-    truth : (H, W) float32 or None
-        Its apparent temperature [K].
-    """
+    """A pose of a scene."""
 
     index: int
     time_s: float
-    pose: NDArray[np.float64]
-    visible: NDArray[np.uint8]
-    texel_m: float | None
-    known: NDArray[np.bool_]
-    object: NDArray[np.integer]
-    material: NDArray[np.uint8]
+    pose: NDArray[np.float64]  # (4, 4) float64 world_from_camera
+    visible: NDArray[np.uint8]  # (H, W, 3) uint8 photograph registered to the thermal camera
+    texel_m: float | None  # Median ground sampling distance [m]; None where no ground is visible
+    known: NDArray[np.bool_]  # (H, W) bool pixels that are scored: surfaces of known colour and temperature
+    object: NDArray[np.integer]  # (H, W) int number of the visible object, −1 for ground and sky
+    material: NDArray[np.uint8]  # (H, W) uint8 number in `material_names`, 255 for none
     material_names: tuple[str, ...]
-    kinetic: NDArray[np.float32]
-    depth: NDArray[np.float32]
-    position: NDArray[np.float32]
+    kinetic: NDArray[np.float32]  # (H, W) float32 kinetic temperature of the surface [K]
+    depth: NDArray[np.float32]  # (H, W) float32 depth along the optical axis [m], infinite without a surface
+    position: NDArray[np.float32]  # (H, W, 3) float32 position of the surface in the world [m]
+    # (H, W) float32 band radiance of the reference [W m⁻² sr⁻¹]; None if the scene's temperatures are unknown
     truth_radiance: NDArray[np.float32] | None
-    truth: NDArray[np.float32] | None
+    truth: NDArray[np.float32] | None  # (H, W) float32 its apparent temperature [K]
 
 
 def view_of(renderer: Renderer, pose: ArrayLike, time_s: float, index: int, has_truth: bool) -> View:

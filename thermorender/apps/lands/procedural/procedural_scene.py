@@ -70,61 +70,31 @@ _MOST_SIZES = 16
 
 @dataclass(frozen=True)
 class SyntheticScene:
-    """A procedural scene before its temperatures are solved: rasters on one extent, row 0 in the north.
+    """A procedural scene before its temperatures are solved: rasters on one extent, row 0 in the north."""
 
-    Attributes
-    ----------
-    kind, seed, title : str, int, str
-        Arguments of `make` and the kind's title.
-    size_m, texel_m, post_m : float
-        Sides of the square extent, a texel and an elevation cell [m].
-    elevation : (P, P) float32
-        Surface model [m above the ellipsoid].
-    orthophoto : (N, N, 3) uint8
-        sRGB.
-    classes : (N, N) uint8
-        Material of each texel; 0 means none and does not occur.
-    class_names : dict of int to str
-        Material of each value of `classes`.
-    deviations : Deviations
-        Deviation of each texel from its material, known to the truth only.
-    weather : WeatherSpec
-        A declared day, and the instant of the scene.
-    sky_temperature : float
-        Temperature of a blackbody with the sky's radiance in a camera's band [K].
-    latitude_deg, longitude_deg : float
-        Centre [deg].
-    epsg : int
-        EPSG code of the map grid, a WGS 84 UTM zone.
-    corner : (2,) tuple of float
-        Map easting and northing of the north-west corner [m].
-    sun : (2,) tuple of float
-        Azimuth and elevation of the sun in the orthophoto [deg].
-    objects : tuple of dict
-        In the form of a scene file's [[object]] tables.
-    flight : dict of str to (K,) float64
-        Columns of the flight: time_s, east_m, north_m, above_ground_m, yaw_deg, gimbal_pitch_deg.
-    """
-
+    # kind, seed, title: Arguments of `make` and the kind's title
     kind: str
     seed: int
     title: str
+    # size_m, texel_m, post_m: Sides of the square extent, a texel and an elevation cell [m]
     size_m: float
     texel_m: float
     post_m: float
-    elevation: NDArray[np.float32]
-    orthophoto: NDArray[np.uint8]
-    classes: NDArray[np.uint8]
-    class_names: dict[int, str]
-    deviations: Deviations
-    weather: WeatherSpec
-    sky_temperature: float
+    elevation: NDArray[np.float32]  # (P, P) float32 surface model [m above the ellipsoid]
+    orthophoto: NDArray[np.uint8]  # (N, N, 3) uint8 sRGB
+    classes: NDArray[np.uint8]  # (N, N) uint8 material of each texel; 0 means none and does not occur
+    class_names: dict[int, str]  # Material of each value of `classes`
+    deviations: Deviations  # Deviation of each texel from its material, known to the truth only
+    weather: WeatherSpec  # A declared day, and the instant of the scene
+    sky_temperature: float  # Temperature of a blackbody with the sky's radiance in a camera's band [K]
+    # latitude_deg, longitude_deg: Centre [deg]
     latitude_deg: float
     longitude_deg: float
-    epsg: int
-    corner: tuple[float, float]
-    sun: tuple[float, float]
-    objects: tuple[dict[str, Any], ...]
+    epsg: int  # EPSG code of the map grid, a WGS 84 UTM zone
+    corner: tuple[float, float]  # (2,) tuple map easting and northing of the north-west corner [m]
+    sun: tuple[float, float]  # (2,) tuple azimuth and elevation of the sun in the orthophoto [deg]
+    objects: tuple[dict[str, Any], ...]  # In the form of a scene file's [[object]] tables
+    # Columns of the flight: time_s, east_m, north_m, above_ground_m, yaw_deg, gimbal_pitch_deg
     flight: dict[str, NDArray[np.float64]]
 
 
@@ -139,11 +109,6 @@ def weather_of(kind: str, weather_seed: int | None = None, **given: Any) -> Weat
         Seed of `synthetic.weather.drawn_weather`.
     **given
         Keys of a declared day's WeatherSpec; None keeps a value. `time` is parsed by `thermorender.units.instant`.
-
-    Raises
-    ------
-    ThermorenderError
-        The kind is unknown, the seed is out of range, or the time is invalid.
     """
     known = _kind(kind)
     if weather_seed is not None:
@@ -182,11 +147,6 @@ def make(
     -----
     Land, materials and hidden fields depend on kind and seed only. The weather adds snow, changes the objects'
     temperatures and lights the orthophoto, which is taken at noon if the sun is below 10°; clouds soften shadows.
-
-    Raises
-    ------
-    ThermorenderError
-        The kind is unknown, the seed or a size is out of range, or the weather is invalid.
     """
     return scene_of(painted(kind, seed, size_m, texel_m, post_m, time, weather, again))
 

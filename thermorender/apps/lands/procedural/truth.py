@@ -50,11 +50,6 @@ def write(
         Orthophoto texels per side of a stored temperature texel, which is their mean.
     progress : callable, optional
         Called with (task, fraction done).
-
-    Raises
-    ------
-    ThermorenderError
-        The folder is not empty and `overwrite` is false, or `temperature_every` does not divide the grid.
     """
     refuse_every(scene, temperature_every)
     with atomic_folder(directory, overwrite) as draft:

@@ -23,34 +23,18 @@ _POST_M = 1.0
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A procedural scene in three dimensions, unlit.
+    """A procedural scene in three dimensions, unlit."""
 
-    Attributes
-    ----------
-    scene : SyntheticScene
-        Of the bare ground: its elevation, classes, deviations and weather.
-    skins : tuple of Skin
-        The ground first; coloured by albedo. Heights are above the ellipsoid.
-    ground_normal : (3, N, N) float32
-        Normals of the ground's texels with their small relief.
-    """
-
-    scene: SyntheticScene
-    skins: tuple[Skin, ...]
-    ground_normal: NDArray[np.float32]
+    scene: SyntheticScene  # Of the bare ground: its elevation, classes, deviations and weather
+    skins: tuple[Skin, ...]  # The ground first; coloured by albedo. Heights are above the ellipsoid.
+    ground_normal: NDArray[np.float32]  # (3, N, N) float32 normals of the ground's texels with their small relief
 
 
 def make_world(
     kind: str, seed: int = 0, size_m: float | None = None, texel_m: float | None = None, post_m: float | None = None,
     time: str | np.datetime64 | None = None, weather: WeatherSpec | None = None, again: int = 0,
 ) -> World:  # fmt: skip
-    """Return a procedural scene in three dimensions; arguments, layout and seeds are those of `make`.
-
-    Raises
-    ------
-    ThermorenderError
-        As `make`; and a weather with snow, or more plants than an ordinary machine holds.
-    """
+    """Return a procedural scene in three dimensions; arguments, layout and seeds are those of `make`."""
     if weather is not None and weather.snow_depth_m:
         raise ThermorenderError(
             f"snow_depth_m={weather.snow_depth_m:g}: snow on walls and crowns is not modelled; give 0, or leave "

@@ -26,25 +26,14 @@ OPEN = -1
 
 
 class Loop(NamedTuple):
-    """A closed border of a building, which is to the left in the world as one walks along it.
+    """A closed border of a building, which is to the left in the world as one walks along it."""
 
-    Attributes
-    ----------
-    point : (n, 2) float64
-        (column, row).
-    beyond : (n,) int64
-        Building on the other hand of the piece from each point to the next; OPEN for none, and the building itself
-        where no wall stands.
-    side : (n,) int64
-        Number of the side of an outline that the piece is a part of.
-    along : (n, 2) float64
-        Beginning and end of the piece as shares of that side.
-    """
-
-    point: NDArray[np.float64]
+    point: NDArray[np.float64]  # (n, 2) float64 (column, row)
+    # (n,) int64 building on the other hand of the piece from each point to the next; OPEN for none, and the building
+    # itself where no wall stands
     beyond: NDArray[np.int64]
-    side: NDArray[np.int64]
-    along: NDArray[np.float64]
+    side: NDArray[np.int64]  # (n,) int64 number of the side of an outline that the piece is a part of
+    along: NDArray[np.float64]  # (n, 2) float64 beginning and end of the piece as shares of that side
 
 
 class _Sides(NamedTuple):

@@ -33,35 +33,19 @@ _STATE = "state it with `pdal translate IN OUT --writers.las.a_srs=EPSG:MAP+HEIG
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Rasters of a point cloud on one Grid.
+    """Rasters of a point cloud on one Grid."""
 
-    Attributes
-    ----------
-    surface : (h, w) float64
-        Height of the highest point [m], NaN far from any.
-    ground : (h, w) float64 or None
-        Mean height of points of class 2 [m], NaN without one; None where the file has no such class.
-    building : (h, w) bool or None
-        Whether most points are of class 6; None where the file has no such class.
-    notes : tuple of str
-        What was left out, one sentence each.
-    """
-
-    surface: NDArray[np.float64]
+    surface: NDArray[np.float64]  # (h, w) float64 height of the highest point [m], NaN far from any
+    # (h, w) float64 mean height of points of class 2 [m], NaN without one; None where the file has no such class
     ground: NDArray[np.float64] | None
+    # (h, w) bool whether most points are of class 6; None where the file has no such class
     building: NDArray[np.bool_] | None
     grid: Grid
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # What was left out, one sentence each
 
 
 def read_cloud(path: Path) -> Cloud:
-    """Return the Cloud of a file without withheld points, noise, wires, bridges, and the overlap of flight lines.
-
-    Raises
-    ------
-    ThermorenderError
-        The file cannot be read, declares no map or unit, is in degrees, or has no usable point.
-    """
+    """Return the Cloud of a file without withheld points, noise, wires, bridges, and the overlap of flight lines."""
     try:
         import laspy
     except ImportError:

@@ -126,11 +126,6 @@ def check_levels(
     The lowest posts show the difference: the surface model is smooth above open ground, and rough above crowns. A
     smooth closed crop looks like open ground. An offset above a wood without a gap is not detected. If both files have
     `declared` the same level, they are refused only where the surface is below the ground.
-
-    Raises
-    ------
-    ThermorenderError
-        The lowest posts above the ground are higher than `LEAST_M`, and smooth; or many posts are below the ground.
     """
     from scipy.ndimage import uniform_filter
 

@@ -50,32 +50,18 @@ _LEAF_COLOUR = (72, 96, 48)
 
 @dataclass(frozen=True, eq=False)
 class Imported:
-    """Skins with their class names, and what was found.
-
-    Attributes
-    ----------
-    flat_outlines : int
-        Outlines left out, as less than a third of their posts is of a roof.
-    stated_walls : int
-        Buildings whose outlines declare the material or colour of their walls.
-    unmatched : dict of str to int
-        Declared materials and colours without a match, with their counts.
-    kinds : tuple of Kind
-        Trees as copies of typical ones; empty where their leaves are among the skins.
-    notes : tuple of str
-        On the files it was made from, one sentence each.
-    """
+    """Skins with their class names, and what was found."""
 
     skins: tuple[Skin, ...]
     classes: dict[int, str]
     frame: LocalFrame
     buildings: int
-    flat_outlines: int
+    flat_outlines: int  # Outlines left out, as less than a third of their posts is of a roof
     trees: int
-    stated_walls: int
-    unmatched: dict[str, int]
-    kinds: tuple[Kind, ...] = ()
-    notes: tuple[str, ...] = ()
+    stated_walls: int  # Buildings whose outlines declare the material or colour of their walls
+    unmatched: dict[str, int]  # Declared materials and colours without a match, with their counts
+    kinds: tuple[Kind, ...] = ()  # Trees as copies of typical ones; empty where their leaves are among the skins
+    notes: tuple[str, ...] = ()  # On the files it was made from, one sentence each
 
 
 @dataclass(frozen=True)
@@ -132,11 +118,6 @@ def imported(
         Of the leaves.
     copies : bool
         Whether trees are copies of typical ones.
-
-    Raises
-    ------
-    ThermorenderError
-        Posts too far apart to find buildings in, or more trees than `kinds.MOST_TREES` as copies.
     """
     if known is None and post_m > _FINE_M:
         raise ThermorenderError(

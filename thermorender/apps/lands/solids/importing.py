@@ -25,27 +25,14 @@ WALL = "brick_painted"
 
 @dataclass(frozen=True)
 class ThreeD:
-    """How a surface model becomes solids.
+    """How a surface model becomes solids."""
 
-    Attributes
-    ----------
-    ground : path or None
-        Raster of the ground's heights below all objects; None: a filter finds it.
-    wall : str
-        Material of walls that the outlines do not declare.
-    wall_by_kind : mapping of str to str
-        {value of the tag `building`: material}.
-    building_class : int or None
-        The number of buildings, where the outlines are those of a raster of classes.
-    copies : bool
-        Whether trees are copies of typical ones, for woods whose leaves do not fit into memory.
-    """
-
-    ground: Path | None = None
-    wall: str = WALL
-    wall_by_kind: Mapping[str, str] = field(default_factory=dict)
+    ground: Path | None = None  # Raster of the ground's heights below all objects; None: a filter finds it
+    wall: str = WALL  # Material of walls that the outlines do not declare
+    wall_by_kind: Mapping[str, str] = field(default_factory=dict)  # {value of the tag `building`: material}
+    # The number of buildings, where the outlines are those of a raster of classes
     building_class: int | None = None
-    copies: bool = False
+    copies: bool = False  # Whether trees are copies of typical ones, for woods whose leaves do not fit into memory
 
     def made(
         self, height: NDArray[np.float64], grid: Grid, post_m: float, undulation_m: float, known: Path | None,

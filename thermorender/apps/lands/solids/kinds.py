@@ -36,18 +36,11 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Kind:
-    """A typical tree, and its copies.
+    """A typical tree, and its copies."""
 
-    Attributes
-    ----------
-    parts : dict of str to Skin
-        By material: leaves, unless the crown is too small for any, and trunk. The foot is the origin.
-    places : (n, 4) float64
-        East, north [m], heading [°] and scale of each copy.
-    """
-
+    # By material: leaves, unless the crown is too small for any, and trunk. The foot is the origin.
     parts: dict[str, Skin]
-    places: Floats
+    places: Floats  # (n, 4) float64 east, north [m], heading [°] and scale of each copy
 
 
 def columns_of(tree: found.Tree, height: Floats, bare: Floats, post_m: float) -> tuple[Floats, Floats]:
@@ -88,11 +81,6 @@ def kinds_of(
         Class numbers by material.
     colours : callable
         Returns the linear colour of crowns at posts (n, 2).
-
-    Raises
-    ------
-    ThermorenderError
-        More trees than `MOST_TREES`.
     """
     if len(trees) > MOST_TREES:
         raise ThermorenderError(

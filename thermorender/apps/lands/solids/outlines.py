@@ -32,11 +32,6 @@ def outlines_in(path: Path, grid: Grid) -> tuple[list[Outline], tuple[str, ...]]
 
     Closed lines with such a tag are outlines too, and so are polygons in collections. A part inside a building is one
     `of` it, and has its tags but for those of its own. Outlines and holes without area are left out and counted.
-
-    Raises
-    ------
-    ThermorenderError
-        The file cannot be read, or holds no building on the grid.
     """
     features, crs = read_features(path)
     found: list[Outline] = []
@@ -187,13 +182,7 @@ def _inherited(whole: Mapping[str, str], own: Mapping[str, str]) -> dict[str, st
 
 
 def outlines_in_classes(path: Path, number: int, grid: Grid) -> list[Outline]:
-    """Return the Outlines of connected pixels of a raster that have a class number.
-
-    Raises
-    ------
-    ThermorenderError
-        The file cannot be read, or has no such pixel on the grid; or the number is 0, which marks no data.
-    """
+    """Return the Outlines of connected pixels of a raster that have a class number."""
     if number == 0:
         raise ThermorenderError(f"building_class=0 marks pixels without data in {path}; give the number of buildings")
     classes = onto(read_classes(path).astype(np.float32), grid_of(path), grid, "nearest")

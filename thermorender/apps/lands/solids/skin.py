@@ -24,30 +24,14 @@ _GLTF, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """A triangle mesh with a texture.
+    """A triangle mesh with a texture."""
 
-    Attributes
-    ----------
-    name : str
-        Name of its material in the mesh's file.
-    vertices : (V, 3) float64
-        East, north, up [m].
-    faces : (F, 3) int64
-        Counter-clockwise seen from outside.
-    uv : (F, 3, 2) float32
-        0…1, u to the right and v down the texture.
-    colour : (h, w, 3) uint8
-        sRGB.
-    classes : (h, w) uint8
-        Class number of each texel; 0 for none.
-    """
-
-    name: str
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    uv: NDArray[np.float32]
-    colour: NDArray[np.uint8]
-    classes: NDArray[np.uint8]
+    name: str  # Name of its material in the mesh's file
+    vertices: NDArray[np.float64]  # (V, 3) float64 east, north, up [m]
+    faces: NDArray[np.int64]  # (F, 3) int64 counter-clockwise seen from outside
+    uv: NDArray[np.float32]  # (F, 3, 2) float32 0…1, u to the right and v down the texture
+    colour: NDArray[np.uint8]  # (h, w, 3) uint8 sRGB
+    classes: NDArray[np.uint8]  # (h, w) uint8 class number of each texel; 0 for none
 
 
 def write_mesh(path: Path, skins: Sequence[Skin]) -> None:

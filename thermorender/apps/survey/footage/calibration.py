@@ -68,13 +68,7 @@ class Estimate:
 
 
 def frame_files(paths: Iterable[str | PathLike[str]]) -> list[Path]:
-    """Return the frames in files and folders, sorted by name within a folder.
-
-    Raises
-    ------
-    ThermorenderError
-        A path that does not exist, or no frame at all.
-    """
+    """Return the frames in files and folders, sorted by name within a folder."""
     files = []
     for path in map(Path, paths):
         if path.is_dir():
@@ -105,12 +99,6 @@ def fit_camera(
         (kelvin per count, kelvin of count 0) of TIFFs that do not declare it.
     progress : callable, optional
         Called with the share done.
-
-    Raises
-    ------
-    ThermorenderError
-        Frames that cannot be read, have a size other than the base camera's, are warmer than its range or contain no
-        noise; a scene that changes everywhere; or a flat-field correction between frames of a static camera.
     """
     camera, files = load_camera(base, "base camera"), frame_files(paths)
     shape = camera.height, camera.width
@@ -186,13 +174,7 @@ def not_measured(base: str | PathLike[str], estimates: dict[str, Estimate]) -> l
 
 
 def write_camera(path: str | PathLike[str], base: str | PathLike[str], estimates: dict[str, Estimate]) -> None:
-    """Write the file of the base camera with the estimated keys, each with its uncertainty and method.
-
-    Raises
-    ------
-    ThermorenderError
-        A name that does not end in .toml, or a file that cannot be written.
-    """
+    """Write the file of the base camera with the estimated keys, each with its uncertainty and method."""
     check_output_file(path, (".toml",))
     text = model_path(base).read_text(encoding="utf-8")
     notes = ["Fitted to footage, where a key says so.", *not_measured(base, estimates)]

@@ -45,39 +45,20 @@ _METASHAPE = ("cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", 
 
 @dataclass(frozen=True)
 class Lens:
-    """The geometry of a lens, without its blur.
+    """The geometry of a lens, without its blur."""
 
-    Attributes
-    ----------
-    width, height : int
-        Size of the image that it was fitted to [px].
-    focal_px : float
-    principal_offset_px : (2,) floats
-        As in `Camera`.
-    distortion : (5,) floats, or None
-        As in `Camera`; None if the file does not state it.
-    misfit_px : float
-        Largest difference in the image from the model that the file states.
-    source : str
-        Where it comes from, for notes and errors.
-    """
-
+    # width, height: Size of the image that it was fitted to [px]
     width: int
     height: int
     focal_px: float
-    principal_offset_px: tuple[float, float]
+    principal_offset_px: tuple[float, float]  # (2,) floats as in `Camera`
+    # (5,) floats as in `Camera`; None if the file does not state it
     distortion: tuple[float, float, float, float, float] | None
-    misfit_px: float = 0.0
-    source: str = "lens"
+    misfit_px: float = 0.0  # Largest difference in the image from the model that the file states
+    source: str = "lens"  # Where it comes from, for notes and errors
 
     def applied(self, camera: Camera) -> tuple[Camera, str]:
-        """Return (camera with this lens, a sentence that says so).
-
-        Raises
-        ------
-        ThermorenderError
-            The image has another shape, the lens folds it, or its distortion is unknown.
-        """
+        """Return (camera with this lens, a sentence that says so)."""
         if self.distortion is None:
             raise ThermorenderError(
                 f"{self.source} states a focal length of {self.focal_px:.1f} pixels without the distortion; give "
@@ -117,13 +98,7 @@ class Lens:
 
 
 def read_lens(path: Path) -> Lens:
-    """Return the Lens of `cameras.json` of OpenDroneMap or OpenSfM, or of Metashape's calibration as XML.
-
-    Raises
-    ------
-    ThermorenderError
-        The file cannot be read, states several lenses, or one that Brown's model does not approximate.
-    """
+    """Return the Lens of `cameras.json` of OpenDroneMap or OpenSfM, or of Metashape's calibration as XML."""
     if path.suffix.lower() == ".xml":
         return _metashape(path)
     written = read_text(path, "JSON")

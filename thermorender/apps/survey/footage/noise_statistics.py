@@ -147,29 +147,19 @@ class Spectra:
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations of the parts of the noise in the frames [K], each (value, uncertainty).
+    """Standard deviations of the parts of the noise in the frames [K], each (value, uncertainty)."""
 
-    Attributes
-    ----------
-    pixel, row, column : (2,) floats
-        Noise that changes with each frame, where the gain of the flat-field correction is 1; for a single frame, all
-        noise.
-    fixed_pixel, fixed_row, fixed_column : (2,) floats or None
-        Constant noise; None for a single frame.
-    static : bool
-        Whether the camera did not move, so that the scene is in every frame.
-    lively : bool
-        Whether the scene changes before a static camera.
-    """
-
+    # pixel, row, column: (2,) floats noise that changes with each frame, where the gain of the flat-field correction
+    # is 1; for a single frame, all noise
     pixel: tuple[float, float]
     row: tuple[float, float]
     column: tuple[float, float]
+    # fixed_pixel, fixed_row, fixed_column: (2,) floats constant noise; None for a single frame
     fixed_pixel: tuple[float, float] | None = None
     fixed_row: tuple[float, float] | None = None
     fixed_column: tuple[float, float] | None = None
-    static: bool = False
-    lively: bool = False
+    static: bool = False  # Whether the camera did not move, so that the scene is in every frame
+    lively: bool = False  # Whether the scene changes before a static camera
 
 
 def noise_of(spectra: Spectra) -> Noise:
@@ -183,11 +173,6 @@ def noise_of(spectra: Spectra) -> Noise:
     the finest, the scene changes; then the tenth of blocks with the least coarse change gives the noise. Blocks that
     are cut off at an end of the range are ignored. Rows and columns in the scene (fields, roofs) count as temporal row
     and column noise of a moving camera.
-
-    Raises
-    ------
-    ThermorenderError
-        No part of the image is within the range, or none is flat or constant.
     """
     window = _window(spectra.shape) ** 2
     seen_gain = float((window * spectra.gain**2).sum() / window.sum())

@@ -24,24 +24,12 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """The terrain's radiance by a scene's own temperatures and light, on the texels of a map.
+    """The terrain's radiance by a scene's own temperatures and light, on the texels of a map."""
 
-    Attributes
-    ----------
-    apparent : (h, w) float64
-        Radiance that leaves each texel [linear kelvin].
-    reflected : (h, w) float64
-        Reflected part [W m⁻² sr⁻¹].
-    material : (h, w) uint8
-        Of the texel's middle, index in the scene's materials.
-    kinetic : (h, w) float64
-        The scene's own temperature [K].
-    """
-
-    apparent: Floats
-    reflected: Floats
-    material: NDArray[np.uint8]
-    kinetic: Floats
+    apparent: Floats  # (h, w) float64 radiance that leaves each texel [linear kelvin]
+    reflected: Floats  # (h, w) float64 reflected part [W m⁻² sr⁻¹]
+    material: NDArray[np.uint8]  # (h, w) uint8 of the texel's middle, index in the scene's materials
+    kinetic: Floats  # (h, w) float64 the scene's own temperature [K]
 
 
 def light_of(renderer: "Renderer", lattice: Lattice, linear: LinearKelvin) -> Light:

@@ -39,13 +39,7 @@ class Reference:
 
 
 def read_references(path: Path) -> list[Reference]:
-    """Return the References of a CSV with the columns name, east_m, north_m, radius_m, kelvin, std_k.
-
-    Raises
-    ------
-    ThermorenderError
-        A column is missing, a value is not a number or out of range, a name is given twice, or there is no row.
-    """
+    """Return the References of a CSV with the columns name, east_m, north_m, radius_m, kelvin, std_k."""
     head, rows = rows_of(path)
     if any(name not in head for name in _COLUMNS):
         raise ThermorenderError(f"{path} has the columns {', '.join(head)}; give {', '.join(_COLUMNS)}")
@@ -87,11 +81,6 @@ def shift_of(
     seen : (h, w) bool
     light, renderer, lattice, linear
         Of the map.
-
-    Raises
-    ------
-    ThermorenderError
-        A reference that the frames do not show.
 
     Notes
     -----

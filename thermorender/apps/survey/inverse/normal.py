@@ -109,23 +109,12 @@ class Stencil:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What is known of the map without the frames.
+    """What is known of the map without the frames."""
 
-    Attributes
-    ----------
-    mean : (h, w) float64
-    precision : (h, w) float64
-        1 over the variance of each texel about its class.
-    classes : (h, w) integers
-        Class of each texel, 0…C−1.
-    class_precision : float
-        1 over the variance of the common offset of a class.
-    """
-
-    mean: Floats
-    precision: Floats
-    classes: NDArray[np.intp]
-    class_precision: float
+    mean: Floats  # (h, w) float64
+    precision: Floats  # (h, w) float64 1 over the variance of each texel about its class
+    classes: NDArray[np.intp]  # (h, w) integers class of each texel, 0…C−1
+    class_precision: float  # 1 over the variance of the common offset of a class
 
     @property
     def count(self) -> int:

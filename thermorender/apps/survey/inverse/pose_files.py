@@ -59,13 +59,7 @@ _METASHAPE_COLUMNS = (
 
 
 def read_poses(path: Path, scene: Scene) -> dict[str, Place]:
-    """Return {name of a frame without suffix: Place} of a file of poses.
-
-    Raises
-    ------
-    ThermorenderError
-        The file cannot be read, is of another kind, or states a pose twice or not as numbers.
-    """
+    """Return {name of a frame without suffix: Place} of a file of poses."""
     text = read_text(path, "CSV UTF-8")
     if path.suffix.lower() in (".json", ".geojson"):
         return _json(path, text, scene)

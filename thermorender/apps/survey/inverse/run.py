@@ -19,41 +19,19 @@ from thermorender.sensor.camera import load_camera
 
 @dataclass(frozen=True)
 class Inputs:
-    """The arguments of `reconstruct` on the command line.
+    """The arguments of `reconstruct` on the command line."""
 
-    Attributes
-    ----------
-    scene : str
-        Folder or name.
-    frames : tuple of Path
-        Files or folders.
-    poses : Path or None
-        File of poses; the frames' own tags by default.
-    camera : str or None
-    texel_m : float or None
-    pose_error : (2,) floats
-        [m], [deg].
-    above_ground_m : float or None
-        Of the first frame.
-    references : Path or None
-    rounds : int
-    scale : (2,) floats or None
-        (kelvin per count, kelvin of count 0).
-    lens : Path or None
-        File of a lens, in place of that of the poses or the camera.
-    """
-
-    scene: str
-    frames: tuple[Path, ...]
-    poses: Path | None = None
+    scene: str  # Folder or name
+    frames: tuple[Path, ...]  # Files or folders
+    poses: Path | None = None  # File of poses; the frames' own tags by default
     camera: str | None = None
     texel_m: float | None = None
-    pose_error: tuple[float, float] = (1.0, 0.7)
-    above_ground_m: float | None = None
+    pose_error: tuple[float, float] = (1.0, 0.7)  # (2,) floats [m], [deg]
+    above_ground_m: float | None = None  # Of the first frame
     references: Path | None = None
     rounds: int = 4
-    scale: tuple[float, float] | None = None
-    lens: Path | None = None
+    scale: tuple[float, float] | None = None  # (2,) floats (kelvin per count, kelvin of count 0)
+    lens: Path | None = None  # File of a lens, in place of that of the poses or the camera
 
 
 def run(inputs: Inputs, folder: Path, progress: Progress | None = None) -> dict[str, Any]:

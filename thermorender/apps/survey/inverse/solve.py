@@ -55,28 +55,17 @@ _POWERS = (2, 4, 6)
 
 @dataclass(frozen=True)
 class Settings:
-    """What a reconstruction assumes and how far it goes.
+    """What a reconstruction assumes and how far it goes."""
 
-    Attributes
-    ----------
-    texel_m : float
-        Side of a texel of the map [m].
-    taps : int
-        Points along a side of a pixel.
-    rounds : int
-        Joint solutions, after the registration to the prior.
-    pose_error : PoseError
-        Standard deviations of the measured poses; zeros keep them.
-    noise_k, offset_k, vignette_k, pattern_k, class_k, prior_k, level_k : float
-        Standard deviations of a pixel's noise, of a frame's offset, of a term of the vignetting at the corner, of the
-        fixed pattern, of a class in the prior, of a texel about its class, and of the camera's common level [K]. The
-        last is the accuracy of calibrated cameras, and is stated without a reference.
-    """
-
-    texel_m: float = 0.25
-    taps: int = 2
-    rounds: int = 4
+    texel_m: float = 0.25  # Side of a texel of the map [m]
+    taps: int = 2  # Points along a side of a pixel
+    rounds: int = 4  # Joint solutions, after the registration to the prior
+    # Standard deviations of the measured poses; zeros keep them
     pose_error: PoseError = field(default_factory=PoseError)
+    # noise_k, offset_k, vignette_k, pattern_k, class_k, prior_k, level_k: Standard deviations of a pixel's noise, of
+    # a frame's offset, of a term of the vignetting at the corner, of the fixed pattern, of a class in the prior, of a
+    # texel about its class, and of the camera's common level [K]. The last is the accuracy of calibrated cameras, and
+    # is stated without a reference.
     noise_k: float = 0.07
     offset_k: float = 1.0
     vignette_k: float = 2.0
@@ -88,44 +77,20 @@ class Settings:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """A reconstruction after some rounds.
+    """A reconstruction after some rounds."""
 
-    Attributes
-    ----------
-    map : (h, w) float64
-        Linear kelvin at the middles of the texels; between them the map is bilinear.
-    classes : (C,) float64
-        Offsets of the classes of the prior [K].
-    offsets : (F,) float64
-        Of the frames [K].
-    tilts : (F, 2) float64
-        Change of a frame's offset from the middle to the right and to the lower edge [K].
-    tilt_k : float
-        Standard deviation of the tilts, by the residuals; 0 in the first rounds [K].
-    vignette : (V,) float64
-        Terms of the vignetting, each with its value at the corner [K].
-    pattern : (H, W) float64
-        Fixed pattern [K].
-    poses : (F, 4, 4) float64
-    noise_k : float
-        Standard deviation of the residuals of a pixel, robust [K].
-    alike_px : float
-        Neighbouring pixels that have one error in common, by the residuals; 1 if all are independent.
-    rounds : int
-        Joint solutions so far.
-    """
-
-    map: Floats
-    classes: Floats
-    offsets: Floats
+    map: Floats  # (h, w) float64 linear kelvin at the middles of the texels; between them the map is bilinear
+    classes: Floats  # (C,) float64 offsets of the classes of the prior [K]
+    offsets: Floats  # (F,) float64 of the frames [K]
+    # (F, 2) float64 change of a frame's offset from the middle to the right and to the lower edge [K]
     tilts: Floats
-    tilt_k: float
-    vignette: Floats
-    pattern: Floats
-    poses: Floats
-    noise_k: float
-    alike_px: float
-    rounds: int
+    tilt_k: float  # Standard deviation of the tilts, by the residuals; 0 in the first rounds [K]
+    vignette: Floats  # (V,) float64 terms of the vignetting, each with its value at the corner [K]
+    pattern: Floats  # (H, W) float64 fixed pattern [K]
+    poses: Floats  # (F, 4, 4) float64
+    noise_k: float  # Standard deviation of the residuals of a pixel, robust [K]
+    alike_px: float  # Neighbouring pixels that have one error in common, by the residuals; 1 if all are independent
+    rounds: int  # Joint solutions so far
 
 
 class Problem:

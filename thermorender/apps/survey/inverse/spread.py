@@ -45,36 +45,17 @@ _PLACES = 60
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """The standard deviations of a reconstruction.
+    """The standard deviations of a reconstruction."""
 
-    Attributes
-    ----------
-    std : (h, w) float64
-        Of each texel, without the common level [linear kelvin].
-    scale : float
-        Error of even ground by the halves, over that by the draws.
-    edge_texels : float
-        Growth of the error with the slope of the map: error of the position [texels].
-    misfit : float
-        Growth of the error with what the residuals exceed the noise.
-    views : (h, w) int32
-        Frames that show each texel.
-    residual : (h, w) float64
-        Root mean square of the residuals of the pixels on each texel [linear kelvin].
-    frames : (F,) float64
-        Root mean square of the residuals of each frame [linear kelvin]; NaN for one that shows nothing.
-    groups : int
-        Groups of frames that share no texel; only the prior links their levels.
-    """
-
-    std: Floats
-    scale: float
-    edge_texels: float
-    misfit: float
-    views: NDArray[np.int32]
-    residual: Floats
+    std: Floats  # (h, w) float64 of each texel, without the common level [linear kelvin]
+    scale: float  # Error of even ground by the halves, over that by the draws
+    edge_texels: float  # Growth of the error with the slope of the map: error of the position [texels]
+    misfit: float  # Growth of the error with what the residuals exceed the noise
+    views: NDArray[np.int32]  # (h, w) int32 frames that show each texel
+    residual: Floats  # (h, w) float64 root mean square of the residuals of the pixels on each texel [linear kelvin]
+    # (F,) float64 root mean square of the residuals of each frame [linear kelvin]; NaN for one that shows nothing
     frames: Floats
-    groups: int = 1
+    groups: int = 1  # Groups of frames that share no texel; only the prior links their levels
 
 
 class Drawn(NamedTuple):

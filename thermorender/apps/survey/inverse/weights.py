@@ -41,25 +41,14 @@ _MATCHED = 0.25
 
 @dataclass(frozen=True)
 class Lattice:
-    """The texels of a map: squares of the scene's texel grid, enlarged, and cut to a window.
+    """The texels of a map: squares of the scene's texel grid, enlarged, and cut to a window."""
 
-    Attributes
-    ----------
-    grid : Grid
-        Coordinate reference system, transform and size of the map.
-    scene_texels : float
-        Side of a texel of the map in texels of the scene.
-    row, column : int
-        First row and column of the window, in texels of the map from the corner of the scene's grid.
-    texel_m : float
-        Side of a texel on the ground [m].
-    """
-
-    grid: Grid
-    scene_texels: float
+    grid: Grid  # Coordinate reference system, transform and size of the map
+    scene_texels: float  # Side of a texel of the map in texels of the scene
+    # row, column: First row and column of the window, in texels of the map from the corner of the scene's grid
     row: int
     column: int
-    texel_m: float
+    texel_m: float  # Side of a texel on the ground [m]
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -68,13 +57,7 @@ class Lattice:
 
     @classmethod
     def of(cls, scene: Scene, texel_m: float) -> "Lattice":
-        """Return the Lattice of all of a scene's terrain.
-
-        Raises
-        ------
-        ThermorenderError
-            The scene's terrain is not a raster with a coordinate reference system, or the size is not allowed.
-        """
+        """Return the Lattice of all of a scene's terrain."""
         if scene.grid is None or scene.terrain_count != 1:
             raise ThermorenderError(
                 f"{scene.where}: a map of temperatures needs terrain from an elevation raster; make the scene with "
@@ -177,29 +160,17 @@ def bilinear(values: Floats, row: NDArray[np.floating], column: NDArray[np.float
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """The pixels of a frame that show the map, N of them.
+    """The pixels of a frame that show the map, N of them."""
 
-    Attributes
-    ----------
-    pixel : (N,) int64
-        Numbers in the image, row by row.
-    row, column : (N,) float64
-        Positions of their middles on the map [texels]; the middle of texel i is at i.
-    across, down : (2, N) float32
-        Change of (column, row) with a step of one pixel to the right, and down [texels].
-    slope : (2, 3, N) float32
-        Change of (column, row) with the position of the camera [texels/m].
-    ray : (3, N) float32
-        From the camera to the points [m].
-    """
-
-    pixel: NDArray[np.int64]
+    pixel: NDArray[np.int64]  # (N,) int64 numbers in the image, row by row
+    # row, column: (N,) float64 positions of their middles on the map [texels]; the middle of texel i is at i
     row: Floats
     column: Floats
+    # across, down: (2, N) float32 change of (column, row) with a step of one pixel to the right, and down [texels]
     across: Singles
     down: Singles
-    slope: Singles
-    ray: Singles
+    slope: Singles  # (2, 3, N) float32 change of (column, row) with the position of the camera [texels/m]
+    ray: Singles  # (3, N) float32 from the camera to the points [m]
 
     def motion(self, right: Floats, down: Floats) -> Floats:
         """Return the change of values on the map with the pose, (6, N): per metre, then per radian about the axes.
@@ -339,13 +310,7 @@ def binned_camera(camera: Camera, factor: int) -> Camera:
 
 
 def window_of(lattice: Lattice, viewer: Viewer, poses: Sequence[Floats], margin_m: float) -> tuple[Lattice, list[int]]:
-    """Return (the part of a lattice that frames show, with a margin [m]; numbers of the frames that show nothing).
-
-    Raises
-    ------
-    ThermorenderError
-        They show nothing of it.
-    """
+    """Return (the part of a lattice that frames show, with a margin [m]; numbers of the frames that show nothing)."""
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     blind = []
     for number, pose in enumerate(poses):

@@ -34,13 +34,7 @@ def save(path: files.PathLike, learner: Learner, facts: dict[str, Any]) -> None:
 
 
 def load(path: files.PathLike, learner: Learner) -> dict[str, Any]:
-    """Restore a Learner from a file and return the file's facts.
-
-    Raises
-    ------
-    ThermorenderError
-        The file is missing, damaged or of another training.
-    """
+    """Restore a Learner from a file and return the file's facts."""
     try:
         with safe_open(path, framework="pt") as file:
             texts = file.metadata()

@@ -68,11 +68,6 @@ def train_network(task: Task, method: str) -> Network:
     `Network`; `jitter`, side that a crop is enlarged to before a square is cut from it (that of the crop: not at all)
     [pixels]; `vgg`, file of the perceptual loss's weights; `architecture` of `unet`, see `recipes`; `tolerance_mk`,
     mean change of the output on validation crops that coarser weights in the file may cause (0: half precision) [mK].
-
-    Raises
-    ------
-    ThermorenderError
-        The run's folder is in use or has other settings, there are too few pairs, or the training explodes at once.
     """
     options = task.options
     recipe = recipe_of(method, options.get("architecture"))

@@ -14,13 +14,7 @@ SETTINGS, LOG, SAMPLES = "settings.json", "log.jsonl", "samples"
 
 
 def read_settings(folder: PathLike) -> dict[str, Any]:
-    """Return the settings of a run's folder, a dict with method, seed, options, examples and more.
-
-    Raises
-    ------
-    ThermorenderError
-        The folder is not that of a training.
-    """
+    """Return the settings of a run's folder, a dict with method, seed, options, examples and more."""
     path = Path(folder) / SETTINGS
     try:
         found = formats.finite_json(formats.read_text(path)) if path.is_file() else None

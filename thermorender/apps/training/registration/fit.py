@@ -53,12 +53,6 @@ def calibrate(
         The visible pictures may have been resized unequally along their sides: fit the aspect too.
     progress : callable, optional
         Called with (task, fraction done).
-
-    Raises
-    ------
-    ThermorenderError
-        Frames differ in size, at least half of them disagree with the common rig, or no frame shows the same scene
-        in both pictures.
     """
     report_progress = progress or (lambda task, fraction: None)
     pictures, shapes, reduced, start = read_frames(frames, fields_of_view, report_progress)

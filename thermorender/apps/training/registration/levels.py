@@ -34,28 +34,16 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """Gradient directions of all frames at one resolution.
-
-    Attributes
-    ----------
-    visible, thermal : list of (h, w) complex64
-    density : (2,) floats
-        Pixels of `visible` per pixel of the camera's picture, along columns and rows.
-    x, y : (h, w) float64
-        Positions of the pixels of `thermal`, from the picture's centre [thermal px].
-    every : int
-        Stride along both sides in the sums over pixels.
-    diagonal : float
-        Half the diagonal of the visible camera's picture [px].
-    """
+    """Gradient directions of all frames at one resolution."""
 
     visible: list
     thermal: list
-    density: tuple
+    density: tuple  # (2,) floats pixels of `visible` per pixel of the camera's picture, along columns and rows
+    # x, y: (h, w) float64 positions of the pixels of `thermal`, from the picture's centre [thermal px]
     x: np.ndarray
     y: np.ndarray
-    every: int
-    diagonal: float
+    every: int  # Stride along both sides in the sums over pixels
+    diagonal: float  # Half the diagonal of the visible camera's picture [px]
 
 
 def scale_of_fields(

@@ -37,48 +37,27 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class Rig:
-    """Mapping between the pictures of two cameras fixed to each other.
+    """Mapping between the pictures of two cameras fixed to each other."""
 
-    Attributes
-    ----------
-    visible_shape, thermal_shape : (2,) tuple of int
-        Rows and columns.
-    scale : float
-        Visible pixels per thermal pixel at the centre.
-    rotation_deg : float
-        Rotation of the visible axes relative to the thermal ones, from right towards down.
-    shift_px : (2,) tuple of float
-        Thermal centre in the visible picture, from its centre, right and down [visible px].
-    k1 : float
-        Radial distortion of the visible lens, at half the diagonal.
-    aspect : float
-        Rows over columns of a square's image in the visible picture; 1 unless resized unequally.
-    errors : dict of str to float
-        Standard errors of scale, rotation_deg, column_px, row_px, k1, aspect by the jackknife over frames, and
-        `position_px`, the RMS error of positions in the thermal picture; empty for a single frame.
-    score : float or None
-        Mean correlation of unsigned gradient directions over the frames used: 1 for identical directions, 0 for
-        unrelated pictures.
-    score_unrelated : float or None
-        The same with each thermal picture paired with another frame's visible picture.
-    frames : dict of str to float
-        Score of each frame.
-    rejected : dict of str to str
-        Reason for each frame that was left out.
-    """
-
+    # visible_shape, thermal_shape: (2,) tuple rows and columns
     visible_shape: tuple[int, int]
     thermal_shape: tuple[int, int]
-    scale: float
-    rotation_deg: float
+    scale: float  # Visible pixels per thermal pixel at the centre
+    rotation_deg: float  # Rotation of the visible axes relative to the thermal ones, from right towards down
+    # (2,) tuple thermal centre in the visible picture, from its centre, right and down [visible px]
     shift_px: tuple[float, float]
-    k1: float
-    aspect: float = 1.0
+    k1: float  # Radial distortion of the visible lens, at half the diagonal
+    aspect: float = 1.0  # Rows over columns of a square's image in the visible picture; 1 unless resized unequally
+    # Standard errors of scale, rotation_deg, column_px, row_px, k1, aspect by the jackknife over frames, and
+    # `position_px`, the RMS error of positions in the thermal picture; empty for a single frame
     errors: dict[str, float] = field(default_factory=dict)
+    # Mean correlation of unsigned gradient directions over the frames used: 1 for identical directions, 0 for
+    # unrelated pictures
     score: float | None = None
+    # The same with each thermal picture paired with another frame's visible picture
     score_unrelated: float | None = None
-    frames: dict[str, float] = field(default_factory=dict)
-    rejected: dict[str, str] = field(default_factory=dict)
+    frames: dict[str, float] = field(default_factory=dict)  # Score of each frame
+    rejected: dict[str, str] = field(default_factory=dict)  # Reason for each frame that was left out
 
     def visible_from_thermal(self, column: ArrayLike, row: ArrayLike) -> tuple[NDArray, NDArray]:
         """Return the visible positions (column, row) of thermal positions [px].
@@ -163,11 +142,6 @@ def warped(
     rig : Rig
     shape : (2,) ints, optional
         Rows and columns of the result over the thermal field of view; default: the thermal picture's.
-
-    Raises
-    ------
-    ThermorenderError
-        The picture's size is not the rig's.
     """
     import cv2
 
@@ -226,13 +200,7 @@ def save_rig(rig: Rig, path: str | Path) -> None:
 
 
 def load_rig(path: str | Path) -> Rig:
-    """Return the Rig of a file.
-
-    Raises
-    ------
-    ThermorenderError
-        The file cannot be read or is not a rig.
-    """
+    """Return the Rig of a file."""
     text = formats.read_text(path, "JSON")
     try:
         values = formats.finite_json(text)

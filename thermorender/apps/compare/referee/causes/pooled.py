@@ -41,42 +41,24 @@ Cause = tuple[str, str]
 
 @dataclass(frozen=True)
 class Named:
-    """A cause that explains more than its rivals.
+    """A cause that explains more than its rivals."""
 
-    Attributes
-    ----------
-    cause : (2,) tuple of str
-        Kind, and the material or "".
-    size, error : (n,) tuple of float
-        Size and standard error: kelvin; gain minus 1; pixels right and down; variance [px²]; emissivity.
-    share : float
-        Share of the square error left without it that it explains.
-    """
-
-    cause: Cause
+    cause: Cause  # (2,) tuple kind, and the material or ""
+    # size, error: (n,) tuple size and standard error: kelvin; gain minus 1; pixels right and down; variance [px²];
+    # emissivity
     size: tuple[float, ...]
     error: tuple[float, ...]
-    share: float
+    share: float  # Share of the square error left without it that it explains
 
 
 @dataclass
 class Causes:
-    """Fits of a method's poses, and the true band emissivity of each material.
-
-    Attributes
-    ----------
-    fits : list of PoseFit
-    emissivity : dict of str to float
-    share : float
-        As `SHARE`.
-    level : float
-        As `LEVEL`.
-    """
+    """Fits of a method's poses, and the true band emissivity of each material."""
 
     fits: list[PoseFit] = field(default_factory=list)
     emissivity: dict[str, float] = field(default_factory=dict)
-    share: float = SHARE
-    level: float = LEVEL
+    share: float = SHARE  # As `SHARE`
+    level: float = LEVEL  # As `LEVEL`
 
     def summary(self) -> dict[str, Any] | None:
         """Return {"fit": values and errors with all base causes, "named": list of causes}, as plain numbers."""

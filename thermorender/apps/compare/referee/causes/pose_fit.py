@@ -39,77 +39,39 @@ _FEWEST = 200
 
 @dataclass(frozen=True)
 class Pair:
-    """A method's picture and the reference of one pose.
+    """A method's picture and the reference of one pose."""
 
-    Attributes
-    ----------
-    seen, truth : (H, W) arrays
-        Apparent temperature [K].
-    ground : (H, W) bool
-        Pixels of ground with known temperature.
-    known : (H, W) bool
-        Pixels where the reference is known, objects too.
-    material : (H, W) uint8
-    names : sequence of str
-        Name of each material number.
-    emissivity_k : (H, W) array
-        Change of apparent temperature by a unit of emissivity [K].
-    cell : (H, W) int
-        Number of the piece of ground that a pixel shows.
-    pure : (H, W) bool
-        Pixels that show a single material.
-    """
-
+    # seen, truth: (H, W) arrays apparent temperature [K]
     seen: NDArray[np.floating]
     truth: NDArray[np.floating]
-    ground: NDArray[np.bool_]
-    known: NDArray[np.bool_]
-    material: NDArray[np.uint8]
-    names: Sequence[str]
-    emissivity_k: NDArray[np.floating]
-    cell: NDArray[np.integer]
-    pure: NDArray[np.bool_]
+    ground: NDArray[np.bool_]  # (H, W) bool pixels of ground with known temperature
+    known: NDArray[np.bool_]  # (H, W) bool pixels where the reference is known, objects too
+    material: NDArray[np.uint8]  # (H, W) uint8
+    names: Sequence[str]  # Name of each material number
+    emissivity_k: NDArray[np.floating]  # (H, W) change of apparent temperature by a unit of emissivity [K]
+    cell: NDArray[np.integer]  # (H, W) int number of the piece of ground that a pixel shows
+    pure: NDArray[np.bool_]  # (H, W) bool pixels that show a single material
 
 
 @dataclass(frozen=True)
 class Equations:
-    """Normal equations of one pose by piece of ground, about the fitted shift and blur.
+    """Normal equations of one pose by piece of ground, about the fitted shift and blur."""
 
-    Attributes
-    ----------
-    matrix : (K, Q, Q) float64
-        AᵀA.
-    right : (K, Q) float64
-        Aᵀy; y is linearised, so that the solution is the deviation from a perfect picture.
-    square : (K,) float64
-        yᵀy [K²].
-    """
-
-    matrix: NDArray[np.float64]
+    matrix: NDArray[np.float64]  # (K, Q, Q) float64 aᵀA
+    # (K, Q) float64 aᵀy; y is linearised, so that the solution is the deviation from a perfect picture
     right: NDArray[np.float64]
-    square: NDArray[np.float64]
+    square: NDArray[np.float64]  # (K,) float64 yᵀy [K²]
 
 
 @dataclass(frozen=True)
 class PoseFit:
-    """The fit of one pose.
+    """The fit of one pose."""
 
-    Attributes
-    ----------
-    cells : (K,) int
-        Numbers of the pieces of ground.
-    materials : tuple of str
-        Materials with columns, in their order.
-    equations : dict of (bool, bool) to Equations
-        By whether shift and blur are free; a missing one equals that of (True, True).
-    middle_k : float
-        Median error [K].
-    """
-
-    cells: NDArray[np.intp]
-    materials: tuple[str, ...]
+    cells: NDArray[np.intp]  # (K,) int numbers of the pieces of ground
+    materials: tuple[str, ...]  # Materials with columns, in their order
+    # By whether shift and blur are free; a missing one equals that of (True, True)
     equations: dict[tuple[bool, bool], Equations]
-    middle_k: float
+    middle_k: float  # Median error [K]
 
     def at(self, shift: bool, blur: bool) -> Equations:
         """Return the Equations for models with or without shift and blur."""

@@ -22,20 +22,11 @@ _POSES, _ALL = 3, 12
 
 @dataclass
 class Pictures:
-    """The pictures of a comparison.
+    """The pictures of a comparison."""
 
-    Attributes
-    ----------
-    folder : Path
-        Files are written to its folder `pictures`.
-    scenes : int
-        Number of scenes.
-    views : list of dict
-        {"title", "visible", "pictures": [{"label", "source", "reference"}]} of each pose on the page.
-    """
-
-    folder: Path
-    scenes: int = 1
+    folder: Path  # Files are written to its folder `pictures`
+    scenes: int = 1  # Number of scenes
+    # {"title", "visible", "pictures": [{"label", "source", "reference"}]} of each pose on the page
     views: list[dict[str, Any]] = field(default_factory=list)
     _bytes: int = 0
 
