@@ -213,7 +213,7 @@ def worlds_in_process(monkeypatch):
     """Worlds of two tiny pairs each, rendered in this process where workers would."""
     from contextlib import nullcontext
 
-    from thermorender.apps.cluster import dataset
+    from thermorender.apps.training import on_workers as dataset
     from thermorender.apps.training import rendered
     from thermorender.apps.training.dataset import Entry
     from thermorender.apps.training.dataset_writer import packed
