@@ -32,11 +32,9 @@ SEED = 20
 _LEFT_OUT = {"versions", "profile", "seconds", "files", "checksum"}
 # {land: arguments of make-scene}
 LANDS = {
-    "heath": ("heath",),
-    "village": ("village",),
-    "snow": ("ridge", "--snow-depth-m", "0.2", "--air-low-c=-8", "--air-high-c=-2"),
-    "walls": ("village", "--three-d"),
-}
+    "heath": "heath", "village": "village", "walls": "village --three-d",
+    "snow": "ridge --snow-depth-m 0.2 --air-low-c=-8 --air-high-c=-2",
+}  # fmt: skip
 _MATERIALS = '[emissivity]\nsource = "learned"\nmodel = "procedural"\nfallback = "soil_loam"\n'
 _YARD = """[terrain]\nmesh = "yard.obj"\n[temperature]\nsource = "constant"\nvalue = 295.0
 [emissivity]\nsource = "constant"\nvalue = 0.6\n[sky]\ntemperature = 230.0\n"""
@@ -95,12 +93,27 @@ POSES = {
     "nadir": (25.0, -90.0, 0.0), "oblique": (18.0, -40.0, 0.0), "grazing": (7.0, -6.0, 0.0), "up": (6.0, 35.0, 0.0),
     "rolled": (14.0, -55.0, 20.0), "off": (30.0, 0.0, 0.0),
 }  # fmt: skip
-_VIEW = {"place": [1.0, -9.0], "pose": "oblique", "yaw": 5.0, "time": 0.0, "index": 1}
-# Cases drawn by hand: {kind: what}
+_VIEW = {"settings": SETTINGS[0], "place": [1.0, -9.0], "pose": "oblique", "yaw": 5.0, "time": 0, "index": 4}
+# Command lines; {out} is a new folder, and all files in it are compared.
+_COMMANDS = {
+    "fly": """fly {scene} -o {out}/flight --trajectory {scene}/log.csv --rate-hz 4 --start-s 1 --stop-s 1.5
+        --quality fast --rays 4 --audit 2 --display plateau --palette ironbow --agc-memory-s 1 --seed 3
+        --thermography emissivity=0.95,air_c=9
+        --products exr,truth,error,counts,counts-tiff,radiometric,display,video,visible,report
+        ; export coco {out}/flight -o {out}/labels.json ; export masks {out}/flight -o {out}/masks""",
+    "render": """render {scene} -o {out}/render --pose 2,-14,12 --look-at 0,0,0 --air midlatitude-summer --display local
+        --rays 4 --seed 5 --products exr,truth,error,counts,display,visible""",
+    "translate": "translate fok-1to1 {scene}/orthophoto.tif -o {out}/translated",
+    "day": "day {scene} -o {out}/day --pose 2,-14,12,0,-50,0 --step-min 720 --quality fast --rays 4",
+    "reference": """render {small} -o {out}/render --pose 2,-4,12,0,-70,0 --engine reference --paths 4
+        --products exr,truth,counts""",
+}
+# Cases drawn by hand: {kind: names of scenes}
 _FIXED = {
-    "land": LANDS, "flight": ("objects", "copies", "balance", "yard", "mirrors"), "day": BALANCED,
-    "verbs": ("objects", "mirrors", "learned"), "link": ("objects", "village"), "reference": ("objects", "yard"),
-    "queries": ("objects", "walls", "copies", "mirrors"),
+    "land": LANDS, "flight": ("objects", "balance"), "queries": ("objects", "walls", "copies", "mirrors"),
+    "link": ("objects", "village"), "fly": ("objects", "copies", "balance", "yard", "mirrors"),
+    "render": ("objects", "mirrors", "learned"), "translate": ("village",), "day": ("balance", "wood"),
+    "reference": ("objects", "yard"),
 }  # fmt: skip
 _MAPS = ("fok-1to1", "fok-9to1", "procedural-palette", "procedural-trees", "procedural-correlation+")
 
@@ -108,8 +121,13 @@ _MAPS = ("fok-1to1", "fok-9to1", "procedural-palette", "procedural-trees", "proc
 def drawn(count):
     """Return [(name, kind, scene, details)] of a number of cases; the first ones are the same for every number."""
     some, scenes = random.Random(SEED), (*SCENES, *SHIPPED)
-    cases = [(f"{kind} {name}", kind, name, {}) for kind, names in _FIXED.items() for name in sorted(names)]
-    cases += [(f"map {name}", "map", "village", {"map": name}) for name in _MAPS]
+    cases = [
+        (f"{kind} {name}", kind, name, {"lines": _COMMANDS.get(kind)})
+        for kind, names in _FIXED.items() for name in names
+    ]  # fmt: skip
+    for model in _MAPS:
+        edits = [("with_temperature", [model], {})]
+        cases.append((f"map {model}", "edit", "village", {**_VIEW, "edits": edits, "how": "like"}))
     for number in itertools.count():
         if len(cases) >= count:
             return cases[:count]
@@ -156,9 +174,9 @@ class Checkout:
 
         self.tr, self.folder, self.renderers, self.now = thermorender, folder, {}, None
 
-    def verb(self, *arguments):
-        """Run a verb of the command line in this process."""
-        before, sys.argv = sys.argv, ["thermorender", *map(str, arguments)]
+    def verb(self, line, **names):
+        """Run a command line in this process, with these names filled in."""
+        before, sys.argv = sys.argv, ["thermorender", *(word.format(**names) for word in line.split())]
         try:
             with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as said:
                 runpy.run_module("thermorender", run_name="__main__")
@@ -203,10 +221,11 @@ class Checkout:
 
     def land(self, name):
         """Return the folder of a procedural land, made once."""
-        folder, (kind, *more) = self.folder / "lands" / name, LANDS[name]
+        folder = self.folder / "lands" / name
         if not folder.exists():
-            size = ("--size-m", 64, "--texel-m", 1, "--post-m", 2, "--seed", 3)
-            self.verb("make-scene", kind, "-o", folder, *size, *more)
+            self.verb(
+                f"make-scene {LANDS[name]} -o {{folder}} --size-m 64 --texel-m 1 --post-m 2 --seed 3", folder=folder
+            )
         return folder
 
     def renderer(self, name, settings=SETTINGS[0]):
@@ -288,56 +307,24 @@ def edit(own, name, details):
 
 
 def flight(own, name, details):
-    """Files of three frames with every product and their exports; the same flight frame by frame; a plain one."""
-    known, out = own.renderer(name), own.fresh("flight")
-    scene = own.path(name)
-    own.verb(
-        "fly", scene, "-o", out, "--trajectory", scene / "log.csv", "--rate-hz", 4, "--start-s", 1, "--stop-s", 1.5,
-        "--quality", "fast", "--rays", 4, "--audit", 2, "--display", "plateau", "--palette", "ironbow",
-        "--agc-memory-s", 1, "--seed", 3, "--thermography", "emissivity=0.95,air_c=15,distance_m=100",
-        "--products", "exr,truth,error,counts,counts-tiff,radiometric,display,video,visible,report",
-    )  # fmt: skip
-    own.verb("export", "coco", out, "-o", out.with_name("labels.json"))
-    own.verb("export", "masks", out, "-o", out.with_name("masks"))
-    found, path = _files(out.parent), own.tr.load_trajectory(scene / "log.csv", known.scene)
+    """Frames of a flight one by one, and files of a flight without command line."""
+    known, out = own.renderer(name), own.fresh("plain")
+    path, found = own.tr.load_trajectory(own.path(name) / "log.csv", known.scene), {}
+    options = own.tr.FlightOptions(rate_hz=2.0, stop_s=0.5, products=("exr", "counts"), exr_compression="zip")
+    own.tr.fly(known, path, out, options)
+    found = _files(out)
     for number, one in enumerate(known.frames(path, rate_hz=5.0, start_s=0.2, stop_s=0.6, audit=2)):
         found |= own.frame(one, f"{number}/")
-    options = own.tr.FlightOptions(rate_hz=2.0, stop_s=0.5, products=("exr", "counts"), exr_compression="zip")
-    out = own.fresh("plain")
-    own.tr.fly(known, path, out, options)
-    return found | _files(out.parent)
+    return found
 
 
-def verbs(own, name, details):
-    """Files of `render` and `translate`."""
-    out = own.fresh("render")
-    own.verb("render", own.path(name), "-o", out, "--pose", "2,-14,12", "--look-at", "0,0,0", "--air",
-             "midlatitude-summer", "--display", "local", "--rays", 4, "--seed", 5, "--products",
-             "exr,truth,error,counts,display,visible")  # fmt: skip
-    own.verb("translate", "fok-1to1", own.path(name) / "orthophoto.tif", "-o", out.with_name("translated"))
-    return _files(out.parent)
-
-
-def day(own, name, details):
-    """Files of two hours of a day."""
-    out = own.fresh("day")
-    own.verb("day", own.path(name), "-o", out, "--pose", "2,-14,12,0,-50,0", "--step-min", 720, "--quality", "fast",
-             "--rays", 4)  # fmt: skip
+def command(own, name, details):
+    """Files of command lines."""
+    scene, small = own.path(name), own.path(name, "small")
+    out = own.fresh("out")
+    for line in details["lines"].split(" ; "):
+        own.verb(line, scene=scene, small=small, out=out)
     return _files(out)
-
-
-def reference(own, name, details):
-    """Files of a small frame of the reference engine."""
-    scene, out = own.path(name, "small"), own.fresh("reference")
-    own.verb("render", scene, "-o", out, "--pose", "2,-4,12,0,-70,0", "--engine", "reference", "--paths", 4,
-             "--products", "exr,truth,counts")  # fmt: skip
-    return _files(out)
-
-
-def map_(own, name, details):
-    """A frame whose temperatures a learned map gives."""
-    known = own.renderer(name)
-    return own.view(own.tr.Renderer(known.scene.with_temperature(details["map"]), **SETTINGS[0], like=known), _VIEW)
 
 
 def queries(own, name, details):
@@ -386,10 +373,7 @@ def link(own, name, details):
     return {"welcome": json.loads(answers[0])} | {f"answer {n}": data for n, data in enumerate(answers[1:])}
 
 
-KINDS = {
-    "land": land, "frame": frame, "edit": edit, "flight": flight, "verbs": verbs, "day": day, "reference": reference,
-    "map": map_, "queries": queries, "link": link,
-}  # fmt: skip
+KINDS = {"land": land, "frame": frame, "edit": edit, "flight": flight, "queries": queries, "link": link}
 
 
 def _files(folder):
@@ -434,7 +418,7 @@ def render(folder, options):
             continue
         start = time.perf_counter()
         try:
-            products = KINDS[kind](own, scene, details)
+            products = KINDS.get(kind, command)(own, scene, details)
         except Exception as error:  # its words are compared
             products = {"error": f"{type(error).__name__}: {error}".replace(str(folder), "")}
             print(f"  {products['error']}")
