@@ -70,7 +70,7 @@ _FILES = {
     "places.csv": "east_m,north_m,yaw_deg,scale\n0,3,30,1\n5,-4,200,1.3\n-8,2,75,0.7\n",
     "track.csv": "time_s,east_m,north_m,yaw_deg,temperature_k\n0,-6,-3,80,300\n12,9,4,60,330\n",
     "log.csv": "time_s,east_m,north_m,above_ground_m,yaw_deg,gimbal_pitch_deg\n"
-    + "".join(f"{t},{3 * t - 4},{2 * t - 3},{14 - t},{40 + 9 * t},{-60 + 4 * t}\n" for t in range(5)),
+    + "".join(f"{t},{2 * t - 4},{2 * t - 3},{14 - t},{40 + 9 * t},{-60 + 4 * t}\n" for t in range(5)),
 }  # fmt: skip
 # {camera: (model, changes)}
 CAMERAS = {
