@@ -435,25 +435,29 @@ def render(folder, options):
 
 def rendered(tree, folder, options):
     """Render the cases with a checkout in other processes; return {case: {product: digest}}."""
-    mark, state = folder / "checkout", hashlib.sha256(Path(__file__).read_bytes())
+    state = hashlib.sha256(Path(__file__).read_bytes())
     for path in sorted(path for part in ("thermorender", "scenes", "materials") for path in (tree / part).rglob("*")):
         if path.is_file() and path.suffix != ".pyc":
             state.update(path.relative_to(tree).as_posix().encode() + path.read_bytes())
-    if not mark.exists() or mark.read_text() != state.hexdigest():
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir(parents=True)
-        mark.write_text(state.hexdigest())
-    more = {"PYTHONPATH": str(tree), "PYTHONSAFEPATH": "1", "THERMORENDER_CACHE": str(folder / "cache")}
+    # Both checkouts work under one path, since digests of scenes with files hold it.
+    work = folder.with_suffix(".work")
+    shutil.rmtree(work, ignore_errors=True)
+    if (folder / "checkout").exists() and (folder / "checkout").read_text() == state.hexdigest():
+        folder.replace(work)
+    shutil.rmtree(folder, ignore_errors=True)
+    work.mkdir(parents=True, exist_ok=True)
+    (work / "checkout").write_text(state.hexdigest())
+    more = {"PYTHONPATH": str(tree), "PYTHONSAFEPATH": "1", "THERMORENDER_CACHE": str(work / "cache")}
     more |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    command = [sys.executable, __file__, "--render", folder, "--cases", options.cases, "--workers", options.workers]
-    command = [*map(str, command), "--only", options.only]
-    if options.workers > 1:
-        subprocess.run([*command, "--only", "^land", "--workers", "1"], cwd=tree, env=os.environ | more, check=True)
-    running = [
-        subprocess.Popen([*command, "--turn", str(turn)], cwd=tree, env=os.environ | more)
-        for turn in range(options.workers)
-    ]
-    ends = [process.wait() for process in running]
+    command = [sys.executable, __file__, "--render", work, "--cases", options.cases, "--workers", options.workers]
+    command, place = [*map(str, command), "--only", options.only], {"cwd": tree, "env": os.environ | more}
+    try:
+        if options.workers > 1:
+            subprocess.run([*command, "--only", "^land", "--workers", "1"], **place, check=True)
+        running = [subprocess.Popen([*command, "--turn", str(turn)], **place) for turn in range(options.workers)]
+        ends = [process.wait() for process in running]
+    finally:
+        work.replace(folder)
     if any(ends):
         sys.exit(f"{tree}: a process ended early; finished cases are kept, and the same command continues")
     return {name: of for path in folder.glob("digests.*.json") for name, of in json.loads(path.read_text()).items()}
@@ -526,6 +530,8 @@ def main():
         return
     if len(options.trees) != 2:
         parser.error("give two checkouts, OLD and NEW")
+    # So that finished cases are kept.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     folders, found = [options.output.resolve().with_suffix(f".{side}") for side in ("old", "new")], []
     names = [case[0] for case in drawn(options.cases) if re.search(options.only, case[0])]
     for tree, folder in zip(options.trees, folders, strict=True):
