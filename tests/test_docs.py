@@ -27,7 +27,8 @@ SLOW = {
     "start/first-comparison.md", "start/first-flight.md", "guides/campaign.md", "guides/cameras.md",
     "guides/cluster.md", "guides/compare.md", "guides/export.md", "guides/flight-logs.md", "guides/learned-maps.md",
     "guides/materials.md", "guides/python.md", "guides/simulator.md", "guides/studio.md", "guides/survey.md",
-    "guides/weather.md",
+    "guides/weather.md", "guides/three-d.md", "guides/meshes.md", "guides/learned-materials.md",
+    "reference/edits.md", "reference/flights.md",
     "examples/01_first_frame.py", "examples/02_day_over_your_terrain.py", "examples/03_map_against_render.py",
 }  # fmt: skip
 _BLOCK = re.compile(r"^```(python|bash|text)\n(.*?)^```$", flags=re.S | re.M)
@@ -50,7 +51,10 @@ def blocks(path):
     return found
 
 
-PAGES = [README, *(page for folder in ("start", "guides", "concepts") for page in sorted((DOCS / folder).glob("*.md")))]
+PAGES = [
+    README,
+    *(page for folder in ("start", "guides", "concepts", "reference") for page in sorted((DOCS / folder).glob("*.md"))),
+]
 PAGES = [page for page in PAGES if any(not code.startswith(NOT_RUN) for _, code, _ in blocks(page))]
 
 
