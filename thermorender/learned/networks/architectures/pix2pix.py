@@ -35,18 +35,10 @@ def initialised(net: nn.Module) -> nn.Module:
 
 
 class UNet256(nn.Module):
-    """The generator, for pictures whose sides are multiples of 2**levels pixels.
+    """The generator, for pictures whose sides are multiples of 2**levels pixels; its output is from −1 to 1.
 
-    Parameters
-    ----------
-    channels : int
-        Channels of the input; the output has one, from −1 to 1.
-    width : int
-        Channels of the outermost level; 64 as published, with 54.41 million parameters.
-    levels : int
-        Number of halvings.
-    biased : bool
-        Whether its last convolution has a bias.
+    `width` is the number of channels of the outermost level; 64 as published, with 54.41 million parameters. `biased`
+    gives the last convolution a bias.
     """
 
     def __init__(self, channels: int = 3, width: int = 64, levels: int = LEVELS, biased: bool = True) -> None:
@@ -87,18 +79,9 @@ class UNet256(nn.Module):
 class PatchDiscriminator(nn.Module):
     """The 70×70 discriminator: for (n, channels, h, w) one number per place, above 0 where it looks real.
 
-    Parameters
-    ----------
-    channels : int
-        Channels of the picture and its translation together.
-    width : int
-        64 as published, with 2.77 million parameters.
-    norm : type of layer
-        nn.BatchNorm2d in pix2pix, nn.InstanceNorm2d in its successors.
-    padding : int
-        Padding of every convolution: 1, or 2 in pix2pixHD.
-    biased : bool
-        Whether convolutions without a batch norm behind them have a bias.
+    Channels are those of the picture and its translation together. A width of 64 is the published one, with 2.77
+    million parameters. pix2pix's successors use nn.InstanceNorm2d; pix2pixHD pads by 2. `biased` gives a bias to
+    convolutions without a batch norm behind them.
     """
 
     def __init__(
