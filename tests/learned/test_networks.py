@@ -8,14 +8,15 @@ import torch
 from torch import nn
 from training_support import WIDTH, map_of, network, picture
 
+from thermorender.apps.training.networks.discriminators import PatchDiscriminator, ScaledDiscriminators
 from thermorender.apps.training.networks.learners import learner_of
 from thermorender.errors import ThermorenderError
 from thermorender.learned.linear import grounds
 from thermorender.learned.networks import tiles
 from thermorender.learned.networks.architectures.compact import Compact
 from thermorender.learned.networks.architectures.keras_unet import KerasUNet
-from thermorender.learned.networks.architectures.pix2pix import PatchDiscriminator, UNet256
-from thermorender.learned.networks.architectures.pix2pixhd import ResidualGenerator, ScaledDiscriminators
+from thermorender.learned.networks.architectures.pix2pix import UNet256
+from thermorender.learned.networks.architectures.pix2pixhd import ResidualGenerator
 from thermorender.learned.networks.architectures.plain import Dense
 from thermorender.learned.networks.building import net_of, predicted
 from thermorender.learned.networks.encoding import Encoding

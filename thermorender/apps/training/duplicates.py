@@ -5,7 +5,7 @@ doi:10.1109/ICCV.2011.6126544), each 256 comparisons of brightness. Features tha
 vote for each other's pictures, which avoids comparing all pairs. The pictures with most votes are aligned by the
 similarity transform that most features agree on. They are duplicates if their fine structure then correlates. Matches
 survive changes of brightness, compression, shifts, crops, scale and rotation. Mirrored copies are found only by the
-sketch of the mirrored picture, and few crops of a fifth of the area: `learned.audit.fingerprints` finds those.
+sketch of the mirrored picture, and few crops of a fifth of the area: `learned.fingerprints` finds those.
 
 Of six procedural lands, at least five are found when halved, shrunk, turned, brightened, compressed or noisy, and none
 is taken for another. Road scenes far apart in time are not taken for each other.

@@ -1,7 +1,7 @@
 """A rendered campaign: pairs of visible and thermal pictures of procedural landscapes, with ground truth.
 
 A *world* is a landscape of one seed under the weather of another, at several hours of one day. Its true temperatures
-deviate from tables and station data (`campaign.procedural_truth`), so a predictor knows as much as it would outdoors.
+deviate from tables and station data (`lands.procedural.truth`), so a predictor knows as much as it would outdoors.
 Views are nadir, oblique, and forward with sky in the picture. The thermal picture is what the camera reads. Per pixel,
 a pair also holds the truth, the heat balance's prediction from table values, and the relief.
 

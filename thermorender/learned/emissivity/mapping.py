@@ -1,11 +1,11 @@
 """RGB → emissivity: the likely materials of each texel of an orthophoto, from its colour and texture.
 
-A small fully connected network (trained in `training`) scores each material. The scores become calibrated
-probabilities: they are softened by a temperature (Guo et al. 2017, "On calibration of modern neural networks") and
-mixed with a uniform prior. Both numbers are fitted on landscapes that the network did not see. A texel's emissivity is
-the mean over all materials with these probabilities, and its uncertainty their standard deviation. Confidence is the
-largest probability, or 0 for texels unlike the training data. Texels below a threshold of confidence are *unknown*; the
-scene's fallback material replaces them. Emissivity itself is not learned: it comes from the material table.
+A small fully connected network scores each material. The scores become calibrated probabilities: they are softened by
+a temperature (Guo et al. 2017, "On calibration of modern neural networks") and mixed with a uniform prior. Both numbers
+are fitted on landscapes that the network did not see. A texel's emissivity is the mean over all materials with these
+probabilities, and its uncertainty their standard deviation. Confidence is the largest probability, or 0 for texels
+unlike the training data. Texels below a threshold of confidence are *unknown*; the scene's fallback material replaces
+them. Emissivity itself is not learned: it comes from the material table.
 """
 
 import json

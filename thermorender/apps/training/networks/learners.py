@@ -14,9 +14,9 @@ from torch import nn
 from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel
 
+from thermorender.apps.training.networks.discriminators import PatchDiscriminator, ScaledDiscriminators
 from thermorender.apps.training.networks.perception import Perception
-from thermorender.learned.networks.architectures.pix2pix import PatchDiscriminator
-from thermorender.learned.networks.architectures.pix2pixhd import ResidualGenerator, ScaledDiscriminators
+from thermorender.learned.networks.architectures.pix2pixhd import ResidualGenerator
 from thermorender.learned.networks.building import CYCLE_HALVINGS, LEVELS, net_of
 from thermorender.learned.networks.encoding import Encoding
 from thermorender.learned.networks.recipes import Recipe
@@ -69,7 +69,11 @@ class Learner(ABC):
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         _shared_gradients(optimiser)
+        self.limit()
         optimiser.step()
+
+    def limit(self) -> None:  # noqa: B027 - most learners have no limit
+        """Limit the gradients of a step."""
 
     def forward(self, batch: Batch) -> torch.Tensor:
         """Return the encoded translation of a Batch, (n, 1, h, w)."""
@@ -310,17 +314,16 @@ class Robust(Learner):
         self.descend("net", absolute + self.SLOPES * slopes + likelihood)
         return {"l1": absolute, "slopes": slopes, "likelihood": likelihood}
 
-    def descend(self, name: str, loss: torch.Tensor) -> None:
-        """Take a step of one optimiser with clipped gradients."""
-        optimiser = self.optimisers[name]
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        _shared_gradients(optimiser)
+    def limit(self) -> None:
+        """Limit the gradient norm of the spread's layer, and that of all others."""
         parameters = dict(self.net.named_parameters())
         for doubts in (True, False):
             some = [value for key, value in parameters.items() if key.startswith("doubt.") == doubts]
             nn.utils.clip_grad_norm_(some, self._MOST)
-        optimiser.step()
+
+    def descend(self, name: str, loss: torch.Tensor) -> None:
+        """Take a step of one optimiser, and update the mean of the weights."""
+        super().descend(name, loss)
         self._mean.update_parameters(self.net)
 
 

@@ -1,11 +1,11 @@
-"""The networks of pix2pix: a U-Net that halves its square down to one pixel, and a discriminator of patches.
+"""The generator of pix2pix: a U-Net that halves its square down to one pixel.
 
 Isola et al., Image-to-Image Translation with Conditional Adversarial Networks, CVPR 2017, arXiv:1611.07004, appendix
 6.1. Encoder C64-C128-C256-C512-C512-C512-C512-C512, decoder CD512-CD512-CD512-C512-C256-C128-C64. C is convolution,
 batch norm and ReLU; CD also has 50 % dropout. All convolutions are 4×4 with stride 2, with skip connections at each
-level. The discriminator C64-C128-C256-C512 has a receptive field of 70×70 pixels.
+level.
 
-With seven levels and without biases, they are the networks of Nhu's program (`recipes`): encoder
+With seven levels and without biases, it is the generator of Nhu's program (`recipes`): encoder
 C64-C128-C256-C512-C512-C512-C512, down to four pixels, and decoder CD512-CD512-CD512-C256-C128-C64.
 """
 
@@ -74,42 +74,3 @@ class UNet256(nn.Module):
         for layer in reversed(self.up[:-1]):
             x = layer(torch.cat([kept.pop(), x], dim=1))
         return torch.tanh(x)
-
-
-class PatchDiscriminator(nn.Module):
-    """The 70×70 discriminator: for (n, channels, h, w) one number per place, above 0 where it looks real.
-
-    Channels are those of the picture and its translation together. A width of 64 is the published one, with 2.77
-    million parameters. pix2pix's successors use nn.InstanceNorm2d; pix2pixHD pads by 2. `biased` gives a bias to
-    convolutions without a batch norm behind them.
-    """
-
-    def __init__(
-        self, channels: int = 4, width: int = 64, norm: type[nn.Module] = nn.BatchNorm2d, padding: int = 1,
-        biased: bool = True,
-    ) -> None:  # fmt: skip
-        super().__init__()
-        widths = [channels, width, 2 * width, 4 * width, 8 * width, 1]
-        # Instance norm has no offset here.
-        plain = norm is not nn.BatchNorm2d
-        self.layers = nn.ModuleList()
-        for number, (before, after) in enumerate(zip(widths[:-1], widths[1:], strict=True)):
-            first, last = number == 0, after == 1
-            conv = nn.Conv2d(
-                before, after, 4, 2 if number < 3 else 1, padding, bias=biased and (plain or first or last)
-            )
-            between = [] if first or last else [norm(after)]
-            self.layers.append(nn.Sequential(conv, *between, *([] if last else [nn.LeakyReLU(_SLOPE)])))
-        initialised(self)
-
-    def features(self, x: torch.Tensor) -> list[torch.Tensor]:
-        """Return the output of every layer, the judgement last."""
-        found = []
-        for layer in self.layers:
-            x = layer(x)
-            found.append(x)
-        return found
-
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return the judgement, (n, 1, h', w')."""
-        return self.features(x)[-1]

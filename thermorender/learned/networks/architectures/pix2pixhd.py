@@ -1,4 +1,4 @@
-"""The networks of pix2pixHD: a global generator of residual blocks, and discriminators at two scales.
+"""The global generator of pix2pixHD: residual blocks between halvings and doublings.
 
 Wang et al., High-Resolution Image Synthesis and Semantic Manipulation with Conditional GANs, CVPR 2018,
 arXiv:1711.11585, section 3.2 and appendix: generator c7s1-64, d128, d256, d512, d1024, nine residual blocks R1024,
@@ -6,16 +6,12 @@ u512, u256, u128, u64, c7s1; all with instance norm. With two halvings and R256 
 ICCV 2017, arXiv:1703.10593, appendix 7.2).
 """
 
-from typing import Any
-
 import torch
 from torch import nn
-from torch.nn import functional
 
-from thermorender.learned.networks.architectures.pix2pix import PatchDiscriminator, initialised
+from thermorender.learned.networks.architectures.pix2pix import initialised
 
 BLOCKS = 9
-SCALES = 2
 
 
 class ResidualGenerator(nn.Module):
@@ -57,21 +53,4 @@ class _Residual(nn.Module):
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return (n, width, h, w) of the same shape."""
         found: torch.Tensor = x + self.layers(x)
-        return found
-
-
-class ScaledDiscriminators(nn.Module):
-    """Patch discriminators of the picture at full and half size: 5.5 million parameters at width 64."""
-
-    def __init__(self, channels: int = 4, width: int = 64) -> None:
-        super().__init__()
-        self.scales = nn.ModuleList(PatchDiscriminator(channels, width, nn.InstanceNorm2d, 2) for _ in range(SCALES))
-
-    def features(self, x: torch.Tensor) -> list[list[torch.Tensor]]:
-        """Return the output of every layer, for each scale."""
-        found = []
-        each: Any
-        for each in self.scales:
-            found.append(each.features(x))
-            x = functional.avg_pool2d(x, 3, 2, 1, count_include_pad=False)
         return found
