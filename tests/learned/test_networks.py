@@ -1,68 +1,36 @@
-"""Networks: size and receptive field, one step of each against a few lines written here, and their training crops."""
+"""Networks: size and receptive field, encoding of their inputs, and their application to pictures of any size."""
 
-import copy
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 from torch import nn
-from torch.nn import functional
+from training_support import WIDTH, map_of, network, picture
 
-from thermorender.apps.training.networks.perception import Perception
+from thermorender.apps.training.networks.discriminators import PatchDiscriminator, ScaledDiscriminators
+from thermorender.apps.training.networks.learners import learner_of
 from thermorender.errors import ThermorenderError
-from thermorender.learned.networks import learners, tiles
+from thermorender.learned.linear import grounds
+from thermorender.learned.networks import tiles
 from thermorender.learned.networks.architectures.compact import Compact
 from thermorender.learned.networks.architectures.keras_unet import KerasUNet
-from thermorender.learned.networks.architectures.pix2pix import PatchDiscriminator, UNet256
-from thermorender.learned.networks.architectures.pix2pixhd import ResidualGenerator, ScaledDiscriminators
+from thermorender.learned.networks.architectures.pix2pix import UNet256
+from thermorender.learned.networks.architectures.pix2pixhd import ResidualGenerator
 from thermorender.learned.networks.architectures.plain import Dense
-from thermorender.learned.networks.building import kind_of, learner_of, net_of
-from thermorender.learned.networks.crops import Crops
+from thermorender.learned.networks.building import net_of, predicted
 from thermorender.learned.networks.encoding import Encoding
-from thermorender.learned.networks.predictor import Network, state_of
+from thermorender.learned.networks.predictor import Network
 from thermorender.learned.networks.recipes import RECIPES, recipe_of
-from thermorender.learned.temperature_map import Inputs, TemperatureMap, load_map, save_map
-from thermorender.learned.training import Example, Task
+from thermorender.learned.rows import ExtraInputs
+from thermorender.learned.temperature_map import Inputs, load_map, save_map
 
-# Thermal values are hundredths of a kelvin; intensities have a range of 280 K to 300 K.
-TEMPERATURE = np.arange(40000) / 100.0
-INTENSITY = (TEMPERATURE - 280.0) / 20.0
-WIDTH = 4
 # Every recipe, and the alternative architectures that a recipe may have.
 NAMES = (*RECIPES, "unet:autoencoder", "unet:dense")
 
 
 def size(net):
     return sum(parameter.numel() for parameter in net.parameters())
-
-
-def picture(seed, height=96, width=128):
-    import cv2
-
-    coarse = np.random.default_rng(seed).integers(0, 256, (8, 9, 3), np.uint8)
-    return cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR)
-
-
-def kelvin(rgb):
-    """The true temperature of the test pictures: linear in colour, 281 K to 299 K."""
-    return 290.0 + (rgb @ np.array([8.0, -5.0, 4.0]) - 900.0) / 250.0
-
-
-def example(seed, valid=None, conditional=False, **sides):
-    rgb = picture(seed, **sides)
-    terrain = {"slope": np.full(rgb.shape[:2], 0.1 * seed, np.float32)} if conditional else {}
-    conditions = {"air_k": 285.0 + seed % 3, "wind_m_s": 2.0} if conditional else {}
-    values = np.rint(100.0 * kelvin(rgb)).astype(np.uint16)
-    valid = np.ones(values.shape, bool) if valid is None else valid
-    return Example(Inputs(rgb, 0.2, terrain, conditions), values, valid)
-
-
-def task_of(method, examples, run=None, seed=3, progress=lambda what, share: None, resume=False, **options):
-    recipe = recipe_of(*method.split(":"))
-    small = {"side": 96} if recipe.whole else {}
-    return Task(examples, INTENSITY, TEMPERATURE, seed, progress, recipe.all_options | small | options, 0.2, (0.2, 0.2),
-                run=run, resume=resume)  # fmt: skip
 
 
 # --- architectures ----------------------------------------------------------------------------------------------
@@ -139,7 +107,7 @@ def test_every_network_returns_a_picture_of_the_input_size(name):
     # Convolutional networks take other sides, too.
     other = side if recipe.net == "dense" else side + recipe.multiple
     for planes in (torch.zeros(2, 3, side, side), torch.ones(1, 3, side, other)):
-        found = kind_of(recipe).predict(net, planes)
+        found = predicted(recipe, net, planes)
         assert found.shape == (len(planes), 2 if recipe.learner == "robust" else 1, *planes.shape[2:])
         assert torch.isfinite(found).all()
         if recipe.net in ("unet256", "pix2pixhd", "cyclegan"):
@@ -167,348 +135,7 @@ def test_the_compact_network_starts_as_its_last_plane():
     assert torch.allclose(mean, wanted, atol=1e-6) and spread.abs().max() == 0.0
 
 
-# --- one step ---------------------------------------------------------------------------------------------------
-
-
-class Descent(torch.optim.SGD):
-    """Plain gradient descent: a step is the learning rate times the gradient."""
-
-    def __init__(self, parameters):
-        super().__init__(parameters, lr=1e-2)
-
-
-def learner_and_twin(name, discriminators=None):
-    """A Learner of plain descent, a copy of its networks, and a batch."""
-    torch.manual_seed(1)
-    recipe = recipe_of(*name.split(":"))
-    learner = learner_of(recipe, Encoding(), WIDTH, 1e-3)
-    learner.optimisers = {
-        key: Descent([each for part in parts for each in learner.parts[part].parameters()])
-        for key, parts in learner.MOVED.items()
-    }
-    n, side = 2, recipe.side
-    valid = torch.ones(n, 1, side, side)
-    valid[:, :, : side // 4] = 0.0
-    target = 2.0 * torch.rand(n, 1, side, side) - 1.0 if recipe.bounded else torch.rand(n, 1, side, side)
-    batch = learners.Batch(torch.randn(n, 3, side, side), target * valid, valid)
-    for part in learner.parts.values():
-        part.train()
-    return learner, copy.deepcopy(learner.parts), batch
-
-
-def by_hand(part, loss):
-    """{name: weight} after a step of descent."""
-    slopes = torch.autograd.grad(loss, list(part.parameters()), retain_graph=True)
-    return {name: (weight - 1e-2 * slope).detach()
-            for (name, weight), slope in zip(part.named_parameters(), slopes, strict=True)}  # fmt: skip
-
-
-def assert_same(part, wanted):
-    for name, weight in part.named_parameters():
-        assert torch.allclose(weight, wanted[name], rtol=1e-4, atol=1e-5), name
-
-
-def masked(values, valid):
-    return values[valid.bool()].mean()
-
-
-@pytest.mark.parametrize("name", ["unet", "unet:dense", "unet:autoencoder"])
-def test_a_step_of_regression(name):
-    learner, twin, batch = learner_and_twin(name)
-    net = twin["net"]
-    wanted = by_hand(net, masked((net(batch.planes) - batch.target) ** 2, batch.valid))
-    learner.step(batch)
-    assert_same(learner.net, wanted)
-
-
-@pytest.mark.slow
-def test_a_step_of_classes():
-    learner, twin, batch = learner_and_twin("unet-classes")
-    net = twin["net"]
-    level = torch.round(batch.target * 255.0).long()[:, 0]
-    one_hot = functional.one_hot(level, 256).permute(0, 3, 1, 2).float()
-    every = functional.binary_cross_entropy(torch.sigmoid(net(batch.planes)), one_hot, reduction="none")
-    wanted = by_hand(net, masked(every.mean(dim=1, keepdim=True), batch.valid))
-    learner.step(batch)
-    assert_same(learner.net, wanted)
-
-
-@pytest.mark.parametrize("name", ["pix2pix", "unet-gan-keras"])
-def test_a_step_of_pix2pix(name):
-    learner, twin, batch = learner_and_twin(name)
-    net, judge = twin["net"], twin["discriminator"]
-    torch.manual_seed(7)
-    made = net(batch.planes)
-    # Where nothing is known, both get the generator's own picture.
-    real = torch.where(batch.valid.bool(), batch.target, made.detach())
-    yes, no = (judge(torch.cat([batch.planes, each], 1)) for each in (real, made.detach()))
-    loss = -0.5 * (torch.log(torch.sigmoid(yes)).mean() + torch.log(1.0 - torch.sigmoid(no)).mean())
-    wanted = by_hand(judge, loss)
-    after = copy.deepcopy(judge)
-    after.load_state_dict(wanted, strict=False)
-    fooled = -torch.log(torch.sigmoid(after(torch.cat([batch.planes, made], 1)))).mean()
-    wanted_net = by_hand(net, fooled + 100.0 * masked((made - batch.target).abs(), batch.valid))
-    torch.manual_seed(7)
-    found = learner.step(batch)
-    assert_same(learner.parts["discriminator"], wanted)
-    assert_same(learner.net, wanted_net)
-    assert float(found["discriminator"].detach()) == pytest.approx(float(loss.detach()), rel=1e-5)
-
-
-def test_a_step_of_the_satellite_program():
-    """One step of the discriminator, then two of the generator, each with its own dropout and the sum of errors."""
-    learner, twin, batch = learner_and_twin("unet-gan")
-    net, judge = twin["net"], twin["discriminator"]
-    # So that two steps of plain descent on a sum stay small.
-    learner.weight = 1e-4
-    torch.manual_seed(7)
-    with torch.no_grad():
-        made = net(batch.planes)
-    real = torch.where(batch.valid.bool(), batch.target, made)
-    yes, no = (judge(torch.cat([batch.planes, each], 1)) for each in (real, made))
-    loss = -0.5 * (torch.log(torch.sigmoid(yes)).mean() + torch.log(1.0 - torch.sigmoid(no)).mean())
-    wanted = by_hand(judge, loss)
-    judge.load_state_dict(wanted, strict=False)
-    for _ in range(2):
-        made = net(batch.planes)
-        fooled = -torch.log(torch.sigmoid(judge(torch.cat([batch.planes, made], 1)))).mean()
-        error = ((made - batch.target).abs() * batch.valid).sum()
-        net.load_state_dict(by_hand(net, fooled + 1e-4 * error), strict=False)
-    torch.manual_seed(7)
-    found = learner.step(batch)
-    assert_same(learner.parts["discriminator"], wanted)
-    assert_same(learner.net, dict(net.named_parameters()))
-    # The log has the mean, as that of the other networks.
-    assert float(found["l1"].detach()) == pytest.approx(float(error.detach() / batch.valid.sum()), rel=1e-4)
-
-
-def test_a_step_of_pix2pixhd():
-    learner, twin, batch = learner_and_twin("pix2pixhd")
-    net, judges = twin["net"], twin["discriminator"]
-
-    def scales(thermal, of):
-        whole = torch.cat([batch.planes, thermal], 1)
-        half = functional.avg_pool2d(whole, 3, 2, 1, count_include_pad=False)
-        return [judge.features(each) for judge, each in zip(of.scales, (whole, half), strict=True)]
-
-    made = net(batch.planes)
-    real = torch.where(batch.valid.bool(), batch.target, made.detach())
-    yes, no = scales(real, judges), scales(made, judges)
-    # From pix2pixHD's program: 4 over the number of compared layers, over the number of scales.
-    layers = [both for one, other in zip(yes, no, strict=True) for both in zip(one[:-1], other[:-1], strict=True)]
-    alike = sum((a.detach() - b).abs().mean() * (4.0 / 4.0) * 0.5 for a, b in layers)
-    fooled = sum(((each[-1] - 1.0) ** 2).mean() for each in no)
-    wanted_net = by_hand(net, fooled + 10.0 * alike)
-    against = scales(made.detach(), judges)
-    loss = 0.5 * sum(((a[-1] - 1.0) ** 2).mean() + (b[-1] ** 2).mean() for a, b in zip(yes, against, strict=True))
-    wanted = by_hand(judges, loss)
-    learner.step(batch)
-    assert_same(learner.parts["discriminator"], wanted)
-    assert_same(learner.net, wanted_net)
-
-
-def test_a_step_of_cyclegan():
-    learner, twin, batch = learner_and_twin("cyclegan")
-    net, back, see, feel = (twin[name] for name in ("net", "back", "photographs", "thermals"))
-    photograph, thermal, valid = batch.planes[:1], batch.target[1:], batch.valid[1:]
-    made, drawn = net(photograph), back(thermal)
-    again = net(drawn)
-    cycle = (back(made) - photograph).abs().mean() + ((again - thermal).abs() * valid).mean()
-    fooled = ((feel(made) - 1.0) ** 2).mean() + ((see(drawn) - 1.0) ** 2).mean()
-    wanted = {name: by_hand(twin[name], fooled + 10.0 * cycle) for name in ("net", "back")}
-    real = torch.where(valid.bool(), thermal, again.detach())
-    against = {"thermals": (feel, real, made.detach()), "photographs": (see, photograph, drawn.detach())}
-    for name, (judge, real, false) in against.items():
-        wanted[name] = by_hand(judge, 0.5 * ((judge(real) - 1.0) ** 2).mean() + 0.5 * (judge(false) ** 2).mean())
-    learner.step(batch)
-    for name, weights in wanted.items():
-        assert_same(learner.parts[name], weights)
-
-
-def test_a_step_of_the_compact_network():
-    learner, twin, batch = learner_and_twin("compact")
-    net = twin["net"]
-    # The spread is far too small and the weights are large, so both gradients are too long.
-    for each in (net, learner.net):
-        nn.init.constant_(each.doubt.bias, -4.0)
-        nn.init.constant_(each.exit.weight, 0.1)
-    mean, spread = net(batch.planes)
-    error = mean - batch.target
-    rows, columns = (batch.valid[:, :, 1:] * batch.valid[:, :, :-1], batch.valid[..., 1:] * batch.valid[..., :-1])
-    slopes = masked((error[:, :, 1:] - error[:, :, :-1]).abs(), rows)
-    slopes = slopes + masked((error[..., 1:] - error[..., :-1]).abs(), columns)
-    # Minus the logarithm of Laplace's density, except for a constant.
-    likelihood = masked(error.detach().abs() / torch.exp(spread) + spread, batch.valid)
-    loss = masked(error.abs(), batch.valid) + 0.5 * slopes + likelihood
-    # The uncertainty layer and the others are each limited to a step of bounded length.
-    wanted = {}
-    for doubt in (True, False):
-        some = {name: each for name, each in net.named_parameters() if (name.split(".")[0] == "doubt") == doubt}
-        slopes = torch.autograd.grad(loss, list(some.values()), retain_graph=True)
-        length = torch.sqrt(sum((slope**2).sum() for slope in slopes))
-        assert length > 1.0
-        wanted |= {name: (weight - 1e-2 * slope / length).detach()
-                   for (name, weight), slope in zip(some.items(), slopes, strict=True)}  # fmt: skip
-    learner.step(batch)
-    assert_same(learner.net, wanted)
-
-
-def test_the_applied_compact_network_is_the_mean_of_its_last_weights():
-    learner, _, batch = learner_and_twin("compact")
-    seen = []
-    for _ in range(40):
-        learner.step(batch)
-        seen.append(learner.net.exit.bias.detach().clone().double())
-    # After step n the mean moves by 1 − (1 − 1/n)⁸ of the way: weight number k counts as (k⁸ − (k − 1)⁸) / n⁸.
-    counts = torch.diff(torch.arange(41, dtype=torch.float64) ** 8) / 40.0**8
-    wanted = sum(count * each for count, each in zip(counts, seen, strict=True))
-    assert torch.allclose(learner.applied.exit.bias.double(), wanted, rtol=1e-4, atol=1e-7)
-    assert not torch.allclose(learner.applied.exit.bias, learner.net.exit.bias, rtol=1e-3)
-
-
-def test_the_history_is_shown_half_of_the_time():
-    torch.manual_seed(2)
-    history = learners.History(1, 2)
-    # The first fifty are used as they come.
-    for number in range(50):
-        assert float(history(torch.full((1, 1, 2, 2), float(number))).mean()) == number
-    shown = [float(history(torch.full((1, 1, 2, 2), 100.0 + number)).mean()) for number in range(400)]
-    fresh = sum(each == 100.0 + number for number, each in enumerate(shown))
-    # Four standard deviations of 400 draws.
-    assert abs(fresh - 200) < 40 and len(set(shown)) == 400
-    assert {"pictures", "count"} == set(history.state_dict())
-
-
-def test_a_batch_without_a_valid_pixel_changes_nothing():
-    learner, _, batch = learner_and_twin("unet")
-    batch.valid = torch.zeros_like(batch.valid)
-    before = copy.deepcopy(learner.net.state_dict())
-    assert float(learner.step(batch)["mse"].detach()) == 0.0
-    for name, weight in learner.net.named_parameters():
-        assert torch.equal(weight, before[name]), name
-
-
-def test_the_perceptual_loss_compares_the_named_layers(tmp_path):
-    """With weights from a file: 0 for equal pictures, and the sum of five layers for unequal ones."""
-    from safetensors.torch import save_file
-
-    layers, before = [], 3
-    for width in (64, 64, "M", 128, 128, "M", *[256] * 4, "M", *[512] * 4, "M", 512):
-        layers += [nn.MaxPool2d(2)] if width == "M" else [nn.Conv2d(before, width, 3, padding=1), nn.ReLU()]
-        before = before if width == "M" else width
-    vgg = nn.Sequential(*layers)
-    save_file({f"features.{name}": value for name, value in vgg.state_dict().items()}, tmp_path / "vgg.safetensors")
-    loss = Perception(tmp_path / "vgg.safetensors")
-    one, other = torch.randn(2, 1, 1, 32, 32)
-    assert float(loss(one, one).detach()) == 0.0
-    wanted, x, y = 0.0, one.expand(-1, 3, -1, -1), other.expand(-1, 3, -1, -1)
-    weights = {1: 1 / 32, 6: 1 / 16, 11: 1 / 8, 20: 1 / 4, 29: 1.0}
-    for number, layer in enumerate(vgg):
-        x, y = layer(x), layer(y)
-        wanted += weights.get(number, 0.0) * float((x - y).abs().mean().detach())
-    assert float(loss(one, other).detach()) == pytest.approx(wanted, rel=1e-5)
-    with pytest.raises(ThermorenderError, match="holds no weights of VGG-19"):
-        Perception(tmp_path / "none.safetensors")
-
-
-# --- training crops and inputs ----------------------------------------------------------------------------------
-
-
-def test_crops_depend_only_on_seed_and_number():
-    examples = [example(seed) for seed in range(12)]
-    first, again, other = (Crops(task_of("unet", examples, seed=seed), 64, False) for seed in (3, 3, 4))
-    some = first.batch(0, 700)
-    for number in (699, 5, 256, 0):
-        (alone,) = again.batch(number, 1)
-        assert np.array_equal(alone.inputs.rgb, some[number].inputs.rgb)
-        assert np.array_equal(alone.target, some[number].target)
-    assert any(not np.array_equal(a.inputs.rgb, b.inputs.rgb) for a, b in zip(some, other.batch(0, 20), strict=False))
-
-
-def test_crops_of_both_pictures_show_the_same_and_are_mirrored():
-    examples = [example(seed) for seed in range(12)]
-    crops = Crops(task_of("unet", examples), 64, False)
-    mirrored = 0
-    for crop in crops.batch(0, 256):
-        # Equal up to rounding: both were cut and mirrored in the same way.
-        assert np.abs(280.0 + 20.0 * crop.target - kelvin(crop.inputs.rgb)).max() < 0.006 and crop.valid.all()
-        mirrored += not any(_holds(each.inputs.rgb, crop.inputs.rgb) for each in examples)
-    # One half, within four standard deviations of 256 draws.
-    assert abs(mirrored - 128) < 32
-
-
-def test_jitter_cuts_a_square_from_an_enlarged_crop():
-    """The same of both pictures, at 286 : 256, and nothing of it in validation."""
-    valid = np.ones((96, 128), bool)
-    valid[:, :30] = False
-    examples = [example(seed, valid) for seed in range(12)]
-    whole, some = (Crops(task_of("pix2pix", examples), 64, False, jitter) for jitter in (64, 72))
-    places = set()
-    for before, after in zip(whole.batch(0, 64), some.batch(0, 64), strict=True):
-        assert after.inputs.rgb.shape == (64, 64, 3) and after.inputs.texel_m == pytest.approx(0.2 * 64 / 72)
-        # The picture varies by a few levels per pixel, the target is linear in it.
-        off = np.abs(280.0 + 20.0 * after.target - kelvin(after.inputs.rgb))[after.valid]
-        assert off.max() < 0.1 and after.valid.mean() > 0.2 and (after.target[~after.valid] == 0.0).all()
-        larger = np.kron(before.inputs.rgb.astype(float), np.ones((9, 9, 1)))[4::8, 4::8]
-        errors = {(top, left): np.abs(larger[top : top + 64, left : left + 64] - after.inputs.rgb).mean()
-                  for top in range(9) for left in range(9)}  # fmt: skip
-        places.add(min(errors, key=errors.get))
-        assert min(errors.values()) < 4.0
-    # 81 places are equally likely.
-    assert len(places) > 30
-    plain, jittered = whole.validation()[0], some.validation()[0]
-    assert np.array_equal(plain.inputs.rgb, jittered.inputs.rgb)
-
-
-def _holds(whole, part):
-    """Whether a picture contains a square unchanged."""
-    rows, columns = np.where((whole[: whole.shape[0] - 63, : whole.shape[1] - 63] == part[0, 0]).all(axis=-1))
-    return any(np.array_equal(whole[r : r + 64, c : c + 64], part) for r, c in zip(rows, columns, strict=True))
-
-
-def test_every_training_picture_is_used_and_held_out_ones_are_not():
-    examples = [example(seed) for seed in range(40)]
-    held = np.zeros(40, bool)
-    held[[3, 17, 30]] = True
-    crops = Crops(replace(task_of("unet", examples), held_out=held), 64, False)
-    read = []
-    original = crops.read
-    crops.read = lambda number: (read.append(int(number)), original(number))[1]
-    crops.batch(0, 512)
-    crops.close()
-    order = read[: len(crops.train)]
-    assert sorted(order) == [k for k in range(40) if k not in (3, 17, 30)] and order != sorted(order)
-    assert not {3, 17, 30} & set(read)
-    read.clear()
-    crops.validation()
-    assert read == [3, 17, 30]
-
-
-def test_invalid_and_missing_pixels_do_not_affect_training():
-    valid = np.ones((96, 128), bool)
-    valid[40:60] = False
-    crops = Crops(task_of("unet", [example(seed, valid) for seed in range(12)]), 64, False)
-    for crop in crops.batch(0, 30):
-        assert (crop.target[~crop.valid] == 0.0).all() and np.isfinite(crop.target).all()
-    # Smaller than a square: placed in its corner, with edges repeated and marked as not valid.
-    crops = Crops(task_of("unet", [example(seed, height=40, width=50) for seed in range(12)]), 64, False)
-    (crop,) = crops.batch(0, 1)
-    assert crop.valid[:40, :50].all() and not crop.valid[40:].any() and not crop.valid[:, 50:].any()
-    assert np.array_equal(crop.inputs.rgb[40:, :50], np.repeat(crop.inputs.rgb[39:40, :50], 24, axis=0))
-
-
-def test_values_without_a_temperature_are_left_out():
-    cold = replace(example(1), values=np.full((96, 128), 7, np.uint16))
-    table = TEMPERATURE.copy()
-    table[7] = np.nan
-    task = replace(task_of("unet", [cold] * 12), temperature=table, intensity=(table - 280.0) / 20.0)
-    (crop,) = Crops(task, 64, False).batch(0, 1)
-    assert not crop.valid.any() and (crop.target == 0.0).all()
-
-
-def test_too_few_pairs_are_refused():
-    with pytest.raises(ThermorenderError, match="2 pairs are too few to train and validate"):
-        Crops(task_of("unet", [example(0), example(1)]), 64, False)
+# --- encoding -------------------------------------------------------------------------------------------------
 
 
 def test_encoding_of_a_picture():
@@ -523,26 +150,11 @@ def test_encoding_of_a_picture():
     assert near == pytest.approx([1.0, 1.0], abs=1e-6)
 
 
-def test_hour_and_weather_planes_are_scaled_to_about_one():
-    examples = [example(seed, conditional=True) for seed in range(12)]
-    crops = Crops(task_of("compact+", examples), 64, True)
-    encoding = Encoding.measured(crops, False)
-    # Kelvin above the air are measured from 0 and scaled by their root mean square over the training pictures.
-    above = [kelvin(picture(seed)) - 285.0 - seed % 3 for seed in range(12) if seed % 10 != 9]
-    assert encoding.offset == 0.0 and encoding.scale == pytest.approx(np.sqrt(np.mean(np.square(above))), rel=1e-3)
-    assert encoding.extra.conditions == ("air_k", "wind_m_s")
-    assert Encoding.of(encoding.header(), encoding.arrays()) == encoding
-
-
 def test_typical_material_planes_equal_those_of_the_linear_map():
-    from thermorender.learned.linear import grounds
-
     names = ("sunlight",)
     conditions = {"air_k": 290.0, "direct_w_m2": 500.0, "diffuse_w_m2": 100.0, "sun_elevation_deg": 40.0,
                   "open_water": -1.0, "shade_water": -2.0, "open_asphalt": 20.0, "shade_asphalt": 3.0}  # fmt: skip
     terrain = {"sunlight": np.float32([[0.0, 421.4], [np.nan, 200.0]])}
-    from thermorender.learned.rows import ExtraInputs
-
     extra = ExtraInputs(names, tuple(sorted(conditions)))
     encoding = Encoding(extra, False, 2.0, 4.0)
     planes = encoding.planes(Inputs(np.zeros((2, 2, 3), np.uint8), 0.2, terrain, conditions))
@@ -554,19 +166,6 @@ def test_typical_material_planes_equal_those_of_the_linear_map():
 
 
 # --- application ------------------------------------------------------------------------------------------------
-
-
-def network(name, width=WIDTH, published=False, encoding=None, seed=0):
-    torch.manual_seed(seed)
-    encoding = encoding or Encoding(offset=0.5, scale=0.5)
-    method, *architecture = name.split(":")
-    net = net_of(recipe_of(method, *architecture), encoding, width)
-    return Network(method, width, encoding, (0.1, 0.4), state_of(net), False, published, {}, *architecture)
-
-
-def map_of(predictor):
-    return TemperatureMap("n", predictor.method, predictor, (280.0, 300.0), (7.5, 13.5), 0.2, (0.1, 0.4), "boson-640",
-                          260.0, "x")  # fmt: skip
 
 
 def test_tiles_of_a_pointwise_network_equal_the_whole():

@@ -1,19 +1,14 @@
-"""Packed weights in files: exact multiples of their steps, coarse where the output allows it, and small."""
+"""Packed weights in files: exact multiples of their steps, and small."""
 
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from test_network_training import SMALL, examples
-from test_networks import task_of
 
-from thermorender.apps.training.networks.loop import train_network
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
-from thermorender.learned.networks import packing
-from thermorender.learned.networks.packing import coarsest_steps, packed, unpacked
-from thermorender.learned.networks.predictor import Network
+from thermorender.learned.networks.packing import packed, unpacked
 from thermorender.learned.temperature_map import SHIPPED, Inputs, load_map, load_model
 
 HERE = Path(__file__).resolve().parents[1]
@@ -57,35 +52,6 @@ def test_weights_come_back_as_the_nearest_multiples_of_their_steps():
 def test_a_table_that_does_not_belong_to_the_codes_is_refused(change, words):
     with pytest.raises(ValueError, match=words):
         unpacked(*change(*packed({"a": weights(50, 60)}, {"a": 0.05})))
-
-
-def test_steps_are_as_coarse_as_the_sensitivity_of_the_output_allows():
-    state = {"strong": weights(64, 64), "weak": weights(64, 64, seed=1), "small": weights(9, seed=2)}
-    pictures = weights(64, 500, seed=3)
-
-    def give(state):
-        return state["strong"] @ pictures + 0.01 * state["weak"] @ pictures
-
-    steps, shift = coarsest_steps(state, give, 0.1)
-    rounded = state | {name: np.rint(state[name] / step) * step for name, step in steps.items()}
-    change = give(rounded) - give(state)
-    assert shift == pytest.approx(change.mean(), rel=1e-6) and 0.08 < np.abs(change - shift).mean() <= 0.1
-    assert set(steps) == {"strong", "weak"} and steps["weak"] > 20.0 * steps["strong"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["compact", "pix2pix"])
-def test_a_network_is_kept_as_coarse_as_the_tolerance_allows(name, tmp_path, monkeypatch):
-    # So narrow a network has no large tensors.
-    monkeypatch.setattr(packing, "_LEAST_SIZE", 50)
-    halves = train_network(task_of(name, examples(), tmp_path / "r", **SMALL), name)
-    coarse = train_network(task_of(name, examples(), tmp_path / "s", **SMALL, tolerance_mk=50.0), name)
-    assert halves.trained["kept_mk"] < 10.0 < coarse.trained["kept_mk"] < 75.0
-    size = {each: sum(values.nbytes for values in each.arrays().values()) for each in (halves, coarse)}
-    assert size[coarse] < 0.7 * size[halves]
-    again = Network.of(coarse.header(), coarse.arrays())
-    assert again.header() == coarse.header()
-    assert all(np.array_equal(values, coarse.arrays()[key]) for key, values in again.arrays().items())
 
 
 @pytest.mark.parametrize("name", ["procedural-compact+", "procedural-pix2pix"])

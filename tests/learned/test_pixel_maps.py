@@ -6,11 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from thermorender.apps.training import drawn_pixels, linear_training, trees_training
+from thermorender.apps.training.linear_training import fit_linear
+from thermorender.apps.training.palette_training import fit_palette
+from thermorender.apps.training.task import Example, Task
 from thermorender.apps.training.training_methods import method
+from thermorender.apps.training.trees_training import fit_trees
 from thermorender.errors import ThermorenderError
-from thermorender.learned import features, linear, palette, rows, trees
+from thermorender.learned import features, linear, rows, trees
 from thermorender.learned.temperature_map import Inputs, TemperatureMap, load_map, save_map
-from thermorender.learned.training import Example, Task
 
 # Thermal values are hundredths of a kelvin; intensities have a range of 280 K to 300 K.
 TEMPERATURE = np.arange(40000) / 100.0
@@ -34,6 +38,15 @@ def example(inputs, kelvin, valid=None):
 def task_of(name, examples, texel_m=None, **options):
     return Task(examples, INTENSITY, TEMPERATURE, 3, lambda what, share: None,
                 method(name).options | options, texel_m)  # fmt: skip
+
+
+def tables(extra, inputs, window=None):
+    """[((rows, columns) slices, (columns, h, w))] of the tiles of a picture."""
+    found = []
+    for here, planes in extra.planes(inputs, window):
+        shape = [part.stop - part.start for part in here]
+        found.append((here, np.stack([np.broadcast_to(plane, shape) for plane in planes])))
+    return found
 
 
 def through_a_file(predictor, folder, name="m"):
@@ -118,10 +131,10 @@ def test_a_picture_is_resampled_to_the_maps_texel_and_back():
 def test_tiles_together_equal_the_picture(monkeypatch):
     inputs = Inputs(picture(4, 150, 170), 0.5, {"sky": np.random.default_rng(0).random((150, 170))}, {"air_k": 290.0})
     extra = rows.ExtraInputs.of(inputs)
-    ((_, whole),) = extra.tiles(inputs)
+    ((_, whole),) = tables(extra, inputs)
     assert whole.shape == (len(extra.columns), 150, 170)
     monkeypatch.setattr(rows, "_TILE", 64)
-    parts = list(extra.tiles(inputs))
+    parts = tables(extra, inputs)
     assert len(parts) == 9
     for (down, across), part in parts:
         np.testing.assert_allclose(part, whole[:, down, across], atol=2e-3)
@@ -132,12 +145,12 @@ def test_rows_are_drawn_evenly_from_valid_pixels():
     valid[10:20] = True
     kelvin = 280.0 + np.arange(48.0)[:, None] + np.zeros(64)
     examples = [example(Inputs(picture(k)), kelvin, valid if k else None) for k in range(3)]
-    found = list(rows.drawn(task_of("trees", examples), rows.ExtraInputs(), 500))
+    found = list(drawn_pixels.drawn(task_of("trees", examples), rows.ExtraInputs(), 500))
     assert [each.pixels.size for each in found] == [500, 500, 500]
     assert valid.ravel()[found[1].pixels].all()
     for each in found:
         np.testing.assert_allclose(each.target, each.pixels // 64 / 20.0)
-    again = list(rows.drawn(task_of("trees", examples), rows.ExtraInputs(), 500))
+    again = list(drawn_pixels.drawn(task_of("trees", examples), rows.ExtraInputs(), 500))
     assert all((one.pixels == other.pixels).all() for one, other in zip(found, again, strict=True))
     nothing = [replace(one, valid=np.zeros((48, 64), bool)) for one in examples]
     for name in ("trees", "palette"):
@@ -153,7 +166,7 @@ def test_features_of_a_part_of_a_large_picture_equal_those_of_the_whole():
     large = example(Inputs(rgb), np.full((420, 600), 290.0), valid)
     seen = set()
     for seed in range(8):
-        (found,) = rows.drawn(replace(task_of("trees", [large]), seed=seed), rows.ExtraInputs(), 200)
+        (found,) = drawn_pixels.drawn(replace(task_of("trees", [large]), seed=seed), rows.ExtraInputs(), 200)
         top, bottom, left, right = found.window
         assert bottom - top == right - left == 256 and top >= 0 and bottom <= 420 and left >= 0 and right <= 600
         row, column = np.divmod(found.pixels, 600)
@@ -162,8 +175,8 @@ def test_features_of_a_part_of_a_large_picture_equal_those_of_the_whole():
         seen.add(found.window)
     assert len(seen) > 4
     extra = rows.ExtraInputs()
-    ((_, whole),) = extra.tiles(Inputs(rgb))
-    ((where, part),) = extra.tiles(Inputs(rgb), found.window)
+    ((_, whole),) = tables(extra, Inputs(rgb))
+    ((where, part),) = tables(extra, Inputs(rgb), found.window)
     assert where == (slice(top, bottom), slice(left, right))
     np.testing.assert_allclose(part, whole[:, top:bottom, left:right], atol=2e-3)
 
@@ -172,7 +185,7 @@ def test_training_resamples_pictures_to_the_maps_texel():
     rgb = picture(5)
     kelvin = 280.0 + np.arange(48.0)[:, None] + np.zeros(64)
     fine = example(Inputs(rgb.repeat(2, axis=0).repeat(2, axis=1), 0.25), kelvin.repeat(2, axis=0).repeat(2, axis=1))
-    (found,) = rows.drawn(task_of("trees", [fine], 0.5), rows.ExtraInputs(), 10**6)
+    (found,) = drawn_pixels.drawn(task_of("trees", [fine], 0.5), rows.ExtraInputs(), 10**6)
     np.testing.assert_array_equal(found.inputs.rgb, rgb)
     np.testing.assert_allclose(found.target, INTENSITY[np.rint(100.0 * kelvin.ravel()).astype(int)])
 
@@ -240,7 +253,7 @@ def test_palette_refuses_options(option, value):
 
 def test_trees_learn_a_step_and_survive_their_file(tmp_path):
     examples = [example(Inputs(rgb), np.where(rgb[..., 1] > 120, 296.0, 284.0)) for rgb in map(picture, range(10))]
-    model = trees.fit_trees(task_of("trees", examples))
+    model = fit_trees(task_of("trees", examples))
     assert model.needs == () and not model.above_air
     unseen = picture(99)
     found = model.predict(Inputs(unseen), 0.5)
@@ -249,16 +262,15 @@ def test_trees_learn_a_step_and_survive_their_file(tmp_path):
     assert np.abs(found - expected).mean() < 0.03
     again = through_a_file(model, tmp_path)
     np.testing.assert_array_equal(again.predictor.predict(Inputs(unseen), 0.5), found)
-    assert sum(model.importances().values()) == pytest.approx(1.0)
 
 
 def test_trees_do_not_depend_on_how_many_threads_grow_them(monkeypatch):
     examples = [example(Inputs(rgb), 280.0 + rgb[..., 0] / 20.0) for rgb in map(picture, range(9))]
-    monkeypatch.setattr(trees, "_MOST_TREES", 20)
+    monkeypatch.setattr(trees_training, "_MOST_TREES", 20)
     found = []
     for threads in (1, 3):
-        monkeypatch.setitem(trees._SETTINGS, "num_threads", threads)
-        found.append(trees.fit_trees(task_of("trees", examples)).predict(Inputs(picture(50)), None))
+        monkeypatch.setitem(trees_training._SETTINGS, "num_threads", threads)
+        found.append(fit_trees(task_of("trees", examples)).predict(Inputs(picture(50)), None))
     np.testing.assert_array_equal(*found)
 
 
@@ -275,7 +287,7 @@ def above_air(seed, air):
 
 def test_trees_with_relief_give_kelvin_above_the_air(tmp_path):
     examples = [above_air(seed, 270.0 + 5.0 * seed) for seed in range(6)]
-    model = trees.fit_trees(task_of("trees+", examples))
+    model = fit_trees(task_of("trees+", examples))
     assert model.needs == ("terrain", "conditions") and model.above_air
     assert model.extra == rows.ExtraInputs(("material", "sunlight"), ("air_k", "wind_m_s"))
     # LightGBM's name for splits by sets of classes.
@@ -292,26 +304,42 @@ def test_trees_with_relief_give_kelvin_above_the_air(tmp_path):
         model.predict(replace(other.inputs, terrain={"material": other.inputs.terrain["material"]}), None)
 
 
+def thresholds_of(node, column):
+    """Thresholds of a column in a tree, as LightGBM lists it."""
+    if "split_feature" not in node:
+        return []
+    own = [node["threshold"]] if node["split_feature"] == column else []
+    return own + [each for side in ("left_child", "right_child") for each in thresholds_of(node[side], column)]
+
+
 @pytest.mark.parametrize("missing", [False, True], ids=["all known in training", "some unknown in training"])
 def test_trees_are_evaluated_as_lightgbm_does(missing, monkeypatch):
-    """To rounding, also on a threshold, on planes with NaN, in blocks, and where every pixel has the same leaf."""
+    """To rounding: on thresholds, with NaN, by known and other classes, in blocks, and where all have the same leaf."""
+    import lightgbm
+
     generator = np.random.default_rng(3)
 
     def conditional(seed):
         terrain = {"slope": generator.normal(size=(48, 64)).astype(np.float32).round(1),
+                   "material": generator.integers(0, 70, (48, 64)).astype(np.float32),
                    "view": generator.random((48, 64)).astype(np.float32)}  # fmt: skip
         if missing:
             terrain["slope"][generator.random((48, 64)) < 0.2] = np.nan
         return Inputs(picture(seed), None, terrain, {"wind_m_s": float(seed)})
 
-    monkeypatch.setattr(trees, "_MOST_TREES", 20)
+    monkeypatch.setattr(trees_training, "_MOST_TREES", 20)
     made = [conditional(seed) for seed in range(9)]
-    true = [290.0 + np.nan_to_num(one.terrain["slope"], nan=4.0) + one.rgb[..., 0] / 50.0 for one in made]
-    model = trees.fit_trees(task_of("trees+", [example(*one) for one in zip(made, true, strict=True)]))
+    true = [290.0 + np.nan_to_num(one.terrain["slope"], nan=4.0) + one.rgb[..., 0] / 50.0
+            + one.terrain["material"] % 7 for one in made]  # fmt: skip
+    model = fit_trees(task_of("trees+", [example(*one) for one in zip(made, true, strict=True)]))
     slope = model.extra.columns.index("slope")
-    splits = (split for columns, limits, *_ in model._forest._trees for split in zip(columns, limits, strict=True))
+    booster = lightgbm.Booster(model_str=model.text)
+    trees_of = [each["tree_structure"] for each in booster.dump_model()["tree_info"]]
+    limits = [limit for tree in trees_of for limit in thresholds_of(tree, slope)]
     # LightGBM takes numbers below 1e-35 as 0.
-    thresholds = np.float32([limit for column, limit in splits if column == slope and abs(limit) > 1e-30][:99])
+    thresholds = np.float32([limit for limit in limits if abs(limit) > 1e-30][:99])
+    by_class = [limit for tree in trees_of for limit in thresholds_of(tree, model.extra.columns.index("material"))]
+    assert max(map(len, by_class)) > 9
     assert thresholds.size > 9
     other = conditional(20)
     # Thresholds themselves, and their neighbours in single precision.
@@ -320,50 +348,54 @@ def test_trees_are_evaluated_as_lightgbm_does(missing, monkeypatch):
     flat[: 3 * len(thresholds)] = np.concatenate([thresholds, *beside])
     other.terrain["slope"][20:22, :32] = np.nan
     other.terrain["view"][:, :40] = 0.5
-    ((_, table),) = model.extra.tiles(other)
-    wanted = model._booster.predict(table.reshape(len(table), -1).T).reshape(48, 64)
+    other.terrain["material"][:4] = np.array([np.nan, -1.0, 71.0, 1e6])[:, None]
+    ((_, table),) = tables(model.extra, other)
+    wanted = booster.predict(table.reshape(len(table), -1).T).reshape(48, 64)
+    wanted += model.begin.of_values(dict(zip(model.extra.columns, table, strict=True))) if model.begin else 0.0
     for side in (256, 20):
         monkeypatch.setattr(trees, "_BLOCK", side)
         np.testing.assert_allclose(model.predict(other, None), wanted, rtol=0.0, atol=1e-12)
 
 
-def test_trees_of_other_kinds_are_left_to_lightgbm(monkeypatch):
-    """Splits by class, another treatment of missing values, and texts that this package does not write."""
-    monkeypatch.setattr(trees, "_MOST_TREES", 2)
-    plain = trees.fit_trees(task_of("trees", [example(Inputs(picture(0)), 280.0 + picture(0)[..., 0] / 20.0)]))
-    assert plain._forest is not None
+def test_trees_of_other_kinds_are_refused(monkeypatch, tmp_path):
+    """Another treatment of missing values, and texts that training does not write."""
+    monkeypatch.setattr(trees_training, "_MOST_TREES", 2)
+    plain = fit_trees(task_of("trees", [example(Inputs(picture(0)), 280.0 + picture(0)[..., 0] / 20.0)]))
+    through_a_file(plain, tmp_path)
     changes = {"objective=regression_l1": "objective=binary sigmoid:1", "\nis_linear=0": "\nis_linear=1",
                "tree\nversion": "tree\naverage_output\nversion", "num_class=1\n": "num_class=2\n",
-               "decision_type=2": "decision_type=1", "\ndecision_type=2": "\ndecision_type=6"}  # fmt: skip
+               "decision_type=2": "decision_type=1", "\ndecision_type=2": "\ndecision_type=6",
+               "\nleft_child=": "\nleft_child=0 ", "\nleaf_value=": "\nleaf_value=nan ",
+               "\nsplit_feature=": "\nsplit_feature=99999 ", "max_feature_idx=": "max_feature_idx=1"}  # fmt: skip
     for before, after in changes.items():
-        assert before in plain.text and replace(plain, text=plain.text.replace(before, after))._forest is None
+        assert before in plain.text
+        with pytest.raises(ThermorenderError, match=r"is not a learned map of format 1 \(.*\); make one with"):
+            through_a_file(replace(plain, text=plain.text.replace(before, after)), tmp_path)
 
 
 def test_whole_runs_are_held_out():
-    held = trees.held_out(1600)
+    held = trees_training.held_out(1600)
     assert held.sum() == 200
     starts = np.flatnonzero(np.diff(held.astype(int)) == 1)
     np.testing.assert_array_equal(np.diff(starts), 320)
     assert held[280:320].all() and not held[:280].any()
-    assert not trees.held_out(7).any() and trees.held_out(8).sum() == 1
+    assert not trees_training.held_out(7).any() and trees_training.held_out(8).sum() == 1
 
 
-def test_without_lightgbm_the_error_is_one_sentence(monkeypatch, tmp_path):
+def test_training_needs_lightgbm_and_applying_does_not(monkeypatch, tmp_path):
     task = task_of("trees", [example(Inputs(picture(0)), 280.0 + picture(0)[..., 0] / 20.0)])
-    through_a_file(trees.fit_trees(task), tmp_path)
+    model = fit_trees(task)
     monkeypatch.setitem(sys.modules, "lightgbm", None)
-    for needs_it in (lambda: trees.fit_trees(task), lambda: load_map(tmp_path / "m.npz")):
-        with pytest.raises(ThermorenderError, match=r"need LightGBM; install .*`pip install 'thermorender\[maps\]'`"):
-            needs_it()
+    with pytest.raises(ThermorenderError, match=r"needs LightGBM; install .*`pip install 'thermorender\[maps\]'`"):
+        fit_trees(task)
+    again = through_a_file(model, tmp_path).predictor
+    assert np.ptp(again.predict(Inputs(picture(0)), None)) > 0.1
 
 
 def test_files_that_are_not_such_maps_are_refused(tmp_path):
-    import lightgbm
-
     examples = [example(Inputs(picture(0)), 280.0 + picture(0)[..., 0] / 20.0)]
-    grown = trees.fit_trees(task_of("trees", examples))
-    assert lightgbm.Booster(model_str=grown.text).num_trees() > 0
-    colours = palette.fit_palette(task_of("palette", examples))
+    grown = fit_trees(task_of("trees", examples))
+    colours = fit_palette(task_of("palette", examples))
     narrow = linear.Linear(rows.ExtraInputs(), np.zeros(5), 0.0)
     for bad in (replace(grown, text="tree\nno"), replace(grown, extra=rows.ExtraInputs(("slope",))),
                 replace(colours, cell=24.0), narrow):  # fmt: skip
@@ -413,7 +445,7 @@ def test_linear_finds_known_coefficients(tmp_path):
     for inputs, kelvin in made:
         inputs.terrain["sky_view"][:10] = inputs.terrain["sunlight"][:10] = np.nan
         kelvin[:10] = (inputs.conditions["air_k"] + above_the_air(inputs))[:10]
-    model = linear.fit_linear(task_of("correlation+", [example(*one) for one in made], penalty=0.0))
+    model = fit_linear(task_of("correlation+", [example(*one) for one in made], penalty=0.0))
     names = linear.names_of_columns(model.extra)
     found = dict(zip(names, model.weight, strict=True))
     # Sky view and hidden sky carry the same information except at the terrain's edge, and share a coefficient.
@@ -433,10 +465,10 @@ def test_linear_is_ridge_regression(monkeypatch):
     from sklearn.linear_model import Ridge
 
     # All pixels, not a sample.
-    monkeypatch.setattr(linear, "_MOST_ROWS", 48 * 64)
+    monkeypatch.setattr(linear_training, "_MOST_ROWS", 48 * 64)
     generator = np.random.default_rng(1)
     made = [linear_example(seed, 275.0 + 4.0 * seed, generator) for seed in range(5)]
-    model = linear.fit_linear(task_of("correlation+", [example(*one) for one in made], penalty=0.1))
+    model = fit_linear(task_of("correlation+", [example(*one) for one in made], penalty=0.1))
     table, size = [], 48 * 64
     for inputs, _ in made:
         values = {**dict(zip("Lab", features.lab(inputs.rgb).reshape(-1, 3).T, strict=True)), **inputs.conditions,
@@ -451,7 +483,7 @@ def test_linear_is_ridge_regression(monkeypatch):
     assert model.offset + model.weight @ mean == pytest.approx(other.intercept_, abs=1e-6)
 
 
-@pytest.mark.parametrize("fit", [linear.fit_linear, trees.fit_trees])
+@pytest.mark.parametrize("fit", [fit_linear, fit_trees])
 def test_inputs_that_hardly_varied_have_little_effect_far_outside_their_range(fit):
     """Training has one hour's weather with 1 K of noise between pictures, and a plain; the test asks for others."""
     generator = np.random.default_rng(4)
@@ -465,7 +497,7 @@ def test_inputs_that_hardly_varied_have_little_effect_far_outside_their_range(fi
 
     made = [conditional(seed) for seed in range(9)]
     kelvin = [one.conditions["air_k"] + 10.0 * one.rgb[..., 0] / 255.0 + generator.normal() for one in made]
-    name = "correlation+" if fit is linear.fit_linear else "trees+"
+    name = "correlation+" if fit is fit_linear else "trees+"
     model = fit(task_of(name, [example(*one) for one in zip(made, kelvin, strict=True)]))
     found = model.predict(conditional(20, hot=1.0), None)
     # The training data are between 0 and 10 K, plus or minus the noise.
@@ -484,7 +516,7 @@ def test_linear_ignores_conditions_it_was_not_trained_with():
 def test_linear_leaves_out_constant_columns_and_classes():
     inputs, kelvin = linear_example(0, 290.0, np.random.default_rng(2))
     inputs.terrain["material"] = np.ones((48, 64), np.uint8)
-    model = linear.fit_linear(task_of("correlation+", [example(inputs, kelvin)]))
+    model = fit_linear(task_of("correlation+", [example(inputs, kelvin)]))
     assert model.extra.terrain == ("sky_view", "sunlight")
     assert (model.weight[-2:] == 0.0).all()
 
@@ -492,6 +524,6 @@ def test_linear_leaves_out_constant_columns_and_classes():
 def test_linear_refuses_unusable_inputs():
     inputs, kelvin = linear_example(0, 290.0, np.random.default_rng(3))
     with pytest.raises(ThermorenderError, match="penalty=-1 is not allowed; give 0 or more"):
-        linear.fit_linear(task_of("correlation+", [example(inputs, kelvin)], penalty=-1))
+        fit_linear(task_of("correlation+", [example(inputs, kelvin)], penalty=-1))
     with pytest.raises(ThermorenderError, match="lack the condition air_k"):
-        linear.fit_linear(task_of("correlation+", [example(replace(inputs, conditions={"wind_m_s": 1.0}), kelvin)]))
+        fit_linear(task_of("correlation+", [example(replace(inputs, conditions={"wind_m_s": 1.0}), kelvin)]))

@@ -215,19 +215,18 @@ def images(folder):
 
 
 @cache
-def learner():
-    """Return a Learner with a narrow network."""
+def nets():
+    """Return a narrow network by name."""
     from tests.robustness.maps import trained
-    from thermorender.apps.training.networks.loop import _Applied
 
-    return _Applied(trained("compact").predictor.net)
+    return {"net": trained("compact").predictor.net}
 
 
 def write_checkpoint(path):
-    """Write the state of that Learner."""
+    """Write the state of that network."""
     from thermorender.apps.training.networks import checkpoint
 
-    checkpoint.save(path, learner(), {"crops": 1})
+    checkpoint.save(path, nets(), {"crops": 1})
 
 
 @cache

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from tests.robustness.cases import Found, case
+from thermorender.apps.training.task import Example, Task
 from thermorender.defaults import BAND_UM, TEMPERATURE_MAPS
 from thermorender.learned.correlation import PUBLISHED_9TO1
 from thermorender.learned.temperature_map import Inputs, TemperatureMap, load_model
-from thermorender.learned.training import Example, Task
 from thermorender.physics.planck import brightness_temperature
 
 COLOURS = {"black": (0, 0, 0), "white": (255, 255, 255), "grey": (128, 128, 128), "saturated magenta": (255, 0, 255),

@@ -164,6 +164,6 @@ def test_a_checkpoint_with_a_changed_number_is_refused(tmp_path):
         changed[place] ^= 0x40
         path.write_bytes(changed)
         with pytest.raises(ThermorenderError, match=r"is not a checkpoint of this training .its bytes are not those"):
-            checkpoint.load(path, crash_targets.learner())
+            checkpoint.load(path, crash_targets.nets())
     path.write_bytes(whole)
-    assert checkpoint.load(path, crash_targets.learner()) == {"crops": 1}
+    assert checkpoint.load(path, crash_targets.nets()) == {"crops": 1}

@@ -14,7 +14,7 @@ from thermorender.versions import version_of, versions
 
 # Packages of extras, with the extra and what needs it.
 OPTIONAL = (
-    ("lightgbm", "maps", "learned maps of trees"),
+    ("lightgbm", "maps", "training of maps of trees"),
     ("torch", "networks", "learned maps that are networks"),
     ("pyulog", "logs", "PX4 logs in ULog"),
     ("pymavlink", "logs", "ArduPilot logs"),

@@ -47,30 +47,23 @@ class Correlation:
         Notes
         -----
         Cross-correlation centred on the pixel. Edge pixels are repeated at the border, so the outermost ring, which the
-        published method leaves out (see `inner`), is extrapolated. For an image at another ground sampling distance
-        than `texel_m`, the kernel's taps are spaced accordingly.
+        published method leaves out, is extrapolated. For an image at another ground sampling distance than `texel_m`,
+        the kernel's taps are spaced accordingly.
         """
         import cv2
 
         image = inputs.rgb.astype(np.float64) / 255.0
         kernel = self.kernel if inputs.texel_m is None else self._kernel_at(texel_m / inputs.texel_m)
-        return self.intercept + sum(
+        found = [
             cv2.filter2D(image[..., c], cv2.CV_64F, kernel[..., c], borderType=cv2.BORDER_REPLICATE) for c in range(3)
-        )
-
-    def inner(self, image: np.ndarray, spacing: float = 1.0) -> np.ndarray:
-        """Return an image without the border that the published method leaves out: (h − k + 1, w − k + 1).
-
-        `spacing` is as for `reach`.
-        """
-        ring = self.reach(spacing)
-        return image[ring : image.shape[0] - ring, ring : image.shape[1] - ring]
+        ]
+        return np.asarray(self.intercept + sum(found))
 
     def reach(self, spacing: float = 1.0) -> int:
         """Return the radius of the neighbourhood [pixels], with taps `spacing` pixels apart."""
         return math.ceil(len(self.kernel) // 2 * spacing + 0.5 * max(spacing - 1.0, 0.0) + 1.0) - 1
 
-    def _kernel_at(self, spacing):
+    def _kernel_at(self, spacing: float) -> np.ndarray:
         """Kernel with taps `spacing` texels apart: bilinear between texels, averaged over a tap's area."""
         size = len(self.kernel)
         radius = int(np.ceil(size / 2 * spacing + 1))

@@ -55,11 +55,8 @@ def blurred(image: np.ndarray, window: float) -> np.ndarray:
 def structure(lightness: np.ndarray, window: float) -> tuple[np.ndarray, np.ndarray]:
     """Return (gradient, coherence), (h, w) float32, of lightness, (h, w) float32, within a Gaussian window [pixels].
 
-    Gradient is log(1 + root mean square [per pixel]); coherence is from 0, no direction, to 1, a single one.
-
-    Notes
-    -----
-    Sum of the structure tensor's eigenvalues, and their difference over the sum. Förstner & Gülch 1987, "A fast
+    Gradient is log(1 + root mean square [per pixel]); coherence is from 0, no direction, to 1, a single one. They are
+    the sum of the structure tensor's eigenvalues, and their difference over the sum. Förstner & Gülch 1987, "A fast
     operator for detection and precise location of distinct points, corners and centres of circular features".
     """
     import cv2
@@ -79,7 +76,7 @@ def whole_picture(rgb: np.ndarray) -> np.ndarray:
     image = lab(rgb[::every, ::every]).reshape(-1, 3)
     low, middle, high = np.percentile(image, (16.0, 50.0, 84.0), axis=0)
     dark, bright = np.mean(image[:, 0] < _DARK), np.mean(image[:, 0] > _BRIGHT)
-    return np.float32([*middle, *(0.5 * (high - low)), dark, bright])
+    return np.array([*middle, *(0.5 * (high - low)), dark, bright], np.float32)
 
 
 def features(rgb: np.ndarray, whole: np.ndarray) -> np.ndarray:
@@ -91,17 +88,13 @@ def features(rgb: np.ndarray, whole: np.ndarray) -> np.ndarray:
 
 
 def feature_planes(rgb: np.ndarray, whole: np.ndarray) -> list[np.ndarray]:
-    """Return the features of each pixel, one (h, w) float32 each, and one number for each of the whole picture.
+    """Return the features of each pixel of a part of a picture, (h, w) float32 each, or () for those of the whole.
 
-    Parameters
-    ----------
-    rgb : (h, w, 3) uint8
-        sRGB, at the map's ground sampling distance; edges are repeated outwards.
-    whole : (len(WHOLE),) float32
-        Statistics of the picture that contains this part, as by `whole_picture`.
+    `rgb` is (h, w, 3) uint8 at the map's ground sampling distance, with edges repeated outwards. `whole` are statistics
+    of the picture that contains it, as by `whole_picture`.
     """
     # Centred, because the variance is a difference of squares in single precision.
-    centre = np.float32((50.0, 0.0, 0.0))
+    centre = np.array((50.0, 0.0, 0.0), np.float32)
     image = lab(rgb) - centre
     means, spreads = {}, []
     for window in WINDOWS:
@@ -115,5 +108,5 @@ def feature_planes(rgb: np.ndarray, whole: np.ndarray) -> list[np.ndarray]:
         *(np.log1p(np.sqrt(spread)) for spread in spreads),
         *(image[..., 0] - means[window][..., 0] for window in _CONTRAST_WINDOWS),
         *(plane for window in _GRADIENT_WINDOWS for plane in structure(image[..., 0], window)),
-        *whole,
+        *map(np.asarray, whole),
     ]

@@ -119,6 +119,7 @@ def agreements(known: Fingerprints, pictures: Sequence[NDArray[np.uint8]]) -> ND
 
 
 def _groups(pictures: Iterable[NDArray[np.uint8]]) -> Iterator[list[NDArray[np.uint8]]]:
+    """Yield pictures in groups that are compared at once."""
     group: list[NDArray[np.uint8]] = []
     for rgb in pictures:
         group.append(rgb)
@@ -144,25 +145,25 @@ def _fingerprint(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.concatenate([[rows, columns], bits, np.zeros(BYTES - 2 - bits.size)]).astype(np.uint8)
 
 
-def _around(cells):
+def _around(cells: np.ndarray) -> np.ndarray:
     """Mean of a cell's surroundings, with the cell."""
     import cv2
 
     return cv2.GaussianBlur(cells, (0, 0), _AROUND, borderType=cv2.BORDER_REFLECT_101)
 
 
-def _grey(rgb):
+def _grey(rgb: np.ndarray) -> np.ndarray:
     """A picture as a grey one of `_SIDE` pixels, float32."""
     import cv2
 
-    grey = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2GRAY).astype(np.float32)
+    grey: np.ndarray = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2GRAY).astype(np.float32)
     scale = _SIDE / max(grey.shape)
     size = [max(round(side * scale), 1) for side in grey.shape[::-1]]
     grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR)
     return cv2.GaussianBlur(grey, (0, 0), 1.0)
 
 
-def _grids(greys):
+def _grids(greys: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
     """Differences of cells from their surroundings at each scale, (pictures, shifts, rows, columns) float32 each."""
     import cv2
 
@@ -190,8 +191,8 @@ def _grids(greys):
         yield np.reshape(found, (len(greys), len(_SHIFTS), rows, columns)).astype(np.float32)
 
 
-def _turned(grids):
-    """The grids mirrored and turned, (pictures, variants, rows, columns) for either shape."""
+def _turned(grids: np.ndarray) -> list[np.ndarray]:
+    """Grids mirrored and turned, (pictures, variants, rows, columns) for either shape."""
     upright = [grids, grids[..., ::-1], grids[..., ::-1, :], grids[..., ::-1, ::-1]]
     across = [each.swapaxes(-1, -2) for each in upright]
     if grids.shape[-2] == grids.shape[-1]:
@@ -199,7 +200,7 @@ def _turned(grids):
     return [np.concatenate(upright, axis=1), np.concatenate(across, axis=1)]
 
 
-def _fields(known):
+def _fields(known: Fingerprints) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """(numbers, cells (n, rows, columns) float32 of ±1) of the fingerprints of each shape."""
     shapes = known.rows[:, :2]
     for rows, columns in np.unique(shapes, axis=0).astype(int):
@@ -210,8 +211,8 @@ def _fields(known):
             yield some, bits.reshape(-1, rows, columns).astype(np.float32) * 2.0 - 1.0
 
 
-def _best(turned, cells):
-    """The best agreement over variants and positions, (pictures, n)."""
+def _best(turned: np.ndarray, cells: np.ndarray) -> np.ndarray | float:
+    """Best agreement over variants and positions, (pictures, n)."""
     rows, columns = turned.shape[-2:]
     around = ((0, 0), (_BEYOND, _BEYOND), (_BEYOND, _BEYOND))
     padded, mask = np.pad(cells, around), np.pad(np.ones_like(cells[:1]), around)
@@ -226,4 +227,4 @@ def _best(turned, cells):
     spread = np.sqrt(inside @ (flat * flat + _FLOOR))
     agreement = (windows @ flat).reshape(len(cells), *spread.shape)
     agreement /= spread
-    return agreement.max(axis=1).reshape(len(cells), len(turned), -1).max(axis=2).T
+    return np.asarray(agreement.max(axis=1).reshape(len(cells), len(turned), -1).max(axis=2).T)

@@ -1,4 +1,4 @@
-"""Table rows for maps that learn from single pixels, at the map's ground sampling distance.
+"""Table rows for maps of single pixels, at the map's ground sampling distance.
 
 A row is a pixel. Its columns are its picture `features`, its relief, and hour and weather, which are the same for all
 pixels of a picture.
@@ -12,7 +12,6 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.learned.features import HALO, NAMES, feature_planes, whole_picture
 from thermorender.learned.temperature_map import Inputs
-from thermorender.learned.training import Task
 
 # A picture is not resampled if its ground sampling distance differs from the map's by less than this share.
 _SAME_TEXEL = 0.1
@@ -20,8 +19,6 @@ _SAME_TEXEL = 0.1
 _MOST_ENLARGED = 2.0
 # Side of the tiles for features of a large picture [pixels].
 _TILE = 768
-# Side of the window of a picture that pixels are drawn from [pixels]; features of a whole one take five times as long.
-_WINDOW = 256
 # The terrain plane that holds class numbers, which have no order.
 CLASSES = "material"
 
@@ -39,12 +36,12 @@ def at_texel(inputs: Inputs, texel_m: float | None) -> Inputs:
     size = [max(1, round(n * ratio)) for n in inputs.rgb.shape[1::-1]]
     rgb = at_shape(inputs.rgb, size[::-1])
     terrain = {
-        name: cv2.resize(np.float32(plane), size, interpolation=cv2.INTER_NEAREST_EXACT)
+        name: cv2.resize(plane.astype(np.float32), size, interpolation=cv2.INTER_NEAREST_EXACT)
         for name, plane in inputs.terrain.items()
     }
     depth = inputs.depth
     if depth is not None:
-        depth = cv2.resize(np.float32(depth), size, interpolation=cv2.INTER_NEAREST_EXACT)
+        depth = cv2.resize(depth.astype(np.float32), size, interpolation=cv2.INTER_NEAREST_EXACT)
     return replace(inputs, rgb=rgb, texel_m=inputs.texel_m / ratio, terrain=terrain, depth=depth)
 
 
@@ -66,7 +63,7 @@ class ExtraInputs:
     terrain: tuple[str, ...] = ()
     conditions: tuple[str, ...] = ()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not all(isinstance(name, str) for name in (*self.terrain, *self.conditions)):
             raise ValueError("one of its inputs has no name")
 
@@ -98,36 +95,20 @@ class ExtraInputs:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the columns of `tiles`."""
+        """Names of the columns of `planes`."""
         return (*NAMES, *self.terrain, *self.conditions)
-
-    def tiles(
-        self, inputs: Inputs, window: tuple[int, int, int, int] | None = None
-    ) -> Iterator[tuple[tuple[slice, slice], np.ndarray]]:
-        """Yield ((rows, columns) slices, (len(columns), h, w) float32) of a picture, as `planes` does."""
-        for here, columns in self.planes(inputs, window):
-            table = np.empty((len(columns), *(part.stop - part.start for part in here)), np.float32)
-            for number, column in enumerate(columns):
-                table[number] = column
-            yield here, table
 
     def planes(
         self, inputs: Inputs, window: tuple[int, int, int, int] | None = None
     ) -> Iterator[tuple[tuple[slice, slice], list[np.ndarray]]]:
-        """Yield ((rows, columns) slices, values of each column) of a picture, tile by tile.
+        """Yield ((rows, columns) slices, values of each column) of a picture at the map's texel, tile by tile.
 
-        The values of a column are (h, w) float32, or one number if it is the same for all pixels of the picture.
-
-        Parameters
-        ----------
-        inputs : Inputs
-            At the map's ground sampling distance.
-        window : (4,) ints, optional
-            First row, end row, first column and end column of the part to describe; the whole by default.
+        The values of a column are (h, w) float32, or () if it is the same for all pixels of the picture. `window` is
+        (first row, end row, first column, end column) of the part to describe; the whole by default.
         """
         self.check(inputs)
         whole = whole_picture(inputs.rgb)
-        conditions = [np.float32(inputs.conditions[name]) for name in self.conditions]
+        conditions = [np.asarray(inputs.conditions[name], np.float32) for name in self.conditions]
         height, width = inputs.rgb.shape[:2]
         first_row, last_row, first_column, last_column = window or (0, height, 0, width)
         for top in range(first_row, last_row, _TILE):
@@ -145,63 +126,3 @@ class ExtraInputs:
                         *conditions,
                     ],
                 )
-
-
-@dataclass(frozen=True, eq=False)
-class Drawn:
-    """Pixels drawn from an example."""
-
-    number: int  # Index of the example
-    inputs: Inputs  # At the map's ground sampling distance
-    # (4,) ints first row, end row, first column and end column of the window that holds them
-    window: tuple[int, int, int, int]
-    pixels: np.ndarray  # (n,) int row times width plus column, ascending
-    target: np.ndarray  # (n,) float64 intensity, or apparent temperature above the air's [K]
-
-
-def drawn(task: Task, extra: ExtraInputs, most: int) -> Iterator[Drawn]:
-    """Yield the Drawn of each example of a Task: `most` pixels of each, or all if it has fewer.
-
-    They are drawn from a window placed at random around one of the picture's valid pixels.
-    """
-    generator = np.random.Generator(np.random.Philox(task.seed))
-    empty = True
-    for number, example in enumerate(task.examples):
-        extra.check(example.inputs)
-        inputs = at_texel(example.inputs, task.texel_m)
-        if extra.above_air:
-            target = task.temperature[example.values] - inputs.conditions["air_k"]
-        else:
-            target = task.intensity[example.values]
-        usable = example.valid & np.isfinite(target)
-        shape = inputs.rgb.shape[:2]
-        if shape != target.shape:
-            # Only pixels that are valid over their whole area.
-            target = at_shape(np.where(usable, target, 0.0), shape)
-            usable = at_shape(usable.astype(np.float32), shape) > 0.999
-        window = _window(usable, generator)
-        inside = np.zeros(shape, bool)
-        inside[window[0] : window[1], window[2] : window[3]] = True
-        pixels = np.flatnonzero(usable & inside)
-        if pixels.size > most:
-            pixels = np.sort(generator.choice(pixels, most, replace=False))
-        empty &= pixels.size == 0
-        yield Drawn(number, inputs, window, pixels, target.ravel()[pixels])
-        task.progress("reading", (number + 1) / len(task.examples))
-    if empty:
-        raise ThermorenderError(
-            f"none of {len(task.examples)} pairs has a valid pixel to learn from; give pairs whose pictures overlap"
-        )
-
-
-def _window(usable, generator):
-    """A random window (first row, end row, first column, end column) around a usable pixel."""
-    within = np.flatnonzero(usable)
-    if not within.size:
-        return 0, 0, 0, 0
-    at = np.divmod(within[generator.integers(within.size)], usable.shape[1])
-    found = []
-    for place, size in zip(at, usable.shape, strict=True):
-        first = int(np.clip(place - generator.integers(_WINDOW), 0, max(size - _WINDOW, 0)))
-        found += [first, min(first + _WINDOW, size)]
-    return tuple(found)

@@ -339,6 +339,20 @@ def _arrays(file: BinaryIO) -> dict[str, np.ndarray]:
 
 def _usable(model: TemperatureMap) -> TemperatureMap:
     """Return a TemperatureMap after checking its values."""
+    _check_numbers(model)
+    for name in ("name", "method", "camera", "source"):
+        if not isinstance(getattr(model, name), str):
+            raise ValueError(f"{name} is not a text")
+    # Files are named after it.
+    if not model.name.isprintable() or set(model.name) & set("/\\") or not model.name.strip(". "):
+        raise ValueError(f"its name {model.name!r} cannot be a file's name")
+    if not (model.trained is None or isinstance(model.trained, dict)) or not isinstance(model.about, dict):
+        raise ValueError("trained or about is not a table")
+    return model
+
+
+def _check_numbers(model: TemperatureMap) -> None:
+    """Raise ValueError if a range does not rise, or a number is not above 0."""
     for name in ("range_k", "band_um", "texel_range_m"):
         value = getattr(model, name)
         if not (isinstance(value, tuple) and len(value) == 2 and all(map(_positive, value))):
@@ -352,15 +366,6 @@ def _usable(model: TemperatureMap) -> TemperatureMap:
             raise ValueError(f"{name} is not a number above 0")
     if model.error_k is not None and not _positive(model.error_k) and model.error_k != 0:
         raise ValueError("error_k is not a number of 0 or more")
-    for name in ("name", "method", "camera", "source"):
-        if not isinstance(getattr(model, name), str):
-            raise ValueError(f"{name} is not a text")
-    # Files are named after it.
-    if not model.name.isprintable() or set(model.name) & set("/\\") or not model.name.strip(". "):
-        raise ValueError(f"its name {model.name!r} cannot be a file's name")
-    if not (model.trained is None or isinstance(model.trained, dict)) or not isinstance(model.about, dict):
-        raise ValueError("trained or about is not a table")
-    return model
 
 
 def _positive(value: object) -> bool:

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from test_evaluation import linear_map
-from test_networks import map_of, network, picture
+from training_support import map_of, network, picture
 
 from thermorender.apps.training.dataset import Entry, ThermalScale
 from thermorender.apps.training.dataset_writer import Writer, packed

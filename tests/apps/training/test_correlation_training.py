@@ -5,11 +5,11 @@ import pytest
 from conftest import shared_data
 
 from thermorender.apps.training.correlation_training import _equations, _Table, fit_correlation
+from thermorender.apps.training.task import Example, Task
 from thermorender.apps.training.training_methods import method
 from thermorender.errors import ThermorenderError
-from thermorender.learned.correlation import PUBLISHED_1TO1, PUBLISHED_9TO1, Correlation
+from thermorender.learned.correlation import PUBLISHED_1TO1, PUBLISHED_9TO1
 from thermorender.learned.temperature_map import Inputs
-from thermorender.learned.training import Example, Task
 from thermorender.paths import data_folder
 from thermorender.scene.parts.orthophoto import read_colour
 
@@ -143,10 +143,3 @@ def test_underdetermined_fits_are_refused():
     for name in ("correlation-4x4", "correlation-17x17", "correlation-3x5"):
         with pytest.raises(ThermorenderError, match="odd N up to 15"):
             method(name)
-
-
-def test_border_as_published():
-    rgb = np.random.default_rng(5).integers(0, 256, (256, 256, 3), dtype=np.uint8)
-    found = PUBLISHED_9TO1.predict(Inputs(rgb), 1.0)
-    assert PUBLISHED_9TO1.inner(found).shape == (254, 254)
-    assert Correlation(PUBLISHED_1TO1.kernel).inner(found).shape == (256, 256)

@@ -8,10 +8,10 @@ import sys
 import tarfile
 import textwrap
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import HERE
 
 from thermorender.apps.training.dataset import Entry, ThermalScale, read_dataset
 from thermorender.apps.training.dataset_writer import Writer, packed
@@ -281,7 +281,7 @@ def test_two_processes_fill_one_folder(tmp_path):
         for number in range(turn, 40, 2):
             writer.shard(f"s{number}", shard_of(f"s{number}", 1))
     """)
-    here = str(tmp_path), str(HERE)
+    here = str(tmp_path), str(Path(__file__).parent)
     both = [
         subprocess.Popen([sys.executable, "-c", script, here[0], str(turn), here[1]], stderr=subprocess.PIPE, text=True)
         for turn in (0, 1)

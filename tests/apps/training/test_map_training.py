@@ -7,9 +7,9 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from training_support import SCALE, SHAPE, colours, counts, write
 
-from thermorender.apps.training.dataset import Entry, ThermalScale, read_dataset
-from thermorender.apps.training.dataset_writer import Writer, packed
+from thermorender.apps.training.dataset import ThermalScale
 from thermorender.apps.training.map_training import train_map
 from thermorender.apps.training.training_methods import METHODS
 from thermorender.errors import ThermorenderError
@@ -18,42 +18,6 @@ from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.readout import radiance_from_counts
 from validation.maps import study as maps
-
-SHAPE = (40, 48)
-PARTS = ("train", "train", "validation", "test")
-# Thermal values are linear in colour: value = 9000 + 8 red − 4 green + 3 blue.
-WEIGHT = np.array([8.0, -4.0, 3.0])
-# 9000 counts are some 40 W m⁻² sr⁻¹.
-SCALE = ThermalScale("radiance", 0.004, 4.0)
-
-
-def colours(seed):
-    """A picture of smooth, saturated colours, (h, w, 3) uint8."""
-    import cv2
-
-    coarse = np.random.default_rng(seed).integers(0, 256, (8, 9, 3), np.uint8)
-    return cv2.resize(coarse, SHAPE[::-1], interpolation=cv2.INTER_LINEAR)
-
-
-def counts(rgb):
-    return 9000.0 + rgb @ WEIGHT
-
-
-def write(folder, scale=SCALE, parts=PARTS, extra=False, change=lambda values, number: values, truth=None, **card):
-    """A data set with thermal values linear in colour; `extra` adds a flat relief, hour and weather."""
-    card = {"name": "linear", "origin": "made", "licence": "CC0", **({"terrain": ["slope"]} if extra else {}), **card}
-    pairs = []
-    for number, part in enumerate(parts):
-        rgb = colours(number)
-        valid = np.ones(SHAPE, bool)
-        valid[:2] = False
-        values = change(np.rint(counts(rgb)), number).astype(np.uint8 if scale.unit == "intensity" else np.uint16)
-        planes = {"slope": np.zeros(SHAPE, np.float32), **(truth(number) if truth else {})} if extra or truth else None
-        known = {"air_k": 280.0 + number, "solar_hour": 6.0 + number} if extra else {}
-        entry = Entry(f"s{number}-0", part, f"s{number}-0", f"s{number}", 0, SHAPE, 0.2, None, None, 240.0, known)
-        pairs.append((entry, packed(rgb, values, valid, planes)))
-    Writer(folder, card, scale).shard("all", pairs)
-    return read_dataset(folder)
 
 
 def test_linear_relation_is_learned(tmp_path):

@@ -14,23 +14,20 @@ import pytest
 import torch
 from conftest import slow
 from safetensors.torch import load_file
-from test_map_training import write
-from test_networks import example, kelvin, picture, task_of
+from training_support import SMALL, example, examples, kelvin, picture, task_of, write
 
 from thermorender.apps.training.map_training import train_map
-from thermorender.apps.training.networks import checkpoint, loop
+from thermorender.apps.training.networks import checkpoint, coarse, loop
+from thermorender.apps.training.networks.crops import Crops
 from thermorender.apps.training.networks.loop import train_network
 from thermorender.apps.training.networks.runs import cut_log, read_log
 from thermorender.apps.training.training_methods import method
 from thermorender.errors import ThermorenderError
-from thermorender.learned.networks.crops import Crops
 from thermorender.learned.networks.predictor import Network
 from thermorender.learned.networks.recipes import RECIPES
 from thermorender.learned.temperature_map import Inputs
 
 TESTS = Path(__file__).resolve().parents[2]
-# A training that takes a few seconds.
-SMALL = {"width": 4, "batch": 4, "crops": 48, "every": 12}
 MORE = {"crops": 72, "every": 24}
 
 
@@ -41,10 +38,6 @@ def _one_thread():
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
-
-
-def examples(count=20, conditional=False):
-    return [example(seed, conditional=conditional) for seed in range(count)]
 
 
 def losses(folder):
@@ -209,8 +202,10 @@ def test_a_training_killed_at_any_moment_and_resumed_is_the_same(tmp_path):
     """A process is killed at random moments and resumed until it ends: nothing is lost and nothing is doubled."""
     # Every step waits, so that a fast machine does not finish before it is killed.
     program = (
-        "import sys, torch; torch.set_num_threads(1); sys.path.insert(0, sys.argv[1]);"
-        "from test_network_training import *;"
+        "import sys, time, torch; torch.set_num_threads(1); sys.path.insert(0, sys.argv[1]);"
+        "from thermorender.apps.training.networks.loop import train_network;"
+        "from training_support import SMALL, examples, task_of;"
+        f"MORE = {MORE!r};"
         "slow = lambda what, share: time.sleep(0.05);"
         "task = task_of('compact', examples(), sys.argv[2], resume=True, progress=slow, **SMALL | MORE);"
         "train_network(task, 'compact')"
@@ -263,7 +258,8 @@ def test_two_processes_have_the_losses_of_one(tmp_path):
     program = tmp_path / "p.py"
     program.write_text(
         f"import sys; sys.path.insert(0, {str(TESTS)!r}); import torch; torch.set_num_threads(1)\n"
-        "from test_network_training import *\n"
+        "from thermorender.apps.training.networks.loop import train_network\n"
+        "from training_support import SMALL, examples, task_of\n"
         f"task = task_of('compact', examples(), {str(tmp_path / 'two')!r}, **SMALL | {{'batch': 2}})\n"
         "train_network(task, 'compact')\n",
         encoding="utf-8",
@@ -368,9 +364,7 @@ def test_impossible_trainings_are_refused(tmp_path, name, options, words):
 
 def test_nan_does_not_count_as_an_error_of_zero(tmp_path, monkeypatch):
     """A network whose output is NaN has exploded; validation pairs without a valid pixel are refused."""
-    from thermorender.learned.networks.learners import Regression
-
-    monkeypatch.setattr(Regression, "predict", staticmethod(lambda net, planes: net(planes).float() * np.nan))
+    monkeypatch.setattr(loop, "predicted", lambda recipe, net, planes: net(planes).float() * np.nan)
     with pytest.raises(ThermorenderError, match="training exploded at crop 4"):
         train_network(task_of("unet", examples(), tmp_path / "r", width=4, batch=2, crops=8, every=4), "unet")
     monkeypatch.undo()
@@ -441,6 +435,42 @@ def test_a_folder_in_use_is_refused(tmp_path):
     (tmp_path / "r").mkdir()
     with files.in_use(tmp_path / "r"), pytest.raises(ThermorenderError, match="is being written by another process"):
         train_network(task_of("compact", examples(11), tmp_path / "r", **SMALL), "compact")
+
+
+# --- coarse weights --------------------------------------------------------------------------------------------
+
+
+def weights(*shape, seed=0):
+    return np.random.default_rng(seed).normal(size=shape).astype(np.float32)
+
+
+def test_steps_are_as_coarse_as_the_sensitivity_of_the_output_allows():
+    state = {"strong": weights(64, 64), "weak": weights(64, 64, seed=1), "small": weights(9, seed=2)}
+    pictures = weights(64, 500, seed=3)
+
+    def give(state):
+        return state["strong"] @ pictures + 0.01 * state["weak"] @ pictures
+
+    steps, shift = coarse.coarsest_steps(state, give, 0.1)
+    rounded = state | {name: np.rint(state[name] / step) * step for name, step in steps.items()}
+    change = give(rounded) - give(state)
+    assert shift == pytest.approx(change.mean(), rel=1e-6) and 0.08 < np.abs(change - shift).mean() <= 0.1
+    assert set(steps) == {"strong", "weak"} and steps["weak"] > 20.0 * steps["strong"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["compact", "pix2pix"])
+def test_a_network_is_kept_as_coarse_as_the_tolerance_allows(name, tmp_path, monkeypatch):
+    # So narrow a network has no large tensors.
+    monkeypatch.setattr(coarse, "_LEAST_SIZE", 50)
+    halves = train_network(task_of(name, examples(), tmp_path / "r", **SMALL), name)
+    narrow = train_network(task_of(name, examples(), tmp_path / "s", **SMALL, tolerance_mk=50.0), name)
+    assert halves.trained["kept_mk"] < 10.0 < narrow.trained["kept_mk"] < 75.0
+    size = {each: sum(values.nbytes for values in each.arrays().values()) for each in (halves, narrow)}
+    assert size[narrow] < 0.7 * size[halves]
+    again = Network.of(narrow.header(), narrow.arrays())
+    assert again.header() == narrow.header()
+    assert all(np.array_equal(values, narrow.arrays()[key]) for key, values in again.arrays().items())
 
 
 # --- command line -----------------------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from conftest import shared_data
-from test_registration import TRUE, pair
+from training_support import TRUE, pair
 
 from thermorender.apps.training import bounds, pictures
 from thermorender.apps.training.cut import Cut, moved, piece

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import shared_data
+from training_support import TRUE, land, pair, position
 
 from thermorender.apps.training.registration import alignment, levels
 from thermorender.apps.training.registration import fit as registration
@@ -13,57 +14,10 @@ from thermorender.apps.training.registration.gradient_directions import directio
 from thermorender.apps.training.registration.rig import Rig, load_rig, parameters_of, save_rig, warped, write_overlay
 from thermorender.errors import ThermorenderError
 
-TRUE = Rig((300, 400), (96, 128), scale=2.2, rotation_deg=1.7, shift_px=(9.0, -6.0), k1=-0.06)
 # Square pixels with the two pictures' scale, rounded like published values.
 FIELDS = (
     tuple(2.0 * np.degrees(np.arctan([200 / 500, 150 / 500]))), tuple(2.0 * np.degrees(np.arctan([64 / 220, 48 / 220])))
 )  # fmt: skip
-
-
-def land(rng, shape):
-    """Patches on variation at all scales, like an orthophoto, (h, w) float32 within 0…1."""
-    import cv2
-
-    height, width = shape
-    image = np.zeros(shape, np.float32)
-    for cells in (4, 8, 16, 32, 64):
-        noise = rng.standard_normal((cells, cells)).astype(np.float32)
-        image += cv2.resize(noise, (width, height), interpolation=cv2.INTER_CUBIC) / np.sqrt(cells)
-    for _ in range(50):
-        middle, size = rng.uniform(0, width, 2).tolist(), rng.uniform(15, 50, 2).tolist()
-        corners = cv2.boxPoints((middle, size, rng.uniform(0, 180)))
-        cv2.fillPoly(image, [corners.astype(np.int32)], float(rng.standard_normal()))
-    image = cv2.GaussianBlur(image, (0, 0), 1.0)
-    return (image - image.min()) / np.ptp(image)
-
-
-def pair(seed, rig=TRUE, moved=(0.0, 0.0)):
-    """(visible, thermal) of a land: warm places are bright in some parts and dark in others."""
-    import cv2
-
-    rng = np.random.default_rng(seed)
-    ground = land(rng, rig.visible_shape)
-    visible = np.stack([ground, ground**1.5, 0.5 * ground + 0.2], axis=-1)
-    warmth = np.sin(6.0 * ground) + 0.25 * land(rng, rig.visible_shape)
-    height, width = rig.thermal_shape
-    total = np.zeros((height, width))
-    # A detector's pixel averages over its area.
-    for right in (1 / 6, 3 / 6, 5 / 6):
-        for down in (1 / 6, 3 / 6, 5 / 6):
-            column, row = np.meshgrid(np.arange(width) + right, np.arange(height) + down)
-            x, y = position(rig, column + moved[0], row + moved[1])
-            total += cv2.remap(warmth, np.float32(x - 0.5), np.float32(y - 0.5), cv2.INTER_LINEAR) / 9.0
-    thermal = cv2.GaussianBlur(total, (0, 0), 0.7) + 0.04 * rng.standard_normal(total.shape)
-    return np.uint8(255 * visible), np.float32(290.0 + 5.0 * thermal)
-
-
-def position(rig, column, row):
-    """The module's model written out independently, with complex numbers."""
-    point = (column - rig.thermal_shape[1] / 2) + 1j * (row - rig.thermal_shape[0] / 2)
-    point = rig.scale * np.exp(1j * np.radians(rig.rotation_deg)) * point + complex(*rig.shift_px)
-    half = abs(complex(*rig.visible_shape)) / 2
-    point = point * (1 + rig.k1 * abs(point / half) ** 2)
-    return point.real + rig.visible_shape[1] / 2, point.imag * rig.aspect + rig.visible_shape[0] / 2
 
 
 def frames(count, rig=TRUE, **changed):

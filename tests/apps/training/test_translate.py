@@ -68,23 +68,6 @@ def test_a_picture_becomes_kelvin_and_a_preview_on_the_maps_scale(tmp_path):
     assert "numpy" in record["versions"]
 
 
-def test_the_published_border_is_left_out_at_every_sampling_distance(tmp_path):
-    rgb = photograph(30, 33)
-    whole = Translation(NINE).counts(rgb)
-    assert np.array_equal(Translation(NINE, inner=True).counts(rgb), whole[1:-1, 1:-1])
-    # The rest does not depend on pixels beyond the border.
-    texel_m = NINE.texel_m / 3.0
-    framed = np.pad(rgb, ((20, 20), (20, 20), (0, 0)), constant_values=255)
-    inner = Translation(NINE, texel_m, inner=True).counts(rgb)
-    ring = (30 - len(inner)) // 2
-    assert 3 <= ring <= 5
-    framed = Translation(NINE, texel_m).counts(framed)[20:-20, 20:-20]
-    assert np.array_equal(framed[ring:-ring, ring:-ring], inner) and not np.array_equal(framed[1:-1], whole[1:-1])
-    small = write(tmp_path / "small.png", rgb[:2, :2])
-    failed = translate(NINE, [small], tmp_path / "out", inner=True)["failed"]
-    assert "small.png is smaller than the border" in failed[small]
-
-
 # --- file types -------------------------------------------------------------------------------------------------
 
 
@@ -323,5 +306,3 @@ def test_refusals(tmp_path):
     refused("a.png and .*a.jpg would both be written as a.tif", [path, other], out)
     refused("a.png exists; give another folder", [path], tmp_path)
     refused("a.png exists; give another folder", [path], tmp_path, resume=True)
-    plain = replace(warm, name="plain", method="palette", predictor=_Plain())
-    refused("'plain' .palette. has no border .*; run it without --inner", [path], out, model=plain, inner=True)

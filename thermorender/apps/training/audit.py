@@ -6,7 +6,7 @@ place; and the same kind of land at the same hour in the same weather. Thermal p
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -16,6 +16,7 @@ from thermorender.apps.training import duplicates
 from thermorender.apps.training.dataset import Dataset, Entry
 from thermorender.apps.training.splits import positions
 from thermorender.errors import ThermorenderError
+from thermorender.progress import Progress
 
 # Pictures taken within this distance show the same place [m]. Chosen: half the width of a view from 120 m.
 NEAR_M = 50.0
@@ -25,6 +26,8 @@ _ALIKE = {
     "longwave_w_m2": 30.0, "snow_m": 0.05,
 }  # fmt: skip
 _PERIOD = {"solar_hour": 24.0, "day": 365.25}
+# Labels, and names of the known conditions, of a pair.
+Circumstances = tuple[tuple[tuple[str, str], ...], tuple[str, ...]]
 # A share of the test pairs too small to affect a mean.
 _FEW = 0.05
 _MOST_NAMED = 5
@@ -45,7 +48,7 @@ class Leak:
         """Share of the checked test pairs with this leak; 0 if none could be checked."""
         return self.tests / self.asked if self.asked else 0.0
 
-    def __str__(self):
+    def __str__(self) -> str:
         words = KINDS[self.kind]
         if not self.asked:
             return f"unknown {words.unknown}"
@@ -121,7 +124,7 @@ KINDS = {
 }  # fmt: skip
 
 
-def audit(dataset: Dataset, near_m: float = NEAR_M, progress: Callable[[str, float], None] | None = None) -> Audit:
+def audit(dataset: Dataset, near_m: float = NEAR_M, progress: Progress | None = None) -> Audit:
     """Return the Audit of a Dataset's parts train and test.
 
     Parameters
@@ -169,7 +172,7 @@ def audit(dataset: Dataset, near_m: float = NEAR_M, progress: Callable[[str, flo
 
 def siblings(test: Sequence[Entry], train: Sequence[Entry]) -> Leak:
     """Return the Leak of test Entries cropped from the same picture as a training Entry."""
-    known = {}
+    known: dict[str, Entry] = {}
     for entry in train:
         known.setdefault(entry.parent, entry)
     found = {
@@ -182,7 +185,7 @@ def siblings(test: Sequence[Entry], train: Sequence[Entry]) -> Leak:
 
 def neighbours(test: Sequence[Entry], train: Sequence[Entry]) -> Leak:
     """Return the Leak of test Entries with a training Entry in the same sequence, siblings excluded."""
-    sequences = {}
+    sequences: dict[str, list[Entry]] = {}
     for entry in train:
         sequences.setdefault(entry.sequence, []).append(entry)
     orders = {name: np.array([entry.order for entry in entries]) for name, entries in sequences.items()}
@@ -210,7 +213,7 @@ def places(test: Sequence[Entry], train: Sequence[Entry], near_m: float = NEAR_M
         return _leak("place", {}, 0)
     names = {entry.sequence: number for number, entry in enumerate((*test, *train))} if lands else {}
 
-    def points(entries):
+    def points(entries: Sequence[Entry]) -> np.ndarray:
         # Lands are separated in a fourth dimension by more than `near_m`.
         aside = [2.0 * near_m * names.get(entry.sequence, 0) for entry in entries]
         return np.column_stack([positions(entries), aside])
@@ -228,7 +231,7 @@ def alike(test: Sequence[Entry], train: Sequence[Entry]) -> Leak:
     """Return the Leak of test Entries with a training Entry of the same labels, hour and weather."""
     from scipy.spatial import cKDTree
 
-    known = {}
+    known: dict[Circumstances, list[Entry]] = {}
     for entry in train:
         known.setdefault(_circumstances(entry), []).append(entry)
     trees = {name: cKDTree([_scaled(entry) for entry in entries]) for name, entries in known.items()}
@@ -243,18 +246,18 @@ def alike(test: Sequence[Entry], train: Sequence[Entry]) -> Leak:
     return _leak("conditions", found, len(test))
 
 
-def _circumstances(entry):
+def _circumstances(entry: Entry) -> Circumstances:
     """What must be equal: the labels, and the set of known conditions."""
     return tuple(sorted(entry.labels.items())), tuple(_known(entry))
 
 
-def _known(entry):
+def _known(entry: Entry) -> dict[str, float]:
     """{name: value} of the known conditions that are compared."""
     return {name: entry.conditions[name] for name in _ALIKE if math.isfinite(entry.conditions.get(name, math.nan))}
 
 
-def _scaled(entry):
-    """The conditions in units of their tolerance, periodic ones on a circle; a single 0 if none is known."""
+def _scaled(entry: Entry) -> list[float]:
+    """Conditions in units of their tolerance, periodic ones on a circle; a single 0 if none is known."""
     found = [0.0]
     for name, value in _known(entry).items():
         if name in _PERIOD:
@@ -265,7 +268,9 @@ def _scaled(entry):
     return found
 
 
-def _leak(kind, found, asked, worst=min):
+def _leak(
+    kind: str, found: Mapping[str, tuple[str, float]], asked: int, worst: Callable[..., Any] = min
+) -> Leak:  # fmt: skip
     """The Leak of {test key: (training key, measure)}; `worst` is min or max, whichever measure is worst."""
     rows = sorted(
         ((test, train, value) for test, (train, value) in found.items()),
@@ -275,5 +280,6 @@ def _leak(kind, found, asked, worst=min):
     return Leak(kind, len(rows), asked, median, tuple(rows[:_MOST_NAMED]))
 
 
-def _part(count, whole):
+def _part(count: int, whole: int) -> str:
+    """Words for a number of test pairs."""
     return f"{count} of {whole} test pairs ({100.0 * count / whole:.3g} %)"

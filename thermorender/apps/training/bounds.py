@@ -7,9 +7,10 @@ every 16-bit value, so the quartiles are exact.
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender import files
 from thermorender.apps.training.dataset import Dataset, ThermalScale
@@ -86,20 +87,14 @@ def bounds_of_dataset(dataset: Dataset, usable: NDArray[np.bool_]) -> Bounds:
 def figure(path: str | Path, histogram: Histogram, bounds: Bounds, scale: ThermalScale) -> None:
     """Write a PNG of a histogram with its bounds and outliers, over its entire range and around the bounds.
 
-    Parameters
-    ----------
-    path : path
-    histogram : Histogram
-    bounds : Bounds
-    scale : ThermalScale
-        The axis is in °C for unit "kelvin".
+    The axis is in °C if the scale's unit is "kelvin".
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     kelvin = scale.unit == "kelvin"
 
-    def on_axis(value):
+    def on_axis(value: ArrayLike) -> Any:
         return np.asarray(value, np.float64) * scale.step + scale.zero - ZERO_CELSIUS_K if kelvin else value
 
     seen = np.flatnonzero(histogram.counts)

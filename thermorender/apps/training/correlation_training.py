@@ -6,15 +6,15 @@ summed in double precision, exact up to 2⁵³. The condition number of the 3 ×
 single precision throughout would cost 0.01 in a coefficient.
 """
 
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 
+from thermorender.apps.training.task import Example, Task
 from thermorender.errors import ThermorenderError
 from thermorender.learned.correlation import Correlation
 from thermorender.learned.rows import at_texel
-from thermorender.learned.training import Example, Task
 
 # Terms of a sum that is exact in single precision: 256 × 255² is below 2²⁴.
 _BLOCK = 256
@@ -32,19 +32,15 @@ _MOST_PICKED = 16 * _BLOCK
 
 
 def fit_correlation(task: Task, size: int) -> Correlation:
-    """Return the Correlation of size × size colours that fits a Task best.
+    """Return the Correlation of size × size colours that fits a Task best; the size is odd.
 
-    Parameters
-    ----------
-    task : Task
-        Options: intercept, bool (the published form has none); penalty, weight of the squared coefficients added to the
-        mean squared error, for colours in 0…1; above_air, bool, to learn kelvin above the air instead of intensity.
-    size : int
-        Odd.
+    Options: `intercept`, bool (the published form has none); `penalty`, weight of the squared coefficients added to the
+    mean squared error, for colours in 0…1; `above_air`, bool, to learn kelvin above the air instead of intensity.
     """
     above_air = task.options.get("above_air", False)
     table, n = _Table(task.temperature if above_air else task.intensity), 3 * size * size
-    normal, waiting = np.zeros((n + 2, n + 2)), []
+    normal = np.zeros((n + 2, n + 2))
+    waiting: list[Future[np.ndarray]] = []
     # Matrix products release the interpreter, so threads share the work.
     with ThreadPoolExecutor() as pool:
         for done, example in enumerate(task.examples, 1):
@@ -64,7 +60,7 @@ def fit_correlation(task: Task, size: int) -> Correlation:
     return replace(found, above_air=above_air)
 
 
-def _at_texel(example, texel_m):
+def _at_texel(example: Example, texel_m: float | None) -> Example:
     """An Example at a ground sampling distance [m]; thermal values are codes, so they keep the nearest."""
     import cv2
 
@@ -79,8 +75,8 @@ def _at_texel(example, texel_m):
     return Example(inputs, values, valid > 0)
 
 
-def _air_k(example):
-    """The air's temperature of an example [K]."""
+def _air_k(example: Example) -> float:
+    """Air temperature of an example [K]."""
     if "air_k" not in example.inputs.conditions:
         raise ThermorenderError(
             "above_air=true needs the air's temperature of every pair, but one lacks it; give a data set with weather, "
@@ -115,22 +111,22 @@ def solved(normal: np.ndarray, size: int, intercept: bool, penalty: float) -> Co
 class _Table:
     """Table of each pixel value's intensity, split into bytes; `zero` is the intensity of all bytes 0."""
 
-    def __init__(self, intensity):
+    def __init__(self, intensity: np.ndarray) -> None:
         self.zero, high = float(intensity.min()), float(intensity.max())
         step = max(high - self.zero, 1e-300) / (256.0**_BYTES - 1.0)
         self._whole = np.rint((intensity - self.zero) / step).astype("<u8")
         self._weights = step * 256.0 ** np.arange(_BYTES)
 
-    def bytes(self, values):
+    def bytes(self, values: np.ndarray) -> np.ndarray:
         """Bytes of values, (..., _BYTES) uint8."""
-        return self._whole.take(values)[..., None].view(np.uint8)[..., :_BYTES]
+        return np.asarray(self._whole.take(values))[..., None].view(np.uint8)[..., :_BYTES]
 
-    def joined(self, sums):
+    def joined(self, sums: np.ndarray) -> np.ndarray:
         """Sums of 1 and of the intensity above `zero`, (..., 2), from sums of 1 and of each byte, (..., 1 + _BYTES)."""
         return np.stack([sums[..., 0], sums[..., 1:] @ self._weights], axis=-1)
 
 
-def _equations(example, size, table, less=0.0):
+def _equations(example: Example, size: int, table: _Table, less: float = 0.0) -> np.ndarray:
     """AᵀA and AᵀI of a picture, (n + 2, n + 2) float64, columns being n colours (row, column, channel), 1 and I.
 
     `less` is subtracted from I. Only the upper triangle is filled.
@@ -156,7 +152,7 @@ def _equations(example, size, table, less=0.0):
     return total
 
 
-def _everywhere(rgb, values, size, table):
+def _everywhere(rgb: np.ndarray, values: np.ndarray, size: int, table: _Table) -> np.ndarray:
     """`_equations` of all neighbourhoods, with the intensity counted from the table's zero.
 
     The product of two picture rows is the same in every neighbourhood that holds them. So each row is multiplied by
@@ -187,7 +183,7 @@ def _everywhere(rgb, values, size, table):
     return total
 
 
-def _picked(rgb, values, picked, size, table):
+def _picked(rgb: np.ndarray, values: np.ndarray, picked: np.ndarray, size: int, table: _Table) -> np.ndarray:
     """`_everywhere` for some neighbourhoods only, `picked`, (rows, columns) bool."""
     n = 3 * size * size
     total = np.zeros((n + 2, n + 2))
@@ -199,14 +195,14 @@ def _picked(rgb, values, picked, size, table):
         a[: r.size, :n] = rgb[r[:, None, None] + shifts[:, None], c[:, None, None] + shifts].reshape(r.size, n)
         a[: r.size, n] = 1.0
         a[: r.size, n + 1 :] = table.bytes(values[r, c])
-        a = a.reshape(-1, _BLOCK, n + 1 + _BYTES)
-        products = _multiplied(a[..., : n + 1].transpose(0, 2, 1), a).sum(axis=0, dtype=np.float64)
+        blocks = a.reshape(-1, _BLOCK, n + 1 + _BYTES)
+        products = _multiplied(blocks[..., : n + 1].transpose(0, 2, 1), blocks).sum(axis=0, dtype=np.float64)
         total[: n + 1, :n] += products[:, :n]
         total[: n + 1, n:] += table.joined(products[:, n:])
     return total
 
 
-def _multiplied(left, right):
+def _multiplied(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Products of (blocks, m, terms) and (blocks, terms, n) float32, (blocks, m, n) float32."""
     found = np.empty((len(left), left.shape[1], right.shape[2]), np.float32)
     for top in range(0, left.shape[1], _TILE):

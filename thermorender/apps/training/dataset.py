@@ -234,58 +234,77 @@ class Dataset:
         """
         import cv2
 
+        found = self._members(entry, bool(truth))
+        visible = self._picture(found, entry, "visible.png", cv2.IMREAD_COLOR)[..., ::-1]
+        thermal = self._picture(found, entry, "thermal.png", cv2.IMREAD_UNCHANGED, (np.uint8, np.uint16))
+        valid = np.ones(thermal.shape, bool)
+        if "valid.png" in found:
+            valid = self._picture(found, entry, "valid.png", cv2.IMREAD_GRAYSCALE) > 0
+        planes = {} if "truth.npz" not in found else self._planes(found["truth.npz"], entry, truth)
+        return Pair(entry, np.ascontiguousarray(visible), thermal, valid, planes, self.scale)
+
+    def _damaged(self, entry: Entry, name: str, what: str) -> ThermorenderError:
+        """The error for a file of a pair that is not what it should be."""
         path = self.folder / entry.shard
+        return ThermorenderError(f"{path} is damaged: {entry.key}.{name} is not {what}; write the shard again")
 
-        def damaged(name, what):
-            return ThermorenderError(f"{path} is damaged: {entry.key}.{name} is not {what}; write the shard again")
-
-        size = f"of {entry.shape[1]}×{entry.shape[0]} pixels"
-        found = {}
+    def _members(self, entry: Entry, truth: bool) -> dict[str, bytes]:
+        """{suffix of a file's name: bytes} of a pair, with ground truth or without."""
+        path, found = self.folder / entry.shard, {}
         try:
             with open(path, "rb") as file:
                 end = os.fstat(file.fileno()).st_size
                 for name, (offset, length) in entry.members.items():
-                    if truth or not name.startswith("truth"):
-                        # Before reading, because an index may state any length.
-                        if offset < BLOCK or offset + length > end:
-                            raise damaged(name, "complete at the offset in the index")
-                        file.seek(offset - BLOCK)
-                        data = file.read(BLOCK + length)
-                        # The tar header names the file that the index expects here.
-                        named = data[:100].rstrip(b"\0") == f"{entry.key}.{name}".encode()[:100]
-                        if not named or len(data) != BLOCK + length:
-                            raise damaged(name, "complete at the offset in the index")
-                        found[name] = data[BLOCK:]
+                    if not truth and name.startswith("truth"):
+                        continue
+                    # Before reading, because an index may state any length.
+                    if offset < BLOCK or offset + length > end:
+                        raise self._damaged(entry, name, "complete at the offset in the index")
+                    file.seek(offset - BLOCK)
+                    data = file.read(BLOCK + length)
+                    # The tar header names the file that the index expects here.
+                    named = data[:100].rstrip(b"\0") == f"{entry.key}.{name}".encode()[:100]
+                    if not named or len(data) != BLOCK + length:
+                        raise self._damaged(entry, name, "complete at the offset in the index")
+                    found[name] = data[BLOCK:]
         except (OSError, OverflowError) as error:
             raise ThermorenderError(
                 f"{path} cannot be read ({getattr(error, 'strerror', error)}); copy the data set again, or remove "
                 "the shard's lines from index.jsonl"
             ) from None
+        return found
 
-        def picture(name, flag, kinds=(np.uint8,)):
-            image = formats.decoded(found.get(name, b""), flag)
-            sides = (*entry.shape, 3) if flag == cv2.IMREAD_COLOR else tuple(entry.shape)
-            if image is None or image.shape != sides or image.dtype not in kinds:
-                raise damaged(name, f"a {'thermal ' if len(kinds) > 1 else ''}picture {size}")
-            return image
+    def _picture(
+        self, found: Mapping[str, bytes], entry: Entry, name: str, flag: int, kinds: Sequence[type] = (np.uint8,)
+    ) -> NDArray[Any]:
+        """Decoded picture of a pair's file, of one of these types."""
+        import cv2
 
-        visible = picture("visible.png", cv2.IMREAD_COLOR)[..., ::-1]
-        thermal = picture("thermal.png", cv2.IMREAD_UNCHANGED, (np.uint8, np.uint16))
-        valid = np.ones(thermal.shape, bool)
-        if "valid.png" in found:
-            valid = picture("valid.png", cv2.IMREAD_GRAYSCALE) > 0
-        images = {}
-        if "truth.npz" in found:
-            try:
-                with np.load(io.BytesIO(found["truth.npz"]), allow_pickle=False) as kept:
-                    images = {name: kept[name] for name in kept if truth is True or name in truth}
-                whole = all(values.shape == tuple(entry.shape) for values in images.values())
-            except Exception:
-                # On damaged data zipfile's and NumPy's parsers raise nearly any exception.
-                whole = False
-            if not whole:
-                raise damaged("truth.npz", f"an archive of planes {size}")
-        return Pair(entry, np.ascontiguousarray(visible), thermal, valid, images, self.scale)
+        image = formats.decoded(found.get(name, b""), flag)
+        sides = (*entry.shape, 3) if flag == cv2.IMREAD_COLOR else tuple(entry.shape)
+        if image is None or image.shape != sides or image.dtype not in kinds:
+            what = "thermal picture" if len(kinds) > 1 else "picture"
+            raise self._damaged(entry, name, f"a {what} {_size_of(entry)}")
+        return image
+
+    def _planes(self, data: bytes, entry: Entry, truth: bool | Sequence[str]) -> dict[str, NDArray[Any]]:
+        """{name: plane} of ground truth, (H, W) each: all, or those of the given names that exist."""
+        try:
+            with np.load(io.BytesIO(data), allow_pickle=False) as kept:
+                wanted = kept if isinstance(truth, bool) else [name for name in kept if name in truth]
+                images = {name: kept[name] for name in wanted}
+            whole = all(values.shape == tuple(entry.shape) for values in images.values())
+        except Exception:
+            # On damaged data zipfile's and NumPy's parsers raise nearly any exception.
+            whole = False
+        if not whole:
+            raise self._damaged(entry, "truth.npz", f"an archive of planes {_size_of(entry)}")
+        return images
+
+
+def _size_of(entry: Entry) -> str:
+    """Words for the size of a pair's pictures."""
+    return f"of {entry.shape[1]}×{entry.shape[0]} pixels"
 
 
 def read_dataset(folder: str | Path) -> Dataset:
@@ -304,7 +323,8 @@ def read_dataset(folder: str | Path) -> Dataset:
         )
     try:
         card = formats.finite_json(formats.read_text(path))
-        scale = ThermalScale(**{k: tuple(v) if isinstance(v, list) else v for k, v in card["thermal"].items()})
+        known: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in card["thermal"].items()}
+        scale = ThermalScale(**known)
         if card["format"] != FORMAT or scale.unit not in UNITS:
             raise ValueError(f"format {card['format']}, unit {scale.unit!r}")
         if not _is_usable_scale(scale):
@@ -320,7 +340,8 @@ def read_dataset(folder: str | Path) -> Dataset:
         try:
             values = formats.finite_json(line)
             values["members"] = {name: tuple(at) for name, at in values["members"].items()}
-            entry = Entry(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
+            known = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+            entry = Entry(**known)
             usable = _is_usable_entry(entry)
         except (ValueError, KeyError, TypeError, AttributeError):
             usable = False
@@ -333,21 +354,22 @@ def read_dataset(folder: str | Path) -> Dataset:
     return Dataset(folder, card, entries, scale)
 
 
-def _is_number(value):
+def _is_number(value: object) -> bool:
     return isinstance(value, (int, float)) and bool(np.isfinite(value))
 
 
-def _is_usable_scale(scale):
+def _is_usable_scale(scale: ThermalScale) -> bool:
     """Whether a ThermalScale from a file gives finite radiances for all values up to 16 bits."""
-    ranges = [scale.band_um, *([scale.range_c] if scale.range_c is not None or scale.unit == "intensity" else [])]
-    return (
+    ranges: list[Any] = [scale.band_um]
+    ranges += [scale.range_c] if scale.range_c is not None or scale.unit == "intensity" else []
+    return bool(
         _is_number(scale.step) and _is_number(scale.zero) and scale.step != 0
         and all(isinstance(each, tuple) and len(each) == 2 and all(map(_is_number, each)) for each in ranges)
         and all(low < high for low, high in ranges) and np.isfinite(scale.radiance(_ENDS)).all()
     )  # fmt: skip
 
 
-def _is_usable_entry(entry):
+def _is_usable_entry(entry: Entry) -> bool:
     """Whether an Entry from a file has the right types and a shard inside its data set."""
     texts = entry.key, entry.part, entry.parent, entry.sequence, entry.shard
     pairs = (entry.shape, *entry.members.values())

@@ -6,7 +6,8 @@ import os
 import re
 import tarfile
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,7 @@ _ABANDONED_S = 3600.0
 _END = re.compile(r"[a-z]+\.[a-z]+")
 
 
-def _names(folder):
+def _names(folder: Path) -> set[str]:
     """Names in a folder, without the temporary files of running writers."""
     return {each.name for each in folder.iterdir() if not each.name.startswith(".")}
 
@@ -40,21 +41,9 @@ def refuse_strange(folder: str | Path) -> None:
 
 
 class Writer:
-    """Writes a data set, shard by shard; complete shards stay, so that it can be resumed.
+    """Writes a data set, shard by shard; complete shards stay, so that one with the same card can be resumed.
 
-    Parameters
-    ----------
-    folder : path
-    card : dict
-        Properties of all pairs; `format`, `thermal` and `versions` are added.
-    scale : ThermalScale
-    resume : bool
-        Continue a data set with the same card.
-
-    Raises
-    ------
-    ThermorenderError
-        The folder holds something else, or its card differs.
+    The card states properties of all pairs; `format`, `thermal` and `versions` are added.
     """
 
     def __init__(self, folder: str | Path, card: Mapping[str, Any], scale: ThermalScale, resume: bool = False) -> None:
@@ -63,7 +52,8 @@ class Writer:
         # As read back from the file.
         self.card = json.loads(json.dumps(self.card))
         # {key: shard} of the index lines read so far; the file's inode, and how many bytes were read.
-        self._known, self._read = {}, (0, 0)
+        self._known: dict[str, str] = {}
+        self._read = 0, 0
         path, shards = self.folder / "card.json", self.folder / "shards"
         refuse_strange(self.folder)
         files.make_folder(shards)
@@ -72,11 +62,12 @@ class Writer:
             self._begin(path, resume)
             self._read_index()
 
-    def _locked(self):
+    def _locked(self) -> AbstractContextManager[None]:
         """Wait for other Writers of this folder; the lock on the folder itself stays free for its users."""
         return files.in_use(self.folder / "shards", wait=True)
 
-    def _begin(self, path, resume):
+    def _begin(self, path: Path, resume: bool) -> None:
+        """Write the card, or check that it is the same and remove what a killed process left."""
         if path.exists():
             before = read_dataset(self.folder)
             if not resume:
@@ -97,7 +88,7 @@ class Writer:
         files.remove_parts(self.folder, "card|index|trial")
         files.remove_parts(self.folder / "shards", older_s=_ABANDONED_S)
 
-    def _remove_partial_line(self):
+    def _remove_partial_line(self) -> None:
         """Remove a last line of the index that a killed process left incomplete."""
         path = self.folder / "index.jsonl"
         if path.exists():
@@ -105,12 +96,12 @@ class Writer:
             if data and not data.endswith(b"\n"):
                 os.truncate(path, data.rfind(b"\n") + 1)
 
-    def _remove_incomplete_shards(self):
+    def _remove_incomplete_shards(self) -> None:
         """Remove the index lines whose shard is missing, truncated, or holds pairs that the index lacks.
 
         A process killed while it appends a shard's lines leaves only the first of them.
         """
-        last = {}
+        last: dict[str, tuple[int, str]] = {}
         for entry in read_dataset(self.folder).entries:
             end = max((offset + length for offset, length in entry.members.values()), default=0)
             if end >= last.get(entry.shard, (0, ""))[0]:
@@ -119,7 +110,7 @@ class Writer:
         if broken:
             self._without(broken)
 
-    def _ends(self, shard, end, key):
+    def _ends(self, shard: str, end: int, key: str) -> bool:
         """Whether after byte `end` a shard holds exactly one more file, the pair's line."""
         try:
             with open(self.folder / shard, "rb") as file:
@@ -129,14 +120,14 @@ class Writer:
         except (OSError, tarfile.TarError):
             return False
 
-    def _without(self, shards):
+    def _without(self, shards: set[str]) -> None:
         """Remove the lines of some shards from the index."""
         path = self.folder / "index.jsonl"
         kept = [line for line in formats.read_text(path).splitlines(keepends=True)
                 if json.loads(line)["shard"] not in shards]  # fmt: skip
         formats.write_text(path, "".join(kept))
 
-    def _read_index(self):
+    def _read_index(self) -> None:
         """Read the index lines that other processes added since the last call."""
         self._remove_partial_line()
         path = self.folder / "index.jsonl"
@@ -157,18 +148,9 @@ class Writer:
         return f"shards/{name}.tar" in self._known.values()
 
     def shard(self, name: str, pairs: Iterable[tuple[Entry, Mapping[str, bytes]]]) -> tuple[Entry, ...]:
-        """Write a shard of pairs, then their lines of the index.
+        """Write a shard of pairs with their files as by `packed`, then their lines of the index; return the Entries.
 
-        Parameters
-        ----------
-        name : str
-            Of the shard, without suffix.
-        pairs : iterable of (Entry, {suffix of a file's name: bytes})
-            The files as `packed` returns them.
-
-        Returns
-        -------
-        tuple of Entry
+        The shard's name has no suffix.
         """
         entries, shard = [], f"shards/{name}.tar"
         if not is_shard(shard):
@@ -194,7 +176,7 @@ class Writer:
         self._append(shard, entries)
         return tuple(entries)
 
-    def _append(self, shard, entries):
+    def _append(self, shard: str, entries: Sequence[Entry]) -> None:
         """Append a shard's lines to the index."""
         path = self.folder / "index.jsonl"
         with self._locked():
@@ -206,7 +188,7 @@ class Writer:
             self._read_index()
 
 
-def _refuse(entry, contents, taken):
+def _refuse(entry: Entry, contents: Mapping[str, bytes], taken: set[str]) -> None:
     """Refuse a pair that could not be read back."""
     if not KEY.fullmatch(entry.key):
         raise ThermorenderError(f"{entry.key!r} is not a key of a pair; give letters, digits, _ and -")
@@ -223,20 +205,14 @@ def packed(
     visible: NDArray[np.uint8], thermal: NDArray[np.uint8] | NDArray[np.uint16], valid: NDArray[np.bool_] | None = None,
     truth: Mapping[str, NDArray[Any]] | None = None,
 ) -> dict[str, bytes]:  # fmt: skip
-    """Return {suffix of a file's name: bytes} of a pair's pictures.
+    """Return {suffix of a file's name: bytes} of a pair's pictures, (H, W, …).
 
-    Parameters
-    ----------
-    visible : (H, W, 3) uint8
-    thermal : (H, W) uint8 or uint16
-    valid : (H, W) bool, optional
-        No mask is stored if all pixels are valid.
-    truth : dict of str to (H, W) arrays, optional
-        Floats keep 16 bits of their mantissa: relative error 8e-6, or 0.4 mK of a radiance.
+    No mask is stored if all pixels are valid. Floats of the truth keep 16 bits of their mantissa: relative error 8e-6,
+    or 0.4 mK of a radiance.
     """
     import cv2
 
-    def png(image):
+    def png(image: np.ndarray) -> bytes:
         return cv2.imencode(".png", image)[1].tobytes()
 
     found = {"visible.png": png(np.ascontiguousarray(visible[..., ::-1])), "thermal.png": png(thermal)}
@@ -253,7 +229,7 @@ def packed(
     return found
 
 
-def _rounded(values):
+def _rounded(values: np.ndarray) -> np.ndarray:
     """Floats in single precision with the last 7 mantissa bits 0, to compress better; other types unchanged."""
     if values.dtype.kind != "f" or values.itemsize < 4:
         return values

@@ -5,7 +5,7 @@ doi:10.1109/ICCV.2011.6126544), each 256 comparisons of brightness. Features tha
 vote for each other's pictures, which avoids comparing all pairs. The pictures with most votes are aligned by the
 similarity transform that most features agree on. They are duplicates if their fine structure then correlates. Matches
 survive changes of brightness, compression, shifts, crops, scale and rotation. Mirrored copies are found only by the
-sketch of the mirrored picture, and few crops of a fifth of the area: `learned.audit.fingerprints` finds those.
+sketch of the mirrored picture, and few crops of a fifth of the area: `learned.fingerprints` finds those.
 
 Of six procedural lands, at least five are found when halved, shrunk, turned, brightened, compressed or noisy, and none
 is taken for another. Road scenes far apart in time are not taken for each other.
@@ -13,6 +13,7 @@ is taken for another. Road scenes far apart in time are not taken for each other
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,20 +57,20 @@ def sketch(rgb: NDArray[np.uint8]) -> Sketch:
     """Return the Sketch of a picture, (h, w, 3) uint8."""
     import cv2
 
-    grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    grey: np.ndarray = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32)
     scale = SIDE / max(grey.shape)
     size = [max(round(side * scale), 1) for side in grey.shape[::-1]]
     grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR)
     grey = (grey - grey.mean()) * (_SPREAD / max(float(grey.std()), 1.0)) + _MEAN
-    grey = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
-    detector = cv2.ORB_create(FEATURES, edgeThreshold=16, fastThreshold=7)
-    points, bits = detector.detectAndCompute(grey, None)
+    small = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+    detector: Any = cv2.ORB.create(FEATURES, edgeThreshold=16, fastThreshold=7)
+    points, bits = detector.detectAndCompute(small, None)
     place = np.array([point.pt for point in points], np.float32).reshape(-1, 2)
-    return Sketch(grey, place, np.zeros((0, 32), np.uint8) if bits is None else bits)
+    return Sketch(small, place, np.zeros((0, 32), np.uint8) if bits is None else bits)
 
 
 def find(
-    wanted: Sequence[Sketch], known: Sequence[Sketch], progress: Callable[[float], None] | None = None
+    wanted: Sequence[Sketch], known: Sequence[Sketch], progress: Callable[[float], object] | None = None
 ) -> list[Match | None]:
     """Return, for each of the Sketches `wanted`, the best Match among the Sketches `known`, or None.
 
@@ -79,7 +80,8 @@ def find(
     progress : callable, optional
         Called with the fraction done.
     """
-    found, tables = [], _Tables(known)
+    found: list[Match | None] = []
+    tables = _Tables(known)
     for start in range(0, len(wanted), _TESTS_AT_ONCE):
         some = wanted[start : start + _TESTS_AT_ONCE]
         for one, votes in zip(some, tables.votes(some), strict=True):
@@ -110,7 +112,7 @@ def compared(one: Sketch, other: Sketch, index: int = 0) -> Match | None:
         return None
     size = one.grey.shape[::-1]
     aligned = cv2.warpAffine(other.grey, similarity, size)
-    covered = cv2.warpAffine(np.ones(other.grey.shape, np.uint8), similarity, size, flags=cv2.INTER_NEAREST)
+    covered: np.ndarray = cv2.warpAffine(np.ones(other.grey.shape, np.uint8), similarity, size, flags=cv2.INTER_NEAREST)
     overlap = float(covered.mean())
     # Without the border, whose edge would count as fine structure.
     covered = cv2.erode(covered, np.ones((9, 9), np.uint8), borderValue=0) > 0
@@ -120,7 +122,7 @@ def compared(one: Sketch, other: Sketch, index: int = 0) -> Match | None:
     return Match(index, overlap, correlation) if correlation >= LEAST_CORRELATION else None
 
 
-def _fine(grey):
+def _fine(grey: np.ndarray) -> np.ndarray:
     """A picture's fine structure, normalised to equal local contrast."""
     import cv2
 
@@ -132,7 +134,7 @@ def _fine(grey):
 class _Tables:
     """16 hash tables of the features of Sketches, each keyed by 16 comparisons."""
 
-    def __init__(self, known):
+    def __init__(self, known: Sequence[Sketch]) -> None:
         self.known = len(known)
         owner, words = _words(known)
         order = np.argsort(words, axis=0, kind="stable")
@@ -140,7 +142,7 @@ class _Tables:
         self.owner = owner[order]
         self.full = max(_FULL, _FULL_TIMES * len(words) / 65536)
 
-    def votes(self, wanted):
+    def votes(self, wanted: Sequence[Sketch]) -> np.ndarray:
         """Return how many features share a bucket with features of each known Sketch, (wanted, known) int."""
         owner, words = _words(wanted)
         votes = np.zeros(len(wanted) * self.known, np.int64)
@@ -154,7 +156,7 @@ class _Tables:
         return votes.reshape(len(wanted), self.known)
 
 
-def _words(sketches):
+def _words(sketches: Sequence[Sketch]) -> tuple[np.ndarray, np.ndarray]:
     """(index of the Sketch (n,), comparisons as 16 words (n, 16) uint16) of all features."""
     bits = np.concatenate([np.zeros((0, 32), np.uint8), *(each.bits for each in sketches)])
     return np.repeat(np.arange(len(sketches)), [len(each.bits) for each in sketches]), bits.view(np.uint16)

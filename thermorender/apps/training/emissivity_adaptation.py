@@ -5,7 +5,7 @@ polygons are left out in turn to choose the penalty and to calibrate the probabi
 look alike.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -29,16 +29,8 @@ def adapted(
 ) -> EmissivityMap:
     """Return an EmissivityMap for the land of a Labelled, from a map for other land.
 
-    Parameters
-    ----------
-    model : EmissivityMap
-    item : Labelled
-        Connected areas of one material are taken for one polygon. Materials that the map lacks are added.
-    name : str
-        Name of the new map.
-    emissivity : callable (material) → float
-        Band emissivity of the materials of both; the probabilities are calibrated for it.
-    seed : int
+    Connected areas of one material are taken for one polygon. Materials that the map lacks are added. `emissivity`
+    returns the band emissivity of a material by name; the probabilities are calibrated for it.
     """
     import cv2
 
@@ -86,11 +78,11 @@ def adapted(
         about["unused_labels"] = item.unused
     return replace(
         model, name=name, materials=tuple(materials), layers=(*model.layers[:-1], (weight, bias)), about=about,
-        centres=np.concatenate([model.centres, np.float32(near)]), softening=softening, prior=prior,
+        centres=np.concatenate([model.centres, near.astype(np.float32)]), softening=softening, prior=prior,
     )  # fmt: skip
 
 
-def _connected(mask):
+def _connected(mask: np.ndarray) -> list[np.ndarray]:
     """Texel numbers of each connected area of a mask, (h, w) bool, in a list."""
     import cv2
 
@@ -99,16 +91,18 @@ def _connected(mask):
     return np.split(order, np.searchsorted(part.ravel()[order], np.arange(1, number)))[1:]
 
 
-def _start(model, before, count):
-    """The last layer (weight, bias) with columns for `count` materials; the new ones are improbable."""
+def _start(model: EmissivityMap, before: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Last layer (weight, bias) with columns for `count` materials; the new ones are improbable."""
     weight, bias = model.layers[-1]
     new = count - len(bias)
     lowest = np.float32((before @ weight + bias).max(axis=1).mean() + _NEW)
     return np.hstack([weight, np.zeros((len(weight), new), np.float32)]), np.append(bias, np.full(new, lowest))
 
 
-def _fitted(start, before, label, polygon, penalty):
-    """The last layer fitted to texels; each polygon counts the same."""
+def _fitted(
+    start: tuple[np.ndarray, np.ndarray], before: np.ndarray, label: np.ndarray, polygon: np.ndarray, penalty: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Last layer fitted to texels; each polygon counts the same."""
     from scipy.optimize import minimize
 
     weight, bias = start
@@ -120,7 +114,7 @@ def _fitted(start, before, label, polygon, penalty):
     hot = np.zeros((len(label), len(bias)))
     hot[np.arange(len(label)), label] = 1.0
 
-    def loss(flat):
+    def loss(flat: np.ndarray) -> tuple[float, np.ndarray]:
         change = flat.reshape(first.shape)
         score = entry @ (first + change)
         score -= score.max(axis=1, keepdims=True)
@@ -132,10 +126,13 @@ def _fitted(start, before, label, polygon, penalty):
 
     change = minimize(loss, np.zeros(first.size), jac=True, method="L-BFGS-B", options={"maxiter": 60}).x
     last = first + change.reshape(first.shape)
-    return np.float32(last[:-1] / scale[:, None]), np.float32(last[-1])
+    return (last[:-1] / scale[:, None]).astype(np.float32), last[-1].astype(np.float32)
 
 
-def _left_out(start, before, label, polygon, folds, penalty):
+def _left_out(
+    start: tuple[np.ndarray, np.ndarray], before: np.ndarray, label: np.ndarray, polygon: np.ndarray,
+    folds: Sequence[np.ndarray], penalty: float,
+) -> tuple[list[np.ndarray], list[np.ndarray]]:  # fmt: skip
     """(scores, labels) of polygons left out of the fit, a pair of lists with an array per fold."""
     scores, labels = [], []
     for fold in folds:

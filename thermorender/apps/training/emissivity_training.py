@@ -7,7 +7,7 @@ are calibrated on domains (kinds of landscape) that a network did not see, in tu
 """
 
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity.features import NEAR, features
 from thermorender.learned.emissivity.mapping import MOST_MATERIALS, EmissivityMap, outputs, posterior, to_grid
+from thermorender.progress import Progress
 
 # Side of the blocks of ground that are trained on or held out as a whole [texels]: neighbours look alike, so holding
 # out single texels would test nothing.
@@ -51,30 +52,14 @@ class Labelled:
 
 def train(
     labelled: Iterable[Labelled], texel_m: float, name: str, emissivity: Callable[[str], float], augmentations: int = 0,
-    seed: int = 0,
-    progress: Callable[[str, float], object] | None = None,
+    seed: int = 0, progress: Progress | None = None,
 ) -> tuple[EmissivityMap, np.ndarray]:  # fmt: skip
-    """Return (EmissivityMap, confusion (C, C) int) trained on labelled orthophotos.
+    """Return (EmissivityMap, confusion (C, C) int) trained on labelled orthophotos at a ground sampling distance [m].
 
-    Parameters
-    ----------
-    labelled : iterable of Labelled
-    texel_m : float
-        Ground sampling distance to train at [m].
-    name : str
-        Name of the map.
-    emissivity : callable (material) → float
-        Band emissivity of each material that the labels name; the probabilities are calibrated for it.
-    augmentations : int
-        Number of extra versions of each orthophoto, with random exposure, white balance, contrast and saturation. Use
-        it if the map is meant for other orthophotos.
-    seed : int
-        The same seed gives the same map with the same versions of the libraries.
-    progress : callable (what, share), optional
-
-    Returns
-    -------
-    confusion : rows are the true material, columns the most probable one, counted over the held-out ground.
+    `emissivity` returns the band emissivity of a material by name; the probabilities are calibrated for it. For maps of
+    other orthophotos, `augmentations` versions of each are added, with random exposure, white balance, contrast and
+    saturation. In the confusion, rows are the true material and columns the most probable one, counted over the
+    held-out ground.
     """
     try:
         import sklearn  # noqa: F401
@@ -82,15 +67,17 @@ def train(
         raise ThermorenderError(
             "training an emissivity map needs scikit-learn; install it with `pip install thermorender[train]`"
         ) from None
-    report = progress or (lambda what, share: None)
+    report = progress or _quiet
     generator = np.random.Generator(np.random.Philox(seed))
-    names, sources, unused, labels, parts, domains = [], [], [], np.zeros(2, dtype=np.int64), [], []
+    names: list[str] = []
+    sources, unused, parts, domains = [], [], [], []
+    labels = np.zeros(2, dtype=np.int64)
     known: dict[str, int] = {}
     for number, item in enumerate(labelled):
         report("describing the orthophotos", number / (number + 5.0))  # their number is not known in advance
         sources.append(item.source)
         unused += [item.unused] if item.unused else []
-        labels += np.count_nonzero(item.material), item.material.size
+        labels += np.array([np.count_nonzero(item.material), item.material.size])
         for found, values, held in _described(item, texel_m, name, augmentations, generator):
             parts.append((found, _numbered(values, item.names, names), held))
             known.setdefault(item.domain or item.source, len(known))
@@ -106,8 +93,9 @@ def train(
     layers = _layers(standard, truth[drawn], len(names), seed, _EPOCHS, report)
     centres, distance = _centres(standard[:, NEAR], seed)
     model = EmissivityMap(
-        name, tuple(names), float(texel_m), np.float32(mean), np.float32(scale),
-        layers=tuple((np.float32(weight), np.float32(bias)) for weight, bias in layers), centres=np.float32(centres),
+        name, tuple(names), float(texel_m), mean.astype(np.float32), scale.astype(np.float32),
+        layers=tuple((weight.astype(np.float32), bias.astype(np.float32)) for weight, bias in layers),
+        centres=centres.astype(np.float32),
         threshold=float(_THRESHOLD_MARGIN * np.quantile(distance, _THRESHOLD_QUANTILE)), about={},
         softening=softening, prior=prior,
     )  # fmt: skip
@@ -131,13 +119,13 @@ def train(
     return model, confusion
 
 
-def _numbered(values, own, names):
+def _numbered(values: np.ndarray, own: Mapping[int, str], names: list[str]) -> np.ndarray:
     """Labels as indices into `names`, a list that grows by the names of new labels; `own` is {label: name}."""
     names += dict.fromkeys(own[value] for value in np.unique(values) if own[value] not in names)
-    return np.array([names.index(own[k]) if own.get(k) in names else 0 for k in range(256)])[values]
+    return np.asarray(np.array([names.index(own[k]) if own.get(k) in names else 0 for k in range(256)])[values])
 
 
-def _check_labels(sources, names, count):
+def _check_labels(sources: Sequence[str], names: Sequence[str], count: np.ndarray) -> None:
     """Raise ThermorenderError if there are too many materials, or too few texels to train on; `count` is per name."""
     if len(names) > MOST_MATERIALS:
         raise ThermorenderError(
@@ -153,7 +141,10 @@ def _check_labels(sources, names, count):
         )
 
 
-def _calibration(described, truth, domain, held_out, emissivity, seed, report):
+def _calibration(
+    described: np.ndarray, truth: np.ndarray, domain: np.ndarray, held_out: np.ndarray, emissivity: np.ndarray,
+    seed: int, report: Progress,
+) -> tuple[float, float]:  # fmt: skip
     """(softening, prior) of the posterior, fitted on domains that a network did not see; each domain counts the same.
 
     With one domain, it is fitted on the held-out blocks, whose ground resembles the ground of the training.
@@ -186,11 +177,13 @@ def _calibration(described, truth, domain, held_out, emissivity, seed, report):
     return fitted_posterior(found, truths, emissivity) if found else (1.0, 0.0)
 
 
-def _quiet(what, share):
+def _quiet(what: str, share: float) -> None:
     """Report nothing."""
 
 
-def fitted_posterior(scores, truths, emissivity):
+def fitted_posterior(
+    scores: Sequence[np.ndarray], truths: Sequence[np.ndarray], emissivity: np.ndarray
+) -> tuple[float, float]:
     """Return (softening, prior) with the largest likelihood of the emissivity of labels (N,) by scores (N, C).
 
     The emissivity of a texel is taken as normal with the mean and standard deviation of the posterior over materials,
@@ -200,7 +193,7 @@ def fitted_posterior(scores, truths, emissivity):
     """
     from scipy.optimize import minimize
 
-    def loss(free):
+    def loss(free: np.ndarray) -> float:
         softening, prior = np.exp(free[0]), 1.0 / (1.0 + np.exp(-free[1]))
         return emissivity_loss(scores, truths, emissivity, softening, prior)
 
@@ -209,19 +202,23 @@ def fitted_posterior(scores, truths, emissivity):
     return float(np.exp(found.x[0])), float(1.0 / (1.0 + np.exp(-found.x[1])))
 
 
-def emissivity_loss(scores, truths, emissivity, softening, prior):
+def emissivity_loss(
+    scores: Sequence[np.ndarray], truths: Sequence[np.ndarray], emissivity: np.ndarray, softening: float, prior: float
+) -> float:
     """Return the mean negative log-likelihood of the labels' emissivity, as in `fitted_posterior`."""
     parts = []
     for score, label in zip(scores, truths, strict=True):
-        probability = posterior(np.float64(score), softening, prior)
+        probability = posterior(score.astype(np.float64), softening, prior)
         mean = probability @ emissivity
         variance = np.maximum(probability @ emissivity**2 - mean**2, 0.0) + _SAMPLE_STD**2
         parts.append(0.5 * np.mean(np.log(variance) + (emissivity[label] - mean) ** 2 / variance))
     return float(np.mean(parts))
 
 
-def _layers(standard, truth, count, seed, epochs, report):
-    """The (weight, bias) layers of a network fitted to standardised features."""
+def _layers(
+    standard: np.ndarray, truth: np.ndarray, count: int, seed: int, epochs: int, report: Progress
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(weight, bias) layers of a network fitted to standardised features."""
     from sklearn.exceptions import ConvergenceWarning
     from sklearn.neural_network import MLPClassifier
 
@@ -245,7 +242,7 @@ def _layers(standard, truth, count, seed, epochs, report):
     return layers
 
 
-def _centres(near, seed):
+def _centres(near: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """(cluster centres (K, n) of features (N, n), each row's distance from the nearest)."""
     from sklearn.cluster import MiniBatchKMeans
     from sklearn.exceptions import ConvergenceWarning
@@ -257,7 +254,7 @@ def _centres(near, seed):
     return clusters.cluster_centers_, distance
 
 
-def _confusion(model, described, truth):
+def _confusion(model: EmissivityMap, described: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Counts (C, C) of (true material, most probable material) over texels."""
     confusion = np.zeros((len(model.materials),) * 2, dtype=np.int64)
     for start in range(0, len(truth), _AT_ONCE):
@@ -266,11 +263,14 @@ def _confusion(model, described, truth):
     return confusion
 
 
-def _described(item, texel_m, name, augmentations, generator):
+def _described(
+    item: Labelled, texel_m: float, name: str, augmentations: int, generator: np.random.Generator
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Yield (features (n, F), labels (n,), held out (n,)) of an orthophoto and its augmented versions."""
     import cv2
 
-    grid = EmissivityMap(name, (), texel_m, None, None, (), None, 0.0, {})
+    nothing = np.zeros(0, np.float32)
+    grid = EmissivityMap(name, (), texel_m, nothing, nothing, (), nothing, 0.0, {})
     rgb = to_grid(item.rgb, item.texel_m, grid)
     # Nearest-neighbour labels, so that shares of labels are shares of area where texels are mixed.
     labels = cv2.resize(item.material, rgb.shape[1::-1], interpolation=cv2.INTER_NEAREST)
@@ -285,21 +285,21 @@ def _described(item, texel_m, name, augmentations, generator):
         yield features(image)[rows[keep], columns[keep]], labels[rows[keep], columns[keep]], held[keep]
 
 
-def _augmented(rgb, generator):
+def _augmented(rgb: np.ndarray, generator: np.random.Generator) -> np.ndarray:
     """An orthophoto as another camera, air and processing might show it.
 
     Random resolution, haze, exposure, white balance, tone curve, saturation, sharpening and JPEG compression.
     """
     import cv2
 
-    image = rgb / np.float32(255.0)
+    image: np.ndarray = rgb / np.float32(255.0)
     blur = generator.uniform(0.0, 1.2)
     if blur > 0.3:
         image = cv2.GaussianBlur(image, (0, 0), blur)
     haze = np.float32(generator.uniform(0.0, 0.25))
-    image = image * (1 - haze) + haze * np.float32((0.75, 0.8, 0.88))
+    image = image * (1 - haze) + haze * np.array((0.75, 0.8, 0.88), np.float32)
     balance = np.exp(generator.normal(0.0, 0.3) + generator.normal(0.0, 0.1, 3))
-    image = image ** np.float32(np.exp(generator.normal(0.0, 0.2))) * np.float32(balance)
+    image = image ** np.float32(np.exp(generator.normal(0.0, 0.2))) * balance.astype(np.float32)
     grey = image.mean(axis=-1, keepdims=True)
     image = grey + np.float32(np.exp(generator.normal(0.0, 0.35))) * (image - grey)
     sharpening = np.float32(generator.uniform(0.0, 1.0))
@@ -309,7 +309,9 @@ def _augmented(rgb, generator):
     return np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR))
 
 
-def _drawn(truth, allowed, count, generator, most=_MOST_SAMPLES):
+def _drawn(
+    truth: np.ndarray, allowed: np.ndarray, count: np.ndarray, generator: np.random.Generator, most: int = _MOST_SAMPLES
+) -> np.ndarray:
     """Texels to train on, each at most once; each material's number is proportional to the square root of its area."""
     wish = np.sqrt(count / count.sum())
     wish = most * wish / wish.sum()

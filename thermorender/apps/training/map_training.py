@@ -1,23 +1,24 @@
 """Training of a learned temperature map on a data set: the method's inputs, and the map's metadata."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from thermorender.apps.training.bounds import bounds_of_dataset
+from thermorender.apps.training.bounds import Bounds, bounds_of_dataset
 from thermorender.apps.training.cut import Cut, moved
-from thermorender.apps.training.dataset import Dataset
+from thermorender.apps.training.dataset import Dataset, Entry, ThermalScale
 from thermorender.apps.training.map_inputs import depth_of, ground_of, inputs_of
+from thermorender.apps.training.task import Example, Task
 from thermorender.apps.training.training_methods import METHODS, method
 from thermorender.errors import ThermorenderError
-from thermorender.learned.fingerprints import fingerprints_of, stored_numbers
+from thermorender.learned.fingerprints import Fingerprints, fingerprints_of, stored_numbers
 from thermorender.learned.temperature_map import ASSUMED_SKY_K, Inputs, TemperatureMap
-from thermorender.learned.training import Example, Task
 from thermorender.physics.planck import band_radiance, brightness_temperature
+from thermorender.progress import Progress
 from thermorender.units import ZERO_CELSIUS_K
 from thermorender.versions import version_of, versions
 
@@ -32,40 +33,18 @@ _RANGES = ("air_k", "wind_m_s", "snow_m", "sun_elevation_deg", "solar_hour", "da
 
 def train_map(
     name: str, method_name: str, dataset: Dataset, options: Mapping[str, Any] | None = None, seed: int = 0,
-    progress: Callable[[str, float], None] | None = None, parts: Sequence[str] = ("train", "validation"),
-    material: bool = False, shift_px: float = 0.0, share: float = 1.0, run: str | Path | None = None,
-    resume: bool = False,
+    progress: Progress | None = None, parts: Sequence[str] = ("train", "validation"), material: bool = False,
+    shift_px: float = 0.0, share: float = 1.0, run: str | Path | None = None, resume: bool = False,
 ) -> TemperatureMap:  # fmt: skip
     """Return the TemperatureMap of a method, trained on some parts of a Dataset.
 
-    Parameters
-    ----------
-    name : str
-    method_name : str
-        Name as `learned.training_methods.method` takes it.
-    dataset : Dataset
-    options : dict, optional
-        Options that replace the method's defaults.
-    seed : int
-    progress : callable, optional
-        Called with (task, fraction done).
-    parts : sequence of str
-        The published correlations were fitted on training and validation.
-    material : bool
-        Give the method the true material of each pixel: a privileged map.
-    shift_px : float
-        Shift each thermal picture by a random vector of this length, to train on misaligned pairs [px].
-    share : float
-        Share of the sequences to train on, evenly spaced over the data set's order, at least one.
-    run : path, optional
-        Folder for checkpoints, log and sample pictures of a network's training.
-    resume : bool
-        Resume the training of that folder.
+    `options` replace the method's defaults. `material` gives it the true material of each pixel: a privileged map.
+    `shift_px` moves each thermal picture by a random vector of this length, to train on misaligned pairs. A `share` of
+    the sequences is used, evenly spaced over the data set's order. `run` is the folder of a network's training.
 
-    Notes
-    -----
     Intensity follows equation 2 of the published method: 0 and 1 are 1.5 interquartile ranges below and above the
-    quartiles of the training values, with 0 at 150 K or above. Saturated pixels are left out.
+    quartiles of the training values, with 0 at 150 K or above. The published correlations were fitted on training and
+    validation. Saturated pixels are left out.
     """
     how, report_progress = method(method_name), progress or (lambda task, fraction: None)
     options = checked_options(method_name, how.options, options or {})
@@ -89,7 +68,8 @@ def train_map(
     held = np.array([entry.part == "validation" for entry in pairs.entries])
     task = Task(
         _Examples(pairs, how.plus, options, material, cut, usable), (radiance - cold) / (warm - cold), kelvin, seed,
-        report_progress, options, texel_m, texel_range_m, held if held.any() and not held.all() else None, run, resume,
+        report_progress, options, texel_m, texel_range_m, held if held.any() and not held.all() else None,
+        None if run is None else Path(run), resume,
     )  # fmt: skip
     predictor = how.fit(task)
     # A resumed training records the time of all its runs.
@@ -108,31 +88,33 @@ def train_map(
     return _with_error(made, about, dataset, material)
 
 
-def _fingerprints(pairs):
+def _fingerprints(pairs: Dataset) -> Fingerprints:
     """Fingerprints of the training pictures, or of as many as a map stores."""
     some = [pairs.entries[k] for k in stored_numbers(len(pairs))]
     return fingerprints_of((pairs.pair(entry, truth=False).visible for entry in some), len(pairs))
 
 
-def _library(method_name):
+def _library(method_name: str) -> dict[str, str | None]:
     """{name: version} of the library that fitted a method, beside NumPy."""
     name = "torch" if method(method_name).long else "lightgbm" if method_name.startswith("trees") else None
     return {} if name is None else {name: version_of(name)}
 
 
-def _sampling(entries):
+def _sampling(entries: Sequence[Entry]) -> tuple[float, tuple[float, float]]:
     """(median, (least, most)) ground sampling distance of entries [m]."""
     known = np.array([entry.texel_m for entry in entries if entry.texel_m] or [1.0])
     return float(np.exp(np.median(np.log(known)))), (float(known.min()), float(known.max()))
 
 
-def _name_of(dataset, count):
+def _name_of(dataset: Dataset, count: int) -> str:
     """Words for the training pairs of a map's source."""
     rendered = ", rendered from procedural scenes" if dataset.card.get("origin") == "rendered" else ""
     return f"{count} pairs of {dataset.card.get('name', dataset.folder.name)}{rendered}"
 
 
-def _about(dataset, pairs, parts, bounds, shares):
+def _about(
+    dataset: Dataset, pairs: Dataset, parts: Sequence[str], bounds: Bounds, shares: dict[str, float]
+) -> dict[str, Any]:
     """What a map records of its training pairs."""
     return {
         "dataset": {key: dataset.card.get(key) for key in ("name", "origin", "licence", "camera")},
@@ -143,26 +125,31 @@ def _about(dataset, pairs, parts, bounds, shares):
     }  # fmt: skip
 
 
-def _range_k(scale, bounds):
+def _range_k(scale: ThermalScale, bounds: Bounds) -> tuple[float, float]:
     """Temperatures of intensity 0 and 1 [K]."""
     if scale.unit == "intensity":
-        return tuple(limit + ZERO_CELSIUS_K for limit in scale.range_c)
+        assert scale.range_c is not None
+        cold_c, warm_c = scale.range_c
+        return cold_c + ZERO_CELSIUS_K, warm_c + ZERO_CELSIUS_K
     # With much sky in the pictures, the lower bound may be a negative radiance.
     ends = np.maximum(scale.radiance([bounds.low, bounds.high]), band_radiance(_COLDEST_K, *scale.band_um))
-    return tuple(map(float, brightness_temperature(ends, *scale.band_um)))
+    cold_k, warm_k = map(float, brightness_temperature(ends, *scale.band_um))
+    return cold_k, warm_k
 
 
-class _Examples(Sequence):
-    """Examples of a Dataset's pairs, read on demand."""
+class _Examples(Sequence[Example]):
+    """Examples of a Dataset's pairs, read on demand; `usable` is (65536,) bool by value of the thermal picture."""
 
-    def __init__(self, pairs, plus, options, material, cut, usable):
+    def __init__(
+        self, pairs: Dataset, plus: bool, options: Mapping[str, Any], material: bool, cut: Cut, usable: np.ndarray
+    ) -> None:
         self._pairs, self._plus, self._options, self._material = pairs, plus, options, material
         self._cut, self._usable = cut, usable
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self._pairs)
 
-    def __getitem__(self, number):
+    def __getitem__(self, number: Any) -> Any:
         entry, card = self._pairs.entries[number], self._pairs.card
         planes = (*card.get("terrain", ()), *(["material"] if self._material else ())) if self._plus else ()
         pair = self._pairs.pair(entry, truth=(*planes, *(["depth"] if self._options.get("depth") else ())))
@@ -192,7 +179,7 @@ def refuse_missing_conditions(method_name: str, dataset: Dataset) -> None:
         )
 
 
-def _refuse_privileged(method_name):
+def _refuse_privileged(method_name: str) -> None:
     """Refuse a method that does not use materials."""
     if not method(method_name).classes:
         known = ", ".join(name for name, each in METHODS.items() if each.classes)
@@ -202,7 +189,7 @@ def _refuse_privileged(method_name):
         )
 
 
-def _some(dataset, share):
+def _some(dataset: Dataset, share: float) -> Dataset:
     """A data set with a share of its sequences, at least one; those of validation all stay."""
     if share >= 1.0:
         return dataset
@@ -212,7 +199,7 @@ def _some(dataset, share):
     return dataset.having([each for each in dataset.entries if each.sequence in chosen or each.part == "validation"])
 
 
-def _with_error(model, about, dataset, material):
+def _with_error(model: TemperatureMap, about: dict[str, Any], dataset: Dataset, material: bool) -> TemperatureMap:
     """The map with its metadata and its error on some validation pairs."""
     model = replace(model, about=about)
     held = dataset.of("validation")
@@ -232,7 +219,7 @@ def _with_error(model, about, dataset, material):
     return replace(model, error_k=float(np.sqrt(squares / count))) if count else model
 
 
-def _saturated(card, values):
+def _saturated(card: Mapping[str, Any], values: np.ndarray) -> np.ndarray:
     """Where values of a known camera are at either end of its range."""
     from thermorender.sensor.camera import load_camera
     from thermorender.sensor.readout import saturated
@@ -242,7 +229,7 @@ def _saturated(card, values):
     return saturated(values, load_camera(card["camera"], "camera"))
 
 
-def _ranges(entries):
+def _ranges(entries: Sequence[Entry]) -> dict[str, list[float]]:
     """{condition: [least, most]} of the recorded conditions."""
     known = [entry.conditions for entry in entries if entry.conditions]
     return {name: [min(each[name] for each in known), max(each[name] for each in known)] for name in _RANGES

@@ -12,6 +12,7 @@ from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.learned.emissivity.mapping import MOST_MATERIALS, EmissivityMap
 from thermorender.materials import library as material_tables
+from thermorender.progress import Progress
 from thermorender.scene.material_map import UNKNOWN_CLASS, orthophoto_of
 from thermorender.scene.parts.patch import name_of, read_features, texels_of
 from thermorender.scene.raster import Grid, grid_of, onto, read_classes
@@ -27,8 +28,8 @@ _VERSIONS, _TOWNS = 2, 24
 def train_on(
     folders: Sequence[str | Path] = (), polygons: str | Path | Mapping[str, Any] | None = None, name: str = "map",
     texel_m: float | None = None, augmentations: int | None = None, seed: int = 0,
-    progress: Callable[[str, float], None] | None = None,
-) -> tuple[EmissivityMap, NDArray]:  # fmt: skip
+    progress: Progress | None = None,
+) -> tuple[EmissivityMap, NDArray[np.int64]]:  # fmt: skip
     """Return (EmissivityMap, confusion) trained on the given scenes; on procedural ones if there are none.
 
     Parameters
@@ -42,9 +43,18 @@ def train_on(
     texel_m : float, optional
         Ground sampling distance of the training [m]; default: 0.5, or the coarsest orthophoto's.
     augmentations : int, optional
-        See `emissivity.training.train`; default: 0 for given scenes, 1 for procedural ones.
-    seed, progress
-        See `emissivity.training.train`.
+        Versions of each orthophoto with random exposure, balance, contrast and saturation; default: 0 for given scenes,
+        1 for procedural ones.
+    seed : int
+        The same seed gives the same map with the same versions of the libraries.
+    progress : callable, optional
+        Called with (what, share done).
+
+    Returns
+    -------
+    EmissivityMap
+    confusion : (C, C) int64
+        Texels of held-out ground by true material, in rows, and the most probable one.
     """
     from thermorender.scene.load import scene_folder
 
@@ -55,8 +65,9 @@ def train_on(
     if texel_m is not None and not 0.01 <= texel_m <= 1000.0:
         raise ThermorenderError(f"--texel-m={texel_m:g} is not allowed; give 0.01…1000 m")
     if folders:
-        labelled = [labelled_scene(scene_folder(folder), polygons) for folder in folders]
-        texel_m = texel_m or max(DEFAULT_TEXEL_M, *(item.texel_m for item in labelled))
+        given = [labelled_scene(scene_folder(folder), polygons) for folder in folders]
+        labelled: Iterable[Labelled] = given
+        texel_m = texel_m or max(DEFAULT_TEXEL_M, *(item.texel_m for item in given))
         augmentations = 0 if augmentations is None else augmentations
     else:
         labelled = varied(PROCEDURAL_SEEDS, seed)
@@ -88,17 +99,7 @@ def band_emissivity_of(folders: Sequence[str | Path] = ()) -> Callable[[str], fl
 def adapted_to(
     folder: str | Path, model: str | Path, polygons: str | Path | None = None, name: str = "map", seed: int = 0
 ) -> EmissivityMap:
-    """Return an EmissivityMap for a scene, updated by its class raster or polygons; see `emissivity.adaptation`.
-
-    Parameters
-    ----------
-    folder : path
-        Scene folder; see `labelled_scene`.
-    model : str or path
-        Name or file of the map to update.
-    polygons, name, seed
-        See `train_on`.
-    """
+    """Return an EmissivityMap for a scene, the map of a name or file updated by its class raster or polygons."""
     from thermorender.apps.training.emissivity_adaptation import adapted
     from thermorender.learned.emissivity.mapping import load_map
     from thermorender.scene.load import scene_folder
@@ -108,15 +109,10 @@ def adapted_to(
 
 
 def labelled_scene(folder: str | Path, polygons: str | Path | Mapping[str, Any] | None = None) -> Labelled:
-    """Return the Labelled of a scene: its orthophoto, with labels from its class raster or a GeoJSON.
+    """Return the Labelled of a scene: its orthophoto, with labels from a GeoJSON, else its class raster.
 
-    Parameters
-    ----------
-    folder : path
-        Scene folder; its [emissivity] names the class raster, used if there are no polygons.
-    polygons : path or dict, optional
-        GeoJSON, a file or its contents, of polygons with a property "material" from the material library, in longitude
-        and latitude or in the CRS of its "crs" member. Later polygons cover earlier ones.
+    Polygons have a property "material" from the material library, in longitude and latitude or in the CRS of the "crs"
+    member. Later polygons cover earlier ones.
     """
     spec = read_scene(folder)
     picture = orthophoto_of(spec)
@@ -128,6 +124,7 @@ def labelled_scene(folder: str | Path, polygons: str | Path | Mapping[str, Any] 
         source = f"{Path(name_of(polygons)).name} on {spec.folder.name}"
     elif spec.emissivity.source == "classes":
         raster = spec.emissivity.raster
+        assert raster is not None
         numbers = onto(read_classes(raster), grid_of(raster), grid, "nearest")
         material, names = numbers.astype(np.uint8), dict(spec.emissivity.classes)
         named = np.isin(np.arange(256), list(names))

@@ -1,9 +1,10 @@
 """A data set whose worlds are rendered by the workers of a Dask cluster."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from thermorender.apps.cluster.connect import Address, connected
@@ -12,6 +13,7 @@ from thermorender.apps.cluster.work import ready
 from thermorender.apps.training.dataset import Dataset, read_dataset
 from thermorender.apps.training.rendered import World, render_campaign
 from thermorender.errors import ThermorenderError
+from thermorender.progress import Progress
 from thermorender.versions import versions
 
 
@@ -28,8 +30,8 @@ class _Campaign:
 
 
 def render_campaign_by(
-    folder: str | os.PathLike[str], of: Sequence[World], hours: int, views: int, address: Address, *,
-    resume: bool = False, progress: Callable[[str, float], object] | None = None,
+    folder: str | Path, of: Sequence[World], hours: int, views: int, address: Address, *,
+    resume: bool = False, progress: Progress | None = None,
     report: Report = lambda line: None,
 ) -> Dataset:  # fmt: skip
     """Render Worlds into a data set by the workers of a cluster; return the Dataset.

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.formats import decoded
@@ -56,13 +56,8 @@ def matched(
 ) -> tuple[list[Files], list[str]]:  # fmt: skip
     """Return the Files of two folders that share a name, sorted by name, and the names without a partner.
 
-    Parameters
-    ----------
-    visible_folder, thermal_folder : path
-    visible, thermal : str
-        Patterns of file names, such as *_rgb.png; the text that the wildcards match is the pair's name.
-    valid : str, optional
-        Pattern of masks in the visible folder, non-zero where both pictures show the same.
+    Patterns are of file names, such as *_rgb.png; the text that their wildcards match is the pair's name. `valid` is
+    the pattern of masks in the visible folder, non-zero where both pictures show the same.
     """
     found = _named(visible_folder, visible, "visible"), _named(thermal_folder, thermal, "thermal")
     masks = _named(visible_folder, valid, "valid") if valid else {}
@@ -96,13 +91,8 @@ def read_visible(path: str | Path) -> tuple[NDArray[np.uint8], bool]:
 def read_thermal(path: str | Path, scale: Sequence[float] | None = None, intensity: bool = False) -> Thermal:
     """Return the Thermal picture of a file.
 
-    Parameters
-    ----------
-    path : path
-    scale : (2,) floats, optional
-        (kelvin per count, kelvin of count 0) of files that declare no scale.
-    intensity : bool
-        16 bits without a scale are intensities, even where they look like temperatures.
+    `scale` is (kelvin per count, kelvin of count 0) of files that declare none. With `intensity`, 16 bits without a
+    scale are intensities, even where they look like temperatures.
     """
     path = Path(path)
     if path.suffix.lower() in (".jpg", ".jpeg") and _radiometric(path):
@@ -138,7 +128,7 @@ def read_valid(path: str | Path, shape: Sequence[int]) -> NDArray[np.bool_]:
             f"mask {path} is {image.shape[1]}×{image.shape[0]} pixels and its visible picture {shape[1]}×{shape[0]}; "
             "give masks of the same size"
         )
-    return image > 0 if image.ndim == 2 else (image > 0).any(axis=-1)
+    return np.asarray(image > 0 if image.ndim == 2 else (image > 0).any(axis=-1))
 
 
 def place_of(path: str | Path) -> tuple[float, float] | None:
@@ -150,10 +140,10 @@ def place_of(path: str | Path) -> tuple[float, float] | None:
             gps = image.getexif().get_ifd(0x8825)
         degrees = [float(gps[tag][0]) + float(gps[tag][1]) / 60.0 + float(gps[tag][2]) / 3600.0 for tag in (2, 4)]
         signs = (-1.0 if gps[1] == "S" else 1.0, -1.0 if gps[3] == "W" else 1.0)
-        place = tuple(round(sign * value, 7) for sign, value in zip(signs, degrees, strict=True))
+        latitude, longitude = (round(sign * value, 7) for sign, value in zip(signs, degrees, strict=True))
     except (OSError, KeyError, ValueError, TypeError, IndexError, ZeroDivisionError, SyntaxError):
         return None
-    return place if abs(place[0]) <= 90.0 and abs(place[1]) <= 180.0 else None
+    return (latitude, longitude) if abs(latitude) <= 90.0 and abs(longitude) <= 180.0 else None
 
 
 def listed(names: Iterable[str]) -> str:
@@ -179,13 +169,8 @@ def keys_of(pairs: Sequence[Files]) -> dict[str, str]:
 def sequences_of(pairs: Sequence[Files], sequence: str | None = None, gap: int | None = None) -> dict[str, str]:
     """Return {name: sequence} of pairs sorted by name.
 
-    Parameters
-    ----------
-    pairs : sequence of Files
-    sequence : str, optional
-        Regular expression whose group is the sequence in a name; default: the name without its last digits.
-    gap : int, optional
-        A larger step of the last number in the names starts a new sequence.
+    The group of the regular expression `sequence` is the sequence in a name; default: the name without its last digits.
+    A step of the last number in the names larger than `gap` starts a new sequence.
     """
     try:
         expression = re.compile(sequence) if sequence else None
@@ -194,10 +179,12 @@ def sequences_of(pairs: Sequence[Files], sequence: str | None = None, gap: int |
             f"--sequence={sequence!r} is not a regular expression: {error}; put the sequence in a group, as in "
             r"'(flight\d+)_'"
         ) from None
-    found, before = {}, {}
+    found: dict[str, str] = {}
+    # {base: (last number, its sequence)}
+    before: dict[str, tuple[int, str]] = {}
     for pair in pairs:
-        number = re.search(r"(\d+)\D*$", pair.name)
-        number = int(number[1]) if number else None
+        digits = re.search(r"(\d+)\D*$", pair.name)
+        number = int(digits[1]) if digits else None
         base = re.sub(r"[_\-. ]*\d*$", "", pair.name) or "all"
         if expression is not None:
             match = expression.search(pair.name)
@@ -208,20 +195,19 @@ def sequences_of(pairs: Sequence[Files], sequence: str | None = None, gap: int |
             base = match[1] if expression.groups else match[0]
         found[pair.name] = base
         if gap is not None and number is not None:
-            last, current = before.get(base, (None, None))
-            if last is None or number - last > gap:
-                current = f"{base}_{number}"
+            last = before.get(base)
+            current = f"{base}_{number}" if last is None or number - last[0] > gap else last[1]
             before[base], found[pair.name] = (number, current), current
     return found
 
 
-def _named(folder, pattern, what):
+def _named(folder: str | Path, pattern: str, what: str) -> dict[str, Path]:
     """{name: path} of the pictures in a folder that match a pattern."""
     folder = Path(folder)
     if not folder.is_dir():
         raise ThermorenderError(f"{what} folder {folder} does not exist; give a folder of pictures")
     expression = re.compile("".join({"*": "(.*)", "?": "(.)"}.get(each, re.escape(each)) for each in pattern))
-    found = {}
+    found: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):
         match = expression.fullmatch(path.name)
         if match is None or path.suffix.lower() not in SUFFIXES or path.name.startswith("."):
@@ -242,13 +228,13 @@ def _named(folder, pattern, what):
     return found
 
 
-def _by_number(name):
+def _by_number(name: str) -> list[tuple[int, str]]:
     """Sort key in which 10 comes after 9."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
-def _decoded(path):
-    """The picture of a file as OpenCV decodes it, with one or more channels."""
+def _decoded(path: str | Path) -> np.ndarray:
+    """Picture of a file as OpenCV decodes it, with one or more channels."""
     import cv2
 
     try:
@@ -267,7 +253,7 @@ def _decoded(path):
     return image
 
 
-def _radiometric(path):
+def _radiometric(path: Path) -> bool:
     """Whether a JPEG carries FLIR's data; DJI's own are refused."""
     try:
         data = path.read_bytes()
@@ -278,7 +264,8 @@ def _radiometric(path):
     return re.search(rb"\xff\xe1..FLIR\0", data, re.DOTALL) is not None
 
 
-def _of_tiff(path, scale, intensity):
+def _of_tiff(path: Path, scale: Sequence[float] | None, intensity: bool) -> Thermal:
+    """Thermal picture of a TIFF, by its declared scale or the given one."""
     values, declared, kind = read_tiff(path)
     scale = declared or scale
     if kind in ("float32", "float64"):
@@ -293,7 +280,7 @@ def _of_tiff(path, scale, intensity):
     return _of_counts(path, values, scale, intensity, kind)
 
 
-def _of_counts(path, values, scale, intensity, kind):
+def _of_counts(path: Path, values: np.ndarray, scale: Sequence[float] | None, intensity: bool, kind: str) -> Thermal:
     """Counts in kelvin by a scale; without one, refuse those that look like temperatures."""
     if scale is not None:
         return _of_kelvin(values * float(scale[0]) + float(scale[1]))
@@ -307,14 +294,15 @@ def _of_counts(path, values, scale, intensity, kind):
     return Thermal(np.where(valid, values, 0.0).astype(kind), "intensity", valid)
 
 
-def _of_kelvin(temperature):
+def _of_kelvin(temperature: ArrayLike) -> Thermal:
     """Hundredths of a kelvin, where they fit."""
     counts = np.rint(np.nan_to_num(np.asarray(temperature, np.float64) / STEP_K, nan=-1.0, posinf=-1.0, neginf=-1.0))
     valid = (counts >= 1.0) & (counts <= 65535.0)
     return Thermal(np.where(valid, counts, 0.0).astype(np.uint16), "kelvin", valid)
 
 
-def _check_content(path, image, known=None):
+def _check_content(path: str | Path, image: np.ndarray, known: np.ndarray | None = None) -> None:
+    """Refuse a picture that is too small or has one value."""
     if min(image.shape[:2]) < LEAST_SIDE:
         raise ThermorenderError(
             f"{path} is {image.shape[1]}×{image.shape[0]} pixels; give pictures of at least {LEAST_SIDE} on each side"

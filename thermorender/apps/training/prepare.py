@@ -5,12 +5,13 @@ All pictures are read and checked before anything is written. Unusable ones are 
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender import files, formats
 from thermorender.apps.training import bounds as value_bounds
@@ -21,6 +22,7 @@ from thermorender.apps.training.dataset import PARTS, Entry, ThermalScale, read_
 from thermorender.apps.training.dataset_writer import Writer, packed, refuse_strange
 from thermorender.apps.training.registration import rig
 from thermorender.errors import ThermorenderError
+from thermorender.progress import Progress
 
 # Default temperatures of intensity 0 and 1 [°C], published with eq. 2.
 RANGE_C = (14.0, 24.0)
@@ -54,43 +56,26 @@ class Calibration:
     resized: bool = False
 
 
+# Registers visible pictures to thermal ones; None for aligned ones.
+Registered = rig.Rig | Calibration | None
+
+
 def prepare(
-    source: Source, output: str | Path, registered: rig.Rig | Calibration | None = None, cut: Cut | None = None,
+    source: Source, output: str | Path, registered: Registered = None, cut: Cut | None = None,
     split: str = "sequence", shares: Sequence[float] = (0.7, 0.2, 0.1), texel_m: float | None = None,
     range_c: Sequence[float] | None = None, licence: str | None = None, skip_bad: bool = False, resume: bool = False,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Write a data set from folders of pictures to `output`; return a report.
 
-    Parameters
-    ----------
-    source : Source
-    output : path
-    registered : Rig or Calibration, optional
-        Registers visible pictures to thermal ones; without it they must be aligned.
-    cut : Cut, optional
-    split : str
-        Rule of `thermorender.apps.training.splits.assign`, or a file for `read_split`.
-    shares : (3,) floats
-        Shares of training, validation and test.
-    texel_m : float, optional
-        Ground sampling distance of the thermal pictures [m].
-    range_c : (2,) floats, optional
-        Temperatures assumed for intensity 0 and 1 of values of unknown scale [°C].
-    licence : str, optional
-    skip_bad : bool
-        Leave out unusable pairs instead of refusing all.
-    resume : bool
-        Resume a data set with the same settings.
-    progress : callable, optional
-        Called with (task, fraction done).
+    `registered` registers visible pictures to thermal ones; without it they must be aligned. `split` is a rule of
+    `splits.assign`, or a file. `texel_m` is the ground sampling distance of the thermal pictures [m]; `range_c` are the
+    temperatures assumed for intensity 0 and 1 of values of unknown scale [°C]. `skip_bad` leaves out unusable pairs
+    instead of refusing all.
 
-    Returns
-    -------
-    dict
-        pairs, entries, parts {name: count}, sequences, left_out {name: reason}, grey (pairs whose visible picture has
-        no colour), bounds (of the training part, or of all parts if it is empty), rig, scale, audit (an Audit, or
-        None without training or test part).
+    The report has pairs, entries, parts {name: count}, sequences, left_out {name: reason}, grey (pairs whose visible
+    picture has no colour), bounds (of the training part, or of all parts if it is empty), rig, scale, audit (an Audit,
+    or None without training or test part).
     """
     report_progress, cut, output = progress or (lambda task, fraction: None), cut or Cut(), Path(output)
     _check_settings(cut, texel_m, range_c)
@@ -138,18 +123,19 @@ class _Plan:
     source: Source
     cut: Cut
     cameras: rig.Rig | None
-    pairs: list
-    entries: dict
-    parts: dict
+    pairs: list[pictures.Files]
+    entries: dict[str, list[Entry]]  # Of each pair's crops, by its name
+    parts: dict[str, str]  # By key
 
-    def pieces(self, pair):
+    def pieces(self, pair: pictures.Files) -> Iterator[tuple[Entry, np.ndarray, np.ndarray, np.ndarray]]:
         """Yield (Entry, visible, thermal, valid) of each crop of a pair."""
         images = _registered(pair, self.source, self.cameras, self.cut)
         for number, entry in enumerate(self.entries[pair.name]):
             entry = replace(entry, part=self.parts[entry.key])
-            yield entry, *(piece(image, pair.name, self.cut, number) for image in images)
+            visible, thermal, valid = (piece(image, pair.name, self.cut, number) for image in images)
+            yield entry, visible, thermal, valid
 
-    def histogram(self, report_progress):
+    def histogram(self, report_progress: Progress) -> value_bounds.Histogram:
         """Return the Histogram of the training part's valid thermal values; of all parts if it is empty."""
         histogram = value_bounds.Histogram()
         counted = PARTS[:1] if PARTS[0] in self.parts.values() else PARTS
@@ -163,7 +149,7 @@ class _Plan:
                     histogram.add(thermal[valid])
         return histogram
 
-    def write(self, output, writer, report_progress):
+    def write(self, output: Path, writer: Writer, report_progress: Progress) -> None:
         """Write the rig, its inspection picture and all missing shards."""
         # No other process writes shards now.
         files.remove_parts(output / "shards")
@@ -181,7 +167,9 @@ class _Plan:
                 writer.shard(name, ((e, packed(v, t, m)) for pair in group for e, v, t, m in self.pieces(pair)))
 
 
-def _usable(source, registered, cut, skip_bad, report_progress):
+def _usable(
+    source: Source, registered: Registered, cut: Cut, skip_bad: bool, report_progress: Progress
+) -> tuple[list[pictures.Files], dict[str, "_Found"], dict[str, str], dict[str, str], dict[str, str]]:
     """(usable pairs, {name: _Found}, {name: reason} of the others, {name: key}, {name: sequence})."""
     pairs, alone = pictures.matched(
         source.visible_folder, source.thermal_folder, source.visible, source.thermal, source.valid
@@ -197,20 +185,21 @@ def _usable(source, registered, cut, skip_bad, report_progress):
     return kept, found, left_out, keys, sequence_of
 
 
-def _scale(unit, bounds, range_c):
+def _scale(unit: str, bounds: value_bounds.Bounds, range_c: Sequence[float] | None) -> ThermalScale:
     """The ThermalScale of temperatures, or of intensity within the bounds."""
     if unit == "kelvin":
         return ThermalScale("kelvin", pictures.STEP_K, 0.0)
     span = bounds.high - bounds.low
-    return ThermalScale("intensity", 1.0 / span, -bounds.low / span, tuple(range_c or RANGE_C))
+    cold, warm = range_c or RANGE_C
+    return ThermalScale("intensity", 1.0 / span, -bounds.low / span, (cold, warm))
 
 
-def _settings(source):
-    """The settings of a Source that a data set's card records."""
+def _settings(source: Source) -> dict[str, Any]:
+    """Settings of a Source that a data set's card records."""
     return {name: getattr(source, name) for name in ("visible", "thermal", "valid", "scale", "sequence", "gap")}
 
 
-def _refuse(left_out, count):
+def _refuse(left_out: Mapping[str, str], count: int) -> None:
     """Refuse names that cannot be used, by reason."""
     reasons = Counter(left_out.values())
     listed = [
@@ -223,7 +212,7 @@ def _refuse(left_out, count):
     )
 
 
-def _checksum(pairs):
+def _checksum(pairs: Sequence[pictures.Files]) -> str:
     """Checksum of all pictures; resuming a data set requires the same one."""
     paths = [path for pair in pairs for path in (pair.visible, pair.thermal, pair.valid) if path is not None]
     text = "".join(path.name + formats.checksum(path) for path in paths)
@@ -237,12 +226,13 @@ def _checksum(pairs):
 class _Found:
     """Properties of a pair: shape of its thermal picture, its unit and depth, whether the visible one is grey."""
 
-    shape: tuple
-    kind: tuple
+    shape: tuple[int, int]
+    kind: tuple[str, str]
     grey: bool
 
 
-def _check_settings(cut, texel_m, range_c):
+def _check_settings(cut: Cut, texel_m: float | None, range_c: Sequence[float] | None) -> None:
+    """Refuse settings out of range, before anything is read."""
     if cut.crops < 0 or cut.size < pictures.LEAST_SIDE:
         raise ThermorenderError(
             f"--crops={cut.crops} --crop-size={cut.size} is not allowed; give a count of 0 or more and a side of at "
@@ -258,9 +248,12 @@ def _check_settings(cut, texel_m, range_c):
         raise ThermorenderError(f"--range-c={range_c[0]:g},{range_c[1]:g} is not a range; give °C, the lower first")
 
 
-def _checked(pairs, source, registered, cut, report_progress):
+def _checked(
+    pairs: Sequence[pictures.Files], source: Source, registered: Registered, cut: Cut, report_progress: Progress
+) -> tuple[dict[str, _Found], dict[str, str]]:
     """({name: _Found}, {name: reason why it cannot be used}) of pairs."""
-    found, bad = {}, {}
+    found: dict[str, _Found] = {}
+    bad: dict[str, str] = {}
     for number, pair in enumerate(pairs):
         report_progress("reading pictures", number / len(pairs))
         try:
@@ -272,11 +265,13 @@ def _checked(pairs, source, registered, cut, report_progress):
         except ThermorenderError as error:
             bad[pair.name] = str(error)
             continue
-        found[pair.name] = _Found(thermal.values.shape, (thermal.unit, thermal.values.dtype.name), grey)
+        height, width = thermal.values.shape
+        found[pair.name] = _Found((height, width), (thermal.unit, thermal.values.dtype.name), grey)
     return found, bad
 
 
-def _check_sizes(visible, thermal, registered, cut):
+def _check_sizes(visible: tuple[int, ...], thermal: tuple[int, ...], registered: Registered, cut: Cut) -> None:
+    """Refuse pictures whose sizes, (rows, columns), do not fit each other, the rig or the crops."""
     sizes = f"{visible[1]}×{visible[0]} and {thermal[1]}×{thermal[0]} pixels"
     if registered is None and visible != thermal:
         raise ThermorenderError(f"visible and thermal picture have {sizes}; give aligned ones, --rig or --calibrate")
@@ -288,8 +283,8 @@ def _check_sizes(visible, thermal, registered, cut):
         raise ThermorenderError(f"--shift={cut.shift_px:g} is half the thermal picture or more; give a smaller one")
 
 
-def _unit(found):
-    """The unit of all thermal pictures, which must also have the same depth."""
+def _unit(found: Mapping[str, _Found]) -> str:
+    """Unit of all thermal pictures, which must also have the same depth."""
     kinds = Counter(each.kind for each in found.values())
     if len(kinds) > 1:
         names = {kind: next(name for name, each in found.items() if each.kind == kind) for kind in kinds}
@@ -301,9 +296,13 @@ def _unit(found):
 # --- crops ------------------------------------------------------------------------------------------------------
 
 
-def _entries(pairs, found, keys, sequence_of, cut, texel_m):
+def _entries(
+    pairs: Sequence[pictures.Files], found: Mapping[str, _Found], keys: Mapping[str, str],
+    sequence_of: Mapping[str, str], cut: Cut, texel_m: float | None,
+) -> dict[str, list[Entry]]:  # fmt: skip
     """{name: [Entry of each of its crops]}, not yet assigned to parts."""
-    entries, orders = {}, Counter()
+    entries: dict[str, list[Entry]] = {}
+    orders: Counter[str] = Counter()
     for pair in pairs:
         sequence, key = sequence_of[pair.name], keys[pair.name]
         shape = (cut.size, cut.size) if cut.crops else found[pair.name].shape
@@ -316,7 +315,7 @@ def _entries(pairs, found, keys, sequence_of, cut, texel_m):
     return entries
 
 
-def _assigned(entries, rule, shares, seed):
+def _assigned(entries: Sequence[Entry], rule: str, shares: Sequence[float], seed: int) -> dict[str, str]:
     """{key: part} of all entries, by a rule or a file."""
     if Path(rule).suffix not in splits.SUFFIXES:
         return splits.assign(entries, rule, shares=shares, seed=seed)
@@ -330,7 +329,10 @@ def _assigned(entries, rule, shares, seed):
 # --- pictures ---------------------------------------------------------------------------------------------------
 
 
-def _rig(registered, pairs, source, output, resume, report_progress):
+def _rig(
+    registered: Registered, pairs: Sequence[pictures.Files], source: Source, output: Path, resume: bool,
+    report_progress: Progress,
+) -> rig.Rig | None:  # fmt: skip
     """The Rig of the pictures: given, of the resumed data set, or calibrated; None for aligned pictures."""
     if not isinstance(registered, Calibration):
         return registered
@@ -338,26 +340,28 @@ def _rig(registered, pairs, source, output, resume, report_progress):
         return rig.load_rig(output / "rig.json")
     from thermorender.apps.training.registration.fit import calibrate
 
-    def reader(pair):
+    def reader(pair: pictures.Files) -> Callable[[], tuple[NDArray[np.uint8], np.ndarray]]:
         return lambda: (pictures.read_visible(pair.visible)[0], _temperatures(pair, source))
 
     frames = [(pair.name, reader(pair)) for pair in pairs]
     return calibrate(frames, registered.fields_of_view, registered.resized, report_progress)
 
 
-def _temperatures(pair, source):
+def _temperatures(pair: pictures.Files, source: Source) -> np.ndarray:
     """Values of a pair's thermal picture, (H, W) float32; NaN where not valid."""
     thermal = pictures.read_thermal(pair.thermal, source.scale, source.intensity)
     return np.where(thermal.valid, thermal.values, np.nan).astype(np.float32)
 
 
-def _shown(pairs, cameras):
-    """The pair for the inspection picture: the best of the calibration, else the middle one."""
+def _shown(pairs: Sequence[pictures.Files], cameras: rig.Rig) -> pictures.Files:
+    """Pair for the inspection picture: the best of the calibration, else the middle one."""
     known = [pair for pair in pairs if pair.name in cameras.frames and pair.name not in cameras.rejected]
     return max(known, key=lambda pair: cameras.frames[pair.name]) if known else pairs[len(pairs) // 2]
 
 
-def _registered(pair, source, cameras, cut):
+def _registered(
+    pair: pictures.Files, source: Source, cameras: rig.Rig | None, cut: Cut
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(visible (H, W, 3) uint8, thermal (H, W), valid (H, W) bool) of a pair, on the thermal pixels."""
     visible, _ = pictures.read_visible(pair.visible)
     thermal = pictures.read_thermal(pair.thermal, source.scale, source.intensity)

@@ -1,7 +1,7 @@
 """A rendered campaign: pairs of visible and thermal pictures of procedural landscapes, with ground truth.
 
 A *world* is a landscape of one seed under the weather of another, at several hours of one day. Its true temperatures
-deviate from tables and station data (`campaign.procedural_truth`), so a predictor knows as much as it would outdoors.
+deviate from tables and station data (`lands.procedural.truth`), so a predictor knows as much as it would outdoors.
 Views are nadir, oblique, and forward with sky in the picture. The thermal picture is what the camera reads. Per pixel,
 a pair also holds the truth, the heat balance's prediction from table values, and the relief.
 
@@ -10,30 +10,38 @@ a campaign can be interrupted anywhere and resumed.
 """
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from thermorender import defaults
 from thermorender.apps.lands.procedural.noise import stream
-from thermorender.apps.lands.procedural.procedural_scene import KINDS, make, weather_of
+from thermorender.apps.lands.procedural.procedural_scene import KINDS, SyntheticScene, make, weather_of
 from thermorender.apps.lands.procedural.scene_files import write_declared
 from thermorender.apps.lands.procedural.truth import drawn
 from thermorender.apps.lands.procedural.weather import atmosphere
 from thermorender.apps.training.dataset import Dataset, Entry, ThermalScale, read_dataset
 from thermorender.apps.training.dataset_writer import Writer, packed
 from thermorender.atmosphere.declared import declared_air
+from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
 from thermorender.output.photograph import sky_of, with_sky
+from thermorender.progress import Progress
 from thermorender.render.heat.conditions import conditions
 from thermorender.scene.load import load_scene
+from thermorender.scene.scene import Scene
+from thermorender.scene.spec import WeatherSpec
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.readout import radiance_from_counts
 from thermorender.trajectory.path import pose
 from thermorender.units import utc_text
+
+if TYPE_CHECKING:
+    from thermorender.render.renderer import Renderer
 
 # Factor on the kind's texel and post spacing, and texels per side: a quarter of the kind's area at 1.6 times its texel
 # is a tenth of the work.
@@ -74,7 +82,7 @@ def worlds(
             raise ThermorenderError(f"kind={kind!r} is not a synthetic scene; choose one of {', '.join(KINDS)}")
     if min(train, validation, test) < 0 or train + validation + test < 1 or not kinds:
         raise ThermorenderError(f"{train}, {validation}, {test} worlds are not a campaign; give at least one world")
-    made = []
+    made: list[tuple[float, World]] = []
     for part, count in (("train", train), ("validation", validation), ("test", test)):
         for number in range(count):
             kind, own = kinds[number % len(kinds)], 1_000_000 * (seed + 1) + len(made)
@@ -86,25 +94,13 @@ def worlds(
 
 def render_campaign(
     folder: str | Path, of: Sequence[World], hours: int = 3, views: int = 9, camera: str = defaults.CAMERA,
-    resume: bool = False, progress: Callable[[str, float], None] | None = None, turn: tuple[int, int] = (0, 1),
+    resume: bool = False, progress: Progress | None = None, turn: tuple[int, int] = (0, 1),
 ) -> Dataset:  # fmt: skip
     """Render Worlds into a data set; return the Dataset.
 
-    Parameters
-    ----------
-    folder : path
-    of : sequence of World
-    hours : int
-        Instants of each world's day, evenly spaced over 24 h from an hour drawn from the weather's seed.
-    views : int
-        Pairs per instant, 1 … 10.
-    camera : str
-    resume : bool
-        Resume a campaign with the same settings.
-    progress : callable, optional
-        Called with (task, fraction done).
-    turn : (k, n)
-        For several processes on one folder: render every n-th world from index k.
+    `hours` are instants of each world's day, evenly spaced over 24 h from an hour drawn from the weather's seed.
+    `views` are pairs per instant, 1…10. `turn` (k, n) is for several processes on one folder: every n-th world from
+    index k.
     """
     if not (1 <= hours <= 24 and 1 <= views <= MOST_VIEWS):
         raise ThermorenderError(f"hours={hours}, views={views} are not allowed; give 1…24 and 1…{MOST_VIEWS}")
@@ -113,7 +109,7 @@ def render_campaign(
     model = load_camera(camera, "camera")
     zero, top = radiance_from_counts(np.array([0.0, 2.0**model.bits - 1]), model)
     scale = ThermalScale("radiance", float((top - zero) / (2.0**model.bits - 1)), float(zero), None, model.band_um)
-    card = {
+    card: dict[str, Any] = {
         "name": Path(folder).name, "origin": "rendered", "licence": "MIT", "camera": camera,
         "band_um": list(model.band_um), "materials": sorted(load_library()), "terrain": list(NAMES),
         "hours": hours, "views": views, "coarser": COARSER, "side_texels": SIDE_TEXELS,
@@ -124,14 +120,16 @@ def render_campaign(
     for number, world in enumerate(mine):
         if not writer.has(world.name):
 
-            def of_world(task, fraction, number=number, name=world.name):
+            def of_world(task: str, fraction: float, number: int = number, name: str = world.name) -> None:
                 report_progress(f"{name}: {task}", (number + fraction) / len(mine))
 
             writer.shard(world.name, _pairs(world, hours, views, camera, card["materials"], of_world))
     return read_dataset(folder)
 
 
-def _pairs(world, hours, views, camera, materials, report_progress):
+def _pairs(
+    world: World, hours: int, views: int, camera: str, materials: Sequence[str], report_progress: Progress
+) -> Iterator[tuple[Entry, dict[str, bytes]]]:
     """Yield (Entry, files) of all pairs of a World."""
     from thermorender.render.geometry import Geometry
     from thermorender.render.heat.relief import reliefs
@@ -158,6 +156,9 @@ def _pairs(world, hours, views, camera, materials, report_progress):
         report_progress("rendering", (hour + 0.5) / hours)
         spec = atmosphere(land.weather, scene.weather.at(time), scene.altitude_m)
         air = declared_air(spec, scene.camera.band_um, scene.name)
+        assert air is not None
+        cloud = land.weather.cloud
+        assert cloud is not None and scene.frame is not None
         sky_k, renderers = round(air.sky_temperature(scene.altitude_m), 2), []
         for source in (truths[0][hour], predicted[hour], *(each[hour] for each in truths[1:])):
             source = _under(source, air, land.orthophoto)
@@ -167,7 +168,7 @@ def _pairs(world, hours, views, camera, materials, report_progress):
         labels = {"kind": world.kind, "season": _season(time), "weather": _sky(land.weather)}
         for view in range(views):
             name, at = _view(world, hour, view, scene)
-            entry, contents = _pair(renderers, at, order, fields[time], number, land.weather.cloud)
+            entry, contents = _pair(renderers, at, order, fields[time], number, cloud)
             place = scene.frame.latitude_deg, scene.frame.longitude_deg
             key = f"{world.name}-{hour}-{view}"
             yield replace(
@@ -177,13 +178,13 @@ def _pairs(world, hours, views, camera, materials, report_progress):
             order += 1
 
 
-def _sizes(kind):
+def _sizes(kind: str) -> tuple[float, float, float]:
     """(side, texel, post) of a world [m]."""
     known = KINDS[kind]
     return SIDE_TEXELS * COARSER * known.texel_m, COARSER * known.texel_m, COARSER * known.post_m
 
 
-def _lands(world, hours):
+def _lands(world: World, hours: int) -> tuple[list[SyntheticScene], list[np.datetime64]]:
     """The land of a World photographed at several hours of its day, and these instants."""
     weather = weather_of(world.kind, world.weather_seed)
     day = weather.time.astype("M8[D]").astype("M8[s]")
@@ -192,7 +193,7 @@ def _lands(world, hours):
     return [make(world.kind, world.seed, *_sizes(world.kind), weather=replace(weather, time=t)) for t in times], times
 
 
-def _loaded(land, camera):
+def _loaded(land: SyntheticScene, camera: str) -> Scene:
     """The Scene of a land for the heat balance; without objects, whose temperatures are declared."""
     with tempfile.TemporaryDirectory() as folder:
         write_declared(replace(land, objects=()), Path(folder))
@@ -200,15 +201,16 @@ def _loaded(land, camera):
     return scene.with_camera(load_camera(camera, "camera"))
 
 
-def _under(scene, air, colour):
+def _under(scene: Scene, air: Atmosphere, colour: np.ndarray) -> Scene:
     """A solved scene under another air, with the colours of another photograph."""
     first, *rest = scene.surfaces
+    assert scene.time is not None
     made = scene.with_air(air).with_surfaces((replace(first, colour=colour), *rest))
     terrain = scene.surfaces[: scene.terrain_count]
     return made.with_solved_temperatures(scene.time, [surface.temperature for surface in terrain])
 
 
-def _view(world, hour, view, scene):
+def _view(world: World, hour: int, view: int, scene: Scene) -> tuple[str, np.ndarray]:
     """(name of the view, camera pose) of a pair."""
     name, low, high = VIEWS[view % len(VIEWS)]
     g = stream(world.seed, f"view {hour} {view}")
@@ -230,7 +232,10 @@ def _view(world, hour, view, scene):
     return name, pose(east, north, float(scene.ground(east, north)) + height, yaw, pitch)
 
 
-def _pair(renderers, at, order, fields, number, cloud):
+def _pair(
+    renderers: Sequence["Renderer"], at: np.ndarray, order: int, fields: Mapping[str, np.ndarray], number: np.ndarray,
+    cloud: float,
+) -> tuple[Entry, dict[str, bytes]]:  # fmt: skip
     """(Entry with the picture's properties, its files) of one view."""
     first = renderers[0]
     frame = first.frame(at, index=order)
@@ -258,15 +263,17 @@ def _pair(renderers, at, order, fields, number, cloud):
     return entry, packed(visible, frame.counts, (on_ground & covered) | sky, images)
 
 
-def _season(time):
+def _season(time: np.datetime64) -> str:
     """Name of the meteorological season of an instant."""
     month = int(time.astype("M8[M]").astype(int)) % 12
     return ("winter", "winter", "spring", "spring", "spring", "summer", "summer", "summer", "autumn", "autumn",
             "autumn", "winter")[month]  # fmt: skip
 
 
-def _sky(weather):
+def _sky(weather: WeatherSpec) -> str:
     """Label of a named day: snow if any, then clear, cloudy or overcast, and windy if the wind is strong."""
+    cloud, wind_m_s = weather.cloud, weather.wind_m_s
+    assert cloud is not None and wind_m_s is not None
     ground = "snow " if weather.snow_depth_m else ""
-    sky = "clear" if weather.cloud < 0.25 else "cloudy" if weather.cloud < 0.75 else "overcast"
-    return f"{ground}{sky}{' windy' if weather.wind_m_s > 5.0 else ''}"
+    sky = "clear" if cloud < 0.25 else "cloudy" if cloud < 0.75 else "overcast"
+    return f"{ground}{sky}{' windy' if wind_m_s > 5.0 else ''}"

@@ -7,7 +7,7 @@ its share as the groups allow.
 import csv
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -33,25 +33,10 @@ def assign(
 ) -> dict[str, str]:  # fmt: skip
     """Return {key: part} of Entries: whole groups, largest first, each into the part that lacks most pairs.
 
-    Parameters
-    ----------
-    entries : sequence of Entry
-    rule : {"sequence", "place", "crop", "train", "validation", "test"}
-        What stays together: a sequence; a cell on the map with everything within `apart_m` of it; or nothing, as
-        published, so that crops of one picture go into several parts. A part's name puts all pairs there.
-    shares : (3,) floats
-        Shares of training, validation and test; a part with share 0 stays empty.
-    seed : int
-        Random order of groups of equal size.
-    cell_m : float
-        Side of a cell of the rule "place" [m].
-    apart_m : float
-        Least distance between parts of the rule "place" [m].
-
-    Returns
-    -------
-    dict
-        Every part whose share is above 0 has at least one group.
+    The rule says what stays together: a "sequence"; a "place", a cell of the map of side `cell_m` with everything
+    within `apart_m` of it [m]; or a single "crop", as published, so that crops of one picture go into several parts. A
+    part's name puts all pairs there. `shares` are those of training, validation and test; a part with a share above 0
+    gets one group or more. `seed` orders groups of equal size.
     """
     if rule in PARTS:
         return {entry.key: rule for entry in entries}
@@ -65,7 +50,7 @@ def assign(
             f"shares={tuple(shares)} are not shares of {', '.join(PARTS)}; give three numbers from 0 up, such as "
             f"{SHARES}"
         )
-    groups = {}
+    groups: dict[str | int, list[str]] = {}
     for entry, name in zip(entries, RULES[rule](entries, cell_m, apart_m), strict=True):
         groups.setdefault(name, []).append(entry.key)
     wanted = {part: share / sum(shares) * len(entries) for part, share in zip(PARTS, shares, strict=True) if share}
@@ -78,7 +63,8 @@ def assign(
     members = sorted(map(sorted, groups.values()))
     members = [members[k] for k in np.random.default_rng(seed).permutation(len(members))]
     members.sort(key=len, reverse=True)
-    found, empty = {}, set(wanted)
+    found: dict[str, str] = {}
+    empty = set(wanted)
     for left, group in zip(range(len(members), 0, -1), members, strict=True):
         # The last groups go to the empty parts.
         part = max(empty if left == len(empty) else wanted, key=lambda name: (wanted[name], -PARTS.index(name)))
@@ -95,6 +81,10 @@ def read_split(path: str | Path) -> dict[str, str]:
     ----------
     path : path
         JSON {"train": [keys], "validation": [keys], "test": [keys]}, or CSV with the columns key and part.
+
+    Returns
+    -------
+    dict of str to str
     """
     path = Path(path)
     form = 'JSON {"train": [keys], …} or CSV with the columns key,part'
@@ -114,7 +104,7 @@ def read_split(path: str | Path) -> dict[str, str]:
         usable = False
     if not usable:
         raise ThermorenderError(f"{path} is not a split; give {form}")
-    found = {}
+    found: dict[str, str] = {}
     for key, part in rows:
         if part not in PARTS:
             raise ThermorenderError(f"{path} puts {key!r} into {part!r}; give one of {', '.join(PARTS)}")
@@ -136,16 +126,16 @@ def write_split(path: str | Path, parts: Mapping[str, str]) -> None:
 # --- groups -----------------------------------------------------------------------------------------------------
 
 
-def _sequences(entries, cell_m, apart_m):
+def _sequences(entries: Sequence[Entry], cell_m: float, apart_m: float) -> list[str]:
     return [entry.sequence for entry in entries]
 
 
-def _crops(entries, cell_m, apart_m):
+def _crops(entries: Sequence[Entry], cell_m: float, apart_m: float) -> list[str]:
     return [entry.key for entry in entries]
 
 
-def _places(entries, cell_m, apart_m):
-    """The group of each entry: its map cell, joined with cells that have an entry within `apart_m`."""
+def _places(entries: Sequence[Entry], cell_m: float, apart_m: float) -> list[int]:
+    """Group of each entry: its map cell, joined with cells that have an entry within `apart_m`."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
@@ -170,7 +160,7 @@ def _places(entries, cell_m, apart_m):
     near = cell[cKDTree(position).query_pairs(apart_m, output_type="ndarray")]
     count = int(cell.max(initial=-1)) + 1
     joined = connected_components(coo_matrix((np.ones(len(near)), near.reshape(-1, 2).T), (count, count)))[1]
-    return joined[cell].tolist()
+    return [int(group) for group in joined[cell]]
 
 
 def positions(entries: Sequence[Entry]) -> NDArray[np.float64]:
@@ -181,5 +171,9 @@ def positions(entries: Sequence[Entry]) -> NDArray[np.float64]:
 
 
 # {name: function of (entries, cell_m, apart_m) that returns the group of each entry}.
-RULES = {"sequence": _sequences, "place": _places, "crop": _crops}
+RULES: dict[str, Callable[[Sequence[Entry], float, float], Sequence[str | int]]] = {
+    "sequence": _sequences,
+    "place": _places,
+    "crop": _crops,
+}
 _SMALLER = {"place": ", or smaller cell_m and apart_m"}

@@ -3,7 +3,10 @@
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
 
+from thermorender.apps.training.task import Task
 from thermorender.errors import ThermorenderError
 from thermorender.learned.correlation import MOST_SIDE
 from thermorender.learned.networks.recipes import RECIPES
@@ -14,46 +17,33 @@ from thermorender.schema import did_you_mean
 class Method:
     """A training method."""
 
-    fit: Callable  # Task → predictor
+    # Task → predictor
+    fit: Callable[[Task], Any]
     plus: bool  # Whether it takes relief, hour and weather as input
-    options: dict  # Its options with their defaults
+    options: dict[str, Any]  # Its options with their defaults
     classes: bool = False  # Whether it can use class numbers, such as a privileged map's materials, as input
     long: bool = False  # Whether it is trained step by step, in a folder from which it can be resumed
 
 
-def _correlation(size):
-    def fit(task):
-        from thermorender.apps.training.correlation_training import fit_correlation
+def _fit(module: str, name: str, *more: Any) -> Callable[[Task], Any]:
+    """Function of a Task and `more` in a module of this package, imported when it is called."""
 
-        return fit_correlation(task, size)
+    def fit(task: Task) -> Any:
+        try:
+            found = import_module(f"thermorender.apps.training.{module}")
+        except ModuleNotFoundError as error:
+            raise ThermorenderError(
+                f"training a network needs {error.name}; install it with: pip install 'thermorender[networks]'"
+            ) from None
+        return getattr(found, name)(task, *more)
 
+    return fit
+
+
+def _correlation(size: int) -> Method:
+    """Method of a correlation with size × size colours."""
     options = {"intercept": False, "penalty": 0.0, "above_air": False}
-    return Method(fit, False, options)
-
-
-def _later(module, name, plus, options, classes=False):
-    def fit(task):
-        return _imported(module, name)(task)
-
-    return Method(fit, plus, options, classes)
-
-
-def _network(name, recipe):
-    def fit(task):
-        return _imported("networks.loop", "train_network")(task, name)
-
-    return Method(fit, recipe.plus, recipe.all_options, long=True)
-
-
-def _imported(module, name):
-    import importlib
-
-    try:
-        return getattr(importlib.import_module(f"thermorender.learned.{module}"), name)
-    except ModuleNotFoundError as error:
-        raise ThermorenderError(
-            f"training a network needs {error.name}; install it with: pip install 'thermorender[networks]'"
-        ) from None
+    return Method(_fit("correlation_training", "fit_correlation", size), False, options)
 
 
 METHODS = {
@@ -61,12 +51,15 @@ METHODS = {
     "correlation-9to1": _correlation(3),
     "correlation-5x5": _correlation(5),
     "correlation-7x7": _correlation(7),
-    "palette": _later("palette", "fit_palette", False, {"cell": 6.0, "shrinkage": 200.0}),
-    "trees": _later("trees", "fit_trees", False, {}),
-    "correlation+": _later("linear", "fit_linear", True, {"penalty": 1e-3}),
-    "trees+": _later("trees", "fit_trees", True, {}, classes=True),
+    "palette": Method(_fit("palette_training", "fit_palette"), False, {"cell": 6.0, "shrinkage": 200.0}),
+    "trees": Method(_fit("trees_training", "fit_trees"), False, {}),
+    "correlation+": Method(_fit("linear_training", "fit_linear"), True, {"penalty": 1e-3}),
+    "trees+": Method(_fit("trees_training", "fit_trees"), True, {}, classes=True),
 }
-METHODS |= {name: _network(name, recipe) for name, recipe in RECIPES.items()}
+METHODS |= {
+    name: Method(_fit("networks.loop", "train_network", name), recipe.plus, recipe.all_options, long=True)
+    for name, recipe in RECIPES.items()
+}
 _NXN = re.compile(r"correlation-(\d+)x\1")
 
 

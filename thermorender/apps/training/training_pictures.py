@@ -125,7 +125,7 @@ def search_in_files(
         path = files[number]
         if path.suffix.lower() in VIDEOS:
             whole, image = cv2.VideoCapture(str(path)).read()
-            return image[..., ::-1] if whole else None
+            return np.asarray(image[..., ::-1], np.uint8) if whole else None
         try:
             return read_picture(path)[0]
         except UnreadableError:

@@ -8,7 +8,7 @@ settings, `translated.jsonl` the finished files.
 import json
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -21,6 +21,7 @@ from thermorender import files, formats
 from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import MOST_SPACING, Inputs, TemperatureMap
 from thermorender.physics.planck import band_radiance
+from thermorender.progress import Progress
 from thermorender.sensor.display import DisplaySettings
 from thermorender.sensor.palettes import palette as known_palette
 from thermorender.sensor.radiometric_files import TLINEAR_STEP_K, write_tlinear_counts
@@ -48,21 +49,13 @@ class UnreadableError(ThermorenderError):
 
 @dataclass(frozen=True, eq=False)
 class Translation:
-    """Settings of a translation.
-
-    Raises
-    ------
-    ThermorenderError
-        The map needs more than a picture, has no border to leave out, or its texel is too different.
-    """
+    """Settings of a translation."""
 
     model: TemperatureMap
     texel_m: float | None = None  # Ground sampling distance of the pictures [m]; None means the map's own
     palette: str = "white-hot"  # Palette of the 8-bit pictures
-    # Leave out the border in which edge pixels are repeated, as published; else pictures keep their size
-    inner: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         model = self.model
         if model.needs:
             # This raises the error that names the missing inputs.
@@ -71,10 +64,6 @@ class Translation:
             raise ThermorenderError(
                 f"texel_m={self.texel_m:g} is too far from the {model.texel_m:.3g} m of learned map {model.name!r}; "
                 f"give {model.texel_m / MOST_SPACING:.3g}…{model.texel_m * MOST_SPACING:.3g} m"
-            )
-        if self.inner and not hasattr(model.predictor, "inner"):
-            raise ThermorenderError(
-                f"learned map {model.name!r} ({model.method}) has no border to leave out; run it without --inner"
             )
         known_palette(self.palette)
 
@@ -86,12 +75,7 @@ class Translation:
     def counts(self, rgb: np.ndarray, known: np.ndarray | None = None) -> np.ndarray:
         """Return apparent temperature of a picture, (h, w) uint16, `TLINEAR_STEP_K` kelvin a count; 0 where unknown.
 
-        Parameters
-        ----------
-        rgb : (h, w, 3) uint8
-            sRGB.
-        known : (h, w) bool, optional
-            Where the picture is not empty.
+        `known` is (h, w) bool, where the picture is not empty; None for everywhere.
         """
         height, width = rgb.shape[:2]
         predictor = self.model.predictor
@@ -107,8 +91,6 @@ class Translation:
             found[start:stop] = np.where(np.isfinite(radiance), np.searchsorted(steps, radiance), 0)
         if known is not None:
             found[~known] = 0
-        if self.inner:
-            found = predictor.inner(found, self._spacing)
         return found
 
     def picture(self, counts: np.ndarray) -> np.ndarray:
@@ -121,58 +103,43 @@ class Translation:
         return float(np.mean((known < self._ends[0]) | (known > self._ends[1]))) if known.size else 0.0
 
     @cached_property
-    def _spacing(self):
+    def _spacing(self) -> float:
+        """Spacing of the map's taps [pixels]."""
         return 1.0 if self.texel_m is None else self.model.texel_m / self.texel_m
 
     @cached_property
-    def _ends(self):
+    def _ends(self) -> np.ndarray:
+        """Counts of the ends of the map's range."""
         return np.array(self.model.range_k) / TLINEAR_STEP_K
 
 
 @lru_cache(4)
-def _steps(lower_um, upper_um):
+def _steps(lower_um: float, upper_um: float) -> np.ndarray:
     """Radiances at the limits between counts, (65535,) [W m⁻² sr⁻¹]."""
     return band_radiance((np.arange(65535) + 0.5) * TLINEAR_STEP_K, lower_um, upper_um)
 
 
 def translate(
     model: TemperatureMap, paths: Sequence[files.PathLike], output: files.PathLike, texel_m: float | None = None,
-    palette: str = "white-hot", inner: bool = False, frames: bool = False, resume: bool = False,
-    progress: Callable[[str, float], object] | None = None,
+    palette: str = "white-hot", frames: bool = False, resume: bool = False,
+    progress: Progress | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Translate pictures and videos into a folder; an unreadable one does not stop the others.
+    """Translate pictures and videos, or folders of them, into a folder; an unreadable one does not stop the others.
 
-    Parameters
-    ----------
-    model : TemperatureMap
-    paths : sequence of path
-        Pictures, videos, or folders of them.
-    output : path
-        Folder.
-    texel_m, palette, inner
-        As for `Translation`.
-    frames : bool
-        Also write the frames of videos.
-    resume : bool
-        Continue in a folder of the same settings and skip finished files.
-    progress : callable, optional
-        Called with (what, share done).
-
-    Returns
-    -------
-    dict
-        "done" and "passed over", numbers of files; "failed", {path: sentence}; "warning", a sentence or None.
+    `frames` also writes those of videos. `resume` continues in a folder of the same settings and skips finished files.
+    Returns "done" and "passed over", numbers of files; "failed", {path: sentence}; "warning", a sentence or None.
     """
     report = progress or (lambda what, share: None)
-    how = Translation(model, texel_m, palette, inner)
+    how = Translation(model, texel_m, palette)
     sources = sources_of(paths)
     outputs = {source: _outputs(source, Path(output), frames) for source in sources}
     _refuse_clashes(outputs, resume)
     settings = {
-        "model": _record_of(model), "texel_m": texel_m, "palette": palette, "inner": inner, "frames": frames,
+        "model": _record_of(model), "texel_m": texel_m, "palette": palette, "frames": frames,
         "kelvin_per_count": TLINEAR_STEP_K,
     }  # fmt: skip
-    done, failed, passed = 0, {}, 0
+    done, passed = 0, 0
+    failed: dict[Path, str] = {}
     with files.output_folder(output) as folder, files.in_use(folder):
         before = _begin(folder, settings, resume)
         for number, source in enumerate(sources):
@@ -183,7 +150,7 @@ def translate(
             if name in before:
                 _forget(folder / DONE, name)
 
-            def report_share(share, number=number):
+            def report_share(share: float, number: int = number) -> None:
                 report("translating", (number + share) / len(sources))
 
             report_share(0.0)
@@ -206,12 +173,7 @@ def read_picture(path: files.PathLike) -> tuple[np.ndarray, np.ndarray | None]:
     """Return (sRGB (h, w, 3) uint8, where it is not empty (h, w) bool or None for everywhere) of a picture's file.
 
     It is rotated by its EXIF orientation. Grey, palettes, CMYK (without its profile) and 16-bit colour become 8-bit
-    RGB.
-
-    Raises
-    ------
-    UnreadableError
-        The file is damaged, of another format, 16-bit grey, or too large.
+    RGB. Raises UnreadableError for a file that is damaged, of another format, 16-bit grey, or too large.
     """
     from PIL import Image, ImageOps
 
@@ -219,10 +181,10 @@ def read_picture(path: files.PathLike) -> tuple[np.ndarray, np.ndarray | None]:
         # Pillow warns about large pictures and harmless oddities.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            with Image.open(path, formats=_FORMATS) as image:
-                mode = image.mode
+            with Image.open(path, formats=_FORMATS) as file:
+                mode = file.mode
                 if mode not in _DEEP_GREY:
-                    image = ImageOps.exif_transpose(image)
+                    image = ImageOps.exif_transpose(file)
                     if "A" in image.getbands() or "transparency" in image.info:
                         rgba = np.asarray(image.convert("RGBA"))
                         known = rgba[..., 3] >= _LEAST_ALPHA
@@ -230,7 +192,7 @@ def read_picture(path: files.PathLike) -> tuple[np.ndarray, np.ndarray | None]:
                     return np.asarray(image.convert("RGB")), None
     except Image.DecompressionBombError:
         raise UnreadableError(
-            f"{path} has more than {2 * Image.MAX_IMAGE_PIXELS / 1e6:.0f} million pixels; cut it into pieces"
+            f"{path} has more than {2 * (Image.MAX_IMAGE_PIXELS or 0) / 1e6:.0f} million pixels; cut it into pieces"
         ) from None
     # Each format raises its own kinds of errors for a damaged file.
     except Exception as error:
@@ -247,15 +209,19 @@ def read_picture(path: files.PathLike) -> tuple[np.ndarray, np.ndarray | None]:
 # --- one file ---------------------------------------------------------------------------------------------------
 
 
-def _picture(how, source, outputs):
+def _picture(how: Translation, source: Path, outputs: Sequence[Path]) -> dict[str, Any]:
+    """Translate a picture; return facts for the record."""
     rgb, known = read_picture(source)
     counts = how.counts(rgb, known)
-    _refuse_empty(source, counts, known is None or known.any())
-    _write_counts(how, counts, *outputs)
+    _refuse_empty(source, counts, known is None or bool(known.any()))
+    tiff, png = outputs
+    _write_counts(how, counts, tiff, png)
     return {"shape": list(counts.shape), "share_outside_0_1": how.share_outside(counts)}
 
 
-def _video(how, source, outputs, report_share):
+def _video(
+    how: Translation, source: Path, outputs: Sequence[Path], report_share: Callable[[float], object]
+) -> dict[str, Any]:
     """Translate a video frame by frame; outputs are its file and, if frames are requested, their folder."""
     import cv2
 
@@ -274,13 +240,14 @@ def _video(how, source, outputs, report_share):
             raise UnreadableError(f"{source} cannot be read as a video; give a whole MP4 or AVI")
         part = stack.enter_context(files.atomic(outputs[0]))
         folder = stack.enter_context(files.atomic_folder(outputs[1], overwrite=True)) if outputs[1:] else None
-        writer, number, outside = None, 0, 0.0
+        writer: cv2.VideoWriter | None = None
+        number, outside = 0, 0.0
         while whole:
-            counts = how.counts(np.ascontiguousarray(image[..., ::-1]))
+            counts = how.counts(np.ascontiguousarray(image[..., ::-1], np.uint8))
             _refuse_empty(source, counts, True)
             shown = how.picture(counts)
             if writer is None:
-                codec = cv2.VideoWriter_fourcc(*VIDEOS[outputs[0].suffix])
+                codec = cv2.VideoWriter.fourcc(*VIDEOS[outputs[0].suffix])
                 writer = cv2.VideoWriter(str(part), codec, rate_hz, counts.shape[::-1])
                 stack.callback(writer.release)
                 if not writer.isOpened():
@@ -292,6 +259,7 @@ def _video(how, source, outputs, report_share):
             outside += how.share_outside(counts)
             report_share(number / max(declared, number))
             whole, image = reader.read()
+        assert writer is not None
         writer.release()
         _refuse_cut(part, number)
         if number < declared - max(1.0, _MISSING_FRAMES * declared):
@@ -299,7 +267,7 @@ def _video(how, source, outputs, report_share):
     return {"shape": list(counts.shape), "frames": number, "rate_hz": rate_hz, "share_outside_0_1": outside / number}
 
 
-def _refuse_cut(path, frames):
+def _refuse_cut(path: Path, frames: int) -> None:
     """Raise OSError if a video lacks frames that were written: OpenCV does not report a full disk."""
     import cv2
 
@@ -311,14 +279,14 @@ def _refuse_cut(path, frames):
         raise OSError(f"{found} of {frames} frames reached the disk")
 
 
-def _refuse_empty(source, counts, shows):
-    if not counts.size:
-        raise UnreadableError(f"{source} is smaller than the border that --inner leaves out; translate it without")
+def _refuse_empty(source: Path, counts: np.ndarray, shows: bool) -> None:
+    """Refuse a picture that shows something and gets no temperature."""
     if shows and not counts.any():
         raise UnreadableError(f"{source} gets no temperature anywhere from this map; take another map")
 
 
-def _write_counts(how, counts, tiff, png):
+def _write_counts(how: Translation, counts: np.ndarray, tiff: Path, png: Path) -> None:
+    """Write counts as a TIFF of temperatures and as an 8-bit picture."""
     with formats.atomic_raster(tiff) as part:
         write_tlinear_counts(part, counts)
     formats.write_image(png, how.picture(counts))
@@ -346,16 +314,18 @@ def sources_of(paths: Sequence[files.PathLike]) -> list[Path]:
     return list({path.resolve(): path for path in found}.values())
 
 
-def _outputs(source, folder, frames):
+def _outputs(source: Path, folder: Path, frames: bool) -> tuple[Path, ...]:
+    """Files or folders that a source is translated to."""
     if source.suffix.lower() in VIDEOS:
         video = folder / f"{source.stem}{source.suffix.lower()}"
         return (video, folder / f"{source.stem}_frames") if frames else (video,)
     return folder / f"{source.stem}.tif", folder / f"{source.stem}.png"
 
 
-def _refuse_clashes(outputs, resume):
+def _refuse_clashes(outputs: Mapping[Path, Sequence[Path]], resume: bool) -> None:
     """Raise ThermorenderError if two sources have the same output, or an output exists."""
-    owner, sources = {}, {source.resolve() for source in outputs}
+    owner: dict[Path, Path] = {}
+    sources = {source.resolve() for source in outputs}
     for source, written in outputs.items():
         for path in written:
             if path in owner:
@@ -368,7 +338,7 @@ def _refuse_clashes(outputs, resume):
                 raise ThermorenderError(f"{path} exists; give another folder, or --resume to continue")
 
 
-def _begin(folder, settings, resume):
+def _begin(folder: Path, settings: dict[str, Any], resume: bool) -> dict[str, tuple[Any, Any]]:
     """Write the record, or compare it with the existing one; return {path: (checksum, `_sizes`)} of finished files."""
     path = folder / RECORD
     if resume:
@@ -396,13 +366,14 @@ def _begin(folder, settings, resume):
         raise ThermorenderError(f"{path} is not a list of translations; give another folder") from None
 
 
-def _forget(path, source):
+def _forget(path: Path, source: str) -> None:
     """Remove a source from the list of finished files."""
     kept = [line for line in formats.read_json_lines(path) if line["source"] != source]
     formats.write_text(path, "".join(json.dumps(line) + "\n" for line in kept))
 
 
-def _checksum(source):
+def _checksum(source: Path) -> str | None:
+    """Checksum of a file, None where it cannot be read."""
     try:
         return formats.checksum(source)
     except OSError:
@@ -410,17 +381,18 @@ def _checksum(source):
         return None
 
 
-def _sizes(outputs):
+def _sizes(outputs: Sequence[Path]) -> dict[str, Any]:
     """{name: bytes} of existing files; for a folder [number of files, bytes]."""
     return {path.name: _held(path) if path.is_dir() else path.stat().st_size for path in outputs if path.exists()}
 
 
-def _held(folder):
+def _held(folder: Path) -> list[int]:
+    """[number of files, bytes] of a folder."""
     sizes = [path.stat().st_size for path in folder.iterdir()]
     return [len(sizes), sum(sizes)]
 
 
-def _record_of(model):
+def _record_of(model: TemperatureMap) -> dict[str, Any]:
     """A map's entry in the record: plain values, and a digest of everything it computes with."""
     plain = ("name", "method", "range_k", "band_um", "texel_m", "camera", "sky_temperature", "source")
     return {name: getattr(model, name) for name in plain} | {"digest": model.digest()}

@@ -8,6 +8,7 @@ doi:10.1016/j.isprsjprs.2014.05.005).
 """
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -73,7 +74,7 @@ def versions(item: Labelled, count: int, generator: np.random.Generator) -> Iter
                 target = _colour(chosen, generator)
                 if target is None:
                     target = typical * _spread(generator)
-                light[part] *= np.float32(target / np.maximum(typical, 1e-3))
+                light[part] *= (target / np.maximum(typical, 1e-3)).astype(np.float32)
                 material[part] = new.setdefault(chosen, len(new) + 1)
         yield Labelled(
             bytes_from_linear(light), material, {value: name for name, value in new.items()}, item.texel_m,
@@ -90,7 +91,7 @@ def town(seed: int) -> Labelled:
     light = np.zeros((side, side, 3), np.float32)
     yards = [("soil_loam", "soil_arid", "sand_quartz", "grass_dry", "grass_green", "concrete")[k]
              for k in generator.permutation(6)[:3]]  # fmt: skip
-    patch = sum(_smooth(generator, cells, side) for cells in (5, 12, 30))
+    patch: Any = sum(_smooth(generator, cells, side) for cells in (5, 12, 30))
     limits = np.quantile(patch, [0.5, 0.8])
     for number, name in enumerate(yards):
         _paint(light, material, np.digitize(patch, limits) == number, name, names, generator)
@@ -118,7 +119,7 @@ def town(seed: int) -> Labelled:
     pitched = np.isin(kinds, [0, 1, 4]) & (generator.random(count) < 0.8)
     sun = generator.uniform(0.0, 2.0 * np.pi)
     slope = np.where(across % plot < plot / 2, 1.0, -1.0) * np.cos(sun - angle)
-    shade = np.float32(1.0 + 0.35 * slope * pitched[cell])
+    shade = (1.0 + 0.35 * slope * pitched[cell]).astype(np.float32)
     light[roof] = (colours[cell] * shade[..., None])[roof]
     for kind, name in enumerate(ROOFS):
         material[roof & (kinds[cell] == kind)] = names.setdefault(name, len(names) + 1)
@@ -131,7 +132,9 @@ def town(seed: int) -> Labelled:
                     "made towns", "town")  # fmt: skip
 
 
-def _parts(here, name, climate, generator):
+def _parts(
+    here: np.ndarray, name: str, climate: str, generator: np.random.Generator
+) -> Iterator[tuple[np.ndarray, str]]:
     """Yield (mask, material) of the parts of a material's ground, which may become another material each."""
     import cv2
 
@@ -150,7 +153,7 @@ def _parts(here, name, climate, generator):
         yield here & (which == number), option
 
 
-def _smooth(generator, cells, side):
+def _smooth(generator: np.random.Generator, cells: int, side: int) -> np.ndarray:
     """Smooth noise (side, side) of normal values on a grid of cells."""
     import cv2
 
@@ -158,13 +161,13 @@ def _smooth(generator, cells, side):
     return cv2.resize(values, (side, side), interpolation=cv2.INTER_CUBIC)
 
 
-def _spread(generator):
+def _spread(generator: np.random.Generator) -> np.ndarray:
     """A random factor on a colour, (3,)."""
     return np.exp(generator.normal(0.0, _BRIGHTNESS) + generator.normal(0.0, _TINT, 3))
 
 
-def _colour(name, generator):
-    """The linear colour of a place covered by a material, (3,), or None if no sample was measured."""
+def _colour(name: str, generator: np.random.Generator) -> np.ndarray | None:
+    """Linear colour of a place covered by a material, (3,), or None if no sample was measured."""
     samples = COLOURS.get(name)
     return None if samples is None else np.array(samples[generator.integers(len(samples))]) * _spread(generator)
 
@@ -173,13 +176,17 @@ def _colour(name, generator):
 _GREEN = {"grass_green": (0.06, 0.10, 0.03), "grass_dry": (0.22, 0.19, 0.10), "broadleaf": (0.035, 0.06, 0.02)}
 
 
-def _paint(light, material, here, name, names, generator):
+def _paint(
+    light: np.ndarray, material: np.ndarray, here: np.ndarray, name: str, names: dict[str, int],
+    generator: np.random.Generator,
+) -> None:  # fmt: skip
+    """Cover ground with a material, numbered in `names`."""
     colour = _colour(name, generator)
     light[here] = np.array(_GREEN[name]) * _spread(generator) if colour is None else colour
     material[here] = names.setdefault(name, len(names) + 1)
 
 
-def _clutter(light, roof, generator):
+def _clutter(light: np.ndarray, roof: np.ndarray, generator: np.random.Generator) -> None:
     """Change small rectangles of roofs: tanks, vents, stairs."""
     rows, columns = np.nonzero(roof)
     for number in generator.integers(0, rows.size, rows.size // 1500):
@@ -188,7 +195,10 @@ def _clutter(light, roof, generator):
         light[part] *= np.float32(np.exp(generator.normal(0.0, 0.5)))
 
 
-def _trees(light, material, height, names, free, generator):
+def _trees(
+    light: np.ndarray, material: np.ndarray, height: np.ndarray, names: dict[str, int], free: np.ndarray,
+    generator: np.random.Generator,
+) -> None:  # fmt: skip
     """Draw crowns on free ground."""
     side = len(light)
     value = names.setdefault("broadleaf", len(names) + 1)
@@ -209,11 +219,11 @@ def _trees(light, material, height, names, free, generator):
         height[part][crown] = radius * _TOWN_TEXEL_M * 1.5
 
 
-def _cast_shadows(light, height, sun, length):
+def _cast_shadows(light: np.ndarray, height: np.ndarray, sun: float, length: float) -> None:
     """Darken ground that higher neighbours towards the sun cover; `length` is the shadow per metre of height."""
     shaded = np.zeros(height.shape, bool)
     for step in range(1, 40):
         away_m = step * _TOWN_TEXEL_M
         shift = np.rint(np.array([np.sin(sun), np.cos(sun)]) * step).astype(int)
         shaded |= np.roll(height, shift, (0, 1)) - height > away_m / length + 0.5
-    light[shaded] *= np.float32((0.22, 0.25, 0.32))
+    light[shaded] *= np.array((0.22, 0.25, 0.32), np.float32)

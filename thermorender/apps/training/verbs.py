@@ -7,6 +7,8 @@ from typing import Annotated, Any
 import typer
 
 from thermorender import defaults, files
+from thermorender.apps.training.cut import Cut
+from thermorender.cli.options import flat
 from thermorender.cli.terminal import named, output_option, progress, split, table, warn
 from thermorender.cli.workers import Cluster
 from thermorender.errors import ThermorenderError
@@ -14,82 +16,61 @@ from thermorender.learned.networks.recipes import RECIPES
 from thermorender.numbers import parse_numbers, parse_scale
 
 MAPS = ", ".join((*defaults.TEMPERATURE_MAPS, *defaults.TRAINED_MAPS))
-VisibleFolder = Annotated[Path, typer.Argument(help="Folder of visible pictures.")]
-ThermalFolder = Annotated[Path, typer.Argument(help="Folder of thermal pictures; may be the same.")]
-DatasetFolder = Annotated[Path, output_option("-o", "--output", help="Folder for the data set.")]
-VisiblePattern = Annotated[
-    str, typer.Option(help="Names of visible pictures, e.g. '*_rgb.jpg'; the part matched by * names the pair.")
-]
-ThermalPattern = Annotated[str, typer.Option(help="Names of thermal pictures, e.g. '*_thermal.tif'.")]
-ValidPattern = Annotated[
-    str | None, typer.Option(help="Names of masks in the visible folder, not 0 where both show the same scene.")
-]
-ThermalScaleText = Annotated[
-    str | None, typer.Option("--scale", help="STEP,ZERO of files without a scale: kelvin per count, of count 0.")
-]
-RigFile = Annotated[Path | None, typer.Option("--rig", help="Register visible pictures by this rig.json.")]
-Calibrate = Annotated[bool, typer.Option("--calibrate", help="Estimate the rig from the pictures, and save it.")]
-Fields = Annotated[
-    str | None,
-    typer.Option("--fields-of-view", help="VISIBLE_H,VISIBLE_V,THERMAL_H,THERMAL_V [deg]: start of --calibrate, "
-                 "e.g. 57.12,42.44,45,37."),
-]  # fmt: skip
-Resized = Annotated[
-    bool, typer.Option("--resized", help="Visible pictures were resized with different factors along their sides: "
-                       "--calibrate estimates the ratio too."),
-]  # fmt: skip
-Crops = Annotated[int, typer.Option(help="Squares cut at random from each pair; 0: whole pictures.")]
-CropSize = Annotated[int, typer.Option(help="Their side [px].")]
-Shift = Annotated[
-    float, typer.Option(help="Move each thermal picture by a random vector of this length [px], to simulate misaligned "
-                        "pairs."),
-]  # fmt: skip
-DrawSeed = Annotated[int, typer.Option(help="Seed of crops, shifts and split.")]
-Split = Annotated[
-    str, typer.Option(help="sequence, place or crop: unit that is kept together; train, validation or test: the part "
-                      "of all pairs; or a file of a split, .json or .csv.")
-]  # fmt: skip
-Sequence = Annotated[
-    str | None, typer.Option(help="Regular expression whose group is a name's sequence; default: the name without its "
-                             "last digits."),
-]  # fmt: skip
-Gap = Annotated[int | None, typer.Option(help="A larger step of the numbers in names starts a new sequence.")]
-TexelM = Annotated[float | None, typer.Option(help="Ground sampling distance of the thermal pictures [m].")]
-IntensityRange = Annotated[
-    str | None, typer.Option("--range-c", help="COLD,WARM: °C of the bounds of values without a scale; default 14,24.")
-]
-Licence = Annotated[str | None, typer.Option(help="Licence of the pictures, for the card.")]
-SkipBad = Annotated[bool, typer.Option("--skip-bad", help="Leave out unusable pictures, and list them.")]
-Resume = Annotated[bool, typer.Option("--resume", help="Continue a stopped data set.")]
 
 
+@flat
 def prepare(
-    visible_folder: VisibleFolder,
-    thermal_folder: ThermalFolder,
-    output: DatasetFolder,
-    visible: VisiblePattern = "*",
-    thermal: ThermalPattern = "*",
-    valid: ValidPattern = None,
-    scale: ThermalScaleText = None,
-    rig: RigFile = None,
-    calibrate: Calibrate = False,
-    fields_of_view: Fields = None,
-    resized: Resized = False,
-    crops: Crops = 0,
-    crop_size: CropSize = 256,
-    shift: Shift = 0.0,
-    seed: DrawSeed = 0,
-    split: Split = "sequence",
-    sequence: Sequence = None,
-    gap: Gap = None,
-    texel_m: TexelM = None,
-    range_c: IntensityRange = None,
-    licence: Licence = None,
-    skip_bad: SkipBad = False,
-    resume: Resume = False,
-) -> None:
+    *,
+    visible_folder: Annotated[Path, typer.Argument(help="Folder of visible pictures.")],
+    thermal_folder: Annotated[Path, typer.Argument(help="Folder of thermal pictures; may be the same.")],
+    output: Annotated[Path, output_option("-o", "--output", help="Folder for the data set.")],
+    visible: Annotated[
+        str, typer.Option(help="Names of visible pictures, e.g. '*_rgb.jpg'; the part matched by * names the pair.")
+    ] = "*",
+    thermal: Annotated[str, typer.Option(help="Names of thermal pictures, e.g. '*_thermal.tif'.")] = "*",
+    valid: Annotated[
+        str | None, typer.Option(help="Names of masks in the visible folder, not 0 where both show the same scene.")
+    ] = None,
+    scale: Annotated[
+        str | None, typer.Option(help="STEP,ZERO of files without a scale: kelvin per count, of count 0.")
+    ] = None,
+    rig: Annotated[Path | None, typer.Option(help="Register visible pictures by this rig.json.")] = None,
+    calibrate: Annotated[
+        bool, typer.Option("--calibrate", help="Estimate the rig from the pictures, and save it.")
+    ] = False,
+    fields_of_view: Annotated[
+        str | None,
+        typer.Option(help="VISIBLE_H,VISIBLE_V,THERMAL_H,THERMAL_V [deg]: start of --calibrate, e.g. "
+                     "57.12,42.44,45,37."),
+    ] = None,
+    resized: Annotated[
+        bool, typer.Option("--resized", help="Visible pictures were resized with different factors along their sides: "
+                           "--calibrate estimates the ratio too."),
+    ] = False,
+    cut: Cut,
+    split: Annotated[
+        str, typer.Option(help="sequence, place or crop: unit that is kept together; train, validation or test: the "
+                          "part of all pairs; or a file of a split, .json or .csv.")
+    ] = "sequence",
+    sequence: Annotated[
+        str | None, typer.Option(help="Regular expression whose group is a name's sequence; default: the name without "
+                                 "its last digits."),
+    ] = None,
+    gap: Annotated[
+        int | None, typer.Option(help="A larger step of the numbers in names starts a new sequence.")
+    ] = None,
+    texel_m: Annotated[
+        float | None, typer.Option(help="Ground sampling distance of the thermal pictures [m].")
+    ] = None,
+    range_c: Annotated[
+        str | None, typer.Option(help="COLD,WARM: °C of the bounds of values without a scale; default 14,24.")
+    ] = None,
+    licence: Annotated[str | None, typer.Option(help="Licence of the pictures, for the card.")] = None,
+    skip_bad: Annotated[bool, typer.Option("--skip-bad", help="Leave out unusable pictures, and list them.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue a stopped data set.")] = False,
+) -> None:  # fmt: skip
     """Make a data set from folders of visible and thermal pictures: registered, cut, split and scaled."""
-    from thermorender.apps.training.prepare import Cut, Source
+    from thermorender.apps.training.prepare import Source
     from thermorender.apps.training.prepare import prepare as run
 
     warm = parse_numbers("--range-c", range_c, ("COLD", "WARM")) if range_c else None
@@ -97,8 +78,8 @@ def prepare(
                     warm is not None)  # fmt: skip
     with progress() as report:
         made = run(
-            source, output, _registered(rig, calibrate, fields_of_view, resized), Cut(crops, crop_size, shift, seed),
-            split, texel_m=texel_m, range_c=warm, licence=licence, skip_bad=skip_bad, resume=resume, progress=report,
+            source, output, _registered(rig, calibrate, fields_of_view, resized), cut, split, texel_m=texel_m,
+            range_c=warm, licence=licence, skip_bad=skip_bad, resume=resume, progress=report,
         )  # fmt: skip
     for name, reason in made["left_out"].items():
         typer.echo(f"left out: {name}: {reason}", err=True)
@@ -337,9 +318,6 @@ def translate(
     ] = None,
     range_c: Annotated[str | None, typer.Option(help="COLD,WARM: °C of intensity 0 and 1 of the map.")] = None,
     palette: Annotated[str, typer.Option(help="white-hot, black-hot or ironbow.")] = "white-hot",
-    inner: Annotated[
-        bool, typer.Option("--inner", help="Leave out the border, as published, instead of repeating edge pixels.")
-    ] = False,
     frames: Annotated[bool, typer.Option("--frames", help="Write the frames of videos too.")] = False,
     audit: Annotated[
         bool, typer.Option("--audit", help="Search the pictures, and first frames of videos, for those that the map "
@@ -355,7 +333,7 @@ def translate(
     limits = parse_numbers("--range-c", range_c, ("COLD", "WARM")) if range_c else None
     with progress() as report:
         chosen = load_model(model, limits)
-        summary = run(chosen, images, output, texel_m, palette, inner, frames, resume, report)
+        summary = run(chosen, images, output, texel_m, palette, frames, resume, report)
         seen = search_in_files(chosen, images, lambda share: report("audit", share)) if audit else None
     if summary["warning"]:
         typer.echo(f"warning: {summary['warning']}", err=True)

@@ -24,15 +24,12 @@ NEAR = tuple(k for k, name in enumerate(NAMES) if not name.endswith(f"{WINDOWS_T
 
 
 def features(rgb: np.ndarray) -> np.ndarray:
-    """Return the features of each texel, (h, w, len(NAMES)) float32.
+    """Return the features of each texel, (h, w, len(NAMES)) float32, of sRGB (h, w, 3) uint8 on the training grid.
 
-    Parameters
-    ----------
-    rgb : (h, w, 3) uint8
-        sRGB on the map's training grid; edges are repeated outwards.
+    Edges are repeated outwards.
     """
     # Centred, because the variance is a difference of squares in single precision.
-    image = lab(rgb) - np.float32((50.0, 0.0, 0.0))
+    image = lab(rgb) - np.array((50.0, 0.0, 0.0), np.float32)
     found = [image]
     spreads = []
     for window in WINDOWS_TEXELS:

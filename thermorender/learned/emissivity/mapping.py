@@ -1,11 +1,11 @@
 """RGB → emissivity: the likely materials of each texel of an orthophoto, from its colour and texture.
 
-A small fully connected network (trained in `training`) scores each material. The scores become calibrated
-probabilities: they are softened by a temperature (Guo et al. 2017, "On calibration of modern neural networks") and
-mixed with a uniform prior. Both numbers are fitted on landscapes that the network did not see. A texel's emissivity is
-the mean over all materials with these probabilities, and its uncertainty their standard deviation. Confidence is the
-largest probability, or 0 for texels unlike the training data. Texels below a threshold of confidence are *unknown*; the
-scene's fallback material replaces them. Emissivity itself is not learned: it comes from the material table.
+A small fully connected network scores each material. The scores become calibrated probabilities: they are softened by
+a temperature (Guo et al. 2017, "On calibration of modern neural networks") and mixed with a uniform prior. Both numbers
+are fitted on landscapes that the network did not see. A texel's emissivity is the mean over all materials with these
+probabilities, and its uncertainty their standard deviation. Confidence is the largest probability, or 0 for texels
+unlike the training data. Texels below a threshold of confidence are *unknown*; the scene's fallback material replaces
+them. Emissivity itself is not learned: it comes from the material table.
 """
 
 import json
@@ -85,7 +85,7 @@ class EmissivityMap:
         layers = (*self.layers[:-1], (weight[:, kept], bias[kept]))
         return replace(self, materials=tuple(self.materials[k] for k in kept), layers=layers)
 
-    def __str__(self):
+    def __str__(self) -> str:
         size = " → ".join(str(len(bias)) for _, bias in self.layers)
         lines = [
             f"{self.name}: RGB → {len(self.materials)} materials at {self.texel_m:g} m",
@@ -208,8 +208,8 @@ def map_materials(
         ]
         found = _on_grid(model, on_grid, inner)
         if grid_shape != shape:
-            y, x = (np.float32(line - low) for line, (low, _) in zip(position, inner, strict=True))
-            x, y = np.meshgrid(x, y)
+            rows, columns = ((line - low).astype(np.float32) for line, (low, _) in zip(position, inner, strict=True))
+            x, y = np.meshgrid(columns, rows)
             planes = [cv2.remap(plane, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for plane in found]
             found = np.stack(planes)
         else:
@@ -225,7 +225,9 @@ def map_materials(
     return result
 
 
-def _with_evidence(probabilities, known, here, evidence):
+def _with_evidence(
+    probabilities: np.ndarray, known: np.ndarray, here: tuple[slice, slice], evidence: Sequence[Evidence]
+) -> tuple[np.ndarray, np.ndarray]:
     """(probabilities (C, h, w), whether they are known (h, w)) of a tile, with evidence.
 
     Where evidence excludes materials of a texel unlike the training data, the others are equally probable.
@@ -263,7 +265,7 @@ def to_grid(rgb: np.ndarray, texel_m: float, model: EmissivityMap, name: str = "
     return cv2.resize(rgb, size[::-1], interpolation=cv2.INTER_AREA if finer else cv2.INTER_CUBIC)
 
 
-def _on_grid(model, image, inner):
+def _on_grid(model: EmissivityMap, image: np.ndarray, inner: Sequence[tuple[int, int]]) -> np.ndarray:
     """Probabilities of a part of an image on the model's grid and, last, its novelty, (C + 1, h, w) float32."""
     (top, bottom), (left, right) = inner
     up, over = max(top - HALO_TEXELS, 0), max(left - HALO_TEXELS, 0)
@@ -286,7 +288,8 @@ def save_map(model: EmissivityMap, path: files.PathLike) -> None:
         "features": NAMES, "threshold": model.threshold,
         "softening": model.softening, "prior": model.prior, "layers": len(model.layers), "about": model.about,
     }  # fmt: skip
-    arrays = {"head": np.array(json.dumps(head)), "mean": model.mean, "scale": model.scale, "centres": model.centres}
+    arrays: dict[str, Any] = {"head": np.array(json.dumps(head))}
+    arrays |= {"mean": model.mean, "scale": model.scale, "centres": model.centres}
     for number, (weight, bias) in enumerate(model.layers):
         arrays[f"weight{number}"], arrays[f"bias{number}"] = weight, bias
     with files.atomic(path) as part, open(part, "wb") as file:
@@ -322,14 +325,15 @@ def load_map(name: files.PathLike) -> EmissivityMap:
     return model
 
 
-def _floats(values):
+def _floats(values: np.ndarray) -> np.ndarray:
+    """Values from a file as float32; ValueError if they are not finite."""
     values = np.asarray(values, dtype=np.float32)
     if not np.isfinite(values).all():
         raise ValueError("it holds numbers that are not finite")
     return values
 
 
-def _check(model):
+def _check(model: EmissivityMap) -> None:
     """Raise ValueError if arrays do not fit each other or there are too many materials."""
     if not 2 <= len(model.materials) <= MOST_MATERIALS:
         raise ValueError(f"it has {len(model.materials)} materials, not 2…{MOST_MATERIALS}")

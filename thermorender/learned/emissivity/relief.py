@@ -46,16 +46,9 @@ _SMOOTH_M = 0.7
 
 
 def above_ground(height: NDArray[np.float64], post_m: float) -> tuple[Floats, Floats]:
-    """Return (height above the ground [m], slope of the surface [deg]), (h, w) each, of a surface model.
+    """Return (height above the ground [m], slope of the surface [deg]), (h, w) each, of a surface model, (h, w) [m].
 
-    NaN where a height is missing or the ground is steep.
-
-    Parameters
-    ----------
-    height : (h, w) float64
-        [m], NaN where missing.
-    post_m : float
-        Spacing [m].
+    Heights are NaN where they are missing; the results also where the ground is steep. `post_m` is the spacing [m].
     """
     import cv2
     from scipy.ndimage import distance_transform_edt
@@ -80,7 +73,7 @@ def above_ground(height: NDArray[np.float64], post_m: float) -> tuple[Floats, Fl
     return tuple(np.where(unknown, np.float32(np.nan), each) for each in (top - level, slope))  # type: ignore[return-value]
 
 
-def _filled(total, weight):
+def _filled(total: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Weighted heights (h, w) over their weight; where that is small, those of a picture of half the size."""
     import cv2
 
@@ -91,11 +84,12 @@ def _filled(total, weight):
     return np.where(weight > 0.05, total / np.maximum(weight, 1e-9), coarse)
 
 
-def _slope_deg(height, smooth, post_m):
+def _slope_deg(height: np.ndarray, smooth: float, post_m: float) -> np.ndarray:
+    """Slope of a smoothed surface [deg]; `smooth` is the standard deviation [posts]."""
     import cv2
 
     down, right = np.gradient(cv2.GaussianBlur(height, (0, 0), smooth), post_m)
-    return np.degrees(np.arctan(np.hypot(down, right)))
+    return np.asarray(np.degrees(np.arctan(np.hypot(down, right))))
 
 
 def seen(height: NDArray[np.float64], post_m: float) -> tuple[Floats, Floats, str]:

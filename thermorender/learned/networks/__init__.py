@@ -1,4 +1,4 @@
 """Networks that translate photographs into thermal pictures: published ones, and one of this project.
 
-`recipes` lists them with their hyper-parameters, `loop` trains them, `predictor` applies a trained one.
+`recipes` lists them with their hyper-parameters; `predictor` applies a trained one.
 """

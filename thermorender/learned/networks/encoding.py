@@ -11,16 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from thermorender.errors import ThermorenderError
-from thermorender.learned.linear import Linear, grounds, lab_planes
-from thermorender.learned.networks.crops import Crops
-from thermorender.learned.rows import CLASSES, ExtraInputs, at_texel
+from thermorender.learned.linear import Linear, Values, grounds, lab_planes
+from thermorender.learned.rows import ExtraInputs, at_texel
 from thermorender.learned.temperature_map import Inputs
 
-# Approximate number of training pictures in the statistics.
-_LOOKED_AT = 180
-# Least and greatest scale of a target, in its unit; its offset is also below the latter.
-_LEAST_SCALE, _MOST_SCALE = 1e-3, 1e6
+# Greatest scale of a target, in its unit; its offset is also below.
+_MOST_SCALE = 1e6
 # Depth is encoded as the logarithm of its ratio to this [m].
 _DEPTH_M = 100.0
 # Units of terrain planes, by the beginning of their names.
@@ -37,42 +33,6 @@ class Encoding:
     offset: float = 0.0
     scale: float = 1.0
     base: Linear | None = None  # A linear predictor whose kelvin are the last plane
-
-    @classmethod
-    def measured(
-        cls, crops: Crops, depth: bool, offset: float | None = None, scale: float | None = None,
-        base: Linear | None = None,
-    ) -> "Encoding":  # fmt: skip
-        """Return the Encoding for the examples of Crops, with all their terrain planes and conditions as input.
-
-        Parameters
-        ----------
-        crops : Crops
-        depth : bool
-        offset, scale : float, optional
-            Of the target; by default its mean and standard deviation, or 0 and its root mean square for kelvin above
-            the air.
-        base : Linear, optional
-        """
-        first = ExtraInputs.of(crops.read(crops.train[0])[0])
-        extra = ExtraInputs(tuple(name for name in first.terrain if name != CLASSES), first.conditions)
-        sums = np.zeros(3)
-        for k in crops.train[:: max(len(crops.train) // _LOOKED_AT, 1)]:
-            inputs, target, valid = crops.read(k)
-            if depth and inputs.depth is None:
-                raise ThermorenderError(
-                    "the pairs have no depth, which option depth=true takes as input; give a data set with depth, or "
-                    "leave the option out"
-                )
-            extra.check(inputs)
-            learned = target[valid].astype(np.float64)
-            sums += learned.size, learned.sum(), (learned**2).sum()
-        if not sums[0]:
-            raise ThermorenderError("no pair has a valid pixel to learn from; give pairs whose pictures overlap")
-        if scale is None:
-            offset = 0.0 if crops.above_air else sums[1] / sums[0]
-            scale = max(np.sqrt(max(sums[2] / sums[0] - offset**2, 0.0)), _LEAST_SCALE)
-        return cls(extra, depth, float(offset), float(scale), base)
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -99,6 +59,7 @@ class Encoding:
         found[:3] = np.moveaxis(inputs.rgb, -1, 0).astype(np.float32) / np.float32(127.5) - np.float32(1.0)
         number = 3
         if self.depth:
+            assert inputs.depth is not None
             known = np.isfinite(inputs.depth)
             found[3] = np.log(np.where(known, inputs.depth, _DEPTH_M) / _DEPTH_M)
             found[4] = known
@@ -111,8 +72,8 @@ class Encoding:
             found[number] = np.isfinite(inputs.terrain[self.extra.terrain[0]])
             number += 1
         if self.mixed:
-            planes = {name: np.float32(inputs.terrain[name]) for name in self.extra.terrain}
-            values = {**planes, **inputs.conditions}
+            planes = {name: np.asarray(inputs.terrain[name], np.float32) for name in self.extra.terrain}
+            values: dict[str, Values] = {**planes, **inputs.conditions}
             multiplied = list(grounds(values, self.extra))
             for plane in (plane for name, plane in multiplied if name.startswith("as ")):
                 found[number] = (plane - self.offset) / self.scale
@@ -130,7 +91,7 @@ class Encoding:
 
     def header(self) -> dict[str, Any]:
         """Return its entries in a file's header."""
-        plain = {each.name: getattr(self, each.name) for each in fields(self)}
+        plain: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(self)}
         return {**plain, "extra": asdict(self.extra), "base": self.base and self.base.header()}
 
     def arrays(self) -> dict[str, np.ndarray]:
@@ -148,12 +109,13 @@ class Encoding:
         return cls(extra, bool(header["depth"]), offset, scale, base)
 
 
-class _Nothing(dict):
-    """The values of an empty picture."""
+class _Nothing(dict[str, np.ndarray]):
+    """Values of an empty picture."""
 
-    def __missing__(self, name):
+    def __missing__(self, name: str) -> np.ndarray:
         return np.zeros(0)
 
 
-def _unit(name):
+def _unit(name: str) -> float:
+    """Unit that a terrain plane is divided by."""
     return next((unit for start, unit in _UNITS if name.startswith(start)), 1.0)

@@ -26,7 +26,9 @@ trains without this loss unless the option `vgg` names their file.
 No network is imported here.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from thermorender.errors import ThermorenderError
 
@@ -56,28 +58,28 @@ class Recipe:
     # Training crops of the study, its epochs times its pairs; None: not published
     published_crops: int | None = None
     published_steps: int | None = None  # Its training crops if its epochs are steps; None: they are not
-    betas: tuple = (0.9, 0.999)  # (2,) tuple
+    betas: tuple[float, float] = (0.9, 0.999)
     # (offset, scale) of the target's intensity: (0.5, 0.5) is −1…1; None: measured on the training pictures
-    target: tuple | None = (0.0, 1.0)
+    target: tuple[float, float] | None = (0.0, 1.0)
     side: int = 256  # Side of the training crops [pixels]; may be chosen for networks that take whole pictures
     whole: bool = False  # Whether it takes pictures of any size whole; else squares of `side`, blended
     multiple: int = 256  # Sides of its input are multiples of this [pixels]
     plus: bool = False  # Whether it takes relief, hour and weather as input
     weight: float = 0.0  # Weight of the second loss, λ in the papers; the first has 1
-    options: dict = field(default_factory=dict)  # Options that not all recipes have, with their defaults
+    options: dict[str, Any] = field(default_factory=dict)  # Options that not all recipes have, with their defaults
 
     @property
-    def bounded(self):
+    def bounded(self) -> bool:
         """Whether its output is in −1…1."""
         return self.target == (0.5, 0.5)
 
     @property
-    def least_batch(self):
+    def least_batch(self) -> int:
         """Fewest crops of a step; in a cycle, half are photographs and half thermal pictures."""
         return 2 if self.learner == "cycle" else 1
 
     @property
-    def all_options(self):
+    def all_options(self) -> dict[str, Any]:
         """Its options with their defaults."""
         common = {"width": self.width, "batch": self.batch, "crops": self.crops, "rate": self.rate, "every": 0,
                   "bf16": True, "tensorboard": False, "tolerance_mk": 0.0}  # fmt: skip
@@ -85,7 +87,8 @@ class Recipe:
         return common | side | ({} if self.plus else {"depth": False}) | self.options
 
 
-def _compact(plus):
+def _compact(plus: bool) -> Recipe:
+    """The project's own Recipe, with relief, hour and weather or without."""
     return Recipe("compact", 72, "robust", "adamw", 2e-4 if plus else 5e-4, "cosine", 4, 100_000, None, target=None,
                   whole=True, multiple=16, plus=plus)  # fmt: skip
 
@@ -120,14 +123,14 @@ RECIPES = {
 # What `unet` trains with --set architecture=. The others are two networks that DLR found not to converge; their numbers
 # are chosen: --set architecture=autoencoder --set width=64, and
 # --set architecture=dense --set width=1024 --set side=64 --set batch=32 --set rate=1e-4.
-_ARCHITECTURES = {
+_ARCHITECTURES: dict[str, dict[str, Any]] = {
     "keras_unet": {},
     "autoencoder": {"net": "autoencoder"},
     "dense": {"net": "dense", "side": 64, "multiple": 64, "whole": False},
 }
 
 
-def recipe_of(method, architecture=None):
+def recipe_of(method: str, architecture: str | None = None) -> Recipe:
     """Return the Recipe of a method, with another architecture where one is given."""
     recipe = RECIPES[method]
     if architecture in (None, recipe.net):
@@ -138,7 +141,7 @@ def recipe_of(method, architecture=None):
     return replace(recipe, published_crops=None, **_ARCHITECTURES[architecture])
 
 
-def method_of_file(header):
+def method_of_file(header: Mapping[str, Any]) -> str:
     """Return the method of a map's file by its header; before 0.2.0, `unet-gan-keras` was called `unet-gan`."""
     old = header["method"] == "unet-gan" and header.get("architecture") in (None, "keras_unet")
-    return "unet-gan-keras" if old else header["method"]
+    return "unet-gan-keras" if old else str(header["method"])

@@ -11,37 +11,29 @@ _JOINED = 16
 def stitched(
     apply: Callable[[np.ndarray], np.ndarray], planes: np.ndarray, sides: tuple[int, int], overlap: int, margin: int
 ) -> np.ndarray:
-    """Return a network's output for a picture, (out, h, w) float32.
+    """Return a network's output, (out, h, w) float32, for planes (c, h, w) float32.
 
-    Parameters
-    ----------
-    apply : callable
-        (c, *sides) → (out, *sides).
-    planes : (c, h, w) float32
-        Mirrored at its edges where it is smaller than a tile.
-    sides : (2,) tuple of int
-        Sides of the tiles, multiples of 16 [pixels].
-    overlap : int
-        Least overlap of neighbouring tiles [pixels].
-    margin : int
-        Part of the overlap at each tile's edge that is not used, because the network lacks its surroundings there
-        [pixels]. Tiles are blended over the rest with a Hann window.
+    `apply` maps tiles (c, *sides) to (out, *sides). Sides are multiples of 16 pixels; a smaller picture is mirrored at
+    its edges. Neighbouring tiles overlap by `overlap` pixels or more. Of the overlap, `margin` pixels at each tile's
+    edge are not used, because the network lacks their surroundings; tiles are blended over the rest with a Hann window.
     """
     height, width = planes.shape[1:]
     lacking = [_length(n, side) - n for side, n in zip(sides, (height, width), strict=True)]
     planes = np.pad(planes, ((0, 0), (0, lacking[0]), (0, lacking[1])), "symmetric")
     rows, columns = (_windows(n, side, overlap, overlap - 2 * margin)
                      for side, n in zip(sides, planes.shape[1:], strict=True))  # fmt: skip
-    total, weights = 0.0, np.zeros(planes.shape[1:], np.float32)
+    total: np.ndarray | None = None
+    weights = np.zeros(planes.shape[1:], np.float32)
     for top, tall in rows:
         for left, wide in columns:
             here = np.s_[top : top + sides[0], left : left + sides[1]]
             window = tall[:, None] * wide
             found = window * apply(planes[(slice(None), *here)])
-            if np.ndim(total) == 0:
+            if total is None:
                 total = np.zeros((len(found), *planes.shape[1:]), np.float32)
             total[(slice(None), *here)] += found
             weights[here] += window
+    assert total is not None
     return (total / weights)[:, :height, :width]
 
 
@@ -51,19 +43,19 @@ def joints(length: int, side: int, overlap: int) -> np.ndarray:
     return 0.5 * (places[:-1] + places[1:] + side)
 
 
-def _length(length, side):
+def _length(length: int, side: int) -> int:
     """Pixels that the tiles cover, at least `length`."""
     # Tiles begin at multiples of the stride, so that all of them have the same pixel grid.
     return max(side, length + -length % _JOINED)
 
 
-def _places(length, side, overlap):
+def _places(length: int, side: int, overlap: int) -> np.ndarray:
     """First pixels of the tiles, evenly spaced."""
     count = 1 if length <= side else 1 + int(np.ceil((length - side) / (side - overlap)))
     return (np.linspace(0, length - side, count) / _JOINED).round().astype(int) * _JOINED
 
 
-def _windows(length, side, overlap, fade):
+def _windows(length: int, side: int, overlap: int, fade: int) -> list[tuple[int, np.ndarray]]:
     """[(first pixel of a tile, its weights)]: neighbours are blended in the middle of their overlap."""
     places, middles = _places(length, side, overlap), joints(length, side, overlap)
     within = np.arange(side) + 0.5
@@ -78,6 +70,6 @@ def _windows(length, side, overlap, fade):
     return found
 
 
-def _rise(distance, fade):
+def _rise(distance: np.ndarray, fade: int) -> np.ndarray:
     """From 0 to 1 over `fade` pixels around 0: the rising half of a Hann window."""
     return np.sin(0.5 * np.pi * np.clip(distance / fade + 0.5, 0.0, 1.0)) ** 2

@@ -84,10 +84,9 @@ def _write_checkpoint(path):
 
 @reader("checkpoint", "last.safetensors", _write_checkpoint)
 def _checkpoint(path):
-    from tests.robustness.crash_targets import learner
+    from tests.robustness.crash_targets import nets
     from thermorender.apps.training.networks import checkpoint
 
-    kept = learner()
-    return checkpoint.load(path, kept), [
-        value.numpy() for part in kept.parts.values() for value in part.state_dict().values()
+    return checkpoint.load(path, nets()), [
+        value.numpy() for net in nets().values() for value in net.state_dict().values()
     ]  # fmt: skip

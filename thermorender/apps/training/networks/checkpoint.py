@@ -1,24 +1,31 @@
 """Checkpoints: the state of a training in one safetensors file, which holds numbers and text but no code."""
 
 import json
+from collections.abc import Mapping
 from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
+from torch import nn
 
 from thermorender import files, formats
 from thermorender.errors import ThermorenderError
-from thermorender.learned.networks.learners import Learner
+
+# No optimisers.
+_NONE: dict[str, torch.optim.Optimizer] = {}
 
 
-def save(path: files.PathLike, learner: Learner, facts: dict[str, Any]) -> None:
-    """Write all networks and optimisers of a Learner, and facts (plain values), atomically."""
+def save(
+    path: files.PathLike, nets: Mapping[str, nn.Module], facts: Mapping[str, Any],
+    optimisers: Mapping[str, torch.optim.Optimizer] = _NONE,
+) -> None:  # fmt: skip
+    """Write networks and optimisers by name, and facts (plain values), atomically."""
     tensors, groups = {}, {}
-    for name, part in learner.parts.items():
-        for key, value in part.state_dict().items():
+    for name, net in nets.items():
+        for key, value in net.state_dict().items():
             tensors[f"net/{name}/{key}"] = value.detach().cpu().contiguous()
-    for name, optimiser in learner.optimisers.items():
+    for name, optimiser in optimisers.items():
         kept = optimiser.state_dict()
         for index, values in kept["state"].items():
             for key, value in values.items():
@@ -33,8 +40,10 @@ def save(path: files.PathLike, learner: Learner, facts: dict[str, Any]) -> None:
     files.on_disk(path)
 
 
-def load(path: files.PathLike, learner: Learner) -> dict[str, Any]:
-    """Restore a Learner from a file and return the file's facts."""
+def load(
+    path: files.PathLike, nets: Mapping[str, nn.Module], optimisers: Mapping[str, torch.optim.Optimizer] = _NONE
+) -> dict[str, Any]:
+    """Restore networks and optimisers from a file and return the file's facts."""
     try:
         with safe_open(path, framework="pt") as file:
             texts = file.metadata()
@@ -42,12 +51,13 @@ def load(path: files.PathLike, learner: Learner) -> dict[str, Any]:
         # Weights with a flipped bit would pass as valid numbers.
         if texts.pop("checksum") != _checksum(texts, tensors):
             raise ValueError("its bytes are not those that were written")
-        facts, groups = json.loads(texts["facts"]), json.loads(texts["groups"])
-        for name, part in learner.parts.items():
+        facts: dict[str, Any] = json.loads(texts["facts"])
+        groups = json.loads(texts["groups"])
+        for name, net in nets.items():
             start = f"net/{name}/"
-            part.load_state_dict({key.removeprefix(start): v for key, v in tensors.items() if key.startswith(start)})
-        for name, optimiser in learner.optimisers.items():
-            state = {}
+            net.load_state_dict({key.removeprefix(start): v for key, v in tensors.items() if key.startswith(start)})
+        for name, optimiser in optimisers.items():
+            state: dict[int, dict[str, torch.Tensor]] = {}
             for key, value in tensors.items():
                 kind, _, rest = key.partition("/")
                 if kind == "optimiser" and rest.startswith(f"{name}/"):
@@ -65,5 +75,6 @@ def load(path: files.PathLike, learner: Learner) -> dict[str, Any]:
     return facts
 
 
-def _checksum(texts, tensors):
+def _checksum(texts: Mapping[str, str], tensors: Mapping[str, torch.Tensor]) -> str:
+    """Checksum of a file's texts and tensors."""
     return formats.digest(sorted(texts.items()), {name: tensors[name].numpy() for name in sorted(tensors)})

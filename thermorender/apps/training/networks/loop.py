@@ -8,8 +8,7 @@ An epoch is as many crops as there are training pictures. All random numbers dep
 resumed training gives the same result as an uninterrupted one with the same number of threads. A training that explodes
 is stopped and returns its best state.
 
-The run's folder holds `settings.json`, `log.jsonl`, `last.safetensors` (the state to resume from), `best.safetensors`
-(the network with the least validation error) and `samples/`.
+`runs` describes the run's folder.
 """
 
 import json
@@ -18,29 +17,31 @@ import os
 import resource
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
+from torch import nn
 
 from thermorender import files, formats
-from thermorender.apps.training.networks import checkpoint, runs, samples
+from thermorender.apps.training.linear_training import fit_linear
+from thermorender.apps.training.networks import checkpoint, runs
+from thermorender.apps.training.networks.coarse import coarse
+from thermorender.apps.training.networks.crops import Crop, Crops, measured
+from thermorender.apps.training.networks.learners import Batch, Learner, Scaled, learner_of
 from thermorender.apps.training.networks.perception import Perception
+from thermorender.apps.training.task import Example, Task
 from thermorender.errors import ThermorenderError
-from thermorender.learned.linear import fit_linear
-from thermorender.learned.networks.building import kind_of, learner_of, net_of
-from thermorender.learned.networks.crops import Crops
+from thermorender.learned.linear import Linear
+from thermorender.learned.networks.building import net_of, predicted
 from thermorender.learned.networks.encoding import Encoding
-from thermorender.learned.networks.learners import Batch
 from thermorender.learned.networks.predictor import MOST_WIDTH, Network, device, state_of
-from thermorender.learned.networks.recipes import recipe_of
-from thermorender.learned.training import Task
-from thermorender.versions import versions
+from thermorender.learned.networks.recipes import Recipe, recipe_of
 
-LAST, BEST = "last.safetensors", "best.safetensors"
 # A greater loss means that the training has exploded; the greatest learning rate.
 _EXPLODED, _MOST_RATE = 1e6, 1e3
 _MOST_SIDE = 4096
@@ -81,12 +82,12 @@ def train_network(task: Task, method: str) -> Network:
         side = int(options.get("side", recipe.side))
         crops = Crops(task, side, above_air, int(options.get("jitter", side)))
         began = time.perf_counter(), _core_seconds()
-        target = (None, None) if recipe.target is None else recipe.target
         base = _base(task, crops) if above_air else None
-        encoding = Encoding.measured(crops, bool(options.get("depth")), *target, base)
+        encoding = measured(crops, bool(options.get("depth")), recipe.target, base)
         torch.manual_seed(task.seed % _SEEDS)
         learner = learner_of(recipe, encoding, int(options["width"]), float(options["rate"]))
         if options.get("vgg"):
+            assert isinstance(learner, Scaled)
             learner.perceived = Perception(options["vgg"]).to(device())
         run = _Run(task, method, recipe, crops, encoding, learner, folder, first, world)
         # The linear base and the encoding count as training time.
@@ -98,7 +99,7 @@ def train_network(task: Task, method: str) -> Network:
         return run.found()
 
 
-def _refuse(method, recipe, options):
+def _refuse(method: str, recipe: Recipe, options: dict[str, Any]) -> None:
     """Raise ThermorenderError for invalid options, before anything is written."""
     size, total, width, rate = options["batch"], options["crops"], options["width"], options["rate"]
     if size < recipe.least_batch or total < size:
@@ -128,36 +129,44 @@ def _refuse(method, recipe, options):
         raise ThermorenderError(f"rate={rate:g} is not allowed for {method!r}; give a number in 0…{_MOST_RATE:g}")
 
 
-def _base(task, crops):
-    """A network's linear base, trained on the training pictures."""
+def _base(task: Task, crops: Crops) -> Linear:
+    """Linear base of a network, trained on the training pictures."""
     chosen = _Chosen(task.examples, crops.train)
     return fit_linear(replace(task, examples=chosen, options={"penalty": _BASE_PENALTY}, held_out=None))
 
 
-class _Chosen(Sequence):
-    def __init__(self, examples, numbers):
+class _Chosen(Sequence[Example]):
+    """Some of the examples of a task, by their numbers."""
+
+    def __init__(self, examples: Sequence[Example], numbers: np.ndarray) -> None:
         self._examples, self._numbers = examples, numbers
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self._numbers)
 
-    def __getitem__(self, number):
+    def __getitem__(self, number: Any) -> Any:
         return self._examples[int(self._numbers[number])]
 
 
 class _Run:
     """A training in progress."""
 
-    def __init__(self, task, method, recipe, crops, encoding, learner, folder, first, world):
+    def __init__(
+        self, task: Task, method: str, recipe: Recipe, crops: Crops, encoding: Encoding, learner: Learner, folder: Path,
+        first: bool, world: int,
+    ) -> None:  # fmt: skip
         self.task, self.method, self.recipe, self.crops, self.encoding = task, method, recipe, crops, encoding
         self.learner, self.folder, self.first, self.world = learner, folder, first, world
         options = task.options
         self.total, self.size = int(options["crops"]), int(options["batch"])
         self.every = int(options["every"]) or len(crops.train)
-        self.half = options["bf16"] and (device() == "cuda" or torch.ops.mkldnn._is_mkldnn_bf16_supported())
-        self.done, self.seconds, self.core_seconds, self.best, self.stopped = 0, 0.0, 0.0, math.inf, None
+        self.half = bool(
+            options["bf16"] and (device() == "cuda" or torch.ops.mkldnn._is_mkldnn_bf16_supported())
+        )  # fmt: skip
+        self.done, self.seconds, self.core_seconds, self.best = 0, 0.0, 0.0, math.inf
+        self.stopped: str | None = None
         for part in learner.parts.values():
-            part.to(device(), memory_format=torch.channels_last)
+            part.to(device(), memory_format=torch.channels_last)  # type: ignore[call-overload]  # of PyTorch's stubs
         self.rates = [group["lr"] for each in learner.optimisers.values() for group in each.param_groups]
         self.validated = crops.validation()
         if not any(crop.valid.any() for crop in self.validated):
@@ -171,7 +180,8 @@ class _Run:
     def train(self) -> None:
         """Train to the end, or until the losses explode."""
         self._begin()
-        losses, began = {}, None
+        losses: dict[str, list[float]] = {}
+        began: tuple[float, float] | None = None
         while self.done < self.total and not self.stopped:
             if began is None:
                 began = time.perf_counter(), _core_seconds()
@@ -193,21 +203,21 @@ class _Run:
 
     def found(self) -> Network:
         """Return the Network of the best state, or of the last epoch with the option `published`."""
-        best, published = self.folder / BEST, bool(self.task.options.get("published"))
+        best, published = self.folder / runs.BEST, bool(self.task.options.get("published"))
         if not best.exists():
             raise ThermorenderError(f"{self.method}: {self.stopped}; take a smaller --set rate")
         if published:
-            facts, net = checkpoint.load(self.folder / LAST, self.learner), self.learner.applied
+            facts, net = checkpoint.load(self.folder / runs.LAST, *self._state()), self.learner.applied
         else:
             net = net_of(self.recipe, self.encoding, int(self.task.options["width"]))
-            facts = checkpoint.load(best, _Applied(net))
+            facts = checkpoint.load(best, {"net": net})
         curve = [{name: line[name] for name in ("crops", "seconds", "core_seconds", "validation_mae_k")}
                  for line in runs.read_log(self.folder)]  # fmt: skip
         trained = {
             "crops": self.done, "best_crops": facts["crops"], "published_crops": self.recipe.published_crops,
             "published_steps": self.recipe.published_steps,
             "seconds": self.seconds, "core_seconds": self.core_seconds, "threads": torch.get_num_threads(),
-            "device": device(), "bf16": bool(self.half), "torch": str(torch.__version__),
+            "device": device(), "bf16": self.half, "torch": str(torch.__version__),
             "stopped": self.stopped, "curve": curve,
         }  # fmt: skip
         found = Network(
@@ -219,14 +229,14 @@ class _Run:
         trained["kept_mk"] = self._cost_of_keeping(net.to(device()), found)
         return found
 
-    def _coarse(self, network):
-        """A network with the steps that the file keeps its weights in."""
+    def _coarse(self, network: Network) -> Network:
+        """The Network with the steps that the file keeps its weights in."""
         some = self.validated[:: -(-len(self.validated) // _LOOKED_AT)]
         planes = [self._encoded(some[start : start + _AT_ONCE]).planes for start in range(0, len(some), _AT_ONCE)]
         kelvin = network.encoding.scale * self.kelvin.per_unit
-        return network.coarse(planes, 1e-3 * self.task.options["tolerance_mk"] / kelvin)
+        return coarse(network, planes, 1e-3 * self.task.options["tolerance_mk"] / kelvin)
 
-    def _cost_of_keeping(self, net, network):
+    def _cost_of_keeping(self, net: nn.Module, network: Network) -> float:
         """Mean absolute change of the validation crops by how the file keeps a network's weights [mK]."""
         kept = Network.of(network.header(), network.arrays()).net
         changes = [
@@ -235,58 +245,41 @@ class _Run:
         ]
         return 1000.0 * float(np.concatenate(changes).mean())
 
-    def _guessed(self, net, half=False):
-        """Yield (crop, true, guessed) of each validation crop [K]."""
+    def _guessed(self, net: nn.Module, half: bool = False) -> Iterator[tuple[Crop, np.ndarray, np.ndarray]]:
+        """Yield (crop, true, guessed) of each validation crop, (side, side) [K]."""
         net.eval()
         for start in range(0, len(self.validated), _AT_ONCE):
             some = self.validated[start : start + _AT_ONCE]
             batch = self._encoded(some)
             with torch.inference_mode(), torch.autocast(device(), torch.bfloat16, enabled=half):
-                given = kind_of(self.recipe).predict(net, batch.planes)[:, 0].cpu().numpy()
+                given = predicted(self.recipe, net, batch.planes)[:, 0].cpu().numpy()
             for crop, each in zip(some, given, strict=True):
                 yield crop, *self.kelvin(crop, each)
 
-    def _begin(self):
+    def _begin(self) -> None:
         """Write the run's settings, or resume it."""
         settings = {"method": self.method, "seed": self.task.seed, "options": self.task.options, "world": self.world,
                     "examples": [len(self.task.examples), self.crops.digest(self.validated)],
                     "encoding": self.encoding.header()}  # fmt: skip
         settings = json.loads(json.dumps(settings))
-        path, last = self.folder / runs.SETTINGS, self.folder / LAST
         if self.first:
-            for each in (self.folder, self.folder / runs.SAMPLES):
-                if each.is_dir():
-                    files.remove_parts(each)
-        if not self.first:
-            pass
-        elif path.exists() or last.exists():
-            kept = runs.read_settings(self.folder)
-            differing = [name for name in settings if kept.get(name) != settings[name]]
-            if differing:
-                raise ThermorenderError(
-                    f"{self.folder} holds a training of other settings ({', '.join(differing)}); give another --run"
-                )
-            if not self.task.resume:
-                raise ThermorenderError(
-                    f"{self.folder} holds a training; continue it with --resume, or give another --run"
-                )
-        else:
-            formats.write_json(path, settings | {"versions": versions()})
-        if self.first and not last.exists():
-            # It was stopped in the first epoch.
-            runs.cut_log(self.folder, 0)
-            (self.folder / BEST).unlink(missing_ok=True)
+            runs.begin(self.folder, settings, self.task.resume)
         _agreed(0.0)
+        last = self.folder / runs.LAST
         if last.exists():
-            if not (self.folder / BEST).exists():
-                raise ThermorenderError(f"{self.folder} lacks {BEST}, the best state so far; give another --run")
-            facts = checkpoint.load(last, self.learner)
+            if not (self.folder / runs.BEST).exists():
+                raise ThermorenderError(f"{self.folder} lacks {runs.BEST}, the best state so far; give another --run")
+            facts = checkpoint.load(last, *self._state())
             self.done, self.best = facts["crops"], facts["best"]
             self.seconds, self.core_seconds = facts["seconds"], facts["core_seconds"]
             if self.first:
                 runs.cut_log(self.folder, self.done)
 
-    def _step(self):
+    def _state(self) -> tuple[dict[str, nn.Module], dict[str, torch.optim.Optimizer]]:
+        """Networks and optimisers that a checkpoint holds, by name."""
+        return self.learner.parts, self.learner.optimisers
+
+    def _step(self) -> dict[str, float]:
         """Take a step of the learner; return {loss: value}."""
         self._set_rate()
         torch.manual_seed((self.task.seed * 1_000_003 + self.done) % _SEEDS)
@@ -294,29 +287,30 @@ class _Run:
         batch = self._encoded(self.crops.batch(self.done + self.size * _rank(), self.size))
         for part in self.learner.parts.values():
             part.train()
-        onednn = torch.backends.mkldnn
+        onednn: Any = torch.backends.mkldnn
         before = onednn.enabled
         # On some CPUs, oneDNN's gradients of convolutions with few channels free memory twice (PyTorch 2.13).
         onednn.enabled = before and int(self.task.options["width"]) >= _NARROW
         try:
-            with torch.autocast(device(), torch.bfloat16, enabled=bool(self.half)):
+            with torch.autocast(device(), torch.bfloat16, enabled=self.half):
                 return {name: _agreed(float(value.detach())) for name, value in self.learner.step(batch).items()}
         finally:
             onednn.enabled = before
 
-    def _encoded(self, crops):
+    def _encoded(self, crops: Sequence[Crop]) -> Batch:
+        """Crops as a Batch on the device."""
         encoding = self.encoding
-        planes = np.stack([encoding.planes(each.inputs) for each in crops])
         target = np.stack([(each.target - encoding.offset) / encoding.scale for each in crops])[:, None]
         if self.recipe.bounded:
             target = np.clip(target, -1.0, 1.0)
-        valid = np.stack([each.valid for each in crops])[:, None].astype(np.float32)
-        planes, target, valid = (
-            torch.from_numpy(np.float32(each)).to(device()) for each in (planes, target * valid, valid)
+        known = np.stack([each.valid for each in crops])[:, None].astype(np.float32)
+        planes, wanted, valid = (
+            torch.from_numpy(each.astype(np.float32)).to(device())
+            for each in (np.stack([encoding.planes(each.inputs) for each in crops]), target * known, known)
         )
-        return Batch(planes.contiguous(memory_format=torch.channels_last), target, valid)
+        return Batch(planes.contiguous(memory_format=torch.channels_last), wanted, valid)
 
-    def _set_rate(self):
+    def _set_rate(self) -> None:
         """Set the learning rate by the recipe's schedule."""
         share = self.done / self.total
         factor = {
@@ -328,75 +322,72 @@ class _Run:
         for group, rate in zip(groups, self.rates, strict=True):
             group["lr"] = rate * factor
 
-    def _end_of_epoch(self, losses):
+    def _end_of_epoch(self, losses: dict[str, float]) -> None:
         """Validate, and write the log, sample pictures and checkpoints."""
-        found = list(self._guessed(self.learner.applied, bool(self.half)))
+        found = list(self._guessed(self.learner.applied, self.half))
         # Only invalid pixels are left out, so that NaN in the output is noticed.
         off = [np.abs(guessed - true)[crop.valid] for crop, true, guessed in found]
         error = float(np.concatenate(off).mean(dtype=np.float64))
         facts = {"crops": self.done, "seconds": self.seconds, "core_seconds": self.core_seconds}
         shown = found[:: max(len(found) // _SHOWN, 1)][:_SHOWN]
-        samples.write(files.make_folder(self.folder / runs.SAMPLES) / f"{self.done:09d}.png", *zip(*shown, strict=True))
+        runs.write_samples(files.make_folder(self.folder / runs.SAMPLES) / f"{self.done:09d}.png", shown)
         if not math.isfinite(error):
             self._stop({"validation": error})
             return
         if error < self.best:
             self.best = error
-            checkpoint.save(self.folder / BEST, _Applied(self.learner.applied), facts | {"error_k": error})
+            checkpoint.save(self.folder / runs.BEST, {"net": self.learner.applied}, facts | {"error_k": error})
         line = {**facts, "losses": losses, "validation_mae_k": error}
         formats.append_json(self.folder / runs.LOG, line)
-        checkpoint.save(self.folder / LAST, self.learner, facts | {"best": self.best})
+        nets, optimisers = self._state()
+        checkpoint.save(self.folder / runs.LAST, nets, facts | {"best": self.best}, optimisers)
         if self.board:
             for name, value in (*losses.items(), ("validation_mae_k", error)):
                 self.board.add_scalar(name, value, self.done)
 
-    def _report(self, losses):
+    def _report(self, losses: dict[str, float]) -> None:
+        """Report progress and the losses of a step."""
         now = " ".join(f"{name} {value:.3g}" for name, value in losses.items())
         best = f", validation {self.best:.2f} K at best" if math.isfinite(self.best) else ""
         line = f"{self.method}: {self.done} of {self.total} crops, {now}{best}"
         self.task.progress(line, min(self.done / self.total, 1.0))
 
-    def _stop(self, losses):
+    def _stop(self, losses: dict[str, float]) -> None:
+        """Stop because of these losses."""
         what = ", ".join(f"{name} {value:.3g}" for name, value in losses.items())
         self.stopped = f"training exploded at crop {self.done} ({what})"
-
-
-class _Applied:
-    """A single network, in the form that checkpoints take."""
-
-    def __init__(self, net):
-        self.parts, self.optimisers = {"net": net}, {}
 
 
 class _Kelvin:
     """Apparent temperatures of a crop and of a network's output for it [K]."""
 
-    def __init__(self, task, crops, encoding):
+    def __init__(self, task: Task, crops: Crops, encoding: Encoding) -> None:
         known = np.isfinite(task.temperature) & np.isfinite(task.intensity)
         order = np.argsort(task.intensity[known])
         self.intensity, self.temperature = task.intensity[known][order], task.temperature[known][order]
         self.above_air, self.encoding = crops.above_air, encoding
-        # Kelvin of one unit of what the task is to learn, about.
+        # Approximate kelvin of one unit of the target.
         cold, warm = np.interp((0.0, 1.0), self.intensity, self.temperature)
         self.per_unit = 1.0 if self.above_air else float(warm - cold)
 
-    def __call__(self, crop, given):
+    def __call__(self, crop: Crop, given: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return (true, found), (side, side) float64 each, NaN where the crop is not valid."""
         found = given.astype(np.float64) * self.encoding.scale + self.encoding.offset
-        both = np.where(crop.valid, crop.target, np.nan), found
+        true = np.where(crop.valid, crop.target, np.nan)
         if self.above_air:
-            return tuple(each + crop.inputs.conditions["air_k"] for each in both)
-        return tuple(np.interp(each, self.intensity, self.temperature) for each in both)
+            air_k = crop.inputs.conditions["air_k"]
+            return true + air_k, found + air_k
+        return np.interp(true, self.intensity, self.temperature), np.interp(found, self.intensity, self.temperature)
 
 
-def _core_seconds():
+def _core_seconds() -> float:
     """CPU time of this process, all threads [s]."""
     used = resource.getrusage(resource.RUSAGE_SELF)
     return used.ru_utime + used.ru_stime
 
 
-def _agreed(value):
-    """The mean of a number over the processes of a data-parallel training; waits for all of them."""
+def _agreed(value: float) -> float:
+    """Mean of a number over the processes of a data-parallel training; waits for all of them."""
     if not (torch.distributed.is_available() and torch.distributed.is_initialized()):
         return value
     shared = torch.tensor(value, dtype=torch.float64, device=device())
@@ -404,7 +395,7 @@ def _agreed(value):
     return float(shared) / torch.distributed.get_world_size()
 
 
-def _process():
+def _process() -> tuple[bool, int]:
     """(whether this is the one process that writes, number of processes) of a data-parallel training."""
     world = int(os.environ.get("WORLD_SIZE", "1"))
     if world > 1 and not torch.distributed.is_initialized():
@@ -412,11 +403,13 @@ def _process():
     return _rank() == 0, world
 
 
-def _rank():
+def _rank() -> int:
+    """Number of this process in a data-parallel training."""
     return int(os.environ.get("RANK", "0"))
 
 
-def _board(folder):
+def _board(folder: Path) -> Any:
+    """Writer of a log for TensorBoard."""
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:

@@ -17,22 +17,12 @@ _COMPARED = {1: 1.0 / 32.0, 6: 1.0 / 16.0, 11: 1.0 / 8.0, 20: 1.0 / 4.0, 29: 1.0
 
 
 class Perception(nn.Module):
-    """The loss.
-
-    Parameters
-    ----------
-    path : path
-        safetensors file with VGG-19's weights under torchvision's names, such as features.0.weight.
-
-    Raises
-    ------
-    ThermorenderError
-        The file is missing or holds something else.
-    """
+    """The loss, from a safetensors file of VGG-19's weights with torchvision's names, such as features.0.weight."""
 
     def __init__(self, path: PathLike) -> None:
         super().__init__()
-        layers, before = [], 3
+        layers: list[nn.Module] = []
+        before = 3
         for width in _LAYERS:
             layers += [nn.Conv2d(before, width, 3, padding=1), nn.ReLU()] if width else [nn.MaxPool2d(2)]
             before = width or before
@@ -53,7 +43,7 @@ class Perception(nn.Module):
     def forward(self, found: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
         """Return the loss of (n, 1, h, w) pictures in −1…1."""
         both = torch.cat([found, wanted]).expand(-1, 3, -1, -1)
-        loss = 0.0
+        loss = torch.zeros((), device=found.device)
         for number, layer in enumerate(self.features):
             both = layer(both)
             if number in _COMPARED:

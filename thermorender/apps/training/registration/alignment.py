@@ -4,17 +4,26 @@ The steps are those of Evangelidis and Psarakis, Parametric image alignment usin
 maximization, IEEE TPAMI 30 (2008) 1858, doi:10.1109/TPAMI.2008.113.
 """
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
+from thermorender.apps.training.registration.levels import Level
 from thermorender.apps.training.registration.rig import positions
 
 # Border within which gradients are affected by the picture's edge: three standard deviations of the blur, plus one
 # [px].
 _MARGIN = 4
+# JᵀJ, Jᵀz of thermal, Jᵀz of visible, ⟨visible, thermal⟩, |visible|², |thermal|² of a frame.
+Normals = tuple[np.ndarray, np.ndarray, np.ndarray, float, float, float]
+# Steps of the central differences by each parameter.
 _DELTA = np.array([1e-5, 1e-5, 1e-3, 1e-3, 1e-5, 1e-5])
 
 
-def sample(level, parameters, x, y):
+def sample(
+    level: Level, parameters: np.ndarray, x: np.ndarray, y: np.ndarray
+) -> tuple[list[np.ndarray], np.ndarray]:  # fmt: skip
     """Return ([(h, w) complex64 visible directions on the thermal pixels], (h, w) bool where known)."""
     import cv2
 
@@ -31,18 +40,18 @@ def sample(level, parameters, x, y):
     return found, inside
 
 
-def within_borders(shape):
+def within_borders(shape: tuple[int, ...]) -> np.ndarray:
     """Return (h, w) bool, False along the borders, where gradients are affected by the picture's edge."""
     within = np.zeros(shape, bool)
     within[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN] = True
     return within
 
 
-def moves_of(level, parameters, free):
+def moves_of(level: Level, parameters: np.ndarray, free: Sequence[int]) -> np.ndarray:
     """Return the derivative of positions by each free parameter, (h, w, free, 2) [level px], by central differences."""
     x, y = (values[:: level.every, :: level.every] for values in (level.x, level.y))
 
-    def at(change, dx=0.0, dy=0.0):
+    def at(change: np.ndarray, dx: float = 0.0, dy: float = 0.0) -> np.ndarray:
         return np.stack(positions(parameters + change, x + dx, y + dy, level.diagonal), axis=-1)
 
     none = np.zeros(6)
@@ -59,8 +68,8 @@ def moves_of(level, parameters, free):
     return np.stack(moved, axis=-2)
 
 
-def normals_of(level, parameters, free):
-    """Return for each frame (JᵀJ, Jᵀz of thermal, Jᵀz of visible, ⟨visible, thermal⟩, |visible|², |thermal|²)."""
+def normals_of(level: Level, parameters: np.ndarray, free: Sequence[int]) -> list[Normals]:
+    """Return the Normals of each frame."""
     sampled, inside = sample(level, parameters, level.x, level.y)
     every = slice(None, None, level.every)
     moves = moves_of(level, parameters, free)
@@ -72,29 +81,33 @@ def normals_of(level, parameters, free):
         across, down, value = (image[every, every][inside] for image in (across, down, seen))
         known = known[every, every][inside]
         turned = -2j * value
-        rows = []
+        rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         # Real and imaginary parts separately: products of real matrices are several times faster.
         for part in (np.real, np.imag):
             design = part(across)[:, None] * moves[..., 0] + part(down)[:, None] * moves[..., 1]
             design[:, free.index(1)] += part(turned)
-            rows.append((design - design.mean(axis=0), *(part(each) - part(each).mean() for each in (value, known))))
+            seen_part, known_part = (part(each) - part(each).mean() for each in (value, known))
+            rows.append((design - design.mean(axis=0), seen_part, known_part))
         found.append((
-            sum(design.T @ design for design, _, _ in rows).astype(np.float64),
-            sum(design.T @ own for design, _, own in rows).astype(np.float64),
-            sum(design.T @ own for design, own, _ in rows).astype(np.float64),
+            np.add(*(design.T @ design for design, _, _ in rows)).astype(np.float64),
+            np.add(*(design.T @ own for design, _, own in rows)).astype(np.float64),
+            np.add(*(design.T @ own for design, own, _ in rows)).astype(np.float64),
             sum(float(seen @ own) for _, seen, own in rows), sum(float(seen @ seen) for _, seen, _ in rows),
             sum(float(own @ own) for _, _, own in rows),
         ))  # fmt: skip
     return found
 
 
-def pooled(normals):
+def pooled(normals: Sequence[Normals]) -> tuple[float, float]:
     """Return (correlation pooled over frames, factor on the thermal directions in a step)."""
-    product, seen, known = (sum(each[k] for each in normals) for k in (3, 4, 5))
+    # The last three: ⟨visible, thermal⟩, |visible|², |thermal|².
+    product, seen, known = (sum(some) for some in zip(*(each[3:] for each in normals), strict=True))
     return product / np.sqrt(max(seen * known, 1e-12)), seen / max(product, 1e-3 * seen, 1e-12)
 
 
-def climb(level, parameters, free, most=25):
+def climb(
+    level: Level, parameters: np.ndarray, free: Sequence[int], most: int = 25
+) -> tuple[np.ndarray, float]:  # fmt: skip
     """Return (parameters at the maximum of the pooled correlation near a start, the correlation there)."""
     normals = normals_of(level, parameters, free)
     score, factor = pooled(normals)
@@ -118,23 +131,23 @@ def climb(level, parameters, free, most=25):
     return parameters, score
 
 
-def step_of(normals, factor):
+def step_of(normals: Sequence[Normals], factor: float) -> np.ndarray:
     """Return the step of the free parameters for the sum over frames."""
-    matrix = sum(each[0] for each in normals)
-    slope = sum(factor * each[1] - each[2] for each in normals)
+    matrix: Any = sum(each[0] for each in normals)
+    slope: Any = sum(factor * each[1] - each[2] for each in normals)
     unit = np.sqrt(np.maximum(np.diag(matrix), 1e-12))
-    return np.linalg.lstsq(matrix / np.outer(unit, unit), slope / unit, rcond=1e-9)[0] / unit
+    return np.asarray(np.linalg.lstsq(matrix / np.outer(unit, unit), slope / unit, rcond=1e-9)[0] / unit)
 
 
-def _possible(level, parameters):
-    """Return whether the visible picture covers half of the thermal one and the distortion stays monotonic."""
+def _possible(level: Level, parameters: np.ndarray) -> bool:
+    """Whether the visible picture covers half of the thermal one and the distortion stays monotonic."""
     column, row = positions(parameters, level.x, level.y, level.diagonal)
     height, width = level.visible[0].shape
     inside = (np.abs(column) * level.density[0] <= width / 2.0) & (np.abs(row) * level.density[1] <= height / 2.0)
     return bool(inside.mean() >= 0.5 and abs(parameters[4]) < 0.8 and abs(parameters[1]) < 0.35)
 
 
-def scores_of(level, parameters, roll=0):
+def scores_of(level: Level, parameters: np.ndarray, roll: int = 0) -> np.ndarray:
     """Return the correlation of each frame's directions, (frames,), with the visible picture `roll` frames later."""
     sampled, inside = sample(level, parameters, level.x, level.y)
     inside, found = inside & within_borders(inside.shape), []

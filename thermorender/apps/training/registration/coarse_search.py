@@ -1,9 +1,19 @@
 """First search of a rig: scale, rotation and shift on a grid, on small pictures."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from thermorender.apps.training.registration.gradient_directions import best_shift, directions
-from thermorender.apps.training.registration.levels import FIELD_TOLERANCE, SCALES, filling_scale, resized
+from thermorender.apps.training.registration.levels import (
+    FIELD_TOLERANCE,
+    SCALES,
+    Frame,
+    Shapes,
+    filling_scale,
+    resized,
+)
+from thermorender.progress import Progress
 
 # Columns of the small pictures, and the largest number of frames.
 SMALL, _FIRST_FRAMES = 112, 16
@@ -12,7 +22,9 @@ _SCALE_STEP, _ROTATIONS_DEG = 0.04, (-4.0, -2.0, 0.0, 2.0, 4.0)
 CANVAS = 1.5
 
 
-def searched(pictures, shapes, reduced, start, report_progress):
+def searched(
+    pictures: Sequence[Frame], shapes: Shapes, reduced: float, start: float | None, report_progress: Progress
+) -> list[np.ndarray]:
     """Return up to three (6,) parameters to start the fit from, the best first."""
     import cv2
 
@@ -25,8 +37,8 @@ def searched(pictures, shapes, reduced, start, report_progress):
     low, high = np.log(SCALES) + np.log(filling)
     if start is not None:
         low, high = np.log(start) + np.log1p(-FIELD_TOLERANCE), np.log(start) + np.log1p(FIELD_TOLERANCE)
-    found = []
-    canvas = tuple(int(np.ceil(CANVAS * side)) for side in shape)
+    found: list[tuple[float, np.ndarray]] = []
+    canvas = [int(np.ceil(CANVAS * side)) for side in shape]
     grid = np.linspace(low, high, int(np.ceil((high - low) / _SCALE_STEP)) + 1)
     for number, log_scale in enumerate(grid):
         report_progress("searching scale and rotation", number / len(grid))
@@ -38,8 +50,8 @@ def searched(pictures, shapes, reduced, start, report_progress):
             turn = np.array([[cos, -sin], [sin, cos]])
             middle = (np.array([width, height]) - 1.0) / 2.0 - turn @ ((np.array(canvas[::-1]) - 1.0) / 2.0)
             matrix, flags = np.column_stack([turn, middle]), cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-            inside = cv2.warpAffine(np.ones((height, width), np.uint8), matrix, canvas[::-1], flags=flags)
-            inside = cv2.erode(inside, np.ones((5, 5), np.uint8), borderValue=0) > 0
+            covered = cv2.warpAffine(np.ones((height, width), np.uint8), matrix, canvas[::-1], flags=flags)
+            inside = np.asarray(cv2.erode(covered, np.ones((5, 5), np.uint8), borderValue=0) > 0)
             turned = [
                 directions(cv2.warpAffine(each, matrix, canvas[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE))
                 for each in small
@@ -49,7 +61,7 @@ def searched(pictures, shapes, reduced, start, report_progress):
             shift = turn @ shift * factor
             found.append((score, np.array([log_scale, np.radians(angle), *shift, 0.0, 0.0])))
     found.sort(key=lambda each: -each[0])
-    starts = []
+    starts: list[np.ndarray] = []
     for _, each in found:
         apart = [abs(each[0] - other[0]) > 1.5 * _SCALE_STEP or abs(each[1] - other[1]) > 0.04 for other in starts]
         if all(apart):

@@ -5,11 +5,12 @@ covers scale, rotation and all shifts on small pictures; then all parameters are
 resolutions. Single frames are registered only to find outliers, which are left out.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from thermorender.apps.training.registration.alignment import (
+    Normals,
     climb,
     moves_of,
     normals_of,
@@ -20,9 +21,10 @@ from thermorender.apps.training.registration.alignment import (
 )
 from thermorender.apps.training.registration.coarse_search import CANVAS, SMALL, searched
 from thermorender.apps.training.registration.gradient_directions import best_shift
-from thermorender.apps.training.registration.levels import ReadPair, level_of, read_frames
+from thermorender.apps.training.registration.levels import Level, ReadPair, level_of, read_frames
 from thermorender.apps.training.registration.rig import Rig, parameters_of
 from thermorender.errors import ThermorenderError
+from thermorender.progress import Progress
 
 # Largest deviation of an inlier frame's shift, as a share of the columns.
 _ELSEWHERE = 0.05
@@ -39,20 +41,12 @@ def calibrate(
     frames: Iterable[tuple[str, ReadPair]],
     fields_of_view: tuple[Sequence[float], Sequence[float]] | None = None,
     resized: bool = False,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Rig:
-    """Return the Rig that fits all frames.
+    """Return the Rig that fits all frames, each (name, function that reads its pictures, NaN where not measured).
 
-    Parameters
-    ----------
-    frames : sequence of (name, callable)
-        The callable returns (visible (h, w, 3) uint8, thermal (H, W) array); NaN where nothing was measured.
-    fields_of_view : ((2,), (2,)) floats, optional
-        Horizontal and vertical, of the visible and of the thermal camera [deg]; the search starts from them.
-    resized : bool
-        The visible pictures may have been resized unequally along their sides: fit the aspect too.
-    progress : callable, optional
-        Called with (task, fraction done).
+    The search starts from fields of view, horizontal and vertical, of the visible and of the thermal camera [deg]. With
+    `resized`, visible pictures may have been resized unequally along their sides, and the aspect is fitted too.
     """
     report_progress = progress or (lambda task, fraction: None)
     pictures, shapes, reduced, start = read_frames(frames, fields_of_view, report_progress)
@@ -67,7 +61,8 @@ def calibrate(
         level = level_of(pictures, shapes, reduced, np.exp(first[0]), coarse)
         found.append(climb(level, climb(level, first, _RIGID)[0], free))
     parameters = max(found, key=lambda each: each[1])[0]
-    used, rejected = list(range(len(pictures))), {}
+    used = list(range(len(pictures)))
+    rejected: dict[str, str] = {}
     for number, factor in enumerate(levels):
         report_progress("fitting the rig", number / len(levels))
         level = level_of([pictures[k] for k in used], shapes, reduced, np.exp(parameters[0]), factor)
@@ -89,9 +84,10 @@ def calibrate(
         )
     other = scores_of(judge, parameters, roll=1)[used] if len(pictures) > 1 else None
     scale = float(np.exp(parameters[0]))
+    right, down = (float(scale * each) for each in parameters[2:4])
     return Rig(
         visible_shape=visible_shape, thermal_shape=thermal_shape, scale=scale,
-        rotation_deg=float(np.degrees(parameters[1])), shift_px=tuple(float(scale * each) for each in parameters[2:4]),
+        rotation_deg=float(np.degrees(parameters[1])), shift_px=(right, down),
         k1=float(parameters[4]), aspect=float(np.exp(parameters[5])),
         errors=_errors(normals, free, parameters, level), score=float(own[used].mean()),
         score_unrelated=None if other is None else float(other.mean()),
@@ -100,35 +96,29 @@ def calibrate(
 
 
 def scores(
-    rig: Rig, frames: Iterable[tuple[str, ReadPair]], progress: Callable[[str, float], None] | None = None
-) -> dict[str, float]:
-    """Return the score of each frame under a rig, {name: correlation of gradient directions}.
-
-    Parameters
-    ----------
-    rig : Rig
-    frames : sequence of (name, callable)
-        As for `calibrate`.
-    """
+    rig: Rig, frames: Iterable[tuple[str, ReadPair]], progress: Progress | None = None
+) -> dict[str, float]:  # fmt: skip
+    """Return the score of each frame under a rig, {name: correlation of gradient directions}."""
     pictures, shapes, reduced, _ = read_frames(frames, None, progress or (lambda task, fraction: None))
     parameters = parameters_of(rig)
     judge = level_of(pictures, shapes, reduced, rig.scale, max(shapes[1][1] / 320.0, 1.0))
     return dict(zip([frame.name for frame in pictures], scores_of(judge, parameters).tolist(), strict=True))
 
 
-def _outliers(level, parameters, names, factor, columns):
+def _outliers(
+    level: Level, parameters: np.ndarray, names: Sequence[str], factor: float, columns: int
+) -> dict[str, str]:
     """{name: reason} of frames whose own best shift or score differs from the others' under the common mapping."""
     height, width = level.thermal[0].shape
-    canvas = tuple(int(np.ceil(CANVAS * side)) for side in (height, width))
+    canvas = [int(np.ceil(CANVAS * side)) for side in (height, width)]
     # The grid of the thermal pixels, extended on all sides.
     pitch = level.x[0, 1] - level.x[0, 0], level.y[1, 0] - level.y[0, 0]
     x = (np.arange(canvas[1]) - (canvas[1] - 1) / 2.0) * pitch[0]
     y = (np.arange(canvas[0]) - (canvas[0] - 1) / 2.0) * pitch[1]
     sampled, inside = sample(level, parameters, *np.meshgrid(x, y))
-    shifts = []
-    for seen, known in zip(sampled, level.thermal, strict=True):
-        shifts.append(best_shift([seen], [known], inside)[1] * factor)
-    shifts, own = np.array(shifts), scores_of(level, parameters)
+    shifts = np.array([best_shift([seen], [known], inside)[1] * factor
+                       for seen, known in zip(sampled, level.thermal, strict=True)])  # fmt: skip
+    own = scores_of(level, parameters)
     away = np.hypot(*(shifts - np.median(shifts, axis=0)).T)
     allowed = min(max(_OUTLIER * np.median(away), 2.0 * factor), _ELSEWHERE * columns)
     # Scores of equal scenes spread by 0.02.
@@ -142,13 +132,13 @@ def _outliers(level, parameters, names, factor, columns):
     return found
 
 
-def _errors(normals, free, parameters, level):
+def _errors(normals: Sequence[Normals], free: Sequence[int], parameters: np.ndarray, level: Level) -> dict[str, float]:
     """Standard errors by the jackknife: one step from the common maximum with each frame left out in turn."""
     count = len(normals)
     if count < 2:
         return {}
     _, factor = pooled(normals)
-    without = np.array([step_of(normals[:k] + normals[k + 1 :], factor) for k in range(count)])
+    without = np.array([step_of([*normals[:k], *normals[k + 1 :]], factor) for k in range(count)])
     spread = without - without.mean(axis=0)
     covariance = (count - 1) / count * spread.T @ spread
     moves = moves_of(level, parameters, free) * abs(level.x[0, 1] - level.x[0, 0])

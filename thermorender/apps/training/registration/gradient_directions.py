@@ -8,6 +8,7 @@ is one Fourier transform.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,21 +27,10 @@ def directions(grey: ArrayLike) -> NDArray[np.complex64]:
 def best_shift(
     visible: Sequence[NDArray[np.complex64]], thermal: Sequence[NDArray[np.complex64]], inside: NDArray[np.bool_]
 ) -> tuple[float, NDArray[np.float64]]:
-    """Return (pooled correlation, shift [px]) at the best shift of thermal pictures within visible canvases.
+    """Return (pooled correlation, shift to the right and down from the canvas centre [px]) of the best shift.
 
-    Parameters
-    ----------
-    visible : list of (h, w) complex64
-        Directions on canvases with room for shifts.
-    thermal : list of (H, W) complex64
-        Directions of smaller pictures, in the order of `visible`.
-    inside : (h, w) bool
-        Where the canvases hold a picture.
-
-    Returns
-    -------
-    (float, (2,) float64)
-        Shift to the right and down from the canvas centre.
+    Visible canvases are (h, w), with room for shifts of the thermal pictures, (H, W) in the same order; `inside` is
+    where the canvases hold a picture.
     """
     score = _correlations(visible, thermal, inside)
     row, column = np.unravel_index(score.argmax(), score.shape)
@@ -48,7 +38,7 @@ def best_shift(
     return float(score[row, column]), np.array([column - rest[1], row - rest[0]])
 
 
-def _correlations(visible, thermal, inside):
+def _correlations(visible: Sequence[np.ndarray], thermal: Sequence[np.ndarray], inside: np.ndarray) -> np.ndarray:
     """Pooled correlation for every position of the thermal corner in the canvas, (rows, columns); −1 outside.
 
     Partial overlaps are weighted by the square root of the overlap, so that small ones do not win.
@@ -57,10 +47,11 @@ def _correlations(visible, thermal, inside):
 
     canvas, (height, width) = inside.shape, thermal[0].shape
 
-    def transform(image):
+    def transform(image: np.ndarray) -> Any:
         return fft.fft2(image, canvas)
 
-    product, power, own = 0.0, np.zeros(canvas, np.float32), np.zeros((height, width), np.float32)
+    product: Any = 0.0
+    power, own = np.zeros(canvas, np.float32), np.zeros((height, width), np.float32)
     for seen, known in zip(visible, thermal, strict=True):
         seen, known = np.where(inside, seen, 0), known - known.mean()
         product = product + transform(seen) * np.conj(transform(known))
@@ -71,7 +62,9 @@ def _correlations(visible, thermal, inside):
     seen_power = fft.ifft2(transform(power) * window).real
     known_power = fft.ifft2(known_inside * np.conj(transform(own))).real
     overlap = np.clip(fft.ifft2(known_inside * window).real / (height * width), 0.0, 1.0)
-    score = fft.ifft2(product).real / np.sqrt(np.maximum(seen_power * known_power, 1e-12)) * np.sqrt(overlap)
+    score: np.ndarray = (
+        fft.ifft2(product).real / np.sqrt(np.maximum(seen_power * known_power, 1e-12)) * np.sqrt(overlap)
+    )
     score[overlap < 0.6] = -1.0
     # Positions that would wrap around.
     score[canvas[0] - height + 1 :] = -1.0

@@ -1,6 +1,6 @@
 """The pictures of a rig's frames, read and reduced to the resolutions at which a rig is fitted."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,9 +9,12 @@ from numpy.typing import ArrayLike, NDArray
 from thermorender.apps.training.registration.gradient_directions import directions
 from thermorender.apps.training.registration.rig import half_diagonal
 from thermorender.errors import ThermorenderError
+from thermorender.progress import Progress
 
 # Returns (visible (h, w, 3) uint8, thermal (H, W)) of a frame.
-ReadPair = Callable[[], tuple[NDArray[np.uint8], NDArray]]
+ReadPair = Callable[[], tuple[NDArray[np.uint8], np.ndarray]]
+# (rows, columns) of the visible and of the thermal picture.
+Shapes = tuple[tuple[int, int], tuple[int, int]]
 
 # Of more frames, this many evenly spaced ones are used.
 MOST_FRAMES = 32
@@ -36,9 +39,10 @@ class Frame:
 class Level:
     """Gradient directions of all frames at one resolution."""
 
-    visible: list
-    thermal: list
-    density: tuple  # (2,) floats pixels of `visible` per pixel of the camera's picture, along columns and rows
+    # visible, thermal: (h, w) complex64 each
+    visible: list[np.ndarray]
+    thermal: list[np.ndarray]
+    density: tuple[float, float]  # Pixels of `visible` per pixel of the camera's picture, along columns and rows
     # x, y: (h, w) float64 positions of the pixels of `thermal`, from the picture's centre [thermal px]
     x: np.ndarray
     y: np.ndarray
@@ -57,7 +61,10 @@ def scale_of_fields(
     return float(np.sqrt(np.prod(lengths[0] / lengths[1])))
 
 
-def read_frames(frames, fields_of_view, report_progress):
+def read_frames(
+    frames: Iterable[tuple[str, ReadPair]], fields_of_view: tuple[ArrayLike, ArrayLike] | None,
+    report_progress: Progress,
+) -> tuple[list[Frame], Shapes, float, float | None]:  # fmt: skip
     """Return (list of Frame, (visible shape, thermal shape), reduction of the visible pictures, scale or None)."""
     import cv2
 
@@ -66,12 +73,14 @@ def read_frames(frames, fields_of_view, report_progress):
         raise ThermorenderError("a rig needs at least one pair of pictures, got none; give one or more")
     if len(frames) > MOST_FRAMES:
         frames = [frames[k] for k in np.linspace(0, len(frames) - 1, MOST_FRAMES).round().astype(int)]
-    pictures, shapes, start, reduced = [], None, None, 1.0
+    pictures: list[Frame] = []
+    shapes: Shapes | None = None
+    start, reduced = None, 1.0
     for number, (name, read) in enumerate(frames):
         report_progress("reading pictures", number / len(frames))
         visible, thermal = read()
         if shapes is None:
-            shapes = tuple(visible.shape[:2]), tuple(thermal.shape)
+            shapes = _shape_of(visible), _shape_of(thermal)
             side = min(*shapes[0], *shapes[1])
             if side < _LEAST_SIDE:
                 raise ThermorenderError(
@@ -82,19 +91,26 @@ def read_frames(frames, fields_of_view, report_progress):
                 reduced = max(start * (1.0 - FIELD_TOLERANCE), 1.0)
             else:
                 reduced = max(SCALES[0] * filling_scale(shapes), 1.0)
-        elif (tuple(visible.shape[:2]), tuple(thermal.shape)) != shapes:
+        elif (_shape_of(visible), _shape_of(thermal)) != shapes:
             raise ThermorenderError(
                 f"pair {name!r} has pictures of {visible.shape[1]}×{visible.shape[0]} and "
                 f"{thermal.shape[1]}×{thermal.shape[0]} pixels, others of {shapes[0][1]}×{shapes[0][0]} and "
                 f"{shapes[1][1]}×{shapes[1][0]}; give the pictures of one rig"
             )
         grey = cv2.cvtColor(np.ascontiguousarray(visible), cv2.COLOR_RGB2GRAY)
-        size = tuple(round(side / reduced) for side in grey.shape[::-1])
+        size = [round(side / reduced) for side in grey.shape[::-1]]
         pictures.append(Frame(name, cv2.resize(grey, size, interpolation=cv2.INTER_AREA), _clipped(thermal)))
+    assert shapes is not None
     return pictures, shapes, reduced, start
 
 
-def _clipped(thermal):
+def _shape_of(picture: np.ndarray) -> tuple[int, int]:
+    """(rows, columns) of a picture."""
+    rows, columns = picture.shape[:2]
+    return rows, columns
+
+
+def _clipped(thermal: ArrayLike) -> np.ndarray:
     """A thermal picture as float32, clipped to its 0.5…99.5 % quantiles against fires and dead pixels; NaN → median."""
     values = np.asarray(thermal, np.float32)
     known = values[np.isfinite(values)]
@@ -104,21 +120,21 @@ def _clipped(thermal):
     return np.clip(np.where(np.isfinite(values), values, middle), low, high).astype(np.float32)
 
 
-def filling_scale(shapes):
+def filling_scale(shapes: Shapes) -> float:
     """Return the scale at which both pictures cover the same."""
     return float(min(np.array(shapes[0]) / np.array(shapes[1])))
 
 
-def resized(grey, factor):
+def resized(grey: np.ndarray, factor: float) -> tuple[np.ndarray, tuple[float, float]]:
     """Return a picture reduced by a factor, and its pixels per original pixel along columns and rows."""
     import cv2
 
-    size = tuple(max(round(side / factor), 8) for side in grey.shape[::-1])
+    size = [max(round(side / factor), 8) for side in grey.shape[::-1]]
     how = cv2.INTER_AREA if factor >= 1.0 else cv2.INTER_LINEAR
     return cv2.resize(grey, size, interpolation=how), (size[0] / grey.shape[1], size[1] / grey.shape[0])
 
 
-def level_of(pictures, shapes, reduced, scale, factor):
+def level_of(pictures: Sequence[Frame], shapes: Shapes, reduced: float, scale: float, factor: float) -> Level:
     """Return the Level whose pixels are `factor` thermal pixels wide, for a rig of about this scale."""
     visible, thermal = [], []
     for frame in pictures:

@@ -11,9 +11,10 @@ were resized unequally along their sides, the row of v is multiplied by the aspe
 
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
+from typing import Any, TypeGuard
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from thermorender import formats
 from thermorender.errors import ThermorenderError, shortened
@@ -24,7 +25,7 @@ _SQUARE = 40
 
 
 # Of a rig's numbers: least, largest and how many (0: a single one).
-_RANGES = {
+_RANGES: dict[str, tuple[float, float, int]] = {
     "visible_shape": (1, 100_000, 2),
     "thermal_shape": (1, 100_000, 2),
     "scale": (1e-3, 1e3, 0),
@@ -59,13 +60,10 @@ class Rig:
     frames: dict[str, float] = field(default_factory=dict)  # Score of each frame
     rejected: dict[str, str] = field(default_factory=dict)  # Reason for each frame that was left out
 
-    def visible_from_thermal(self, column: ArrayLike, row: ArrayLike) -> tuple[NDArray, NDArray]:
+    def visible_from_thermal(self, column: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the visible positions (column, row) of thermal positions [px].
 
-        Parameters
-        ----------
-        column, row : arrays
-            From the upper left corner; the centre of the first pixel is at ½.
+        Positions are from the upper left corner; the centre of the first pixel is at ½.
         """
         height, width = self.thermal_shape
         x, y = positions(
@@ -82,7 +80,7 @@ class Rig:
         top, bottom = np.clip((np.floor(row.min()), np.ceil(row.max())), 0, height)
         return int(left), int(top), int(right - left), int(bottom - top)
 
-    def __str__(self):
+    def __str__(self) -> str:
         plus_minus = {key: f" ± {value:.2g}" for key, value in self.errors.items()}
         lines = [
             f"scale {self.scale:.5g}{plus_minus.get('scale', '')} visible px per thermal px",
@@ -109,21 +107,16 @@ def parameters_of(rig: Rig) -> NDArray[np.float64]:
 
 def half_diagonal(shape: tuple[int, ...]) -> float:
     """Return half the diagonal of a picture of (rows, columns) [px]."""
-    return 0.5 * float(np.hypot(*shape))
+    return 0.5 * float(np.hypot(shape[0], shape[1]))
 
 
 def positions(
-    parameters: ArrayLike, x: ArrayLike, y: ArrayLike, diagonal: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    parameters: np.ndarray, x: np.ndarray, y: np.ndarray, diagonal: float
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Return (x, y) in the visible picture of points of the thermal one, both from the pictures' centres [px].
 
-    Parameters
-    ----------
-    parameters : (6,) sequence
-        ln scale, rotation [rad], shift over scale (right, down) [thermal px], k1, ln aspect.
-    x, y : arrays
-    diagonal : float
-        Half the visible picture's diagonal [px].
+    The (6,) parameters are ln scale, rotation [rad], shift over scale (right, down) [thermal px], k1 and ln aspect;
+    `diagonal` is half that of the visible picture [px].
     """
     scale, (cos, sin) = np.exp(parameters[0]), (np.cos(parameters[1]), np.sin(parameters[1]))
     u, v = scale * (cos * x - sin * y + parameters[2]), scale * (sin * x + cos * y + parameters[3])
@@ -136,12 +129,7 @@ def warped(
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
     """Return the visible picture on the thermal pixels: ((H, W, 3) uint8 sRGB, (H, W) bool where known).
 
-    Parameters
-    ----------
-    visible : (h, w, 3) uint8
-    rig : Rig
-    shape : (2,) ints, optional
-        Rows and columns of the result over the thermal field of view; default: the thermal picture's.
+    `shape` is that of the result over the thermal field of view; default: the thermal picture's.
     """
     import cv2
 
@@ -155,32 +143,26 @@ def warped(
     x, y = rig.visible_from_thermal(column * rig.thermal_shape[1], row * rig.thermal_shape[0])
     # Reduced to the result's resolution first, so that fine detail is averaged, not subsampled.
     coarser = max(rig.scale * rig.thermal_shape[1] / width, 1.0)
-    small = tuple(max(round(side / coarser), 1) for side in visible.shape[1::-1])
+    small = [max(round(side / coarser), 1) for side in visible.shape[1::-1]]
+    source: np.ndarray = visible
     if coarser > 1.0:
-        visible = cv2.resize(visible, small, interpolation=cv2.INTER_AREA)
+        source = cv2.resize(visible, small, interpolation=cv2.INTER_AREA)
     x = (x * (small[0] / rig.visible_shape[1]) - 0.5).astype(np.float32)
     y = (y * (small[1] / rig.visible_shape[0]) - 0.5).astype(np.float32)
-    found = cv2.remap(visible, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    found = cv2.remap(source, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     valid = (x >= 0.0) & (y >= 0.0) & (x <= small[0] - 1.0) & (y <= small[1] - 1.0)
     found[~valid] = 0
-    return found, valid
+    return np.asarray(found, np.uint8), valid
 
 
-def write_overlay(path: str | Path, visible: NDArray[np.uint8], thermal: NDArray, rig: Rig) -> None:
-    """Write a PNG to inspect a rig: thermal edges over the warped visible picture, and a checkerboard of both.
-
-    Parameters
-    ----------
-    path : path
-    visible : (h, w, 3) uint8
-    thermal : (H, W) array
-    rig : Rig
-    """
+def write_overlay(path: str | Path, visible: NDArray[np.uint8], thermal: np.ndarray, rig: Rig) -> None:
+    """Write a PNG to inspect a rig: thermal edges over the warped visible picture, and a checkerboard of both."""
     import cv2
 
     from thermorender.formats import write_image
 
-    colours, _ = warped(visible, rig, thermal.shape)
+    height, width = thermal.shape
+    colours, _ = warped(visible, rig, (height, width))
     low, high = np.nanpercentile(thermal, (1.0, 99.0))
     grey = np.nan_to_num(255.0 * np.clip((thermal - low) / max(high - low, 1e-9), 0.0, 1.0)).astype(np.uint8)
     smooth = cv2.GaussianBlur(grey, (0, 0), 1.0)
@@ -206,44 +188,45 @@ def load_rig(path: str | Path) -> Rig:
         values = formats.finite_json(text)
         if values.pop("format") != FORMAT:
             raise ValueError("another format")
-        rig = Rig(**{key: tuple(value) if isinstance(value, list) else value for key, value in values.items()})
+        known: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
+        rig = Rig(**known)
         _check(rig)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        known = ", ".join(each.name for each in fields(Rig))
+        names = ", ".join(each.name for each in fields(Rig))
         raise ThermorenderError(
-            f"{path} is not a rig of format {FORMAT} ({error}), which has {known}; make one with `thermorender "
+            f"{path} is not a rig of format {FORMAT} ({error}), which has {names}; make one with `thermorender "
             "prepare --calibrate`"
         ) from None
     return rig
+
+
+def _is_number(value: object, whole: bool = False) -> TypeGuard[float]:
+    """Whether a value of a file is a number, or a whole one."""
+    return isinstance(value, int if whole else (int, float)) and not isinstance(value, bool)
 
 
 def _check(rig: Rig) -> None:
     """Raise ValueError if a Rig from a file has a value of a wrong kind or out of range."""
     for name, (low, high, count) in _RANGES.items():
         value = getattr(rig, name)
-        numbers = value if count else (value,)
-        kind = int if name.endswith("_shape") else (int, float)
+        numbers, whole = value if count else (value,), name.endswith("_shape")
         right = isinstance(numbers, tuple) and len(numbers) == (count or 1)
-        if not right or not all(
-            isinstance(one, kind) and not isinstance(one, bool) and low <= one <= high for one in numbers
-        ):
+        if not right or not all(_is_number(one, whole) and low <= one <= high for one in numbers):
             what = f"{count} numbers" if count else "a number"
             raise ValueError(f"{name}={shortened(repr(value))} is not {what} of {low:g}…{high:g}")
-    for name in ("errors", "frames", "rejected"):
-        value, kinds = getattr(rig, name), (str,) if name == "rejected" else (int, float)
-        if not isinstance(value, dict) or not all(
-            isinstance(one, kinds) and not isinstance(one, bool) for one in value.values()
-        ):
-            raise ValueError(
-                f"{name}={shortened(repr(value))} is not a table of {'texts' if kinds == (str,) else 'numbers'}"
-            )
+    for name in ("errors", "frames"):
+        value = getattr(rig, name)
+        if not isinstance(value, dict) or not all(map(_is_number, value.values())):
+            raise ValueError(f"{name}={shortened(repr(value))} is not a table of numbers")
+    if not isinstance(rig.rejected, dict) or not all(isinstance(one, str) for one in rig.rejected.values()):
+        raise ValueError(f"rejected={shortened(repr(rig.rejected))} is not a table of texts")
     for name in ("score", "score_unrelated"):
         value = getattr(rig, name)
-        if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float))):
+        if value is not None and not _is_number(value):
             raise ValueError(f"{name}={shortened(repr(value))} is not a number")
 
 
-def _corners_and_sides(shape):
+def _corners_and_sides(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Columns and rows of points along a picture's border."""
     height, width = shape
     along, down = np.linspace(0.0, width, 33), np.linspace(0.0, height, 33)
@@ -251,5 +234,6 @@ def _corners_and_sides(shape):
     return column, np.concatenate([np.zeros(33), np.full(33, float(height)), down, down])
 
 
-def _size(shape):
+def _size(shape: tuple[int, ...]) -> str:
+    """Words for the size of a picture."""
     return f"{shape[1]}×{shape[0]}"

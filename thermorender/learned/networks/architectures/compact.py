@@ -7,6 +7,8 @@ which training starts. There is no normalisation over the picture: a part cut at
 result as the whole, except within the reach of the convolutions.
 """
 
+from typing import Any
+
 import torch
 from torch import nn
 from torch.nn import functional
@@ -26,16 +28,9 @@ _LOG_SPREAD = (-6.0, 4.0)
 
 
 class Compact(nn.Module):
-    """The network.
+    """The network, with `width` channels at a quarter of the resolution.
 
-    Parameters
-    ----------
-    channels : int
-        Planes of the input.
-    width : int
-        Channels at a quarter of the resolution.
-    mixed : int
-        Number of the last planes, which are the temperatures to mix; training starts with the very last.
+    The last `mixed` planes of the input are the temperatures to mix; training starts with the very last.
     """
 
     def __init__(self, channels: int, width: int, mixed: int = 0) -> None:
@@ -43,10 +38,9 @@ class Compact(nn.Module):
         self.mixed = mixed
         widths = [width * each for each in _WIDER]
         self.entry = nn.Conv2d(channels * BLOCK**2, width, 3, padding=1)
-        self.down = nn.ModuleList(
-            nn.ModuleList(_Residual(n) for _ in range(blocks)) for n, blocks in zip(widths, _BLOCKS, strict=True)
-        )
-        self.down[-1][-1] = _Residual(widths[-1], _DILATION)
+        down = [nn.ModuleList(_Residual(n) for _ in range(blocks)) for n, blocks in zip(widths, _BLOCKS, strict=True)]
+        down[-1][-1] = _Residual(widths[-1], _DILATION)
+        self.down = nn.ModuleList(down)
         self.narrow = nn.ModuleList(
             nn.Conv2d(before, after, 2, 2) for before, after in zip(widths[:-1], widths[1:], strict=True)
         )
@@ -58,15 +52,18 @@ class Compact(nn.Module):
         self.exit = nn.Conv2d(width, (1 + mixed) * BLOCK**2, 3, padding=1)
         self.doubt = nn.Conv2d(width, BLOCK**2, 3, padding=1)
         for layer in (self.exit, self.doubt):
+            assert layer.bias is not None
             nn.init.zeros_(layer.bias)
             nn.init.normal_(layer.weight, 0.0, 1e-3)
         if mixed:
+            assert self.exit.bias is not None
             nn.init.constant_(self.exit.bias[-(BLOCK**2) :], _BEGINNING)
 
     def forward(self, planes: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return (mean, logarithm of the spread), (n, 1, h, w) each, of (n, channels, h, w)."""
         x = self.entry(functional.pixel_unshuffle(planes, BLOCK))
         kept = []
+        blocks: Any
         for level, blocks in enumerate(self.down):
             if level:
                 kept.append(x)
@@ -89,12 +86,13 @@ class Compact(nn.Module):
 class _Residual(nn.Module):
     """x plus two convolutions of it."""
 
-    def __init__(self, width, dilation=1):
+    def __init__(self, width: int, dilation: int = 1) -> None:
         super().__init__()
         self.first, self.second = (nn.Conv2d(width, width, 3, padding=dilation, dilation=dilation) for _ in range(2))
         # It starts as the identity, so that deep networks train well.
-        nn.init.zeros_(self.second.weight)
-        nn.init.zeros_(self.second.bias)
+        for parameter in self.second.parameters():
+            nn.init.zeros_(parameter)
 
-    def forward(self, x):
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Return (n, width, h, w) of the same shape."""
         return x + self.second(functional.silu(self.first(functional.silu(x))))

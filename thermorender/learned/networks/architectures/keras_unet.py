@@ -7,13 +7,15 @@ There are no skip connections from encoder to decoder.
 """
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 from torch import Tensor, nn
 
 _DOWN = (2, 4, 8)
 _UP = (8, 4, 2, 1)
 # Keras' batch norm has momentum 0.99, PyTorch's 0.01.
-_NORM = {"momentum": 0.01, "eps": 1e-3}
+_NORM: dict[str, Any] = {"momentum": 0.01, "eps": 1e-3}
 # Keras' "same" padding for strides of two and even sides: right and bottom.
 _SAME = (0, 1, 0, 1)
 # Four halvings.
@@ -21,14 +23,9 @@ MULTIPLE = 16
 
 
 class KerasUNet(nn.Module):
-    """The network, for pictures whose sides are multiples of 16 pixels.
+    """The network, for pictures whose sides are multiples of 16 pixels; its output is linear.
 
-    Parameters
-    ----------
-    channels, out : int
-        Of input and output; the output is linear.
-    width : int
-        Channels of the outermost level, 32 as published: with 3 classes 2.06 million parameters.
+    `width` is the number of channels of the outermost level, 32 as published: with 3 classes 2.06 million parameters.
     """
 
     def __init__(self, channels: int = 3, width: int = 32, out: int = 1) -> None:
@@ -58,11 +55,17 @@ class KerasUNet(nn.Module):
         x = self.entry(x)
         for level in (*self.down, *self.up):
             x = level(x)
-        return self.exit(x)
+        x = self.exit(x)
+        return x
 
 
 class _Level(nn.Module):
-    def __init__(self, before, after, convolution, resize, residual):
+    """Two convolutions, resized, plus a residual."""
+
+    def __init__(
+        self, before: int, after: int, convolution: Callable[[int, int], tuple[nn.Module, ...]], resize: nn.Module,
+        residual: nn.Module,
+    ) -> None:  # fmt: skip
         super().__init__()
         self.layers = nn.Sequential(
             nn.ReLU(), *convolution(before, after), nn.BatchNorm2d(after, **_NORM),
@@ -70,13 +73,15 @@ class _Level(nn.Module):
         )  # fmt: skip
         self.residual = residual
 
-    def forward(self, x):
-        return self.layers(x) + self.residual(x)
+    def forward(self, x: Tensor) -> Tensor:
+        """Return (n, after, h', w') of (n, before, h, w)."""
+        found: Tensor = self.layers(x) + self.residual(x)
+        return found
 
 
-def _separable(before, after):
+def _separable(before: int, after: int) -> tuple[nn.Module, ...]:
     return nn.Conv2d(before, before, 3, 1, 1, groups=before, bias=False), nn.Conv2d(before, after, 1)
 
 
-def _transposed(before, after):
+def _transposed(before: int, after: int) -> tuple[nn.Module, ...]:
     return (nn.ConvTranspose2d(before, after, 3, 1, 1),)

@@ -1,11 +1,11 @@
-"""The networks of pix2pix: a U-Net that halves its square down to one pixel, and a discriminator of patches.
+"""The generator of pix2pix: a U-Net that halves its square down to one pixel.
 
 Isola et al., Image-to-Image Translation with Conditional Adversarial Networks, CVPR 2017, arXiv:1611.07004, appendix
 6.1. Encoder C64-C128-C256-C512-C512-C512-C512-C512, decoder CD512-CD512-CD512-C512-C256-C128-C64. C is convolution,
 batch norm and ReLU; CD also has 50 % dropout. All convolutions are 4×4 with stride 2, with skip connections at each
-level. The discriminator C64-C128-C256-C512 has a receptive field of 70×70 pixels.
+level.
 
-With seven levels and without biases, they are the networks of Nhu's program (`recipes`): encoder
+With seven levels and without biases, it is the generator of Nhu's program (`recipes`): encoder
 C64-C128-C256-C512-C512-C512-C512, down to four pixels, and decoder CD512-CD512-CD512-C256-C128-C64.
 """
 
@@ -35,18 +35,10 @@ def initialised(net: nn.Module) -> nn.Module:
 
 
 class UNet256(nn.Module):
-    """The generator, for pictures whose sides are multiples of 2**levels pixels.
+    """The generator, for pictures whose sides are multiples of 2**levels pixels; its output is from −1 to 1.
 
-    Parameters
-    ----------
-    channels : int
-        Channels of the input; the output has one, from −1 to 1.
-    width : int
-        Channels of the outermost level; 64 as published, with 54.41 million parameters.
-    levels : int
-        Number of halvings.
-    biased : bool
-        Whether its last convolution has a bias.
+    `width` is the number of channels of the outermost level; 64 as published, with 54.41 million parameters. `biased`
+    gives the last convolution a bias.
     """
 
     def __init__(self, channels: int = 3, width: int = 64, levels: int = LEVELS, biased: bool = True) -> None:
@@ -82,51 +74,3 @@ class UNet256(nn.Module):
         for layer in reversed(self.up[:-1]):
             x = layer(torch.cat([kept.pop(), x], dim=1))
         return torch.tanh(x)
-
-
-class PatchDiscriminator(nn.Module):
-    """The 70×70 discriminator: for (n, channels, h, w) one number per place, above 0 where it looks real.
-
-    Parameters
-    ----------
-    channels : int
-        Channels of the picture and its translation together.
-    width : int
-        64 as published, with 2.77 million parameters.
-    norm : type of layer
-        nn.BatchNorm2d in pix2pix, nn.InstanceNorm2d in its successors.
-    padding : int
-        Padding of every convolution: 1, or 2 in pix2pixHD.
-    biased : bool
-        Whether convolutions without a batch norm behind them have a bias.
-    """
-
-    def __init__(
-        self, channels: int = 4, width: int = 64, norm: type[nn.Module] = nn.BatchNorm2d, padding: int = 1,
-        biased: bool = True,
-    ) -> None:  # fmt: skip
-        super().__init__()
-        widths = [channels, width, 2 * width, 4 * width, 8 * width, 1]
-        # Instance norm has no offset here.
-        plain = norm is not nn.BatchNorm2d
-        self.layers = nn.ModuleList()
-        for number, (before, after) in enumerate(zip(widths[:-1], widths[1:], strict=True)):
-            first, last = number == 0, after == 1
-            conv = nn.Conv2d(
-                before, after, 4, 2 if number < 3 else 1, padding, bias=biased and (plain or first or last)
-            )
-            between = [] if first or last else [norm(after)]
-            self.layers.append(nn.Sequential(conv, *between, *([] if last else [nn.LeakyReLU(_SLOPE)])))
-        initialised(self)
-
-    def features(self, x: torch.Tensor) -> list[torch.Tensor]:
-        """Return the output of every layer, the judgement last."""
-        found = []
-        for layer in self.layers:
-            x = layer(x)
-            found.append(x)
-        return found
-
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return the judgement, (n, 1, h', w')."""
-        return self.features(x)[-1]

@@ -1,4 +1,4 @@
-"""The networks of pix2pixHD: a global generator of residual blocks, and discriminators at two scales.
+"""The global generator of pix2pixHD: residual blocks between halvings and doublings.
 
 Wang et al., High-Resolution Image Synthesis and Semantic Manipulation with Conditional GANs, CVPR 2018,
 arXiv:1711.11585, section 3.2 and appendix: generator c7s1-64, d128, d256, d512, d1024, nine residual blocks R1024,
@@ -8,31 +8,23 @@ ICCV 2017, arXiv:1703.10593, appendix 7.2).
 
 import torch
 from torch import nn
-from torch.nn import functional
 
-from thermorender.learned.networks.architectures.pix2pix import PatchDiscriminator, initialised
+from thermorender.learned.networks.architectures.pix2pix import initialised
 
 BLOCKS = 9
-SCALES = 2
 
 
 class ResidualGenerator(nn.Module):
-    """The generator, for pictures whose sides are multiples of 2**halvings pixels.
+    """The generator, for pictures whose sides are multiples of 2**halvings pixels; its output is from −1 to 1.
 
-    Parameters
-    ----------
-    channels, out : int
-        Channels of the input and the output, which is from −1 to 1.
-    width : int
-        Channels of the outermost level. 64 with four halvings is pix2pixHD's global generator, 182.4 million
-        parameters; 64 with two is CycleGAN's, 11.4 million.
-    halvings : int
+    A width of 64 with four halvings is pix2pixHD's global generator, 182.4 million parameters; 64 with two is
+    CycleGAN's, 11.4 million.
     """
 
     def __init__(self, channels: int = 3, width: int = 64, halvings: int = 4, out: int = 1) -> None:
         super().__init__()
         norm = nn.InstanceNorm2d
-        layers = [nn.ReflectionPad2d(3), nn.Conv2d(channels, width, 7), norm(width), nn.ReLU()]
+        layers: list[nn.Module] = [nn.ReflectionPad2d(3), nn.Conv2d(channels, width, 7), norm(width), nn.ReLU()]
         for level in range(halvings):
             n = width * 2**level
             layers += [nn.Conv2d(n, 2 * n, 3, 2, 1), norm(2 * n), nn.ReLU()]
@@ -49,28 +41,16 @@ class ResidualGenerator(nn.Module):
 
 
 class _Residual(nn.Module):
-    def __init__(self, width):
+    """x plus two normalised convolutions of it."""
+
+    def __init__(self, width: int) -> None:
         super().__init__()
         first, second = (
             (nn.ReflectionPad2d(1), nn.Conv2d(width, width, 3), nn.InstanceNorm2d(width)) for _ in range(2)
         )
         self.layers = nn.Sequential(*first, nn.ReLU(), *second)
 
-    def forward(self, x):
-        return x + self.layers(x)
-
-
-class ScaledDiscriminators(nn.Module):
-    """Patch discriminators of the picture at full and half size: 5.5 million parameters at width 64."""
-
-    def __init__(self, channels: int = 4, width: int = 64) -> None:
-        super().__init__()
-        self.scales = nn.ModuleList(PatchDiscriminator(channels, width, nn.InstanceNorm2d, 2) for _ in range(SCALES))
-
-    def features(self, x: torch.Tensor) -> list[list[torch.Tensor]]:
-        """Return the output of every layer, for each scale."""
-        found = []
-        for each in self.scales:
-            found.append(each.features(x))
-            x = functional.avg_pool2d(x, 3, 2, 1, count_include_pad=False)
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Return (n, width, h, w) of the same shape."""
+        found: torch.Tensor = x + self.layers(x)
         return found

@@ -12,14 +12,9 @@ HALVINGS = 4
 
 
 class Autoencoder(nn.Module):
-    """A convolutional autoencoder, for pictures whose sides are multiples of 16 pixels.
+    """A convolutional autoencoder, for pictures whose sides are multiples of 16 pixels; its output is linear.
 
-    Parameters
-    ----------
-    channels : int
-        Channels of the input; the output has one, linear.
-    width : int
-        Channels of the outermost level.
+    `width` is the number of channels of the outermost level.
     """
 
     def __init__(self, channels: int = 3, width: int = 64) -> None:
@@ -39,16 +34,7 @@ class Autoencoder(nn.Module):
 
 
 class Dense(nn.Module):
-    """A fully connected network with one hidden layer, for squares of one size.
-
-    Parameters
-    ----------
-    channels : int
-    hidden : int
-        Size of the hidden layer.
-    side : int
-        Side of the square [pixels].
-    """
+    """A fully connected network with one hidden layer, for squares of `side` pixels."""
 
     def __init__(self, channels: int = 3, hidden: int = 1024, side: int = 64) -> None:
         super().__init__()

@@ -1,8 +1,9 @@
-"""Training of learned temperature maps: the data and settings of every method."""
+"""A training task: the data and settings that every method fits a map to."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,11 +29,12 @@ class Task:
     temperature: np.ndarray  # (n,) float64 apparent temperature of each pixel value [K]
     seed: int
     progress: Callable[[str, float], object]  # Called with (what, share done)
-    options: dict  # Options of the method, as in `training_methods.Method.options`
+    options: dict[str, Any]  # Options of the method, as in `training_methods.Method.options`
     # Ground sampling distance that the map will be applied at [m]; methods that use texture learn at it. None takes
     # the pictures as they are.
     texel_m: float | None = None
-    texel_range_m: tuple = (1.0, 1.0)  # (2,) tuple finest and coarsest ground sampling distance of the pictures [m]
+    # Finest and coarsest ground sampling distance of the pictures [m]
+    texel_range_m: tuple[float, float] = (1.0, 1.0)
     # (count,) bool examples for early stopping, not learned from; None lets the method choose
     held_out: np.ndarray | None = None
     # Folder for checkpoints, log and sample pictures of a long training; None for other methods

@@ -1,21 +1,33 @@
-"""Training step and prediction of each family of networks.
+"""Training step of each family of networks.
 
 A learner holds its networks and optimisers by name, so that the code that saves, loads or moves them is the same for
 all families. Invalid pixels do not count: there a discriminator sees the generator's own output.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
-from typing import ClassVar
+from functools import partial
+from typing import Any, ClassVar
 
 import torch
 from torch import nn
 from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel
 
+from thermorender.apps.training.networks.discriminators import PatchDiscriminator, ScaledDiscriminators
+from thermorender.apps.training.networks.perception import Perception
+from thermorender.learned.networks.architectures.pix2pixhd import ResidualGenerator
+from thermorender.learned.networks.building import CYCLE_HALVINGS, LEVELS, net_of
+from thermorender.learned.networks.encoding import Encoding
+from thermorender.learned.networks.recipes import Recipe
+
 # Exponent of the mean of weights: with 8, about the last tenth of the steps counts.
 _POWER = 8.0
-# Grey levels of `unet-classes`.
-LEVELS = 256
+# Width of the published discriminators.
+_JUDGE = 64
+
+
+Optimiser = Callable[[Iterable[nn.Parameter]], torch.optim.Optimizer]
 
 
 class Batch:
@@ -29,35 +41,27 @@ class Batch:
         return (values * self.valid).sum() / self.valid.sum().clamp(min=1.0)
 
 
-class Learner:
-    """Base class of all learners.
-
-    Attributes
-    ----------
-    net : nn.Module
-        The network to train.
-    applied : nn.Module
-        The network to apply after training; `net` by default.
-    parts : dict of str to nn.Module
-        All networks of the training, including `net` as "net".
-    optimisers : dict of str to Optimizer
-    weight : float
-        Weight of the second loss; the first has 1.
-    """
+class Learner(ABC):
+    """Base class of all learners."""
 
     # Parts that each optimiser updates.
-    MOVED: ClassVar = {"net": ("net",)}
+    MOVED: ClassVar[dict[str, tuple[str, ...]]] = {"net": ("net",)}
 
     def __init__(
-        self, net: nn.Module, others: dict[str, nn.Module],
-        optimiser: Callable[[Iterable[nn.Parameter]], torch.optim.Optimizer], weight: float,
+        self, net: nn.Module, others: dict[str, nn.Module], optimiser: Optimiser, weight: float
     ) -> None:  # fmt: skip
-        self.net, self.applied, self.weight = net, net, weight
-        self.parts = {"net": net, **others}
+        self.net = net  # The network to train
+        self.applied = net  # The network to apply after training
+        self.weight = weight  # Weight of the second loss; the first has 1
+        self.parts = {"net": net, **others}  # All networks of the training
         self.optimisers = {
             name: optimiser([each for part in parts for each in self.parts[part].parameters()])
             for name, parts in self.MOVED.items()
         }
+
+    @abstractmethod
+    def step(self, batch: Batch) -> dict[str, torch.Tensor]:
+        """Take a step on a Batch; return {name: loss}."""
 
     def descend(self, name: str, loss: torch.Tensor) -> None:
         """Take a step of one optimiser."""
@@ -65,19 +69,19 @@ class Learner:
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         _shared_gradients(optimiser)
+        self.limit()
         optimiser.step()
+
+    def limit(self) -> None:  # noqa: B027 - most learners have no limit
+        """Limit the gradients of a step."""
 
     def forward(self, batch: Batch) -> torch.Tensor:
         """Return the encoded translation of a Batch, (n, 1, h, w)."""
-        return self.net(batch.planes).float()
-
-    @staticmethod
-    def predict(net: nn.Module, planes: torch.Tensor) -> torch.Tensor:
-        """Return the encoded translation, (n, 1, h, w), or with its standard deviation, (n, 2, h, w)."""
-        return net(planes).float()
+        found: torch.Tensor = self.net(batch.planes)
+        return found.float()
 
 
-def _shared_gradients(optimiser):
+def _shared_gradients(optimiser: torch.optim.Optimizer) -> None:
     """Average the gradients over the processes of a data-parallel training."""
     distributed = torch.distributed
     if not (distributed.is_available() and distributed.is_initialized()):
@@ -93,7 +97,7 @@ class Regression(Learner):
     """A single network, by mean squared error."""
 
     def step(self, batch: Batch) -> dict[str, torch.Tensor]:
-        """Take a step; return {name: loss}."""
+        """Take a step."""
         loss = batch.mean((self.forward(batch) - batch.target) ** 2)
         self.descend("net", loss)
         return {"mse": loss}
@@ -103,7 +107,7 @@ class Classes(Regression):
     """Grey levels as classes, by binary cross-entropy of each."""
 
     def step(self, batch: Batch) -> dict[str, torch.Tensor]:
-        """Take a step; return {name: loss}."""
+        """Take a step."""
         level = (batch.target.clamp(0.0, 1.0) * (LEVELS - 1)).round().long()
         score = self.net(batch.planes).float()
         # softplus(score) for wrong classes, and softplus(−score) = softplus(score) − score for the right one.
@@ -111,11 +115,6 @@ class Classes(Regression):
         loss = batch.mean(every / LEVELS)
         self.descend("net", loss)
         return {"bce": loss}
-
-    @staticmethod
-    def predict(net: nn.Module, planes: torch.Tensor) -> torch.Tensor:
-        """Return the likeliest grey level, 0…1, (n, 1, h, w)."""
-        return net(planes).argmax(dim=1, keepdim=True).float() / (LEVELS - 1)
 
 
 class Adversarial(Learner):
@@ -128,7 +127,7 @@ class Adversarial(Learner):
     MOVED: ClassVar = {"net": ("net",), "discriminator": ("discriminator",)}
 
     def step(self, batch: Batch) -> dict[str, torch.Tensor]:
-        """Take a step of the discriminator, then of the generator; return {name: loss}."""
+        """Take a step of the discriminator, then of the generator."""
         made = self.forward(batch)
         against = self.judge(batch, made.detach())
         return {**self.fool(batch, made, 1.0), "discriminator": against}
@@ -164,7 +163,7 @@ class Summed(Adversarial):
     """
 
     def step(self, batch: Batch) -> dict[str, torch.Tensor]:
-        """Take a step of the discriminator, then two of the generator; return {name: loss}."""
+        """Take a step of the discriminator, then two of the generator."""
         with torch.no_grad():
             made = self.forward(batch)
         against, fooled = self.judge(batch, made), {}
@@ -174,19 +173,13 @@ class Summed(Adversarial):
 
 
 class Scaled(Learner):
-    """A generator and discriminators at several scales, by least squares and feature matching: pix2pixHD.
-
-    Attributes
-    ----------
-    perceived : Perception or None
-        Perceptual loss, with the weight of feature matching.
-    """
+    """A generator and discriminators at several scales, by least squares and feature matching: pix2pixHD."""
 
     MOVED: ClassVar = {"net": ("net",), "discriminator": ("discriminator",)}
-    perceived = None
+    perceived: Perception | None = None  # Perceptual loss, with the weight of feature matching
 
     def step(self, batch: Batch) -> dict[str, torch.Tensor]:
-        """Take a step of the generator, then of the discriminators; return {name: loss}."""
+        """Take a step of the generator, then of the discriminators."""
         made = self.forward(batch)
         real = torch.where(batch.valid > 0.0, batch.target, made.detach())
         judges = self.parts["discriminator"].requires_grad_(False)
@@ -211,11 +204,14 @@ class Scaled(Learner):
         self.descend("discriminator", against)
         return losses | {"discriminator": against, "l1": batch.mean((made.detach() - batch.target).abs())}
 
-    def _features(self, batch, thermal):
-        return self.parts["discriminator"].features(torch.cat([batch.planes, thermal], dim=1))
+    def _features(self, batch: Batch, thermal: torch.Tensor) -> list[list[torch.Tensor]]:
+        judges: Any = self.parts["discriminator"]
+        found: list[list[torch.Tensor]] = judges.features(torch.cat([batch.planes, thermal], dim=1))
+        return found
 
 
-def _squares(scales, real):
+def _squares(scales: list[list[torch.Tensor]], real: float) -> Any:
+    """Sum over scales of the mean squared difference between judgements and a label."""
     return sum(((each[-1].float() - real) ** 2).mean() for each in scales)
 
 
@@ -226,6 +222,8 @@ class History(nn.Module):
     """
 
     SIZE = 50
+    pictures: torch.Tensor
+    count: torch.Tensor
 
     def __init__(self, channels: int, side: int) -> None:
         super().__init__()
@@ -257,7 +255,7 @@ class Cycle(Learner):
     MOVED: ClassVar = {"net": ("net", "back"), "discriminators": ("photographs", "thermals")}
 
     def step(self, batch: Batch) -> dict[str, torch.Tensor]:
-        """Take a step of the generators, then of the discriminators; return {name: loss}."""
+        """Take a step of the generators, then of the discriminators."""
         net, back, photographs, thermals = (self.parts[name] for name in ("net", "back", "photographs", "thermals"))
         half = len(batch.planes) // 2
         photograph, thermal, valid = batch.planes[:half], batch.target[half:], batch.valid[half:]
@@ -276,11 +274,12 @@ class Cycle(Learner):
                 ("thermals", thermals, real, made), ("photographs", photographs, photograph, drawn)
             )
         )  # fmt: skip
-        self.descend("discriminators", against)
-        return {"cycle": cycle, "gan": fooled, "discriminator": against}
+        self.descend("discriminators", torch.as_tensor(against))
+        return {"cycle": cycle, "gan": fooled, "discriminator": torch.as_tensor(against)}
 
 
-def _square(judged, real):
+def _square(judged: torch.Tensor, real: float) -> torch.Tensor:
+    """Mean squared difference between judgements and a label."""
     return ((judged.float() - real) ** 2).mean()
 
 
@@ -297,50 +296,72 @@ class Robust(Learner):
     # too small is many times theirs.
     _MOST = 1.0
 
-    def __init__(self, net, others, optimiser, weight):
+    def __init__(
+        self, net: nn.Module, others: dict[str, nn.Module], optimiser: Optimiser, weight: float
+    ) -> None:  # fmt: skip
         super().__init__(net, others, optimiser, weight)
-        self.parts["mean"] = AveragedModel(net, avg_fn=_recent)
-        self.applied = self.parts["mean"].module
+        self._mean = self.parts["mean"] = AveragedModel(net, avg_fn=_recent)
+        self.applied = self._mean.module
 
     def step(self, batch: Batch) -> dict[str, torch.Tensor]:
-        """Take a step; return {name: loss}."""
+        """Take a step."""
         mean, spread = self.net(batch.planes)
         error = mean - batch.target
         absolute = batch.mean(error.abs())
-        slopes = sum(_slope(error, batch.valid, axis) for axis in (2, 3))
+        slopes = _slope(error, batch.valid, 2) + _slope(error, batch.valid, 3)
         # Laplace likelihood of the detached errors: the spread does not influence the mean.
         likelihood = batch.mean(error.detach().abs() * torch.exp(-spread) + spread)
         self.descend("net", absolute + self.SLOPES * slopes + likelihood)
         return {"l1": absolute, "slopes": slopes, "likelihood": likelihood}
 
-    def descend(self, name: str, loss: torch.Tensor) -> None:
-        """Take a step of one optimiser with clipped gradients."""
-        optimiser = self.optimisers[name]
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        _shared_gradients(optimiser)
+    def limit(self) -> None:
+        """Limit the gradient norm of the spread's layer, and that of all others."""
         parameters = dict(self.net.named_parameters())
         for doubts in (True, False):
             some = [value for key, value in parameters.items() if key.startswith("doubt.") == doubts]
             nn.utils.clip_grad_norm_(some, self._MOST)
-        optimiser.step()
-        self.parts["mean"].update_parameters(self.net)
 
-    @staticmethod
-    def predict(net: nn.Module, planes: torch.Tensor) -> torch.Tensor:
-        """Return the translation and its standard deviation, (n, 2, h, w)."""
-        mean, spread = net(planes)
-        # The Laplace distribution of scale b has standard deviation √2 b.
-        return torch.cat([mean, torch.exp(spread) * 2.0**0.5], dim=1)
+    def descend(self, name: str, loss: torch.Tensor) -> None:
+        """Take a step of one optimiser, and update the mean of the weights."""
+        super().descend(name, loss)
+        self._mean.update_parameters(self.net)
 
 
-def _recent(mean, weight, steps):
-    """The mean of weights over the last steps, a fixed share of all: Karras et al., arXiv:2312.02696, eq. 1."""
+def _recent(mean: torch.Tensor, weight: torch.Tensor, steps: torch.Tensor | int) -> torch.Tensor:
+    """Mean of weights over the last steps, a fixed share of all: Karras et al., arXiv:2312.02696, eq. 1."""
     return mean + (weight - mean) * (1.0 - (1.0 - 1.0 / (steps + 1.0)) ** _POWER)
 
 
-def _slope(error, valid, axis):
+def _slope(error: torch.Tensor, valid: torch.Tensor, axis: int) -> torch.Tensor:
     """Mean absolute difference of valid neighbours along an axis."""
     n = valid.shape[axis]
     both = valid.narrow(axis, 1, n - 1) * valid.narrow(axis, 0, n - 1)
     return (error.diff(dim=axis).abs() * both).sum() / both.sum().clamp(min=1.0)
+
+
+_OPTIMISERS = {"adam": torch.optim.Adam, "nadam": torch.optim.NAdam, "adamw": torch.optim.AdamW}
+_KINDS: dict[str, type[Learner]] = {
+    "regression": Regression, "classes": Classes, "adversarial": Adversarial, "summed": Summed, "scales": Scaled,
+    "cycle": Cycle, "robust": Robust,
+}  # fmt: skip
+
+
+def learner_of(recipe: Recipe, encoding: Encoding, width: int, rate: float) -> Learner:
+    """Return the Learner of a Recipe, with initial weights."""
+    net, seen = net_of(recipe, encoding, width), encoding.channels
+    kind = _KINDS[recipe.learner]
+    others: dict[str, nn.Module] = {}
+    # 64 with a generator of full width, and proportionally narrower with a narrower one.
+    beside = max(8, _JUDGE * width // recipe.width)
+    if issubclass(kind, Adversarial):
+        others = {"discriminator": PatchDiscriminator(seen + 1, beside, biased=kind is not Summed)}
+    elif kind is Scaled:
+        others = {"discriminator": ScaledDiscriminators(seen + 1, beside)}
+    elif kind is Cycle:
+        judges = (PatchDiscriminator(n, beside, nn.InstanceNorm2d) for n in (seen, 1))
+        back = ResidualGenerator(1, width, CYCLE_HALVINGS, seen)
+        pasts = (History(n, recipe.side) for n in (seen, 1))
+        names = ("photographs", "thermals", "past photographs", "past thermals")
+        others = {"back": back, **dict(zip(names, [*judges, *pasts], strict=True))}
+    optimiser = partial(_OPTIMISERS[recipe.optimiser], lr=rate, betas=recipe.betas)
+    return kind(net, others, optimiser, recipe.weight)
