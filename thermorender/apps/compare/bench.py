@@ -38,7 +38,7 @@ def bench(
     progress: Progress | None = None,
     settings: Settings = SETTINGS,
     device: str = "auto",
-    air: tuple[str, str] | None = None,
+    air: tuple[str, ...] | None = None,
 ) -> dict[str, Any]:
     """Return the cost and the error of a frame for each scene, view and setting, as plain numbers.
 
@@ -53,8 +53,8 @@ def bench(
     settings : sequence of (label, dict)
         Keywords of Renderer, each with its name in the result.
     device : {"auto", "cpu", "cuda"}
-    air : (str, str), optional
-        Standard atmosphere and aerosol that replace the scenes' own air.
+    air : (str,) or (str, str), optional
+        Standard atmosphere, and aerosol, that replace the scenes' own air.
 
     Returns
     -------
