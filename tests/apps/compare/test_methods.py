@@ -9,10 +9,7 @@ from lands import errors, flight, frames_of, structured, uniform_map
 
 import thermorender as tr
 from scenes import WEATHER, write_terrain
-from thermorender.apps.compare import (
-    methods,
-    predictors,
-)
+from thermorender.apps.compare import methods, predictors
 from thermorender.apps.compare.comparison import Options, compare
 from thermorender.errors import ThermorenderError
 from thermorender.learned.correlation import Correlation
@@ -119,3 +116,47 @@ def test_foreign_frames_are_checked_before_anything_is_rendered(ground, tmp_path
     with pytest.raises(ThermorenderError, match="two methods are called 'small'"):
         compare([flight(ground)], tmp_path / "c", [level], Options(foreign={"small": small}, settings={"rays": 8}))
     assert not (tmp_path / "c").exists()
+
+
+def test_a_new_method_is_a_function_and_a_line(ground, tmp_path, monkeypatch):
+    """It is chosen by its letter, scored like all others, and says why a scene lacks it."""
+
+    def lukewarm(given):
+        if given.scene.name == "ground":
+            yield methods.Method("G", "lukewarm", function=lambda view: np.full(view.known.shape, 293.15))
+        else:
+            yield f"G is left out of {given.scene.name}."
+
+    monkeypatch.setitem(methods.OF_SCENES, "G", lukewarm)
+    other = write_terrain(tmp_path / "other")
+    level = uniform_map(tmp_path / "level.npz", 0.5)
+    options = Options(letters=("G",), arrays=True, settings={"rays": 2, "samples": 1})
+    found = compare([flight(ground, poses=1), flight(other, poses=1)], tmp_path / "c", [level], options)
+    assert list(found["methods"]) == ["G lukewarm"] and "G is left out of other." in found["notes"]
+    with np.load(tmp_path / "c/arrays/ground_0000.npz") as kept:
+        assert np.allclose(kept["G_lukewarm"], 293.15, atol=1e-3)
+        off = (293.15 - kept["reference"])[kept["known"]]
+    assert errors(found, "G lukewarm")["me_k"] == pytest.approx(off.mean(), abs=1e-3)
+
+
+def test_a_wrong_letter_lists_the_right_ones(ground, tmp_path, call):
+    with pytest.raises(ThermorenderError, match="--methods='B,X' is not allowed; give some of B, C1, C2, D, E, F"):
+        compare([flight(ground)], tmp_path / "c", ["fok-1to1"], Options(letters=("B", "X")))
+    status, _, err = call("compare", ground, "-o", tmp_path / "c", "--methods", "")
+    assert status == 2 and "--methods='' is not allowed" in err and not (tmp_path / "c").exists()
+
+
+def test_without_letters_the_command_compares_all_methods(ground, tmp_path, call, monkeypatch):
+    asked = []
+
+    def reported(flights, output, models, options, *rest):
+        asked.append(tuple(options.letters))
+        raise ThermorenderError("seen")
+
+    monkeypatch.setattr("thermorender.apps.compare.comparison.compare", reported)
+    log = tmp_path / "log.csv"
+    log.write_text(
+        "time_s,east_m,north_m,above_ground_m,yaw_deg,pitch_deg,roll_deg\n0,0,0,8,0,-90,0\n1,0,0,8,0,-90,0\n"
+    )
+    call("compare", ground, "-o", tmp_path / "c", "--trajectory", log)
+    assert asked == [methods.LETTERS]

@@ -40,9 +40,8 @@ def test_means_of_the_training_part_are_means_of_radiance():
     histogram = training.Histogram()
     histogram.add(np.array([8000, 8200, 8400, 8600], np.uint16))
     radiance = band_radiance(np.array([290.0, 300.0]), *BAND)
-    thermal = training.Thermal(
-        "a", "day", histogram, {"grass": 2 * radiance[0], "sand": 2 * radiance[1]}, {"grass": 2, "sand": 2}, {}
-    )
+    materials = {name: np.array([2.0 * each, 2.0]) for name, each in zip(("grass", "sand"), radiance, strict=True)}
+    thermal = training.Thermal("a", "day", histogram, materials, {})
     own = replace(thermal, land="b")
     found = training.training_of(own, [thermal, own], load_camera("zenmuse-xt2"))
     assert found.material_k == pytest.approx({"grass": 290.0, "sand": 300.0}, abs=1e-3)

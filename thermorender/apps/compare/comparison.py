@@ -8,7 +8,7 @@ all methods with the same sensor and the same noise.
 import csv
 import shutil
 import time
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
@@ -279,31 +279,41 @@ def _origins(
 def _notes(scenes: Sequence[dict[str, Any]], totals: Totals, letters: Collection[str]) -> list[str]:
     """Return sentences that a reader should know before the numbers."""
 
-    def names(chosen: Iterable[dict[str, Any]]) -> str:
-        return ", ".join(each["name"] for each in chosen)
+    def of(chosen: Callable[[dict[str, Any]], bool], sentence: str) -> list[str]:
+        names = ", ".join(each["name"] for each in scenes if chosen(each))
+        return [sentence.format(names)] if names else []
 
-    notes = []
-    if without := names(each for each in scenes if not each["reference"]):
-        absent = [letter for letter in ("D", "E", "F") if letter in letters]
-        rest = f" {' and '.join(absent)}, which need a truth, are left out there." if absent else ""
-        notes.append(f"The true temperature of {without} is unknown: only differences between methods are reported "
-                     f"there, not errors.{rest}")  # fmt: skip
-    if computed := names(each for each in scenes if each["computed"]):
-        notes.append(f"The reference of {computed} is computed by the heat balance, not measured. Its mean absolute "
-                     f"error at measured sites is {BALANCE_DAY_K[0]:g} to {BALANCE_DAY_K[1]:g} K by day and "
-                     f"{BALANCE_NIGHT_K[0]:g} to {BALANCE_NIGHT_K[1]:g} K by night. A difference below that may be the "
-                     "reference's error.")  # fmt: skip
-    if alone := names(each for each in scenes if each["reference"] and each["campaign"] is None):
-        absent = [name for name in ("D constant", "E mean per material") if name[0] in letters]
-        rest = f", and {' and '.join(absent)} {'is' if len(absent) == 1 else 'are'} left out" if absent else ""
-        notes.append(f"No other land shares the hour and weather of {alone}: bounds are not refitted there{rest}.")
+    unscored = [letter for letter in ("D", "E", "F") if letter in letters]
+    alone = [name for name in ("D constant", "E mean per material") if name[0] in letters]
+    left_out = f", and {' and '.join(alone)} {'is' if len(alone) == 1 else 'are'} left out" if alone else ""
+    notes = of(
+        lambda each: not each["reference"],
+        "The true temperature of {} is unknown: only differences between "
+        "methods are reported there, not errors."
+        + (f" {' and '.join(unscored)}, which need a truth, are left out there." if unscored else ""),
+    )
+    notes += of(
+        lambda each: each["computed"],
+        "The reference of {} is computed by the heat balance, not measured. Its "
+        f"mean absolute error at measured sites is {BALANCE_DAY_K[0]:g} to {BALANCE_DAY_K[1]:g} K by day and "
+        f"{BALANCE_NIGHT_K[0]:g} to {BALANCE_NIGHT_K[1]:g} K by night. A difference below that may be the "
+        "reference's error.",
+    )
+    notes += of(
+        lambda each: each["reference"] and each["campaign"] is None,
+        f"No other land shares the hour and weather of {{}}: bounds are not refitted there{left_out}.",
+    )
     if methods.OWN_MEAN in totals.methods:
-        notes.append(f"{methods.OWN_MEAN} needs the truth of the frame itself. Its error is that of a method that "
-                     "knows only the mean level.")  # fmt: skip
-    if dark := names(each for each in scenes if (each["sun_elevation_deg"] or 0.0) < 0.0):
-        notes.append("Photographs show the orthophoto as it was lit when it was taken, which differs from the scene "
-                     f"where the sun is below the horizon, here in {dark}.")  # fmt: skip
-    return notes + _notes_on_errors(scenes, totals)
+        notes.append(
+            f"{methods.OWN_MEAN} needs the truth of the frame itself. Its error is that of a method that "
+            "knows only the mean level."
+        )
+    notes += of(
+        lambda each: (each["sun_elevation_deg"] or 0.0) < 0.0,
+        "Photographs show the orthophoto as it was lit "
+        "when it was taken, which differs from the scene where the sun is below the horizon, here in {}.",
+    )
+    return notes + _notes_on_errors(scenes, totals)  # fmt: skip
 
 
 def _notes_on_errors(scenes: Sequence[dict[str, Any]], totals: Totals) -> list[str]:

@@ -8,6 +8,7 @@ irradiance alone, and there is no air.
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.apps.compare.sums import into
 from thermorender.apps.compare.view import View
 from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance
@@ -39,8 +40,7 @@ def of_scenes(own: Scene, true: Scene) -> dict[str, NDArray[np.float64]]:
         mine_sum = np.bincount(material, used[mine.material.ravel()], 256)
         for number in np.flatnonzero(count):
             row = np.array([count[number], mine_sum[number], count[number] * known[number], 0.0])
-            name = true.materials[number].name
-            found[name] = found.get(name, 0.0) + row
+            into(found, true.materials[number].name, row)
     return {name: row + [0.0, 0.0, 0.0, total] for name, row in found.items()}
 
 

@@ -186,31 +186,13 @@ def evaluate(
     progress: Progress | None = None,
     spread: Spread = map,
 ) -> dict[str, Any]:
-    """Evaluate learned maps on a part of a data set; return the result, which is also written.
+    """Evaluate learned maps (names or files) on a part of a data set; return the result, which is also written.
 
-    Parameters
-    ----------
-    dataset : Dataset
-    models : sequence of str
-        Names or files of learned maps.
-    folder : path
-        New folder: `evaluation.json`, `evaluation.md` and figures. It is written whole or not at all.
-    privileged : str, optional
-        File of a map that also takes the material as input.
-    foreign : dict of str to path, optional
-        Folders of other programs' pictures, by name.
-    split : dict of str to str, optional
-        {key: part} that replaces the data set's own split.
-    part : str
-        Part to score.
-    limit : int, optional
-        Number of pairs of the part to score, evenly spaced, and number of training pairs to read.
-    seed : int
-        Seed of the bootstrap.
-    progress : callable, optional
-        Called with (step, share done).
-    spread : callable
-        (do, units) → do(unit) of each, in order: it scores the pairs.
+    `folder` is new and is written whole or not at all: `evaluation.json`, `evaluation.md` and figures. `privileged` is
+    the file of a map that also takes the material as input, `foreign` {name: folder} other programs' pictures. `split`
+    {key: part} replaces the data set's own split. `limit` is the number of pairs to score, evenly spaced, and of
+    training pairs to read. `seed` is that of the bootstrap. `progress` is called with (step, share done), and
+    `spread` (do, units) → do(unit) of each, in order, scores the pairs.
     """
     if not models:
         raise ThermorenderError("models is empty; give at least one learned map, by its name or file")

@@ -173,8 +173,8 @@ def error_and_time(summary: Summary) -> bytes | None:
         bars = None if ends is None else [[max(error["mae_k"] - ends[0], 0.0)], [max(ends[1] - error["mae_k"], 0.0)]]
         label = formats.label(own["map"]) if own["map"] not in used else None
         used.add(own["map"])
-        axis.errorbar(1e3 * own["seconds_per_frame"], error["mae_k"], yerr=bars, marker=_LETTER[own["letter"]], ls="",
-                      color=colours[own["map"]], label=label, capsize=2,
+        axis.errorbar(1e3 * own["seconds_per_frame"], error["mae_k"], yerr=bars, ls="",
+                      marker=_LETTER.get(own["letter"], "v"), color=colours[own["map"]], label=label, capsize=2,
                       mfc="none" if own["bounds"] in _FITTED else None)  # fmt: skip
     axis.set(xscale="log", yscale="log", xlabel="run time [ms per frame]", ylabel="mean absolute error on ground [K]")
     marks = [words for letter, words in _MARKS.items() if any(own["letter"] == letter for own, _ in scored)]

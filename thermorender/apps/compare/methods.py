@@ -171,9 +171,10 @@ def methods_of(
 
 
 def check_letters(letters: Collection[str]) -> None:
-    """Refuse letters of unknown methods, and none."""
-    if not letters or not set(letters) <= set(LETTERS):
-        raise ThermorenderError(f"--methods={','.join(letters)!r} is not allowed; give some of {', '.join(LETTERS)}")
+    """Refuse letters of unknown methods."""
+    known = chosen_by_letter()
+    if not set(letters) <= set(known):
+        raise ThermorenderError(f"--methods={','.join(letters)!r} is not allowed; give some of {', '.join(known)}")
 
 
 def translated(model: TemperatureMap, campaign: Training | None = None, sky_k: float | None = None) -> list[Method]:
@@ -396,9 +397,15 @@ OF_SCENES: dict[str, Callable[[Given], Iterable[Method | str]]] = {
 }  # fmt: skip
 # Chosen by their own arguments.
 _ALWAYS = ("P", "foreign")
-LETTERS = tuple(dict.fromkeys(
-    letter for letter in (name.split()[0] for name in (*OF_MAPS, *OF_SCENES)) if letter not in _ALWAYS
-))  # fmt: skip
+
+
+def chosen_by_letter() -> tuple[str, ...]:
+    """Return the letters of the methods that a comparison chooses from."""
+    letters = (name.split()[0] for name in (*OF_MAPS, *OF_SCENES))
+    return tuple(dict.fromkeys(letter for letter in letters if letter not in _ALWAYS))
+
+
+LETTERS = chosen_by_letter()
 
 
 def object_temperatures(scene: Scene, model: TemperatureMap, reference: Renderer) -> dict[str, float]:

@@ -89,13 +89,13 @@ class Tally:
         if stage == RADIOMETRIC:
             for number, row in enumerate(classes.block_sums(error)):
                 if row[0]:
-                    _into(self.blocks, (land, number), row)
+                    sums.into(self.blocks, (land, number), row)
         used = np.argwhere(materials.any(axis=-1)).tolist()
         return [(classes.surfaces[s], _material(view, m), materials[s, m]) for s, m in used]
 
     def into(self, key: tuple[str, str, str], row: Sums) -> None:
         """Add a row to the group (stage, grouping, class)."""
-        _into(self.groups, key, row)
+        sums.into(self.groups, key, row)
 
     def merge(self, other: "Tally") -> None:
         """Add the views of another Tally after those of this one."""
@@ -103,7 +103,7 @@ class Tally:
             self.views.setdefault(key, []).extend(rows)
         for mine, theirs in ((self.groups, other.groups), (self.blocks, other.blocks)):
             for name, row in theirs.items():
-                _into(mine, name, row)
+                sums.into(mine, name, row)
         self.structure += other.structure
         self.similarity += other.similarity
 
@@ -150,10 +150,6 @@ class Tally:
         for (stage, grouping, name), row in self.groups.items():
             found.setdefault(stage, {}).setdefault(grouping, {})[name] = sums.summary(row)
         return found
-
-
-def _into(where: dict[Any, Sums], key: object, row: Sums) -> None:
-    where[key] = where[key] + row if key in where else row.copy()
 
 
 def _material(view: View, number: int) -> str:

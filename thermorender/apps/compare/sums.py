@@ -24,6 +24,11 @@ ENDS = 50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE)
 FEWEST_SEQUENCES = 10
 
 
+def into(where: dict[Any, Sums], key: object, row: Sums) -> None:
+    """Add a row to that of a key."""
+    where[key] = where[key] + row if key in where else row.copy()
+
+
 def row(error: ArrayLike) -> Sums:
     """Return the (5,) float64 sums of errors of any shape [K]; NaN (no temperature) is counted separately."""
     sums: Sums = rows_by(error, np.zeros(np.shape(error), np.intp), 1)[0]
@@ -115,19 +120,10 @@ def differences(
 ) -> list[tuple[list[int], float | None, Interval | None]]:
     """Return the mean absolute error of each later group minus the first's: [(group, K or None, interval or None)].
 
-    Parameters
-    ----------
-    rows : (M, P, 5) array
-        Sums of each map's errors on each picture.
-    groups : list of list of int
-        Numbers of the maps of each method: maps that differ only in their training seed count as one method, whose
-        error is the mean of theirs.
-    cluster : (P,) array of int
-        Pictures with the same number are drawn together.
-    seed : int
+    `rows` (M, P, 5) are the sums of each map's errors on each picture. The numbers in `groups` are those of the maps of
+    a method: maps that differ only in their training seed, whose error is the mean of theirs. Pictures with the same
+    number in `cluster` (P,) are drawn together.
 
-    Notes
-    -----
     95 % intervals [K] by a percentile bootstrap of 1000 draws: of clusters, the same for both groups, and of the maps
     in each group. The sample of n seeds scatters less about its own mean than about the true one, so deviations are
     multiplied by √(n / (n − 1)). Even so, intervals of three seeds are too short, and a single map does not show how

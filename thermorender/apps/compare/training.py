@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.apps.compare.sums import into
 from thermorender.apps.compare.view import Levels, View
 from thermorender.apps.training.bounds import Histogram, bounds_of
 from thermorender.apps.training.dataset import Dataset
@@ -43,9 +44,7 @@ class Thermal:
     land: str
     campaign: str
     histogram: Histogram  # Counts of known ground
-    # radiance, pixels: Sum of band radiance and number of pixels of each material
-    radiance: dict[str, float]
-    pixels: dict[str, int]
+    materials: dict[str, NDArray[np.float64]]  # (2,) sum of band radiance and number of pixels of each material
     # For each map: number, Σs, ΣL, Σs², ΣsL of its intensities s and band radiances L of the same ground
     pairs: dict[str, NDArray[np.float64]]
 
@@ -118,8 +117,7 @@ def thermal_of(
     `models` are the maps to calibrate, without extra inputs.
     """
     camera, histogram = scene.camera, Histogram()
-    radiance: dict[str, float] = {}
-    pixels: dict[str, int] = {}
+    materials: dict[str, NDArray[np.float64]] = {}
     pairs: dict[str, NDArray[np.float64]] = {}
     sensor = sensor_of(camera, seed)
     for view in views:
@@ -129,44 +127,37 @@ def thermal_of(
         histogram.add(counts[ground])
         value, material = radiance_from_counts(counts[ground].astype(np.float64), camera), view.material[ground]
         for number in np.unique(material):
-            name, here = view.material_names[number], material == number
-            radiance[name] = radiance.get(name, 0.0) + float(value[here].sum())
-            pixels[name] = pixels.get(name, 0) + int(here.sum())
+            here = material == number
+            into(materials, view.material_names[number], np.array([value[here].sum(), here.sum()]))
         for model in models:
             predicted = model.predictor.predict(Inputs(view.visible, view.texel_m), model.texel_m)[ground]
             here = np.isfinite(predicted)
             s, read = predicted[here].astype(np.float64), value[here]
-            row = np.array([here.sum(), s.sum(), read.sum(), s @ s, s @ read])
-            pairs[model.name] = pairs.get(model.name, 0.0) + row
-    return Thermal(land, campaign_of(scene, land), histogram, radiance, pixels, pairs)
+            into(pairs, model.name, np.array([here.sum(), s.sum(), read.sum(), s @ s, s @ read]))
+    return Thermal(land, campaign_of(scene, land), histogram, materials, pairs)
 
 
 def training_of(own: Thermal | None, others: Iterable[Thermal | None], camera: Camera) -> Training | None:
     """Return the Training of a scene's Thermal from other lands of the same campaign; None if there are none."""
     chosen = [each for each in others if own and each and each.campaign == own.campaign and each.land != own.land]
-    if not chosen or not any(each.histogram.counts.any() for each in chosen):
+    if not any(each.histogram.counts.any() for each in chosen):
         return None
     together = Histogram()
-    radiance: dict[str, float] = {}
-    pixels: dict[str, int] = {}
+    materials: dict[str, NDArray[np.float64]] = {}
     pairs: dict[str, NDArray[np.float64]] = {}
     for each in chosen:
         together.counts += each.histogram.counts
-        for name, row in each.pairs.items():
-            pairs[name] = pairs.get(name, 0.0) + row
-        for name, count in each.pixels.items():
-            radiance[name] = radiance.get(name, 0.0) + each.radiance[name]
-            pixels[name] = pixels.get(name, 0) + count
+        for total, rows in ((materials, each.materials), (pairs, each.pairs)):
+            for name, row in rows.items():
+                into(total, name, row)
     found = bounds_of(together)
     low, high = apparent_temperature(radiance_from_counts(np.array([found.low, found.high]), camera), camera.band_um)
-    mean = sum(radiance.values()) / sum(pixels.values())
-    kelvin = apparent_temperature(
-        np.array([mean, *(radiance[name] / pixels[name] for name in radiance)]), camera.band_um
-    )
+    radiance, pixels = np.array([*materials.values()]).T.tolist()
+    means = [sum(radiance) / sum(pixels), *(total / count for total, count in zip(radiance, pixels, strict=True))]
+    mean_k, *kelvin = apparent_temperature(np.array(means), camera.band_um).tolist()
     return Training(
-        len({each.land for each in chosen}), (float(low) - ZERO_CELSIUS_K, float(high) - ZERO_CELSIUS_K),
-        float(kelvin[0]), dict(zip(radiance, map(float, kelvin[1:]), strict=True)),
-        {name: _line(row) for name, row in pairs.items() if row[0]},
+        len({each.land for each in chosen}), (float(low) - ZERO_CELSIUS_K, float(high) - ZERO_CELSIUS_K), mean_k,
+        dict(zip(materials, kelvin, strict=True)), {name: _line(row) for name, row in pairs.items() if row[0]},
     )  # fmt: skip
 
 

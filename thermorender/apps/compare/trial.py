@@ -262,8 +262,7 @@ class Trial:
         for k, one in enumerate(labels):
             for other in labels[k + 1 :]:
                 off = (taken[other].seen - taken[one].seen)[view.known]
-                row = self._between_methods.setdefault((one, other), np.zeros(sums.WIDTH))
-                row += sums.row(off)
+                sums.into(self._between_methods, (one, other), sums.row(off))
 
     def _follow(self, before: tuple[View, dict[str, Picture]], after: tuple[View, dict[str, Picture]]) -> None:
         """Add the changes of the same ground points from one View to the next."""
@@ -287,7 +286,7 @@ class Trial:
             own.seconds += facts["seconds"]
             own.circular += facts["circular"]
             for name, row in facts["emissivities"].items():
-                own.scene_emissivities[name] = own.scene_emissivities.get(name, 0.0) + np.array(row)
+                sums.into(own.scene_emissivities, name, np.array(row))
             if facts["report"]:
                 self._reports[label] = facts["report"]
 

@@ -69,7 +69,7 @@ def compare(
     from thermorender.apps.training.dataset import read_dataset
 
     letters = split(methods)
-    check_letters(letters)
+    check_letters(letters or [""])
     folders = dict(named(text, "--foreign", "NAME=FOLDER") for text in foreign or ())
     with progress() as advance, spread_over(cluster, output) as spread:
         flights = []
