@@ -26,7 +26,7 @@ _PUBLIC = {
     "ThermorenderError": "thermorender.errors",
     "Trajectory": "thermorender.trajectory",
     "Weather": "thermorender.weather.series",
-    "compare": "thermorender.apps.compare.referee.run",
+    "compare": "thermorender.apps.compare.comparison",
     "fly": "thermorender.output.flight",
     "link": "thermorender.apps",
     "load_camera": "thermorender.sensor.camera",
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     # The same names for type checkers and editors; with a __getattr__ they would accept any name.
     __version__: str
     from thermorender.apps import link as link
-    from thermorender.apps.compare.referee.run import compare as compare
+    from thermorender.apps.compare.comparison import compare as compare
     from thermorender.atmosphere.model import Atmosphere as Atmosphere
     from thermorender.errors import ThermorenderError as ThermorenderError
     from thermorender.frame import Frame as Frame

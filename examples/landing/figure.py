@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from thermorender.apps.compare.evaluation.figures import pyplot, save
+from thermorender.apps.compare.figures import pyplot, save
 
 # Upper end of the axis of landing errors [m].
 _FARTHEST_M = 12.0

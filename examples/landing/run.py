@@ -18,7 +18,7 @@ from examples.landing import sites
 from examples.landing.guidance import BLIND_M, Steering, Tracker
 from examples.landing.vehicle import flown, winds
 from thermorender import formats
-from thermorender.apps.compare.referee import methods
+from thermorender.apps.compare import methods
 from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import load_model
 from thermorender.output.photograph import photograph

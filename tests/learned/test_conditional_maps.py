@@ -12,8 +12,8 @@ import trimesh
 
 import thermorender as tr
 from scenes import write_balance, write_mesh
-from thermorender.apps.compare.referee.flight import Flight
-from thermorender.apps.compare.referee.run import Options, compare
+from thermorender.apps.compare.comparison import Options, compare
+from thermorender.apps.compare.view import Flight
 from thermorender.errors import ThermorenderError
 from thermorender.learned.correlation import Correlation
 from thermorender.learned.linear import Linear, names_of_columns

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from thermorender.apps.compare.referee import provenance
+from thermorender.apps.compare import provenance
 from thermorender.apps.training import training_pictures
 from thermorender.apps.training.training_pictures import search_in, search_in_files
 from thermorender.cli.app import app

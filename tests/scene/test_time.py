@@ -18,8 +18,8 @@ import trimesh
 
 import thermorender as tr
 from scenes import coarse, write_balance, write_mesh, write_terrain
-from thermorender.apps.compare.referee.flight import Flight
-from thermorender.apps.compare.referee.run import Options, compare
+from thermorender.apps.compare.comparison import Options, compare
+from thermorender.apps.compare.view import Flight
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
 from thermorender.materials.mixture import mix

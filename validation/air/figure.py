@@ -1,6 +1,6 @@
 """Figure of the study of air."""
 
-from thermorender.apps.compare.evaluation.figures import pyplot, save
+from thermorender.apps.compare.figures import pyplot, save
 
 
 def figure(path, result):

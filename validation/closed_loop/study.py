@@ -14,7 +14,7 @@ import numpy as np
 
 import thermorender as tr
 from thermorender import link
-from thermorender.apps.compare.evaluation.figures import pyplot, save
+from thermorender.apps.compare.figures import pyplot, save
 from thermorender.apps.compare.machine import machine
 from thermorender.apps.link.access import new_token
 from thermorender.apps.link.server import Server

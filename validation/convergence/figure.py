@@ -3,7 +3,7 @@
 import numpy as np
 
 from thermorender import formats
-from thermorender.apps.compare.evaluation.figures import pyplot, save
+from thermorender.apps.compare.figures import pyplot, save
 
 _COLUMNS = ("engine", "setting", "frame [s]", "error [mK]", "range [mK]", "after lens [mK]", "sampling [mK]",
             "budget [mK]", "bake [s]")  # fmt: skip

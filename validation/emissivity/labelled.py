@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender.apps.compare.evaluation.figures import pyplot, save
+from thermorender.apps.compare.figures import pyplot, save
 from thermorender.apps.training.emissivity_adaptation import adapted
 from thermorender.apps.training.emissivity_training import Labelled
 from thermorender.apps.training.material_training import band_emissivity_of

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from thermorender import formats
-from thermorender.apps.compare.evaluation.figures import against_share, against_shift
+from thermorender.apps.compare.figures import against_share, against_shift
 from thermorender.apps.training.dataset import read_dataset
 from thermorender.cli.terminal import split
 from validation.command import Out, conclude, new_results, run_command

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from thermorender.apps.compare.evaluation.figures import pyplot, save
+from thermorender.apps.compare.figures import pyplot, save
 
 _COLOURS = {"moved": "C3", "unmoved": "0.6", "offset": "C1", "balance": "C0"}
 

@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender.apps.compare.evaluation import structure, sums
-from thermorender.apps.compare.evaluation.training_part import Levels, read_training_part
+from thermorender.apps.compare import structure, sums
 from thermorender.apps.compare.machine import machine
+from thermorender.apps.compare.training import read_training_part
+from thermorender.apps.compare.view import Levels
 from thermorender.apps.training.dataset import read_dataset
 from thermorender.apps.training.map_inputs import ground_of, inputs_of
 from thermorender.apps.training.map_training import train_map

@@ -8,16 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
+from thermorender.apps.compare import emissivities, findings
+from thermorender.apps.compare.frames import Frames
 from thermorender.apps.compare.machine import machine
-from thermorender.apps.compare.referee import emissivities, findings, views
-from thermorender.apps.compare.referee.flight import Flight
-from thermorender.apps.compare.referee.frames import Frames
-from thermorender.apps.compare.referee.methods import Method
-from thermorender.apps.compare.referee.trial import Setup, Totals, Trial
+from thermorender.apps.compare.methods import Method
+from thermorender.apps.compare.trial import Setup, Totals, Trial
+from thermorender.apps.compare.view import Flight, view_of
 from thermorender.apps.lands.procedural.procedural_scene import KINDS, make, weather_of
 from thermorender.apps.lands.procedural.truth import write
 from thermorender.errors import ThermorenderError
-from thermorender.physics.planck import band_radiance
 from thermorender.render.renderer import Renderer
 from thermorender.scene.load import load_scene
 from thermorender.trajectory.path import Trajectory
@@ -83,7 +82,7 @@ def of_land(kind, seed):
         scene = scene.with_camera(scene.camera.coarser(_COARSER))
         flights = [_flight(scene, seed, *place) for place in ((0.0, 0.0), (5.0, 2.0))]
         reference = Renderer(scene.with_temperature(scene.truth_temperature_spec), **_SETTINGS)
-        view, other = (views.view_of(reference, each.poses[0], 0.0, 0, True) for each in flights)
+        view, other = (view_of(reference, each.poses[0], 0.0, 0, True) for each in flights)
         band_um = scene.camera.band_um
         known = emissivities.band_emissivities(scene)
         frames = {}
@@ -99,21 +98,11 @@ def of_land(kind, seed):
 
 def scored(flight, land, reference, frames, folder):
     """Return {name: results} of frames that are compared as frames of another program; nothing is drawn."""
-
-    class Undrawn:
-        scenes = 1
-
-        def add(self, *args):
-            pass
-
-    def method(name, kelvin):
-        radiance = band_radiance(kelvin, *reference.scene.camera.band_um).astype(np.float32)
-        return Method("foreign", name, paint=lambda view: radiance)
-
     setup = Setup(flight, land, reference, True, None, Frames(folder, flight, reference.scene, None, {}),
-                  [method(name, frame.kelvin) for name, frame in frames.items()])  # fmt: skip
+                  [Method("foreign", name, function=lambda view, kelvin=frame.kelvin: kelvin)
+                   for name, frame in frames.items()])  # fmt: skip
     totals = Totals()
-    Trial(setup, totals, 0, None).run(Undrawn(), lambda step, share: None)
+    Trial(setup, totals, 0, None).run(None, lambda step, share: None)
     return {own.method.name: own for own in totals.methods.values()}
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from thermorender import formats
-from thermorender.apps.compare.evaluation.figures import pyplot, save
+from thermorender.apps.compare.figures import pyplot, save
 
 _LAG = ("tolerance of instants [mK]", "motion between renders [px]", "instants", "renders", "time [ms]",
         "smooth pixels [mK]", "all pixels [mK]", "estimate [mK]")  # fmt: skip

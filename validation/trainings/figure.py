@@ -22,7 +22,7 @@ def curves(path, result):
     result : dict
         As `validation.trainings.study.run` returns it.
     """
-    from thermorender.apps.compare.evaluation.figures import pyplot, save
+    from thermorender.apps.compare.figures import pyplot, save
 
     figure, axis = pyplot().subplots(figsize=(10, 5.5), layout="constrained")
     for number, each in enumerate(result["runs"]):
@@ -55,7 +55,7 @@ def strip(path, folder):
     """
     import cv2
 
-    from thermorender.apps.compare.evaluation.figures import pyplot, save
+    from thermorender.apps.compare.figures import pyplot, save
 
     error = {line["crops"]: line["validation_mae_k"] for line in read_log(folder)}
     pictures = {int(each.stem): each for each in sorted((Path(folder) / SAMPLES).glob("*.png"))

@@ -7,8 +7,8 @@ from contextlib import nullcontext
 
 import numpy as np
 import pytest
+from lands import flight, structured, uniform_map
 from test_evaluation import linear_map, make_dataset
-from test_referee import flight, structured, uniform_map
 from typer.testing import CliRunner
 
 import thermorender as tr
@@ -16,8 +16,8 @@ from scenes import coarse, write_terrain
 from thermorender.apps.cluster import spread as spreads
 from thermorender.apps.cluster.connect import Address
 from thermorender.apps.cluster.spread import spreading
-from thermorender.apps.compare.evaluation.evaluate import evaluate
-from thermorender.apps.compare.referee.run import Options, compare
+from thermorender.apps.compare.comparison import Options, compare
+from thermorender.apps.compare.evaluation import evaluate
 from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import save_map
 from validation.budget import study as budget

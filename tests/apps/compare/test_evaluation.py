@@ -10,9 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
-from thermorender.apps.compare.evaluation import classes, figures, paired, report, similarity, structure, sums
-from thermorender.apps.compare.evaluation.estimators import LearnedMap
-from thermorender.apps.compare.evaluation.evaluate import evaluate
+from thermorender.apps.compare import (
+    evaluation,
+    evaluation_report,
+    figures,
+)
+from thermorender.apps.compare.evaluation import LearnedMap, evaluate
 from thermorender.apps.training.dataset import Entry, ThermalScale, read_dataset
 from thermorender.apps.training.dataset_writer import Writer, packed
 from thermorender.apps.training.map_inputs import inputs_of
@@ -20,14 +23,21 @@ from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.learned.correlation import Correlation
 from thermorender.learned.temperature_map import Inputs, TemperatureMap, save_map
-from thermorender.materials.library import load_library
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.sensor.radiometric_files import write_tlinear
 
 SHAPE = (48, 64)
+
+
 MATERIALS = ["grass_green", "asphalt", "own_material"]
+
+
 BALANCE, REDRAWN = "heat balance of tables", "floor: hidden state redrawn, over √2"
+
+
 MEAN = "constant: mean of the training part"
+
+
 HIDDEN_K = 0.8
 
 
@@ -100,200 +110,15 @@ def scored(tmp_path_factory):
     return dataset, result, root / "out"
 
 
-# --- sums, intervals, similarity --------------------------------------------------------------------------------
-
-
-def test_sums_of_parts_add_up_to_the_statistics_of_all_errors():
-    rng = np.random.default_rng(1)
-    error, group = rng.normal(1.5, 2.0, (30, 40)), rng.integers(0, 3, (30, 40))
-    error[3, 4:9] = np.nan
-    rows = sums.rows_by(error, group, 4)
-    reported, all_of_it = sums.summary(rows.sum(axis=0)), error[np.isfinite(error)]
-    assert reported["me_k"] == pytest.approx(all_of_it.mean()) and reported["sd_k"] == pytest.approx(all_of_it.std())
-    assert reported["mae_k"] == pytest.approx(np.abs(all_of_it).mean())
-    assert reported["rmse_k"] == pytest.approx(np.sqrt((all_of_it**2).mean()))
-    assert reported["pixels"] == 1195 and reported["pixels_without_temperature"] == 5
-    assert sums.summary(rows[2])["mae_k"] == pytest.approx(np.nanmean(np.abs(error[group == 2])))
-    assert sums.summary(rows[3])["mae_k"] is None
-    np.testing.assert_allclose(sums.row(error), rows.sum(axis=0))
-
-
-def test_interval_of_a_known_distribution():
-    """Means of 400 independent clusters of 9 equal errors: ±1.96 σ/√400, whatever is inside a cluster."""
-    error = np.repeat(np.random.default_rng(2).normal(0.5, 2.0, 400), 9)
-    rows = np.stack([sums.row(one) for one in error])
-    low, high = sums.intervals(rows, np.arange(3600) // 9, seed=3)["me_k"]
-    assert low < error.mean() < high
-    assert high - low == pytest.approx(2 * 1.96 * error.std() / np.sqrt(400), rel=0.1)
-    assert sums.intervals(rows, np.arange(3600) // 9, seed=3)["me_k"] == (low, high)
-    assert sums.intervals(rows, np.zeros(3600, int))["me_k"] is None
-
-
-def of_errors(absolute, pixels=100):
-    """Rows of sums of pictures with given mean absolute errors."""
-    absolute = np.asarray(absolute, np.float64)
-    row = np.zeros((*absolute.shape, sums.WIDTH))
-    row[..., 0], row[..., 2] = pixels, pixels * absolute
-    return row
-
-
-def test_interval_of_a_difference_is_paired_by_picture():
-    rng = np.random.default_rng(5)
-    common, own = rng.normal(9.0, 2.0, 400), rng.normal(0.25, 0.1, 400)
-    cluster = np.arange(3600) // 9
-    rows = np.repeat(of_errors([common, common + own]), 9, axis=1)
-    ((group, more, (low, high)),) = paired.differences(rows, [[0], [1]], cluster, seed=1)
-    assert group == [1] and more == pytest.approx(own.mean())
-    # Their common error, twenty times the scatter of the difference, does not widen the interval.
-    assert high - low == pytest.approx(2 * 1.96 * own.std() / np.sqrt(400), rel=0.1) and low < more < high
-    # A picture that one of them lacks counts for neither, and one cluster gives no interval.
-    rows[1, :9] = 0.0
-    assert paired.differences(rows, [[0], [1]], cluster)[0][1] == pytest.approx(own[1:].mean())
-    assert paired.differences(rows, [[0], [1]], np.zeros(3600, int))[0][2] is None
-    # Without a picture that both have, there is nothing to compare.
-    rows[1] = 0.0
-    assert paired.differences(rows, [[0], [1]], cluster) == [([1], None, None)]
-    assert paired.differences(rows[:, :0], [[0], [1]], cluster[:0]) == [([1], None, None)]
-
-
-def test_interval_of_a_difference_includes_the_scatter_of_seeds():
-    """Equal pictures, so only seeds scatter: s √(1/3 + 1/3) for two methods with three seeds each."""
-    first, other = np.array([1.0, 1.3, 1.6]), np.array([2.0, 2.3, 2.6])
-    rows = of_errors(np.repeat([*first, *other], 50).reshape(6, 50))
-    ((_, more, (low, high)),) = paired.differences(rows, [[0, 1, 2], [3, 4, 5]], np.arange(50), seed=2)
-    assert more == pytest.approx(1.0) and low < 1.0 < high
-    # Few values are drawn, so the percentiles are coarse.
-    assert high - low == pytest.approx(2 * 1.96 * first.std(ddof=1) * np.sqrt(2.0 / 3.0), rel=0.15)
-
-
 def test_maps_that_differ_only_in_their_seed_are_grouped():
     maps = [dataclasses.replace(linear_map(), about=about) for about in (
         {"seed": 0, "options": {"depth": True}}, {"seed": 0, "options": {"depth": False}},
         {"seed": 1, "options": {"depth": True}}, {}, {},
     )]  # fmt: skip
-    assert paired.kin([LearnedMap("m", each) for each in maps]) == [[0, 2], [1], [3], [4]]
+    assert evaluation.kin([LearnedMap.of("m", each) for each in maps]) == [[0, 2], [1], [3], [4]]
     # A privileged map counts as another method, and one seed twice as two trainings.
-    assert paired.kin([LearnedMap("m", maps[0]), LearnedMap("o", maps[2], privileged=True)]) == [[0], [1]]
-    assert paired.kin([LearnedMap("m", maps[0]), LearnedMap("n", maps[0])]) == [[0], [1]]
-
-
-def test_whole_sequences_are_resampled_however_few_they_are():
-    entries = [Entry(f"k{n}", "test", f"parent{n // 4}", f"flight{n % 2}", 0, SHAPE) for n in range(12)]
-    number, what = sums.clusters(entries)
-    assert what == "2 sequences" and number.tolist() == [0, 1] * 6
-    assert sums.clusters(entries[:1])[1] == "1 sequence"
-
-
-# --- structure --------------------------------------------------------------------------------------------------
-
-
-def smooth(seed, side=96):
-    """A picture whose structure is some 10 px large, of standard deviation 1 [K]."""
-    image = cv2.GaussianBlur(np.random.default_rng(seed).normal(size=(side, side)), (0, 0), 4.0)
-    return 290.0 + (image - image.mean()) / image.std()
-
-
-def test_structure_scores_follow_a_known_relation_to_the_truth():
-    """A guess 5 + 0.5 (T − mean) + noise of standard deviation 0.5 K."""
-    true, known = smooth(0), np.ones((96, 96), bool)
-    noise = 0.5 * (smooth(1) - 290.0)
-    across = noise - (noise * (true - 290.0)).mean() * (true - 290.0)
-    across *= 0.5 / across.std()
-    guess = 295.0 + 0.5 * (true - 290.0) + across
-    found = structure.summary([structure.row(guess, true, known)], [0])
-    assert found["correlation"] == pytest.approx(np.sqrt(0.5), abs=1e-6)
-    assert found["slope"] == pytest.approx(0.5, abs=1e-6)
-    error = across - 0.5 * (true - 290.0)
-    assert found["mae_without_mean_k"] == pytest.approx(np.abs(error).mean(), abs=1e-6)
-    # A hidden pixel counts nowhere.
-    known[40, 40], guess[40, 40] = False, 1e4
-    assert structure.summary([structure.row(guess, true, known)], [0])["slope"] == pytest.approx(0.5, abs=0.01)
-
-
-def test_the_shift_shows_structure_that_a_constant_lacks():
-    true, known = smooth(2), np.ones((96, 96), bool)
-    exact = structure.summary([structure.row(true, true, known)], [0])
-    # Of two independent pictures of standard deviation 1, the mean absolute difference is 2 / √π.
-    assert exact["shift_more_k"] == pytest.approx(2.0 / np.sqrt(np.pi), abs=0.25)
-    assert exact["correlation"] == pytest.approx(1.0) and abs(exact["correlation_shifted"]) < 0.35
-    flat = structure.summary([structure.row(np.full_like(true, 290.0), true, known)], [0])
-    assert flat["correlation"] is None and flat["slope"] == 0.0 and abs(flat["shift_more_k"]) < 0.1
-    assert flat["mae_without_mean_k"] == pytest.approx(np.abs(true - 290.0).mean(), abs=1e-6)
-
-
-def test_structure_intervals_are_those_of_sequences():
-    """Equal pictures of two sequences: a draw by picture would give a narrow interval, one by sequence both ends."""
-    rows = np.ones((40, structure.WIDTH))
-    rows[20:, 0] = 0.0
-    number = np.repeat([0, 1], 20)
-    assert structure.summary(rows, number)["interval_95"]["correlation"] == (0.0, 1.0)
-    low, high = structure.summary(rows, np.arange(40))["interval_95"]["slope"]
-    assert low == high == 1.0
-    assert structure.summary(rows, np.zeros(40, int))["interval_95"]["correlation"] is None
-    assert structure.summary(np.full((3, structure.WIDTH), np.nan), [0, 1, 2])["slope"] is None
-
-
-def test_pictures_without_the_method_or_too_narrow_to_shift_are_left_out():
-    true, known = smooth(3)[:12, :12], np.ones((12, 12), bool)
-    narrow = structure.row(true + 1.0, true, known)
-    none = structure.row(np.full_like(true, np.nan), true, known)
-    found = structure.summary([narrow, none], [0, 1])
-    assert found["correlation"] == pytest.approx(1.0) and found["shift_more_k"] is None
-    assert found["mae_without_mean_k"] == pytest.approx(0.0, abs=1e-9)
-
-
-def test_structural_similarity_equals_a_direct_sum():
-    rng = np.random.default_rng(4)
-    true = np.rint(rng.uniform(0, 255, (20, 23)))
-    other = np.clip(true + np.rint(rng.normal(10, 30, true.shape)), 0, 255)
-    known = np.ones(true.shape, bool)
-    known[0, 0] = known[7, 16] = False
-    found = similarity.Similarity(true, known).row(other)
-    axis = np.arange(-5, 6)
-    window = np.exp(-(axis[:, None] ** 2 + axis**2) / (2 * 1.5**2))
-    window /= window.sum()
-    values = []
-    for row in range(5, 15):
-        for column in range(5, 18):
-            part = np.s_[row - 5 : row + 6, column - 5 : column + 6]
-            if known[part].all():
-                x, y = other[part], true[part]
-                mx, my = (window * x).sum(), (window * y).sum()
-                vx, vy = (window * (x - mx) ** 2).sum(), (window * (y - my) ** 2).sum()
-                xy = (window * (x - mx) * (y - my)).sum()
-                c1, c2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2
-                values.append((2 * mx * my + c1) * (2 * xy + c2) / ((mx**2 + my**2 + c1) * (vx + vy + c2)))
-    reported = similarity.summary(found)
-    assert found[3] == len(values) > 20 and reported["ssim"] == pytest.approx(np.mean(values), rel=1e-9)
-    square = ((other - true)[known] ** 2).mean()
-    assert reported["psnr_db"] == pytest.approx(10 * np.log10(255**2 / square))
-    same = similarity.summary(similarity.Similarity(true, known).row(true))
-    assert same["ssim"] == pytest.approx(1.0) and same["psnr_db"] is None
-
-
-def test_eight_bit_values_are_clipped_between_bounds():
-    shown = similarity.eight_bit(np.array([280.0, 290.0, 295.0, 310.0, 320.0, np.nan]), (290.0, 310.0))
-    assert shown.tolist() == [0.0, 0.0, 64.0, 255.0, 255.0, 0.0]
-
-
-# --- classes ----------------------------------------------------------------------------------------------------
-
-
-def test_every_material_of_the_library_is_natural_or_man_made():
-    assert not classes.MAN_MADE & classes.NATURAL
-    assert set(load_library()) == classes.MAN_MADE | classes.NATURAL
-
-
-def test_edges_are_two_pixels_around_a_step():
-    image = np.full((9, 12), 290.0)
-    image[:, 6:] += 3.0
-    # Central differences see the step from columns 5 and 6.
-    assert (classes.edge_class(image) == 0).all(axis=0).nonzero()[0].tolist() == list(range(3, 9))
-    image[:, 6:] -= 1.5
-    assert classes.edge_class(image).all(), "0.75 K a pixel is none"
-
-
-# --- the whole --------------------------------------------------------------------------------------------------
+    assert evaluation.kin([LearnedMap.of("m", maps[0]), LearnedMap.of("o", maps[2], privileged=True)]) == [[0], [1]]
+    assert evaluation.kin([LearnedMap.of("m", maps[0]), LearnedMap.of("n", maps[0])]) == [[0], [1]]
 
 
 def test_known_errors_are_reproduced(scored):
@@ -368,12 +193,13 @@ def test_tables_numbers_and_figures_are_written(scored):
     assert written["published"]["pix2pixHD"]["mae_k"] == 0.69 and written["parts"] == {"train": 4, "test": 6}
     assert written["methods"]["linear"]["seconds_per_mpixel"] > 0.0
     page = (folder / "evaluation.md").read_text()
-    for text in ("## Cost", "## Material", "## Man-made and natural", "published: pix2pixHD", report.CAVEAT, "asphalt"):
+    sections = ("## Cost", "## Material", "## Man-made and natural", "published: pix2pixHD")
+    for text in (*sections, evaluation_report.CAVEAT, "asphalt"):
         assert text in page, text
     assert len(list(folder.glob("errors_*.png"))) == 5
     assert all(path.stat().st_size > 10_000 for path in folder.glob("*.png"))
-    for header, lines in ((report.HEADER, report.rows(result)), (report.HEADER, report.published_rows())):
-        assert {len(line) for line in lines} == {len(header)}
+    for table in (evaluation_report.methods(result), evaluation_report.structures(result)):
+        assert table.rows and {len(row) for row in table.rows} == {len(table.head)}
 
 
 def test_pictures_without_truth_use_an_assumed_range(undrawn, tmp_path):
@@ -392,7 +218,7 @@ def test_pictures_without_truth_use_an_assumed_range(undrawn, tmp_path):
     found = result["methods"]["linear"]
     assert found["mae_k"] == pytest.approx(np.abs(given - true).mean(), abs=1e-3)
     assert result["bounds_k"] == [287.15, 297.15]
-    assert any("assume 14…24 °C" in line for line in report.lines_before(result))
+    assert any("assume 14…24 °C" in line for line in evaluation_report.lines_before(result))
     assert result["methods"][BALANCE]["mae_k"] is None
     assert "not available" in (tmp_path / "o/evaluation.md").read_text()
 
@@ -451,7 +277,7 @@ def test_command_scores_the_given_split_and_part(undrawn, tmp_path, call, monkey
         asked.append({entry.key: entry.part for entry in dataset.entries})
         return types.SimpleNamespace(lines=lambda: ["nothing leaks"], summary=lambda: {"siblings": 0.0})
 
-    monkeypatch.setattr("thermorender.apps.compare.evaluation.evaluate.audit", audit)
+    monkeypatch.setattr("thermorender.apps.compare.evaluation.audit", audit)
     splits = types.SimpleNamespace(read_split=lambda path: {"p0": "validation", "p1": "train", "p3": "validation"})
     monkeypatch.setitem(sys.modules, "thermorender.apps.training.splits", splits)
     status, out, err = call(

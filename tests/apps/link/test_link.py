@@ -194,7 +194,7 @@ def test_translations_are_those_of_the_map(client, renderer):
 
 
 def test_map_on_the_orthophoto_is_that_of_compare(client, renderer):
-    from thermorender.apps.compare.referee.methods import rendered
+    from thermorender.apps.compare.methods import rendered
 
     pose = tr.pose(0.0, -3.0, 14.0, pitch_deg=-75.0)
     model = load_model("fok-1to1")

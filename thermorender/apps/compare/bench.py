@@ -38,32 +38,18 @@ def bench(
     progress: Progress | None = None,
     settings: Settings = SETTINGS,
     device: str = "auto",
-    air: tuple[str, str] | None = None,
+    air: tuple[str, ...] | None = None,
 ) -> dict[str, Any]:
     """Return the cost and the error of a frame for each scene, view and setting, as plain numbers.
 
-    Parameters
-    ----------
-    scene_names : sequence of str or Scene
-        Scene folders, names of shipped scenes, or scenes in memory.
-    repeats : int
-        Number of turns of each measurement.
-    progress : callable, optional
-        Called with (step, share done).
-    settings : sequence of (label, dict)
-        Keywords of Renderer, each with its name in the result.
-    device : {"auto", "cpu", "cuda"}
-    air : (str, str), optional
-        Standard atmosphere and aerosol that replace the scenes' own air.
+    `settings` are keywords of Renderer, each with its name in the result; `air` (standard atmosphere, and aerosol)
+    replaces the scenes' own. `repeats` is the number of turns of each measurement.
 
-    Returns
-    -------
-    dict
-        machine, versions, repeats, and scenes: {name: {triangles, texels, pixels, optics_sigma_px, build_s, bake_s,
-        peak_mib, settings: {label: {plan, views: {view: {rays_per_pixel, rays_ms, radiance_ms, frame_ms,
-        radiance_over_rays, frame_over_rays, frames_per_s, error_mk, optics_error_mk}}}}}}. rays_ms is the time of
-        casting all rays of the frame. Times are medians; ratios are (25, 50, 75) percentiles. peak_mib is the
-        process's peak memory from the first renderer to the last timed frame, None where unknown (not on Linux).
+    The result holds machine, versions, repeats, and scenes: {name: {triangles, texels, pixels, optics_sigma_px,
+    build_s, bake_s, peak_mib, settings: {label: {plan, views: {view: {rays_per_pixel, rays_ms, radiance_ms, frame_ms,
+    radiance_over_rays, frame_over_rays, frames_per_s, error_mk, optics_error_mk}}}}}}. rays_ms is the time of casting
+    all rays of the frame. Times are medians; ratios are (25, 50, 75) percentiles. peak_mib is the process's peak memory
+    from the first renderer to the last timed frame, None where unknown (not on Linux).
     """
     if repeats < 1:
         raise ThermorenderError(f"repeats={repeats} is not allowed; give 1 or more")

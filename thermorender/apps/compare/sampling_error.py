@@ -41,14 +41,7 @@ def cache_off() -> Iterator[None]:
 def converged(renderer: Renderer, pose: ArrayLike, keywords: Mapping[str, Any]) -> NDArray[np.float64]:
     """Return the band radiance of a renderer's scene with 256 rays per pixel, (H, W) [W m⁻² sr⁻¹].
 
-    Parameters
-    ----------
-    renderer : Renderer
-        Its baked light between surfaces is reused.
-    pose : (4, 4) array
-        world_from_camera.
-    keywords : dict
-        Keywords that the renderer was made with.
+    The renderer's baked light between surfaces is reused; `keywords` are those that it was made with.
     """
     camera = renderer.scene.camera
     settings = {"rays": renderer.plan.rays, **keywords}
@@ -80,15 +73,9 @@ def _quarter(camera: Camera, right: int, lower: int) -> Camera:
 
 
 def rms_mk(image: ArrayLike, reference: NDArray[np.floating], camera: Camera, sigma_px: float = 0.0) -> float:
-    """Return the root mean square difference of two images in apparent temperature [mK].
+    """Return the root mean square difference of two radiances (H, W) in apparent temperature [mK].
 
-    Parameters
-    ----------
-    image, reference : (H, W) arrays
-        Band radiance [W m⁻² sr⁻¹].
-    camera : Camera
-    sigma_px : float
-        Standard deviation of a Gaussian blur applied to both first [px].
+    Both are first blurred by a Gaussian of standard deviation `sigma_px`.
     """
     difference = np.asarray(image, np.float64) - reference
     if sigma_px:
@@ -105,8 +92,6 @@ def mk_per_radiance(radiance: ArrayLike, band_um: tuple[float, float]) -> float:
 def optics_sigma_px(camera: Camera) -> float:
     """Return the standard deviation of the Gaussian that approximates diffraction in a camera's lens [px].
 
-    Notes
-    -----
     The Gaussian equals `lens_otf` at the detector's Nyquist frequency, 1/2 per pixel, at the middle of the band:
     exp(−π² σ²/2) = MTF. At f/1.25, 10.5 µm and 17 µm pixels MTF = 0.521 and σ = 0.363 px. The images already contain
     the pixel's own width, 1/√12 px; together they are as wide as a Gaussian of 0.464 px. A real lens blurs more and

@@ -63,28 +63,26 @@ def compare(
     cluster: Cluster = None,
 ) -> None:  # fmt: skip
     """Compare learned 2D translation with the radiometric render of the same poses: a page, a table, pictures."""
-    from thermorender.apps.compare.referee import findings, run
-    from thermorender.apps.compare.referee.flight import Flight
-    from thermorender.apps.compare.referee.methods import LETTERS, learned_materials
-    from thermorender.apps.compare.referee.report import tables
+    from thermorender.apps.compare import comparison, findings, report
+    from thermorender.apps.compare.methods import check_letters, learned_materials
+    from thermorender.apps.compare.view import Flight
     from thermorender.apps.training.dataset import read_dataset
 
     letters = split(methods)
-    if not letters or not set(letters) <= set(LETTERS):
-        raise ThermorenderError(f"--methods={methods!r} is not allowed; give some of {', '.join(LETTERS)}")
+    check_letters(letters or [""])
     folders = dict(named(text, "--foreign", "NAME=FOLDER") for text in foreign or ())
-    with progress() as report, spread_over(cluster, output) as spread:
+    with progress() as advance, spread_over(cluster, output) as spread:
         flights = []
         for name in scenes:
             loaded = situation.load(name)
             flights.append(Flight.of(loaded, log.read(loaded, rate_hz), rate_hz, log.start_s, log.stop_s))
-        options = run.Options(
+        options = comparison.Options(
             letters, privileged, folders, [read_dataset(one) for one in dataset or ()],
             learned_materials(emissivity, fallback), arrays, seed, {"device": device, **sampling.settings()},
         )  # fmt: skip
-        summary = run.compare(flights, output, split(models), options, report, spread)
-    for head, lines in tables.of(summary):
-        table(head, lines)
+        summary = comparison.compare(flights, output, split(models), options, advance, spread)
+    for each in report.terminal(summary):
+        table(each.head, each.rows)
     for title, grave, lines in findings.grouped(summary["findings"]):
         typer.echo(f"{title}:")
         for line in lines if grave else lines[:3]:
@@ -141,8 +139,7 @@ def evaluate(
     cluster: Cluster = None,
 ) -> None:
     """Print errors of learned maps on a data set, in kelvin, with simple methods and the least possible error."""
-    from thermorender.apps.compare.evaluation import evaluate as study
-    from thermorender.apps.compare.evaluation import report
+    from thermorender.apps.compare import evaluation, evaluation_report
     from thermorender.apps.training.dataset import PARTS, read_dataset
 
     if part not in PARTS:
@@ -155,13 +152,16 @@ def evaluate(
         parts = read_split(of)
     with progress() as advance, spread_over(cluster, output) as spread:
         data = read_dataset(dataset)
-        result = study.evaluate(data, models, output, privileged, folders, parts, part, limit, seed, advance, spread)
-    for line in report.lines_before(result):
+        result = evaluation.evaluate(
+            data, models, output, privileged, folders, parts, part, limit, seed, advance, spread
+        )
+    for line in evaluation_report.lines_before(result):
         typer.echo(line)
-    table(report.HEADER, [*report.rows(result), *report.published_rows()])
-    typer.echo(report.CAVEAT)
-    table(report.STRUCTURE, report.structure_rows(result))
-    typer.echo(report.ABOUT_STRUCTURE)
+    scores, structure = evaluation_report.methods(result), evaluation_report.structures(result)
+    table(scores.head, scores.rows)
+    typer.echo(evaluation_report.CAVEAT)
+    table(structure.head, structure.rows)
+    typer.echo(evaluation_report.ABOUT_STRUCTURE)
     typer.echo(f"tables, numbers and pictures in {output}")
 
 

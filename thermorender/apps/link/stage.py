@@ -114,7 +114,7 @@ class Stage:
 
     def _translated(self, camera: str, model: str) -> Renderer:
         """The Renderer of method C, with the temperatures of the map also in objects."""
-        from thermorender.apps.compare.referee.methods import rendered
+        from thermorender.apps.compare.methods import rendered
 
         reference = self._renderer(camera, "")
         text, loaded = self._models[model]

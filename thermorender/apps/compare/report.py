@@ -1,0 +1,332 @@
+"""The report of a comparison: one HTML file with embedded pictures and sortable tables, and tables for the terminal.
+
+`report.html` holds the words of each section; the functions here fill in what depends on the results.
+"""
+
+import json
+import re
+from collections.abc import Iterable, Sequence
+from functools import cache
+from pathlib import Path
+from string import Template
+from typing import Any
+
+from thermorender import formats
+from thermorender.apps.compare import figures, findings
+from thermorender.apps.compare.methods import CALIBRATED, OWN_MEAN, REFITTED, THERMAL
+from thermorender.apps.compare.registration import ALIKE
+from thermorender.apps.compare.scores import RADIOMETRIC
+from thermorender.apps.compare.tables import Table, interval, number
+from thermorender.apps.compare.terms import NAMES
+from thermorender.output.flight_pages.html import document, figure, text
+
+Summary = dict[str, Any]
+
+# Longer lists and tables are folded, except grave findings and errors.
+_OPEN = 5
+_GROUPINGS = ("scene", "surface", "material", "range", "view angle", "edges")
+_OTHERS = "thermal frames of other lands in the same hour and weather"
+_KINDS = {
+    "B": "a map applied to the photograph",
+    "C1": "the map applied to the orthophoto and rendered with {materials}",
+    "C2": "the map applied to the orthophoto and rendered with learned materials",
+    "D constant": f"one temperature, the mean of {_OTHERS}",
+    OWN_MEAN: "one temperature per frame, the mean of the reference on ground",
+    "E": f"one temperature per material, from {_OTHERS}",
+    "F": "the heat balance with properties from tables, under the scene's weather",
+    "P": "a privileged map, one that takes the material as input",
+    "foreign": "frames of another program",
+    REFITTED: f"the map's bounds are 1.5 interquartile ranges beyond the quartiles of {_OTHERS}. This suits a map that "
+              "was trained in one campaign, and reduces the contrast of one trained in many",
+    CALIBRATED: f"a least-squares line from the map's intensities of other lands' photographs to {_OTHERS}",
+}  # fmt: skip
+
+
+def write_page(path: Path, summary: Summary, views: Sequence[dict[str, Any]]) -> None:
+    """Write the page of a comparison's summary, with views as in `Pictures.views`."""
+    here = Path(__file__)
+    style, script = (here.with_suffix(kind).read_text(encoding="utf-8") for kind in (".css", ".js"))
+    parts = [
+        introduction(summary), _findings(summary), _errors(summary), _pictures(views), _figures(summary),
+        _differences(summary), _terms(summary), _targets(summary), _structure(summary), _groups(summary),
+        _training(summary), _scenes(summary),
+        _section("legend" if any(scene["reference"] for scene in summary["scenes"]) else "legend without reference"),
+        _section("data", views=_json(views), colours=_json(figures.colour_tables())),
+    ]  # fmt: skip
+    formats.write_text(path, document("Comparison of infrared frames", parts, style, script))
+
+
+def introduction(summary: Summary) -> str:
+    """Return the HTML of the introduction; it explains only methods and bounds of this run."""
+    scenes = summary["scenes"]
+    counts = (_counted(len(scenes), "scene"), _counted(sum(each["poses"] for each in scenes), "pose"),
+              _counted(len(summary["methods"]), "method"))  # fmt: skip
+    opening = f"{', '.join(counts)}. All methods get the same poses, camera and photographs."
+    if any(scene["reference"] for scene in scenes):
+        computed = "computed" if any(scene["computed"] for scene in scenes) else "true"
+        opening += (f" Errors are apparent temperature minus that of the reference, a render from the {computed} "
+                    f"temperatures and {_materials(summary)}.")  # fmt: skip
+    return _section("introduction", opening=text(opening), notes=_items(summary["notes"]),
+                    methods=_items(f"{name}: {words}." for name, words in explained(summary)))  # fmt: skip
+
+
+def explained(summary: Summary) -> list[tuple[str, str]]:
+    """Return [(letter, label or bounds, its meaning)] of the methods of a comparison."""
+    methods = summary["methods"]
+    present = {own["letter"] for own in methods.values()} | set(methods)
+    present |= {own["bounds"] for own in methods.values()}
+    found = [(name, words.format(materials=_materials(summary))) for name, words in _KINDS.items() if name in present]
+    if any(own["true_objects"] for own in methods.values()):
+        found.append(("true objects", "the objects have their true temperatures instead of the map's"))
+    return found
+
+
+def terminal(summary: Summary) -> list[Table]:
+    """Return the tables for the terminal: errors of methods, and differences where the truth is unknown."""
+    errors = Table(
+        ("method", "mean error [K]", "mean absolute [K]", "95 %", "standard deviation [K]", "RMSE [K]", "pixels"),
+        [(label, number(ground["me_k"], "+.3f", "none"), number(ground["mae_k"], none="none"),
+          interval((ground.get("interval_95") or {}).get("mae_k")), number(ground["sd_k"], none="none"),
+          number(ground["rmse_k"], none="none"), str(ground["pixels"]))
+         for label, ground in ((label, own["errors"][RADIOMETRIC]["ground"])
+                               for label, own in summary["methods"].items() if own["errors"])],
+    )  # fmt: skip
+    # Differences from the first method of each scene; a single scene is not named.
+    scenes = [scene for scene in summary["scenes"] if scene["differences"]]
+    apart = Table(
+        ("scene", "method", "against", "mean difference [K]", "mean absolute [K]", "RMS difference [K]", "pixels"),
+        [(scene["name"] if len(scenes) > 1 else "", each["other"], each["one"], number(each["me_k"], "+.3f", "none"),
+          number(each["mae_k"], none="none"), number(each["rmse_k"], none="none"), str(each["pixels"]))
+         for scene in scenes for each in scene["differences"] if each["one"] == scene["differences"][0]["one"]],
+    )  # fmt: skip
+    return [each for each in (errors, apart) if each.rows]
+
+
+def _findings(summary: Summary) -> str:
+    lists = []
+    for title, grave, lines in findings.grouped(summary["findings"]):
+        rows = "".join(f"<li class={'grave' if grave else 'plain'}>{text(line)}</li>" for line in lines)
+        lists.append(_folded(title, len(lines), f"<ul>{rows}</ul>", grave))
+    rest = findings.nothing(summary)
+    return _section("findings", lists="".join(lists), rest=f"<p>{text(rest)}</p>" if rest else "")
+
+
+def _scored(summary: Summary) -> dict[str, Summary]:
+    """Return the methods with errors."""
+    return {label: own for label, own in summary["methods"].items() if own["errors"]}
+
+
+def _errors(summary: Summary) -> str:
+    scored = _scored(summary)
+    if not scored:
+        return ""
+    rows = []
+    for label, own in scored.items():
+        radiometric, sensor = own["errors"]["radiometric"], own["errors"]["sensor"]
+        ground = radiometric["ground"]
+        ends = ground.get("interval_95") or {"me_k": None, "mae_k": None}
+        seconds, limits = own["seconds_per_frame"], own["range_c"]
+        rows.append({
+            "method": label,
+            "mean error [K]": number(ground["me_k"], "+.3f"),
+            "95 %": interval(ends["me_k"], "+.2f"),
+            "mean absolute [K]": number(ground["mae_k"]),
+            "95 % ": interval(ends["mae_k"]),
+            "standard deviation [K]": number(ground["sd_k"]),
+            "objects [K]": number(radiometric.get("objects", {}).get("mae_k")),
+            "with objects [K]": number(radiometric.get("with objects", {}).get("mae_k")),
+            "after sensor [K]": number(sensor.get("ground", {}).get("mae_k")),
+            "ms per frame": number(None if seconds is None else 1e3 * seconds, ".1f"),
+            "s per scene": number(own["once_s"] or None, ".1f"),
+            "scenes": str(own["scenes"]),
+            "pixels": number(ground["pixels"], "d"),
+            "effective pixels": number(ground.get("effective_pixels"), ".0f"),
+            "own bounds [°C]": interval(limits, ".1f"),
+            "knows": own["knows"],
+        })  # fmt: skip
+    head = tuple(rows[0])
+    marked = {k for k, own in enumerate(scored.values()) if own["leaks"] or own["circular"]}
+    table = Table(head, [tuple(row.values()) for row in rows], marked, (head.index("method"), head.index("knows")))
+    informed = any(THERMAL in own["knows"] for own in scored.values())
+    others = f"Methods that know {THERMAL} exist only for scenes with others in their hour and weather. "
+    return _section("errors", table=table.html(), others=others if informed else "")
+
+
+def _pictures(views: Sequence[dict[str, Any]]) -> str:
+    if not views:
+        return ""
+    poses = "".join(f"<option value={number}>{text(view['title'])}</option>" for number, view in enumerate(views))
+    # Without a reference there are no errors to show.
+    scored = any(each["reference"] for view in views for each in view["pictures"])
+    return _section("frames", poses=poses, errors="<option value=error>errors</option>" if scored else "")
+
+
+def _figures(summary: Summary) -> str:
+    drawn = (
+        (figures.error_and_time(summary),
+         "Error against run time of a frame on the machine named below, without training and without the time that a "
+         "rendered scene needs once."),
+        (figures.spectra(summary), "Power spectra of the frames' central squares: a method below the reference blurs, "
+                                   "one above it invents structure."),
+        (figures.roc(summary), "Share of targets found after the sensor by a simple detector of spots that are warmer "
+                               "or colder than their surroundings. Its unit is each frame's own standard deviation: in "
+                               "a frame with little other contrast, a weak target is found easily."),
+    )  # fmt: skip
+    return "".join(_drawn(content, words) for content, words in drawn)
+
+
+def _differences(summary: Summary) -> str:
+    rows = [(scene["name"], each["one"], each["other"], number(each["me_k"], "+.3f"), number(each["mae_k"]),
+             number(each["sd_k"])) for scene in summary["scenes"] for each in scene["differences"]]  # fmt: skip
+    head = ("scene", "method", "against", "mean difference [K]", "mean absolute [K]", "standard deviation [K]")
+    return _listed("differences", "All pairs", Table(head, rows), lambda: {
+        "figure": _drawn(figures.differences(summary), "Mean absolute difference of each pair of methods."),
+    })  # fmt: skip
+
+
+def _terms(summary: Summary) -> str:
+    terms = (*NAMES, "whole")
+    rows = [(scene["name"], name, pair["from"], pair["to"], *(_both(pair["terms"][term]) for term in terms))
+            for scene in summary["scenes"] for name, pair in scene["terms"].items()]  # fmt: skip
+    head = ("scene", "map", "from", "to", *(f"{term} [K]" for term in terms))
+    return _listed("terms", "By scene and map", Table(head, rows), lambda: {
+        "apart": f"{max(scene['terms_apart_mk'] for scene in summary['scenes']):.2g}",
+        "figure": _drawn(figures.terms(summary, NAMES), "Mean absolute size of each term."),
+    })  # fmt: skip
+
+
+def _targets(summary: Summary) -> str:
+    every = {"reference": summary["targets"], **{label: own["targets"] for label, own in summary["methods"].items()}}
+    rows = [(label, name, str(each["poses"]), number(each["true_contrast_k"], "+.2f"),
+             number(each["contrast_k"], "+.2f"), number(each["contrast_error_k"], "+.2f"), f"{each['found']:.0%}",
+             number(each["offset_px"], ".2f"))
+            for label, own in every.items() for name, each in own["objects"].items()]  # fmt: skip
+    head = ("method", "target", "poses", "true contrast [K]", "contrast [K]", "error [K]", "found", "offset [px]")
+    return _listed("targets", "By method and target", Table(head, rows))
+
+
+def _structure(summary: Summary) -> str:
+    rows = [row for label, own in summary["methods"].items() if any((row := _structure_row(label, own))[1:])]
+    if not rows:
+        return ""
+    own = [scene["steadiness_k"] for scene in summary["scenes"] if scene["steadiness_k"] is not None]
+    mean = (sum(each * each for each in own) / len(own)) ** 0.5 if own else 0.0
+    head = ("method", "shifted right [px]", "down [px]", "standard error [px]", "change between frames [K]", "contrast",
+            "correlation")  # fmt: skip
+    reference = f"For the reference, due to view and sampling: {mean:.3f} K. " if own else ""
+    return _section("structure", table=Table(head, rows).html(), reference=reference)
+
+
+def _structure_row(label: str, own: Summary) -> tuple[str, ...]:
+    shift = own["structure"]["shift"] if own["letter"] == "foreign" else own["registered"]
+    # Pictures that do not correlate have no shift.
+    shift = None if shift is None or abs(shift["correlation"]) < ALIKE else shift
+    gain = own["gain"] or {"gain": None, "correlation": None}
+    error = None if shift is None or shift["error_px"] is None else max(shift["error_px"])
+    return (label, number(shift and shift["right_px"], "+.2f"), number(shift and shift["down_px"], "+.2f"),
+            number(error, ".2f"), number(own["steadiness_k"], ".3f"), number(gain["gain"], ".2f"),
+            number(gain["correlation"], ".2f"))  # fmt: skip
+
+
+def _groups(summary: Summary) -> str:
+    scored = _scored(summary)
+    parts = []
+    for grouping in _GROUPINGS:
+        of = {label: own["groups"].get("radiometric", {}).get(grouping, {}) for label, own in scored.items()}
+        classes = tuple(dict.fromkeys(name for own in of.values() for name in own))
+        if classes:
+            rows = [
+                (label, *(_both(own[name]) if name in own else "" for name in classes)) for label, own in of.items()
+            ]
+            title = "scene, ground only" if grouping == "scene" else f"{grouping}, with objects"
+            parts.append(_section("group", title=title, table=Table(("method", *classes), rows, words=(0,)).html()))
+    return _section("groups", tables="".join(parts)) if parts else ""
+
+
+def _training(summary: Summary) -> str:
+    maps: dict[str, Summary] = {}
+    for own in summary["methods"].values():
+        if own["training"] is not None:
+            maps.setdefault(own["map"], own)
+    rows: list[tuple[str, ...]] = []
+    marked = set()
+    for name, own in maps.items():
+        training = own["training"]
+        counts = ", ".join(f"{count} {part}" for part, count in (training["pairs"] or {}).items())
+        if own["leaks"]:
+            marked.add(len(rows))
+        rows.append((name, training["method"], training["source"], counts, number(training["training_s"], ".0f"),
+                     training["audited"], "; ".join(own["leaks"])))  # fmt: skip
+    if not rows:
+        return ""
+    head = ("map", "method", "trained on", "pairs", "seconds", "audit", "leaks")
+    return _section("training", table=Table(head, rows, marked, (2, 5, 6)).html())
+
+
+def _scenes(summary: Summary) -> str:
+    rows = []
+    for scene in summary["scenes"]:
+        campaign = scene["campaign"] or {"bounds_c": None, "lands": ""}
+        reference = "computed by the heat balance" if scene["computed"] else "true temperatures"
+        rows.append((scene["name"], scene["title"], scene["time"] or "", str(scene["poses"]),
+                     reference if scene["reference"] else "none", interval(campaign["bounds_c"], ".1f"),
+                     str(campaign["lands"])))  # fmt: skip
+    head = ("scene", "title", "time", "poses", "reference", "refitted bounds [°C]", "from lands")
+    settings, machine, versions = (", ".join(f"{key} {value}" for key, value in summary[name].items())
+                                   for name in ("settings", "machine", "versions"))  # fmt: skip
+    words = (f"Seed {summary['seed']}; settings: {settings or 'defaults'}. Machine: {machine}. Versions: {versions}. "
+             f"{summary['seconds']:.0f} s in all.")  # fmt: skip
+    return _section("scenes", table=Table(head, rows, words=(1,)).html(), words=text(words))
+
+
+@cache
+def _template() -> dict[str, Template]:
+    """Return {section: template} of `report.html`."""
+    page = Path(__file__).with_suffix(".html").read_text(encoding="utf-8")
+    parts = re.split(r"^<!-- (.*) -->\n", page, flags=re.MULTILINE)[1:]
+    lines = [words.strip().replace(">\n<", "><").replace("\n", " ") for words in parts[1::2]]
+    return {name: Template(words) for name, words in zip(parts[::2], lines, strict=True)}
+
+
+def _section(name: str, **filled: str) -> str:
+    """Return a section with its places filled by HTML."""
+    return _template()[name].substitute(filled)
+
+
+def _listed(name: str, title: str, table: Table, more: Any = dict) -> str:
+    """Return a section with a folded table and what `more()` returns; nothing for an empty table."""
+    if not table.rows:
+        return ""
+    return _section(name, table=_folded(title, len(table.rows), table.html()), **more())
+
+
+def _folded(title: str, count: int, inner: str, opened: bool = False) -> str:
+    """Return a list or table of `count` lines that opens by a click; a short one is open at the start."""
+    state = " open" if opened or count <= _OPEN else ""
+    return _section("folded", state=state, title=text(title), count=str(count), inner=inner)
+
+
+def _drawn(content: bytes | None, words: str) -> str:
+    return figure(content, words) if content else ""
+
+
+def _both(found: Summary) -> str:
+    return f"{number(found['me_k'], '+.2f')} ({number(found['mae_k'], '.2f')})"
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
+def _materials(summary: Summary) -> str:
+    """Return what the materials are called: true ones, unless those of a scene are assumed."""
+    return "the scene's materials" if any(each["assumed_materials"] for each in summary["scenes"]) else "true materials"
+
+
+def _items(lines: Iterable[str]) -> str:
+    return "".join(f"<li>{text(line)}</li>" for line in lines)
+
+
+def _json(value: object) -> str:
+    # Escaped, so that no content can close the script element.
+    return json.dumps(value).replace("<", "\\u003c")

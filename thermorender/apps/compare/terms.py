@@ -1,0 +1,103 @@
+"""The difference between the 2D translation and the 3D render of a map, split into terms in kelvin.
+
+A sequence of pictures leads from one to the other. Each changes one thing:
+
+1. the map's apparent temperature of the photograph (B);
+2. the map's apparent temperature of the orthophoto, projected into the view. The difference is **geometry**: the scale
+   and angle at which the map saw the ground, and objects translated without their surroundings;
+3. the emission and reflection of these surfaces under the sky that the map was trained under: **emission**. It is zero
+   where apparent temperatures could be converted to kinetic ones, and elsewhere the effect of the substitute;
+4. the same under the light of the scene, its sky and other surfaces: **reflection**;
+5. the same through the air to the camera: **air**; this is C;
+6. after the sensor: the change of C by its blur, noise and scale minus the change of B: **sensor**.
+
+The order is a choice: where two causes interact, their common part counts for the earlier one.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from thermorender.apps.compare.methods import Method
+from thermorender.frame import apparent_temperature
+from thermorender.learned.temperature_map import Inputs
+from thermorender.materials.material import Material
+from thermorender.physics.band import RadianceTable, emitted_radiance
+from thermorender.physics.planck import band_radiance
+
+NAMES = ("geometry", "emission", "reflection", "air", "sensor")
+
+
+class Terms:
+    """The terms of one map in one scene, from the C1 of a map without extra inputs; other maps have no B."""
+
+    def __init__(self, method: Method) -> None:
+        assert method.model is not None
+        self._method, self._renderer = method, method.renderer
+        scene, model = self._renderer.scene, method.model
+        self._band_um, sky = model.band_um, model.sky_temperature
+        terrain = scene.surfaces[: scene.terrain_count]
+        seen, given = [], []
+        for surface in scene.surfaces:
+            kept = _under_sky(surface.temperature, surface.material, scene.materials, sky, model.band_um)
+            own = kept
+            if surface in terrain:
+                apparent = model.radiance(Inputs(surface.colour, surface.texel_m))
+                own = np.where(apparent > 0.0, apparent, kept)
+            seen.append(own.ravel())
+            given.append(kept.ravel())
+        for item in scene.tracked_objects:
+            kelvin = method.kelvin.get(item.name, item.item.kelvin)
+            for surface in item.surfaces:
+                warm = np.full(surface.material.shape, kelvin)
+                kept = _under_sky(warm, surface.material, scene.materials, sky, model.band_um).ravel()
+                seen.append(kept)
+                given.append(kept)
+        self._seen, self._given = (np.concatenate(parts).astype(np.float32) for parts in (seen, given))
+
+    def pictures(self, pose: ArrayLike, time_s: float) -> NDArray[np.float32]:
+        """Return the pictures between B and C of a pose, (2 or 3, H, W) float32 apparent temperature [K].
+
+        These are steps 2 and 3, and step 4 if the scene has air; without air, step 4 is the frame itself.
+        """
+        renderer = self._renderer
+        at = (pose, time_s, self._method.objects)
+        steps = [renderer.pictured(values, *at) for values in (self._seen, self._given)]
+        if renderer.scene.air is not None:
+            steps.append(renderer.radiance(*at, through_air=False))
+        return np.stack([apparent_temperature(picture, self._band_um) for picture in steps])
+
+
+def terms_of(
+    pictures: NDArray[np.floating],
+    flat: NDArray[np.floating],
+    solid: NDArray[np.floating],
+    flat_read: NDArray[np.floating],
+    solid_read: NDArray[np.floating],
+) -> dict[str, NDArray[np.floating]]:
+    """Return {name of `NAMES`: (H, W) float32}, which add up to the difference of C and B after the sensor [K].
+
+    `pictures` are those of `Terms.pictures`; `flat` and `solid` are the apparent temperatures (H, W) of B and C [K],
+    `flat_read` and `solid_read` the same after the sensor.
+    """
+    steps = [flat, *pictures, *([solid] if len(pictures) == 2 else []), solid]
+    found = {name: after - before for name, before, after in zip(NAMES, steps, steps[1:], strict=False)}
+    found["sensor"] = (solid_read - solid) - (flat_read - flat)
+    return found
+
+
+def _under_sky(
+    temperature: NDArray[np.floating],
+    material: NDArray[np.integer],
+    materials: tuple[Material, ...],
+    sky_k: float,
+    band_um: tuple[float, float],
+) -> NDArray[np.float64]:
+    """Return band radiance of texels at kinetic temperatures (h, w) [K] under an isotropic sky, without occlusion."""
+    found, sky = np.empty(temperature.shape), band_radiance(sky_k, *band_um)
+    for number in np.unique(material):
+        here, emissivity = material == number, materials[number].emissivity_at
+        own = temperature[here].astype(np.float64)
+        # A table, because the spectra of millions of texels would not fit in memory.
+        emitted = RadianceTable.of(emissivity, own.min(), own.max(), *band_um)
+        found[here] = emitted(own) + sky - emitted_radiance(emissivity, sky_k, *band_um)
+    return found
