@@ -25,8 +25,8 @@ from thermorender.scene.parts.known_cover import KnownCover, read_known
 from thermorender.scene.parts.orthophoto import read_colour
 from thermorender.scene.raster import Grid, grid_of, onto
 from thermorender.scene.spec import DEFAULT_CONFIDENCE, EmissivitySpec, SceneSpec, read_scene
-from thermorender.scene.state.weathered_ground import is_snow
 from thermorender.scene.surface import fill, nearest_valid
+from thermorender.scene.weathered_ground import is_snow
 
 # Of the 255 material numbers of a texel; the rest is for objects.
 _MOST_MIXES = 200

@@ -1,25 +1,24 @@
 """Which material covers each texel and each object: the scene file's emissivity, materials that edits replace, bands.
 
-The Cover follows from the Parts of a scene, what it declares and the camera's band, and from nothing else.
+The Cover follows from the Parts of a scene and its Covering, and from nothing else.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.materials import library as material_tables
-from thermorender.materials.extended import within_band
 from thermorender.materials.material import Material, grey
 from thermorender.materials.mixture import parts_of
 from thermorender.scene.material_map import Picture, context_of, learned_materials, model_of
 from thermorender.scene.parts.patch import Patch
 from thermorender.scene.parts.read import Parts
 from thermorender.scene.parts.textures import areas, named, separate, stating, used_texels
-from thermorender.scene.spec import EmissivitySpec, ObjectSpec, SurfaceSpec
+from thermorender.scene.spec import EmissivitySpec, SurfaceSpec
 from thermorender.scene.surface import (
     FILLED,
     MOST_MATERIALS,
@@ -37,6 +36,8 @@ Replaced = Mapping[int | str, Material]
 OBJECT, SURFACE_OF_MESH = "object:", "surface:"
 # The name of the grey material of an emissivity of source "constant".
 CONSTANT = "constant"
+# Stands in a report for the reason why no snow lies there: another weather changes the reason and not the materials.
+WHY = "{why no snow lies there}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,21 +49,33 @@ class Painted:
     flags: NDArray[np.uint8]
 
 
+class Covering(NamedTuple):
+    """What a scene declares on its materials."""
+
+    emissivity: EmissivitySpec
+    objects: tuple[tuple[str, str], ...]  # (name, material) of each object
+    surfaces: tuple[SurfaceSpec, ...]  # Parts of a mesh with their own material
+    # Materials in place of others, as `Replaced` says; all are replaced at once, by the names the files give
+    replaced: Replaced
+    painted: tuple[Patch, ...]  # Areas of the terrain with another material, the latest last
+    band_um: tuple[float, float] | None  # The camera's band [µm], which a learned map mixes materials for, else None
+
+
 @dataclass(frozen=True, eq=False)
 class Cover:
-    """Materials of a scene."""
+    """Which material covers what."""
 
-    materials: tuple[Material, ...]  # In the order of their first use; what material numbers index
+    tables: tuple[Material, ...]  # In the order of their first use; what material numbers index
     ground: tuple[Painted, ...]  # One per terrain surface
     objects: tuple[int, ...]  # The material number of each object
     report: Mapping[str, Any]  # Report of the learned emissivity map; empty without one
 
 
 class MaterialList:
-    """Materials a scene uses, in the order of their first use; each checked against the camera's band."""
+    """Materials a scene uses, in the order of their first use."""
 
     def __init__(
-        self, library: Mapping[str, Material], replaced: Replaced, band_um: tuple[float, float], where: str
+        self, library: Mapping[str, Material], replaced: Replaced, band_um: tuple[float, float] | None, where: str
     ) -> None:
         self.library, self.replaced, self.band_um, self.where = library, replaced, band_um, where
         self.used: list[Material] = []
@@ -86,50 +99,25 @@ class MaterialList:
                     f"scene may use up to {MOST_MATERIALS}, mixes of a learned emissivity map included, so give fewer"
                 )
             self.numbers[id(material)] = len(self.used)
-            self.used.append(within_band(material, self.band_um, self.library, self.where))
+            self.used.append(material)
         return self.numbers[id(material)]
 
 
-def refuse_band(material: Material, band_um: tuple[float, float], where: str) -> None:
-    """Refuse a material that does not cover the camera's band."""
-    try:
-        material.emissivity_at(np.array(band_um))
-    except ThermorenderError as error:
-        raise ThermorenderError(f"{where}: {error}") from None
+def cover_of(parts: Parts, covering: Covering, snow: bool, where: str) -> Cover:
+    """Return the Cover of a scene; `snow` says whether a learned map may find snow.
 
-
-def cover_of(
-    parts: Parts, emissivity: EmissivitySpec, objects: tuple[ObjectSpec, ...], surfaces: tuple[SurfaceSpec, ...],
-    replaced: Replaced, painted: Sequence[Patch], band_um: tuple[float, float], where: str, no_snow: str = "",
-) -> Cover:  # fmt: skip
-    """Return the Cover of a scene.
-
-    Parameters
-    ----------
-    parts : Parts
-    emissivity : EmissivitySpec
-    objects : tuple of ObjectSpec
-    surfaces : tuple of SurfaceSpec
-        Parts of a mesh with their own material.
-    replaced : dict
-        Materials in place of others, as `Replaced` says; all are replaced at once, by the names the files give.
-    painted : sequence of Patch
-        Areas of the terrain with another material, the latest last.
-    band_um : (2,) floats
-        The camera's band [µm].
-    where : str
-        Path of the scene file, for messages.
-    no_snow : str
-        Why no snow lies on the ground, for a learned map; "" if it may.
+    Where it may not, the report has `WHY` in place of the reason.
     """
-    materials = MaterialList(parts.library, replaced, band_um, where)
+    emissivity, objects, surfaces, replaced, painted, _ = covering
+    no_snow = "" if snow else WHY
+    materials = MaterialList(parts.library, replaced, covering.band_um, where)
     report: dict[str, Any] = {}
     if parts.grid is None:
         ground = _mesh_cover(parts, emissivity, surfaces, materials, report, no_snow)
     else:
         ground = [_raster_cover(parts, parts.ground[0], emissivity, materials, report, no_snow)]
         ground = [_painted(ground[0], painted, materials, parts.colour is None)]
-    numbers = tuple(materials.index(item.material, f"object {item.name!r}", OBJECT + item.name) for item in objects)
+    numbers = tuple(materials.index(material, f"object {name!r}", OBJECT + name) for name, material in objects)
     for key in materials.unused:
         known = dict.fromkeys(part.name for each in materials.used for part, _ in parts_of(each))
         raise ThermorenderError(
@@ -327,6 +315,7 @@ def _learned(
     no_snow: str,
 ) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.bool_]]]:
     """(material numbers, whether they are unknown) of the texels of pictures by their colour, (h, w) each."""
+    assert materials.band_um is not None
     model, _ = model_of(emissivity, materials.library, materials.where, no_snow)
     names = {*model.materials, emissivity.fallback}
     for each in pictures:
