@@ -10,7 +10,6 @@ import hashlib
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -372,12 +371,11 @@ OF_MESH = {
     "temperature": EDITS["temperature"]._replace(values=[{"source": "constant", "value": 305.0}, {"source": "balance"},
                                                          {"source": "material", "materials": {"soil_loam": 299.0}}]),
 }  # fmt: skip
-# Keys that no edit changes: the shape of the terrain, its place and its title.
-WITHOUT_EDIT = {"folder", "title", "terrain", "frame", "truth_temperature"}
 
 
 def test_each_key_of_a_scene_file_has_an_edit_or_none_by_choice():
     named = {name.partition(".")[0] for name in (*EDITS, *OF_MESH)}
+    # No edit changes the shape of the terrain, its place or its title.
     keys = {row.metadata.get("name") or row.name for row in dataclasses.fields(SceneSpec)}
     assert keys - named - {"folder", "title", "terrain", "frame", "truth"} == set()
     assert {row.name for row in dataclasses.fields(WeatherSpec)} == {*WEATHER_KEYS}
@@ -390,8 +388,6 @@ def content(value: Any) -> Any:
     """A value as plain ones: two have the same content if they are the same to the bit."""
     if isinstance(value, np.ndarray):
         return value.dtype.str, value.shape, hashlib.blake2b(value.tobytes()).hexdigest()
-    if isinstance(value, SimpleNamespace):
-        return content(vars(value))
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         own = {row.name: content(getattr(value, row.name)) for row in dataclasses.fields(value)}
         return type(value).__name__, own
@@ -416,7 +412,7 @@ def everything(scene: tr.Scene) -> dict[str, Any]:
     """The content of all that a scene declares and all that follows from it."""
     names = ("spec", "camera", "time", "frame", "grid", "surfaces", "terrain_count", "solved_count", "materials", "air",
              "tracked_objects", "temperature_state", "emissivity_report", "where", "altitude_m", "sky_temperature",
-             "surroundings_temperature", "sun", "weather", "sky_notes", "surface_notes", "weather_notes", "targets",
+             "surroundings_temperature", "sun", "weather", "sky_notes", "surface_notes", "targets",
              "geoid_undulation_m", "truth_temperature_spec")  # fmt: skip
     found = {name: refusal(lambda name=name: getattr(scene, name)) for name in names}
     calls = {
@@ -445,7 +441,8 @@ def edited(scene: tr.Scene, fresh: Fresh, edits: dict[str, Edit], chosen: Any) -
     for name, number, looked_at in chosen:
         each = edits[name]
         if looked_at:
-            everything(scene)
+            # Values that are made when asked for.
+            refusal(scene.digest), refusal(scene.weather_digest), refusal(scene.refuse_disagreement), scene.ground(0, 0)
         try:
             scene = each.edit(scene, each.values[number])
         except ThermorenderError:
@@ -469,6 +466,7 @@ def loaded(folder):
     return {name: Fresh(base).scene(folder) for name, base in (("terrain", TERRAIN), ("mesh", MESH))}
 
 
+# A learned map takes a second.
 QUICK = {name: each for name, each in EDITS.items() if name != "emissivity"}
 
 
@@ -484,3 +482,101 @@ def test_a_mesh_edited_in_any_order_equals_a_fresh_one(folder, loaded, chosen):
     fresh = Fresh(MESH)
     scene = edited(loaded["mesh"], fresh, OF_MESH, chosen)
     assert different(scene, fresh.scene(folder)) == []
+
+
+# Pairs of edits in which the later one acts through an input that is easily forgotten.
+CHAINS = {
+    "the altitude of the air, of the weather": [("temperature", 7), ("atmosphere", 2)],
+    "the instant, of the weather's air": [("atmosphere", 1), ("at", 1)],
+    "the band, of an Atmosphere": [("an Atmosphere", 0), ("camera.model", 2)],
+    "the albedo, of an object's material": [("weather.albedo", 0), ("a material", 3)],
+    "a material, of temperatures by material": [("temperature", 3), ("a material", 0)],
+    "the place, of copies": [("object.bush", 1), ("object.bush", 0), ("a material", 3)],
+    "a column of a track": [("object.car", 1), ("a material", 4), ("object.car", 0)],
+    "the weather in memory, of its instant": [("a Weather", 1), ("at", 1), ("temperature", 7)],
+    "the sun, of its air": [("atmosphere", 0), ("sun", 0), ("weather.cloud", 1)],
+    "kelvin in memory, of a material": [("kelvin", 0), ("a material", 0), ("camera.model", 2)],
+}
+
+
+@pytest.mark.parametrize("name", CHAINS)
+def test_an_edit_reaches_all_that_depends_on_it(folder, loaded, name):
+    fresh = Fresh(TERRAIN)
+    scene = edited(loaded["terrain"], fresh, QUICK, [(*step, True) for step in CHAINS[name]])
+    assert different(scene, fresh.scene(folder)) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(3))
+@pytest.mark.parametrize("name", ["weather.cloud", "at", "camera.model", "a material", "object.marker"])
+def test_learned_materials_edited_before_or_after_equal_fresh_ones(folder, loaded, name, number):
+    other = (name, len(EDITS[name].values) - 1, True)
+    for chosen in ([("emissivity", number, True), other], [other, ("emissivity", number, True)]):
+        fresh = Fresh(TERRAIN)
+        scene = edited(loaded["terrain"], fresh, EDITS, chosen)
+        assert different(scene, fresh.scene(folder)) == []
+
+
+# The altitude of an air is also that of the weather, and left out.
+AIRY = {name: QUICK[name] for name in ("camera.model", "sky.temperature", "an Atmosphere")}
+AIRY["atmosphere"] = QUICK["atmosphere"]._replace(values=[{"standard": "tropical"}, {"standard": "weather"}])
+
+
+@given(chosen=steps(AIRY, 3))
+def test_surfaces_made_in_memory_before_or_after_an_edit_make_the_same_scene(loaded, chosen):
+    before = edited(loaded["terrain"].with_surfaces(), Fresh(TERRAIN), AIRY, chosen)
+    after = edited(loaded["terrain"], Fresh(TERRAIN), AIRY, chosen).with_surfaces()
+    assert different(before, after) == []
+
+
+@pytest.fixture(scope="module")
+def balanced(loaded):
+    return loaded["terrain"].with_temperature("balance")
+
+
+def solved(scene: tr.Scene, time: Any = None) -> tr.Scene:
+    """A scene with made-up temperatures in place of those of a heat balance."""
+    kelvin = [np.full(each.material.shape, 290.0 + k) for k, each in enumerate(scene.surfaces[: scene.solved_count])]
+    return scene.with_solved_temperatures(scene.time if time is None else time, kelvin, notes=("solved",))
+
+
+@given(chosen=steps(AIRY, 3))
+def test_solved_temperatures_stay_after_edits_they_do_not_depend_on(balanced, chosen):
+    after = edited(solved(balanced), Fresh(TERRAIN), AIRY, chosen)
+    before = solved(edited(balanced, Fresh(TERRAIN), AIRY, chosen))
+    assert after.temperature_state.solved and different(after, before) == []
+
+
+NEEDED = [("weather.cloud", 1), ("at", 1), ("a material", 0), ("object.marker", 0), ("weather.inside_c", 1),
+          ("an area", 0), ("temperature", 8), ("weather.albedo", 0), ("object.bush", 1), ("atmosphere", 2)]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "number"), NEEDED)
+def test_solved_temperatures_are_pending_after_an_edit_they_depend_on(balanced, name, number):
+    each = QUICK[name]
+    after, before = each.edit(solved(balanced), each.values[number]), each.edit(balanced, each.values[number])
+    assert not after.temperature_state.solved and different(after, before) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["the altitude of the air, of the weather", "the albedo, of an object's material",
+                                  "a column of a track"])  # fmt: skip
+def test_a_frame_of_an_edited_scene_has_the_bytes_of_a_fresh_one(folder, loaded, name):
+    camera = dataclasses.replace(load_camera("zenmuse-xt2"), width=16, height=12, pixel_pitch_um=400.0, f_number=12.0)
+    fresh = Fresh(TERRAIN)
+    scene = edited(loaded["terrain"], fresh, QUICK, [(*step, True) for step in CHAINS[name]])
+    frames = [
+        tr.Renderer(each.with_camera(camera), rays=2, samples=1).frame(tr.pose(0, 0, 12, pitch_deg=-90)).radiance
+        for each in (scene, fresh.scene(folder))
+    ]
+    assert frames[0].tobytes() == frames[1].tobytes()
+
+
+def test_scenes_differ_by_what_was_edited(loaded):
+    scene = loaded["terrain"]
+    seen = scene.with_camera("ideal")
+    assert scene.changes(seen) == {"camera"} and scene.changes(scene) == frozenset()
+    assert scene.changes(seen.with_camera(scene.camera)) == frozenset()
+    assert scene.changes(scene.with_sky(250.0)) == {"spec_sky_temperature"}
+    assert scene.changes(scene.with_temperature(300.0)) == {"surfaces", "temperature_state", "spec_temperature"}
+    assert "terrain_count" in scene.changes(scene.with_surfaces(terrain_count=2))

@@ -42,7 +42,7 @@ from thermorender.scene.spec import (
     WeatherSpec,
 )
 from thermorender.scene.surface import Surface
-from thermorender.scene.temperature_state import TemperatureState
+from thermorender.scene.temperature_state import Known, TemperatureState
 from thermorender.scene.terrain_temperature import Follows, Forcing, Temperatures, follows, temperatures
 from thermorender.sensor.camera import Camera
 
@@ -182,10 +182,9 @@ def weather_now(weather: "Weather", time: "np.datetime64") -> "tuple[Weather, np
     return weather, time
 
 
-def noted_weather(weather: "Weather", temperatures: Temperatures) -> "Weather":
+def noted_weather(weather: "Weather", solution_notes: tuple[str, ...]) -> "Weather":
     """Return the weather with the notes of solving the temperatures."""
-    notes = getattr(temperatures.state, "notes", ())
-    return replace(weather, notes=(*weather.notes, *notes)) if notes else weather
+    return replace(weather, notes=(*weather.notes, *solution_notes)) if solution_notes else weather
 
 
 def band_um(camera: Camera) -> tuple[float, float]:
@@ -419,6 +418,11 @@ def temperature_state(temperatures: Temperatures) -> TemperatureState:
     return temperatures.state
 
 
+def solution_notes(temperatures: Temperatures) -> tuple[str, ...]:
+    """Return the notes of solving the temperatures."""
+    return temperatures.state.notes if isinstance(temperatures.state, Known) else ()
+
+
 def refuse_unsolved(temperatures: Temperatures, where: str) -> None:
     """Raise unless the terrain's temperatures are known."""
     state = temperatures.state
@@ -478,8 +482,8 @@ def surface_notes(surfaces: tuple[Surface, ...], terrain_count: int) -> tuple[st
 PIPELINE = Pipeline(
     (where, frame, geoid_undulation_m, stated_altitude_m, altitude_m, placements, shape, grid, terrain_count,
      solved_count, band_um, air_of_weather, no_snow, snow, covering, cover, emissivity_report, albedo, materials, air,
-     clear_of_clouds, follows, forcing, part_temperatures, covered, temperatures, temperature_state, object_kelvin,
-     surfaces, tracked_objects),
+     clear_of_clouds, follows, forcing, part_temperatures, covered, temperatures, temperature_state, solution_notes,
+     object_kelvin, surfaces, tracked_objects),
     lazy=(weather, weather_now, noted_weather, sun, ground, refuse_unsolved, surroundings_temperature, agreement,
           surface_notes, digest, weather_digest),
 )  # fmt: skip
