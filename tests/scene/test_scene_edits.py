@@ -21,7 +21,7 @@ from thermorender.materials.library import load_library
 from thermorender.render.plan import make_plan
 from thermorender.scene.spec import AtmosphereSpec, EmissivitySpec, TemperatureSpec, WeatherSpec
 from thermorender.scene.surface import SURFACE
-from thermorender.scene.temperature_state import Balance, Known, Moved, Pending
+from thermorender.scene.temperature_state import Available, Balance, Moved, Pending
 from thermorender.sensor.camera import load_camera
 
 CAMERA = dataclasses.replace(load_camera("zenmuse-xt2"), width=16, height=12, pixel_pitch_um=400.0, f_number=12.0)
@@ -220,7 +220,7 @@ def test_temperatures_follow_an_edit_of_time_or_weather(balanced, solved):
 )  # fmt: skip
 def test_solved_temperatures_are_pending_again_after_an_edit_they_depend_on(balanced, solved, edit):
     """They stayed unchanged, up to 18.5 K off."""
-    assert isinstance(solved.temperature_state, Known) and isinstance(solved.temperature_state.source, Balance)
+    assert isinstance(solved.temperature_state, Available) and isinstance(solved.temperature_state.source, Balance)
     edited, unsolved = edit(solved), edit(balanced)
     assert isinstance(edited.temperature_state, Pending) and isinstance(edited.temperature_state.source, Balance)
     assert np.isnan(edited.surfaces[0].temperature).all() and edited.digest() == unsolved.digest()
@@ -235,7 +235,7 @@ def test_solved_temperatures_are_pending_again_after_an_edit_they_depend_on(bala
 )
 def test_solved_temperatures_stay_after_an_edit_they_do_not_depend_on(balanced, solved, edit):
     edited = edit(solved)
-    assert isinstance(edited.temperature_state, Known) and edited.time == solved.time
+    assert isinstance(edited.temperature_state, Available) and edited.time == solved.time
     np.testing.assert_array_equal(edited.surfaces[0].temperature, solved.surfaces[0].temperature)
     assert edited.digest() == tr.Renderer(edit(balanced), rays=2, samples=1).scene.digest()
 

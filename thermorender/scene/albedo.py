@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import Mixture, parts_of
-from thermorender.scene.parts.textures import areas, used_texels
 from thermorender.scene.surface import FILLED, Surface
+from thermorender.scene.textures import areas, used_texels
 from thermorender.units import ZERO_CELSIUS_K
 
 if TYPE_CHECKING:

@@ -14,10 +14,10 @@ from thermorender.errors import ThermorenderError, shortened
 from thermorender.materials import library as material_tables
 from thermorender.materials.material import Material, grey
 from thermorender.scene.declared import Declared
-from thermorender.scene.parts.tracks import COLUMNS
 from thermorender.scene.raster import FORMATS
 from thermorender.scene.spec import ObjectSpec, SceneSpec, SurfaceSpec, TemperatureSpec, WeatherSpec
 from thermorender.scene.surface import Surface, scene_kelvin
+from thermorender.scene.tracks import COLUMNS
 from thermorender.schema import Where, did_you_mean
 from thermorender.units import Stated, with_unit
 

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.materials.material import Material
-from thermorender.scene.parts.cover import Cover
-from thermorender.scene.parts.patch import Patch
-from thermorender.scene.parts.read import Parts
-from thermorender.scene.parts.shape import Shape
+from thermorender.scene.cover import Cover
+from thermorender.scene.files import SceneFiles
+from thermorender.scene.patch import Patch
+from thermorender.scene.shape import Shape
 from thermorender.scene.spec import SceneSpec, WeatherSpec
 from thermorender.sensor.camera import Camera
 
@@ -42,7 +42,7 @@ class Declared:
 
     spec: SceneSpec  # The scene file with those edits that it has keys for
     camera: Camera
-    files: Parts | None = None  # The content of the folder; None for surfaces made in memory
+    files: SceneFiles | None = None  # The content of the folder; None for surfaces made in memory
     in_memory: InMemory | None = None
     time: "np.datetime64 | None" = None  # The instant requested, UTC; None without [weather]
     # Altitude of the frame's origin that the scene file's [atmosphere] states [m]. It belongs to the place, so
@@ -54,7 +54,7 @@ class Declared:
     temperature_map: "TemperatureMap | None" = None  # The learned map of the temperatures, in place of its file
     # Temperatures of the terrain in place of the raster's or the map's [K]
     given_kelvin: tuple[NDArray[Any], ...] | None = None
-    # Materials in place of others, as `thermorender.scene.parts.cover.Replaced` says
+    # Materials in place of others, as `thermorender.scene.cover.Replaced` says
     replaced: Mapping[int | str, Material] = field(default_factory=dict)
     painted: tuple[Patch, ...] = ()  # Areas of the terrain with another material, the latest last
     # Columns of tracks that an edit fixes at one value, by the name of the object

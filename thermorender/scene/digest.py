@@ -13,10 +13,10 @@ import numpy as np
 
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.materials.material import Material
-from thermorender.scene.parts.tracks import TrackedObject
 from thermorender.scene.spec import SunSpec, TemperatureSpec, WeatherSpec
 from thermorender.scene.surface import Surface
 from thermorender.scene.temperature_state import Conditional, Moved, TemperatureState
+from thermorender.scene.tracks import TrackedObject
 from thermorender.schema import every_field
 from thermorender.sensor.camera import Camera
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
-from thermorender.scene.parts.mesh import one_texel_each
+from thermorender.scene.meshes.mesh import one_texel_each
 from thermorender.scene.surface import Surface
 
 Floats = NDArray[np.float64]
@@ -176,7 +176,7 @@ def expanded(surface: Surface) -> Surface:
 
 def read_places(path: Path) -> dict[str, Floats]:
     """Return {column: (n,)} of a table of copies: a CSV with east_m and north_m, and any of the other columns."""
-    from thermorender.scene.parts.tracks import read_columns
+    from thermorender.scene.tracks import read_columns
 
     columns, rows = read_columns(path, ("east_m", "north_m"), ("above_ground_m", "yaw_deg", "scale"))
     if len(rows) > MOST_COPIES:

@@ -8,7 +8,7 @@ from typing import Literal
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.paths import data_folder
 from thermorender.scene.declared import Declared
-from thermorender.scene.parts.read import read_parts
+from thermorender.scene.files import read_files
 from thermorender.scene.scene import Scene
 from thermorender.scene.spec import read_scene
 from thermorender.scene.temperature import learned_map
@@ -55,7 +55,7 @@ def load_scene(name: str | PathLike[str]) -> Scene:
     declared = Declared(
         spec,
         camera,
-        files=read_parts(spec, where),
+        files=read_files(spec, where),
         time=spec.weather.time if spec.weather else None,
         place_altitude_m=spec.atmosphere.altitude_m if spec.atmosphere else None,
         last_sky=spec.sky_temperature,

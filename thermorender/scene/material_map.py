@@ -21,8 +21,8 @@ from thermorender.materials.material import Material
 from thermorender.materials.mixture import palette
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene import terrain
-from thermorender.scene.parts.known_cover import KnownCover, read_known
-from thermorender.scene.parts.orthophoto import read_colour
+from thermorender.scene.mapped_cover import MappedCover, read_mapped_cover
+from thermorender.scene.orthophoto import read_colour
 from thermorender.scene.raster import Grid, grid_of, onto
 from thermorender.scene.spec import DEFAULT_CONFIDENCE, EmissivitySpec, SceneSpec, read_scene
 from thermorender.scene.surface import fill, nearest_valid
@@ -45,7 +45,7 @@ class Context:
     """What a scene knows of its ground beside the orthophoto."""
 
     case: NDArray[np.uint8] | None  # (h, w) uint8 cases of `relief.case_of`, where heights tell materials apart
-    known: KnownCover | None
+    known: MappedCover | None
     notes: tuple[str, ...]  # What is used and what is not, one sentence each
 
     def evidence(self, materials: Sequence[str]) -> list[Evidence]:
@@ -69,7 +69,7 @@ def context_of(
     source: EmissivitySpec, height: NDArray[np.float64], height_grid: Grid, texels: Grid, texel_m: float
 ) -> Context:
     """Return the Context of an orthophoto: of heights (h, w) [m] on a Grid of the same CRS, and of `source.known`."""
-    known = read_known(source.known, texels, texel_m) if source.known else None
+    known = read_mapped_cover(source.known, texels, texel_m) if source.known else None
     case, why = None, "emissivity.heights is false"
     if source.heights:
         post_m = texel_m * float(np.sqrt(abs(height_grid.transform.determinant / texels.transform.determinant)))

@@ -32,16 +32,16 @@ from thermorender.scene.arguments import (
     temperature_spec,
     weather_argument,
 )
+from thermorender.scene.cover import OBJECT, SURFACE_OF_MESH, Cover, Painted
 from thermorender.scene.declared import Declared
 from thermorender.scene.georeference import place_of
-from thermorender.scene.parts.cover import OBJECT, SURFACE_OF_MESH, Cover, Painted
-from thermorender.scene.parts.patch import Patch, areas, texels_in
-from thermorender.scene.parts.shape import Shape
+from thermorender.scene.patch import Patch, areas, texels_in
 from thermorender.scene.pipeline import Values
+from thermorender.scene.shape import Shape
 from thermorender.scene.spec import WEATHER, AtmosphereSpec, EmissivitySpec, SceneSpec, SunSpec, TemperatureSpec
 from thermorender.scene.surface import FALLBACK, UNMOVED, Surface, scene_kelvin
 from thermorender.scene.temperature import learned_map
-from thermorender.scene.temperature_state import Known, Moved
+from thermorender.scene.temperature_state import Available, Moved
 from thermorender.scene.terrain_temperature import Temperatures
 from thermorender.schema import Where, did_you_mean, read
 from thermorender.sensor.camera import Camera, load_camera
@@ -96,7 +96,7 @@ class Scene:
         The declared air in the camera's band.
     tracked_objects : tuple of TrackedObject
         Objects with a track.
-    temperature_state : Known or Pending
+    temperature_state : Available or Pending
         Whether the terrain's temperatures are known, and the source of those that follow the weather.
     emissivity_report : dict
         Report of the learned emissivity map; empty without one.
@@ -598,7 +598,7 @@ class Scene:
         flags : sequence of (h, w) uint8 arrays, optional
             Flags of these texels, in place of the scene's own.
         report, moved_report, notes : optional
-            As of `Known`.
+            As of `Available`.
         scatter_k : sequence of arrays, optional
             Of the last of these surfaces, as of `Surface`.
 
@@ -618,7 +618,7 @@ class Scene:
         own = flags_argument(flags, solved) if flags is not None else [surface.flags for surface in solved]
         moment = instant("with_solved_temperatures: time", time)
         self.weather.at(moment)
-        known = Known(state.source, moment, report or state.report, moved_report or {}, notes)
+        known = Available(state.source, moment, report or state.report, moved_report or {}, notes)
         count = self.terrain_count
         copies = kelvin[count:]
         spread = [None] * (len(copies) - len(scatter_k)) + [np.asarray(each, np.float32) for each in scatter_k]

@@ -18,18 +18,17 @@ from thermorender.errors import ThermorenderError
 from thermorender.materials.extended import within_band
 from thermorender.materials.material import Material
 from thermorender.physics.geodesy import LocalFrame
+from thermorender.scene import coplanar
 from thermorender.scene.albedo import shares, with_albedo
+from thermorender.scene.cover import WHY, Cover, Covering, Replaced, cover_of
 from thermorender.scene.declared import Declared, InMemory
 from thermorender.scene.digest import digest, weather_digest
+from thermorender.scene.files import SceneFiles
 from thermorender.scene.ground import Ground
-from thermorender.scene.parts import coplanar
-from thermorender.scene.parts.cover import WHY, Cover, Covering, Replaced, cover_of
-from thermorender.scene.parts.patch import Patch
-from thermorender.scene.parts.read import Parts
-from thermorender.scene.parts.shape import Held, Placement, Shape, shape_of
-from thermorender.scene.parts.tracks import TrackedObject
+from thermorender.scene.patch import Patch
 from thermorender.scene.pipeline import Pipeline
 from thermorender.scene.raster import Grid
+from thermorender.scene.shape import Held, Placement, Shape, shape_of
 from thermorender.scene.spec import (
     WEATHER,
     AtmosphereSpec,
@@ -42,8 +41,9 @@ from thermorender.scene.spec import (
     WeatherSpec,
 )
 from thermorender.scene.surface import Surface
-from thermorender.scene.temperature_state import Known, TemperatureState
+from thermorender.scene.temperature_state import Available, TemperatureState
 from thermorender.scene.terrain_temperature import Follows, Forcing, Temperatures, follows, temperatures
+from thermorender.scene.tracks import TrackedObject
 from thermorender.sensor.camera import Camera
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def where(spec_folder: "Path") -> str:
     return str(spec_folder / "scene.toml")
 
 
-def frame(files: Parts | None, in_memory: InMemory | None) -> LocalFrame | None:
+def frame(files: SceneFiles | None, in_memory: InMemory | None) -> LocalFrame | None:
     """Return the position of the local East-North-Up frame on Earth; None for a mesh without [frame]."""
     return in_memory.shape.frame if in_memory else files.frame if files else None
 
@@ -104,7 +104,7 @@ def placements(spec_objects: Sequence[ObjectSpec]) -> tuple[Placement, ...]:
 
 
 def shape(
-    files: Parts | None, in_memory: InMemory | None, placements: Sequence[Placement], held: Held, where: str
+    files: SceneFiles | None, in_memory: InMemory | None, placements: Sequence[Placement], held: Held, where: str
 ) -> Shape:
     """Return where the surfaces lie."""
     if in_memory:
@@ -278,7 +278,7 @@ def covering(
     return Covering(spec_emissivity, objects, parts, replaced, painted, learned)
 
 
-def cover(files: Parts | None, in_memory: InMemory | None, covering: Covering, snow: bool, where: str) -> Cover:
+def cover(files: SceneFiles | None, in_memory: InMemory | None, covering: Covering, snow: bool, where: str) -> Cover:
     """Return which material covers each texel and object."""
     if in_memory:
         _refuse_edit(in_memory, "covering", covering, "its materials", where)
@@ -300,8 +300,8 @@ def albedo(spec_weather: WeatherSpec | None) -> float | None:
 
 
 def materials(
-    cover: Cover, files: Parts | None, in_memory: InMemory | None, band_um: tuple[float, float], albedo: float | None,
-    spec_terrain: TerrainSpec, where: str,
+    cover: Cover, files: SceneFiles | None, in_memory: InMemory | None, band_um: tuple[float, float],
+    albedo: float | None, spec_terrain: TerrainSpec, where: str,
 ) -> tuple[Material, ...]:  # fmt: skip
     """Return the materials that `Surface.material` indexes, in the camera's band and of the stated albedo."""
     if in_memory:
@@ -420,7 +420,7 @@ def temperature_state(temperatures: Temperatures) -> TemperatureState:
 
 def solution_notes(temperatures: Temperatures) -> tuple[str, ...]:
     """Return the notes of solving the temperatures."""
-    return temperatures.state.notes if isinstance(temperatures.state, Known) else ()
+    return temperatures.state.notes if isinstance(temperatures.state, Available) else ()
 
 
 def refuse_unsolved(temperatures: Temperatures, where: str) -> None:

@@ -12,10 +12,10 @@ from thermorender.defaults import TEMPERATURE_MAP
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import Mixture, parts_of
-from thermorender.scene.parts.textures import Texture, onto_texels, separate
 from thermorender.scene.raster import Grid, grid_of, onto, opened, read_band
 from thermorender.scene.spec import TemperatureSpec, WeatherSpec
 from thermorender.scene.surface import FALLBACK, MOST_OPEN, Surface, fill, nearest_valid, open_share, scene_kelvin
+from thermorender.scene.textures import Texture, onto_texels, separate
 from thermorender.schema import Where, read
 from thermorender.sensor.radiometric_files import likely_scales
 from thermorender.units import ZERO_CELSIUS_K, kelvin_scale

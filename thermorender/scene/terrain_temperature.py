@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.materials.material import Material
-from thermorender.scene.parts.cover import Cover, Painted
-from thermorender.scene.parts.shape import Placement, Shape
-from thermorender.scene.parts.textures import stating, used_texels
+from thermorender.scene.cover import Cover, Painted
+from thermorender.scene.shape import Placement, Shape
 from thermorender.scene.spec import SunSpec, SurfaceSpec, TemperatureSpec, WeatherSpec
 from thermorender.scene.surface import FALLBACK, UNMOVED, Surface, fill, nearest_valid, scene_kelvin
 from thermorender.scene.temperature import Texels, map_error_k, resolve, trained
-from thermorender.scene.temperature_state import Balance, Conditional, Known, Moved, Pending, TemperatureState
+from thermorender.scene.temperature_state import Available, Balance, Conditional, Moved, Pending, TemperatureState
+from thermorender.scene.textures import stating, used_texels
 
 if TYPE_CHECKING:
     from thermorender.atmosphere.model import Atmosphere
@@ -95,7 +95,7 @@ def temperatures(
             found = _resolved(source, shape, covered)
         kelvin, flags = [each[0] for each in found], [each[1] for each in found]
     if follows != "moved":
-        return Temperatures(kelvin, flags, Known(report=report))
+        return Temperatures(kelvin, flags, Available(report=report))
     weather = trained(spec_temperature, temperature_map)
     assert weather is not None
     moved = Moved(tuple(kelvin), weather, map_error_k(spec_temperature, temperature_map))

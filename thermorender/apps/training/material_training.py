@@ -13,7 +13,7 @@ from thermorender.errors import ThermorenderError, shortened
 from thermorender.learned.emissivity.mapping import MOST_MATERIALS, EmissivityMap
 from thermorender.materials import library as material_tables
 from thermorender.scene.material_map import UNKNOWN_CLASS, orthophoto_of
-from thermorender.scene.parts.patch import name_of, read_features, texels_of
+from thermorender.scene.patch import name_of, read_features, texels_of
 from thermorender.scene.raster import Grid, grid_of, onto, read_classes
 from thermorender.scene.spec import read_scene
 

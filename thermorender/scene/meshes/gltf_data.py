@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.scene.parts.mesh_pieces import Beside
+from thermorender.scene.meshes.mesh_pieces import Beside
 
 # glTF 2.0, sections 3.6.2.2 and 3.6.2.3.
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}

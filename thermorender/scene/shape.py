@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene import instances
+from thermorender.scene.files import SceneFiles
 from thermorender.scene.ground import Ground
-from thermorender.scene.parts.read import Parts
-from thermorender.scene.parts.refine import evened, refined
-from thermorender.scene.parts.textures import Texture
-from thermorender.scene.parts.tracks import TrackedObject
 from thermorender.scene.raster import Grid
+from thermorender.scene.refine import evened, refined
 from thermorender.scene.surface import Surface
+from thermorender.scene.textures import Texture
+from thermorender.scene.tracks import TrackedObject
 
 # Columns of a track that an edit holds at one value, by the name of the object.
 Held = Mapping[str, frozenset[str]]
@@ -49,10 +49,10 @@ class Shape:
     balanced: int = 0  # Number of `static`, the first ones, whose temperatures the heat balance solves
 
 
-def shape_of(parts: Parts, placements: Sequence[Placement], held: Held, where: str) -> Shape:
-    """Return the Shape of a scene's parts with its objects where `placements` says."""
-    ground = Ground(parts.ground)
-    posed = [_posed(part, place, held) for part, place in zip(parts.objects, placements, strict=True)]
+def shape_of(files: SceneFiles, placements: Sequence[Placement], held: Held, where: str) -> Shape:
+    """Return the Shape of a scene's files with its objects where `placements` says."""
+    ground = Ground(files.ground)
+    posed = [_posed(part, place, held) for part, place in zip(files.objects, placements, strict=True)]
     solved = [place.balanced for place in placements]
 
     def placed(one: TrackedObject, values: Mapping[str, float]) -> list[Surface]:
@@ -74,23 +74,23 @@ def shape_of(parts: Parts, placements: Sequence[Placement], held: Held, where: s
     tracked_of = [number for number, one in enumerate(posed) if one.item.track]
     tracked = [posed[number] for number in tracked_of]
     along = [surface for one in tracked for values in one.stations() for surface in placed(one, values)]
-    highest = max(float(surface.vertices[:, 2].max()) for surface in (*parts.ground, *static, *along))
+    highest = max(float(surface.vertices[:, 2].max()) for surface in (*files.ground, *static, *along))
     # The light beside many copies is not resolved by finer ground: the budget has its error.
     bodies = [surface for surface in static if surface.instances is None]
-    finer, done = refined(parts.ground, bodies + along)
+    finer, done = refined(files.ground, bodies + along)
     whole = iter(done)
     static = [next(whole) if surface.instances is None else surface for surface in static]
     return Shape(
-        frame=parts.frame,
-        grid=parts.grid,
+        frame=files.frame,
+        grid=files.grid,
         ground=tuple(evened(surface) for surface in finer),
-        on_ground=parts.on_ground,
+        on_ground=files.on_ground,
         static=tuple(static),
         static_of=tuple(static_of),
         tracked=tuple(replace(one, surfaces=tuple(refined((), one.surfaces)[1])) for one in tracked),
         tracked_of=tuple(tracked_of),
         highest_m=highest,
-        textures=parts.textures,
+        textures=files.textures,
         balanced=balanced,
     )
 

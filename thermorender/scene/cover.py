@@ -1,6 +1,6 @@
 """Which material covers each texel and each object: the scene file's emissivity, materials that edits replace, bands.
 
-The Cover follows from the Parts of a scene and its Covering, and from nothing else.
+The Cover follows from the SceneFiles of a scene and its Covering, and from nothing else.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,10 +14,9 @@ from thermorender.errors import ThermorenderError
 from thermorender.materials import library as material_tables
 from thermorender.materials.material import Material, grey
 from thermorender.materials.mixture import parts_of
+from thermorender.scene.files import SceneFiles
 from thermorender.scene.material_map import Picture, context_of, learned_materials, model_of
-from thermorender.scene.parts.patch import Patch
-from thermorender.scene.parts.read import Parts
-from thermorender.scene.parts.textures import areas, named, separate, stating, used_texels
+from thermorender.scene.patch import Patch
 from thermorender.scene.spec import EmissivitySpec, SurfaceSpec
 from thermorender.scene.surface import (
     FILLED,
@@ -30,6 +29,7 @@ from thermorender.scene.surface import (
     nearest_valid,
     open_share,
 )
+from thermorender.scene.textures import areas, named, separate, stating, used_texels
 
 # New materials by what they replace: a class number, a material's name, or "object:" or "surface:" and a name.
 Replaced = Mapping[int | str, Material]
@@ -103,20 +103,20 @@ class MaterialList:
         return self.numbers[id(material)]
 
 
-def cover_of(parts: Parts, covering: Covering, snow: bool, where: str) -> Cover:
+def cover_of(files: SceneFiles, covering: Covering, snow: bool, where: str) -> Cover:
     """Return the Cover of a scene; `snow` says whether a learned map may find snow.
 
     Where it may not, the report has `WHY` in place of the reason.
     """
     emissivity, objects, surfaces, replaced, painted, _ = covering
     no_snow = "" if snow else WHY
-    materials = MaterialList(parts.library, replaced, covering.band_um, where)
+    materials = MaterialList(files.library, replaced, covering.band_um, where)
     report: dict[str, Any] = {}
-    if parts.grid is None:
-        ground = _mesh_cover(parts, emissivity, surfaces, materials, report, no_snow)
+    if files.grid is None:
+        ground = _mesh_cover(files, emissivity, surfaces, materials, report, no_snow)
     else:
-        ground = [_raster_cover(parts, parts.ground[0], emissivity, materials, report, no_snow)]
-        ground = [_painted(ground[0], painted, materials, parts.colour is None)]
+        ground = [_raster_cover(files, files.ground[0], emissivity, materials, report, no_snow)]
+        ground = [_painted(ground[0], painted, materials, files.colour is None)]
     numbers = tuple(materials.index(material, f"object {name!r}", OBJECT + name) for name, material in objects)
     for key in materials.unused:
         known = dict.fromkeys(part.name for each in materials.used for part, _ in parts_of(each))
@@ -133,31 +133,31 @@ def _key_words(key: int | str) -> str:
 
 
 def _raster_cover(
-    parts: Parts,
+    files: SceneFiles,
     surface: Surface,
     emissivity: EmissivitySpec,
     materials: MaterialList,
     report: dict[str, Any],
     no_snow: str,
 ) -> Painted:
-    shape, colour = surface.flags.shape, parts.colour
+    shape, colour = surface.flags.shape, files.colour
     valid, unknown = np.ones(shape, dtype=bool), np.zeros(shape, dtype=bool)
-    if parts.valid is not None:
-        valid = parts.valid.copy()
+    if files.valid is not None:
+        valid = files.valid.copy()
     if emissivity.source == "learned":
-        if parts.colour is None:
+        if files.colour is None:
             raise ThermorenderError(
                 f"{materials.where}: a learned emissivity map reads materials from an orthophoto; add "
                 "terrain.orthophoto"
             )
-        filled = parts.colour if valid.all() else fill(parts.colour, nearest_valid(valid))
-        assert parts.height is not None and parts.grid is not None
+        filled = files.colour if valid.all() else fill(files.colour, nearest_valid(valid))
+        assert files.height is not None and files.grid is not None
         picture = Picture(filled, valid, surface.texel_m,
-                          context_of(emissivity, *parts.height, parts.grid, surface.texel_m))  # fmt: skip
+                          context_of(emissivity, *files.height, files.grid, surface.texel_m))  # fmt: skip
         (material,), (unknown,) = _learned([picture], emissivity, materials, report, no_snow)
-    elif emissivity.source == "classes" and parts.classes is not None:
+    elif emissivity.source == "classes" and files.classes is not None:
         material, known, unknown, share = _of_classes(
-            parts.classes, valid, parts.on_ground, f"{emissivity.raster}", emissivity, materials
+            files.classes, valid, files.on_ground, f"{emissivity.raster}", emissivity, materials
         )
         if share > 0.0:
             rest = emissivity.fallback or "the class beside them"
@@ -170,8 +170,8 @@ def _raster_cover(
     if not valid.all():
         index = nearest_valid(valid)
         colour, material = fill(colour, index), fill(material, index)
-    if parts.filled is not None:
-        valid &= ~parts.filled
+    if files.filled is not None:
+        valid &= ~files.filled
     flags = np.full(shape, SURFACE, np.uint8)
     flags[~valid] |= FILLED
     flags[unknown] |= UNKNOWN
@@ -201,18 +201,18 @@ def _of_classes(
 
 
 def _mesh_cover(
-    parts: Parts, emissivity: EmissivitySpec, surfaces: Sequence[SurfaceSpec], materials: MaterialList,
+    files: SceneFiles, emissivity: EmissivitySpec, surfaces: Sequence[SurfaceSpec], materials: MaterialList,
     report: dict[str, Any], no_snow: str,
 ) -> list[Painted]:  # fmt: skip
     """The Painted of each surface of a mesh: by an edit, its [[surface]], its class raster or [emissivity]."""
-    textures, where = parts.textures, materials.where
+    textures, where = files.textures, materials.where
     edits = [str(key).removeprefix(SURFACE_OF_MESH) for key in materials.replaced
              if str(key).startswith(SURFACE_OF_MESH)]  # fmt: skip
     edited = named(textures, edits, where, "with_material: surface")
     stated = stating(textures, surfaces, ("material", "classes"), where)
     found: list[Painted | None] = []
     missing: list[tuple[float, float]] = []
-    for surface, texture, edit, own in zip(parts.ground, textures, edited, stated, strict=True):
+    for surface, texture, edit, own in zip(files.ground, textures, edited, stated, strict=True):
         shape = surface.flags.shape
         if edit is not None:
             key = SURFACE_OF_MESH + edits[edit]
@@ -251,14 +251,14 @@ def _mesh_cover(
         report.update(model="the class rasters", fallback=rest, share_unknown=share)
     waiting = [k for k, painted in enumerate(found) if painted is None]
     if waiting:
-        made = _learned_mesh(parts, waiting, emissivity, materials, report, no_snow)
+        made = _learned_mesh(files, waiting, emissivity, materials, report, no_snow)
         for k, painted in zip(waiting, made, strict=True):
             found[k] = painted
     return [painted for painted in found if painted is not None]
 
 
 def _learned_mesh(
-    parts: Parts,
+    files: SceneFiles,
     numbers: Sequence[int],
     emissivity: EmissivitySpec,
     materials: MaterialList,
@@ -266,7 +266,7 @@ def _learned_mesh(
     no_snow: str,
 ) -> list[Painted]:
     """The Painted of some surfaces by a learned map; those without a texture have the fallback."""
-    pictured = [k for k in numbers if parts.textures[k].size and not separate(parts.ground[k])]
+    pictured = [k for k in numbers if files.textures[k].size and not separate(files.ground[k])]
     if not pictured:
         raise ThermorenderError(
             f"{materials.where}: emissivity.source='learned' reads materials from textures, and this mesh has none; "
@@ -274,7 +274,7 @@ def _learned_mesh(
         )
     pictures = []
     for k in pictured:
-        surface = parts.ground[k]
+        surface = files.ground[k]
         used = used_texels(surface)
         colour = surface.colour if used.all() else fill(surface.colour, nearest_valid(used))
         pictures.append(
@@ -286,7 +286,7 @@ def _learned_mesh(
     of = dict(zip(pictured, zip(number, unknown, strict=True), strict=True))
     found = []
     for k in numbers:
-        surface = parts.ground[k]
+        surface = files.ground[k]
         shape = surface.flags.shape
         material, flagged = of.get(k, (np.full(shape, rest, np.uint8), np.ones(shape, bool)))
         flags = surface.flags | np.where(flagged, UNKNOWN, 0).astype(np.uint8)

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.physics.geodesy import FARTHEST_M
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
-from thermorender.scene.parts import gltf, obj, ply
-from thermorender.scene.parts.mesh_pieces import GREY, Beside, Coat, Piece, of_faces, several
+from thermorender.scene.meshes import gltf, obj, ply
+from thermorender.scene.meshes.mesh_pieces import GREY, Beside, Coat, Piece, of_faces, several
 from thermorender.scene.surface import MOST_TEXELS
 
 # Not archives, which trimesh reads too: they contain other files.
