@@ -96,14 +96,9 @@ class Instances:
 
 
 def placed(surface: Surface, place: Mapping[str, Floats]) -> Surface:
-    """Return the Surface of copies of a body.
+    """Return the Surface of copies of a body that is given in its own frame.
 
-    Parameters
-    ----------
-    surface : Surface
-        The body in its own frame.
-    place : mapping
-        {"position": (n, 3) [m], "yaw_deg": (n,), "scale": (n,)}.
+    `place` is {"position": (n, 3) [m], "yaw_deg": (n,), "scale": (n,)}.
     """
     body = Instances(surface.vertices, surface.faces, np.zeros(len(surface.faces), np.uint8), **place)
     patch = _patches(surface.vertices[surface.faces], body.face_area)

@@ -110,28 +110,11 @@ def learned_materials(
 ) -> tuple[list[NDArray[np.uint8]], list[Material], list[NDArray[np.bool_]], dict[str, Any]]:  # fmt: skip
     """Return (numbers (h, w) uint8, materials and mixes, unknown (h, w) bool, report) of a terrain's pictures.
 
-    Parameters
-    ----------
-    source : EmissivitySpec
-        Of source "learned".
-    library : dict of str to Material
-    pictures : sequence of Picture
-        They share the materials and mixes; numbers and unknown have an array for each.
-    band_um : (2,) floats
-        The camera's band [µm].
-    where : str
-        Name of the scene file, for messages.
-    no_snow : str
-        Why no snow lies there, as of `Weather.why_no_snow`; "" if it may.
-
-    Returns
-    -------
-    unknown : list of (h, w) bool
-        Where the fallback is used, the last of the materials returned, or the emissivity's standard deviation is larger
-        than `source.most_std`.
-    report : dict
-        Shares of texels with the fallback and with a large standard deviation, mean confidence and standard deviation
-        (left out if all have the fallback), errors of the palette, the coarsest texel, and sentences on the context.
+    Pictures share the materials and mixes; numbers and unknown have an array for each. A texel is unknown where the
+    fallback is used, the last of the materials, or where its emissivity's standard deviation is above
+    `source.most_std`. `no_snow` is the reason why no snow lies there, or "". The report has shares of texels with the
+    fallback and with a large standard deviation, mean confidence and standard deviation (left out if all have the
+    fallback), errors of the palette, the coarsest texel, and sentences on the context.
     """
     assert source.fallback is not None
     model, notes = model_of(source, library, where, no_snow)
