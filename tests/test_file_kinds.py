@@ -5,7 +5,7 @@ from pathlib import Path
 
 from thermorender.apps.lands.solids.clouds import SUFFIXES as CLOUDS
 from thermorender.apps.training.translate import VIDEOS
-from thermorender.scene.parts.mesh import FORMATS
+from thermorender.scene.meshes.mesh import FORMATS
 from thermorender.sensor.radiometric_files import SUFFIXES
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -32,7 +32,9 @@ def names_in(path):
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.isidentifier():
             found.add(node.value)
         if isinstance(node, ast.ClassDef):
-            own = [getattr(each, "target", each) for each in node.body]
+            own = [
+                each.targets[0] if isinstance(each, ast.Assign) else getattr(each, "target", each) for each in node.body
+            ]
             members |= {f"{node.name}.{getattr(each, 'id', getattr(each, 'name', None))}" for each in own}
     return found - {None}, members
 

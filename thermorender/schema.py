@@ -151,9 +151,9 @@ def checked(settings: Any, name: str) -> dict[str, Any]:
     return {item.name: item.metadata["read"](getattr(settings, item.name), where.of(item.name)) for item in rows}
 
 
-def every_field(value):
-    """Return the text of a dataclass with all its fields, as `Camera(name='…', …)`, for fingerprints of its values."""
-    shown = ", ".join(f"{item.name}={getattr(value, item.name)!r}" for item in fields(value))
+def every_field(value: Any, without: str = "") -> str:
+    """Return the text of a dataclass with all its fields but one, as `Camera(name='…', …)`, for fingerprints."""
+    shown = ", ".join(f"{item.name}={getattr(value, item.name)!r}" for item in fields(value) if item.name != without)
     return f"{type(value).__qualname__}({shown})"
 
 

@@ -226,11 +226,11 @@ def test_baked_scenes_and_frames_work_in_processes_without_the_files(tmp_path):
 import pickle, sys
 import numpy as np
 import thermorender as tr
-from thermorender.scene.temperature_state import Conditional, Known
+from thermorender.scene.temperature_state import Conditional, Available
 baked, frame, digest = pickle.load(open({str(tmp_path / "kept")!r}, "rb"))
 again = tr.Renderer.of(baked).frame(frame.pose)
 assert np.array_equal(again.radiance, frame.radiance)
-assert isinstance(baked.scene.temperature_state, Known) and baked.scene.digest() == digest
+assert isinstance(baked.scene.temperature_state, Available) and baked.scene.digest() == digest
 assert isinstance(baked.scene.temperature_state.source, Conditional)
 assert frame.truth["mask"].any() and frame.time == baked.scene.time
 """

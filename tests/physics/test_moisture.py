@@ -11,7 +11,7 @@ from thermorender.materials.shifted import shifted
 from thermorender.physics import moisture, snow
 from thermorender.scene import open_ground
 from thermorender.scene.load import load_scene
-from thermorender.scene.state.weathered_ground import in_weather, leaf_notes, lying_snow, parted, season, water_of
+from thermorender.scene.weathered_ground import in_weather, leaf_notes, lying_snow, parted, season, water_of
 from thermorender.weather.series import Conditions, Weather
 from validation.heat.sites import carried
 

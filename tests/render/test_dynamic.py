@@ -10,7 +10,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.formats import write_image
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
 from thermorender.render.light import radiosity
-from thermorender.scene.parts.tracks import read_track
+from thermorender.scene.tracks import read_track
 
 BAND = (7.5, 13.5)
 

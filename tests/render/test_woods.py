@@ -11,7 +11,7 @@ from scenes import coarse, write_balance
 from thermorender.apps.lands.solids.plants import edge_of, leaves, surface_m2, write_leaf_tables
 from thermorender.physics.sun import position_at
 from thermorender.scene.instances import expanded
-from thermorender.scene.parts.mesh import one_texel_each
+from thermorender.scene.meshes.mesh import one_texel_each
 
 SIDE_M, SEEDS = 40, range(6)
 # Shares of a crown's half height at which a crown of each shape is as wide as its radius times the second number.

@@ -17,7 +17,7 @@ from thermorender.formats import write_text
 from thermorender.materials.material import grey
 from thermorender.physics.geodesy import FLATTENING, SEMI_MAJOR_AXIS_M
 from thermorender.physics.planck import band_radiance, brightness_temperature
-from thermorender.scene.parts.mesh import load, primitive
+from thermorender.scene.meshes.mesh import load, primitive
 from thermorender.scene.surface import BACKGROUND, BEHIND, FILLED, SURFACE, Surface
 from thermorender.schema import toml_text
 

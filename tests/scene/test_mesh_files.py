@@ -13,7 +13,7 @@ from PIL import Image
 from thermorender.errors import ThermorenderError
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
 from thermorender.scene.load import load_scene
-from thermorender.scene.parts.mesh import load
+from thermorender.scene.meshes.mesh import load
 
 RED, GREEN, BLUE, WHITE = (200, 0, 0), (0, 180, 0), (0, 0, 160), (255, 255, 255)
 # Upper left, upper right, lower left, lower right quadrant of `QUARTERS`.

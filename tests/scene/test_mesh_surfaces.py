@@ -11,7 +11,7 @@ from scenes import WEATHER, write_raster
 from thermorender.errors import ThermorenderError
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
 from thermorender.scene.material_map import write_map
-from thermorender.scene.parts.mesh import load
+from thermorender.scene.meshes.mesh import load
 from thermorender.scene.spec import EmissivitySpec
 from thermorender.scene.surface import FALLBACK, FILLED, UNKNOWN
 

@@ -10,7 +10,7 @@ from thermorender.apps.lands.import_terrain import import_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.scene import terrain
 from thermorender.scene.load import load_scene
-from thermorender.scene.parts.orthophoto import read_colour
+from thermorender.scene.orthophoto import read_colour
 from thermorender.scene.surface import FALLBACK, FILLED, UNKNOWN
 
 CRS, LEFT, TOP, SIDE = "EPSG:32632", 500000.0, 5300000.0, 32.0

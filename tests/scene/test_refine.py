@@ -10,7 +10,7 @@ import thermorender as tr
 from scenes import write_mesh, write_terrain
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render import reference
-from thermorender.scene.parts.refine import _lattice, evened
+from thermorender.scene.refine import _lattice, evened
 from thermorender.trajectory.path import pose
 
 DISC = """

@@ -18,7 +18,7 @@ from thermorender.learned.emissivity import relief
 from thermorender.learned.emissivity.mapping import Evidence, load_map, map_materials, save_map
 from thermorender.materials.library import load_library
 from thermorender.materials.mixture import spectra_of
-from thermorender.scene.parts.known_cover import RULES, read_known
+from thermorender.scene.mapped_cover import RULES, read_mapped_cover
 from thermorender.scene.raster import grid_of
 from thermorender.scene.surface import UNKNOWN
 from thermorender.weather.named_day import named_day
@@ -296,7 +296,7 @@ def test_shapes_that_are_not_used_are_counted(tmp_path):
         ({"landuse": "residential"}, "Polygon", box(0, 0, 32, 32)),
         ({"man_made": "mast"}, "Point", [(1, 1)]),
     )  # fmt: skip
-    known = read_known(file, grid_of(path), 0.5)
+    known = read_mapped_cover(file, grid_of(path), 0.5)
     assert (known.number[8:20, 8:24] == 1).all() and known.number.sum() == 12 * 16
     assert known.cases == (("roof",),)
     assert known.notes == (
@@ -324,7 +324,7 @@ def test_shapes_without_corners_are_counted_and_the_others_are_used(tmp_path, ki
     geometry = content["features"][0]["geometry"]
     geometry.update(type=kind, coordinates=wrapped(geometry["coordinates"]))
     file.write_text(json.dumps(content))
-    known = read_known(file, grid_of(path), 0.5)
+    known = read_mapped_cover(file, grid_of(path), 0.5)
     assert known.number.sum() == 20 * 20 + used * 12 * 16
     left_out = () if used else ("a.geojson: left out are 1 without a shape",)
     assert known.notes[1:] == left_out
@@ -344,13 +344,13 @@ def test_shapes_without_corners_are_counted_and_the_others_are_used(tmp_path, ki
 )  # fmt: skip
 def test_tags_name_kinds_of_material(tmp_path, tags, kinds):
     path = write_raster(tmp_path / "o.tif", np.zeros((3, 64, 64), np.uint8), 0.5)
-    known = read_known(shapes(tmp_path / "a.geojson", (tags, "Polygon", box(2, 2, 9, 9))), grid_of(path), 0.5)
+    known = read_mapped_cover(shapes(tmp_path / "a.geojson", (tags, "Polygon", box(2, 2, 9, 9))), grid_of(path), 0.5)
     assert known.cases == (kinds,)
 
 
 def test_snow_and_materials_of_unknown_kind_stay_possible_in_every_shape(tmp_path):
     path = write_raster(tmp_path / "o.tif", np.zeros((3, 64, 64), np.uint8), 0.5)
-    known = read_known(shapes(tmp_path / "a.geojson", HOUSE), grid_of(path), 0.5)
+    known = read_mapped_cover(shapes(tmp_path / "a.geojson", HOUSE), grid_of(path), 0.5)
     names = ["roof_slate", "snow", "brass", "asphalt", "water"]
     assert known.evidence(names).factor.tolist() == [[1, 1, 1, 1, 1], [1, 1, 1, 0, 0]]
     assert known.beyond(["asphalt", "water"]) == ["roof_shingle"] and known.beyond(names) == []
@@ -379,7 +379,7 @@ def test_every_rule_names_materials_of_the_library():
 def test_shapes_elsewhere_are_refused(tmp_path, features, crs, words):
     path = write_raster(tmp_path / "o.tif", np.zeros((3, 64, 64), np.uint8), 0.5)
     with pytest.raises(ThermorenderError, match=words):
-        read_known(shapes(tmp_path / "a.geojson", *features, crs=crs), grid_of(path), 0.5)
+        read_mapped_cover(shapes(tmp_path / "a.geojson", *features, crs=crs), grid_of(path), 0.5)
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from thermorender.materials.library import load_library
 from thermorender.render.plan import make_plan
 from thermorender.scene.spec import AtmosphereSpec, EmissivitySpec, TemperatureSpec, WeatherSpec
 from thermorender.scene.surface import SURFACE
-from thermorender.scene.temperature_state import Balance, Known, Moved, Pending
+from thermorender.scene.temperature_state import Available, Balance, Moved, Pending
 from thermorender.sensor.camera import load_camera
 
 CAMERA = dataclasses.replace(load_camera("zenmuse-xt2"), width=16, height=12, pixel_pitch_um=400.0, f_number=12.0)
@@ -220,7 +220,7 @@ def test_temperatures_follow_an_edit_of_time_or_weather(balanced, solved):
 )  # fmt: skip
 def test_solved_temperatures_are_pending_again_after_an_edit_they_depend_on(balanced, solved, edit):
     """They stayed unchanged, up to 18.5 K off."""
-    assert isinstance(solved.temperature_state, Known) and isinstance(solved.temperature_state.source, Balance)
+    assert isinstance(solved.temperature_state, Available) and isinstance(solved.temperature_state.source, Balance)
     edited, unsolved = edit(solved), edit(balanced)
     assert isinstance(edited.temperature_state, Pending) and isinstance(edited.temperature_state.source, Balance)
     assert np.isnan(edited.surfaces[0].temperature).all() and edited.digest() == unsolved.digest()
@@ -235,7 +235,7 @@ def test_solved_temperatures_are_pending_again_after_an_edit_they_depend_on(bala
 )
 def test_solved_temperatures_stay_after_an_edit_they_do_not_depend_on(balanced, solved, edit):
     edited = edit(solved)
-    assert isinstance(edited.temperature_state, Known) and edited.time == solved.time
+    assert isinstance(edited.temperature_state, Available) and edited.time == solved.time
     np.testing.assert_array_equal(edited.surfaces[0].temperature, solved.surfaces[0].temperature)
     assert edited.digest() == tr.Renderer(edit(balanced), rays=2, samples=1).scene.digest()
 
@@ -390,24 +390,20 @@ def test_a_sun_without_air_is_refused_when_the_scene_is_rendered(weathered):
     assert frame_of(shone.with_sun(None)).tobytes() == frame_of(weathered).tobytes()
 
 
-def tampered(scene, **changes):
-    """A scene with parts replaced without its edits."""
-    other = copy.copy(scene)
-    vars(other)["_derived"] = dataclasses.replace(scene._derived, **changes)
-    return other
+def test_the_renderer_refuses_a_scene_of_surfaces_that_cannot_be_rendered(weathered):
+    ground = weathered.surfaces[0]
+    cold = dataclasses.replace(ground, temperature=np.full_like(ground.temperature, np.nan))
 
+    def made(surface=ground, count=1, **changes):
+        return tr.Scene.of_surfaces(dataclasses.replace(weathered.spec, objects=(), **changes), [surface],
+                                    weathered.materials[:count], CAMERA)  # fmt: skip
 
-def test_the_renderer_refuses_a_scene_whose_parts_disagree(weathered, solved):
-    renderer = tr.Renderer(weathered.with_air("tropical"), rays=1, samples=1)
-    known = dataclasses.replace(solved.temperature_state, time=solved.time - np.timedelta64(1, "h"))
+    renderer = tr.Renderer(made(count=2), rays=1, samples=1)
     cases = [
-        (tampered(weathered.with_air("tropical"), air=weathered.with_camera(NARROW).with_air("tropical").air),
-         "the air is that of 8–12 µm and the camera 'zenmuse-xt2' sees 7.5–13.5 µm; set the camera by with_camera"),
-        (tampered(solved, temperature_state=known), "the temperatures were solved for 2018-07-28T11:00:00Z and the"),
-        (tampered(weathered, cover=dataclasses.replace(weathered._derived.cover, materials=weathered.materials[:1])),
-         "a texel has material number 2, but the scene has 1 materials"),
-        (tampered(solved, surfaces=tuple(dataclasses.replace(s, temperature=s.temperature * np.nan)
-                                         for s in solved.surfaces)), "texels of the terrain have no temperature"),
+        (made(), "a texel has material number 1, but the scene has 1 materials"),
+        (made(dataclasses.replace(ground, material=0 * ground.material), sky_temperature=None),
+         r"the scene has neither sky nor air; call with_sky\(kelvin\) or with_air\(name\)"),
+        (made(dataclasses.replace(cold, material=0 * ground.material)), "texels of the terrain have no temperature"),
     ]  # fmt: skip
     for scene, words in cases:
         for use in (lambda s: tr.Renderer(s, rays=1), make_plan, renderer.baked.solved_for):

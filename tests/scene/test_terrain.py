@@ -14,7 +14,7 @@ from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene import terrain
 from thermorender.scene.ground import Ground
 from thermorender.scene.load import load_scene
-from thermorender.scene.parts.mesh import load, primitive
+from thermorender.scene.meshes.mesh import load, primitive
 from thermorender.scene.raster import Grid
 from thermorender.scene.surface import FILLED, fill, nearest_valid
 

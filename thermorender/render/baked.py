@@ -180,14 +180,9 @@ class BakedScene:
 
     def seen_as(self, scene: Scene, plan: Plan) -> "BakedScene | None":
         """Return this light under another camera or sampling, or None where `scene` and `plan` change the light."""
-        old = self.scene
-        parts = ("surfaces", "materials", "air", "tracked_objects")
-        same = all(getattr(scene, name) is getattr(old, name) for name in parts)
         light = ("rays", "tolerance_mk", "band_um")
-        same &= all(getattr(plan, name) == getattr(self.plan, name) for name in light)
-        # The altitude determines the position of the scene in its air.
-        same &= all(getattr(scene, name) == getattr(old, name) for name in ("sun", "altitude_m", "terrain_count"))
-        same &= replace(scene.spec, camera="") == replace(old.spec, camera="")
+        same = all(getattr(plan, name) == getattr(self.plan, name) for name in light)
+        same &= scene.changes(self.scene) <= {"camera"}
         return replace(self, scene=scene, plan=plan) if same else None
 
 

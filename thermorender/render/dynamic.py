@@ -24,8 +24,8 @@ from thermorender.render.light.environment import Environment
 from thermorender.render.light.gmres import gmres
 from thermorender.render.plan import Plan
 from thermorender.render.reflection import mirrors
-from thermorender.scene.parts.tracks import TrackedObject
 from thermorender.scene.scene import Scene
+from thermorender.scene.tracks import TrackedObject
 
 # {name of a dynamic object: {column of its track: value}}.
 Objects = Mapping[str, Mapping[str, float]]

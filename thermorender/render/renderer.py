@@ -460,7 +460,7 @@ def _colours(geometry: Geometry, surfaces: Sequence[Surface]) -> OutgoingRadianc
 
 def _solved(scene: Scene, like: "Renderer | None", geometry: Geometry, progress: Progress | None) -> Scene:
     """A scene with its temperatures solved; those of `like` where only the camera differs."""
-    if like is not None and scene.like_but_for_camera(like._asked):
+    if like is not None and scene.changes(like._asked) <= {"camera"}:
         known = like.scene.with_camera(scene.camera)
         # A conditional map's temperatures depend on the sky in the camera's band and may differ.
         if known.temperature_state.solved:

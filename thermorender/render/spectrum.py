@@ -191,11 +191,6 @@ class Envelope:
         own = [temperature for _, temperature in self.objects]
         return [*self.ground, *own, *skies, self.surroundings_temperature]
 
-    def lit_as(self, other: "Envelope") -> bool:
-        """Return whether the light of two envelopes differs by the emissivity of materials alone."""
-        fields = "band_um", "ground", "objects", "sky_temperature", "surroundings_temperature", "altitude_m"
-        return self.air is other.air and all(getattr(self, name) == getattr(other, name) for name in fields)
-
     def sources(self, points: Points) -> tuple[Floats, Floats, Floats]:
         """Return emission at the points: (outside (n, Q), ground (2, Q), objects (t, Q)).
 
@@ -294,7 +289,7 @@ def kept_spectrum(
     reflected[kept] = spectrum.reflected[row]
     # Only what new materials reflect, and what reflects their light, has another error; in other light all has.
     new, reach = np.setdiff1d(np.arange(len(spectra)), kept), spectrum.nodes_mk
-    if not envelope.lit_as(spectrum.envelope):
+    if envelope != spectrum.envelope:
         new, reach = np.arange(len(spectra)), 0.0
     if len(new):
         case = _Case(points, spectra[new], envelope, paths, spectra)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
-from thermorender.scene.parts.mesh import one_texel_each
+from thermorender.scene.meshes.mesh import one_texel_each
 from thermorender.scene.surface import Surface
 
 Floats = NDArray[np.float64]
@@ -96,14 +96,9 @@ class Instances:
 
 
 def placed(surface: Surface, place: Mapping[str, Floats]) -> Surface:
-    """Return the Surface of copies of a body.
+    """Return the Surface of copies of a body that is given in its own frame.
 
-    Parameters
-    ----------
-    surface : Surface
-        The body in its own frame.
-    place : mapping
-        {"position": (n, 3) [m], "yaw_deg": (n,), "scale": (n,)}.
+    `place` is {"position": (n, 3) [m], "yaw_deg": (n,), "scale": (n,)}.
     """
     body = Instances(surface.vertices, surface.faces, np.zeros(len(surface.faces), np.uint8), **place)
     patch = _patches(surface.vertices[surface.faces], body.face_area)
@@ -176,7 +171,7 @@ def expanded(surface: Surface) -> Surface:
 
 def read_places(path: Path) -> dict[str, Floats]:
     """Return {column: (n,)} of a table of copies: a CSV with east_m and north_m, and any of the other columns."""
-    from thermorender.scene.parts.tracks import read_columns
+    from thermorender.scene.tracks import read_columns
 
     columns, rows = read_columns(path, ("east_m", "north_m"), ("above_ground_m", "yaw_deg", "scale"))
     if len(rows) > MOST_COPIES:

@@ -7,10 +7,10 @@ from typing import Literal
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.paths import data_folder
-from thermorender.scene.parts.read import read_parts
+from thermorender.scene.declared import Declared
+from thermorender.scene.files import read_files
 from thermorender.scene.scene import Scene
 from thermorender.scene.spec import read_scene
-from thermorender.scene.state.declared import Declared
 from thermorender.scene.temperature import learned_map
 from thermorender.sensor.camera import load_camera
 from thermorender.trajectory.path import Anchor, Trajectory
@@ -55,14 +55,15 @@ def load_scene(name: str | PathLike[str]) -> Scene:
     declared = Declared(
         spec,
         camera,
+        files=read_files(spec, where),
         time=spec.weather.time if spec.weather else None,
-        altitude_m=spec.atmosphere.altitude_m if spec.atmosphere else None,
-        sky_temperature=spec.sky_temperature,
-        model=learned_map(spec.temperature),
+        place_altitude_m=spec.atmosphere.altitude_m if spec.atmosphere else None,
+        last_sky=spec.sky_temperature,
+        temperature_map=learned_map(spec.temperature),
         truth=spec.truth_temperature,
         truth_weather=spec.weather,
     )
-    return Scene(read_parts(spec, where), declared)
+    return Scene(declared)
 
 
 def load_trajectory(

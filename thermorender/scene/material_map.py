@@ -21,12 +21,12 @@ from thermorender.materials.material import Material
 from thermorender.materials.mixture import palette
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene import terrain
-from thermorender.scene.parts.known_cover import KnownCover, read_known
-from thermorender.scene.parts.orthophoto import read_colour
+from thermorender.scene.mapped_cover import MappedCover, read_mapped_cover
+from thermorender.scene.orthophoto import read_colour
 from thermorender.scene.raster import Grid, grid_of, onto
 from thermorender.scene.spec import DEFAULT_CONFIDENCE, EmissivitySpec, SceneSpec, read_scene
-from thermorender.scene.state.weathered_ground import is_snow
 from thermorender.scene.surface import fill, nearest_valid
+from thermorender.scene.weathered_ground import is_snow
 
 # Of the 255 material numbers of a texel; the rest is for objects.
 _MOST_MIXES = 200
@@ -45,7 +45,7 @@ class Context:
     """What a scene knows of its ground beside the orthophoto."""
 
     case: NDArray[np.uint8] | None  # (h, w) uint8 cases of `relief.case_of`, where heights tell materials apart
-    known: KnownCover | None
+    known: MappedCover | None
     notes: tuple[str, ...]  # What is used and what is not, one sentence each
 
     def evidence(self, materials: Sequence[str]) -> list[Evidence]:
@@ -69,7 +69,7 @@ def context_of(
     source: EmissivitySpec, height: NDArray[np.float64], height_grid: Grid, texels: Grid, texel_m: float
 ) -> Context:
     """Return the Context of an orthophoto: of heights (h, w) [m] on a Grid of the same CRS, and of `source.known`."""
-    known = read_known(source.known, texels, texel_m) if source.known else None
+    known = read_mapped_cover(source.known, texels, texel_m) if source.known else None
     case, why = None, "emissivity.heights is false"
     if source.heights:
         post_m = texel_m * float(np.sqrt(abs(height_grid.transform.determinant / texels.transform.determinant)))
@@ -110,28 +110,11 @@ def learned_materials(
 ) -> tuple[list[NDArray[np.uint8]], list[Material], list[NDArray[np.bool_]], dict[str, Any]]:  # fmt: skip
     """Return (numbers (h, w) uint8, materials and mixes, unknown (h, w) bool, report) of a terrain's pictures.
 
-    Parameters
-    ----------
-    source : EmissivitySpec
-        Of source "learned".
-    library : dict of str to Material
-    pictures : sequence of Picture
-        They share the materials and mixes; numbers and unknown have an array for each.
-    band_um : (2,) floats
-        The camera's band [µm].
-    where : str
-        Name of the scene file, for messages.
-    no_snow : str
-        Why no snow lies there, as of `Weather.why_no_snow`; "" if it may.
-
-    Returns
-    -------
-    unknown : list of (h, w) bool
-        Where the fallback is used, the last of the materials returned, or the emissivity's standard deviation is larger
-        than `source.most_std`.
-    report : dict
-        Shares of texels with the fallback and with a large standard deviation, mean confidence and standard deviation
-        (left out if all have the fallback), errors of the palette, the coarsest texel, and sentences on the context.
+    Pictures share the materials and mixes; numbers and unknown have an array for each. A texel is unknown where the
+    fallback is used, the last of the materials, or where its emissivity's standard deviation is above
+    `source.most_std`. `no_snow` is the reason why no snow lies there, or "". The report has shares of texels with the
+    fallback and with a large standard deviation, mean confidence and standard deviation (left out if all have the
+    fallback), errors of the palette, the coarsest texel, and sentences on the context.
     """
     assert source.fallback is not None
     model, notes = model_of(source, library, where, no_snow)

@@ -75,19 +75,10 @@ def columns(
     materials: "Sequence[Material]", weather: Weather, snow_m: float = 0.0, station_roughness_m: float | None = None,
     layers: int = LAYERS,
 ) -> Columns:  # fmt: skip
-    """Return the Columns of materials.
+    """Return the Columns of materials that have thermal properties.
 
-    Parameters
-    ----------
-    materials : sequence of Material
-        Each with thermal properties.
-    weather : Weather
-        For the heights of its sensors.
-    snow_m : float
-        Depth of a material that is snow [m], in place of its table's; 0: the table's.
-    station_roughness_m : float, optional
-        Of the land around the station; None: the station is on the material itself.
-    layers : int
+    `snow_m` is the depth of a material that is snow [m], in place of its table's; 0: the table's. `station_roughness_m`
+    is of the land around the station; None: the station is on the material itself.
     """
     made = [_column(material, weather, snow_m, station_roughness_m, layers) for material in materials]
     stacked: dict[str, Any] = {}
@@ -216,16 +207,8 @@ def forcing(
 ) -> Forcing:  # fmt: skip
     """Return the Forcing of level, open ground under Conditions of one instant.
 
-    Parameters
-    ----------
-    found : Conditions
-    columns : Columns
-    sun_sine : float
-        Sine of the sun's elevation.
-    inside_k : float
-        Air inside buildings [K].
-    shortwave : float, optional
-        Measured absorbed sunlight [W m⁻²]; by default it is computed from the absorptance.
+    `sun_sine` is of the sun's elevation, `inside_k` the air inside buildings [K], `shortwave` measured absorbed
+    sunlight [W m⁻²]; by default it is computed from the absorptance.
     """
     level = found.direct_w_m2 * np.maximum(sun_sine, 0.0) + found.diffuse_w_m2
     return Forcing(
@@ -296,13 +279,8 @@ def settled(columns: Columns, weather: Weather, at: np.datetime64, inside_k: flo
 def settle(columns: Columns, mean_k: float, day: "Callable[[State], tuple[State, Any]]") -> "tuple[State, float]":
     """Return (State, change of its surfaces over the last day [K]) of columns after a repeated day.
 
-    Parameters
-    ----------
-    columns : Columns
-    mean_k : float
-        Initial temperature at all depths [K]. Snow starts frozen, and the ground below it at 0 °C.
-    day : callable
-        Simulates the day from a State; returns the final State and the surface temperatures after each step.
+    All depths begin at `mean_k` [K]; snow starts frozen, and the ground below it at 0 °C. `day` simulates the day from
+    a State and returns the final State and the surface temperatures after each step.
     """
     count, ground = len(columns.absorptance), columns.ground
     snowy, depth = ground.melting > 0.5, columns.node_m.T

@@ -1,52 +1,76 @@
-"""The Scene: an immutable value with its declarations and the state derived from them.
+"""The Scene: an immutable value that returns other scenes by its edits.
 
-Its edits (`thermorender.scene.edit`) return other scenes, in which everything that depends on the edit is made again.
-Single fields cannot be replaced.
+An edit changes what the scene declares; `thermorender.scene.stages` makes the rest follow. So edits may come in any
+order. Two edits of the same thing are the exception, and the last one counts: `with_sky` and `with_air`, `at` and
+`with_weather(time=…)`, an edit and itself.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NoReturn
+from os import PathLike
+from typing import TYPE_CHECKING, Any, Generic, NoReturn, TypeVar, overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
+from thermorender.learned.temperature_map import TemperatureMap
 from thermorender.materials.material import Material
-from thermorender.physics.geodesy import LocalFrame
-from thermorender.scene.edit import Edits
-from thermorender.scene.ground import Ground
-from thermorender.scene.parts import coplanar
-from thermorender.scene.parts.cover import Cover, Painted
-from thermorender.scene.parts.read import Parts
-from thermorender.scene.parts.shape import Shape
-from thermorender.scene.parts.tracks import TrackedObject
-from thermorender.scene.raster import Grid
-from thermorender.scene.spec import SceneSpec, SunSpec, TemperatureSpec
-from thermorender.scene.state import albedo, digest, text
-from thermorender.scene.state.agreement import contradictions, refuse_disagreement
-from thermorender.scene.state.declared import Declared
-from thermorender.scene.state.derived import Derived, camera_alone_differs, derived, of_surfaces
-from thermorender.scene.state.own_weather import weather_of
-from thermorender.scene.surface import Surface
-from thermorender.scene.temperature_state import TemperatureState
-from thermorender.sensor.camera import Camera
+from thermorender.scene import stages, text
+from thermorender.scene.arguments import (
+    changed_object,
+    checked_spec,
+    flags_argument,
+    kelvin_argument,
+    material_of,
+    number_of,
+    refuse_other,
+    surface_temperatures,
+    surfaces_argument,
+    temperature_spec,
+    weather_argument,
+)
+from thermorender.scene.cover import OBJECT, SURFACE_OF_MESH, Cover, Painted
+from thermorender.scene.declared import Declared
+from thermorender.scene.georeference import place_of
+from thermorender.scene.patch import Patch, areas, texels_in
+from thermorender.scene.pipeline import Values
+from thermorender.scene.shape import Shape
+from thermorender.scene.spec import WEATHER, AtmosphereSpec, EmissivitySpec, SceneSpec, SunSpec, TemperatureSpec
+from thermorender.scene.surface import FALLBACK, UNMOVED, Surface, scene_kelvin
+from thermorender.scene.temperature import learned_map
+from thermorender.scene.temperature_state import Available, Moved
+from thermorender.scene.terrain_temperature import Temperatures
+from thermorender.schema import Where, did_you_mean, read
+from thermorender.sensor.camera import Camera, load_camera
 from thermorender.trajectory.path import pose
-from thermorender.units import ZERO_CELSIUS_K, utc_text
+from thermorender.units import instant, utc_text, with_unit
 
 if TYPE_CHECKING:
-    from thermorender.weather.series import Weather
+    pass
 
-# The sun shines where its direct irradiance is above this [W m⁻²]: World Meteorological Organization, Guide to
-# Instruments and Methods of Observation, WMO-No. 8 (2018), volume I, 8.1.1.
-_SUNSHINE_W_M2 = 120.0
-# Water in snow that nobody recorded [mm], and difference of rooms from the air outside [K], that are reported.
-_LIKELY_SNOW_MM, _INDOORS_K = 3.0, 12.0
+_T = TypeVar("_T")
 
 
-class Scene(Edits):
+class _Result(Generic[_T]):
+    """The value of a stage, as an attribute of the scene."""
+
+    def __init__(self, stage: Callable[..., _T]) -> None:
+        self.name, self.__doc__ = stage.__name__, stage.__doc__
+
+    @overload
+    def __get__(self, scene: None, owner: type) -> "_Result[_T]": ...
+
+    @overload
+    def __get__(self, scene: "Scene", owner: type) -> _T: ...
+
+    def __get__(self, scene: "Scene | None", owner: type) -> "_Result[_T] | _T":
+        return self if scene is None else scene._values[self.name]
+
+
+class Scene:
     """Everything a render needs, as `load_scene` returns it; compared by identity.
 
     Attributes
@@ -64,24 +88,61 @@ class Scene(Edits):
         The terrain's first, then one or more per static object.
     terrain_count : int
         How many of them are terrain.
+    solved_count : int
+        How many of them have temperatures that the heat balance solves: the terrain, and copies of bodies.
     materials : tuple of Material
         Indexed by `Surface.material`.
     air : Atmosphere or None
         The declared air in the camera's band.
     tracked_objects : tuple of TrackedObject
         Objects with a track.
-    temperature_state : Known or Pending
+    temperature_state : Available or Pending
         Whether the terrain's temperatures are known, and the source of those that follow the weather.
     emissivity_report : dict
         Report of the learned emissivity map; empty without one.
+    where : str
+        Path of the scene file, for messages.
+    altitude_m : float
+        Altitude of the local frame's origin above sea level [m]: as declared, else from the frame, else 0.
+    geoid_undulation_m : float or None
+        Height of the geoid above the ellipsoid that this scene declares [m].
+    surroundings_temperature : float
+        Temperature of the black background beyond the terrain's edge [K]: as stated, else its texels' mean.
+    sun : SunSpec or None
+        The sun that shines on the scene. If temperatures follow the weather, its position is that at `time`, and it
+        shines through air if its direct irradiance is above 120 W m⁻²; until they are solved there is none.
+    weather : Weather
+        The weather that the scene declares, at its own place; read when first asked for.
+    ground : callable
+        (east, north) → local height of the terrain [m], NaN off it.
+    surface_notes : tuple of str
+        Sentences on objects that share a plane with another surface, so that pixels show either.
     """
 
-    _parts: Parts | None
     _declared: Declared
-    _derived: Derived
+    _values: Values
 
-    def __init__(self, parts: Parts | None, declared: Declared, made: Derived | None = None) -> None:
-        vars(self).update(_parts=parts, _declared=declared, _derived=derived(parts, declared) if made is None else made)
+    frame = _Result(stages.frame)
+    grid = _Result(stages.grid)
+    surfaces = _Result(stages.surfaces)
+    terrain_count = _Result(stages.terrain_count)
+    solved_count = _Result(stages.solved_count)
+    materials = _Result(stages.materials)
+    air = _Result(stages.air)
+    tracked_objects = _Result(stages.tracked_objects)
+    temperature_state = _Result(stages.temperature_state)
+    emissivity_report = _Result(stages.emissivity_report)
+    where = _Result(stages.where)
+    altitude_m = _Result(stages.altitude_m)
+    geoid_undulation_m = _Result(stages.geoid_undulation_m)
+    surroundings_temperature = _Result(stages.surroundings_temperature)
+    sun = _Result(stages.sun)
+    weather = _Result(stages.noted_weather)
+    ground = _Result(stages.ground)
+    surface_notes = _Result(stages.surface_notes)
+
+    def __init__(self, declared: Declared, values: Values | None = None) -> None:
+        vars(self).update(_declared=declared, _values=values or Values(stages.PIPELINE, declared.inputs))
 
     @classmethod
     def of_surfaces(
@@ -102,24 +163,16 @@ class Scene(Edits):
         terrain_count : int, optional
             How many of the surfaces are terrain; all by default.
         """
-        declared = Declared(spec, camera, sky_temperature=spec.sky_temperature, given=True)
         count = len(surfaces) if terrain_count is None else terrain_count
         ground, static = tuple(surfaces[:count]), tuple(surfaces[count:])
         highest_m = max(float(surface.vertices[:, 2].max()) for surface in surfaces)
         shape = Shape(None, None, ground, None, static, (), (), (), highest_m)
         painted = tuple(Painted(each.material, each.colour, each.flags) for each in ground)
-        return cls(None, declared, of_surfaces(declared, shape, Cover(tuple(materials), painted, (), {}), None))
+        declared = Declared(replace(spec, atmosphere=None), camera, last_sky=spec.sky_temperature)
+        return cls(stages.made_in_memory(declared, shape, Cover((), painted, (), {}), tuple(materials)))
 
-    def _made(self, parts: Parts | None, declared: Declared, made: Derived) -> "Scene":
-        scene = Scene(parts, declared, made)
-        if "_weather" in vars(self) and self._weather_key() == scene._weather_key():
-            vars(scene)["_weather"] = self._weather
-        if made.shape.ground is self._derived.shape.ground and "ground" in vars(self):
-            vars(scene)["ground"] = self.ground
-        return scene
-
-    def _edited(self, declared: Declared) -> "Scene":
-        return self._made(self._parts, declared, derived(self._parts, declared, (self._declared, self._derived)))
+    def _edited(self, declared: Declared, given: Mapping[str, Any] | None = None) -> "Scene":
+        return Scene(declared, self._values.edited(declared.inputs, given))
 
     def __setattr__(self, name: str, value: Any) -> NoReturn:
         raise ThermorenderError(f"scene.{name} cannot be set; {_EDITS}")
@@ -143,65 +196,9 @@ class Scene(Edits):
         return self._declared.time
 
     @property
-    def frame(self) -> LocalFrame | None:  # noqa: D102
-        return self._derived.shape.frame
-
-    @property
-    def grid(self) -> Grid | None:  # noqa: D102
-        return self._derived.shape.grid
-
-    @property
-    def surfaces(self) -> tuple[Surface, ...]:  # noqa: D102
-        return self._derived.surfaces
-
-    @property
-    def terrain_count(self) -> int:  # noqa: D102
-        return len(self._derived.shape.ground)
-
-    @property
-    def solved_count(self) -> int:
-        """Number of surfaces whose temperatures the heat balance solves: the terrain, and copies of bodies."""
-        return len(self._derived.shape.ground) + self._derived.shape.balanced
-
-    @property
-    def materials(self) -> tuple[Material, ...]:  # noqa: D102
-        return self._derived.cover.materials
-
-    @property
-    def air(self) -> Atmosphere | None:  # noqa: D102
-        return self._derived.air
-
-    @property
-    def tracked_objects(self) -> tuple[TrackedObject, ...]:  # noqa: D102
-        return self._derived.tracked_objects
-
-    @property
-    def temperature_state(self) -> TemperatureState:  # noqa: D102
-        return self._derived.temperature_state
-
-    @property
-    def emissivity_report(self) -> Mapping[str, Any]:  # noqa: D102
-        return self._derived.cover.report
-
-    @property
     def name(self) -> str:
         """Name of the scene's folder."""
         return str(self.spec.folder.name)
-
-    @property
-    def where(self) -> str:
-        """Path of the scene file, for messages."""
-        return self._declared.where
-
-    @property
-    def altitude_m(self) -> float:
-        """Altitude of the local frame's origin above sea level [m]: as declared, else from the frame, else 0."""
-        return self._declared.height_m(self.frame)
-
-    @property
-    def geoid_undulation_m(self) -> float | None:
-        """Height of the geoid above the ellipsoid that this scene declares [m], or None."""
-        return self._declared.geoid_undulation_m
 
     @property
     def sky_temperature(self) -> float:
@@ -210,15 +207,6 @@ class Scene(Edits):
             return float(self.air.sky_temperature(self.altitude_m))
         assert self.spec.sky_temperature is not None
         return float(self.spec.sky_temperature)
-
-    @cached_property
-    def surroundings_temperature(self) -> float:
-        """Temperature of the black background beyond the terrain's edge [K]: as stated, else its texels' mean."""
-        if self.spec.surroundings_temperature is not None:
-            return float(self.spec.surroundings_temperature)
-        self.refuse_unsolved()
-        terrain = [surface.temperature.ravel() for surface in self.surfaces[: self.terrain_count]]
-        return float(np.concatenate(terrain).mean(dtype=np.float64))
 
     @property
     def truth_temperature_spec(self) -> TemperatureSpec:
@@ -241,99 +229,20 @@ class Scene(Edits):
         return bool(self.spec.temperature.source == "balance")
 
     @cached_property
-    def sun(self) -> SunSpec | None:
-        """The sun that shines on the scene; None without one.
-
-        If temperatures follow the weather, its position is that at `time`, and it shines through air if its direct
-        irradiance is above 120 W m⁻²; until they are solved there is none. Otherwise it is the declared one.
-        """
-        if not self.temperature_state.weather_driven:
-            return self.spec.sun
-        if self.air is None or not self.temperature_state.solved:
-            return None
-        weather, time = self.weather, self.time
-        assert time is not None
-        azimuth, elevation = map(float, weather.sun(time))
-        shines = elevation > 0.0 and float(weather.at(time).direct_w_m2) > _SUNSHINE_W_M2
-        return SunSpec(elevation, azimuth) if shines else None
-
-    @cached_property
-    def weather(self) -> "Weather":
-        """The Weather that the scene declares, at its own place; read when first asked for.
-
-        Raises
-        ------
-        ThermorenderError
-            No [weather], no place, a file that cannot be used, or `time` outside of it.
-        """
-        notes = getattr(self.temperature_state, "notes", ())
-        return replace(self._weather, notes=(*self._weather.notes, *notes)) if notes else self._weather
-
-    @cached_property
-    def _weather(self) -> "Weather":
-        """The Weather without the notes of solving the temperatures."""
-        if self._derived.weather is not None:
-            return self._derived.weather
-        return weather_of(self._declared, self._derived.shape)
-
-    def _weather_key(self) -> tuple[Any, ...]:
-        return self.spec.weather, id(self._declared.weather), self.altitude_m, self.frame
-
-    @cached_property
     def sky_notes(self) -> tuple[str, ...]:
         """Sentences on a declared air or sky that contradicts the scene's weather; none without [weather]."""
-        if self.spec.weather is None or (self._declared.weather is None and self.frame is None):
+        from thermorender.scene import notes
+
+        if self.spec.weather is None or (self._declared.given_weather is None and self.frame is None):
             return ()
-        return contradictions(self._declared, self._derived, self._weather)
+        return notes.of_sky(self)
 
     @cached_property
-    def surface_notes(self) -> tuple[str, ...]:
-        """Sentences on objects that share a plane with another surface, so that pixels show either."""
-        return coplanar.notes(self.surfaces, self.terrain_count)
-
-    @property
     def weather_notes(self) -> tuple[str, ...]:
         """Notes on filled gaps of the weather, a short record before `time`, snow, likely snow, rooms and albedo."""
-        from thermorender.scene.open_ground import over_room
-        from thermorender.scene.state.weathered_ground import leaf_notes
+        from thermorender.scene import notes
 
-        weather, time = self.weather, self.time
-        assert time is not None
-        before_h = (time - weather.time[0]) / np.timedelta64(3600, "s")
-        notes = list(weather.notes)
-        if before_h < 24.0:
-            notes.append(
-                f"the weather begins {before_h:.1f} h before {utc_text(time)}: with less than a day the ground "
-                "stays near its initial state"
-            )
-        snow = float(weather.at(time).snow_m)
-        if snow > 0.0 and not any(each.thermal and each.thermal.cover == "snow" for each in self.materials):
-            notes.append(
-                f"the weather has {snow:.2g} m of snow, but no material of the scene is snow, so the heat balance lays "
-                "it on soil, grass and heath only, with their own emissivity; use the material snow where there is snow"
-            )
-        likely = weather.likely_snow_mm(time)
-        if likely > _LIKELY_SNOW_MM:
-            notes.append(
-                f"about {likely:.0f} mm of water fell as snow and have not melted by {utc_text(time)}, and the weather "
-                "states no snow on the ground, so the ground gets too warm; leave snow_depth_m out or state the depth"
-            )
-        outside_c, inside_c = float(weather.at(time).air_k) - ZERO_CELSIUS_K, self.spec.weather.inside_c  # type: ignore[union-attr]
-        if abs(outside_c - inside_c) > _INDOORS_K and any(over_room(material) for material in self.materials):
-            notes.append(
-                f"rooms below roofs are at inside_c={inside_c:g} °C, and the air outside is at {outside_c:.0f} °C; "
-                "state inside_c in [weather] if that is wrong"
-            )
-        return (*notes, *leaf_notes(self.materials, weather, time), *self._albedo_notes)
-
-    @cached_property
-    def _albedo_notes(self) -> tuple[str, ...]:
-        return albedo.notes(self)
-
-    @cached_property
-    def ground(self) -> Ground:
-        """Callable (east, north) → local height of the terrain [m], NaN off it."""
-        return Ground(self.surfaces[: self.terrain_count])
+        return notes.of_weather(self)
 
     def pose(
         self, east: float, north: float, above_ground_m: float, yaw_deg: float = 0.0, pitch_deg: float = 0.0,
@@ -385,40 +294,467 @@ class Scene(Edits):
             found[item.name] = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
         return found
 
+    def with_camera(self, camera: str | PathLike[str] | Camera) -> "Scene":
+        """Return this scene seen by another camera: air and learned materials follow its band.
+
+        Parameters
+        ----------
+        camera : str, path or Camera
+            The name of a shipped model, the path of a TOML file, or a Camera.
+
+        Raises
+        ------
+        ThermorenderError
+            An unknown camera, or a band that the scene's air or materials do not cover.
+        """
+        if not isinstance(camera, (str, PathLike, Camera)):
+            raise ThermorenderError(
+                f"with_camera was given a {type(camera).__name__}; give the name of a camera, the path of a TOML file "
+                "or a Camera"
+            )
+        own = camera if isinstance(camera, Camera) else load_camera(camera, "with_camera: camera")
+        name = camera.name if isinstance(camera, Camera) else str(camera)
+        spec = replace(self._declared.spec, camera=name)
+        return self._edited(replace(self._declared, camera=own, spec=spec))
+
+    def with_air(self, air: str | AtmosphereSpec | Atmosphere | None, aerosol: str = "none") -> "Scene":
+        """Return this scene under another air, which replaces its sky or air.
+
+        Parameters
+        ----------
+        air : str, AtmosphereSpec, Atmosphere or None
+            The name of a standard atmosphere, the keys of [atmosphere], or an Atmosphere that covers the camera's band.
+            None: no air, under the sky that was declared last.
+        aerosol : str
+            Of a standard atmosphere, as `Atmosphere.standard`.
+
+        Raises
+        ------
+        ThermorenderError
+            An unknown air, one that does not cover the camera's band, or no air for a scene that declares no sky.
+
+        Notes
+        -----
+        The altitude that the scene file states in [atmosphere] is of the place and stays.
+        """
+        now = self._declared
+        if air is None:
+            if now.last_sky is None:
+                raise ThermorenderError(
+                    f"{now.where}: with_air(None) leaves the scene without a sky; call with_sky(kelvin) instead"
+                )
+            return self.with_sky(now.last_sky)
+        if isinstance(air, str):
+            air = AtmosphereSpec(standard=air, aerosol=aerosol)
+        elif aerosol != "none":
+            raise ThermorenderError(f"aerosol={aerosol!r} goes with a standard atmosphere's name only; leave it out")
+        if isinstance(air, Atmosphere):
+            spec = replace(now.spec, atmosphere=None, sky_temperature=None)
+            return self._edited(replace(now, spec=spec, given_air=air))
+        if not isinstance(air, AtmosphereSpec):
+            raise ThermorenderError(
+                f"with_air was given a {type(air).__name__}; give the name of a standard atmosphere, an "
+                "AtmosphereSpec, an Atmosphere or None"
+            )
+        air = checked_spec(air, "with_air", now.spec.folder)
+        if air.standard == WEATHER and now.spec.weather is None:
+            raise ThermorenderError(
+                f"{now.where}: with_air('weather') needs the weather, and this scene has none; call with_weather "
+                "first, or name another air"
+            )
+        spec = replace(now.spec, atmosphere=air, sky_temperature=None)
+        return self._edited(replace(now, spec=spec, given_air=None))
+
+    def with_sky(self, kelvin: float | str, surroundings: float | str | None = None) -> "Scene":
+        """Return this scene under an isotropic black sky and without air.
+
+        Parameters
+        ----------
+        kelvin : float or str
+            Temperature of the sky [K]; 0 for none, and below 100 K with its unit, "3 K".
+        surroundings : float, optional
+            Temperature of the black surroundings beyond the terrain [K]; by default it stays as it is.
+        """
+        now = self._declared
+        follows = ", or call with_air('weather') for the air and sky of the weather"
+        kelvin = number_of("with_sky: kelvin", with_unit(kelvin), follows)
+        scene_kelvin("with_sky: kelvin", kelvin, allow_zero=True)
+        around = now.spec.surroundings_temperature
+        if surroundings is not None:
+            around = number_of("with_sky: surroundings", with_unit(surroundings))
+            scene_kelvin("with_sky: surroundings", around, allow_zero=True)
+        spec = replace(now.spec, atmosphere=None, sky_temperature=kelvin, surroundings_temperature=around)
+        return self._edited(replace(now, spec=spec, given_air=None, last_sky=kelvin))
+
+    def with_sun(self, elevation_deg: float | None, azimuth_deg: float | None = None) -> "Scene":
+        """Return this scene with the sun elsewhere.
+
+        Parameters
+        ----------
+        elevation_deg : float or None
+            Above the horizon [deg]; None: no sun.
+        azimuth_deg : float, optional
+            From north, eastward positive [deg]; by default that of the scene's own sun.
+
+        Raises
+        ------
+        ThermorenderError
+            An angle out of range, or a scene whose weather says where the sun stands. A sun without air is refused
+            when the scene is rendered.
+        """
+        now, sun = self._declared, None
+        if elevation_deg is not None:
+            elevation_deg = number_of("with_sun: elevation_deg", elevation_deg)
+            if azimuth_deg is None and now.spec.sun is not None:
+                azimuth_deg = now.spec.sun.azimuth_deg
+            if azimuth_deg is None:
+                raise ThermorenderError(
+                    f"with_sun(elevation_deg={elevation_deg:g}) has no azimuth, and the scene declares no sun; give "
+                    "azimuth_deg, from north, eastward positive"
+                )
+            angles = {"elevation_deg": elevation_deg, "azimuth_deg": azimuth_deg}
+            sun = read(SunSpec, angles, Where("with_sun"))
+        return self._edited(replace(now, spec=replace(now.spec, sun=sun)))
+
+    def at(self, time: "str | np.datetime64") -> "Scene":
+        """Return this scene at another instant; temperatures that follow the weather become pending.
+
+        A truth raster is of the scene's own instant and left out at any other.
+
+        Parameters
+        ----------
+        time : str, datetime or datetime64
+            As by `thermorender.units.instant`: text with its zone; a datetime64 is UTC.
+
+        Raises
+        ------
+        ThermorenderError
+            An invalid instant, a scene without [weather], or a learned map without a stated hour.
+        """
+        asked, now = instant("time", time), self._declared
+        if now.spec.weather is None:
+            raise ThermorenderError(
+                f"{now.where}: time={utc_text(asked)} needs temperature.source='balance' with [weather], and this "
+                f"scene's temperatures are of source={now.spec.temperature.source!r} without an hour; add both, or "
+                "leave the time out"
+            )
+        if asked == now.time:
+            return self
+        if now.spec.temperature.source == "learned" and not self.temperature_state.weather_driven:
+            raise ThermorenderError(
+                f"{now.where}: time={utc_text(asked)} is not available from learned map "
+                f"{now.spec.temperature.model!r}, which does not state the instant and weather of "
+                "its training; add [temperature.trained] with the keys of [weather], or leave the time out"
+            )
+        return self._edited(now.under(replace(now.spec.weather, time=asked), now.given_weather))
+
+    def with_weather(self, weather: Any = None, **keys: Any) -> "Scene":
+        """Return this scene under another weather; temperatures that follow it become pending.
+
+        A truth raster is of the scene's own weather and left out under any other.
+
+        Parameters
+        ----------
+        weather : WeatherSpec or Weather, optional
+            All keys of [weather], or the weather itself. A Weather comes with `time` where the scene has none.
+        **keys
+            Keys of [weather] to change, as the scene file has them: `wind_m_s=8`, `time="2018-07-28T12:00Z"`.
+
+        Raises
+        ------
+        ThermorenderError
+            An unknown key, a value out of range, or neither weather nor keys.
+        """
+        now = self._declared
+        if weather is None and not keys:
+            raise ThermorenderError("with_weather was given nothing; give a WeatherSpec, a Weather or keys to change")
+        spec, series = weather_argument(weather, keys, now)
+        return self._edited(now.under(spec, series))
+
+    def with_temperature(
+        self,
+        source: "TemperatureSpec | float | str | PathLike[str] | TemperatureMap | Mapping[str, Any]",
+        model: TemperatureMap | None = None, kelvin: Sequence[ArrayLike] | None = None,
+    ) -> "Scene":  # fmt: skip
+        """Return this scene with its terrain's temperatures from another source.
+
+        Parameters
+        ----------
+        source : TemperatureSpec, number, str, path, TemperatureMap or dict
+            Kelvin for all texels, the path of a raster of kelvin, the name or path of a learned map, "balance", or the
+            keys of [temperature]; it replaces the temperatures of all [[surface]] too. A dict gives parts of a mesh
+            their own: {name of a node, group, material or texture: kelvin or the path of a raster in its pixels}.
+        model : TemperatureMap, optional
+            The learned map that `source` names, where it has been read already.
+        kelvin : sequence of (h, w) arrays, optional
+            Temperatures of each terrain surface in place of those of the raster or map that `source` describes, NaN
+            for no data [K].
+
+        Raises
+        ------
+        ThermorenderError
+            A source that cannot be used in this scene.
+        """
+        if model is not None and not isinstance(model, TemperatureMap):
+            raise ThermorenderError(f"with_temperature: model is a {type(model).__name__}; give a TemperatureMap")
+        if isinstance(source, Mapping):
+            return self._edited(replace(self._declared, spec=surface_temperatures(self._declared.spec, source)))
+        if isinstance(source, TemperatureMap):
+            model, spec = source, TemperatureSpec(source="learned", model=source.name)
+        else:
+            spec = temperature_spec(source, self._declared.spec.folder, kelvin is not None or model is not None)
+        ground = self.surfaces[: self.terrain_count]
+        surfaces = tuple(replace(one, temperature=None) for one in self._declared.spec.surfaces)
+        given = None if kelvin is None else kelvin_argument("with_temperature: kelvin", kelvin, ground, True)
+        return self._edited(replace(
+            self._declared, spec=replace(self._declared.spec, temperature=spec, surfaces=surfaces), given=False,
+            temperature_map=learned_map(spec) if model is None else model, given_kelvin=given,
+        ))  # fmt: skip
+
+    def with_objects(self, objects: Mapping[str, float | Mapping[str, float]]) -> "Scene":
+        """Return this scene with objects at other temperatures or places.
+
+        Parameters
+        ----------
+        objects : dict
+            {name: kelvin}, or {name: {column of a track: value}}: `east_m`, `north_m`, `above_ground_m`, `yaw_deg`,
+            `temperature_k`. A column that a track has is held at the value.
+
+        Raises
+        ------
+        ThermorenderError
+            An unknown object or column, a temperature that no object has, or a place without terrain.
+        """
+        now, known = self._declared, {item.name: item for item in self._declared.spec.objects}
+        held = dict(now.held)
+        refuse_other("with_objects", objects, "{name: kelvin} or {name: {key: value}}")
+        for name, given in objects.items():
+            if name not in known:
+                raise ThermorenderError(
+                    f"{now.where} has no object {name!r}; {did_you_mean(name, known)}it has "
+                    f"{', '.join(known) or 'none'}"
+                )
+            values = given if isinstance(given, Mapping) else {"temperature_k": given}
+            known[name] = changed_object(known[name], values)
+            if known[name].track is not None:
+                held[name] = held.get(name, frozenset()) | frozenset(values)
+        spec = replace(now.spec, objects=tuple(known.values()))
+        return self._edited(replace(now, spec=spec, held=held))
+
+    def with_surfaces(
+        self, surfaces: Sequence[Surface] | None = None, materials: Sequence[Material] | None = None,
+        terrain_count: int | None = None,
+    ) -> "Scene":  # fmt: skip
+        """Return this scene with surfaces or materials made in memory, in place of those its files describe.
+
+        Temperatures that follow the weather become pending; others are those in the surfaces' texels. Later edits of
+        materials and objects are refused, because no file describes them.
+
+        Parameters
+        ----------
+        surfaces : sequence of Surface, optional
+            The terrain's first.
+        materials : sequence of Material, optional
+            Indexed by `Surface.material`.
+        terrain_count : int, optional
+            How many of the surfaces are terrain.
+
+        Raises
+        ------
+        ThermorenderError
+            A texel whose material number is beyond the materials.
+        """
+        now, state, shape = self._declared, self.temperature_state, self._values["shape"]
+        shown, made, count = surfaces_argument(surfaces, materials, terrain_count, self)
+        if isinstance(state.source, Moved) and surfaces is None:
+            # Move the map again, not the temperatures that a heat balance computed from it.
+            own = state.source.temperatures
+            moved = (replace(surface, temperature=kelvin) for surface, kelvin in zip(shown, own, strict=False))
+            shown = (*moved, *shown[len(own) :])
+        ground, static = shown[:count], shown[count:]
+        painted = tuple(Painted(s.material, s.colour, s.flags & ~np.uint8(FALLBACK | UNMOVED)) for s in ground)
+        shape = replace(
+            shape, ground=ground, static=static, static_of=(), tracked=self.tracked_objects, tracked_of=(),
+            textures=(), balanced=0, highest_m=max(float(surface.vertices[:, 2].max()) for surface in shown),
+        )  # fmt: skip
+        cover = Cover((), painted, (), self.emissivity_report)
+        return self._edited(stages.made_in_memory(now, shape, cover, made))
+
+    def with_solved_temperatures(
+        self, time: np.datetime64, temperatures: Sequence[ArrayLike], *, flags: "Sequence[ArrayLike] | None" = None,
+        report: Mapping[str, Any] | None = None, moved_report: Mapping[str, Any] | None = None,
+        notes: tuple[str, ...] = (), scatter_k: Sequence[ArrayLike] = (),
+    ) -> "Scene":  # fmt: skip
+        """Return this scene at an instant of its weather, with the temperatures that were solved for it.
+
+        In a scene with air, the sun is at its position at that instant, if it shines.
+
+        Parameters
+        ----------
+        time : datetime64
+            UTC.
+        temperatures : sequence of (h, w) arrays
+            Kinetic temperature of the texels of each of the first `Scene.solved_count` surfaces [K].
+        flags : sequence of (h, w) uint8 arrays, optional
+            Flags of these texels, in place of the scene's own.
+        report, moved_report, notes : optional
+            As of `Available`.
+        scatter_k : sequence of arrays, optional
+            Of the last of these surfaces, as of `Surface`.
+
+        Raises
+        ------
+        ThermorenderError
+            A scene whose temperatures do not follow the weather.
+        """
+        now, state = self._declared, self.temperature_state
+        if state.source is None:
+            raise ThermorenderError(
+                f"{self.where}: temperatures of source {self.spec.temperature.source!r} are not "
+                "solved for an instant; call with_temperature('balance') first"
+            )
+        solved = self.surfaces[: self.solved_count]
+        kelvin = kelvin_argument("with_solved_temperatures: temperatures", temperatures, solved, no_data=False)
+        own = flags_argument(flags, solved) if flags is not None else [surface.flags for surface in solved]
+        moment = instant("with_solved_temperatures: time", time)
+        self.weather.at(moment)
+        known = Available(state.source, moment, report or state.report, moved_report or {}, notes)
+        count = self.terrain_count
+        copies = kelvin[count:]
+        spread = [None] * (len(copies) - len(scatter_k)) + [np.asarray(each, np.float32) for each in scatter_k]
+        result = Temperatures(
+            kelvin[:count],
+            [each & np.uint8(FALLBACK | UNMOVED) for each in own[:count]],
+            known,
+            [(own, None if std is None else std.reshape(own.shape)) for own, std in zip(copies, spread, strict=True)],
+        )
+        assert now.spec.weather is not None
+        if moment != now.time:
+            now = now.under(replace(now.spec.weather, time=moment), now.given_weather)
+        # What was read for one instant holds for the others that were solved with it.
+        given = {name: self._values[name] for name in ("weather", "no_snow")}
+        return self._edited(now, {**given, "temperatures": result})
+
+    def with_learned_materials(self, spec: EmissivitySpec) -> "Scene":
+        """Return this scene with its terrain's materials read from orthophoto or textures, as of a source "learned".
+
+        The materials of a [[surface]] stay.
+        """
+        if not isinstance(spec, EmissivitySpec) or spec.source != "learned":
+            shown = f"source={spec.source!r}" if isinstance(spec, EmissivitySpec) else f"a {type(spec).__name__}"
+            raise ThermorenderError(
+                f"with_learned_materials was given {shown}; give EmissivitySpec('learned', model=…, fallback=…)"
+            )
+        spec = checked_spec(spec, "with_learned_materials", self._declared.spec.folder)
+        terrain = self._declared.spec.terrain
+        if not (terrain.orthophoto or terrain.mesh):
+            raise ThermorenderError(
+                f"{self._declared.where}: a learned emissivity map reads materials from an orthophoto; add "
+                "terrain.orthophoto"
+            )
+        return self._edited(replace(self._declared, spec=replace(self._declared.spec, emissivity=spec)))
+
+    def with_material(
+        self, replaced: Mapping[int | str, str | float | Material] | None = None, /,
+        **more: str | float | Material,
+    ) -> "Scene":  # fmt: skip
+        """Return this scene with materials of its terrain or objects replaced by others.
+
+        Parameters
+        ----------
+        replaced, **more : str, float or Material, by what it replaces
+            A key is a class number, the name of an object, the name of a mesh's node, group, material or texture, or
+            the name of a material, as in the scene's files; the first of these that the scene has counts. A value is
+            the name of a material, a grey emissivity 0…1, or a Material. All replacements apply at once: with
+            `grass="sand"` and `sand="snow"` grass becomes sand, and sand becomes snow.
+        """
+        now, files = self._declared, self._declared.files
+        refuse_other("with_material", replaced or {}, "{what it replaces: material}, or name=material")
+        given: dict[int | str, str | float | Material] = dict(replaced or {})
+        given.update(more)
+        if files is None:
+            raise ThermorenderError(
+                f"{now.where}: with_material needs materials that files describe, and this scene's surfaces were made "
+                "in memory; give with_surfaces other materials"
+            )
+        names = {item.name for item in now.spec.objects}
+        of_mesh = frozenset[str]().union(*(texture.known for texture in files.textures))
+
+        def place(key: int | str) -> int | str:
+            if not isinstance(key, str) or key not in names | of_mesh:
+                return key
+            return (OBJECT if key in names else SURFACE_OF_MESH) + key
+
+        found = {place(key): material_of(key, value, files.library) for key, value in given.items()}
+        return self._edited(replace(now, replaced={**now.replaced, **found}))
+
+    def with_material_in(
+        self, area: str | PathLike[str] | Mapping[str, Any] | ArrayLike,
+        material: str | float | Material | None = None,
+    ) -> "Scene":  # fmt: skip
+        """Return this scene with another material within an area of its terrain, such as one roof.
+
+        Parameters
+        ----------
+        area : path, dict or (N, 2) array
+            GeoJSON of polygons, a file or its contents, in longitude and latitude unless its "crs" member names another
+            CRS; or the corners of one polygon, local east and north [m]. Texels with their middle inside get the
+            material.
+        material : str, float or Material, optional
+            The name of a material, a grey emissivity 0…1, or a Material; by default the property "material" of each
+            polygon. It has no other effect: temperatures of a raster or map stay.
+        """
+        now, files = self._declared, self._declared.files
+        place = place_of(files.frame, files.grid) if files else None
+        if files is None or files.grid is None or place is None:
+            raise ThermorenderError(
+                f"{now.where}: with_material_in needs a terrain of an elevation raster that files describe; for a mesh "
+                "use with_material"
+            )
+        name = f"area {area}" if isinstance(area, (str, PathLike)) else "with_material_in: the area"
+        patches = []
+        for geometry, own in areas(area, place, self.ground):
+            chosen = own if material is None else material
+            if chosen is None:
+                raise ThermorenderError(
+                    f"{name} has a polygon without the property 'material'; give a material, or name it there"
+                )
+            new = material_of("material", chosen, files.library, "with_material_in")
+            patches.append(Patch(texels_in(geometry, files.grid, name), new))
+        return self._edited(replace(now, painted=(*now.painted, *patches)))
+
     def refuse_unsolved(self) -> None:
         """Raise unless the terrain's temperatures are known."""
-        state = self.temperature_state
-        if not state.solved and state.source is not None:
-            raise ThermorenderError(
-                f"{self.where}: the temperatures of {state.source.words} are not solved yet; use Renderer(scene).scene"
-            )
+        self._values["refuse_unsolved"]
 
     def refuse_disagreement(self) -> None:
-        """Raise unless band, materials, air, sun and the instant of the temperatures agree with each other."""
-        refuse_disagreement(self._declared, self._derived)
+        """Raise unless the scene can be rendered: a sky or air, air for its sun, materials and temperatures."""
+        self._values["agreement"]
 
-    def like_but_for_camera(self, other: "Scene") -> bool:
-        """Return whether another scene differs in the camera only."""
-        same = self._derived.shape is other._derived.shape and self._derived.cover is other._derived.cover
-        return same and camera_alone_differs(self._declared, other._declared)
+    def changes(self, other: "Scene") -> frozenset[str]:
+        """Return what differs from another scene of all that a frame depends on, by the parameters of `digest`.
+
+        Surfaces, materials and air made in two ways differ, even if they are equal.
+        """
+        own = frozenset() if self.terrain_count == other.terrain_count else {"terrain_count"}
+        return self._values.changes(other._values, "digest") | own
 
     def digest(self) -> str:
         """Return a fingerprint (hex) of everything a frame of this scene depends on."""
-        weather = self.weather if self.temperature_state.weather_driven else None
-        return digest.digest_of(self._declared, self._derived, self.sun, weather)
+        return str(self._values["digest"])
 
     def weather_digest(self) -> str:
         """Return a fingerprint (hex) of the weather: its series, its place and what was filled in."""
-        return digest.weather_digest_of(self.weather)
+        return str(self._values["weather_digest"])
 
     def __repr__(self) -> str:
-        return text.line_of(self._declared, self._derived)
+        return text.line_of(self)
 
     def __str__(self) -> str:
-        return text.table_of(self._declared, self._derived)
+        return text.table_of(self)
 
     def _repr_html_(self) -> str:
-        return text.html_of(self._declared, self._derived)
+        return text.html_of(self)
 
 
 _EDITS = (

@@ -76,12 +76,7 @@ _Kelvin = TypeVar("_Kelvin", bound=ArrayLike)
 def open_share(missing: NDArray[np.bool_], on_ground: NDArray[np.bool_] | None) -> float:
     """Return the share of the terrain's texels that a raster leaves open.
 
-    Parameters
-    ----------
-    missing : (h, w) bool
-        Texels without a value.
-    on_ground : (h, w) bool or None
-        Texels on the terrain; None if all of them are.
+    `missing` (h, w) are texels without a value, `on_ground` (h, w) those on the terrain; None if all of them are.
     """
     if on_ground is None:
         return float(missing.mean())

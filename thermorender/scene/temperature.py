@@ -12,10 +12,10 @@ from thermorender.defaults import TEMPERATURE_MAP
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import Mixture, parts_of
-from thermorender.scene.parts.textures import Texture, onto_texels, separate
 from thermorender.scene.raster import Grid, grid_of, onto, opened, read_band
 from thermorender.scene.spec import TemperatureSpec, WeatherSpec
 from thermorender.scene.surface import FALLBACK, MOST_OPEN, Surface, fill, nearest_valid, open_share, scene_kelvin
+from thermorender.scene.textures import Texture, onto_texels, separate
 from thermorender.schema import Where, read
 from thermorender.sensor.radiometric_files import likely_scales
 from thermorender.units import ZERO_CELSIUS_K, kelvin_scale
@@ -53,11 +53,7 @@ class Texels:
 def resolve(spec: TemperatureSpec, texels: Texels) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """Return (temperature (h, w) float32 [K], flags (h, w) uint8) of a surface's texels.
 
-    Parameters
-    ----------
-    spec : TemperatureSpec
-    texels : Texels
-        Receives notes for the user in `report`, such as the share of intensities outside 0…1.
+    `texels.report` receives notes for the user, such as the share of intensities outside 0…1.
     """
     temperature, flags = SOURCES[spec.source](spec, texels)
     return temperature.astype(np.float32), flags
@@ -218,13 +214,7 @@ def from_map(
 ) -> tuple[_Kelvin, NDArray[np.uint8]]:  # fmt: skip
     """Return (temperature (h, w) [K], flags (h, w) uint8) of texels from a learned map, and add to their report.
 
-    Parameters
-    ----------
-    model : TemperatureMap
-    inputs : Inputs
-    texels : Texels
-    sky_temperature, stand_in : float, optional
-        As by `learned.apply.kinetic_from_map`.
+    `sky_temperature` and `stand_in` are as of `learned.apply.kinetic_from_map`.
     """
     from thermorender.learned.apply import kinetic_from_map
 

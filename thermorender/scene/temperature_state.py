@@ -54,7 +54,7 @@ WeatherSource = Balance | Moved | Conditional
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class Available:
     """The terrain's temperatures are in its texels."""
 
     # The source they were solved from; None where they do not follow the weather
@@ -101,4 +101,4 @@ class Pending:
         return {}
 
 
-TemperatureState = Known | Pending
+TemperatureState = Available | Pending

@@ -10,7 +10,7 @@ from thermorender.materials.library import load_library
 from thermorender.physics import balance
 from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.scene import open_ground
-from thermorender.scene.state.weathered_ground import in_weather, is_snow, lying_snow, parted, season
+from thermorender.scene.weathered_ground import in_weather, is_snow, lying_snow, parted, season
 from thermorender.schema import Where, choice, flag, key, mapping, number, read, read_toml, tables, text
 from thermorender.units import ZERO_CELSIUS_K, instant
 from thermorender.weather.series import Conditions, Weather

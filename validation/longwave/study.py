@@ -12,7 +12,7 @@ import numpy as np
 from thermorender.formats import write_text
 from thermorender.physics import sky
 from thermorender.physics.planck import STEFAN_BOLTZMANN
-from thermorender.scene.state.derived import air_of
+from thermorender.scene.stages import air_in_weather
 from thermorender.versions import versions
 from thermorender.weather.complete import complete
 from validation.heat.sites import measured, read_sites
@@ -111,7 +111,7 @@ def errors_of_spectrum(weather):
     rows = np.unique(np.linspace(0, len(weather.time) - 1, _SKIES).astype(int))
     found = {}
     for row in rows:
-        air = air_of(weather, weather.time[row])
+        air = air_in_weather(weather, weather.time[row])
         near, black = float(weather.longwave_w_m2[row]), STEFAN_BOLTZMANN * float(weather.air_k[row]) ** 4
         shown = spectral_longwave(air, weather.altitude_m, float(weather.air_k[row]))
         kind = "clouded" if air.cloud_fraction else "clear"

@@ -19,7 +19,7 @@ from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
 from thermorender.formats import write_text
 from thermorender.render.plan import make_plan
-from thermorender.scene.parts.patch import read_features
+from thermorender.scene.patch import read_features
 from thermorender.scene.surface import FILLED
 from thermorender.scene.terrain import read_elevation
 

@@ -19,7 +19,7 @@ from thermorender.physics.srgb import linear_from_bytes
 from thermorender.render.from_above import from_above
 from thermorender.render.geometry import Geometry
 from thermorender.render.variant import activate
-from thermorender.scene.parts.mesh import load
+from thermorender.scene.meshes.mesh import load
 from thermorender.scene.spec import WeatherSpec
 from thermorender.scene.surface import Surface
 from validation.three_d import imported, pictures, study

@@ -11,7 +11,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.learned.correlation import PUBLISHED_1TO1, PUBLISHED_9TO1
 from thermorender.learned.temperature_map import Inputs
 from thermorender.paths import data_folder
-from thermorender.scene.parts.orthophoto import read_colour
+from thermorender.scene.orthophoto import read_colour
 
 
 def task(examples, intensity, **options):

@@ -20,8 +20,8 @@ from thermorender.errors import ThermorenderError
 from thermorender.files import atomic_folder, check_new_folder
 from thermorender.formats import write_text
 from thermorender.materials.extended import within_band
-from thermorender.scene.parts.known_cover import read_known
-from thermorender.scene.parts.orthophoto import COLLAR, empty_border, read_colour
+from thermorender.scene.mapped_cover import read_mapped_cover
+from thermorender.scene.orthophoto import COLLAR, empty_border, read_colour
 from thermorender.scene.raster import Grid, bounds_in, grid_of, lon_lat, onto
 from thermorender.scene.spec import WeatherSpec
 from thermorender.scene.surface import scene_kelvin
@@ -145,7 +145,7 @@ def import_terrain(
         solid = three_d.made(height, target, _step(crs, target), undulation_m, known, picture, material,
                              height_grid.crs, cloud)  # fmt: skip
         known = None
-    shapes = read_known(known, texels, _step(crs, texels)).notes if known is not None else ()
+    shapes = read_mapped_cover(known, texels, _step(crs, texels)).notes if known is not None else ()
     flight_m, flight = _flight(bounds, _step(crs, texels))
     with atomic_folder(folder) as part:
         if solid is not None:

@@ -150,7 +150,7 @@ def _temperatures(weather: Path | None, time: str | None, model: str, material: 
 
 def _of_import(summary: dict[str, Any], collar: int, scaled: bool) -> str | None:
     """A sentence on the colours of an imported orthophoto that may be wrong, else None."""
-    from thermorender.scene.parts.orthophoto import COLLAR
+    from thermorender.scene.orthophoto import COLLAR
 
     found = []
     if summary["share_collar"] and not collar:

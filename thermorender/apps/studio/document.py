@@ -11,7 +11,7 @@ from thermorender.errors import ThermorenderError, shortened
 from thermorender.materials.library import NAME, find, load_library, read_library
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import parts_of
-from thermorender.scene.state.arguments import number_of
+from thermorender.scene.arguments import number_of
 from thermorender.scene.surface import scene_kelvin
 
 if TYPE_CHECKING:

@@ -30,7 +30,7 @@ from thermorender.materials.library import load_library
 from thermorender.materials.store import drop_material, replace_files, write_material
 from thermorender.paths import data_folder, inside
 from thermorender.scene.georeference import place_of
-from thermorender.scene.parts.patch import areas, texels_in
+from thermorender.scene.patch import areas, texels_in
 from thermorender.scene.raster import grid_of
 from thermorender.schema import parse_toml
 

@@ -14,7 +14,7 @@ from thermorender.learned.emissivity.mapping import MOST_MATERIALS, EmissivityMa
 from thermorender.materials import library as material_tables
 from thermorender.progress import Progress
 from thermorender.scene.material_map import UNKNOWN_CLASS, orthophoto_of
-from thermorender.scene.parts.patch import name_of, read_features, texels_of
+from thermorender.scene.patch import name_of, read_features, texels_of
 from thermorender.scene.raster import Grid, grid_of, onto, read_classes
 from thermorender.scene.spec import read_scene
 

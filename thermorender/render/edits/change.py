@@ -52,12 +52,14 @@ class Change(Touched):
     strongest: NDArray[np.float32]
 
 
+# What an edit may change while rays and spectral nodes stay; weather and time act through these.
+_KEPT_LIGHT = {"surfaces", "materials", "spec_surroundings_temperature", "temperature_state", "time",
+               "spec_temperature", "spec_weather", "noted_weather"}  # fmt: skip
+
+
 def comparable(one: Scene, other: Scene) -> bool:
     """Return whether two scenes of the same surfaces may differ in materials, temperatures and surroundings only."""
-    same = all(getattr(one, name) is getattr(other, name) for name in ("air", "camera"))
-    equal = all(getattr(one, name) == getattr(other, name) for name in ("sun", "altitude_m", "terrain_count"))
-    fixed = not (one.tracked_objects or other.tracked_objects)
-    return same and equal and fixed and one.spec.sky_temperature == other.spec.sky_temperature
+    return other.changes(one) <= _KEPT_LIGHT and not (one.tracked_objects or other.tracked_objects)
 
 
 def change_of(

@@ -12,8 +12,8 @@ from thermorender import defaults
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.frame import Frame
 from thermorender.render.flight.timed import TimedRenderer
-from thermorender.scene.parts.tracks import TrackedObject
 from thermorender.scene.scene import Scene
+from thermorender.scene.tracks import TrackedObject
 from thermorender.sensor.chain import in_sequence, sensor_of
 from thermorender.sensor.detector import forgotten_s, row_delays
 from thermorender.sensor.exposure import Exposure

@@ -12,7 +12,7 @@ from thermorender.materials.library import find, load_library
 from thermorender.physics import balance
 from thermorender.physics.sun import solar_hour
 from thermorender.scene import open_ground
-from thermorender.scene.state.weathered_ground import in_weather
+from thermorender.scene.weathered_ground import in_weather
 from thermorender.units import ZERO_CELSIUS_K
 from thermorender.weather.series import Weather
 

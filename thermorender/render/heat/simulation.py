@@ -36,8 +36,8 @@ from thermorender.render.variant import activate
 from thermorender.scene import open_ground
 from thermorender.scene.deviations import Deviations
 from thermorender.scene.scene import Scene
-from thermorender.scene.state.weathered_ground import is_snow, parts_in_weather
 from thermorender.scene.surface import fill, nearest_valid
+from thermorender.scene.weathered_ground import is_snow, parts_in_weather
 from thermorender.units import ZERO_CELSIUS_K, utc_text
 
 Progress = Callable[[str, float], object]

@@ -42,7 +42,7 @@ def write_colour(path):
 
 @reader("orthophoto", "orthophoto.tif", write_colour)
 def _orthophoto(path):
-    from thermorender.scene.parts.orthophoto import read_colour
+    from thermorender.scene.orthophoto import read_colour
 
     return read_colour(path)[0]
 

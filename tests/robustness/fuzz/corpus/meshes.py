@@ -14,7 +14,7 @@ def _body():
 
 
 def _of_mesh(path):
-    from thermorender.scene.parts.mesh import load
+    from thermorender.scene.meshes.mesh import load
 
     return load(path, path.parent)
 

@@ -25,7 +25,7 @@ def _trajectory(path):
 
 @reader("track", "track.csv", "time_s,east_m,north_m,yaw_deg,temperature_k\n0,0,0,0,300\n1,2,0,10,310\n2,3,1,20,305\n")
 def _track(path):
-    from thermorender.scene.parts.tracks import read_track
+    from thermorender.scene.tracks import read_track
 
     return read_track(path)
 

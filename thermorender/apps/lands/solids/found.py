@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.scene.parts.patch import burnt
+from thermorender.scene.patch import burnt
 from thermorender.scene.raster import Grid, onto
 from thermorender.scene.surface import fill, nearest_valid
 from thermorender.scene.terrain import filled

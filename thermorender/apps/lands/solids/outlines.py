@@ -14,8 +14,8 @@ from thermorender.apps.lands.solids.borders import THIN
 from thermorender.apps.lands.solids.facades import COLOURS, MATERIALS
 from thermorender.apps.lands.solids.found import Outline, Ring, area_of, even_odd, outlines_of
 from thermorender.errors import ThermorenderError
-from thermorender.scene.parts.known_cover import counted, tagged, underground
-from thermorender.scene.parts.patch import pixels_of, read_features
+from thermorender.scene.mapped_cover import counted, tagged, underground
+from thermorender.scene.patch import pixels_of, read_features
 from thermorender.scene.raster import Grid, grid_of, onto, read_classes
 
 _KEYS = ("building", "building:part")

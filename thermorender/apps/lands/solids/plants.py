@@ -18,7 +18,7 @@ from thermorender.formats import write_text
 from thermorender.materials.library import load_library
 from thermorender.materials.thermal import table_text
 from thermorender.physics.srgb import bytes_from_linear
-from thermorender.scene.parts.mesh import one_texel_each
+from thermorender.scene.meshes.mesh import one_texel_each
 
 # One side of leaves per volume of a crown [m²/m³], chosen: street and garden trees have 0.5 to 2, narrow conifers and
 # clipped hedges more.

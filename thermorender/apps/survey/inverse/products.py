@@ -23,7 +23,7 @@ from thermorender.apps.survey.inverse.weights import Lattice
 from thermorender.frame.picture import png
 from thermorender.frame.tiff import write_kelvin
 from thermorender.output.flight_pages.html import document, figure, table, text
-from thermorender.scene.parts import mesh
+from thermorender.scene.meshes import mesh
 from thermorender.schema import read_toml, toml_text
 from thermorender.trajectory.readers import enu_from_ned_at
 from thermorender.trajectory.rotations import BODY_FROM_CAMERA, angles_from_rotation

@@ -5,7 +5,7 @@ from dataclasses import fields, is_dataclass, replace
 from numbers import Real
 from os import PathLike
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +13,16 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.materials import library as material_tables
 from thermorender.materials.material import Material, grey
-from thermorender.scene.parts.tracks import COLUMNS
+from thermorender.scene.declared import Declared
 from thermorender.scene.raster import FORMATS
 from thermorender.scene.spec import ObjectSpec, SceneSpec, SurfaceSpec, TemperatureSpec, WeatherSpec
-from thermorender.scene.state.declared import Declared
-from thermorender.scene.state.derived import Derived
 from thermorender.scene.surface import Surface, scene_kelvin
+from thermorender.scene.tracks import COLUMNS
 from thermorender.schema import Where, did_you_mean
 from thermorender.units import Stated, with_unit
+
+if TYPE_CHECKING:
+    from thermorender.scene.scene import Scene
 
 _Spec = TypeVar("_Spec", bound=Any)
 # Of a scene: texels number them in a byte.
@@ -131,7 +133,7 @@ def flags_argument(flags: Any, surfaces: Sequence[Surface]) -> list[NDArray[np.u
 
 
 def surfaces_argument(
-    surfaces: Any, materials: Any, terrain_count: Any, had: Derived, scene: str
+    surfaces: Any, materials: Any, terrain_count: Any, scene: "Scene"
 ) -> tuple[tuple[Surface, ...], tuple[Material, ...], int]:
     """Return (surfaces with own copies of the arrays, materials, count of terrain) of `with_surfaces`, checked."""
     what = "with_surfaces was given"
@@ -144,17 +146,17 @@ def surfaces_argument(
         if odd or not list(values):
             sort = f"a {type(odd[0]).__name__} among its {name}" if odd else f"no {name}"
             raise ThermorenderError(f"{what} {sort}; give at least one {kind.__name__}")
-    made = tuple(had.cover.materials if materials is None else materials)
+    made = tuple(scene.materials if materials is None else materials)
     if len(made) > _MOST_MATERIALS:
         raise ThermorenderError(f"{what} {len(made)} materials; give {_MOST_MATERIALS} at most")
-    shown = had.surfaces
+    shown = scene.surfaces
     if surfaces is not None:
         for surface in surfaces:
             known = surface.temperature[np.isfinite(surface.temperature)]
             if known.size:
                 scene_kelvin(f"with_surfaces: temperature of {surface.name!r}", known)
         shown = tuple(surface.copied() for surface in surfaces)
-    count = len(had.shape.ground) if terrain_count is None else terrain_count
+    count = scene.terrain_count if terrain_count is None else terrain_count
     if not isinstance(count, int) or not 1 <= count <= len(shown):
         raise ThermorenderError(
             f"with_surfaces: terrain_count={count!r} is not allowed; give a whole number 1…{len(shown)}, as there are "
@@ -163,8 +165,8 @@ def surfaces_argument(
     highest = max(int(surface.material.max(initial=0)) for surface in shown)
     if highest >= len(made):
         raise ThermorenderError(
-            f"{scene}: a texel has material number {highest}, but there are {len(made)} materials; give one for each "
-            "number"
+            f"{scene.where}: a texel has material number {highest}, but there are {len(made)} materials; give one for "
+            "each number"
         )
     return shown, made, count
 
@@ -216,7 +218,7 @@ def surface_temperatures(spec: SceneSpec, given: Mapping[str, Any]) -> SceneSpec
 
 def weather_argument(weather: Any, keys: Mapping[str, Any], now: Declared) -> tuple[WeatherSpec, Any]:
     """Return (keys of [weather], Weather in place of its file or None) of the arguments of `with_weather`."""
-    series = now.weather if weather is None and set(keys) <= _OF_SCENE else None
+    series = now.given_weather if weather is None and set(keys) <= _OF_SCENE else None
     spec = now.spec.weather
     if isinstance(weather, WeatherSpec):
         spec = checked_spec(weather, "with_weather", now.spec.folder)

@@ -14,7 +14,7 @@ from thermorender import formats
 from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity.kinds import KINDS, kinds_of
 from thermorender.learned.emissivity.mapping import Evidence
-from thermorender.scene.parts.patch import burnt, part_of, pixels_of, read_features, texels_of
+from thermorender.scene.patch import burnt, part_of, pixels_of, read_features, texels_of
 from thermorender.scene.raster import Grid
 
 _FIELDS, _LOOSE = ("low", "soil", "tree"), ("paved", "soil", "sand", "rock", "low", "tree")
@@ -61,7 +61,7 @@ _PAIR, _UNESCAPED = re.compile(r'"((?:[^"\\]|\\.)*)"\s*=>\s*"((?:[^"\\]|\\.)*)"'
 
 
 @dataclass(frozen=True, eq=False)
-class KnownCover:
+class MappedCover:
     """What a GeoJSON says on the materials of a picture's texels."""
 
     number: NDArray[np.uint8]  # (h, w) uint8 1 … N of the case, 0 where nothing is known
@@ -88,8 +88,8 @@ def _allows(case: tuple[str, ...] | str, material: str) -> bool:
     return material == case if isinstance(case, str) else not kinds or bool({*case, "snow"} & {*kinds})
 
 
-def read_known(path: Path, grid: Grid, texel_m: float) -> KnownCover:
-    """Return the KnownCover of a GeoJSON of OpenStreetMap tags, or of polygons with a property "material".
+def read_mapped_cover(path: Path, grid: Grid, texel_m: float) -> MappedCover:
+    """Return the MappedCover of a GeoJSON of OpenStreetMap tags, or of polygons with a property "material".
 
     Parameters
     ----------
@@ -134,8 +134,8 @@ def _empty(coordinates: Any) -> bool:
 
 def _burnt(
     path: Path, crs: Any, grid: Grid, shapes: Sequence[Any], left_out: Counter[str], silent: Counter[str]
-) -> KnownCover:
-    """The KnownCover of shapes [(order, number, geometry, case, name, width [texels] or None)]."""
+) -> MappedCover:
+    """The MappedCover of shapes [(order, number, geometry, case, name, width [texels] or None)]."""
     number = np.zeros((grid.height, grid.width), np.uint8)
     cases: dict[tuple[str, ...] | str, int] = {}
     by_name: dict[str, NDArray[np.bool_]] = {}
@@ -166,7 +166,7 @@ def _burnt(
         notes.append(f"{path.name}: left out are {counted(left_out)}")
     if silent:
         notes.append(f"{path.name}: tags that say nothing on materials: {counted(silent)}")
-    return KnownCover(number, tuple(cases), tuple(notes))
+    return MappedCover(number, tuple(cases), tuple(notes))
 
 
 def tagged(feature: Any, path: Path, number: int) -> tuple[dict[str, Any], dict[str, str]]:

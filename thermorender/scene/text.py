@@ -2,14 +2,16 @@
 
 import base64
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from thermorender.materials.mixture import Mixture
-from thermorender.scene.state.declared import Declared
-from thermorender.scene.state.derived import Derived
+from thermorender.scene.spec import WEATHER
 from thermorender.units import utc_text
+
+if TYPE_CHECKING:
+    from thermorender.scene.scene import Scene
 
 # Longer side of a picture of the terrain, at most [px].
 _PICTURE_PX = 240
@@ -17,28 +19,28 @@ _PICTURE_PX = 240
 _MOST_NAMES = 12
 
 
-def line_of(declared: Declared, derived: Derived) -> str:
+def line_of(scene: "Scene") -> str:
     """Return one line on a scene: name, size, temperatures, sky and camera."""
-    texels = sum(surface.material.size for surface in derived.surfaces)
-    camera, folder = declared.camera, declared.spec.folder.name
+    texels = sum(surface.material.size for surface in scene.surfaces)
+    camera, folder = scene.camera, scene.spec.folder.name
     return (
-        f"Scene({folder!r}, {texels} texels of {derived.surfaces[0].texel_m:.3g} m, {_temperature(declared, derived)}, "
-        f"{_sky(declared, derived)}, {camera.name} {camera.width}×{camera.height})"
+        f"Scene({folder!r}, {texels} texels of {scene.surfaces[0].texel_m:.3g} m, {_temperature(scene)}, "
+        f"{_sky(scene)}, {camera.name} {camera.width}×{camera.height})"
     )
 
 
-def table_of(declared: Declared, derived: Derived) -> str:
+def table_of(scene: "Scene") -> str:
     """Return a short table on a scene, a line for each of its parts."""
-    frame, camera, spec = derived.shape.frame, declared.camera, declared.spec
-    faces = sum(len(surface.faces) for surface in derived.surfaces)
-    texels = sum(surface.material.size for surface in derived.surfaces)
+    frame, camera, spec = scene.frame, scene.camera, scene.spec
+    faces = sum(len(surface.faces) for surface in scene.surfaces)
+    texels = sum(surface.material.size for surface in scene.surfaces)
     lines = [
         f"{spec.folder.name}: {spec.title}",
-        f"  mesh          {faces} triangles, {texels} texels of {derived.surfaces[0].texel_m:.3g} m",
-        f"  temperature   {spec.temperature.source}, {_temperature(declared, derived)}",
-        f"  materials     {_materials(derived)}",
-        f"  sky           {_sky(declared, derived, True)}",
-        f"  objects       {_listed([_counted(item.name, derived) for item in spec.objects])}",
+        f"  mesh          {faces} triangles, {texels} texels of {scene.surfaces[0].texel_m:.3g} m",
+        f"  temperature   {spec.temperature.source}, {_temperature(scene)}",
+        f"  materials     {_materials(scene)}",
+        f"  sky           {_sky(scene, True)}",
+        f"  objects       {_listed([_counted(item.name, scene) for item in spec.objects])}",
         f"  camera        {camera.name}, {camera.width}×{camera.height}",
     ]
     if frame:
@@ -47,49 +49,49 @@ def table_of(declared: Declared, derived: Derived) -> str:
     return "\n".join(lines)
 
 
-def _counted(name: str, derived: Derived) -> str:
+def _counted(name: str, scene: "Scene") -> str:
     """The name of an object, with the number of its copies."""
-    copies = [len(s.instances) for s in derived.surfaces if s.instances is not None and s.name.split(":")[0] == name]
+    copies = [len(s.instances) for s in scene.surfaces if s.instances is not None and s.name.split(":")[0] == name]
     return f"{name} ({copies[0]} copies)" if copies else name
 
 
-def html_of(declared: Declared, derived: Derived) -> str:
+def html_of(scene: "Scene") -> str:
     """Return the table as HTML, with the terrain from above where the scene has a map."""
-    table = f"<pre>{escape(table_of(declared, derived))}</pre>"
-    if derived.shape.grid is None:
+    table = f"<pre>{escape(table_of(scene))}</pre>"
+    if scene.grid is None:
         return table
     import cv2
 
-    colour = derived.surfaces[0].colour
+    colour = scene.surfaces[0].colour
     step = -(-max(colour.shape) // _PICTURE_PX)
     data = cv2.imencode(".png", np.ascontiguousarray(colour[::step, ::step, ::-1]))[1].tobytes()
     picture = f'<img alt="the terrain from above" src="data:image/png;base64,{base64.b64encode(data).decode()}">'
     return f'<div style="display:flex;gap:1em;align-items:flex-start">{picture}{table}</div>'
 
 
-def _temperature(declared: Declared, derived: Derived) -> str:
-    state = derived.temperature_state
-    when = "" if declared.time is None else utc_text(declared.time)
+def _temperature(scene: "Scene") -> str:
+    state = scene.temperature_state
+    when = "" if scene.time is None else utc_text(scene.time)
     if not state.solved:
         return f"to be solved for {when}"
-    terrain = [surface.temperature for surface in derived.surfaces[: len(derived.shape.ground)]]
+    terrain = [surface.temperature for surface in scene.surfaces[: scene.terrain_count]]
     low, high = min(values.min() for values in terrain), max(values.max() for values in terrain)
     return f"{low:.1f}–{high:.1f} K" + (f" at {when}" if state.weather_driven else "")
 
 
-def _sky(declared: Declared, derived: Derived, long: bool = False) -> str:
-    if derived.air is None:
-        kelvin = declared.spec.sky_temperature
+def _sky(scene: "Scene", long: bool = False) -> str:
+    if scene.air is None:
+        kelvin = scene.spec.sky_temperature
         return "no sky" if kelvin is None else f"{kelvin:g} K" if long else f"sky of {kelvin:g} K"
-    altitude_m = declared.height_m(derived.shape.frame)
+    altitude_m = scene.altitude_m
     if long:
-        of = "of the weather: " if derived.weather is not None else "that of "
-        return f"{of}{derived.air}, {altitude_m:.0f} m above sea level"
+        of = "of the weather: " if scene.spec.atmosphere and scene.spec.atmosphere.standard == WEATHER else "that of "
+        return f"{of}{scene.air}, {altitude_m:.0f} m above sea level"
     return f"air, {altitude_m:.0f} m above sea level"
 
 
-def _materials(derived: Derived) -> str:
-    materials, report = derived.cover.materials, derived.cover.report
+def _materials(scene: "Scene") -> str:
+    materials, report = scene.materials, scene.emissivity_report
     pure = [material.name for material in materials if not isinstance(material, Mixture)]
     mixes = len(materials) - len(pure)
     words = _listed(pure) + (f" and {mixes} mixes of them" if mixes else "")

@@ -47,11 +47,7 @@ class TrackedObject:
     def at(self, time_s: float, **given: float) -> dict[str, float]:
         """Return {column: value} at a time [s], linear between the track's rows and constant beyond its ends.
 
-        Parameters
-        ----------
-        time_s : float
-        given : float
-            Values of COLUMNS to use instead.
+        Values in `given`, of COLUMNS, are used instead.
         """
         for name, value in given.items():
             if name not in COLUMNS:
@@ -94,11 +90,7 @@ class TrackedObject:
     ) -> NDArray[np.float64]:
         """Return (4, 4) from the object's own frame to the scene's, for values as by `at`.
 
-        Parameters
-        ----------
-        values : dict
-        ground : callable
-            (east, north) → height of the terrain [m].
+        `ground` is a callable (east, north) → height of the terrain [m].
         """
         east, north = values["east_m"], values["north_m"]
         height = float(ground(east, north))
@@ -120,12 +112,7 @@ def read_columns(
 ) -> tuple[dict[str, NDArray[np.float64]], list[int]]:
     """Return ({column: (n,)}, number of each row in the file) of a CSV with a header and finite numbers.
 
-    Parameters
-    ----------
-    needed, others : sequence of str
-        Columns that the file must and may have.
-    least : int
-        Number of `others` that it must have.
+    The file must have the columns `needed`, and `least` or more of `others`.
     """
     try:
         lines = list(csv.reader(io.StringIO(read_text(path, "CSV UTF-8"))))

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,17 +10,25 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene import instances
+from thermorender.scene.files import SceneFiles
 from thermorender.scene.ground import Ground
-from thermorender.scene.parts.read import Parts
-from thermorender.scene.parts.refine import evened, refined
-from thermorender.scene.parts.textures import Texture
-from thermorender.scene.parts.tracks import TrackedObject
 from thermorender.scene.raster import Grid
-from thermorender.scene.spec import ObjectSpec
+from thermorender.scene.refine import evened, refined
 from thermorender.scene.surface import Surface
+from thermorender.scene.textures import Texture
+from thermorender.scene.tracks import TrackedObject
 
 # Columns of a track that an edit holds at one value, by the name of the object.
 Held = Mapping[str, frozenset[str]]
+
+
+class Placement(NamedTuple):
+    """Where an object stands, and whether the heat balance solves its temperature."""
+
+    name: str
+    position: tuple[float, float, float]
+    yaw_deg: float
+    balanced: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,10 +49,11 @@ class Shape:
     balanced: int = 0  # Number of `static`, the first ones, whose temperatures the heat balance solves
 
 
-def shape_of(parts: Parts, objects: Sequence[ObjectSpec], held: Held, where: str) -> Shape:
-    """Return the Shape of a scene's parts with its objects where `objects` says."""
-    ground = Ground(parts.ground)
-    posed = [_posed(part, item, held) for part, item in zip(parts.objects, objects, strict=True)]
+def shape_of(files: SceneFiles, placements: Sequence[Placement], held: Held, where: str) -> Shape:
+    """Return the Shape of a scene's files with its objects where `placements` says."""
+    ground = Ground(files.ground)
+    posed = [_posed(part, place, held) for part, place in zip(files.objects, placements, strict=True)]
+    solved = [place.balanced for place in placements]
 
     def placed(one: TrackedObject, values: Mapping[str, float]) -> list[Surface]:
         try:
@@ -55,32 +65,32 @@ def shape_of(parts: Parts, objects: Sequence[ObjectSpec], held: Held, where: str
         ]
 
     static, static_of, balanced = list[Surface](), list[int](), 0
-    for number, one in sorted(enumerate(posed), key=lambda each: each[1].item.temperature is not None):
+    for number, one in sorted(enumerate(posed), key=lambda each: not solved[each[0]]):
         if not one.item.track:
             own = _copies(one, ground, where) if one.places else placed(one, one.at(0.0))
             static += own
             static_of += [number] * len(own)
-            balanced += len(own) if one.item.temperature is None else 0
+            balanced += len(own) if solved[number] else 0
     tracked_of = [number for number, one in enumerate(posed) if one.item.track]
     tracked = [posed[number] for number in tracked_of]
     along = [surface for one in tracked for values in one.stations() for surface in placed(one, values)]
-    highest = max(float(surface.vertices[:, 2].max()) for surface in (*parts.ground, *static, *along))
+    highest = max(float(surface.vertices[:, 2].max()) for surface in (*files.ground, *static, *along))
     # The light beside many copies is not resolved by finer ground: the budget has its error.
     bodies = [surface for surface in static if surface.instances is None]
-    finer, done = refined(parts.ground, bodies + along)
+    finer, done = refined(files.ground, bodies + along)
     whole = iter(done)
     static = [next(whole) if surface.instances is None else surface for surface in static]
     return Shape(
-        frame=parts.frame,
-        grid=parts.grid,
+        frame=files.frame,
+        grid=files.grid,
         ground=tuple(evened(surface) for surface in finer),
-        on_ground=parts.on_ground,
+        on_ground=files.on_ground,
         static=tuple(static),
         static_of=tuple(static_of),
         tracked=tuple(replace(one, surfaces=tuple(refined((), one.surfaces)[1])) for one in tracked),
         tracked_of=tuple(tracked_of),
         highest_m=highest,
-        textures=parts.textures,
+        textures=files.textures,
         balanced=balanced,
     )
 
@@ -114,8 +124,8 @@ def _copies(one: TrackedObject, ground: Ground, where: str) -> list[Surface]:
     return [instances.placed(surface, place) for surface in one.surfaces]
 
 
-def _posed(part: TrackedObject, item: ObjectSpec, held: Held) -> TrackedObject:
-    """An object as it is declared now, its track without the columns that an edit holds."""
-    fixed = held.get(item.name, frozenset())
+def _posed(part: TrackedObject, place: Placement, held: Held) -> TrackedObject:
+    """An object where it is placed now, its track without the columns that an edit holds."""
+    fixed = held.get(place.name, frozenset())
     columns = {name: values for name, values in part.columns.items() if name not in fixed}
-    return replace(part, item=item, columns=columns)
+    return replace(part, item=replace(part.item, position=place.position, yaw_deg=place.yaw_deg), columns=columns)

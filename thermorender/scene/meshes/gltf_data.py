@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.scene.parts.mesh_pieces import Beside
+from thermorender.scene.meshes.mesh_pieces import Beside
 
 # glTF 2.0, sections 3.6.2.2 and 3.6.2.3.
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -65,15 +65,8 @@ class File:
     def accessor(self, number: int, what: str, types: Sequence[str]) -> NDArray[Any]:
         """Return the values of an accessor, (count, components): integers as they are, all others as float64.
 
-        Normalised integers are converted and sparse values put in (glTF 2.0, sections 3.6.2.3 and 3.11).
-
-        Parameters
-        ----------
-        number : int
-        what : str
-            The attribute that it holds, for messages.
-        types : sequence of str
-            Those that are allowed, of SCALAR, VEC2, VEC3 and VEC4.
+        Normalised integers are converted and sparse values put in (glTF 2.0, sections 3.6.2.3 and 3.11). `types` are
+        the allowed ones of SCALAR, VEC2, VEC3 and VEC4; messages call it `what`.
         """
         one = self.item("accessors", number)
         kind, count = one["componentType"], one["count"]

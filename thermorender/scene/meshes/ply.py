@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.physics.srgb import linear_from_bytes
-from thermorender.scene.parts.mesh_pieces import GREY, Beside, Coat, Piece, of_faces, several, triangles
+from thermorender.scene.meshes.mesh_pieces import GREY, Beside, Coat, Piece, of_faces, several, triangles
 
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",

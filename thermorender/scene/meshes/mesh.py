@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.physics.geodesy import FARTHEST_M
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
-from thermorender.scene.parts import gltf, obj, ply
-from thermorender.scene.parts.mesh_pieces import GREY, Beside, Coat, Piece, of_faces, several
+from thermorender.scene.meshes import gltf, obj, ply
+from thermorender.scene.meshes.mesh_pieces import GREY, Beside, Coat, Piece, of_faces, several
 from thermorender.scene.surface import MOST_TEXELS
 
 # Not archives, which trimesh reads too: they contain other files.
@@ -53,13 +53,8 @@ class Part:
 def load(path: Path | str, folder: Path | None = None, named: Collection[str] = ()) -> list[Part]:
     """Return the Parts of a mesh file in its own coordinates, z up; the y-up axes of glTF are rotated.
 
-    Parameters
-    ----------
-    path : path
-    folder : path, optional
-        Material libraries, textures and buffers that the file names must be inside it. Default: the file's folder.
-    named : collection of str
-        Names that the pieces of one part must share or lack.
+    Material libraries, textures and buffers that the file names must be inside `folder`, by default its own. `named`
+    are names that the pieces of one part must share or lack.
     """
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
@@ -195,12 +190,7 @@ def _has_area(part: Part) -> bool:
 def primitive(shape: str, size: Sequence[float]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Return the vertices [m] and faces of a primitive with its base centred on the origin.
 
-    Parameters
-    ----------
-    shape : {"disc", "box", "sphere"}
-        A disc is flat with diameter size[0]; a box or ellipsoid has the extents `size` along x, y, z.
-    size : (3,) floats
-        [m].
+    A disc is flat with diameter size[0]; a box or ellipsoid ("sphere") has the extents `size` along x, y, z [m].
     """
     if shape == "disc":
         angle = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.scene.parts.gltf_data import File
-from thermorender.scene.parts.mesh_pieces import Beside, Coat, Piece, of_faces, several
+from thermorender.scene.meshes.gltf_data import File
+from thermorender.scene.meshes.mesh_pieces import Beside, Coat, Piece, of_faces, several
 
 _REPEAT = 10497  # section 5.25: the default wrap mode of a texture
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6  # section 5.24; other modes are points and lines, which have no area

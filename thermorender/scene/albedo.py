@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import Mixture, parts_of
-from thermorender.scene.parts.textures import areas, used_texels
 from thermorender.scene.surface import FILLED, Surface
+from thermorender.scene.textures import areas, used_texels
 from thermorender.units import ZERO_CELSIUS_K
 
 if TYPE_CHECKING:
@@ -32,15 +32,8 @@ _MOST = 0.95
 def shares(ground: Sequence[Surface], covers: Sequence[Any], count: int, mesh: bool) -> NDArray[np.float64]:
     """Return the share of each of `count` materials in the area of a terrain, (count,).
 
-    Parameters
-    ----------
-    ground : sequence of Surface
-    covers : sequence
-        Material numbers and flags of the texels of each surface; texels with unknown materials do not count.
-    count : int
-    mesh : bool
-        The surfaces of a mesh have texels of different sizes, of which faces use a part. The used ones share the area
-        of their surface evenly.
+    Texels with unknown materials do not count. The surfaces of a `mesh` have texels of different sizes: those that
+    faces use share the area of their surface evenly.
     """
     found = np.zeros(count)
     for surface, cover in zip(ground, covers, strict=True):
@@ -55,17 +48,7 @@ def shares(ground: Sequence[Surface], covers: Sequence[Any], count: int, mesh: b
 def with_albedo(materials: Sequence[Material], share: NDArray[np.float64], albedo: float, where: str) -> list[Material]:
     """Return the materials, the bare ones with another solar absorptance, so that their mean reflectance is `albedo`.
 
-    Materials without a share keep theirs.
-
-    Parameters
-    ----------
-    materials : sequence of Material
-    share : (N,) float64
-        Share of each in the terrain.
-    albedo : float
-        Mean reflectance of the terrain for sunlight.
-    where : str
-        Name of the scene file, for messages.
+    `share` (N,) is the share of each in the terrain; materials without one keep their absorptance.
     """
     from thermorender.scene import open_ground
 

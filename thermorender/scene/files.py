@@ -13,17 +13,17 @@ from thermorender.materials.material import Material
 from thermorender.physics.geodesy import FARTHEST_M, LocalFrame
 from thermorender.scene import terrain
 from thermorender.scene.instances import read_places
-from thermorender.scene.parts import mesh
-from thermorender.scene.parts.orthophoto import read_colour
-from thermorender.scene.parts.textures import Texture, onto_texels, stating, texel_size_m
-from thermorender.scene.parts.tracks import TrackedObject, read_track
+from thermorender.scene.meshes import mesh
+from thermorender.scene.orthophoto import read_colour
 from thermorender.scene.raster import Grid, bounds_in, grid_of, onto, read_classes
 from thermorender.scene.spec import ObjectSpec, SceneSpec
 from thermorender.scene.surface import FILLED, SURFACE, Surface
+from thermorender.scene.textures import Texture, onto_texels, stating, texel_size_m
+from thermorender.scene.tracks import TrackedObject, read_track
 
 
 @dataclass(frozen=True, eq=False)
-class Parts:
+class SceneFiles:
     """The content of a scene folder."""
 
     frame: LocalFrame | None
@@ -42,15 +42,15 @@ class Parts:
     height: tuple[NDArray[np.float64], Grid] | None = None
 
 
-def read_parts(spec: SceneSpec, where: str) -> Parts:
-    """Return the Parts of a scene file."""
+def read_files(spec: SceneSpec, where: str) -> SceneFiles:
+    """Return the SceneFiles of a scene file."""
     own = spec.folder / "materials"
     library = material_tables.load_library(own if own.is_dir() else None)
     parts = _raster_terrain(spec, where, library) if spec.terrain.elevation else _mesh_terrain(spec, where, library)
     return replace(parts, objects=tuple(_object(item, spec.folder) for item in spec.objects))
 
 
-def _raster_terrain(spec: SceneSpec, where: str, library: Mapping[str, Material]) -> Parts:
+def _raster_terrain(spec: SceneSpec, where: str, library: Mapping[str, Material]) -> SceneFiles:
     source = spec.terrain
     assert source.elevation is not None
     height, grid = terrain.read_elevation(source.elevation)
@@ -92,7 +92,7 @@ def _raster_terrain(spec: SceneSpec, where: str, library: Mapping[str, Material]
     filled = None if made is None else onto(made.astype(np.float32), grid, texels, "max") == 1.0
     on_ground = _on_ground(height, grid, texels)
     kept = (height, grid) if source.orthophoto else None
-    return Parts(frame, texels, (surface,), colour, valid, classes, filled, on_ground, (), library, height=kept)
+    return SceneFiles(frame, texels, (surface,), colour, valid, classes, filled, on_ground, (), library, height=kept)
 
 
 def _on_ground(height: NDArray[np.float64], grid: Grid, texels: Grid) -> NDArray[np.bool_] | None:
@@ -148,7 +148,7 @@ def _refuse_unnamed(classes: NDArray[np.uint8], path: Path, spec: SceneSpec, whe
         raise ThermorenderError(f"{path} has no class in it, only 0 (no data); give a raster of class numbers")
 
 
-def _mesh_terrain(spec: SceneSpec, where: str, library: Mapping[str, Material]) -> Parts:
+def _mesh_terrain(spec: SceneSpec, where: str, library: Mapping[str, Material]) -> SceneFiles:
     assert spec.terrain.mesh is not None
     names = [one.name for one in spec.surfaces]
     parts = mesh.load(spec.terrain.mesh, spec.folder, names)
@@ -160,7 +160,7 @@ def _mesh_terrain(spec: SceneSpec, where: str, library: Mapping[str, Material]) 
         for surface, inferred in zip(ground, unseen, strict=True)
     )
     frame = LocalFrame(*spec.frame) if spec.frame else None
-    return Parts(frame, None, ground, None, None, None, None, None, (), library, textures)
+    return SceneFiles(frame, None, ground, None, None, None, None, None, (), library, textures)
 
 
 def _with_classes(

@@ -1,25 +1,23 @@
 """Which material covers each texel and each object: the scene file's emissivity, materials that edits replace, bands.
 
-The Cover follows from the Parts of a scene, what it declares and the camera's band, and from nothing else.
+The Cover follows from the SceneFiles of a scene and its Covering, and from nothing else.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.materials import library as material_tables
-from thermorender.materials.extended import within_band
 from thermorender.materials.material import Material, grey
 from thermorender.materials.mixture import parts_of
+from thermorender.scene.files import SceneFiles
 from thermorender.scene.material_map import Picture, context_of, learned_materials, model_of
-from thermorender.scene.parts.patch import Patch
-from thermorender.scene.parts.read import Parts
-from thermorender.scene.parts.textures import areas, named, separate, stating, used_texels
-from thermorender.scene.spec import EmissivitySpec, ObjectSpec, SurfaceSpec
+from thermorender.scene.patch import Patch
+from thermorender.scene.spec import EmissivitySpec, SurfaceSpec
 from thermorender.scene.surface import (
     FILLED,
     MOST_MATERIALS,
@@ -31,12 +29,15 @@ from thermorender.scene.surface import (
     nearest_valid,
     open_share,
 )
+from thermorender.scene.textures import areas, named, separate, stating, used_texels
 
 # New materials by what they replace: a class number, a material's name, or "object:" or "surface:" and a name.
 Replaced = Mapping[int | str, Material]
 OBJECT, SURFACE_OF_MESH = "object:", "surface:"
 # The name of the grey material of an emissivity of source "constant".
 CONSTANT = "constant"
+# Stands in a report for the reason why no snow lies there: another weather changes the reason and not the materials.
+WHY = "{why no snow lies there}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,21 +49,33 @@ class Painted:
     flags: NDArray[np.uint8]
 
 
+class Covering(NamedTuple):
+    """What a scene declares on its materials."""
+
+    emissivity: EmissivitySpec
+    objects: tuple[tuple[str, str], ...]  # (name, material) of each object
+    surfaces: tuple[SurfaceSpec, ...]  # Parts of a mesh with their own material
+    # Materials in place of others, as `Replaced` says; all are replaced at once, by the names the files give
+    replaced: Replaced
+    painted: tuple[Patch, ...]  # Areas of the terrain with another material, the latest last
+    band_um: tuple[float, float] | None  # The camera's band [µm], which a learned map mixes materials for, else None
+
+
 @dataclass(frozen=True, eq=False)
 class Cover:
-    """Materials of a scene."""
+    """Which material covers what."""
 
-    materials: tuple[Material, ...]  # In the order of their first use; what material numbers index
+    tables: tuple[Material, ...]  # In the order of their first use; what material numbers index
     ground: tuple[Painted, ...]  # One per terrain surface
     objects: tuple[int, ...]  # The material number of each object
     report: Mapping[str, Any]  # Report of the learned emissivity map; empty without one
 
 
 class MaterialList:
-    """Materials a scene uses, in the order of their first use; each checked against the camera's band."""
+    """Materials a scene uses, in the order of their first use."""
 
     def __init__(
-        self, library: Mapping[str, Material], replaced: Replaced, band_um: tuple[float, float], where: str
+        self, library: Mapping[str, Material], replaced: Replaced, band_um: tuple[float, float] | None, where: str
     ) -> None:
         self.library, self.replaced, self.band_um, self.where = library, replaced, band_um, where
         self.used: list[Material] = []
@@ -86,50 +99,25 @@ class MaterialList:
                     f"scene may use up to {MOST_MATERIALS}, mixes of a learned emissivity map included, so give fewer"
                 )
             self.numbers[id(material)] = len(self.used)
-            self.used.append(within_band(material, self.band_um, self.library, self.where))
+            self.used.append(material)
         return self.numbers[id(material)]
 
 
-def refuse_band(material: Material, band_um: tuple[float, float], where: str) -> None:
-    """Refuse a material that does not cover the camera's band."""
-    try:
-        material.emissivity_at(np.array(band_um))
-    except ThermorenderError as error:
-        raise ThermorenderError(f"{where}: {error}") from None
+def cover_of(files: SceneFiles, covering: Covering, snow: bool, where: str) -> Cover:
+    """Return the Cover of a scene; `snow` says whether a learned map may find snow.
 
-
-def cover_of(
-    parts: Parts, emissivity: EmissivitySpec, objects: tuple[ObjectSpec, ...], surfaces: tuple[SurfaceSpec, ...],
-    replaced: Replaced, painted: Sequence[Patch], band_um: tuple[float, float], where: str, no_snow: str = "",
-) -> Cover:  # fmt: skip
-    """Return the Cover of a scene.
-
-    Parameters
-    ----------
-    parts : Parts
-    emissivity : EmissivitySpec
-    objects : tuple of ObjectSpec
-    surfaces : tuple of SurfaceSpec
-        Parts of a mesh with their own material.
-    replaced : dict
-        Materials in place of others, as `Replaced` says; all are replaced at once, by the names the files give.
-    painted : sequence of Patch
-        Areas of the terrain with another material, the latest last.
-    band_um : (2,) floats
-        The camera's band [µm].
-    where : str
-        Path of the scene file, for messages.
-    no_snow : str
-        Why no snow lies on the ground, for a learned map; "" if it may.
+    Where it may not, the report has `WHY` in place of the reason.
     """
-    materials = MaterialList(parts.library, replaced, band_um, where)
+    emissivity, objects, surfaces, replaced, painted, _ = covering
+    no_snow = "" if snow else WHY
+    materials = MaterialList(files.library, replaced, covering.band_um, where)
     report: dict[str, Any] = {}
-    if parts.grid is None:
-        ground = _mesh_cover(parts, emissivity, surfaces, materials, report, no_snow)
+    if files.grid is None:
+        ground = _mesh_cover(files, emissivity, surfaces, materials, report, no_snow)
     else:
-        ground = [_raster_cover(parts, parts.ground[0], emissivity, materials, report, no_snow)]
-        ground = [_painted(ground[0], painted, materials, parts.colour is None)]
-    numbers = tuple(materials.index(item.material, f"object {item.name!r}", OBJECT + item.name) for item in objects)
+        ground = [_raster_cover(files, files.ground[0], emissivity, materials, report, no_snow)]
+        ground = [_painted(ground[0], painted, materials, files.colour is None)]
+    numbers = tuple(materials.index(material, f"object {name!r}", OBJECT + name) for name, material in objects)
     for key in materials.unused:
         known = dict.fromkeys(part.name for each in materials.used for part, _ in parts_of(each))
         raise ThermorenderError(
@@ -145,31 +133,31 @@ def _key_words(key: int | str) -> str:
 
 
 def _raster_cover(
-    parts: Parts,
+    files: SceneFiles,
     surface: Surface,
     emissivity: EmissivitySpec,
     materials: MaterialList,
     report: dict[str, Any],
     no_snow: str,
 ) -> Painted:
-    shape, colour = surface.flags.shape, parts.colour
+    shape, colour = surface.flags.shape, files.colour
     valid, unknown = np.ones(shape, dtype=bool), np.zeros(shape, dtype=bool)
-    if parts.valid is not None:
-        valid = parts.valid.copy()
+    if files.valid is not None:
+        valid = files.valid.copy()
     if emissivity.source == "learned":
-        if parts.colour is None:
+        if files.colour is None:
             raise ThermorenderError(
                 f"{materials.where}: a learned emissivity map reads materials from an orthophoto; add "
                 "terrain.orthophoto"
             )
-        filled = parts.colour if valid.all() else fill(parts.colour, nearest_valid(valid))
-        assert parts.height is not None and parts.grid is not None
+        filled = files.colour if valid.all() else fill(files.colour, nearest_valid(valid))
+        assert files.height is not None and files.grid is not None
         picture = Picture(filled, valid, surface.texel_m,
-                          context_of(emissivity, *parts.height, parts.grid, surface.texel_m))  # fmt: skip
+                          context_of(emissivity, *files.height, files.grid, surface.texel_m))  # fmt: skip
         (material,), (unknown,) = _learned([picture], emissivity, materials, report, no_snow)
-    elif emissivity.source == "classes" and parts.classes is not None:
+    elif emissivity.source == "classes" and files.classes is not None:
         material, known, unknown, share = _of_classes(
-            parts.classes, valid, parts.on_ground, f"{emissivity.raster}", emissivity, materials
+            files.classes, valid, files.on_ground, f"{emissivity.raster}", emissivity, materials
         )
         if share > 0.0:
             rest = emissivity.fallback or "the class beside them"
@@ -182,8 +170,8 @@ def _raster_cover(
     if not valid.all():
         index = nearest_valid(valid)
         colour, material = fill(colour, index), fill(material, index)
-    if parts.filled is not None:
-        valid &= ~parts.filled
+    if files.filled is not None:
+        valid &= ~files.filled
     flags = np.full(shape, SURFACE, np.uint8)
     flags[~valid] |= FILLED
     flags[unknown] |= UNKNOWN
@@ -213,18 +201,18 @@ def _of_classes(
 
 
 def _mesh_cover(
-    parts: Parts, emissivity: EmissivitySpec, surfaces: Sequence[SurfaceSpec], materials: MaterialList,
+    files: SceneFiles, emissivity: EmissivitySpec, surfaces: Sequence[SurfaceSpec], materials: MaterialList,
     report: dict[str, Any], no_snow: str,
 ) -> list[Painted]:  # fmt: skip
     """The Painted of each surface of a mesh: by an edit, its [[surface]], its class raster or [emissivity]."""
-    textures, where = parts.textures, materials.where
+    textures, where = files.textures, materials.where
     edits = [str(key).removeprefix(SURFACE_OF_MESH) for key in materials.replaced
              if str(key).startswith(SURFACE_OF_MESH)]  # fmt: skip
     edited = named(textures, edits, where, "with_material: surface")
     stated = stating(textures, surfaces, ("material", "classes"), where)
     found: list[Painted | None] = []
     missing: list[tuple[float, float]] = []
-    for surface, texture, edit, own in zip(parts.ground, textures, edited, stated, strict=True):
+    for surface, texture, edit, own in zip(files.ground, textures, edited, stated, strict=True):
         shape = surface.flags.shape
         if edit is not None:
             key = SURFACE_OF_MESH + edits[edit]
@@ -263,14 +251,14 @@ def _mesh_cover(
         report.update(model="the class rasters", fallback=rest, share_unknown=share)
     waiting = [k for k, painted in enumerate(found) if painted is None]
     if waiting:
-        made = _learned_mesh(parts, waiting, emissivity, materials, report, no_snow)
+        made = _learned_mesh(files, waiting, emissivity, materials, report, no_snow)
         for k, painted in zip(waiting, made, strict=True):
             found[k] = painted
     return [painted for painted in found if painted is not None]
 
 
 def _learned_mesh(
-    parts: Parts,
+    files: SceneFiles,
     numbers: Sequence[int],
     emissivity: EmissivitySpec,
     materials: MaterialList,
@@ -278,7 +266,7 @@ def _learned_mesh(
     no_snow: str,
 ) -> list[Painted]:
     """The Painted of some surfaces by a learned map; those without a texture have the fallback."""
-    pictured = [k for k in numbers if parts.textures[k].size and not separate(parts.ground[k])]
+    pictured = [k for k in numbers if files.textures[k].size and not separate(files.ground[k])]
     if not pictured:
         raise ThermorenderError(
             f"{materials.where}: emissivity.source='learned' reads materials from textures, and this mesh has none; "
@@ -286,7 +274,7 @@ def _learned_mesh(
         )
     pictures = []
     for k in pictured:
-        surface = parts.ground[k]
+        surface = files.ground[k]
         used = used_texels(surface)
         colour = surface.colour if used.all() else fill(surface.colour, nearest_valid(used))
         pictures.append(
@@ -298,7 +286,7 @@ def _learned_mesh(
     of = dict(zip(pictured, zip(number, unknown, strict=True), strict=True))
     found = []
     for k in numbers:
-        surface = parts.ground[k]
+        surface = files.ground[k]
         shape = surface.flags.shape
         material, flagged = of.get(k, (np.full(shape, rest, np.uint8), np.ones(shape, bool)))
         flags = surface.flags | np.where(flagged, UNKNOWN, 0).astype(np.uint8)
@@ -327,6 +315,7 @@ def _learned(
     no_snow: str,
 ) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.bool_]]]:
     """(material numbers, whether they are unknown) of the texels of pictures by their colour, (h, w) each."""
+    assert materials.band_um is not None
     model, _ = model_of(emissivity, materials.library, materials.where, no_snow)
     names = {*model.materials, emissivity.fallback}
     for each in pictures:

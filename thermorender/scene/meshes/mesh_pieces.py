@@ -95,15 +95,8 @@ def triangles(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return (corner (T, 3), polygon (T,)) of the triangles that polygons are split into, each from one of its corners.
 
-    Parameters
-    ----------
-    lengths : (P,) int64
-        Number of corners of each polygon.
-    index : (C,) int64
-        Vertex of each corner, polygon after polygon; `corner` counts these.
-    vertices : (V, 3) float64
-    path : Path
-        For messages.
+    `lengths` (P,) is the number of corners of each polygon, `index` (C,) the vertex of each corner, polygon after
+    polygon; `corner` counts these.
     """
     if index.size and not (index.min() >= 0 and index.max() < len(vertices)):
         raise ThermorenderError(

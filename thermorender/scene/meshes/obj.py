@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.physics.srgb import linear_from_bytes
-from thermorender.scene.parts.mesh_pieces import GREY, Beside, Coat, Piece, of_faces, several, triangles
+from thermorender.scene.meshes.mesh_pieces import GREY, Beside, Coat, Piece, of_faces, several, triangles
 
 # Statements without influence on triangles and their colour; points and lines have no area.
 _IGNORED = frozenset("vn vp s mg l p lod bevel c_interp d_interp shadow_obj trace_obj".split())

@@ -1,0 +1,194 @@
+"""Temperatures of the terrain: from a number, raster or map, or pending until the heat balance solves them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.errors import ThermorenderError, shortened
+from thermorender.materials.material import Material
+from thermorender.scene.cover import Cover, Painted
+from thermorender.scene.shape import Placement, Shape
+from thermorender.scene.spec import SunSpec, SurfaceSpec, TemperatureSpec, WeatherSpec
+from thermorender.scene.surface import FALLBACK, UNMOVED, Surface, fill, nearest_valid, scene_kelvin
+from thermorender.scene.temperature import Texels, map_error_k, resolve, trained
+from thermorender.scene.temperature_state import Available, Balance, Conditional, Moved, Pending, TemperatureState
+from thermorender.scene.textures import stating, used_texels
+
+if TYPE_CHECKING:
+    from thermorender.atmosphere.model import Atmosphere
+    from thermorender.learned.temperature_map import TemperatureMap
+    from thermorender.weather.series import Weather
+
+# How temperatures follow the weather; "" where they do not.
+Follows = Literal["", "balance", "conditional", "moved"]
+
+
+class Forcing(NamedTuple):
+    """What temperatures that follow the weather are solved from, besides the surfaces and their materials."""
+
+    weather: WeatherSpec | None
+    given_weather: "Weather | None"
+    time: "np.datetime64 | None"
+    altitude_m: float | None  # As stated, not from the frame
+    objects: tuple[float | None, ...]  # Temperatures of those without a track [K]
+    sun: SunSpec | None  # The declared one, which contradicts the weather's and is refused
+    sky: "Atmosphere | float | None"  # Which a conditional map's apparent temperatures depend on
+
+
+@dataclass(frozen=True, eq=False)
+class Temperatures:
+    """Temperatures of the terrain's surfaces, and of copies that the heat balance solves."""
+
+    kelvin: Sequence[NDArray[np.float32]]  # (h, w) of each terrain surface [K]; NaN while pending
+    flags: Sequence[NDArray[np.uint8]]  # (h, w) FALLBACK and UNMOVED of these texels
+    state: TemperatureState
+    # (temperatures [K], standard deviation within texels [K] or None) of each surface of copies, once solved
+    copies: Sequence[tuple[NDArray[np.float32], NDArray[np.float32] | None]] = ()
+
+
+def follows(
+    spec_temperature: TemperatureSpec, temperature_map: "TemperatureMap | None", spec_weather: WeatherSpec | None
+) -> Follows:
+    """Return how the terrain's temperatures follow the weather."""
+    if temperature_map is not None and temperature_map.needs:
+        return "conditional"
+    if spec_temperature.source == "balance":
+        return "balance"
+    return "moved" if spec_weather is not None and trained(spec_temperature, temperature_map) is not None else ""
+
+
+def temperatures(
+    follows: Follows, forcing: Forcing | None, spec_temperature: TemperatureSpec,
+    temperature_map: "TemperatureMap | None", given_kelvin: tuple[NDArray[Any], ...] | None, given: bool,
+    part_temperatures: Sequence[SurfaceSpec], placements: Sequence[Placement], shape: Shape,
+    covered: "tuple[Cover, tuple[Material, ...]] | None", where: str,
+) -> Temperatures:  # fmt: skip
+    """Return the Temperatures of the source that a scene declares."""
+    if forcing is not None:
+        _refuse_forcing(follows, forcing, spec_temperature, part_temperatures, shape, where)
+    solved = next((each for each in placements if each.balanced), None)
+    if solved and spec_temperature.source != "balance":
+        raise ThermorenderError(
+            f"{where}: the temperature of object {solved.name!r} is 'balance', and that of the terrain is not: "
+            f"[temperature] has source={spec_temperature.source!r}; give the object kelvin, or source='balance' with "
+            "[weather]"
+        )
+    nothing = [np.zeros(surface.flags.shape, np.uint8) for surface in shape.ground]
+    waiting = [np.full(surface.flags.shape, np.nan, np.float32) for surface in shape.ground]
+    if follows == "conditional":
+        return Temperatures(waiting, nothing, Pending(Conditional(temperature_map)))
+    if follows == "balance":
+        return Temperatures(waiting, nothing, Pending(Balance()))
+    report: dict[str, Any] = {}
+    if given:
+        kelvin = [surface.temperature for surface in shape.ground]
+        flags = [surface.flags & np.uint8(FALLBACK | UNMOVED) for surface in shape.ground]
+    else:
+        if given_kelvin is not None:
+            found = [_filled(values, surface) for values, surface in zip(given_kelvin, shape.ground, strict=True)]
+        else:
+            source = _Source(spec_temperature, part_temperatures, temperature_map, where, report)
+            found = _resolved(source, shape, covered)
+        kelvin, flags = [each[0] for each in found], [each[1] for each in found]
+    if follows != "moved":
+        return Temperatures(kelvin, flags, Available(report=report))
+    weather = trained(spec_temperature, temperature_map)
+    assert weather is not None
+    moved = Moved(tuple(kelvin), weather, map_error_k(spec_temperature, temperature_map))
+    return Temperatures(waiting, flags, Pending(moved, report))
+
+
+@dataclass(frozen=True)
+class _Source:
+    """A source of temperatures that do not follow the weather, or are moved by it."""
+
+    spec: TemperatureSpec
+    parts: Sequence[SurfaceSpec]  # Parts of a mesh with their own temperature
+    model: "TemperatureMap | None"
+    where: str
+    report: dict[str, Any] = field(default_factory=dict)
+
+
+def _resolved(
+    source: _Source, shape: Shape, covered: tuple[Cover, tuple[Material, ...]] | None
+) -> list[tuple[NDArray[np.float32], NDArray[np.uint8]]]:
+    """(kelvin, flags) of each terrain surface, from its own [[surface]] or from [temperature]."""
+    spec, textures, where = source.spec, shape.textures or [None] * len(shape.ground), source.where
+    own = stating(shape.textures, source.parts, ("temperature",), where) or [None] * len(textures)
+    rest = [surface.name for surface, one in zip(shape.ground, own, strict=True) if one is None]
+    if spec.source == "raster" and shape.textures and len(rest) > 1:
+        raise ThermorenderError(
+            f"{where}: temperature.raster is in the pixels of one texture, and the mesh has {len(rest)} surfaces "
+            f"without another temperature ({shortened(', '.join(map(repr, rest)), 300)}); give each its raster or "
+            "kelvin as temperature in a [[surface]]"
+        )
+    # Surfaces without materials hold placeholders of the same shape.
+    ground: Sequence[Painted | Surface] = covered[0].ground if covered else shape.ground
+    materials = covered[1] if covered else ()
+    found = []
+    for surface, painted, texture, one in zip(shape.ground, ground, textures, own, strict=True):
+        chosen, stated = spec, None if one is None else one.temperature
+        if isinstance(stated, Path):
+            chosen = TemperatureSpec("raster", raster=stated, value=spec.value)
+        elif stated is not None:
+            chosen = TemperatureSpec("constant", value=stated)
+        on_ground = used_texels(surface) if texture and chosen.source == "raster" else shape.on_ground
+        found.append(resolve(chosen, Texels(
+            painted.colour, painted.material, materials, shape.grid, surface.texel_m, where, source.report,
+            source.model, on_ground, surface if texture else None, texture,
+        )))  # fmt: skip
+    return found
+
+
+def _filled(values: NDArray[Any], surface: Surface) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """(kelvin, flags) of temperatures given in memory; NaN is replaced by the nearest one."""
+    kelvin = np.asarray(values, np.float32)
+    if kelvin.shape != surface.flags.shape or not np.isfinite(kelvin).any():
+        raise ThermorenderError(
+            f"kelvin of shape {kelvin.shape} does not cover the terrain's {surface.flags.shape} texels; give an array "
+            "of that shape per terrain surface, with NaN for no data"
+        )
+    scene_kelvin("kelvin", kelvin[np.isfinite(kelvin)])
+    valid = np.isfinite(kelvin)
+    if not valid.all():
+        kelvin = fill(kelvin, nearest_valid(valid))
+    return kelvin, np.where(valid, 0, FALLBACK).astype(np.uint8)
+
+
+def _refuse_forcing(
+    follows: Follows, forcing: Forcing, spec: TemperatureSpec, parts: Sequence[SurfaceSpec], shape: Shape, where: str
+) -> None:
+    """Refuse temperatures that follow the weather if an input is missing or contradictory."""
+    if follows == "conditional" and spec.trained:
+        raise ThermorenderError(
+            f"{where}: temperature.model={spec.model!r} takes hour and weather as input and is not moved by "
+            "temperature.trained; leave that out"
+        )
+    if follows == "conditional" and shape.grid is None:
+        raise ThermorenderError(
+            f"{where}: temperature.model={spec.model!r} takes relief or hour as input and needs a terrain with an "
+            "elevation raster, and this one is a mesh; take a map that sees colour only"
+        )
+    for one in parts:
+        if one.temperature is not None:
+            raise ThermorenderError(
+                f"{where}: surface {one.name!r} has temperature={one.temperature}, and the others follow the "
+                "weather, which is not supported; leave it out, or make that part an [[object]] of its own file"
+            )
+    key = "trained" if follows == "moved" else f"model={spec.model!r}" if spec.model else "source='balance'"
+    why = f"{where}: temperature.{key} "
+    if forcing.weather is None:
+        raise ThermorenderError(f"{why}needs the weather; add [weather] with time and one of file, epw, air_high_c")
+    if shape.frame is None:
+        raise ThermorenderError(
+            f"{why}needs a place, which a mesh does not have; add [frame] with latitude_deg, longitude_deg and height_m"
+        )
+    if forcing.sun is not None:
+        raise ThermorenderError(
+            f"{why}computes the sun from weather.time, but this scene declares another sun; leave [sun] out, "
+            "or call with_sun(None) first"
+        )
