@@ -15,7 +15,6 @@ import thermorender as tr
 from scenes import write_terrain
 from thermorender.render.baked import bake
 from thermorender.render.edits import preview as edits
-from thermorender.render.edits.known import samples_of
 from thermorender.render.light.solved import solve_scene
 
 DOWN = {"pitch_deg": -90.0}
@@ -111,7 +110,7 @@ def test_preview_differs_from_the_solution_by_its_stated_error_at_most(renderer,
 
 
 def test_texels_of_other_faces_have_the_weights_of_the_points_in_a_face(renderer):
-    samples, cover = samples_of(renderer.baked), np.array(renderer.baked.geometry.face_of_texel)
+    samples, cover = renderer.baked.samples, np.array(renderer.baked.geometry.face_of_texel)
     start, texels, weights = (np.array(each) for each in samples.others)
     assert len(start) == renderer.baked.geometry.face_count + 1 and start[-1] == len(texels) > 0
     for face in range(0, renderer.baked.geometry.face_count, 7):
@@ -124,7 +123,7 @@ def test_texels_of_other_faces_have_the_weights_of_the_points_in_a_face(renderer
 
 
 def test_light_of_few_faces_is_that_of_all_rays(renderer):
-    transport, samples = renderer.baked.transport, samples_of(renderer.baked)
+    transport, samples = renderer.baked.transport, renderer.baked.samples
     count = len(transport.up)
     # One that no other face sees, and some that others see.
     hits = np.bincount(transport.seen, minlength=count)

@@ -63,3 +63,13 @@ class Layer(Shape):
     """A Shape with the radiance that leaves its surfaces."""
 
     outgoing: OutgoingRadiance
+
+
+@dataclass(frozen=True)
+class Texels:
+    """What the texels of a layer are, for the truth."""
+
+    material: Jit  # (T,) UInt8
+    flags: Jit  # (T,) UInt8, flags of `thermorender.scene.surface`
+    temperature: Jit  # (T,) Float [K]; None for a dynamic object, whose Placement has it
+    objects: Jit  # UInt32, number of the object that each surface belongs to, as `labels.objects_of_surfaces`

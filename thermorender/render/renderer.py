@@ -22,8 +22,8 @@ from thermorender.render.baked import BakedScene, Progress, bake
 from thermorender.render.dynamic import Objects, placements
 from thermorender.render.geometry import Geometry, refuse_other_surfaces
 from thermorender.render.heat.instants import solved_at
-from thermorender.render.labels import object_names, object_numbers
 from thermorender.render.layers import Layer, OutgoingRadiance, Shape
+from thermorender.render.object_numbers import object_names, object_numbers
 from thermorender.render.pixels import slender
 from thermorender.render.pixels.sampling import CameraRays
 from thermorender.render.pixels.tracer import Sampling, Tracer

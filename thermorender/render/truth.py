@@ -6,7 +6,7 @@ depths or materials would describe no surface.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -20,14 +20,12 @@ from thermorender.render.dynamic import Placement
 from thermorender.render.geometry import Geometry, Hit
 from thermorender.render.labels import imaged
 from thermorender.render.layers import Shape
+from thermorender.render.loaded import LoadedLight
 from thermorender.render.pixels.sampling import RING, CameraRays
 from thermorender.render.reflection.reflectance import directional
 from thermorender.render.spectrum import REFERENCE_K
 from thermorender.scene.surface import BACKGROUND, BEHIND
 from thermorender.sensor.camera import Camera
-
-if TYPE_CHECKING:
-    from thermorender.render.baked import BakedScene
 
 NO_MATERIAL = 255
 # (H, W) of any dtype.
@@ -35,7 +33,7 @@ Image = NDArray[Any]
 
 
 def truth(
-    baked: "BakedScene", rays: CameraRays, pose: Floats, placements: Sequence[Placement], middles: Hit | None = None
+    baked: LoadedLight, rays: CameraRays, pose: Floats, placements: Sequence[Placement], middles: Hit | None = None
 ) -> dict[str, NDArray[Any]]:
     """Return {name: image} of the ground truth at the pixels' middles, as `Frame.truth` has it.
 
@@ -169,7 +167,7 @@ def _images(rays: CameraRays, values: Sequence[Jit]) -> list[Image]:
 
 
 def targets(
-    baked: "BakedScene", camera: Camera, pose: Floats, placements: Sequence[Placement]
+    baked: LoadedLight, camera: Camera, pose: Floats, placements: Sequence[Placement]
 ) -> dict[str, dict[str, Any]]:
     """Return {object: {pixel, in_view, visible, range_m}} of the scene's objects, as `Frame.targets` has it."""
     middles = dict(baked.scene.targets)

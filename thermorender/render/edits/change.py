@@ -1,8 +1,7 @@
 """What an edit of materials or temperatures changes: texels, and the radiance that their faces send."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, fields
 
 import drjit as dr
 import numpy as np
@@ -11,13 +10,10 @@ from numpy.typing import NDArray
 from thermorender.render.arrays import Channels, Jit, aligned
 from thermorender.render.device import flat
 from thermorender.render.edits.known import Known, Tables
+from thermorender.render.loaded import LoadedLight
 from thermorender.render.plan import Plan
 from thermorender.render.spectrum import Spectrum, spectra_at
 from thermorender.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from thermorender.render.baked import BakedScene
-
 
 # Numbers of pairs of materials are a byte.
 _MOST_PAIRS = 255
@@ -61,7 +57,7 @@ def comparable(one: Scene, other: Scene) -> bool:
 
 
 def change_of(
-    baked: "BakedScene", known: Known, scene: Scene, plan: Plan, touched: Touched | None = None
+    baked: LoadedLight, known: Known, scene: Scene, plan: Plan, touched: Touched | None = None
 ) -> Change | None:  # fmt: skip
     """Return the Change from a baked scene to an edited one; None where nodes or channels differ.
 
@@ -78,11 +74,12 @@ def change_of(
         return None
     tables = known.tables(plan)
     sent, strongest = _sent(known, tables, (before, after), touched)
-    return Change(**vars(touched), plan=plan, tables=tables, sent=sent, strongest=strongest)
+    known_before = {each.name: getattr(touched, each.name) for each in fields(touched)}
+    return Change(**known_before, plan=plan, tables=tables, sent=sent, strongest=strongest)
 
 
 def touched_by(
-    baked: "BakedScene", known: Known, scene: Scene, differ: NDArray[np.bool_] | None = None
+    baked: LoadedLight, known: Known, scene: Scene, differ: NDArray[np.bool_] | None = None
 ) -> Touched | None:  # fmt: skip
     """Return what an edit changes, without the light; None where it has too many pairs of materials.
 
@@ -106,7 +103,7 @@ def touched_by(
     return Touched(differ, kinds, kelvin, changed, materials, pair, pairs, faces)
 
 
-def _differ(baked: "BakedScene", scene: Scene) -> NDArray[np.bool_]:
+def _differ(baked: LoadedLight, scene: Scene) -> NDArray[np.bool_]:
     """Whether the emissivity of each material before differs from that of each after, (M, M')."""
     one, other = (spectra_at(baked.plan.spectrum.points, each.materials) for each in (baked.scene, scene))
     return np.asarray((one[:, None] != other).any(axis=-1))

@@ -1,8 +1,9 @@
 """A baked scene on the device as edits need it: its texels, its light, and the points that represent its faces."""
 
 from concurrent.futures import Executor
+from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from thermorender.physics.band import RadianceTable
 from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned
+from thermorender.render.baked_light import BakedLight
 from thermorender.render.device import flat
 from thermorender.render.geometry import Geometry
 from thermorender.render.light.exchange import Strong
@@ -17,9 +19,6 @@ from thermorender.render.light.radiosity import Transport
 from thermorender.render.light.texels import pattern
 from thermorender.render.plan import Plan
 from thermorender.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from thermorender.render.baked import BakedScene
 
 # Temperatures below the coldest and above the warmest of a scene that its tables have [K].
 _BELOW_K, _ABOVE_K = 10.0, 40.0
@@ -216,22 +215,14 @@ class Samples:
         return np.asarray((total[ends] - total[ends - count]) / (2.0 * transport.rays))
 
 
-def samples_of(baked: "BakedScene") -> Samples:
-    """Return the Samples of a BakedScene, which it keeps."""
-    kept = baked._uploaded
-    if "samples" not in kept:
-        assert baked.transport is not None
-        kept["samples"] = Samples(baked.geometry, baked.transport)
-    return kept["samples"]
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """Light that a preview leaves out."""
 
-
-def known_of(baked: "BakedScene") -> "Known":
-    """Return the Known of a BakedScene, which it keeps."""
-    kept = baked._uploaded
-    if "known" not in kept:
-        # A preview has what makes it.
-        kept["known"] = kept.pop("known later")() if "known later" in kept else Known.of(baked, samples_of(baked))
-    return kept["known"]
+    # (F,) float32 reflected light that is not followed, of each face, summed over the nodes [W m⁻² sr⁻¹]
+    missing: NDArray[np.float32]
+    outside: float  # The same of the surroundings
+    faces: NDArray[np.intp]  # (n,) int faces where it matters most among those that edits changed
 
 
 class Tables:
@@ -292,9 +283,9 @@ class Known:
         self._light, self._tables = light, tables
 
     @classmethod
-    def of(cls, baked: "BakedScene", samples: Samples) -> "Known":
+    def of(cls, baked: BakedLight, samples: Samples) -> "Known":
         """Return the Known of a solution."""
-        mi, scene = baked.geometry.mi, baked.scene
+        mi, scene = samples.geometry.mi, baked.scene
         kinds = mi.UInt8(aligned(flat(scene.surfaces, "material"), np.uint8))
         kelvin = mi.Float(aligned(flat(scene.surfaces, "temperature")))
         texels = [mi.Float(aligned(values)) for values in baked.texels]

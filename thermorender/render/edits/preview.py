@@ -12,24 +12,23 @@ A preview of a preview may begin from it. Its light is then short of what both l
 """
 
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.render.arrays import Channels, Floats, Jit, aligned
+from thermorender.render.device import DeviceScene
 from thermorender.render.edits.change import Change, change_of, comparable, touched_by
-from thermorender.render.edits.known import Known, Samples, known_of
+from thermorender.render.edits.known import Known, LeftOut, Samples
 from thermorender.render.layers import OutgoingRadiance
 from thermorender.render.light.exchange import threads
+from thermorender.render.loaded import Loaded, LoadedLight
 from thermorender.render.plan import Plan, make_plan
 from thermorender.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from thermorender.render.baked import BakedScene
 
 # What spectral components may leave out of what faces send [mK], and their number.
 _LEFT_MK, _MOST_SPECTRA = 200.0, 2
@@ -42,44 +41,34 @@ _MOST_PASSED = 0.9
 _WORTH, _QUICK_RAYS = 1.3, 1_000_000
 
 
-@dataclass(frozen=True, eq=False)
-class LeftOut:
-    """Light that a preview leaves out."""
-
-    # (F,) float32 reflected light that is not followed, of each face, summed over the nodes [W m⁻² sr⁻¹]
-    missing: NDArray[np.float32]
-    outside: float  # The same of the surroundings
-    faces: NDArray[np.intp]  # (n,) int faces where it matters most among those that edits changed
-
-
-def preview(baked: "BakedScene", scene: Scene) -> "BakedScene | None":
+def preview(baked: LoadedLight, scene: Scene) -> LoadedLight | None:
     """Return the preview of an edited scene; None where the edit needs a solution."""
-    exact = baked._uploaded.get("exact", baked)
+    exact = baked.solved
     if exact.incident is None or exact.faces is None or not comparable(exact.scene, scene):
         return None
-    start, touched = exact, touched_by(exact, known_of(exact), scene)
+    start, touched = exact, touched_by(exact, exact.known, scene)
     if touched is not None and baked is not exact:
-        rays_on = known_of(exact).samples.rays_on
+        rays_on = exact.known.samples.rays_on
         rays = rays_on(touched.faces)
-        later = touched_by(baked, known_of(baked), scene) if rays > _QUICK_RAYS else None
+        later = touched_by(baked, baked.known, scene) if rays > _QUICK_RAYS else None
         if later is not None and rays > _WORTH * rays_on(later.faces):
             start, touched = baked, later
     plan = edited_plan(start, scene)
     if not plan.bake or plan.sun != exact.plan.sun or plan.specular or exact.plan.specular:
         return None
-    change = None if touched is None else change_of(start, known_of(start), scene, plan, touched)
-    return None if change is None else _previewed(start, known_of(start), scene, change)
+    change = None if touched is None else change_of(start, start.known, scene, plan, touched)
+    return None if change is None else _previewed(start, start.known, scene, change)
 
 
-def prepare(baked: "BakedScene") -> None:
+def prepare(baked: LoadedLight) -> None:
     """Make what all previews of a BakedScene begin from, and keep it there."""
-    if (baked.incident is not None and baked.faces is not None) or "exact" in baked._uploaded:
-        samples = known_of(baked).samples
+    if (baked.incident is not None and baked.faces is not None) or baked.loaded.solved:
+        samples = baked.known.samples
         samples.prepare()
         _strongest(baked, samples)
 
 
-def edited_plan(baked: "BakedScene", scene: Scene) -> Plan:
+def edited_plan(baked: LoadedLight, scene: Scene) -> Plan:
     """Return the Plan of an edited scene that keeps nodes and channels."""
     old = baked.plan
     return make_plan(
@@ -88,7 +77,7 @@ def edited_plan(baked: "BakedScene", scene: Scene) -> Plan:
     )  # fmt: skip
 
 
-def _previewed(baked: "BakedScene", known: Known, scene: Scene, change: Change) -> "BakedScene":
+def _previewed(baked: LoadedLight, known: Known, scene: Scene, change: Change) -> LoadedLight:
     geometry = baked.geometry
     # NumPy's part of the work goes on beside Dr.Jit's.
     with threads() as pool:
@@ -103,21 +92,20 @@ def _previewed(baked: "BakedScene", known: Known, scene: Scene, change: Change) 
         first, *rest = (each.result() for each in means)
         errors_mk, left_out = errors.result()
     outgoing = OutgoingRadiance(first, rest[0] if rest else None, Channels(geometry.mi, faces))
-    exact = baked._uploaded.get("exact", baked)
-    kept = {
-        "geometry": geometry, "samples": known.samples, "exact": exact, "left out": left_out,
-        "known later": partial(known.after, scene, change.kinds, change.kelvin, basis, light, found),
-    }  # fmt: skip
+    solved, loaded = baked.solved, Loaded(geometry=geometry, samples=known.samples, left_out=left_out)
+    loaded.solved = solved
+    loaded.known_later = partial(known.after, scene, change.kinds, change.kelvin, basis, light, found)
     shown = replace(
         baked, scene=scene, plan=change.plan, incident=None, texels=tuple(texels), faces=faces,
-        errors_mk=exact.errors_mk | errors_mk, _uploaded=kept,
+        errors_mk=solved.errors_mk | errors_mk, loaded=loaded,
     )  # fmt: skip
-    kept["scene"] = exact.device.showing(shown, outgoing)
+    same_air = scene.surroundings_temperature == solved.scene.surroundings_temperature
+    loaded.device = DeviceScene(shown, geometry, outgoing, solved.device.air if same_air else None)
     return shown
 
 
 def _light(
-    baked: "BakedScene", known: Known, scene: Scene, change: Change, pool: Executor
+    baked: LoadedLight, known: Known, scene: Scene, change: Change, pool: Executor
 ) -> tuple[Floats, NDArray[np.float32], tuple[NDArray[np.float32], float]]:  # fmt: skip
     """(orthonormal spectra (k, N), change of the light on faces in them (k, F), what they leave out)."""
     samples, plan = known.samples, change.plan
@@ -133,7 +121,7 @@ def _light(
 
 
 def _errors_mk(
-    baked: "BakedScene", samples: Samples, change: Change, basis: Floats, light: NDArray[np.float32],
+    baked: LoadedLight, samples: Samples, change: Change, basis: Floats, light: NDArray[np.float32],
     left: tuple[NDArray[np.float32], float],
 ) -> tuple[dict[str, float], LeftOut]:  # fmt: skip
     """(stated errors of a preview, as of `BakedScene.preview_for` [mK]; what it leaves out)."""
@@ -167,11 +155,11 @@ def _components(
 
 
 def _left_out(
-    baked: "BakedScene", samples: Samples, change: Change, basis: Floats, light: NDArray[np.float32],
+    baked: LoadedLight, samples: Samples, change: Change, basis: Floats, light: NDArray[np.float32],
     left: tuple[NDArray[np.float32], float],
 ) -> LeftOut:  # fmt: skip
     """The light of the second bounce, and of spectra left out, with what the preview before left out."""
-    changed, before = change.faces, baked._uploaded.get("left out")
+    changed, before = change.faces, baked.loaded.left_out
     reflecting = _reflecting(baked, samples, change)
     missing = reflecting * (np.abs(basis).sum(axis=1).astype(np.float32) @ np.abs(light))
     missing[changed] += left[0]
@@ -183,14 +171,14 @@ def _left_out(
     return LeftOut(missing + before.missing, left[1] + before.outside, faces)
 
 
-def _reflecting(baked: "BakedScene", samples: Samples, change: Change) -> NDArray[np.float32]:
+def _reflecting(baked: LoadedLight, samples: Samples, change: Change) -> NDArray[np.float32]:
     """Largest reflectance of a point of each face at any node after an edit, (F,)."""
     strongest = _strongest(baked, samples)[0].copy()
     strongest[change.faces] = change.strongest
     return strongest
 
 
-def _errors(baked: "BakedScene", samples: Samples, change: Change, left_out: LeftOut) -> tuple[float, float]:
+def _errors(baked: LoadedLight, samples: Samples, change: Change, left_out: LeftOut) -> tuple[float, float]:
     """Estimates of the preview's largest error and of its root mean square over all faces [W m⁻² sr⁻¹]."""
     strongest = _reflecting(baked, samples, change)
     number = np.random.Generator(np.random.Philox(0)).random(_JUDGED)
@@ -211,14 +199,13 @@ def _most(values: NDArray[Any]) -> NDArray[np.intp]:
     )
 
 
-def _strongest(baked: "BakedScene", samples: Samples) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
+def _strongest(baked: LoadedLight, samples: Samples) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
     """(largest reflectance of a point of each face at any node, (F,); faces that reflect most of what they receive).
 
     They are kept with the baked scene.
     """
-    kept = baked._uploaded
-    if "strongest" not in kept:
-        geometry, known = baked.geometry, kept["known"]
+    if baked.loaded.strongest is None:
+        geometry, known = baked.geometry, baked.known
         mi = geometry.mi
         table = mi.Float(aligned(1.0 - baked.plan.spectrum.emissivity.min(axis=1)))
         face, last = dr.arange(mi.UInt32, geometry.face_count), dr.opaque(mi.UInt32, samples.count)
@@ -229,8 +216,8 @@ def _strongest(baked: "BakedScene", samples: Samples) -> tuple[NDArray[np.float3
 
         start = mi.UInt32(0), dr.zeros(mi.Float, geometry.face_count)
         found = np.array(dr.while_loop(start, lambda point, _: point < last, body)[1])
-        kept["strongest"] = found, _most(found * samples.seen)
-    return kept["strongest"]
+        baked.loaded.strongest = found, _most(found * samples.seen)
+    return baked.loaded.strongest
 
 
 class _Tables:
@@ -241,7 +228,7 @@ class _Tables:
     """
 
     def __init__(
-        self, baked: "BakedScene", known: Known, scene: Scene, change: Change, basis: Floats, light: NDArray[np.float32]
+        self, baked: LoadedLight, known: Known, scene: Scene, change: Change, basis: Floats, light: NDArray[np.float32]
     ) -> None:
         self._mi = mi = baked.geometry.mi
         self._baked, self._known, self._change = baked, known, change

@@ -6,7 +6,6 @@ bound is as small as that of any solution.
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -14,17 +13,15 @@ from numpy.typing import NDArray
 
 from thermorender.render.arrays import Channels, Jit, aligned
 from thermorender.render.edits.change import Change, change_of, comparable
-from thermorender.render.edits.known import Known, Samples, known_of
+from thermorender.render.edits.known import Known, Samples
 from thermorender.render.edits.preview import edited_plan
 from thermorender.render.light import environment, radiosity
 from thermorender.render.light.exchange import Exchange, threads
 from thermorender.render.light.solved import Kept, SolvedLight, black_share, in_steps, tolerance_of
+from thermorender.render.loaded import LoadedLight
 from thermorender.render.plan import Plan
 from thermorender.render.spectrum import Spectrum
 from thermorender.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from thermorender.render.baked import BakedScene
 
 # Where more texels or faces change, all light is solved again, which is as fast.
 _MOST_CHANGED = 0.8
@@ -38,20 +35,20 @@ _FOR_ROUNDING = 0.5
 
 
 def solved_change(
-    baked: "BakedScene", scene: Scene, tick: Callable[[], object]
+    baked: LoadedLight, scene: Scene, tick: Callable[[], object]
 ) -> tuple[Plan, SolvedLight] | None:  # fmt: skip
     """Return (Plan, SolvedLight) of an edited scene; None where all light has to be solved.
 
     `tick` is called every few milliseconds; it may raise.
     """
-    kept, old = baked._uploaded.get("solution"), baked.plan
+    kept, old = baked.loaded.solution, baked.plan
     if kept is None or baked.incident is None or not comparable(baked.scene, scene) or _warmer(baked.scene, scene):
         return None
     plan = edited_plan(baked, scene)
     spectrum = plan.spectrum
     if not plan.bake or plan.sun != old.sun or max(spectrum.nodes_mk, spectrum.channels_mk) > plan.tolerance_mk:
         return None
-    known = known_of(baked)
+    known = baked.known
     change = change_of(baked, known, scene, plan)
     tick()
     if change is None or len(change.faces) > _MOST_CHANGED * baked.geometry.face_count:
@@ -68,7 +65,7 @@ def _warmer(one: Scene, other: Scene) -> bool:
 
 
 def _solved(
-    baked: "BakedScene", known: Known, scene: Scene, change: Change, kept: Kept, tick: Callable[[], object]
+    baked: LoadedLight, known: Known, scene: Scene, change: Change, kept: Kept, tick: Callable[[], object]
 ) -> SolvedLight | None:
     geometry, plan, transport, incident = baked.geometry, change.plan, baked.transport, baked.incident
     assert transport is not None and incident is not None

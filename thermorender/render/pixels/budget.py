@@ -10,7 +10,7 @@ difference counts too.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -21,14 +21,12 @@ from thermorender.physics.planck import band_radiance
 from thermorender.render.arrays import Floats, aligned, view_ray
 from thermorender.render.dynamic import Placement
 from thermorender.render.layers import Layer
+from thermorender.render.loaded import LoadedLight
 from thermorender.render.pixels.sampling import STAGES, CameraRays, contrast, edge_estimate, texture_estimate
 from thermorender.render.pixels.tracer import Sampling, Tracer
 from thermorender.render.plan import Plan
 from thermorender.render.reflection import mirrors
 from thermorender.render.truth import truth
-
-if TYPE_CHECKING:
-    from thermorender.render.baked import BakedScene
 
 # The light's error is read at every n-th pixel.
 _PIXELS = 16
@@ -53,7 +51,7 @@ _LEAST_MK = 1.0
 
 
 def budget_mk(
-    baked: "BakedScene", tracer: Tracer, pose: Floats, placements: Sequence[Placement], radiance: NDArray[np.float32],
+    baked: LoadedLight, tracer: Tracer, pose: Floats, placements: Sequence[Placement], radiance: NDArray[np.float32],
     sampling: Sampling,
 ) -> dict[str, float]:  # fmt: skip
     """Return {cause: estimated root mean square error [mK]} of a frame over the pixels that show a surface.
@@ -77,7 +75,7 @@ def budget_mk(
 
 
 def error_mk(
-    baked: "BakedScene", tracer: Tracer, pose: Floats, placements: Sequence[Placement], radiance: NDArray[np.float32],
+    baked: LoadedLight, tracer: Tracer, pose: Floats, placements: Sequence[Placement], radiance: NDArray[np.float32],
     sampling: Sampling,
 ) -> NDArray[np.float32]:  # fmt: skip
     """Return the estimated error of each pixel by all causes, (H, W) float32 [mK at 300 K]; NaN without a surface."""
@@ -90,7 +88,7 @@ def error_mk(
     return np.sqrt(square).astype(np.float32)
 
 
-def emissivity_mk(baked: "BakedScene", images: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
+def emissivity_mk(baked: LoadedLight, images: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
     """Return the standard deviation of each pixel due to a learned emissivity, (H, W) [mK at 300 K]; NaN where none.
 
     `images` are those of `Frame.truth`. The surface is taken to reflect the unobstructed sky without air before it,
@@ -104,7 +102,7 @@ def emissivity_mk(baked: "BakedScene", images: Mapping[str, NDArray[Any]]) -> ND
     return np.asarray(images["emissivity_std"] * contrast / baked.plan.radiance_per_mk, dtype=np.float64)
 
 
-def _everywhere(baked: "BakedScene") -> dict[str, float]:
+def _everywhere(baked: LoadedLight) -> dict[str, float]:
     """{cause: error [mK]} of causes that affect all pixels alike."""
     plan = baked.plan
     parts = {"nodes": plan.spectrum.nodes_mk + baked.errors_mk["solution"]}
@@ -118,7 +116,7 @@ def _everywhere(baked: "BakedScene") -> dict[str, float]:
 
 
 def _light(
-    baked: "BakedScene", rays: CameraRays, pose: Floats, placements: Sequence[Placement], every: int
+    baked: LoadedLight, rays: CameraRays, pose: Floats, placements: Sequence[Placement], every: int
 ) -> tuple[Floats, Floats]:
     """Errors of every n-th pixel, in the order of `rays` [mK]; NaN where nothing is hit.
 
@@ -177,7 +175,7 @@ def _one_of(every: int, count: int) -> NDArray[np.uint32]:
 
 
 def _unexplained(
-    baked: "BakedScene", rays: CameraRays, layer: Layer, pixels: NDArray[np.uint32], judged: NDArray[np.bool_],
+    baked: LoadedLight, rays: CameraRays, layer: Layer, pixels: NDArray[np.uint32], judged: NDArray[np.bool_],
     face: NDArray[np.uint32], shares: Floats, explained: Floats,
 ) -> Floats:  # fmt: skip
     """Mean square error of the light on static surfaces beyond the `explained` one, (n,) [(W m⁻² sr⁻¹)²].
@@ -207,7 +205,7 @@ def _unexplained(
 
 
 def _differences(
-    baked: "BakedScene", rays: CameraRays, layer: Layer, pixels: NDArray[np.uint32]
+    baked: LoadedLight, rays: CameraRays, layer: Layer, pixels: NDArray[np.uint32]
 ) -> tuple[Floats, Floats]:
     """Mean of what leaves the surfaces in pixels, less that of walks, by two independent estimates, (n,) each
     [W m⁻² sr⁻¹].

@@ -7,7 +7,7 @@ split by what its second ray meets.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -17,16 +17,13 @@ from thermorender.errors import ThermorenderError, shortened
 from thermorender.physics.planck import brightness_temperature
 from thermorender.render.arrays import Floats, aligned, view_ray
 from thermorender.render.device import flat
-from thermorender.render.edits.known import samples_of
 from thermorender.render.geometry import Hit
-from thermorender.render.labels import object_names, objects_of_surfaces
+from thermorender.render.loaded import LoadedLight
+from thermorender.render.object_numbers import object_names, objects_of_surfaces
 from thermorender.render.reflection import mirrors
 from thermorender.render.spectrum import REFERENCE_K
 from thermorender.render.view import View
 from thermorender.sensor.camera import Camera
-
-if TYPE_CHECKING:
-    from thermorender.render.baked import BakedScene
 
 # The first four leave the surface.
 PARTS = ("emission", "sky", "sun", "surroundings", "air", "background")
@@ -247,7 +244,7 @@ class _Rays:
     def _reflected(self, face: int, texel: NDArray[Any], weight: Floats) -> Floats:
         """Sky and sun that texels and the correction of their face reflect, (2, K)."""
         baked = self._baked
-        number, share = samples_of(baked).around(face)
+        number, share = baked.samples.around(face)
         texels, weights = np.concatenate([texel, number]), np.concatenate([weight, -share])
         count, covers = baked.geometry.face_count, baked.geometry.face_of_texel
         cover = np.array(dr.gather(type(covers), covers, type(covers)(aligned(texels, np.uint32))))
@@ -258,7 +255,7 @@ class _Rays:
         return own + np.einsum("t,tkn,sn->sk", share, reflected[len(texel) :], light[:, -1])
 
 
-def _outside(baked: "BakedScene", faces: NDArray[np.intp]) -> Floats:
+def _outside(baked: LoadedLight, faces: NDArray[np.intp]) -> Floats:
     """Light of the sky and of the sun on faces (n,) at each node, (2, n, N) [W m⁻² sr⁻¹]."""
     around, transport = baked.environment, baked.transport
     assert transport is not None
