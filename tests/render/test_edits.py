@@ -147,8 +147,8 @@ def test_solution_of_an_edit_is_that_of_the_edited_scene(renderer, name, few, mo
     found = renderer.baked.solved_for(scene)
     alone = bake(scene, found.plan, like=renderer.baked)
     apart = np.abs(found.incident - alone.incident).max() / renderer.plan.radiance_per_mk
-    assert found.errors_mk["solution"] <= 0.1 * found.plan.tolerance_mk
-    assert apart <= 0.2 * found.plan.tolerance_mk / found.plan.nodes
+    assert found.errors_mk["solution"] <= 0.1 * found.plan.sampling.tolerance_mk
+    assert apart <= 0.2 * found.plan.sampling.tolerance_mk / found.plan.nodes
     assert found.errors_mk == pytest.approx(alone.errors_mk, rel=0.05, abs=0.5)
 
 
@@ -160,16 +160,16 @@ def test_most_edits_are_solved_from_the_light_before(renderer, monkeypatch):
     for number in range(30):
         scene = renderer.scene.with_material(sand_quartz=0.9 + 0.002 * number)
         baked = baked.solved_for(warmer(scene, 0, 0.1 * number))
-        assert baked.errors_mk["solution"] <= 0.1 * baked.plan.tolerance_mk
+        assert baked.errors_mk["solution"] <= 0.1 * baked.plan.sampling.tolerance_mk
     assert whole.call_count <= 3
     back = baked.solved_for(renderer.scene)
-    assert off(tr.Renderer.of(back), renderer) <= 0.2 * back.plan.tolerance_mk
+    assert off(tr.Renderer.of(back), renderer) <= 0.2 * back.plan.sampling.tolerance_mk
 
 
 def test_an_edit_of_nothing_changes_nothing(renderer):
     scene = renderer.scene.with_material(grass_green="grass_green")
     preview, exact = renderer.preview_for(scene), renderer.solved_for(scene)
-    assert off(preview, renderer) == 0.0 and off(exact, renderer) <= 0.2 * renderer.plan.tolerance_mk
+    assert off(preview, renderer) == 0.0 and off(exact, renderer) <= 0.2 * renderer.plan.sampling.tolerance_mk
 
 
 def test_edits_of_sky_are_solved_and_not_previewed(renderer):
@@ -187,7 +187,7 @@ def test_previews_of_previews_that_change_little_begin_from_the_solution(rendere
     # Sent to another process, a preview has no light to begin from, and is solved.
     sent = tr.Renderer.of(pickle.loads(pickle.dumps(chained.baked)))
     assert "preview" not in sent.preview_for(first).baked.errors_mk
-    assert off(sent.preview_for(first), renderer.solved_for(first)) <= 0.2 * renderer.plan.tolerance_mk
+    assert off(sent.preview_for(first), renderer.solved_for(first)) <= 0.2 * renderer.plan.sampling.tolerance_mk
 
 
 @pytest.mark.parametrize("last", ["a class like the other", "emissivity", "an area"])
@@ -267,7 +267,7 @@ def test_an_edit_without_a_preview_is_solved_and_stops_where_its_progress_raises
     shown = renderer.preview_for(edited, lambda *_: None)
     assert "preview" not in shown.baked.errors_mk
     fresh = tr.Renderer(edited, rays=16, edge_mk=np.inf)
-    limit = renderer.plan.tolerance_mk
+    limit = renderer.plan.sampling.tolerance_mk
     assert off(shown, fresh) < limit < off(shown, renderer)
 
 

@@ -79,10 +79,7 @@ class BakedScene(LoadedLight):
         found = solved_change(exact, scene, partial(progress or _silent, _SOLVING, 0.0))
         if found is not None:
             return bake(scene, found[0], like=exact, progress=progress, solved=found[1])
-        plan = make_plan(
-            scene, samples=old.samples, taps=old.taps, edge_mk=old.edge_mk, rays=old.rays,
-            tolerance_mk=old.tolerance_mk,
-        )  # fmt: skip
+        plan = make_plan(scene, old.sampling)
         return bake(scene, plan, like=exact, progress=progress, start=exact)
 
     def ready_for_edits(self) -> None:
@@ -124,8 +121,9 @@ class BakedScene(LoadedLight):
         old = self.scene
         parts = ("surfaces", "materials", "air", "tracked_objects")
         same = all(getattr(scene, name) is getattr(old, name) for name in parts)
-        light = ("rays", "tolerance_mk", "band_um")
-        same &= all(getattr(plan, name) == getattr(self.plan, name) for name in light)
+        now, before = plan.sampling, self.plan.sampling
+        same &= (now.rays, now.tolerance_mk) == (before.rays, before.tolerance_mk)
+        same &= plan.band_um == self.plan.band_um
         # The altitude determines the position of the scene in its air.
         same &= all(getattr(scene, name) == getattr(old, name) for name in ("sun", "altitude_m", "terrain_count"))
         same &= replace(scene.spec, camera="") == replace(old.spec, camera="")
@@ -173,7 +171,7 @@ def bake(
     if like is not None:
         refuse_other_surfaces(like.scene.surfaces, scene.surfaces)
         geometry = geometry or like.geometry
-        known = like.transport if like.plan.rays == plan.rays else None
+        known = like.transport if like.plan.sampling.rays == plan.sampling.rays else None
     geometry = geometry or Geometry(activate(), scene.surfaces)
     spectrum, material, temperature = (
         plan.spectrum,
@@ -197,7 +195,7 @@ def bake(
     if known is None:
         what = "tracing the light between surfaces"
         report_progress(what, 0.0)
-        known, note = cache.traced(geometry, plan.rays, lambda share: report_progress(what, share))
+        known, note = cache.traced(geometry, plan.sampling.rays, lambda share: report_progress(what, share))
     tick = partial(report_progress, _SOLVING, 0.5)
     tick()
     per_mk, share = plan.radiance_per_mk, geometry.share

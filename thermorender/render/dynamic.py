@@ -121,7 +121,7 @@ class DynamicObject:
     ) -> None:  # fmt: skip
         self.surfaces, self._plan = tracked.surfaces, plan
         self.geometry = Geometry(mi, tracked.surfaces)
-        self._rays_of = radiosity.FaceRays(self.geometry, (plan.rays + 1) // 2)
+        self._rays_of = radiosity.FaceRays(self.geometry, (plan.sampling.rays + 1) // 2)
         self._rays_of.start_in_the_open(contacts.solid(self.geometry), np.arange(self.geometry.face_count))
         # All texels have the same material.
         self._material = int(tracked.surfaces[0].material.flat[0])
@@ -175,7 +175,7 @@ class DynamicObject:
 
         mi, plan, count, others = self.geometry.mi, self._plan, self.geometry.face_count, geometry.face_count
         spectrum, known = plan.spectrum, len(static.seen)
-        rays = 2 * ((plan.rays + 1) // 2)
+        rays = 2 * ((plan.sampling.rays + 1) // 2)
         origin, direction, reverse, _ = self._rays_of(dr.arange(mi.UInt32, count), 0)
         matrix, origin_m = _matrix(mi, pose)
         start, along = matrix @ origin + origin_m, matrix @ direction

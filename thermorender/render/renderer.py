@@ -26,8 +26,9 @@ from thermorender.render.layers import Layer, OutgoingRadiance, Shape
 from thermorender.render.object_numbers import object_names, object_numbers
 from thermorender.render.pixels import slender
 from thermorender.render.pixels.sampling import CameraRays
-from thermorender.render.pixels.tracer import Sampling, Tracer
-from thermorender.render.plan import Plan, checked, make_plan
+from thermorender.render.pixels.tracer import SampledImage, Tracer
+from thermorender.render.plan import Plan, make_plan
+from thermorender.render.quality import Sampling
 from thermorender.render.variant import activate, active_device
 from thermorender.render.view import View, parts_of
 from thermorender.scene.georeference import place_of
@@ -55,7 +56,7 @@ class Renderer:
     ----------
     scene : Scene
     quality : {"fast", "standard", "high"}
-        How finely a pixel is sampled; see `thermorender.render.plan.QUALITIES`.
+        How finely a pixel is sampled; see `thermorender.render.quality.QUALITIES`.
     samples, taps, edge_mk : optional
         Rays per pixel, texture taps per ray, and error above which a pixel that shows an edge gets more rays [mK],
         instead of the quality's.
@@ -106,14 +107,13 @@ class Renderer:
                 f"scene={shortened(repr(scene))} is not a Scene; give what load_scene returns, as in "
                 "Renderer(load_scene('heath'))"
             )
-        sampling = (quality, samples, taps, edge_mk, rays, tolerance_mk)
-        checked(*sampling)
+        sampling = Sampling.of(quality, samples, taps, edge_mk, rays, tolerance_mk)
         self._asked, self.seed = scene, _whole("seed", seed)
         self._like, self._progress, self._baked, self._rays_of, self._coloured = None, progress, None, {}, None
         scene.refuse_disagreement()
         if scene.temperature_state.solved:
             # Before the device is started, so that wrong settings are refused at once.
-            self.plan = make_plan(scene, *sampling)
+            self.plan = make_plan(scene, sampling)
         mi = activate(device)
         if like is None:
             self._geometry = Geometry(mi, scene.surfaces)
@@ -122,11 +122,11 @@ class Renderer:
             self._geometry = like._geometry
         if not scene.temperature_state.solved:
             scene = _solved(scene, like, self._geometry, progress)
-            self.plan = make_plan(scene, *sampling)
+            self.plan = make_plan(scene, sampling)
         self.scene = scene
         if like is None:
             return
-        if like.plan.rays == self.plan.rays:
+        if like.plan.sampling.rays == self.plan.sampling.rays:
             self._baked = like.baked.seen_as(scene, self.plan)
             self._like = None if self._baked else like.baked
 
@@ -392,7 +392,7 @@ class Renderer:
         outside = np.array([self.scene.sky_temperature, self.scene.surroundings_temperature])
         outside = band_radiance(outside, *self.plan.band_um)
         tracer = self._tracer(leaving, Vacuum(mi, *outside[:, None]), pose, time_s, objects)
-        return tracer.image(self.plan.edge_mk * self.plan.radiance_per_mk)[0][0]
+        return tracer.image(self.plan.sampling.edge_mk * self.plan.radiance_per_mk)[0][0]
 
     def rays(self, pose: ArrayLike) -> list[Sequence[Any]]:
         """Return the slopes of all rays that a frame from `pose` casts into the static scene, [(x/z, y/z), …]."""
@@ -417,7 +417,7 @@ class Renderer:
 
     def _frame(
         self, view: "View", radiance: NDArray[np.float32], time_s: float, index: int, plan: dict[str, Any],
-        sampling: Sampling | None = None,
+        sampling: SampledImage | None = None,
     ) -> Frame:  # fmt: skip
         return Frame(
             radiance=radiance, pose=view.pose, time_s=float(time_s), index=_whole("index", index), seed=self.seed,

@@ -70,11 +70,7 @@ def prepare(baked: LoadedLight) -> None:
 
 def edited_plan(baked: LoadedLight, scene: Scene) -> Plan:
     """Return the Plan of an edited scene that keeps nodes and channels."""
-    old = baked.plan
-    return make_plan(
-        scene, samples=old.samples, taps=old.taps, edge_mk=old.edge_mk, rays=old.rays, tolerance_mk=old.tolerance_mk,
-        kept=(old, baked.scene),
-    )  # fmt: skip
+    return make_plan(scene, baked.plan.sampling, (baked.plan, baked.scene))
 
 
 def _previewed(baked: LoadedLight, known: Known, scene: Scene, change: Change) -> LoadedLight:
@@ -131,7 +127,7 @@ def _errors_mk(
     nodes = plan.spectrum.nodes_mk
     # The solution may have other nodes: where these err too much, where most faces change, and where the rounding of
     # edits has added up.
-    more = nodes + plan.tolerance_mk
+    more = nodes + plan.sampling.tolerance_mk
     # The solutions before and after the edit have errors of their own, and texels are rounded.
     brightest = max(float(values.max()) for values in baked.texels)
     rounding = float(np.finfo(np.float32).eps) * brightest / plan.radiance_per_mk

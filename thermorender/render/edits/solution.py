@@ -46,7 +46,11 @@ def solved_change(
         return None
     plan = edited_plan(baked, scene)
     spectrum = plan.spectrum
-    if not plan.bake or plan.sun != old.sun or max(spectrum.nodes_mk, spectrum.channels_mk) > plan.tolerance_mk:
+    if (
+        not plan.bake
+        or plan.sun != old.sun
+        or max(spectrum.nodes_mk, spectrum.channels_mk) > plan.sampling.tolerance_mk
+    ):
         return None
     known = baked.known
     change = change_of(baked, known, scene, plan)

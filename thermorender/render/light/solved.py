@@ -63,7 +63,7 @@ class SolvedLight:
 
 def tolerance_of(plan: Plan) -> float:
     """Return the error bound to reach at each node [W m⁻² sr⁻¹]."""
-    return 0.1 * plan.tolerance_mk * plan.radiance_per_mk / plan.spectrum.nodes
+    return 0.1 * plan.sampling.tolerance_mk * plan.radiance_per_mk / plan.spectrum.nodes
 
 
 def black_share(plan: Plan) -> Floats:

@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.physics.planck import brightness_temperature
-from thermorender.render.arrays import Floats, aligned, view_ray
+from thermorender.render.arrays import Floats, Jit, aligned, view_ray
 from thermorender.render.device import flat
-from thermorender.render.geometry import Hit
+from thermorender.render.layers import LayerHit, first_hit
 from thermorender.render.loaded import LoadedLight
 from thermorender.render.object_numbers import object_names, objects_of_surfaces
 from thermorender.render.reflection import mirrors
@@ -137,30 +137,26 @@ class _Rays:
         order = rays.position[pixels[:, 0] * rays.width + pixels[:, 1]]
         slope = rays.slopes(0.5, 0.5, mi.UInt32(aligned(order, np.uint32)))
         layers, medium = device.layers(view.pose, view.placements), device.medium(view.pose, view.placements)
-        channels, surfaces, best = baked.plan.spectrum.channels, 0, list[Any]()
-        for place, (layer, texels) in enumerate(zip(layers, device.texels, strict=True)):
-            geometry, ray = layer.geometry, view_ray(mi, *layer.view, *slope)
-            hit = geometry.seen(ray)
-            at = geometry.map_position(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
-            texel = geometry.nearest(hit.surface, *at, hit.valid)
+        channels = baked.plan.spectrum.channels
+
+        def read(at: LayerHit) -> list[Jit]:
+            geometry, hit, texels = at.layer.geometry, at.hit, device.texels[at.number]
+            texel = geometry.nearest(hit.surface, *at.place, hit.valid)
             normal = mi.Vector3f(*geometry.normals.at(hit.face, hit.valid))
-            _, normal = mirrors.transformed(layer.view, layers[0].view, None, normal)
+            _, normal = mirrors.transformed(at.layer.view, layers[0].view, None, normal)
             kind = mi.UInt32(dr.gather(mi.UInt8, texels.material, texel, hit.valid))
-            own = [hit.distance, hit.valid, hit.face, hit.surface + surfaces, mi.UInt32(place), *normal, kind]
-            own += mirrors.met(layer, hit, at)
-            for corner in geometry.corners(geometry.lattice(hit.surface, hit.valid), *at):
-                own += corner
-            own += layer.outgoing.at(geometry, hit, at)
-            nearer = best and hit.distance < best[0]
-            best = [dr.select(nearer, a, b) for a, b in zip(own, best, strict=True)] if best else own
-            surfaces += len(geometry.surfaces)
-        distance, valid, face, surface, place, x, y, z, kind, texel, row = best[:11]
-        corners, shown, ray = best[11:19], best[19:], view_ray(mi, *layers[0].view, *slope)
+            corners = geometry.corners(geometry.lattice(hit.surface, hit.valid), *at.place)
+            found = [*normal, kind, *mirrors.met(at.layer, hit, at.place), *(part for pair in corners for part in pair)]
+            return found + at.layer.outgoing.at(geometry, hit, at.place)
+
+        hit, place, found = first_hit(layers, lambda layer: view_ray(mi, *layer.view, *slope), read)
+        (x, y, z, kind, texel, row), corners, shown = found[:6], found[6:14], found[14:]
+        distance, valid, face, surface = hit.distance, hit.valid, hit.face, hit.surface
+        ray = view_ray(mi, *layers[0].view, *slope)
         slant, way = dr.dot(mi.Vector3f(x, y, z), ray.d), mi.Float(0.0)
         if any(layer.outgoing.mirror for layer in layers):
             added, way = mirrors.correction(layers, mirrors.DEPTH, ray.o, ray.d, distance, place, face, texel, row)
             shown = [a + b for a, b in zip(shown, added, strict=True)]
-        hit = Hit(valid, distance, face, surface)
         lights = [[mi.Float(float(k == channel)) for k in range(channels)] for channel in range(-1, channels)]
         behind = [sum(medium.at_camera(hit, light, ray.o, ray.d)) for light in lights]
         # Of a mirror: whether its image is of what is above the horizon.

@@ -102,7 +102,7 @@ class CameraRays:
         off = [(at - inside)[:, None] for at, inside in zip((row, column), beside, strict=True)]
         parts = (slopes(0.5, 0.5) + off[1] * across + off[0] * along, across, along)
         self._parts = [[mi.Float(aligned(part[:, axis])) for axis in (0, 1)] for part in parts]
-        # `Sampling.hit` of the image rendered last, the Hit of its rays through the pixels' middles, with surfaces
+        # `SampledImage.hit` of the image rendered last, the Hit of its rays through the pixels' middles, with surfaces
         # numbered over the layers, and its geometry and pose if no object moves. Kept here, so that frames in memory do
         # not each hold it; set and read as a whole.
         self.last_hits: tuple[NDArray[np.bool_], Any, tuple[Any, bytes] | None] | None = None

@@ -29,7 +29,7 @@ from thermorender.physics.fresnel import COSINES
 from thermorender.render.air import PathGrid
 from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned
 from thermorender.render.geometry import Hit, box_of, farthest
-from thermorender.render.layers import Layer
+from thermorender.render.layers import Layer, LayerHit, first_hit
 from thermorender.render.reflection.reflectance import ReflectanceTables, bent
 from thermorender.render.spectrum import Spectrum
 from thermorender.scene.scene import Scene
@@ -218,23 +218,23 @@ def _reflected(
 
 def _seen(layers: Sequence[Layer], depth: int, origin: Jit, direction: Jit) -> tuple[list[Jit], Jit, Jit]:
     """(channels, distance, whole path length) of rays in the first layer's frame, with up to `depth` reflections."""
-    first, best = layers[0], list[Jit]()
+    first = layers[0]
     mi = first.geometry.mi
-    for place, layer in enumerate(layers):
-        geometry, outgoing = layer.geometry, layer.outgoing
-        ray = mi.Ray3f(*transformed(first.view, layer.view, origin, direction))
-        hit = geometry.cast(ray, coherent=True)
-        position = geometry.map_position(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
-        away = dr.select(hit.valid, hit.distance, np.inf)
-        found = [away, mi.UInt32(place), hit.face, *met(layer, hit, position)]
-        found += outgoing.at(geometry, hit, position)
-        best = [dr.select(away < best[0], a, b) for a, b in zip(found, best, strict=True)] if best else found
-    state, seen, further = best[:5], best[5:], 0.0
+
+    def read(at: LayerHit) -> list[Jit]:
+        return [*met(at.layer, at.hit, at.place), *at.layer.outgoing.at(at.layer.geometry, at.hit, at.place)]
+
+    hit, number, (texel, row, *seen) = first_hit(
+        layers, lambda layer: mi.Ray3f(*transformed(first.view, layer.view, origin, direction)), read,
+        lambda geometry, ray: geometry.cast(ray, coherent=True),
+    )  # fmt: skip
+    away: Jit = dr.select(hit.valid, hit.distance, np.inf)
+    further: Jit = 0.0
     if depth:
-        added, further = correction(layers, depth, origin, direction, *state)
+        added, further = correction(layers, depth, origin, direction, away, number, hit.face, texel, row)
         seen = [a + b for a, b in zip(seen, added, strict=True)]
     # The sky in a mirror has a depth other than the sky beside it, so their edge is found.
-    return seen, state[0], state[0] + dr.minimum(further, _SKY_IN_MIRROR_M)
+    return seen, away, away + dr.minimum(further, _SKY_IN_MIRROR_M)
 
 
 def last_steps(layers: Sequence[Layer], *ray: Jit) -> list[Jit]:
