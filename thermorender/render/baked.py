@@ -21,7 +21,7 @@ from thermorender.render.light.absorbed import left_out
 from thermorender.render.light.solved import SolvedLight, solve_scene
 from thermorender.render.loaded import Loaded, LoadedLight
 from thermorender.render.plan import Plan, make_plan
-from thermorender.render.reflection import mirrors
+from thermorender.render.reflection.device_tables import black_of
 from thermorender.render.variant import activate
 from thermorender.scene.scene import Scene
 
@@ -185,7 +185,7 @@ def bake(
     black = None
     # Such a material may occur on dynamic objects only.
     if plan.specular and plan.specular.number[material].any():
-        black = mirrors.black_of(plan, plan.specular.number, material, temperature)
+        black = black_of(plan, plan.specular.number, material, temperature)
     loaded = Loaded(geometry=geometry)
     if like is not None and known is not None:
         loaded.samples = like.loaded.samples

@@ -19,7 +19,7 @@ from thermorender.render.geometry import Geometry
 from thermorender.render.layers import Layer, OutgoingRadiance, Texels
 from thermorender.render.object_numbers import objects_of_surfaces
 from thermorender.render.plan import Plan
-from thermorender.render.reflection import mirrors
+from thermorender.render.reflection.device_tables import DeviceTables, Mirror
 from thermorender.render.spectrum import REFERENCE_K
 from thermorender.scene.scene import Scene
 from thermorender.scene.surface import Surface
@@ -37,10 +37,10 @@ class DeviceScene:
     ) -> None:  # fmt: skip
         scene, plan, mi = baked.scene, baked.plan, geometry.mi
         self.geometry, self._mi = geometry, mi
-        tables = mirrors.DeviceTables(mi, plan.specular, scene, plan.spectrum) if plan.specular else None
+        tables = DeviceTables(mi, plan.specular, scene, plan.spectrum) if plan.specular else None
         mirror = None
         if tables and baked.mirror_black is not None:
-            mirror = mirrors.Mirror(mi, tables, flat(scene.surfaces, "material"), baked.mirror_black)
+            mirror = Mirror(mi, tables, flat(scene.surfaces, "material"), baked.mirror_black)
         self._outgoing = outgoing or OutgoingRadiance.of(geometry, baked.texels, baked.faces, mirror)
         self._faces, self._light = baked.faces, baked.static_light
         self._face_error = baked.face_error

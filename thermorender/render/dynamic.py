@@ -23,7 +23,7 @@ from thermorender.render.light import contacts, radiosity
 from thermorender.render.light.environment import Environment
 from thermorender.render.light.gmres import gmres
 from thermorender.render.plan import Plan
-from thermorender.render.reflection import mirrors
+from thermorender.render.reflection.device_tables import DeviceTables, Mirror, black_of
 from thermorender.scene.parts.tracks import TrackedObject
 from thermorender.scene.scene import Scene
 
@@ -117,7 +117,7 @@ class DynamicObject:
 
     def __init__(
         self, mi: Mitsuba, tracked: TrackedObject, plan: Plan, materials: Sequence[Material],
-        tables: mirrors.DeviceTables | None = None,
+        tables: DeviceTables | None = None,
     ) -> None:  # fmt: skip
         self.surfaces, self._plan = tracked.surfaces, plan
         self.geometry = Geometry(mi, tracked.surfaces)
@@ -158,8 +158,8 @@ class DynamicObject:
         if self._tables:
             material = np.full(self._texel_count, self._material)
             warm = np.full(self._texel_count, temperature)
-            black = mirrors.black_of(plan, self._tables.number, material, warm)
-            mirror = mirrors.Mirror(mi, self._tables, material, black)
+            black = black_of(plan, self._tables.number, material, warm)
+            mirror = Mirror(mi, self._tables, material, black)
         emitted = plan.spectrum.emitted_at(self._emissivity_at, temperature, plan.band_um)
         texels = [np.full(self._texel_count, value, np.float32) for value in emitted]
         return OutgoingRadiance.of(self.geometry, texels, own, mirror)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -10,9 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from thermorender.render.arrays import Channels, Jit
 from thermorender.render.geometry import Geometry, Hit
-
-if TYPE_CHECKING:
-    from thermorender.render.reflection.mirrors import Mirror
+from thermorender.render.reflection.device_tables import Mirror
 
 
 @dataclass(frozen=True)
@@ -23,12 +21,12 @@ class OutgoingRadiance:
     texels: Channels
     rest: Channels | None = None  # the other spectral channels, about a hundredth of the first, read once per ray
     faces: Channels | None = None  # corrections added to all channels of the texels
-    mirror: "Mirror | None" = None  # data of the directional texels
+    mirror: Mirror | None = None  # data of the directional texels
 
     @classmethod
     def of(
         cls, geometry: Geometry, texels: Sequence[NDArray[np.float32]], faces: ArrayLike | None = None,
-        mirror: "Mirror | None" = None,
+        mirror: Mirror | None = None,
     ) -> "OutgoingRadiance":  # fmt: skip
         """Return the radiance of spectral channels of texels, K arrays (T,), and of faces, (F, K)."""
         rest = geometry.averaged(np.stack(texels[1:], axis=1)) if len(texels) > 1 else None

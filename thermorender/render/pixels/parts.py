@@ -190,7 +190,7 @@ class _Rays:
         """Temperatures of texels of the static scene, or of the objects hit [K]."""
         found = flat(self._baked.scene.surfaces, "temperature")
         moving = np.array([np.nan, *(placement.temperature for placement in self._view.placements)])
-        still = self.layer == 0
+        still = self.valid & (self.layer == 0)
         return np.where(still, found[np.where(still, texel, 0)], moving[self.layer])
 
     def emissivity(self, number: int) -> float:

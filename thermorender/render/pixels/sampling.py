@@ -8,17 +8,15 @@ shows where its second difference is not zero. The contrast of radiance there me
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.render.arrays import Floats, Jit, Mitsuba, aligned
+from thermorender.render.pixels.slender import Rectangles
 from thermorender.sensor.camera import Camera
-
-if TYPE_CHECKING:
-    from thermorender.render.pixels.slender import Rectangles
 
 # Sub-pixel offsets (right, down) in 0…1: lattices with all rows and columns different, and one point in each cell.
 _MULTIPLIER = {1: 1, 2: 1, 8: 5, 16: 5}
@@ -168,7 +166,7 @@ class CameraRays:
         return slope, across, along
 
     def finer(
-        self, position: NDArray[np.integer], first: int, last: int, within: "Rectangles | None" = None,
+        self, position: NDArray[np.integer], first: int, last: int, within: Rectangles | None = None,
         shift: Floats | None = None,
     ) -> "Footprint":  # fmt: skip
         """Return the Footprints of rays first … last − 1 of the pixels at `position` in the order, side by side per
@@ -205,7 +203,7 @@ class CameraRays:
         right, down = offset
         return self._footprint(right, down, size, middle, index)
 
-    def outside(self, within: "Rectangles", count: int) -> Any:
+    def outside(self, within: Rectangles, count: int) -> Any:
         """Return which of the first `count` rays of pixels are outside their Rectangles, (n, count) bool."""
         from_corner = self._offsets[:count] - within.corner[:, None]
         return ~((from_corner >= 0.0) & (from_corner < within.size[:, None])).all(axis=-1)
