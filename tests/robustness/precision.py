@@ -169,7 +169,7 @@ def light():
 def air(up):
     """The same grid of paths read in double precision: some ulp of its logarithm of length, and of the sum."""
     from thermorender.physics.planck import band_radiance
-    from thermorender.render.air import Air
+    from thermorender.render.air import SceneAir
     from thermorender.render.geometry import Hit
     from thermorender.render.plan import make_plan
     from thermorender.render.variant import activate
@@ -187,7 +187,7 @@ def air(up):
         hit = Hit(mi.Bool(np.ones(count, bool)), types.Float(distance.astype(np.float32)), None, None)
         towards = types.Vector3f(*(types.Float(axis.astype(np.float32)) for axis in direction))
         origin = types.Point3f(0.0, 0.0, up)
-        view = Air(types, scene, plan.spectrum).view(np.array([0.0, 0.0, up]), box)
+        view = SceneAir(types, scene, plan.spectrum).view(np.array([0.0, 0.0, up]), box)
         channels = [types.Float(float(value)) for value in values]
         found.append(np.array(view.at_camera(hit, channels, origin, towards)[0], np.float64))
     # Grid lengths have an ulp of their logarithm times the columns, along which light changes little.

@@ -73,7 +73,7 @@ class Vacuum:
         return [dr.select(hit.valid, value, other) for value, other in zip(values, behind, strict=True)]
 
 
-class Air:
+class SceneAir:
     """The air of a scene, which makes views of single camera positions."""
 
     def __init__(self, mi: Mitsuba, scene: Scene, spectrum: Spectrum) -> None:

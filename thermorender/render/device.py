@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from thermorender.materials.mixture import Mixture
 from thermorender.physics.planck import band_radiance
-from thermorender.render.air import Air, AirView, Vacuum
+from thermorender.render.air import AirView, SceneAir, Vacuum
 from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned, opaque_view
 from thermorender.render.baked_light import BakedLight
 from thermorender.render.dynamic import DynamicObject, Placement
 from thermorender.render.geometry import Geometry
-from thermorender.render.layers import Layer, OutgoingRadiance, Texels
+from thermorender.render.layers import Layer, OutgoingRadiance, TexelArrays
 from thermorender.render.object_numbers import objects_of_surfaces
 from thermorender.render.plan import Plan
 from thermorender.render.reflection.device_tables import DeviceTables, Mirror
@@ -33,7 +33,7 @@ class DeviceScene:
 
     def __init__(
         self, baked: BakedLight, geometry: Geometry, outgoing: OutgoingRadiance | None = None,
-        air: Vacuum | Air | None = None,
+        air: Vacuum | SceneAir | None = None,
     ) -> None:  # fmt: skip
         scene, plan, mi = baked.scene, baked.plan, geometry.mi
         self.geometry, self._mi = geometry, mi
@@ -74,15 +74,15 @@ class DeviceScene:
         return float(np.sqrt(np.average(self._face_error[of], weights=self.geometry.area[of])))
 
     @cached_property
-    def texels(self) -> list[Texels]:
-        """The Texels of each layer, in the order of `layers`."""
+    def texels(self) -> list[TexelArrays]:
+        """The TexelArrays of each layer, in the order of `layers`."""
         mi, numbers = self._mi, objects_of_surfaces(self._scene)
         small, found, first = dr.uint8_array_t(mi.Float), [], 0
         for place, surfaces in enumerate([self._scene.surfaces, *(each.surfaces for each in self.objects)]):
             material, flags = (small(aligned(flat(surfaces, name), np.uint8)) for name in ("material", "flags"))
             kelvin = mi.Float(aligned(flat(surfaces, "temperature"))) if place == 0 else None
             own = numbers[first : first + len(surfaces)]
-            found.append(Texels(material, flags, kelvin, mi.UInt32(aligned(own, np.uint32))))
+            found.append(TexelArrays(material, flags, kelvin, mi.UInt32(aligned(own, np.uint32))))
             first += len(surfaces)
         return found
 
@@ -162,10 +162,10 @@ class DeviceScene:
         return outgoing, last[1], errors
 
 
-def _air(mi: Mitsuba, scene: Scene, plan: Plan) -> Vacuum | Air:
+def _air(mi: Mitsuba, scene: Scene, plan: Plan) -> Vacuum | SceneAir:
     """The medium of a scene."""
     if scene.air is not None:
-        return Air(mi, scene, plan.spectrum)
+        return SceneAir(mi, scene, plan.spectrum)
     outside = np.array([scene.spec.sky_temperature, scene.surroundings_temperature])
     return Vacuum(mi, *band_radiance(outside, *plan.band_um)[:, None])
 

@@ -83,7 +83,7 @@ class Geometry:
             for number, surface in enumerate(surfaces)
             if surface.instances is None
         }
-        copies = shapes.Copies(mi, surfaces, self.face_start)
+        copies = shapes.CopyShapes(mi, surfaces, self.face_start)
         # Without robust intersections rays leak through triangle edges and show the sky.
         self.caster = mi.load_dict({
             "type": "scene", "embree_use_robust_intersections": True, **meshes, **copies.shapes

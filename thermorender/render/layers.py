@@ -50,7 +50,7 @@ class OutgoingRadiance:
 
 
 @dataclass(frozen=True)
-class Shape:
+class CasterView:
     """A ray caster, and the view (rotation, origin) in its frame."""
 
     geometry: Geometry
@@ -58,8 +58,8 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Layer(Shape):
-    """A Shape with the radiance that leaves its surfaces."""
+class Layer(CasterView):
+    """A CasterView with the radiance that leaves its surfaces."""
 
     outgoing: OutgoingRadiance
 
@@ -69,7 +69,7 @@ class LayerHit:
     """Where rays meet one layer: Dr.Jit arrays, one entry per ray."""
 
     number: int  # of the layer
-    layer: Any  # Shape or Layer, as `first_hit` got it
+    layer: Any  # CasterView or Layer, as `first_hit` got it
     ray: Jit  # in the layer's frame
     hit: Hit
     record: tuple[Jit, ...]  # of the face hit, as of `Geometry.record`
@@ -77,7 +77,7 @@ class LayerHit:
 
 
 def first_hit(
-    layers: Sequence[Shape], rays: Callable[[Shape], Jit], read: Callable[[LayerHit], list[Jit]],
+    layers: Sequence[CasterView], rays: Callable[[CasterView], Jit], read: Callable[[LayerHit], list[Jit]],
     cast: Callable[[Geometry, Jit], Hit] = Geometry.seen, known: Hit | None = None,
 ) -> tuple[Hit, Jit, list[Jit]]:  # fmt: skip
     """Return (nearest Hit of rays over all layers, number of its layer, values read there).
@@ -108,7 +108,7 @@ def first_hit(
 
 
 @dataclass(frozen=True)
-class Texels:
+class TexelArrays:
     """What the texels of a layer are, for the truth."""
 
     material: Jit  # (T,) UInt8

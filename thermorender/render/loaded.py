@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from thermorender.render.baked_light import BakedLight
 from thermorender.render.device import DeviceScene
-from thermorender.render.edits.known import Known, LeftOut, Samples
+from thermorender.render.edits.prior import LeftOut, PriorLight, Samples
 from thermorender.render.geometry import Geometry
 from thermorender.render.light.environment import Environment, of_scene
 from thermorender.render.light.solved import Kept
@@ -26,8 +26,8 @@ class Loaded:
     environment: Environment | None = None
     walks: Walks | None = None
     samples: Samples | None = None
-    known: Known | None = None
-    known_later: Callable[[], Known] | None = None  # makes `known` of a preview
+    prior: PriorLight | None = None
+    prior_later: Callable[[], PriorLight] | None = None  # makes `prior` of a preview
     # (largest reflectance of a point of each face (F,), faces that reflect most of what they receive)
     strongest: tuple[NDArray[np.float32], NDArray[np.intp]] | None = None
     solution: Kept | None = None  # what the next solution begins from; None in a preview
@@ -89,9 +89,9 @@ class LoadedLight(BakedLight):
         return self.loaded.samples
 
     @property
-    def known(self) -> Known:
+    def prior(self) -> PriorLight:
         """Texels and light on the device, from which an edit begins."""
-        if self.loaded.known is None:
-            later, self.loaded.known_later = self.loaded.known_later, None
-            self.loaded.known = later() if later else Known.of(self, self.samples)
-        return self.loaded.known
+        if self.loaded.prior is None:
+            later, self.loaded.prior_later = self.loaded.prior_later, None
+            self.loaded.prior = later() if later else PriorLight.of(self, self.samples)
+        return self.loaded.prior

@@ -22,7 +22,7 @@ from thermorender.render.baked import BakedScene, Progress, bake
 from thermorender.render.dynamic import Objects, placements
 from thermorender.render.geometry import Geometry, refuse_other_surfaces
 from thermorender.render.heat.instants import solved_at
-from thermorender.render.layers import Layer, OutgoingRadiance, Shape
+from thermorender.render.layers import CasterView, Layer, OutgoingRadiance
 from thermorender.render.object_numbers import object_names, object_numbers
 from thermorender.render.pixels import slender
 from thermorender.render.pixels.sampling import CameraRays
@@ -325,7 +325,7 @@ class Renderer:
 
         `camera` as of `visible`.
         """
-        at_rest = Shape(self._geometry, opaque_view(self._geometry.mi, checked_pose(pose)))
+        at_rest = CasterView(self._geometry, opaque_view(self._geometry.mi, checked_pose(pose)))
         return np.asarray(
             truth.pixel_middles([at_rest], self._camera_rays.of(camera or self.scene.camera))[3], np.float32
         )

@@ -19,7 +19,7 @@ from thermorender.render.arrays import Floats, Jit, aligned, view_ray
 from thermorender.render.dynamic import Placement
 from thermorender.render.geometry import Hit
 from thermorender.render.labels import imaged
-from thermorender.render.layers import LayerHit, Shape, first_hit
+from thermorender.render.layers import CasterView, LayerHit, first_hit
 from thermorender.render.loaded import LoadedLight
 from thermorender.render.pixels.sampling import RING, CameraRays
 from thermorender.render.reflection.reflectance import directional
@@ -78,7 +78,7 @@ def truth(
     return images | ({"emissivity_std": others[4]} if len(of_material) > 1 else {})
 
 
-def pixel_middles(layers: Sequence[Shape], rays: CameraRays) -> tuple[Image, Image, Image, Image]:
+def pixel_middles(layers: Sequence[CasterView], rays: CameraRays) -> tuple[Image, Image, Image, Image]:
     """Return the surface points at the pixels' middles as images (H, W): valid, texel, up, depth.
 
     Returns
@@ -113,7 +113,7 @@ class _Middles:
 
 
 def _middles(
-    layers: Sequence[Shape], rays: CameraRays, read: Callable[[LayerHit], list[Jit]], known: Hit | None = None
+    layers: Sequence[CasterView], rays: CameraRays, read: Callable[[LayerHit], list[Jit]], known: Hit | None = None
 ) -> tuple[_Middles, list[Jit]]:
     """(surface points at the pixels' middles, values read there); `read` and `known` as of `first_hit`."""
     mi, slope = layers[0].geometry.mi, rays.slopes(0.5, 0.5)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from thermorender.render.arrays import Channels, Floats, Jit, aligned
 from thermorender.render.device import DeviceScene
 from thermorender.render.edits.change import Change, change_of, comparable, touched_by
-from thermorender.render.edits.known import Known, LeftOut, Samples
+from thermorender.render.edits.prior import LeftOut, PriorLight, Samples
 from thermorender.render.layers import OutgoingRadiance
 from thermorender.render.light.exchange import threads
 from thermorender.render.loaded import Loaded, LoadedLight
@@ -46,24 +46,24 @@ def preview(baked: LoadedLight, scene: Scene) -> LoadedLight | None:
     exact = baked.solved
     if exact.incident is None or exact.faces is None or not comparable(exact.scene, scene):
         return None
-    start, touched = exact, touched_by(exact, exact.known, scene)
+    start, touched = exact, touched_by(exact, exact.prior, scene)
     if touched is not None and baked is not exact:
-        rays_on = exact.known.samples.rays_on
+        rays_on = exact.prior.samples.rays_on
         rays = rays_on(touched.faces)
-        later = touched_by(baked, baked.known, scene) if rays > _QUICK_RAYS else None
+        later = touched_by(baked, baked.prior, scene) if rays > _QUICK_RAYS else None
         if later is not None and rays > _WORTH * rays_on(later.faces):
             start, touched = baked, later
     plan = edited_plan(start, scene)
     if not plan.bake or plan.sun != exact.plan.sun or plan.specular or exact.plan.specular:
         return None
-    change = None if touched is None else change_of(start, start.known, scene, plan, touched)
-    return None if change is None else _previewed(start, start.known, scene, change)
+    change = None if touched is None else change_of(start, start.prior, scene, plan, touched)
+    return None if change is None else _previewed(start, start.prior, scene, change)
 
 
 def prepare(baked: LoadedLight) -> None:
     """Make what all previews of a BakedScene begin from, and keep it there."""
     if (baked.incident is not None and baked.faces is not None) or baked.loaded.solved:
-        samples = baked.known.samples
+        samples = baked.prior.samples
         samples.prepare()
         _strongest(baked, samples)
 
@@ -73,13 +73,13 @@ def edited_plan(baked: LoadedLight, scene: Scene) -> Plan:
     return make_plan(scene, baked.plan.sampling, (baked.plan, baked.scene))
 
 
-def _previewed(baked: LoadedLight, known: Known, scene: Scene, change: Change) -> LoadedLight:
+def _previewed(baked: LoadedLight, prior: PriorLight, scene: Scene, change: Change) -> LoadedLight:
     geometry = baked.geometry
     # NumPy's part of the work goes on beside Dr.Jit's.
     with threads() as pool:
-        basis, light, left = _light(baked, known, scene, change, pool)
-        errors = pool.submit(_errors_mk, baked, known.samples, change, basis, light, left)
-        tables = _Tables(baked, known, scene, change, basis, light)
+        basis, light, left = _light(baked, prior, scene, change, pool)
+        errors = pool.submit(_errors_mk, baked, prior.samples, change, basis, light, left)
+        tables = _ChangedTexels(baked, prior, scene, change, basis, light)
         found, added = tables.texels()
         texels = [values.numpy() for values in found]
         parts = [texels[0][:, None], *([np.stack(texels[1:], axis=1)] if len(texels) > 1 else [])]
@@ -88,9 +88,9 @@ def _previewed(baked: LoadedLight, known: Known, scene: Scene, change: Change) -
         first, *rest = (each.result() for each in means)
         errors_mk, left_out = errors.result()
     outgoing = OutgoingRadiance(first, rest[0] if rest else None, Channels(geometry.mi, faces))
-    solved, loaded = baked.solved, Loaded(geometry=geometry, samples=known.samples, left_out=left_out)
+    solved, loaded = baked.solved, Loaded(geometry=geometry, samples=prior.samples, left_out=left_out)
     loaded.solved = solved
-    loaded.known_later = partial(known.after, scene, change.kinds, change.kelvin, basis, light, found)
+    loaded.prior_later = partial(prior.after, scene, change.kinds, change.kelvin, basis, light, found)
     shown = replace(
         baked, scene=scene, plan=change.plan, incident=None, texels=tuple(texels), faces=faces,
         errors_mk=solved.errors_mk | errors_mk, loaded=loaded,
@@ -101,10 +101,10 @@ def _previewed(baked: LoadedLight, known: Known, scene: Scene, change: Change) -
 
 
 def _light(
-    baked: LoadedLight, known: Known, scene: Scene, change: Change, pool: Executor
+    baked: LoadedLight, prior: PriorLight, scene: Scene, change: Change, pool: Executor
 ) -> tuple[Floats, NDArray[np.float32], tuple[NDArray[np.float32], float]]:  # fmt: skip
     """(orthonormal spectra (k, N), change of the light on faces in them (k, F), what they leave out)."""
-    samples, plan = known.samples, change.plan
+    samples, plan = prior.samples, change.plan
     outside = plan.spectrum.black([scene.surroundings_temperature])[0]
     outside = outside - baked.plan.spectrum.black([baked.scene.surroundings_temperature])[0]
     basis, left = _components(change.sent, outside, _LEFT_MK * plan.radiance_per_mk)
@@ -201,13 +201,13 @@ def _strongest(baked: LoadedLight, samples: Samples) -> tuple[NDArray[np.float32
     They are kept with the baked scene.
     """
     if baked.loaded.strongest is None:
-        geometry, known = baked.geometry, baked.known
+        geometry, prior = baked.geometry, baked.prior
         mi = geometry.mi
         table = mi.Float(aligned(1.0 - baked.plan.spectrum.emissivity.min(axis=1)))
         face, last = dr.arange(mi.UInt32, geometry.face_count), dr.opaque(mi.UInt32, samples.count)
 
         def body(point: Jit, found: Jit) -> tuple[Jit, Jit]:
-            kind = mi.UInt32(dr.gather(mi.UInt8, known.kinds, samples.texel(face, point)))
+            kind = mi.UInt32(dr.gather(mi.UInt8, prior.kinds, samples.texel(face, point)))
             return point + 1, dr.maximum(found, dr.gather(mi.Float, table, kind))
 
         start = mi.UInt32(0), dr.zeros(mi.Float, geometry.face_count)
@@ -216,7 +216,7 @@ def _strongest(baked: LoadedLight, samples: Samples) -> tuple[NDArray[np.float32
     return baked.loaded.strongest
 
 
-class _Tables:
+class _ChangedTexels:
     """The change of texels and faces, from the change of the light on faces.
 
     Texels differ in what they emit, and in what they reflect of the light before and of its change: these depend on the
@@ -224,10 +224,16 @@ class _Tables:
     """
 
     def __init__(
-        self, baked: LoadedLight, known: Known, scene: Scene, change: Change, basis: Floats, light: NDArray[np.float32]
+        self,
+        baked: LoadedLight,
+        prior: PriorLight,
+        scene: Scene,
+        change: Change,
+        basis: Floats,
+        light: NDArray[np.float32],
     ) -> None:
         self._mi = mi = baked.geometry.mi
-        self._baked, self._known, self._change = baked, known, change
+        self._baked, self._prior, self._change = baked, prior, change
         before, after = baked.plan.spectrum, change.plan.spectrum
         mean = light.mean(axis=1, dtype=np.float64).astype(np.float32)
         self._light = Channels(mi, np.vstack([light.T, mean]))
@@ -252,16 +258,16 @@ class _Tables:
 
     def texels(self) -> tuple[list[Jit], list[Jit]]:
         """Return (radiance of texels, K of Float; change of the light that they reflect, K of Float)."""
-        mi, known, change = self._mi, self._known, self._change
+        mi, prior, change = self._mi, self._prior, self._change
         cover = self._baked.geometry.face_of_texel
         on, kind, pair = change.changed > 0, mi.UInt32(change.kinds), mi.UInt32(change.pair)
         lower, share = change.tables.interval(change.kelvin)
         lower += dr.gather(mi.UInt32, self._row, kind, on) * change.tables.count
         ends = (self._emitted.at(lower + k, on) for k in (0, 1))
         emitted = [dr.lerp(a, b, share) for a, b in zip(*ends, strict=True)]
-        incident, light = known.incident.at(cover, on), self._light.at(cover)
+        incident, light = prior.incident.at(cover, on), self._light.at(cover)
         found, added = [], []
-        for channel, texel in enumerate(known.texels):
+        for channel, texel in enumerate(prior.texels):
             table = self._reflects[channel].at(pair)
             more = _dot(table[: self._spectra], light)
             added.append(_dot(table[self._spectra :], incident) + more)
@@ -272,12 +278,12 @@ class _Tables:
 
     def corrected(self, added: list[Jit]) -> NDArray[np.float32]:
         """Return the correction of faces, (F, K); `added` as of `texels`."""
-        mi, samples, pairs = self._mi, self._known.samples, self._change.pair
+        mi, samples, pairs = self._mi, self._prior.samples, self._change.pair
         starts, texels, weights = samples.others
         faces = self._baked.faces
         assert faces is not None
         face = dr.arange(mi.UInt32, len(faces))
-        light = [*self._light.at(face), *self._known.incident.at(face)]
+        light = [*self._light.at(face), *self._prior.incident.at(face)]
         last = dr.gather(mi.UInt32, starts, face + 1)
 
         def body(entry: Jit, *so_far: Jit) -> tuple[Jit, ...]:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from thermorender.render.arrays import Channels, Jit, aligned
 from thermorender.render.edits.change import Change, change_of, comparable
-from thermorender.render.edits.known import Known, Samples
 from thermorender.render.edits.preview import edited_plan
+from thermorender.render.edits.prior import PriorLight, Samples
 from thermorender.render.light import environment, radiosity
 from thermorender.render.light.exchange import Exchange, threads
 from thermorender.render.light.solved import Kept, SolvedLight, black_share, in_steps, tolerance_of
@@ -52,12 +52,12 @@ def solved_change(
         or max(spectrum.nodes_mk, spectrum.channels_mk) > plan.sampling.tolerance_mk
     ):
         return None
-    known = baked.known
-    change = change_of(baked, known, scene, plan)
+    prior = baked.prior
+    change = change_of(baked, prior, scene, plan)
     tick()
     if change is None or len(change.faces) > _MOST_CHANGED * baked.geometry.face_count:
         return None
-    found = _solved(baked, known, scene, change, kept, tick)
+    found = _solved(baked, prior, scene, change, kept, tick)
     return None if found is None else (plan, found)
 
 
@@ -69,17 +69,17 @@ def _warmer(one: Scene, other: Scene) -> bool:
 
 
 def _solved(
-    baked: LoadedLight, known: Known, scene: Scene, change: Change, kept: Kept, tick: Callable[[], object]
+    baked: LoadedLight, prior: PriorLight, scene: Scene, change: Change, kept: Kept, tick: Callable[[], object]
 ) -> SolvedLight | None:
     geometry, plan, transport, incident = baked.geometry, change.plan, baked.transport, baked.incident
     assert transport is not None and incident is not None
     before = kept.reflectance
     if before is None:
         everything = np.arange(geometry.face_count)
-        before = _reflectance(known, known.kinds, baked.plan.spectrum, everything)
+        before = _reflectance(prior, prior.kinds, baked.plan.spectrum, everything)
         tick()
     reflectance = before.copy()
-    reflectance[change.faces] = _reflectance(known, change.kinds, plan.spectrum, change.faces)
+    reflectance[change.faces] = _reflectance(prior, change.kinds, plan.spectrum, change.faces)
     tick()
     residual = kept.residual + _ROUNDED * float(incident.max(initial=0.0))
     tolerance, amplified = tolerance_of(plan), radiosity.amplification(transport, reflectance)
@@ -92,8 +92,8 @@ def _solved(
     outside = outside - baked.plan.spectrum.black([baked.scene.surroundings_temperature])[0]
     around = environment.even(np.zeros(plan.spectrum.nodes), outside, geometry.face_count) if outside.any() else None
     with threads() as pool:
-        light = Exchange(transport, pool, rest, reflectance, around, known.samples.strong, tick)
-        left = _settle(light, known.samples, tolerance / amplified)
+        light = Exchange(transport, pool, rest, reflectance, around, prior.samples.strong, tick)
+        left = _settle(light, prior.samples, tolerance / amplified)
     if left * amplified > tolerance:
         raise radiosity.unsettled(left * amplified, tolerance)
     # The noise of light known before is reflected as that light is.
@@ -129,9 +129,9 @@ def _settle(light: Exchange, samples: Samples, wanted: float) -> float:
     return left
 
 
-def _reflectance(known: Known, kinds: Jit, spectrum: Spectrum, faces: NDArray[np.intp]) -> NDArray[np.float32]:
+def _reflectance(prior: PriorLight, kinds: Jit, spectrum: Spectrum, faces: NDArray[np.intp]) -> NDArray[np.float32]:
     """Mean reflectance of faces at each node, (n, N), of the materials `kinds` of all texels."""
-    samples, mi = known.samples, known.samples.geometry.mi
+    samples, mi = prior.samples, prior.samples.geometry.mi
     if not len(faces):
         return np.zeros((0, spectrum.nodes), np.float32)
     table = Channels(mi, 1.0 - spectrum.emissivity)

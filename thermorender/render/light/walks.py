@@ -15,7 +15,7 @@ from thermorender.materials.material import Material
 from thermorender.physics.band import RadianceTable
 from thermorender.render.arrays import Floats, Jit, aligned
 from thermorender.render.geometry import Geometry
-from thermorender.render.layers import Texels
+from thermorender.render.layers import TexelArrays
 from thermorender.render.light.environment import Environment
 from thermorender.render.light.radiosity import SKY_BINS, background_code
 from thermorender.render.plan import Plan
@@ -31,7 +31,7 @@ class Walks:
     """Random walks in a scene with `texels` in the light `around` it, without its moving objects."""
 
     def __init__(
-        self, materials: Sequence[Material], plan: Plan, geometry: Geometry, around: Environment, texels: Texels
+        self, materials: Sequence[Material], plan: Plan, geometry: Geometry, around: Environment, texels: TexelArrays
     ) -> None:
         self._materials, self._plan, self._emitted = materials, plan, dict[int, tuple[Floats, Floats]]()
         self._geometry, self._texels = geometry, texels

@@ -171,11 +171,11 @@ class Samples:
         """
         from scipy.sparse import csr_array
 
-        transport, known = self.transport, self.transport.counted
+        transport, counted = self.transport, self.transport.counted
         hits: NDArray[Any] = transport.hits.astype(np.int16 if transport.rays < 2**15 else np.int32)
         sign = np.tile(np.array([1, -1], np.int8), len(transport.up))
         np.multiply(hits, np.repeat(sign, np.diff(transport.start)), out=hits)
-        found = csr_array((hits, known.indices, known.indptr), known.shape).tocsc()
+        found = csr_array((hits, counted.indices, counted.indptr), counted.shape).tocsc()
         return found.indptr.astype(np.int64), found.indices, np.abs(found.data).astype(np.float32), found.data < 0
 
     def prepare(self) -> None:
@@ -259,8 +259,8 @@ class Tables:
         return [dr.lerp(a, b, share) for a, b in zip(*ends, strict=True)]
 
 
-class Known:
-    """A BakedScene's texels and light on the device.
+class PriorLight:
+    """Texels and light before an edit, on the device.
 
     Attributes
     ----------
@@ -269,7 +269,7 @@ class Known:
     incident : Channels
         Radiance at each node that faces receive, and its mean for texels without a face, as `texels.bake_channel`.
     texels : list of Float
-        `BakedScene.texels`.
+        `BakedLight.texels`.
     """
 
     def __init__(
@@ -283,8 +283,8 @@ class Known:
         self._light, self._tables = light, tables
 
     @classmethod
-    def of(cls, baked: BakedLight, samples: Samples) -> "Known":
-        """Return the Known of a solution."""
+    def of(cls, baked: BakedLight, samples: Samples) -> "PriorLight":
+        """Return the PriorLight of a solution."""
         mi, scene = samples.geometry.mi, baked.scene
         kinds = mi.UInt8(aligned(flat(scene.surfaces, "material"), np.uint8))
         kelvin = mi.Float(aligned(flat(scene.surfaces, "temperature")))
@@ -294,10 +294,10 @@ class Known:
 
     def after(
         self, scene: Scene, kinds: Jit, kelvin: Jit, basis: Floats, light: NDArray[np.float32], texels: list[Jit]
-    ) -> "Known":
-        """Return the Known of a preview; the light on faces changes by `light` (k, F) in the spectra `basis` (k, N)."""
+    ) -> "PriorLight":
+        """Return the PriorLight of a preview, whose light changes by `light` (k, F) in the spectra `basis` (k, N)."""
         whole = self._light + light.T @ basis.astype(np.float32)
-        return Known(self.samples, scene, kinds, kelvin, whole, texels, self._tables)
+        return PriorLight(self.samples, scene, kinds, kelvin, whole, texels, self._tables)
 
     def tables(self, plan: Plan) -> Tables:
         """Return Tables that have the temperatures of a Plan."""
