@@ -143,29 +143,11 @@ def bake(
     start: LoadedLight | None = None,
     solved: SolvedLight | None = None,
 ) -> BakedScene:
-    """Return the BakedScene of a scene.
+    """Return the BakedScene of a scene, whose Geometry is given where it exists already.
 
-    Parameters
-    ----------
-    scene : Scene
-    plan : Plan
-        From `make_plan`.
-    geometry : Geometry, optional
-        Of the scene's surfaces, where it exists already.
-    like : BakedScene, optional
-        Of the same surfaces; its rays are used again if their number per face is the same.
-    progress : callable, optional
-        Called with (what, share done).
-    start : BakedScene, optional
-        Of the same surfaces and similar light, from which the solution begins. It saves time and changes the solution
-        within its error bound.
-    solved : SolvedLight, optional
-        Its light, where it is known.
-
-    Raises
-    ------
-    ThermorenderError
-        Surfaces differ from those of `like`, or the light does not converge.
+    Rays between faces are those of `like`, with the same surfaces, if their number per face is the same. The solution
+    begins from `start`, of similar light, which saves time and changes it within its error bound. `solved` is the light
+    where it is known. `progress` is called with (what, share done).
     """
     known = None
     if like is not None:

@@ -81,14 +81,8 @@ def truth(
 def pixel_middles(layers: Sequence[CasterView], rays: CameraRays) -> tuple[Image, Image, Image, Image]:
     """Return the surface points at the pixels' middles as images (H, W): valid, texel, up, depth.
 
-    Returns
-    -------
-    valid, up : bool
-        Whether a surface is hit, and whether the ray points to the horizon or above.
-    texel : uint32
-        Its number over all surfaces of the layers.
-    depth : float32
-        Along the optical axis [m], infinity where nothing is hit.
+    They are whether a surface is hit; the texel's number over all surfaces of the layers; whether the ray points to the
+    horizon or above; and the depth along the optical axis [m], infinite where nothing is hit.
     """
     mi = layers[0].geometry.mi
     first = np.cumsum([0, *(int(layer.geometry.texel_start[-1]) for layer in layers)]).tolist()

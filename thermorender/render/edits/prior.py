@@ -28,23 +28,7 @@ _FACES_AT_ONCE = 1 << 16
 
 
 class Samples:
-    """Points that represent the faces of a geometry, and the rays between its faces.
-
-    Attributes
-    ----------
-    count : int
-        Points of a face.
-    nearest : UInt32
-        The number of the texel at each point, of all faces, point after point.
-    seen : (F,) float32
-        Share of each face's hemisphere that shows other faces.
-    background : (F,) float64
-        Share that shows the surroundings below the horizon.
-    area : (F,) float64
-        Area of all faces up to each [m²].
-    strong : Strong or None
-        Those of the last solution.
-    """
+    """Points that represent the faces of a geometry, `count` in each, and the rays between its faces."""
 
     def __init__(self, geometry: Geometry, transport: Transport) -> None:
         mi, points = geometry.mi, pattern(geometry)
@@ -54,15 +38,17 @@ class Samples:
             number = geometry.nearest(*place)
             dr.eval(number)
             found.append(np.array(number))
+        # The number of the texel at each point, of all faces, point after point.
         self.nearest = mi.UInt32(aligned(np.concatenate(found), np.uint32))
         self._pattern = [mi.Float(aligned([point[axis] for point in points])) for axis in (0, 1)]
         self._surface, self._corner = geometry.face_maps()
         self.faces = dr.opaque(mi.UInt32, geometry.face_count)
         outside = transport.up.sum(axis=(1, 2), dtype=np.int64) + transport.down.sum(axis=1, dtype=np.int64)
+        # (F,) share of each face's hemisphere that shows other faces, and surroundings below the horizon.
         self.seen = (1.0 - outside / (2.0 * transport.rays)).astype(np.float32)
         self.background = transport.background
-        self.area = np.cumsum(geometry.area)
-        self.strong: Strong | None = None
+        self.area = np.cumsum(geometry.area)  # (F,) of all faces up to each [m²]
+        self.strong: Strong | None = None  # of the last solution
 
     def texel(self, face: Jit, point: Jit) -> Jit:
         """Return the number of the texel at a point of faces, UInt32."""
@@ -226,18 +212,11 @@ class LeftOut:
 
 
 class Tables:
-    """Blackbody radiance at the nodes of a spectrum against temperature.
-
-    Attributes
-    ----------
-    limits_k : (2,) floats
-        Coldest and warmest temperature [K].
-    black : Channels
-        At each node, for each temperature of `RadianceTable.grid`.
-    """
+    """Blackbody radiance at the nodes of a spectrum, for each temperature of a `RadianceTable.grid`."""
 
     def __init__(self, mi: Mitsuba, plan: Plan) -> None:
         self._mi = mi
+        # Coldest and warmest temperature [K].
         self.limits_k = plan.coldest - _BELOW_K, plan.warmest + _ABOVE_K
         grid = RadianceTable.grid(*self.limits_k)
         self.black = Channels(mi, plan.spectrum.black(grid))
@@ -262,14 +241,7 @@ class Tables:
 class PriorLight:
     """Texels and light before an edit, on the device.
 
-    Attributes
-    ----------
-    material, temperature : (T,) uint8 and float32
-        Of all texels; `kinds` and `kelvin` on the device.
-    incident : Channels
-        Radiance at each node that faces receive, and its mean for texels without a face, as `texels.bake_channel`.
-    texels : list of Float
-        `BakedLight.texels`.
+    `kinds` and `kelvin` are material and temperature [K] of all texels, `texels` their radiance as of `BakedLight`.
     """
 
     def __init__(
@@ -278,6 +250,7 @@ class PriorLight:
     ) -> None:  # fmt: skip
         self.samples, self.kinds, self.kelvin, self.texels = samples, kinds, kelvin, texels
         self.material, self.temperature = flat(scene.surfaces, "material"), flat(scene.surfaces, "temperature")
+        # With the mean in the last row, for texels without a face.
         mean = light.mean(axis=0, keepdims=True, dtype=np.float64)
         self.incident = Channels(samples.geometry.mi, np.vstack([light, mean.astype(np.float32)]))
         self._light, self._tables = light, tables

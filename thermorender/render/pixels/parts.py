@@ -71,13 +71,7 @@ class PixelParts:
 
 
 def parts_at(view: View, pixels: ArrayLike) -> list[PixelParts]:
-    """Return the PixelParts of a view at pixels (n, 2), each a row and a column.
-
-    Raises
-    ------
-    ThermorenderError
-        A pixel outside the image.
-    """
+    """Return the PixelParts of a view at pixels (n, 2), each a row and a column."""
     pixels = _checked(pixels, view.rays.camera)
     rays = _Rays(view, pixels)
     scene, band = view.baked.scene, view.baked.plan.band_um
@@ -117,18 +111,10 @@ def _checked(pixels: ArrayLike, camera: Camera) -> NDArray[np.intp]:
 
 
 class _Rays:
-    """The rays through the middles of n pixels, and what they hit.
+    """The rays through the middles of n pixels, and what they hit: arrays (n,), as of `Hit`.
 
-    Attributes
-    ----------
-    valid, distance, surface, face, layer, cosine : (n,)
-        Of the hit, as of `Hit`. The cosine is that of the angle of view.
-    kind, kinetic : (n,)
-        Material and temperature [K] of the texel hit.
-    weight : (n, K)
-        Share of each channel that arrives.
-    added : (n,)
-        Radiance of the air on the path, or of the background [W m⁻² sr⁻¹].
+    `cosine` is that of the angle of view; `kind` and `kinetic` are material and temperature [K] of the texel. Of each
+    channel the share `weight` (n, K) arrives; air or background give `added` [W m⁻² sr⁻¹].
     """
 
     def __init__(self, view: View, pixels: NDArray[np.intp]) -> None:

@@ -66,28 +66,18 @@ def morton_order(height: int, width: int) -> NDArray[np.int64]:
 
 
 class CameraRays:
-    """A camera's rays on the render side, including a ring of pixels round its image, needed to find edges there.
-
-    Attributes
-    ----------
-    width, height : int
-        Of its image [px].
-    order : (H·W,) int64
-        Pixel numbers in the order of the arrays; the ring follows.
-    position : (H·W,) int64
-        Position of each pixel in that order.
-    ringed : UInt32
-        Numbers of all pixels in the image with its ring, in that order.
-    """
+    """A camera's rays on the render side, including a ring of pixels round its image, needed to find edges there."""
 
     def __init__(self, mi: Mitsuba, camera: Camera) -> None:
         self._mi, self.camera, self.width, self.height = mi, camera, camera.width, camera.height
+        # (H·W,) pixel numbers in the order of the arrays, where the ring follows; position of each pixel in it.
         self.order = morton_order(camera.height, camera.width)
         self.position = np.empty_like(self.order)
         self.position[self.order] = np.arange(self.order.size)
         row, column = np.divmod(self.order, camera.width)
         ring = np.argwhere(np.pad(np.zeros((camera.height, camera.width), bool), RING, constant_values=True)) - RING
         row, column = np.concatenate([[row, column], ring.T], axis=1)
+        # Numbers of all pixels in the image with its ring, in that order.
         self.ringed = mi.UInt32(aligned((row + RING) * (camera.width + 2 * RING) + column + RING, np.uint32))
         # The ring is extrapolated from the nearest pixels of the image, since the lens may not extend to it.
         beside = np.clip(row, 0, camera.height - 1), np.clip(column, 0, camera.width - 1)

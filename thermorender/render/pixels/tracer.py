@@ -78,18 +78,10 @@ class SampledImage:
 
 
 class Tracer:
-    """Rays from one pose into the layers of a scene.
+    """Rays from one pose into the layers of a scene, the static one first, through a medium.
 
-    Parameters
-    ----------
-    layers : sequence of Layer
-        The static scene first, then each dynamic object, all seen from this pose.
-    medium : Vacuum or AirView
-        Between the camera and the surfaces.
-    slender : callable
-        Returns the Rectangles of pixels that may show details thinner than a pixel.
-    pose : (4, 4) array, optional
-        Of a view without moving objects: from the pose of the image before, its rays are not cast again.
+    `slender` returns the Rectangles of pixels that may show details thinner than a pixel. With the `pose` (4, 4) of a
+    view without moving objects, an image from the same pose as the one before does not cast its first rays again.
     """
 
     def __init__(

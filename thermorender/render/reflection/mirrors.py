@@ -47,14 +47,8 @@ def correction(
 ) -> tuple[list[Jit], Jit]:  # fmt: skip
     """Return (channels to add, [Float], distance [m] from a mirror to the point seen in it) for rays of a view.
 
-    Parameters
-    ----------
-    layers : sequence of Layer
-        The static scene first, in whose frame the rays are.
-    depth : int
-        Largest number of reflections by mirrors; the next mirror is taken as diffuse.
-    distance, number, face, texel, row
-        Of the hit: distance [m], layer, face, and the result of `met`.
+    Rays are in the frame of the first layer. They hit a face of layer `number` at `distance` [m]; texel and row are
+    from `met`. After `depth` reflections by mirrors the next one is taken as diffuse.
     """
     mirror = next(layer.outgoing.mirror for layer in layers if layer.outgoing.mirror)
     nothing = tuple(type(distance)(0.0) for _ in range(mirror.black.count + 1))
@@ -131,7 +125,7 @@ def _seen(layers: Sequence[Layer], depth: int, origin: Jit, direction: Jit) -> t
 def last_steps(layers: Sequence[Layer], *ray: Jit) -> list[Jit]:
     """Return the band radiance that one more reflection would add to a frame, and a second one, [Float] [W m⁻² sr⁻¹].
 
-    Parameters as of `correction`, without the depth.
+    `ray` has the arguments of `correction` after the depth.
     """
     tables = next(layer.outgoing.mirror.tables for layer in layers if layer.outgoing.mirror)
     first, *others = (correction(layers, depth, *ray)[0] for depth in (DEPTH, DEPTH + 1, DEPTH + 2))
