@@ -8,6 +8,7 @@ temperature. Pixels that show an edge get more rays, in stages, until their erro
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -310,13 +311,11 @@ class Tracer:
         of a single layer, if they were cast before.
         """
         layers, mi = self._layers, self._mi
-
-        def read(at: LayerHit) -> list[Jit]:
-            strong, values = self._read(at, cell, reading)
-            return [mi.Bool(strong), *mirrors.met(at.layer, at.hit, at.place), *values]
-
         hit, number, (strong, texel, row, *total) = first_hit(
-            layers, lambda layer: view_ray(mi, *layer.view, *cell.slope), read, known=known
+            layers,
+            lambda layer: view_ray(mi, *layer.view, *cell.slope),
+            partial(self._read, cell, reading),
+            known=known,
         )
         hit, ray = replace(hit, strong=strong), view_ray(mi, *layers[0].view, *cell.slope)
         if any(layer.outgoing.mirror for layer in layers):
@@ -326,8 +325,8 @@ class Tracer:
         climb = Climb.of(layers[0].view[0], ray.d.z, cell) if split else None
         return hit, self._medium.at_camera(hit, total, ray.o, ray.d, climb)
 
-    def _read(self, at: LayerHit, cell: Footprint, reading: Reading) -> tuple[Jit, list[Jit]]:
-        """(whether the light on the face is strong, mean channels over a cell) of hits with one layer."""
+    def _read(self, cell: Footprint, reading: Reading, at: LayerHit) -> list[Jit]:
+        """[whether the light on the face is strong, texel and row as of `mirrors.met`, mean channels over the cell]."""
         layer, hit = at.layer, at.hit
         geometry, outgoing, strong = layer.geometry, layer.outgoing, hit.strong
         on_map = OnMap.of(self._mi, layer.view[0], at.ray.d, hit.distance, at.record, cell)
@@ -339,4 +338,4 @@ class Tracer:
             own = outgoing.faces.at(hit.face, hit.valid & (level == 0))
             total = [a + b for a, b in zip(total, own, strict=True)]
             strong = dr.abs(sum(own)) > self._strong
-        return strong, total
+        return [self._mi.Bool(strong), *mirrors.met(layer, hit, at.place), *total]
