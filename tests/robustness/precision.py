@@ -145,7 +145,7 @@ def emission():
 def light():
     """Nodes are solved in double precision and summed in single; half an ulp plus one for each node of the sum."""
     from thermorender.render.geometry import Geometry
-    from thermorender.render.light import environment, radiosity
+    from thermorender.render.light import environment, radiosity, solver
     from thermorender.render.variant import activate
 
     plan, scene, texels = _lit()
@@ -158,7 +158,7 @@ def light():
         geometry, plan, surface.material.reshape(-1), surface.temperature.reshape(-1), [every]
     )
     tolerance = 1e-6 * plan.radiance_per_mk
-    incident = radiosity.solve(known, emitted, reflectance, around.at(every), tolerance).incident
+    incident = solver.solve(known, emitted, reflectance, around.at(every), tolerance).incident
     single = texels.light(incident.astype(np.float32), spectrum.reflected[:, 0])[:-1]
     double = incident @ spectrum.reflected[:, 0].T
     found = max(_largest_k(one, other) for one, other in zip(np.array(single).T, double.T, strict=True))

@@ -15,7 +15,7 @@ from thermorender.render.arrays import Channels, Jit, aligned
 from thermorender.render.edits.change import Change, change_of, comparable
 from thermorender.render.edits.preview import edited_plan
 from thermorender.render.edits.prior import PriorLight, Samples
-from thermorender.render.light import environment, radiosity
+from thermorender.render.light import environment, solver
 from thermorender.render.light.exchange import Exchange, threads
 from thermorender.render.light.solved import Kept, SolvedLight, black_share, in_steps, tolerance_of
 from thermorender.render.loaded import LoadedLight
@@ -82,7 +82,7 @@ def _solved(
     reflectance[change.faces] = _reflectance(prior, change.kinds, plan.spectrum, change.faces)
     tick()
     residual = kept.residual + _ROUNDED * float(incident.max(initial=0.0))
-    tolerance, amplified = tolerance_of(plan), radiosity.amplification(transport, reflectance)
+    tolerance, amplified = tolerance_of(plan), solver.amplification(transport, reflectance)
     if amplified * residual > _FOR_ROUNDING * tolerance:
         return None
     tolerance = (1.0 - _FOR_ROUNDING) * tolerance
@@ -95,7 +95,7 @@ def _solved(
         light = Exchange(transport, pool, rest, reflectance, around, prior.samples.strong, tick)
         left = _settle(light, prior.samples, tolerance / amplified)
     if left * amplified > tolerance:
-        raise radiosity.unsettled(left * amplified, tolerance)
+        raise solver.unsettled(left * amplified, tolerance)
     # The noise of light known before is reflected as that light is.
     shares, noise = black_share(plan), kept.noise.astype(np.float64)
     mean, was = (values[change.faces] @ shares for values in (reflectance, before))
@@ -114,8 +114,8 @@ def _solved(
 def _settle(light: Exchange, samples: Samples, wanted: float) -> float:
     """Send light until at most `wanted` is left, with rounding; return what is left."""
     quick = True
-    for _ in range(radiosity.ROUNDS):
-        before, left = light.largest, light.largest + radiosity.rounding(samples.transport) * light.brightest
+    for _ in range(solver.ROUNDS):
+        before, left = light.largest, light.largest + solver.rounding(samples.transport) * light.brightest
         if left <= wanted:
             break
         faces = light.above(_UNSENT * wanted)
