@@ -18,8 +18,8 @@ class Sampling:
     taps: int  # texture taps per ray
     edge_mk: float  # error above which a pixel that shows an edge gets more rays [mK]; infinite: never
     rays: int  # rays per face of the bake; powers of two are most efficient
-    # Largest error on the scene's envelope allowed to the spectral nodes [mK]. The solution of the light between
-    # surfaces errs by at most a tenth of it, and reflection that adds less than a tenth to any pixel is left out.
+    # Largest error on the scene's envelope allowed to the spectral nodes [mK]. A proven bound limits the error of the
+    # light between surfaces to a tenth of it. Reflection that adds less than a tenth to any pixel is left out.
     tolerance_mk: float
 
     @classmethod
