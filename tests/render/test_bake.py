@@ -15,7 +15,7 @@ from scenes import write_mesh
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
 from thermorender.render.geometry import Geometry
-from thermorender.render.light import cache, radiosity
+from thermorender.render.light import cache, radiosity, solver
 from thermorender.render.light.environment import even
 from thermorender.render.variant import activate
 from validation import made_scenes
@@ -49,7 +49,7 @@ def solved(transport, emissivity, tolerance=1e-6, wall=WALL):
     emitted = np.broadcast_to(wall * np.asarray(emissivity), (len(transport.up), len(emissivity)))
     reflectance = np.broadcast_to(1.0 - np.asarray(emissivity), emitted.shape)
     outside = even(np.zeros(len(emissivity)), np.zeros(len(emissivity)), len(emitted))
-    found = radiosity.solve(transport, emitted, reflectance, outside, tolerance)
+    found = solver.solve(transport, emitted, reflectance, outside, tolerance)
     return emitted + reflectance * found.incident, found.incident, found.bound
 
 
@@ -166,11 +166,11 @@ def test_noise_estimate_matches_the_error_against_more_rays(tmp_path):
     emitted = np.column_stack([emitted, 0.5 * (20.0 - emitted)])
     reflectance = np.full(emitted.shape, 0.9)
     light = (emitted, reflectance, even(np.array([5.0, 97.5]), np.array([90.0, 55.0]), len(emitted)))
-    truth = radiosity.solve(traced(tmp_path / "t", mesh, 64 * 64, seed=9)[0], *light, 1e-5).incident
+    truth = solver.solve(traced(tmp_path / "t", mesh, 64 * 64, seed=9)[0], *light, 1e-5).incident
     ratios = []
     for seed in (0, 1):
         transport = traced(tmp_path / f"s{seed}", mesh, 64, seed)[0]
-        found = radiosity.solve(transport, *light, 1e-5)
+        found = solver.solve(transport, *light, 1e-5)
         incident, each = found.incident, found.noise
         assert each.shape == (len(mesh.faces),)
         error = (reflectance * (incident - truth)).sum(axis=1)
@@ -204,8 +204,8 @@ def test_blocks_of_nodes_change_the_solution_within_its_error(monkeypatch):
     scene = made_scenes.terrain(2000, 64)
     together = tr.Renderer(scene, rays=16).baked
     assert together.plan.spectrum.nodes > 2
-    monkeypatch.setattr(radiosity, "_KRYLOV_BYTES", 8 * together.geometry.face_count * 20 * 2)
-    assert [part.stop - part.start for part in radiosity.blocks(together.geometry.face_count, 5)] == [2, 2, 1]
+    monkeypatch.setattr(solver, "_KRYLOV_BYTES", 8 * together.geometry.face_count * 20 * 2)
+    assert [part.stop - part.start for part in solver.blocks(together.geometry.face_count, 5)] == [2, 2, 1]
     apart = tr.Renderer(scene, rays=16).baked
     error = (together.errors_mk["solution"] + apart.errors_mk["solution"]) * together.plan.radiance_per_mk
     for one, other in zip((*together.texels, together.faces), (*apart.texels, apart.faces), strict=True):
@@ -219,7 +219,7 @@ def test_threads_do_not_change_a_byte_and_parts_only_the_rounding(terrain, monke
     assert len(terrain.parts()) > 5
     found = []
     for count in (1, 3):
-        monkeypatch.setattr(radiosity, "threads", lambda count=count: ThreadPoolExecutor(count))
+        monkeypatch.setattr(solver, "threads", lambda count=count: ThreadPoolExecutor(count))
         found.append(solved(terrain, emissivity)[1])
     np.testing.assert_array_equal(*found)
     monkeypatch.setattr(radiosity, "_FACES_AT_ONCE", 3000)

@@ -106,7 +106,7 @@ def test_baked_scene_renders_the_same_bytes_in_another_process(renderer, pose, t
 
 def within(renderer, one, other):
     """Whether two images differ by no more than the errors that the solutions of their scenes state."""
-    mk = renderer.baked.plan.tolerance_mk * 0.1
+    mk = renderer.baked.plan.sampling.tolerance_mk * 0.1
     return np.abs(one - other).max() <= 2.0 * mk * renderer.plan.radiance_per_mk
 
 
@@ -132,7 +132,7 @@ def test_errors_of_edits_do_not_accumulate(renderer, pose):
         edited = renderer.scene.with_material({material: 0.4 + 0.05 * number}).with_sky(200.0 + 5.0 * number)
         baked = baked.solved_for(edited)
         baked = baked.solved_for(renderer.scene.with_temperature(290.0 + number))
-        assert baked.errors_mk["solution"] <= 0.1 * baked.plan.tolerance_mk
+        assert baked.errors_mk["solution"] <= 0.1 * baked.plan.sampling.tolerance_mk
     back = tr.Renderer.of(baked.solved_for(renderer.scene))
     assert within(renderer, back.radiance(pose), renderer.radiance(pose))
     gc.collect()

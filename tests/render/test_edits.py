@@ -15,7 +15,6 @@ import thermorender as tr
 from scenes import write_terrain
 from thermorender.render.baked import bake
 from thermorender.render.edits import preview as edits
-from thermorender.render.edits.known import samples_of
 from thermorender.render.light.solved import solve_scene
 
 DOWN = {"pitch_deg": -90.0}
@@ -111,7 +110,7 @@ def test_preview_differs_from_the_solution_by_its_stated_error_at_most(renderer,
 
 
 def test_texels_of_other_faces_have_the_weights_of_the_points_in_a_face(renderer):
-    samples, cover = samples_of(renderer.baked), np.array(renderer.baked.geometry.face_of_texel)
+    samples, cover = renderer.baked.samples, np.array(renderer.baked.geometry.face_of_texel)
     start, texels, weights = (np.array(each) for each in samples.others)
     assert len(start) == renderer.baked.geometry.face_count + 1 and start[-1] == len(texels) > 0
     for face in range(0, renderer.baked.geometry.face_count, 7):
@@ -124,7 +123,7 @@ def test_texels_of_other_faces_have_the_weights_of_the_points_in_a_face(renderer
 
 
 def test_light_of_few_faces_is_that_of_all_rays(renderer):
-    transport, samples = renderer.baked.transport, samples_of(renderer.baked)
+    transport, samples = renderer.baked.transport, renderer.baked.samples
     count = len(transport.up)
     # One that no other face sees, and some that others see.
     hits = np.bincount(transport.seen, minlength=count)
@@ -148,8 +147,8 @@ def test_solution_of_an_edit_is_that_of_the_edited_scene(renderer, name, few, mo
     found = renderer.baked.solved_for(scene)
     alone = bake(scene, found.plan, like=renderer.baked)
     apart = np.abs(found.incident - alone.incident).max() / renderer.plan.radiance_per_mk
-    assert found.errors_mk["solution"] <= 0.1 * found.plan.tolerance_mk
-    assert apart <= 0.2 * found.plan.tolerance_mk / found.plan.nodes
+    assert found.errors_mk["solution"] <= 0.1 * found.plan.sampling.tolerance_mk
+    assert apart <= 0.2 * found.plan.sampling.tolerance_mk / found.plan.nodes
     assert found.errors_mk == pytest.approx(alone.errors_mk, rel=0.05, abs=0.5)
 
 
@@ -161,16 +160,16 @@ def test_most_edits_are_solved_from_the_light_before(renderer, monkeypatch):
     for number in range(30):
         scene = renderer.scene.with_material(sand_quartz=0.9 + 0.002 * number)
         baked = baked.solved_for(warmer(scene, 0, 0.1 * number))
-        assert baked.errors_mk["solution"] <= 0.1 * baked.plan.tolerance_mk
+        assert baked.errors_mk["solution"] <= 0.1 * baked.plan.sampling.tolerance_mk
     assert whole.call_count <= 3
     back = baked.solved_for(renderer.scene)
-    assert off(tr.Renderer.of(back), renderer) <= 0.2 * back.plan.tolerance_mk
+    assert off(tr.Renderer.of(back), renderer) <= 0.2 * back.plan.sampling.tolerance_mk
 
 
 def test_an_edit_of_nothing_changes_nothing(renderer):
     scene = renderer.scene.with_material(grass_green="grass_green")
     preview, exact = renderer.preview_for(scene), renderer.solved_for(scene)
-    assert off(preview, renderer) == 0.0 and off(exact, renderer) <= 0.2 * renderer.plan.tolerance_mk
+    assert off(preview, renderer) == 0.0 and off(exact, renderer) <= 0.2 * renderer.plan.sampling.tolerance_mk
 
 
 def test_edits_of_sky_are_solved_and_not_previewed(renderer):
@@ -188,7 +187,7 @@ def test_previews_of_previews_that_change_little_begin_from_the_solution(rendere
     # Sent to another process, a preview has no light to begin from, and is solved.
     sent = tr.Renderer.of(pickle.loads(pickle.dumps(chained.baked)))
     assert "preview" not in sent.preview_for(first).baked.errors_mk
-    assert off(sent.preview_for(first), renderer.solved_for(first)) <= 0.2 * renderer.plan.tolerance_mk
+    assert off(sent.preview_for(first), renderer.solved_for(first)) <= 0.2 * renderer.plan.sampling.tolerance_mk
 
 
 @pytest.mark.parametrize("last", ["a class like the other", "emissivity", "an area"])
@@ -268,7 +267,7 @@ def test_an_edit_without_a_preview_is_solved_and_stops_where_its_progress_raises
     shown = renderer.preview_for(edited, lambda *_: None)
     assert "preview" not in shown.baked.errors_mk
     fresh = tr.Renderer(edited, rays=16, edge_mk=np.inf)
-    limit = renderer.plan.tolerance_mk
+    limit = renderer.plan.sampling.tolerance_mk
     assert off(shown, fresh) < limit < off(shown, renderer)
 
 

@@ -129,3 +129,10 @@ def test_a_pixel_outside_the_image_is_refused(tmp_path):
     for pixels in ([(10, 0)], [(0, 12)], [(-1, 0)], [(0.5, 1)], (3, 4)):
         with pytest.raises(ThermorenderError, match=r"rows 0…9 and columns 0…11"):
             renderer.parts_at(tr.pose(0, -6, 8, **POSE), pixels)
+
+
+def test_pixel_of_the_sky_shows_background_alone(tmp_path):
+    scene = small(tr.load_scene(write_terrain(tmp_path / "s", sky=250.0)))
+    (sky,) = tr.Renderer(scene, rays=8).parts_at(tr.pose(0, 0, 5, pitch_deg=40.0), [[0, 6]])
+    assert sky.radiance.pop("background") == pytest.approx(band_radiance(250.0, *BAND), rel=1e-6)
+    assert not any(sky.radiance.values()) and sky.material == "" and np.isnan(sky.kinetic_k)

@@ -18,6 +18,7 @@ from thermorender.render.light import radiosity
 from thermorender.render.pixels.sampling import edge_step, morton_order
 from thermorender.render.pixels.shapes import positions
 from thermorender.render.plan import make_plan
+from thermorender.render.quality import Sampling
 from thermorender.render.variant import activate
 from thermorender.scene.surface import BACKGROUND, FILLED, SURFACE
 
@@ -181,12 +182,12 @@ def test_reflected_light_is_below_the_plans_upper_bound(tmp_path, seed):
 
 def test_plan_gives_quartz_the_nodes_it_needs(tmp_path):
     scene = tr.load_scene(write_terrain(tmp_path / "s"))
-    plan = make_plan(scene, tolerance_mk=2.0)
+    plan = make_plan(scene, Sampling.of(tolerance_mk=2.0))
     assert plan.nodes > 1 and plan.spectrum.nodes_mk <= 2.0
-    loose = make_plan(scene, tolerance_mk=500.0)
+    loose = make_plan(scene, Sampling.of(tolerance_mk=500.0))
     assert loose.nodes < plan.nodes
     # A single node has the band's emissivity: every wavelength counts with its share of 300 K light.
-    (single,) = make_plan(scene, tolerance_mk=5000.0).spectrum.emissivity.T
+    (single,) = make_plan(scene, Sampling.of(tolerance_mk=5000.0)).spectrum.emissivity.T
     exact = [emitted_radiance(material.emissivity_at, 300.0, *BAND) for material in scene.materials]
     np.testing.assert_allclose(single, np.array(exact) / band_radiance(300.0, *BAND), rtol=1e-9)
     np.testing.assert_allclose(plan.spectrum.black(np.array([300.0])).sum(), band_radiance(300.0, *BAND), rtol=1e-10)

@@ -145,7 +145,7 @@ def emission():
 def light():
     """Nodes are solved in double precision and summed in single; half an ulp plus one for each node of the sum."""
     from thermorender.render.geometry import Geometry
-    from thermorender.render.light import environment, radiosity
+    from thermorender.render.light import environment, radiosity, solver
     from thermorender.render.variant import activate
 
     plan, scene, texels = _lit()
@@ -158,7 +158,7 @@ def light():
         geometry, plan, surface.material.reshape(-1), surface.temperature.reshape(-1), [every]
     )
     tolerance = 1e-6 * plan.radiance_per_mk
-    incident = radiosity.solve(known, emitted, reflectance, around.at(every), tolerance).incident
+    incident = solver.solve(known, emitted, reflectance, around.at(every), tolerance).incident
     single = texels.light(incident.astype(np.float32), spectrum.reflected[:, 0])[:-1]
     double = incident @ spectrum.reflected[:, 0].T
     found = max(_largest_k(one, other) for one, other in zip(np.array(single).T, double.T, strict=True))
@@ -169,7 +169,7 @@ def light():
 def air(up):
     """The same grid of paths read in double precision: some ulp of its logarithm of length, and of the sum."""
     from thermorender.physics.planck import band_radiance
-    from thermorender.render.air import Air
+    from thermorender.render.air import SceneAir
     from thermorender.render.geometry import Hit
     from thermorender.render.plan import make_plan
     from thermorender.render.variant import activate
@@ -187,7 +187,7 @@ def air(up):
         hit = Hit(mi.Bool(np.ones(count, bool)), types.Float(distance.astype(np.float32)), None, None)
         towards = types.Vector3f(*(types.Float(axis.astype(np.float32)) for axis in direction))
         origin = types.Point3f(0.0, 0.0, up)
-        view = Air(types, scene, plan.spectrum).view(np.array([0.0, 0.0, up]), box)
+        view = SceneAir(types, scene, plan.spectrum).view(np.array([0.0, 0.0, up]), box)
         channels = [types.Float(float(value)) for value in values]
         found.append(np.array(view.at_camera(hit, channels, origin, towards)[0], np.float64))
     # Grid lengths have an ulp of their logarithm times the columns, along which light changes little.

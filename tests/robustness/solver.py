@@ -12,7 +12,7 @@ from tests.robustness.air import refused
 from tests.robustness.cases import Found, case
 from thermorender.defaults import BAND_UM
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
-from thermorender.render.light import radiosity
+from thermorender.render.light import radiosity, solver
 from thermorender.render.light.environment import even
 
 _FACES, _RAYS = 10_000, 32
@@ -51,7 +51,7 @@ def known(emissivity):
 def solved(emissivity, tolerance_k):
     """(largest error [K], bound [K]) of known light, solved to a tolerance [K]."""
     exact, rho, outside = known(emissivity)
-    found = radiosity.solve(closed(), np.zeros((_FACES, 1)), rho, outside, tolerance_k * _PER_K)
+    found = solver.solve(closed(), np.zeros((_FACES, 1)), rho, outside, tolerance_k * _PER_K)
     return float(np.abs(found.incident - exact).max()) / _PER_K, found.bound / _PER_K
 
 

@@ -157,8 +157,9 @@ def test_pixels_of_copies_get_rays_until_their_light_errs_more(tmp_path):
     assert len(seen) > 300
     # Of 16 and 64 rays each before: most have an error below that of their light with 4.
     assert sum(len(part.pixels) * (part.last - part.first) for part in copies) < 6 * len(seen)
-    assert renderer.baked.device.copies_error > 2.0 * renderer.plan.edge_mk * per_mk
-    exact = tr.Renderer.of(renderer.baked.seen_as(scene, replace(renderer.plan, samples=16, edge_mk=1.0)))
+    assert renderer.baked.device.copies_error > 2.0 * renderer.plan.sampling.edge_mk * per_mk
+    finer = replace(renderer.plan, sampling=replace(renderer.plan.sampling, samples=16, edge_mk=1.0))
+    exact = tr.Renderer.of(renderer.baked.seen_as(scene, finer))
     off = ((radiance - exact.radiance(pose)) / per_mk).ravel()
     stated = (budget.sampling_error(renderer.plan, view.tracer(), radiance, sampling) / per_mk).ravel()
     for pixels in (seen, np.setdiff1d(np.arange(off.size), seen)):

@@ -40,6 +40,7 @@ def map_materials(
 def plan(scene: SceneName, *, sampling: SamplingOptions, situation: SceneOptions) -> None:
     """Print the rendering steps of a scene, which are skipped, and what each skipped step costs in mK."""
     from thermorender.render.plan import make_plan
+    from thermorender.render.quality import Sampling
     from thermorender.sensor.schedule import plan_row
 
     loaded = situation.load(scene)
@@ -48,5 +49,5 @@ def plan(scene: SceneName, *, sampling: SamplingOptions, situation: SceneOptions
         with progress() as report:
             loaded = sampling.renderer(loaded, 0, "auto", report).scene
     typer.echo(str(loaded))
-    rows = make_plan(loaded, **sampling.settings()).rows()
+    rows = make_plan(loaded, Sampling.of(**sampling.settings())).rows()
     table(("item", "in", "why"), [*rows, plan_row(loaded.camera)])

@@ -175,12 +175,12 @@ def _frames(
     """Yield (index, Frame, solved Scene) of each instant; the light is traced once."""
     # These import Mitsuba.
     from thermorender.render.geometry import Geometry
-    from thermorender.render.plan import checked
+    from thermorender.render.quality import Sampling
     from thermorender.render.renderer import Renderer
     from thermorender.render.variant import activate
 
     # Before the heat balance is solved, so that a wrong setting fails at once.
-    checked(**{name: value for name, value in settings.items() if name != "seed"})
+    Sampling.of(**{name: value for name, value in settings.items() if name != "seed"})
     geometry = Geometry(activate(device), scene.surfaces)
     baked, seed = None, settings.get("seed", 0)
     for index, solved in enumerate(solved_in_parts(scene, times, geometry, report)):

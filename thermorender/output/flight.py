@@ -223,6 +223,18 @@ class Flight:
         # Frames in the video; name of the frames in a profile.
         self._encoded, self._kind = 0, "first frame"
 
+    def __getstate__(self) -> dict[str, Any]:
+        """The flight as a worker needs it, before its first frame.
+
+        Temperatures that do not change need no further solution of the light.
+        """
+        from thermorender.render.renderer import Renderer
+
+        renderer = self.renderer
+        if not renderer.scene.temperature_state.weather_driven:
+            renderer = Renderer.of(replace(renderer.baked, transport=None, incident=None), renderer.seed)
+        return self.__dict__ | {"renderer": renderer, "flown": self.flown.by(renderer), "sheet": [], "terrain": []}
+
     def _settings(self, trajectory: Trajectory) -> dict[str, Any]:
         scene, start = self.renderer.scene, self.flown.timed.time(trajectory.span_s[0])
         return {

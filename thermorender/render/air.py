@@ -7,7 +7,6 @@ horizon crosses a ray's cell, both count by their shares of it.
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -18,11 +17,9 @@ from thermorender.atmosphere.rays import EARTH_RADIUS_M, MEAN_RADIUS_M, horizon_
 from thermorender.errors import ThermorenderError
 from thermorender.render.arrays import Floats, Jit, Mitsuba, aligned
 from thermorender.render.geometry import Hit
+from thermorender.render.pixels.footprint import Climb
 from thermorender.render.spectrum import Spectrum
 from thermorender.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from thermorender.render.pixels.footprint import Climb
 
 # Largest ratio of successive path lengths in a grid, fewest lengths, and largest step in altitude [m].
 _GROWTH = 1.08
@@ -61,7 +58,7 @@ class Vacuum:
         self._sky, self._background = ([dr.opaque(mi.Float, float(value)) for value in row] for row in rows)
 
     def at_camera(
-        self, hit: Hit, values: list[Jit], origin: Jit, direction: Jit, climb: "Climb | None" = None
+        self, hit: Hit, values: list[Jit], origin: Jit, direction: Jit, climb: Climb | None = None
     ) -> list[Jit]:
         """Return the radiance at the camera, a list of Float; `values` are the channels at the points hit.
 
@@ -76,7 +73,7 @@ class Vacuum:
         return [dr.select(hit.valid, value, other) for value, other in zip(values, behind, strict=True)]
 
 
-class Air:
+class SceneAir:
     """The air of a scene, which makes views of single camera positions."""
 
     def __init__(self, mi: Mitsuba, scene: Scene, spectrum: Spectrum) -> None:
@@ -84,12 +81,22 @@ class Air:
         self._mi, self._air, self._solver = mi, scene.air, spectrum.solver
         self._altitude_m, self._background_k = scene.altitude_m, scene.surroundings_temperature
         self._seen: dict[int, Floats] = {}
+        self._last: tuple[bytes, AirView] | None = None
 
     def view(self, origin: Floats, box: Floats, clear: bool = False) -> "AirView":
         """Return the AirView from a camera position `origin` (3,) [m] to surfaces in a `box` (2, 3) [m].
 
-        With `clear`, paths to surfaces transmit all light and emit none.
+        With `clear`, paths to surfaces transmit all light and emit none. The last other view is kept.
         """
+        if clear:
+            return self._view(origin, box, clear)
+        # Read and replaced as a whole: another thread may render another view meanwhile.
+        key, last = origin.tobytes() + box.tobytes(), self._last
+        if last is None or last[0] != key:
+            last = self._last = key, self._view(origin, box, clear)
+        return last[1]
+
+    def _view(self, origin: Floats, box: Floats, clear: bool) -> "AirView":
         base = self._altitude_m
         camera = float(altitude(origin, base))
         outside = np.maximum(np.maximum(box[0] - origin, origin - box[1]), 0.0)
@@ -189,7 +196,7 @@ class AirView:
         self.horizon, self._horizon = horizon, dr.opaque(mi.Float, horizon)
 
     def at_camera(
-        self, hit: Hit, values: list[Jit], origin: Jit, direction: Jit, climb: "Climb | None" = None
+        self, hit: Hit, values: list[Jit], origin: Jit, direction: Jit, climb: Climb | None = None
     ) -> list[Jit]:
         """Return the radiance at the camera, [Float]; `values` and `climb` as of `Vacuum.at_camera`."""
         mi = self._mi
@@ -205,7 +212,7 @@ class AirView:
             behind = self._seen_background(climb, ~hit.valid)
         return [dr.select(hit.valid, total, behind)]
 
-    def _seen_background(self, climb: "Climb", active: Jit) -> Jit:
+    def _seen_background(self, climb: Climb, active: Jit) -> Jit:
         """Mean band radiance over the cells of rays that hit nothing."""
         share, higher, lower = climb.parts(self._horizon)
         found = self._background_at(higher, active)

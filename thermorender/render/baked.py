@@ -6,23 +6,22 @@ first needed, in each process.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from thermorender.render.device import DeviceScene, flat
-from thermorender.render.dynamic import StaticLight
+from thermorender.render.device import flat
+from thermorender.render.edits.preview import prepare, preview
+from thermorender.render.edits.solution import solved_change
 from thermorender.render.geometry import Geometry, refuse_other_surfaces
 from thermorender.render.light import cache, leaves, radiosity, texels
 from thermorender.render.light.absorbed import left_out
-from thermorender.render.light.environment import Environment, of_scene
 from thermorender.render.light.solved import SolvedLight, solve_scene
-from thermorender.render.light.walks import Walks
+from thermorender.render.loaded import Loaded, LoadedLight
 from thermorender.render.plan import Plan, make_plan
-from thermorender.render.reflection import mirrors
+from thermorender.render.reflection.device_tables import black_of
 from thermorender.render.variant import activate
 from thermorender.scene.scene import Scene
 
@@ -32,7 +31,7 @@ _SOLVING = "solving the light between surfaces"
 
 
 @dataclass(frozen=True, eq=False)
-class BakedScene:
+class BakedScene(LoadedLight):
     """A scene with its light.
 
     Attributes
@@ -50,68 +49,15 @@ class BakedScene:
         Correction of each face, added to its texels [W m⁻² sr⁻¹].
     face_error : (F,) float32 or None
         Mean square error of the light on each face [(W m⁻² sr⁻¹)²].
-    mirror_black : (n, K) or None
-        Channels of blackbodies at the temperatures of the directional texels; None without such texels or without
-        mirrors.
-    static_light : StaticLight or None
-        Light of the static scene for dynamic objects; None without them.
     errors_mk : dict
-        Errors of the reflected light [mK at 300 K]: "solution", the bound from its residual, and root mean squares over
-        the surfaces: "noise" of the rays, from independent halves, "faces", of light taken as constant over a face, and
-        "texels", of baking it to texels; with air also "air", an estimate from above, of leaving it out between
-        surfaces.
+        Errors of the reflected light by cause [mK at 300 K]; see `BakedLight`.
     cache_note : str or None
         Why the traced light could not be kept on disk; None where it was kept or need not be.
     """
 
-    scene: Scene
-    plan: Plan
-    transport: radiosity.Transport | None
-    incident: NDArray[np.float32] | None
-    texels: tuple[NDArray[np.float32], ...]
-    faces: NDArray[np.float32] | None
-    face_error: NDArray[np.float32] | None
-    mirror_black: NDArray[Any] | None
-    static_light: StaticLight | None
-    errors_mk: dict[str, float]
-    cache_note: str | None
-    _uploaded: dict[str, Any] = field(repr=False)
-
-    @property
-    def geometry(self) -> Geometry:
-        """The Geometry of the scene's surfaces on the device."""
-        if "geometry" not in self._uploaded:
-            self._uploaded["geometry"] = Geometry(activate(), self.scene.surfaces)
-        return self._uploaded["geometry"]
-
-    @property
-    def device(self) -> DeviceScene:
-        """The DeviceScene, uploaded on first use."""
-        if "scene" not in self._uploaded:
-            self._uploaded["scene"] = DeviceScene(self, self.geometry)
-        return self._uploaded["scene"]
-
-    @property
-    def environment(self) -> Environment:
-        """The light from beyond the surfaces; a preview has that of its solution."""
-        exact = self._uploaded.get("exact", self)
-        if "environment" not in exact._uploaded:
-            exact._uploaded["environment"] = of_scene(exact.scene, exact.plan, exact.geometry, exact.transport.touching)
-        return exact._uploaded["environment"]
-
-    @property
-    def walks(self) -> Walks:
-        """Random walks in this scene, to check its light."""
-        if "walks" not in self._uploaded:
-            self._uploaded["walks"] = Walks(self)
-        return self._uploaded["walks"]
-
     def __repr__(self) -> str:
         errors = ", ".join(f"{name} {value:.2g}" for name, value in self.errors_mk.items())
         return f"BakedScene({self.scene.name!r}, {len(self.texels)} channels, errors {errors or 'none'} mK)"
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "_uploaded": {}}
 
     def solved_for(self, scene: Scene, progress: Progress | None = None) -> "BakedScene":
         """Return the BakedScene of an edited scene: other temperatures, materials, sky or air. No rays are traced.
@@ -128,17 +74,12 @@ class BakedScene:
         ThermorenderError
             Surfaces differ, temperatures are not solved, or parts of the scene disagree.
         """
-        from thermorender.render.edits.solution import solved_change
-
         refuse_other_surfaces(self.scene.surfaces, scene.surfaces)
-        exact, old = self._uploaded.get("exact", self), self.plan
+        exact, old = self.solved, self.plan
         found = solved_change(exact, scene, partial(progress or _silent, _SOLVING, 0.0))
         if found is not None:
             return bake(scene, found[0], like=exact, progress=progress, solved=found[1])
-        plan = make_plan(
-            scene, samples=old.samples, taps=old.taps, edge_mk=old.edge_mk, rays=old.rays,
-            tolerance_mk=old.tolerance_mk,
-        )  # fmt: skip
+        plan = make_plan(scene, old.sampling)
         return bake(scene, plan, like=exact, progress=progress, start=exact)
 
     def ready_for_edits(self) -> None:
@@ -146,8 +87,6 @@ class BakedScene:
 
         It takes seconds once for all edits of a geometry, and 0.1 s for each solution.
         """
-        from thermorender.render.edits.preview import prepare
-
         prepare(self)
 
     def preview_for(self, scene: Scene, progress: Progress | None = None) -> "BakedScene":
@@ -173,15 +112,14 @@ class BakedScene:
         ThermorenderError
             As of `solved_for`.
         """
-        from thermorender.render.edits.preview import preview
-
         refuse_other_surfaces(self.scene.surfaces, scene.surfaces)
-        return preview(self, scene) or self.solved_for(scene, progress)
+        found = preview(self, scene)
+        return found if isinstance(found, BakedScene) else self.solved_for(scene, progress)
 
     def seen_as(self, scene: Scene, plan: Plan) -> "BakedScene | None":
         """Return this light under another camera or sampling, or None where `scene` and `plan` change the light."""
-        light = ("rays", "tolerance_mk", "band_um")
-        same = all(getattr(plan, name) == getattr(self.plan, name) for name in light)
+        now, before = plan.sampling, self.plan.sampling
+        same = (now.rays, now.tolerance_mk, plan.band_um) == (before.rays, before.tolerance_mk, self.plan.band_um)
         same &= scene.changes(self.scene) <= {"camera"}
         return replace(self, scene=scene, plan=plan) if same else None
 
@@ -194,40 +132,22 @@ def bake(
     scene: Scene,
     plan: Plan,
     geometry: Geometry | None = None,
-    like: BakedScene | None = None,
+    like: LoadedLight | None = None,
     progress: Progress | None = None,
-    start: BakedScene | None = None,
+    start: LoadedLight | None = None,
     solved: SolvedLight | None = None,
 ) -> BakedScene:
-    """Return the BakedScene of a scene.
+    """Return the BakedScene of a scene, whose Geometry is given where it exists already.
 
-    Parameters
-    ----------
-    scene : Scene
-    plan : Plan
-        From `make_plan`.
-    geometry : Geometry, optional
-        Of the scene's surfaces, where it exists already.
-    like : BakedScene, optional
-        Of the same surfaces; its rays are used again if their number per face is the same.
-    progress : callable, optional
-        Called with (what, share done).
-    start : BakedScene, optional
-        Of the same surfaces and similar light, from which the solution begins. It saves time and changes the solution
-        within its error bound.
-    solved : SolvedLight, optional
-        Its light, where it is known.
-
-    Raises
-    ------
-    ThermorenderError
-        Surfaces differ from those of `like`, or the light does not converge.
+    Rays between faces are those of `like`, with the same surfaces, if their number per face is the same. The solution
+    begins from `start`, of similar light, which saves time and changes it within its error bound. `solved` is the light
+    where it is known. `progress` is called with (what, share done).
     """
     known = None
     if like is not None:
         refuse_other_surfaces(like.scene.surfaces, scene.surfaces)
         geometry = geometry or like.geometry
-        known = like.transport if like.plan.rays == plan.rays else None
+        known = like.transport if like.plan.sampling.rays == plan.sampling.rays else None
     geometry = geometry or Geometry(activate(), scene.surfaces)
     spectrum, material, temperature = (
         plan.spectrum,
@@ -241,17 +161,17 @@ def bake(
     black = None
     # Such a material may occur on dynamic objects only.
     if plan.specular and plan.specular.number[material].any():
-        black = mirrors.black_of(plan, plan.specular.number, material, temperature)
-    uploaded: dict[str, Any] = {"geometry": geometry}
-    if like is not None and known is not None and "samples" in like._uploaded:
-        uploaded["samples"] = like._uploaded["samples"]
+        black = black_of(plan, plan.specular.number, material, temperature)
+    loaded = Loaded(geometry=geometry)
+    if like is not None and known is not None:
+        loaded.samples = like.loaded.samples
     if not plan.bake:
         none = dict.fromkeys(("solution", "noise", "faces", "texels"), 0.0)
-        return BakedScene(scene, plan, None, None, tuple(texel), None, None, black, None, none, None, uploaded)
+        return BakedScene(scene, plan, None, None, tuple(texel), None, None, black, None, none, None, loaded)
     if known is None:
         what = "tracing the light between surfaces"
         report_progress(what, 0.0)
-        known, note = cache.traced(geometry, plan.rays, lambda share: report_progress(what, share))
+        known, note = cache.traced(geometry, plan.sampling.rays, lambda share: report_progress(what, share))
     tick = partial(report_progress, _SOLVING, 0.5)
     tick()
     per_mk, share = plan.radiance_per_mk, geometry.share
@@ -260,7 +180,7 @@ def bake(
         guess = start.incident @ spectrum.of(start.plan.spectrum)
     if solved is None:
         solved = solve_scene(scene, plan, geometry, known, (material, temperature), guess, tick)
-    uploaded["solution"] = solved.kept
+    loaded.solution = solved.kept
     incident, noise = solved.incident, solved.noise
     tick()
     lost: Any = 0.0 if scene.air is None else left_out(scene, known, solved.reflectance)
@@ -294,5 +214,5 @@ def bake(
     # Per face, for the error budget of frames.
     square = (noise**2 + scatter + lost**2 + within**2).astype(np.float32)
     return BakedScene(
-        scene, plan, known, incident, tuple(texel), face, square, black, solved.static, errors, note, uploaded
+        scene, plan, known, incident, tuple(texel), face, square, black, solved.static, errors, note, loaded
     )

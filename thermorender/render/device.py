@@ -1,10 +1,9 @@
 """A baked scene on the ray-tracing device: the arrays uploaded once, and the layers of one view."""
 
-import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -12,69 +11,45 @@ from numpy.typing import NDArray
 
 from thermorender.materials.mixture import Mixture
 from thermorender.physics.planck import band_radiance
-from thermorender.render.air import Air, AirView, Vacuum
+from thermorender.render.air import AirView, SceneAir, Vacuum
 from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned, opaque_view
+from thermorender.render.baked_light import BakedLight
 from thermorender.render.dynamic import DynamicObject, Placement
-from thermorender.render.geometry import Geometry, box_of
-from thermorender.render.labels import objects_of_surfaces
-from thermorender.render.layers import Layer, OutgoingRadiance
-from thermorender.render.reflection import mirrors
+from thermorender.render.geometry import Geometry
+from thermorender.render.layers import Layer, OutgoingRadiance, TexelArrays
+from thermorender.render.object_numbers import objects_of_surfaces
+from thermorender.render.plan import Plan
+from thermorender.render.reflection.device_tables import DeviceTables, Mirror
 from thermorender.render.spectrum import REFERENCE_K
+from thermorender.scene.scene import Scene
 from thermorender.scene.surface import Surface
-
-if TYPE_CHECKING:
-    from thermorender.render.baked import BakedScene
-    from thermorender.render.plan import Plan
-    from thermorender.scene.scene import Scene
-
-
-@dataclass(frozen=True)
-class Texels:
-    """What the texels of a layer are, for the truth."""
-
-    material: Jit  # (T,) UInt8
-    flags: Jit  # (T,) UInt8, flags of `thermorender.scene.surface`
-    temperature: Jit  # (T,) Float [K]; None for a dynamic object, whose Placement has it
-    objects: Jit  # UInt32, number of the object that each surface belongs to, as `labels.objects_of_surfaces`
 
 
 class DeviceScene:
-    """The arrays of a BakedScene on the device, all derived from it."""
+    """The arrays of a BakedLight on the device.
 
-    def __init__(self, baked: "BakedScene", geometry: Geometry) -> None:
+    `outgoing` is its radiance and `air` its medium, where they are there already.
+    """
+
+    def __init__(
+        self, baked: BakedLight, geometry: Geometry, outgoing: OutgoingRadiance | None = None,
+        air: Vacuum | SceneAir | None = None,
+    ) -> None:  # fmt: skip
         scene, plan, mi = baked.scene, baked.plan, geometry.mi
         self.geometry, self._mi = geometry, mi
-        tables = mirrors.DeviceTables(mi, plan.specular, scene, plan.spectrum) if plan.specular else None
+        tables = DeviceTables(mi, plan.specular, scene, plan.spectrum) if plan.specular else None
         mirror = None
         if tables and baked.mirror_black is not None:
-            mirror = mirrors.Mirror(mi, tables, flat(scene.surfaces, "material"), baked.mirror_black)
-        self._outgoing = OutgoingRadiance.of(geometry, baked.texels, baked.faces, mirror)
+            mirror = Mirror(mi, tables, flat(scene.surfaces, "material"), baked.mirror_black)
+        self._outgoing = outgoing or OutgoingRadiance.of(geometry, baked.texels, baked.faces, mirror)
         self._faces, self._light = baked.faces, baked.static_light
         self._face_error = baked.face_error
         self._static_error = None if baked.face_error is None else mi.Float(aligned(baked.face_error))
         self.objects = [DynamicObject(mi, tracked, plan, scene.materials, tables) for tracked in scene.tracked_objects]
-        self._corners = box_of(scene)
-        self._air = _air(mi, scene, plan)
-        self._scene, self._static_objects = scene, scene.surfaces[scene.terrain_count :]
-        self._alone: dict[str, Geometry] = {}
-        self._last_medium: tuple[Any, Any] = None, None
+        self.air = air or _air(mi, scene, plan)
+        self._scene = scene
         self._last_light: tuple[Any, Any] = None, None
         self._last_outgoing: tuple[Any, Any] = None, None
-
-    def showing(self, baked: "BakedScene", outgoing: OutgoingRadiance) -> "DeviceScene":
-        """Return the DeviceScene of the same scene with other materials or temperatures, whose radiance is known.
-
-        It has no objects with a track, and the same air.
-        """
-        made, scene = copy.copy(self), baked.scene
-        for name in ("texels", "emissivities"):
-            vars(made).pop(name, None)
-        made._outgoing, made._faces, made._scene = outgoing, baked.faces, scene
-        made._static_objects = scene.surfaces[scene.terrain_count :]
-        if scene.surroundings_temperature != self._scene.surroundings_temperature:
-            made._air = _air(self._mi, scene, baked.plan)
-            made._last_medium = None, None
-        return made
 
     def layers(self, pose: Floats, placements: Sequence[Placement]) -> list[Layer]:
         """Return the Layers of a view from `pose`: the static scene and each object at its Placement."""
@@ -99,15 +74,15 @@ class DeviceScene:
         return float(np.sqrt(np.average(self._face_error[of], weights=self.geometry.area[of])))
 
     @cached_property
-    def texels(self) -> list[Texels]:
-        """The Texels of each layer, in the order of `layers`."""
+    def texels(self) -> list[TexelArrays]:
+        """The TexelArrays of each layer, in the order of `layers`."""
         mi, numbers = self._mi, objects_of_surfaces(self._scene)
         small, found, first = dr.uint8_array_t(mi.Float), [], 0
         for place, surfaces in enumerate([self._scene.surfaces, *(each.surfaces for each in self.objects)]):
             material, flags = (small(aligned(flat(surfaces, name), np.uint8)) for name in ("material", "flags"))
             kelvin = mi.Float(aligned(flat(surfaces, "temperature"))) if place == 0 else None
             own = numbers[first : first + len(surfaces)]
-            found.append(Texels(material, flags, kelvin, mi.UInt32(aligned(own, np.uint32))))
+            found.append(TexelArrays(material, flags, kelvin, mi.UInt32(aligned(own, np.uint32))))
             first += len(surfaces)
         return found
 
@@ -125,15 +100,12 @@ class DeviceScene:
         for item, placement in zip(self.objects, placements, strict=True):
             if placement.name == name:
                 return item.geometry, placement.pose
-        if name not in self._alone:
-            own = [each for each in self._static_objects if each.name.split(":")[0] == name]
-            self._alone[name] = Geometry(self._mi, own)
-        return self._alone[name], np.eye(4)
+        return self.geometry.of_object(name, self._scene.terrain_count), np.eye(4)
 
     def face_errors(self, placements: Sequence[Placement]) -> list[Jit]:
         """Return the squared error of the light on the faces of each layer, in the order of `layers`.
 
-        Float [W² m⁻⁴ sr⁻²], from `BakedScene.face_error` and `DynamicObject.light`; None where light is left out.
+        Float [W² m⁻⁴ sr⁻²], from `BakedLight.face_error` and `DynamicObject.light`; None where light is left out.
         """
         if self._face_error is None:
             return [None] * (1 + len(self.objects))
@@ -150,18 +122,12 @@ class DeviceScene:
 
         Without `through_air` paths to surfaces are clear, but the background is still seen through the air.
         """
-        if isinstance(self._air, Vacuum):
-            return self._air
+        if isinstance(self.air, Vacuum):
+            return self.air
         moved = [item.box(placement.pose) for item, placement in zip(self.objects, placements, strict=True)]
-        boxes = np.stack([self._corners, *moved])
+        boxes = np.stack([self.geometry.box, *moved])
         box = np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
-        if not through_air:
-            return self._air.view(pose[:3, 3], box, clear=True)
-        key, last = pose[:3, 3].tobytes() + box.tobytes(), self._last_medium
-        # Read and replaced as a whole: another thread may render another view meanwhile.
-        if last[0] != key:
-            last = self._last_medium = key, self._air.view(pose[:3, 3], box)
-        return last[1]
+        return self.air.view(pose[:3, 3], box, clear=not through_air)
 
     def _lit(
         self, placements: Sequence[Placement]
@@ -196,10 +162,10 @@ class DeviceScene:
         return outgoing, last[1], errors
 
 
-def _air(mi: Mitsuba, scene: "Scene", plan: "Plan") -> Vacuum | Air:
+def _air(mi: Mitsuba, scene: Scene, plan: Plan) -> Vacuum | SceneAir:
     """The medium of a scene."""
     if scene.air is not None:
-        return Air(mi, scene, plan.spectrum)
+        return SceneAir(mi, scene, plan.spectrum)
     outside = np.array([scene.spec.sky_temperature, scene.surroundings_temperature])
     return Vacuum(mi, *band_radiance(outside, *plan.band_um)[:, None])
 

@@ -23,7 +23,7 @@ from thermorender.render.light import contacts, radiosity
 from thermorender.render.light.environment import Environment
 from thermorender.render.light.gmres import gmres
 from thermorender.render.plan import Plan
-from thermorender.render.reflection import mirrors
+from thermorender.render.reflection.device_tables import DeviceTables, Mirror, black_of
 from thermorender.scene.scene import Scene
 from thermorender.scene.tracks import TrackedObject
 
@@ -117,11 +117,11 @@ class DynamicObject:
 
     def __init__(
         self, mi: Mitsuba, tracked: TrackedObject, plan: Plan, materials: Sequence[Material],
-        tables: mirrors.DeviceTables | None = None,
+        tables: DeviceTables | None = None,
     ) -> None:  # fmt: skip
         self.surfaces, self._plan = tracked.surfaces, plan
         self.geometry = Geometry(mi, tracked.surfaces)
-        self._rays_of = radiosity.FaceRays(self.geometry, (plan.rays + 1) // 2)
+        self._rays_of = radiosity.FaceRays(self.geometry, (plan.sampling.rays + 1) // 2)
         self._rays_of.start_in_the_open(contacts.solid(self.geometry), np.arange(self.geometry.face_count))
         # All texels have the same material.
         self._material = int(tracked.surfaces[0].material.flat[0])
@@ -158,8 +158,8 @@ class DynamicObject:
         if self._tables:
             material = np.full(self._texel_count, self._material)
             warm = np.full(self._texel_count, temperature)
-            black = mirrors.black_of(plan, self._tables.number, material, warm)
-            mirror = mirrors.Mirror(mi, self._tables, material, black)
+            black = black_of(plan, self._tables.number, material, warm)
+            mirror = Mirror(mi, self._tables, material, black)
         emitted = plan.spectrum.emitted_at(self._emissivity_at, temperature, plan.band_um)
         texels = [np.full(self._texel_count, value, np.float32) for value in emitted]
         return OutgoingRadiance.of(self.geometry, texels, own, mirror)
@@ -175,7 +175,7 @@ class DynamicObject:
 
         mi, plan, count, others = self.geometry.mi, self._plan, self.geometry.face_count, geometry.face_count
         spectrum, known = plan.spectrum, len(static.seen)
-        rays = 2 * ((plan.rays + 1) // 2)
+        rays = 2 * ((plan.sampling.rays + 1) // 2)
         origin, direction, reverse, _ = self._rays_of(dr.arange(mi.UInt32, count), 0)
         matrix, origin_m = _matrix(mi, pose)
         start, along = matrix @ origin + origin_m, matrix @ direction

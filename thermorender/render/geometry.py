@@ -6,7 +6,7 @@ It also defines the plane, so points near a hit need no ray.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -83,7 +83,7 @@ class Geometry:
             for number, surface in enumerate(surfaces)
             if surface.instances is None
         }
-        copies = shapes.Copies(mi, surfaces, self.face_start)
+        copies = shapes.CopyShapes(mi, surfaces, self.face_start)
         # Without robust intersections rays leak through triangle edges and show the sky.
         self.caster = mi.load_dict({
             "type": "scene", "embree_use_robust_intersections": True, **meshes, **copies.shapes
@@ -102,6 +102,7 @@ class Geometry:
         squares = squares.transpose(1, 0, 2).reshape(-1, 2)
         start = np.concatenate([[0], np.cumsum(squares.prod(axis=1))])
         self._surfaces, self._boxes = len(surfaces), dict[int, Floats]()
+        self._objects = dict[str, Geometry]()
         self.openness = dict[int, Any]()
         parts = (start[:-1], squares[:, 0], squares[:, 1])
         self._lattice = tuple(mi.Int32(aligned(part, np.int32)) for part in parts)
@@ -228,6 +229,18 @@ class Geometry:
         return self._boxes[first]
 
     @cached_property
+    def box(self) -> Floats:
+        """The lowest and the highest corner of the surfaces, (2, 3) [m]."""
+        return _box(self.surfaces)
+
+    def of_object(self, name: str, first: int) -> "Geometry":
+        """Return the Geometry of the surfaces of one object alone, of those from number `first` on."""
+        if name not in self._objects:
+            own = [surface for surface in self.surfaces[first:] if surface.name.split(":")[0] == name]
+            self._objects[name] = Geometry(self.mi, own)
+        return self._objects[name]
+
+    @cached_property
     def covered(self) -> list[NDArray[np.bool_] | None]:
         """Texels that a face covers, (rows, columns) bool for each surface; None where all are."""
         found: list[NDArray[np.bool_] | None] = []
@@ -337,7 +350,11 @@ class Geometry:
 
 def box_of(scene: Scene) -> Floats:
     """Return the lowest and the highest corner of a scene's surfaces, (2, 3) [m]."""
-    corner = [limit(surface.vertices, axis=0) for limit in (np.min, np.max) for surface in scene.surfaces]
+    return _box(scene.surfaces)
+
+
+def _box(surfaces: Sequence[Surface]) -> Floats:
+    corner = [limit(surface.vertices, axis=0) for limit in (np.min, np.max) for surface in surfaces]
     return np.stack([np.min(corner, axis=0), np.max(corner, axis=0)])
 
 
@@ -438,4 +455,5 @@ def _same_copies(one: Surface, other: Surface) -> bool:
     first, second = one.instances, other.instances
     if first is None or second is None:
         return first is second
-    return all(np.array_equal(getattr(first, name), value) for name, value in vars(second).items())
+    names = (each.name for each in fields(second))
+    return all(np.array_equal(getattr(first, name), getattr(second, name)) for name in names)

@@ -6,7 +6,7 @@ vertices span.
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 from thermorender.render.arrays import Floats, Jit, aligned, opaque_view, view_ray
 from thermorender.render.dynamic import Placement
 from thermorender.render.geometry import Geometry
+from thermorender.render.loaded import LoadedLight
+from thermorender.render.object_numbers import object_names
 from thermorender.render.pixels.sampling import CameraRays
-from thermorender.scene.scene import Scene
 from thermorender.sensor.camera import Camera
-
-if TYPE_CHECKING:
-    from thermorender.render.baked import BakedScene
 
 # Rays for the share of an object beyond the border. An edge across a square of them errs by up to 0.4 % of its area.
 _RAYS = 1 << 16
@@ -27,33 +25,8 @@ _RAYS = 1 << 16
 _SIZES = 3.0
 
 
-def object_names(scene: Scene) -> tuple[str, ...]:
-    """Return the names of a scene's objects, static ones first."""
-    return tuple(dict.fromkeys(_owners(scene)[scene.terrain_count :]))
-
-
-def objects_of_surfaces(scene: Scene) -> NDArray[np.uint32]:
-    """Return the number of the object that each surface belongs to, those of moving objects last.
-
-    Objects count from 1 in the order of `object_names`; terrain is 0.
-    """
-    owner, number = _owners(scene), {name: k for k, name in enumerate(object_names(scene), start=1)}
-    return np.array([0 if k < scene.terrain_count else number[name] for k, name in enumerate(owner)], np.uint32)
-
-
-def object_numbers(scene: Scene, valid: NDArray[np.bool_], texel: NDArray[Any]) -> NDArray[np.uint32]:
-    """Return the number of the object that each pixel shows, as `objects_of_surfaces`; 0 for none.
-
-    `valid` and `texel` are those of `thermorender.render.truth.pixel_middles`.
-    """
-    moving = [surface for tracked in scene.tracked_objects for surface in tracked.surfaces]
-    ends = np.cumsum([surface.material.size for surface in (*scene.surfaces, *moving)])
-    surface = np.minimum(np.searchsorted(ends, texel, side="right"), len(ends) - 1)
-    return np.where(valid, objects_of_surfaces(scene)[surface], np.uint32(0))
-
-
 def labels(
-    baked: "BakedScene", rays: CameraRays, pose: Floats, placements: Sequence[Placement], seen: NDArray[np.uint32]
+    baked: LoadedLight, rays: CameraRays, pose: Floats, placements: Sequence[Placement], seen: NDArray[np.uint32]
 ) -> dict[str, dict[str, Any]]:
     """Return {object: {…}} of the objects whose extent meets the image, as `Frame.labels`.
 
@@ -92,12 +65,6 @@ def labels(
             "full_box": [round(float(v), 3) for v in (*low, *(high - low))] if front.all() else None,
         }
     return found
-
-
-def _owners(scene: Scene) -> list[str]:
-    """The name of the object or terrain that each surface belongs to, those of moving objects last."""
-    moving = [surface for tracked in scene.tracked_objects for surface in tracked.surfaces]
-    return [surface.name.split(":")[0] for surface in (*scene.surfaces, *moving)]
 
 
 def _hits(geometry: Geometry, view: Floats, across: Jit, along: Jit) -> NDArray[np.bool_]:

@@ -1,17 +1,16 @@
 """What a view consists of: layers of geometry with the radiance that leaves their surfaces."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
+import drjit as dr
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermorender.render.arrays import Channels, Jit
 from thermorender.render.geometry import Geometry, Hit
-
-if TYPE_CHECKING:
-    from thermorender.render.reflection.mirrors import Mirror
+from thermorender.render.reflection.device_tables import Mirror
 
 
 @dataclass(frozen=True)
@@ -22,12 +21,12 @@ class OutgoingRadiance:
     texels: Channels
     rest: Channels | None = None  # the other spectral channels, about a hundredth of the first, read once per ray
     faces: Channels | None = None  # corrections added to all channels of the texels
-    mirror: "Mirror | None" = None  # data of the directional texels
+    mirror: Mirror | None = None  # data of the directional texels
 
     @classmethod
     def of(
         cls, geometry: Geometry, texels: Sequence[NDArray[np.float32]], faces: ArrayLike | None = None,
-        mirror: "Mirror | None" = None,
+        mirror: Mirror | None = None,
     ) -> "OutgoingRadiance":  # fmt: skip
         """Return the radiance of spectral channels of texels, K arrays (T,), and of faces, (F, K)."""
         rest = geometry.averaged(np.stack(texels[1:], axis=1)) if len(texels) > 1 else None
@@ -51,7 +50,7 @@ class OutgoingRadiance:
 
 
 @dataclass(frozen=True)
-class Shape:
+class CasterView:
     """A ray caster, and the view (rotation, origin) in its frame."""
 
     geometry: Geometry
@@ -59,7 +58,60 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Layer(Shape):
-    """A Shape with the radiance that leaves its surfaces."""
+class Layer(CasterView):
+    """A CasterView with the radiance that leaves its surfaces."""
 
     outgoing: OutgoingRadiance
+
+
+@dataclass(frozen=True)
+class LayerHit:
+    """Where rays meet one layer: Dr.Jit arrays, one entry per ray."""
+
+    number: int  # of the layer
+    layer: Any  # CasterView or Layer, as `first_hit` got it
+    ray: Jit  # in the layer's frame
+    hit: Hit
+    record: tuple[Jit, ...]  # of the face hit, as of `Geometry.record`
+    place: tuple[Jit, Jit]  # (column, row) on the texel map
+
+
+def first_hit(
+    layers: Sequence[CasterView], rays: Callable[[CasterView], Jit], read: Callable[[LayerHit], list[Jit]],
+    cast: Callable[[Geometry, Jit], Hit] = Geometry.seen, known: Hit | None = None,
+) -> tuple[Hit, Jit, list[Jit]]:  # fmt: skip
+    """Return (nearest Hit of rays over all layers, number of its layer, values read there).
+
+    `rays` gives the rays in the frame of a layer, and `read` the values of their hits with it. Surfaces are numbered
+    over all layers. `known` is this Hit where the rays were cast before.
+    """
+    best: list[Jit] = []
+    surfaces = 0
+    for number, layer in enumerate(layers):
+        geometry, ray, hit = layer.geometry, rays(layer), known
+        if hit is None:
+            hit = cast(geometry, ray)
+        elif len(layers) > 1:
+            # Below 0 the number wraps to a large one.
+            own_surface = hit.surface - dr.opaque(geometry.mi.UInt32, surfaces)
+            on_layer = hit.valid & (own_surface < dr.opaque(geometry.mi.UInt32, len(geometry.surfaces)))
+            hit = Hit(on_layer, hit.distance, hit.face, own_surface)
+        record = geometry.record(hit.face, hit.valid)
+        place = geometry.map_position(record, ray.o + hit.distance * ray.d)
+        own = [hit.distance, hit.valid, hit.face, hit.surface + surfaces, geometry.mi.UInt32(number)]
+        own += read(LayerHit(number, layer, ray, hit, record, place))
+        nearer = best and (hit.distance < best[0] if known is None else hit.valid)
+        best = [dr.select(nearer, a, b) for a, b in zip(own, best, strict=True)] if best else own
+        surfaces += len(geometry.surfaces)
+    distance, valid, face, surface, layer_number, *values = best
+    return Hit(valid, distance, face, surface), layer_number, values
+
+
+@dataclass(frozen=True)
+class TexelArrays:
+    """What the texels of a layer are, for the truth."""
+
+    material: Jit  # (T,) UInt8
+    flags: Jit  # (T,) UInt8, flags of `thermorender.scene.surface`
+    temperature: Jit  # (T,) Float [K]; None for a dynamic object, whose Placement has it
+    objects: Jit  # UInt32, number of the object that each surface belongs to, as `labels.objects_of_surfaces`

@@ -12,14 +12,12 @@ from thermorender.materials.extended import Assumption, assumptions
 from thermorender.physics.band import quadrature
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, spectral_radiance
 from thermorender.physics.sun import irradiance
-from thermorender.render.pixels.sampling import PATTERNS, STAGES
+from thermorender.render.pixels.sampling import STAGES
+from thermorender.render.quality import Sampling
 from thermorender.render.reflection.reflectance import ReflectanceTables, make_tables
 from thermorender.render.spectrum import REFERENCE_K, Envelope, Spectrum, kept_spectrum, make_spectrum
 from thermorender.scene.instances import PATCHES
 from thermorender.scene.scene import Scene
-
-# Rays per pixel, texture taps per ray, error above which an edge pixel gets more rays [mK], and rays per face.
-QUALITIES = {"fast": (1, 4, 500.0, 128), "standard": (1, 4, 150.0, 128), "high": (4, 4, 24.0, 512)}
 
 
 # Compared by identity: its spectrum holds arrays.
@@ -28,19 +26,12 @@ class Plan:
     """The choices for one scene."""
 
     band_um: tuple[float, float]  # (2,) floats
-    # Error allowed to the spectral nodes and to the solution of the light between surfaces [mK]. A proven bound
-    # limits the solution's error to a tenth of it; the nodes' error is the largest on the scene's envelope.
-    tolerance_mk: float
+    sampling: Sampling
     spectrum: Spectrum  # Nodes at which light between surfaces is solved, and channels of a texel
     # Upper bound of the light reflected by diffuse surfaces, without sunlight: as if their whole surroundings were as
     # bright as the warmest of the scene's surfaces, sky and air [mK at 300 K]
     reflection_mk: float
     bake: bool  # Whether reflection is solved
-    rays: int  # Rays per face of the bake
-    # samples, taps: Rays per pixel, and texture taps per ray
-    samples: int
-    taps: int
-    edge_mk: float  # Error above which a pixel that shows an edge gets more rays [mK]; infinite: never
     # coldest, warmest: Temperatures of the scene, its sky and surroundings [K]
     coldest: float
     warmest: float
@@ -67,8 +58,8 @@ class Plan:
         air = "no air" if self.air_mk is None else f"air in {self.spectrum.channels} channels"
         return (
             f"Plan({self.band_um[0]:g}–{self.band_um[1]:g} µm, {self.nodes} nodes, "
-            f"{self.rays if self.bake else 0} rays per face, {self.samples} per pixel, tolerance "
-            f"{self.tolerance_mk:g} mK, {air}, {self.coldest:.1f}–{self.warmest:.1f} K)"
+            f"{self.sampling.rays if self.bake else 0} rays per face, {self.sampling.samples} per pixel, tolerance "
+            f"{self.sampling.tolerance_mk:g} mK, {air}, {self.coldest:.1f}–{self.warmest:.1f} K)"
         )
 
     def __str__(self) -> str:
@@ -91,15 +82,19 @@ class Plan:
         if self.dynamic:
             dynamic = (dynamic[0], str(self.dynamic), "cast in their own frames; light by one bounce each way")
         edges = ("more rays at edges", "out", "edge_mk is infinite")
-        if self.edge_mk < np.inf:
-            edges = (edges[0], "in", f"up to {STAGES[-1]} where an edge's error exceeds {self.edge_mk:g} mK")
+        if self.sampling.edge_mk < np.inf:
+            edges = (edges[0], "in", f"up to {STAGES[-1]} where an edge's error exceeds {self.sampling.edge_mk:g} mK")
         return [
             ("emission", "in", f"full spectral integral per material, {self.coldest:.1f}–{self.warmest:.1f} K"),
             ("reflection", needed, f"adds at most {_kelvin(self.reflection_mk)} to a diffuse surface at 300 K"),
             ("spectral nodes", str(self.nodes), f"error up to {self.spectrum.nodes_mk:.3g} mK on the scene's envelope"),
-            ("bake rays per face", str(self.rays if self.bake else 0), "sky visibility and inter-reflection"),
-            ("rays per pixel", str(self.samples), "band radiance averaged, never temperature"),
-            ("texture taps per ray", str(self.taps), "on the plane of the face hit; 16 in a pixel of many texels"),
+            ("bake rays per face", str(self.sampling.rays if self.bake else 0), "sky visibility and inter-reflection"),
+            ("rays per pixel", str(self.sampling.samples), "band radiance averaged, never temperature"),
+            (
+                "texture taps per ray",
+                str(self.sampling.taps),
+                "on the plane of the face hit; 16 in a pixel of many texels",
+            ),
             edges,
             dynamic,
             *self._air_rows(),
@@ -156,14 +151,14 @@ class Plan:
         """Return the plan as plain numbers, for the record beside each frame."""
         return {
             "band_um": list(self.band_um),
-            "tolerance_mk": self.tolerance_mk,
+            "tolerance_mk": self.sampling.tolerance_mk,
             "nodes": self.nodes,
             "nodes_mk": round(self.spectrum.nodes_mk, 4),
             "reflection_mk": round(self.reflection_mk, 4),
-            "bake_rays": self.rays if self.bake else 0,
-            "samples": self.samples,
-            "taps": self.taps,
-            "edge_mk": self.edge_mk if self.edge_mk < np.inf else None,
+            "bake_rays": self.sampling.rays if self.bake else 0,
+            "samples": self.sampling.samples,
+            "taps": self.sampling.taps,
+            "edge_mk": self.sampling.edge_mk if self.sampling.edge_mk < np.inf else None,
             "channels": self.spectrum.channels,
             "channels_mk": round(self.spectrum.channels_mk, 4),
             "sun": self.sun,
@@ -171,53 +166,13 @@ class Plan:
         } | ({"assumed_mk": {one.material: round(effect, 4) for one, effect in self.assumed}} if self.assumed else {})
 
 
-def checked(
-    quality: str = "standard", samples: int | None = None, taps: int | None = None, edge_mk: float | None = None,
-    rays: int | None = None, tolerance_mk: float = 5.0,
-) -> tuple[int, int, float, int]:  # fmt: skip
-    """Return (samples, taps, edge_mk, rays) of a quality, or those given instead; parameters as of `make_plan`."""
-    if quality not in QUALITIES:
-        raise ThermorenderError(f"quality={quality!r} is unknown; give one of {', '.join(QUALITIES)}")
-    preset = QUALITIES[quality]
-    samples, taps = preset[0] if samples is None else samples, preset[1] if taps is None else taps
-    edge_mk, rays = preset[2] if edge_mk is None else edge_mk, preset[3] if rays is None else rays
-    for name, value in (("samples", samples), ("taps", taps)):
-        if value not in PATTERNS:
-            allowed = ", ".join(map(str, sorted(PATTERNS)))
-            raise ThermorenderError(f"{name}={value} is not allowed; give one of {allowed}")
-    if not edge_mk > 0.0:
-        raise ThermorenderError(f"edge_mk={edge_mk:g} is not allowed; give a number of mK above 0, or inf for none")
-    if not 1 <= rays <= 65536:
-        raise ThermorenderError(f"rays={rays} is not allowed; give 1…65536 rays per face")
-    if not tolerance_mk > 0.0:
-        raise ThermorenderError(f"tolerance_mk={tolerance_mk:g} is not allowed; give a number of mK above 0")
-    return samples, taps, edge_mk, rays
+def make_plan(scene: Scene, sampling: Sampling | None = None, kept: "tuple[Plan, Scene] | None" = None) -> Plan:
+    """Return the Plan of a scene; of standard quality without a Sampling.
 
-
-def make_plan(
-    scene: Scene, quality: str = "standard", samples: int | None = None, taps: int | None = None,
-    edge_mk: float | None = None, rays: int | None = None, tolerance_mk: float = 5.0,
-    kept: "tuple[Plan, Scene] | None" = None,
-) -> Plan:  # fmt: skip
-    """Return the Plan of a scene.
-
-    Parameters
-    ----------
-    quality : {"fast", "standard", "high"}
-        Sets the four numbers that follow.
-    samples, taps : int, optional
-        Rays per pixel and texture taps per ray (1, 2, 4, 8 or 16), instead of the quality's.
-    edge_mk : float, optional
-        Error above which a pixel that shows an edge gets more rays [mK], instead of the quality's; infinite: never.
-    rays : int, optional
-        Rays per face for the bake, instead of the quality's; powers of two are most efficient.
-    tolerance_mk : float
-        Largest error on the scene's envelope allowed to the spectral nodes [mK]; reflection that adds less than a tenth
-        of it to any pixel, at 300 K, is left out.
-    kept : (Plan, Scene), optional
-        Before an edit of materials or temperatures: spectral nodes and channels stay, whatever their error.
+    After an edit of materials or temperatures `kept` is the Plan and the Scene before it. Spectral nodes and channels
+    then stay, whatever their error.
     """
-    samples, taps, edge_mk, rays = checked(quality, samples, taps, edge_mk, rays, tolerance_mk)
+    sampling = sampling or Sampling.of()
     scene.refuse_disagreement()
     scene.refuse_unsolved()
     band = scene.camera.band_um
@@ -229,7 +184,7 @@ def make_plan(
     # With air the sky may be warmer than all surfaces, but not than the warmest air.
     brightest = max([warmest, *([] if scene.air is None else [scene.air.temperature.max()])])
     reflection_mk = float((reflectance @ (spectral_radiance(wavelength, brightest) * weight)).max() / per_mk)
-    bake = reflection_mk > 0.1 * tolerance_mk
+    bake = reflection_mk > 0.1 * sampling.tolerance_mk
     air_mk = sun_mk = None
     if scene.air is not None:
         _refuse_surfaces(scene.where, *envelope.altitude_m)
@@ -244,27 +199,23 @@ def make_plan(
     if kept is not None and bake and kept[0].bake:
         spectrum = kept_spectrum(kept[0].spectrum, kept[1].materials, scene.materials, envelope)
     if spectrum is None:
-        spectrum = make_spectrum(scene.materials, envelope, tolerance_mk, bake)
+        spectrum = make_spectrum(scene.materials, envelope, sampling.tolerance_mk, bake)
     specular = make_tables(scene, spectrum, envelope)
     copies = [surface.instances for surface in scene.surfaces if surface.instances is not None]
     return Plan(
         band_um=band,
-        tolerance_mk=float(tolerance_mk),
+        sampling=sampling,
         spectrum=spectrum,
         reflection_mk=reflection_mk,
         bake=bake,
-        rays=rays,
-        samples=samples,
-        taps=taps,
-        edge_mk=float(edge_mk),
         coldest=coldest,
         warmest=warmest,
         dynamic=len(scene.tracked_objects),
         air_mk=air_mk,
         sun_mk=sun_mk,
-        sun=sun_mk is not None and sun_mk > 0.1 * tolerance_mk,
+        sun=sun_mk is not None and sun_mk > 0.1 * sampling.tolerance_mk,
         specular_mk=specular.effect_mk if specular else None,
-        specular=specular if specular and specular.effect_mk > 0.1 * tolerance_mk else None,
+        specular=specular if specular and specular.effect_mk > 0.1 * sampling.tolerance_mk else None,
         assumed=_assumed(scene, per_mk),
         inferred=tuple(one.name for one in scene.spec.surfaces if one.inferred),
         copies=sum(map(len, copies)),

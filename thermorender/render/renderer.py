@@ -17,17 +17,18 @@ from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
 from thermorender.progress import interactive
 from thermorender.render import truth
 from thermorender.render.air import Vacuum, refuse_camera
-from thermorender.render.arrays import aligned, opaque_view, view_ray
+from thermorender.render.arrays import Mitsuba, aligned, opaque_view, view_ray
 from thermorender.render.baked import BakedScene, Progress, bake
 from thermorender.render.dynamic import Objects, placements
 from thermorender.render.geometry import Geometry, refuse_other_surfaces
 from thermorender.render.heat.instants import solved_at
-from thermorender.render.labels import object_names, object_numbers
-from thermorender.render.layers import Layer, OutgoingRadiance, Shape
+from thermorender.render.layers import CasterView, Layer, OutgoingRadiance
+from thermorender.render.object_numbers import object_names, object_numbers
 from thermorender.render.pixels import slender
 from thermorender.render.pixels.sampling import CameraRays
-from thermorender.render.pixels.tracer import Sampling, Tracer
-from thermorender.render.plan import Plan, checked, make_plan
+from thermorender.render.pixels.tracer import SampledImage, Tracer
+from thermorender.render.plan import Plan, make_plan
+from thermorender.render.quality import Sampling
 from thermorender.render.variant import activate, active_device
 from thermorender.render.view import View, parts_of
 from thermorender.scene.georeference import place_of
@@ -55,7 +56,7 @@ class Renderer:
     ----------
     scene : Scene
     quality : {"fast", "standard", "high"}
-        How finely a pixel is sampled; see `thermorender.render.plan.QUALITIES`.
+        How finely a pixel is sampled; see `thermorender.render.quality.QUALITIES`.
     samples, taps, edge_mk : optional
         Rays per pixel, texture taps per ray, and error above which a pixel that shows an edge gets more rays [mK],
         instead of the quality's.
@@ -71,6 +72,8 @@ class Renderer:
         Python's prompt show a bar.
     like : Renderer, optional
         A renderer of the same surfaces at other temperatures; its traced light is used again.
+    baked : BakedScene, optional
+        The scene with its light, as from `baked` of another renderer; its plan has the settings.
 
     Attributes
     ----------
@@ -92,53 +95,52 @@ class Renderer:
     _like: BakedScene | None
     _baked: BakedScene | None
     _geometry: Geometry
-    _rays_of: dict[Camera, CameraRays]
+    _camera_rays: "_CamerasRays"
     _coloured: list[tuple[Geometry, OutgoingRadiance]] | None
 
     def __init__(
         self, scene: Scene, quality: Literal["fast", "standard", "high"] = "standard", samples: int | None = None,
         taps: int | None = None, edge_mk: float | None = None, rays: int | None = None, tolerance_mk: float = 5.0,
         seed: int = 0, device: Literal["auto", "cpu", "cuda"] = "auto", progress: Progress | None = None,
-        like: "Renderer | None" = None,
+        like: "Renderer | None" = None, *, baked: BakedScene | None = None,
     ) -> None:  # fmt: skip
         if not isinstance(scene, Scene):
             raise ThermorenderError(
                 f"scene={shortened(repr(scene))} is not a Scene; give what load_scene returns, as in "
                 "Renderer(load_scene('heath'))"
             )
-        sampling = (quality, samples, taps, edge_mk, rays, tolerance_mk)
-        checked(*sampling)
+        sampling = Sampling.of(quality, samples, taps, edge_mk, rays, tolerance_mk)
         self._asked, self.seed = scene, _whole("seed", seed)
-        self._like, self._progress, self._baked, self._rays_of, self._coloured = None, progress, None, {}, None
+        self._like, self._progress, self._baked, self._coloured = None, progress, baked, None
+        if baked is not None:
+            self.scene, self.plan, self._geometry = baked.scene, baked.plan, baked.geometry
+            self._camera_rays = _CamerasRays(self._geometry.mi) if like is None else like._camera_rays
+            return
         scene.refuse_disagreement()
         if scene.temperature_state.solved:
             # Before the device is started, so that wrong settings are refused at once.
-            self.plan = make_plan(scene, *sampling)
+            self.plan = make_plan(scene, sampling)
         mi = activate(device)
         if like is None:
             self._geometry = Geometry(mi, scene.surfaces)
         else:
             refuse_other_surfaces(like.scene.surfaces, scene.surfaces)
             self._geometry = like._geometry
+        self._camera_rays = _CamerasRays(mi)
         if not scene.temperature_state.solved:
             scene = _solved(scene, like, self._geometry, progress)
-            self.plan = make_plan(scene, *sampling)
+            self.plan = make_plan(scene, sampling)
         self.scene = scene
         if like is None:
             return
-        if like.plan.rays == self.plan.rays:
+        if like.plan.sampling.rays == self.plan.sampling.rays:
             self._baked = like.baked.seen_as(scene, self.plan)
             self._like = None if self._baked else like.baked
 
     @classmethod
     def of(cls, baked: BakedScene, seed: int = 0) -> "Renderer":
         """Return the Renderer of a BakedScene, such as one from another process."""
-        made = cls.__new__(cls)
-        made.scene, made.plan, made.seed = baked.scene, baked.plan, _whole("seed", seed)
-        made._asked = baked.scene
-        made._like, made._progress, made._baked, made._rays_of, made._coloured = None, None, baked, {}, None
-        made._geometry = baked.geometry
-        return made
+        return cls(baked.scene, seed=seed, baked=baked)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Pickled with its light, as another process needs it.
@@ -154,9 +156,7 @@ class Renderer:
 
     def _like_this(self, baked: BakedScene) -> "Renderer":
         """The Renderer of another light on the same surfaces, with the cameras' rays of this one."""
-        made = Renderer.of(baked, self.seed)
-        made._rays_of = self._rays_of
-        return made
+        return Renderer(baked.scene, seed=self.seed, like=self, baked=baked)
 
     def __repr__(self) -> str:
         state = "baked" if self._baked is not None else "not baked yet"
@@ -316,7 +316,7 @@ class Renderer:
         """Return where a pixel's middle is above the horizon without a surface, (H, W); `camera` as of `visible`."""
         view = self._view(pose, time_s, objects)
         layers = self.baked.device.layers(view.pose, view.placements)
-        valid, _, up, *_ = truth.pixel_middles(layers, self._camera_rays(camera))
+        valid, _, up, *_ = truth.pixel_middles(layers, self._camera_rays.of(camera or self.scene.camera))
         return ~valid & up
 
     def depth(self, pose: ArrayLike, camera: Camera | None = None) -> NDArray[np.float32]:
@@ -325,8 +325,10 @@ class Renderer:
 
         `camera` as of `visible`.
         """
-        at_rest = Shape(self._geometry, opaque_view(self._geometry.mi, checked_pose(pose)))
-        return np.asarray(truth.pixel_middles([at_rest], self._camera_rays(camera))[3], np.float32)
+        at_rest = CasterView(self._geometry, opaque_view(self._geometry.mi, checked_pose(pose)))
+        return np.asarray(
+            truth.pixel_middles([at_rest], self._camera_rays.of(camera or self.scene.camera))[3], np.float32
+        )
 
     def hits(self, origin: ArrayLike, direction: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
         """Return (distance [m], infinite for a miss; number of the texel, −1 for a miss) of rays into the static scene.
@@ -392,7 +394,7 @@ class Renderer:
         outside = np.array([self.scene.sky_temperature, self.scene.surroundings_temperature])
         outside = band_radiance(outside, *self.plan.band_um)
         tracer = self._tracer(leaving, Vacuum(mi, *outside[:, None]), pose, time_s, objects)
-        return tracer.image(self.plan.edge_mk * self.plan.radiance_per_mk)[0][0]
+        return tracer.image(self.plan.sampling.edge_mk * self.plan.radiance_per_mk)[0][0]
 
     def rays(self, pose: ArrayLike) -> list[Sequence[Any]]:
         """Return the slopes of all rays that a frame from `pose` casts into the static scene, [(x/z, y/z), …]."""
@@ -413,11 +415,11 @@ class Renderer:
     ) -> "View":  # fmt: skip
         placed, pose = placements(self.scene, time_s, objects, lit_s, lit_objects), checked_pose(pose)
         self.refuse_camera(pose[:3, 3])
-        return View(self.baked, self._camera_rays(camera), pose, placed)
+        return View(self.baked, self._camera_rays.of(camera or self.scene.camera), pose, placed)
 
     def _frame(
         self, view: "View", radiance: NDArray[np.float32], time_s: float, index: int, plan: dict[str, Any],
-        sampling: Sampling | None = None,
+        sampling: SampledImage | None = None,
     ) -> Frame:  # fmt: skip
         return Frame(
             radiance=radiance, pose=view.pose, time_s=float(time_s), index=_whole("index", index), seed=self.seed,
@@ -431,7 +433,11 @@ class Renderer:
         time_s: float, objects: Objects | None, camera: Camera | None = None,
     ) -> Tracer:  # fmt: skip
         """The Tracer of a view of other radiance than the baked one; dynamic objects follow the static scene."""
-        placed, rays, mi = placements(self.scene, time_s, objects), self._camera_rays(camera), self._geometry.mi
+        placed, rays, mi = (
+            placements(self.scene, time_s, objects),
+            self._camera_rays.of(camera or self.scene.camera),
+            self._geometry.mi,
+        )
         poses = [np.eye(4), *(placement.pose for placement in placed)]
         layers = [
             Layer(shape, opaque_view(mi, np.linalg.inv(own) @ pose), outgoing)
@@ -440,13 +446,23 @@ class Renderer:
         parts = parts_of(self.scene, self._geometry, [shape for shape, _ in leaving[1:]], placed)
         return Tracer(layers, rays, medium, self.plan, partial(slender.rectangles, parts, pose, rays.camera))
 
-    def _camera_rays(self, camera: Camera | None = None) -> CameraRays:
-        camera = camera or self.scene.camera
-        if camera not in self._rays_of:
-            # Only the latest are kept: parts of an image around moving objects change with each frame.
-            latest = list(self._rays_of.items())[1 - _RAYS_KEPT :]
-            self._rays_of = dict(latest) | {camera: CameraRays(self._geometry.mi, camera)}
-        self._rays_of[camera] = rays = self._rays_of.pop(camera)
+
+class _CamerasRays:
+    """The rays of the cameras that were used last."""
+
+    def __init__(self, mi: Mitsuba) -> None:
+        self._mi, self._kept = mi, dict[Camera, CameraRays]()
+
+    def of(self, camera: Camera) -> CameraRays:
+        """Return the rays of a camera.
+
+        Only the latest are kept: parts of an image around moving objects change with each frame.
+        """
+        kept = self._kept
+        rays = kept.get(camera) or CameraRays(self._mi, camera)
+        others = [one for one in kept.items() if one[0] != camera]
+        # Replaced as a whole: another thread may render another view meanwhile.
+        self._kept = dict(others[1 - _RAYS_KEPT :]) | {camera: rays}
         return rays
 
 

@@ -4,9 +4,9 @@ Truth describes the one surface that a pixel's middle shows. It is not a mean ov
 depths or materials would describe no surface.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -17,17 +17,15 @@ from thermorender.physics.fresnel import COSINES
 from thermorender.physics.planck import band_radiance, spectral_radiance
 from thermorender.render.arrays import Floats, Jit, aligned, view_ray
 from thermorender.render.dynamic import Placement
-from thermorender.render.geometry import Geometry, Hit
+from thermorender.render.geometry import Hit
 from thermorender.render.labels import imaged
-from thermorender.render.layers import Shape
+from thermorender.render.layers import CasterView, LayerHit, first_hit
+from thermorender.render.loaded import LoadedLight
 from thermorender.render.pixels.sampling import RING, CameraRays
 from thermorender.render.reflection.reflectance import directional
 from thermorender.render.spectrum import REFERENCE_K
 from thermorender.scene.surface import BACKGROUND, BEHIND
 from thermorender.sensor.camera import Camera
-
-if TYPE_CHECKING:
-    from thermorender.render.baked import BakedScene
 
 NO_MATERIAL = 255
 # (H, W) of any dtype.
@@ -35,28 +33,29 @@ Image = NDArray[Any]
 
 
 def truth(
-    baked: "BakedScene", rays: CameraRays, pose: Floats, placements: Sequence[Placement], middles: Hit | None = None
+    baked: LoadedLight, rays: CameraRays, pose: Floats, placements: Sequence[Placement], middles: Hit | None = None
 ) -> dict[str, NDArray[Any]]:
     """Return {name: image} of the ground truth at the pixels' middles, as `Frame.truth` has it.
 
     `middles` are the hits of the rays through the middles, where they are known; see `CameraRays.last_hits`.
     """
     scene, device, band_um = baked.scene, baked.device, rays.camera.band_um
-    seen = _Middles(device.layers(pose, placements), rays, middles)
-    mi = seen.mi
-    kelvin, kind, number, cosine = mi.Float(0.0), mi.UInt32(0), mi.UInt32(0), mi.Float(0.0)
-    for part, texels, placement in zip(seen.parts, device.texels, (None, *placements), strict=True):
-        geometry, nearer, hit, texel = part.geometry, part.nearer, part.hit, part.texel
-        slant = -dr.dot(mi.Vector3f(*geometry.normals.at(hit.face, hit.valid)), part.ray.d)
+    layers, placed = device.layers(pose, placements), (None, *placements)
+    mi = layers[0].geometry.mi
+
+    def read(at: LayerHit) -> list[Jit]:
+        geometry, hit, texels, placement = at.layer.geometry, at.hit, device.texels[at.number], placed[at.number]
+        texel = geometry.nearest(hit.surface, *at.place, hit.valid)
+        slant = -dr.dot(mi.Vector3f(*geometry.normals.at(hit.face, hit.valid)), at.ray.d)
         if placement is None:
             warm = dr.gather(mi.Float, texels.temperature, texel, hit.valid)
         else:
             warm = dr.opaque(mi.Float, float(placement.temperature))
         own = (mi.UInt32(dr.gather(type(each), each, texel, hit.valid)) for each in (texels.material, texels.flags))
         material, flags = own
-        found = warm, material | flags << 8, dr.gather(mi.UInt32, texels.objects, hit.surface, hit.valid), slant
-        was = kelvin, kind, number, cosine
-        kelvin, kind, number, cosine = (dr.select(nearer, a, b) for a, b in zip(found, was, strict=True))
+        return [warm, material | flags << 8, dr.gather(mi.UInt32, texels.objects, hit.surface, hit.valid), slant]
+
+    seen, (kelvin, kind, number, cosine) = _middles(layers, rays, read, middles)
     of_material = [dr.gather(mi.Float, table, kind & 255, seen.valid) for table in device.emissivities]
     kind |= dr.select(cosine < 0.0, mi.UInt32(BEHIND << 8), 0)
     nothing = NO_MATERIAL | dr.select(seen.up, mi.UInt32(0), BACKGROUND << 8)
@@ -79,82 +78,44 @@ def truth(
     return images | ({"emissivity_std": others[4]} if len(of_material) > 1 else {})
 
 
-def pixel_middles(layers: Sequence[Shape], rays: CameraRays) -> tuple[Image, Image, Image, Image]:
+def pixel_middles(layers: Sequence[CasterView], rays: CameraRays) -> tuple[Image, Image, Image, Image]:
     """Return the surface points at the pixels' middles as images (H, W): valid, texel, up, depth.
 
-    Returns
-    -------
-    valid, up : bool
-        Whether a surface is hit, and whether the ray points to the horizon or above.
-    texel : uint32
-        Its number over all surfaces of the layers.
-    depth : float32
-        Along the optical axis [m], infinity where nothing is hit.
+    They are whether a surface is hit; the texel's number over all surfaces of the layers; whether the ray points to the
+    horizon or above; and the depth along the optical axis [m], infinite where nothing is hit.
     """
-    seen, first = _Middles(layers, rays), 0
-    mi, number = seen.mi, seen.mi.UInt32(0)
-    for part in seen.parts:
-        number = dr.select(part.nearer, first + part.texel, number)
-        first += int(part.geometry.texel_start[-1])
+    mi = layers[0].geometry.mi
+    first = np.cumsum([0, *(int(layer.geometry.texel_start[-1]) for layer in layers)]).tolist()
+
+    def read(at: LayerHit) -> list[Jit]:
+        return [first[at.number] + at.layer.geometry.nearest(at.hit.surface, *at.place, at.hit.valid)]
+
+    seen, (number,) = _middles(layers, rays, read)
+    number = dr.select(seen.valid, number, 0)
     valid, number, up, depth = _images(rays, [mi.UInt32(seen.valid), number, mi.UInt32(seen.up), seen.depth])
     return valid > 0, number, up > 0, depth
 
 
 @dataclass(frozen=True)
-class _Part:
-    """A layer at the pixels' middles: Dr.Jit arrays, one entry per ray."""
-
-    geometry: Geometry
-    ray: Jit  # in the layer's frame
-    hit: Hit
-    texel: Jit  # number over the surfaces of the layer
-    nearer: Jit  # whether the hit is nearer than those of the layers before
-
-
 class _Middles:
-    """The surface points at the pixels' middles: Dr.Jit arrays, one entry per ray.
+    """The surface points at the pixels' middles: Dr.Jit arrays, one entry per ray."""
 
-    Parameters
-    ----------
-    layers, rays
-        As of `pixel_middles`.
-    known : Hit, optional
-        Hits of these rays that were cast before, as `CameraRays.last_hits`; otherwise they are cast.
+    valid: Jit  # whether a surface is hit
+    up: Jit  # whether the ray points to the horizon or above
+    depth: Jit  # along the optical axis [m]
+    position: Jit  # in the local frame [m]; undefined where nothing is hit
 
-    Attributes
-    ----------
-    parts : list of _Part
-    valid, up : Bool
-    depth : Float
-    position : Point3f
-        In the local frame [m]; undefined where nothing is hit.
-    """
 
-    def __init__(self, layers: Sequence[Shape], rays: CameraRays, known: Hit | None = None) -> None:
-        self.mi = mi = layers[0].geometry.mi
-        slope = rays.slopes(0.5, 0.5)
-        self.parts: list[_Part] = []
-        distance, surfaces = mi.Float(np.inf), 0
-        for layer in layers:
-            geometry, ray = layer.geometry, view_ray(mi, *layer.view, *slope)
-            if known is None:
-                hit = geometry.seen(ray)
-                nearer = hit.distance < distance
-            else:
-                # Surfaces are numbered over the layers; below 0 the number wraps to a large one.
-                surface = known.surface - dr.opaque(mi.UInt32, surfaces)
-                nearer = known.valid & (surface < dr.opaque(mi.UInt32, len(geometry.surfaces)))
-                hit = Hit(nearer, known.distance, known.face, surface)
-            place = geometry.map_position(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
-            texel = geometry.nearest(hit.surface, *place, hit.valid)
-            distance = dr.select(nearer, hit.distance, distance)
-            self.parts.append(_Part(geometry, ray, hit, texel, nearer))
-            surfaces += len(geometry.surfaces)
-        first = self.parts[0].ray
-        self.valid, self.up = distance < np.inf, first.d.z >= 0.0
-        self.position = first.o + distance * first.d
-        # Directions have unit length, so depth along the axis is distance over the length of (slope, 1).
-        self.depth = distance / dr.sqrt(1.0 + slope[0] * slope[0] + slope[1] * slope[1])
+def _middles(
+    layers: Sequence[CasterView], rays: CameraRays, read: Callable[[LayerHit], list[Jit]], known: Hit | None = None
+) -> tuple[_Middles, list[Jit]]:
+    """(surface points at the pixels' middles, values read there); `read` and `known` as of `first_hit`."""
+    mi, slope = layers[0].geometry.mi, rays.slopes(0.5, 0.5)
+    hit, _, values = first_hit(layers, lambda layer: view_ray(mi, *layer.view, *slope), read, known=known)
+    first, distance = view_ray(mi, *layers[0].view, *slope), hit.distance
+    # Directions have unit length, so depth along the axis is distance over the length of (slope, 1).
+    depth = distance / dr.sqrt(1.0 + slope[0] * slope[0] + slope[1] * slope[1])
+    return _Middles(distance < np.inf, first.d.z >= 0.0, depth, first.o + distance * first.d), values
 
 
 def _images(rays: CameraRays, values: Sequence[Jit]) -> list[Image]:
@@ -169,7 +130,7 @@ def _images(rays: CameraRays, values: Sequence[Jit]) -> list[Image]:
 
 
 def targets(
-    baked: "BakedScene", camera: Camera, pose: Floats, placements: Sequence[Placement]
+    baked: LoadedLight, camera: Camera, pose: Floats, placements: Sequence[Placement]
 ) -> dict[str, dict[str, Any]]:
     """Return {object: {pixel, in_view, visible, range_m}} of the scene's objects, as `Frame.targets` has it."""
     middles = dict(baked.scene.targets)

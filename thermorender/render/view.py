@@ -15,7 +15,7 @@ from thermorender.render.dynamic import Placement
 from thermorender.render.geometry import Geometry
 from thermorender.render.pixels import budget, slender
 from thermorender.render.pixels.sampling import CameraRays
-from thermorender.render.pixels.tracer import Sampling, Tracer
+from thermorender.render.pixels.tracer import SampledImage, Tracer
 from thermorender.scene.scene import Scene
 
 
@@ -38,10 +38,12 @@ class View:
         thin = partial(slender.rectangles, parts, self.pose, self.rays.camera)
         return Tracer(layers, self.rays, medium, self.baked.plan, thin, self.pose)
 
-    def radiance(self, through_air: bool = True, like: Sampling | None = None) -> tuple[NDArray[np.float32], Sampling]:
-        """Return (band radiance (H, W) float32 [W m⁻² sr⁻¹], Sampling); `like` as of `Tracer.image`."""
+    def radiance(
+        self, through_air: bool = True, like: SampledImage | None = None
+    ) -> tuple[NDArray[np.float32], SampledImage]:
+        """Return (band radiance (H, W) float32 [W m⁻² sr⁻¹], SampledImage); `like` as of `Tracer.image`."""
         plan = self.baked.plan
-        limit = plan.edge_mk * plan.radiance_per_mk
+        limit = plan.sampling.edge_mk * plan.radiance_per_mk
         image, sampling = self.tracer(through_air).image(limit, like, self.baked.device.copies_error)
         return image[0], sampling
 
@@ -50,12 +52,12 @@ class View:
         here, there = ([view.pose, *(each.pose for each in view.placements)] for view in (self, other))
         same = np.array_equal(here, there) and self.rays.camera == other.rays.camera
         one, two = self.baked, other.baked
-        return same and one.geometry is two.geometry and one.plan.samples == two.plan.samples
+        return same and one.geometry is two.geometry and one.plan.sampling.samples == two.plan.sampling.samples
 
-    def truth(self, sampling: Sampling | None) -> dict[str, NDArray[Any]]:
+    def truth(self, sampling: SampledImage | None) -> dict[str, NDArray[Any]]:
         """Return the ground truth, as `Frame.truth`, without the sensor's flags.
 
-        With the Sampling of the image rendered last, its rays are used again.
+        With the SampledImage of the image rendered last, its rays are used again.
         """
         last = self.rays.last_hits
         middles = last[1] if last and sampling and last[0] is sampling.hit else None
@@ -69,14 +71,14 @@ class View:
         """Return the extents of objects, as `Frame.labels`; `seen` is the truth's image of objects."""
         return labels.labels(self.baked, self.rays, self.pose, self.placements, seen)
 
-    def budget_mk(self, radiance: NDArray[np.float32], sampling: Sampling | None) -> dict[str, float] | None:
-        """Return the error budget of a radiance image, as `Frame.budget_mk`; None without its Sampling."""
+    def budget_mk(self, radiance: NDArray[np.float32], sampling: SampledImage | None) -> dict[str, float] | None:
+        """Return the error budget of a radiance image, as `Frame.budget_mk`; None without its SampledImage."""
         if sampling is None:
             return None
         return budget.budget_mk(self.baked, self.tracer(), self.pose, self.placements, radiance, sampling)
 
-    def error_mk(self, radiance: NDArray[np.float32], sampling: Sampling | None) -> NDArray[np.float32] | None:
-        """Return the estimated error of each pixel, as `Frame.error_mk`; None without its Sampling."""
+    def error_mk(self, radiance: NDArray[np.float32], sampling: SampledImage | None) -> NDArray[np.float32] | None:
+        """Return the estimated error of each pixel, as `Frame.error_mk`; None without its SampledImage."""
         if sampling is None:
             return None
         return budget.error_mk(self.baked, self.tracer(), self.pose, self.placements, radiance, sampling)

@@ -28,7 +28,7 @@ from thermorender.apps.compare.sampling_error import (
 )
 from thermorender.errors import ThermorenderError
 from thermorender.render import reference
-from thermorender.render.plan import QUALITIES
+from thermorender.render.quality import QUALITIES
 from thermorender.render.renderer import Renderer
 from thermorender.render.variant import activate, switch
 from thermorender.scene.load import load_scene

@@ -68,6 +68,7 @@ def _measure(triangles, texels, nodes, device):
     from thermorender.render.baked import bake
     from thermorender.render.geometry import Geometry
     from thermorender.render.plan import make_plan
+    from thermorender.render.quality import Sampling
     from thermorender.render.renderer import Renderer
     from thermorender.render.spectrum import with_nodes
     from thermorender.render.variant import activate
@@ -75,7 +76,7 @@ def _measure(triangles, texels, nodes, device):
     scene = terrain(triangles, texels)
     machine.forget_peak_memory()
     start = time.perf_counter()
-    plan = make_plan(scene, rays=RAYS)
+    plan = make_plan(scene, Sampling.of(rays=RAYS))
     plan = replace(plan, spectrum=with_nodes(plan.spectrum, scene.materials, nodes))
     geometry = Geometry(activate(device), scene.surfaces)
     built = time.perf_counter()

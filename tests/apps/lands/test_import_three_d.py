@@ -19,6 +19,7 @@ from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
 from thermorender.formats import write_text
 from thermorender.render.plan import make_plan
+from thermorender.render.quality import Sampling
 from thermorender.scene.patch import read_features
 from thermorender.scene.surface import FILLED
 from thermorender.scene.terrain import read_elevation
@@ -93,7 +94,10 @@ def test_what_nobody_has_seen_is_flagged_and_listed(model, tmp_path):
     scene = tr.load_scene(tmp_path / "s")
     flagged = {name: bool((surface.flags & FILLED).all()) for name, surface in surfaces(scene).items()}
     assert flagged == {"ground": False, "roofs": False, "walls": True, "plants": True}
-    assert {row[0] for row in make_plan(scene, rays=16).rows() if row[1] == "inferred"} == {"walls", "plants"}
+    assert {row[0] for row in make_plan(scene, Sampling.of(rays=16)).rows() if row[1] == "inferred"} == {
+        "walls",
+        "plants",
+    }
     renderer = tr.Renderer(scene, quality="fast", rays=16)
     frame = renderer.frame(scene.pose(-7.0, -20.0, 6.0, look_at=(-7.0, 3.0, 0.0)))
     names = np.array([material.name for material in scene.materials])

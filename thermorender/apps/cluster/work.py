@@ -5,7 +5,7 @@ import pickle
 import socket
 import threading
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,14 +43,8 @@ def file_of(folder: Path) -> Path:
 
 def store(flight: "Flight", folder: Path, processes: int) -> Job:
     """Write a flight for workers, and return its Job."""
-    scene = flight.renderer.scene
-    baked = flight.renderer.baked
-    if not scene.temperature_state.weather_driven:
-        # Temperatures that do not change need no further solution of the light.
-        baked = replace(baked, transport=None, incident=None)
-    parts = {name: value for name, value in vars(flight).items() if name not in ("renderer", "flown")}
-    value = {"baked": baked, "seed": flight.renderer.seed, "flight": parts | {"sheet": [], "terrain": []},
-             "frames": flight.flown.arguments, "versions": versions(), "device": active_device()}  # fmt: skip
+    # The flight's own bytes: `ready` comes before Mitsuba is loaded.
+    value = {"flight": pickle.dumps(flight, pickle.HIGHEST_PROTOCOL), "versions": versions(), "device": active_device()}
     data = pickle.dumps(value, protocol=pickle.HIGHEST_PROTOCOL)
     path = file_of(folder)
     path.parent.mkdir(exist_ok=True)
@@ -85,14 +79,7 @@ def _flight(job: Job, folder: Path) -> "Flight":
 def _loaded(job: Job, folder: Path) -> "Flight":
     value = unpickled(file_of(folder), job.checksum)
     ready(value["versions"], job.processes, value["device"])
-    from thermorender.output.flight import Flight
-    from thermorender.render.flight.frames import FlightFrames
-    from thermorender.render.renderer import Renderer
-
-    flight = Flight.__new__(Flight)
-    vars(flight).update(value["flight"])
-    flight.renderer = Renderer.of(value["baked"], value["seed"])
-    flight.flown = FlightFrames(flight.renderer, *value["frames"])
+    flight: Flight = pickle.loads(value["flight"])
     return flight
 
 

@@ -114,7 +114,7 @@ def _measure(scene: Scene, settings: Settings, device: str, repeats: int) -> dic
     for (renderer, keywords), measured in zip(renderers, done.values(), strict=True):
         light = {key: value for key, value in keywords.items() if key not in SAMPLING}
         for view, pose in poses.items():
-            key = view, renderer.plan.rays, tuple(sorted(light.items()))
+            key = view, renderer.plan.sampling.rays, tuple(sorted(light.items()))
             if key not in finest_of:
                 finest_of[key] = converged(renderer, pose, light)
             finest, image = finest_of[key], renderer.radiance(pose)

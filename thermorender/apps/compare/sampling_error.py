@@ -44,7 +44,7 @@ def converged(renderer: Renderer, pose: ArrayLike, keywords: Mapping[str, Any]) 
     The renderer's baked light between surfaces is reused; `keywords` are those that it was made with.
     """
     camera = renderer.scene.camera
-    settings = {"rays": renderer.plan.rays, **keywords}
+    settings = {"rays": renderer.plan.sampling.rays, **keywords}
     settings |= {"samples": RAYS, "taps": 1, "edge_mk": _NO_EDGE_MK, "like": renderer}
     quarters = []
     for lower in range(2):

@@ -328,11 +328,8 @@ class Renders:
         """The Renderer of a scene, solved from an earlier solution."""
         if scene.temperature_state.solved:
             return start.solved_for(scene, progress)
-        plan = start.plan
-        made = Renderer(
-            scene, samples=plan.samples, taps=plan.taps, edge_mk=plan.edge_mk, rays=plan.rays,
-            tolerance_mk=plan.tolerance_mk, seed=self.renderer.seed, progress=progress, like=start,
-        )  # fmt: skip
+        settings = start.plan.sampling.settings()
+        made = Renderer(scene, **settings, seed=self.renderer.seed, progress=progress, like=start)
         _ = made.baked
         return made
 

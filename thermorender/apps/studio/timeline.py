@@ -108,13 +108,13 @@ class Timeline:
         from thermorender.output.day import day_frames
 
         session, pixel, pose = self._session, self._tab.pixel, self._tab.view.pose.matrix()
-        plan, scene = session.renders.renderer.plan, session.scene
+        sampling, scene = session.renders.renderer.plan.sampling, session.scene
         show = self._tab.later(self._drawn)
         self._tab.say("The day is computed in the background; the curve appears below the picture.", "info")
 
         def job(progress: Any) -> None:
             rows: list[dict[str, Any]] = []
-            settings: dict[str, Any] = {"samples": plan.samples, "taps": plan.taps, "rays": plan.rays}
+            settings: dict[str, Any] = {"samples": sampling.samples, "taps": sampling.taps, "rays": sampling.rays}
             try:
                 for frame, row in day_frames(scene, pose, _STEP_MIN, progress, **settings):
                     own = {} if pixel is None else {"pixel": float(frame.apparent_temperature[pixel[1], pixel[0]])}

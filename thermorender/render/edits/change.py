@@ -1,8 +1,7 @@
 """What an edit of materials or temperatures changes: texels, and the radiance that their faces send."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, fields
 
 import drjit as dr
 import numpy as np
@@ -10,14 +9,11 @@ from numpy.typing import NDArray
 
 from thermorender.render.arrays import Channels, Jit, aligned
 from thermorender.render.device import flat
-from thermorender.render.edits.known import Known, Tables
+from thermorender.render.edits.prior import PriorLight, Tables
+from thermorender.render.loaded import LoadedLight
 from thermorender.render.plan import Plan
 from thermorender.render.spectrum import Spectrum, spectra_at
 from thermorender.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from thermorender.render.baked import BakedScene
-
 
 # Numbers of pairs of materials are a byte.
 _MOST_PAIRS = 255
@@ -63,7 +59,7 @@ def comparable(one: Scene, other: Scene) -> bool:
 
 
 def change_of(
-    baked: "BakedScene", known: Known, scene: Scene, plan: Plan, touched: Touched | None = None
+    baked: LoadedLight, prior: PriorLight, scene: Scene, plan: Plan, touched: Touched | None = None
 ) -> Change | None:  # fmt: skip
     """Return the Change from a baked scene to an edited one; None where nodes or channels differ.
 
@@ -75,16 +71,17 @@ def change_of(
     # A fit to all materials may change what those reflect that have the same emissivity.
     differ = _differ(baked, scene) | (before.reflected[:, None] != after.reflected).any(axis=(-2, -1))
     if touched is None or not np.array_equal(differ, touched.differ):
-        touched = touched_by(baked, known, scene, differ)
+        touched = touched_by(baked, prior, scene, differ)
     if touched is None:
         return None
-    tables = known.tables(plan)
-    sent, strongest = _sent(known, tables, (before, after), touched)
-    return Change(**vars(touched), plan=plan, tables=tables, sent=sent, strongest=strongest)
+    tables = prior.tables(plan)
+    sent, strongest = _sent(prior, tables, (before, after), touched)
+    known_before = {each.name: getattr(touched, each.name) for each in fields(touched)}
+    return Change(**known_before, plan=plan, tables=tables, sent=sent, strongest=strongest)
 
 
 def touched_by(
-    baked: "BakedScene", known: Known, scene: Scene, differ: NDArray[np.bool_] | None = None
+    baked: LoadedLight, prior: PriorLight, scene: Scene, differ: NDArray[np.bool_] | None = None
 ) -> Touched | None:  # fmt: skip
     """Return what an edit changes, without the light; None where it has too many pairs of materials.
 
@@ -92,35 +89,35 @@ def touched_by(
     """
     mi = baked.geometry.mi
     material, temperature = flat(scene.surfaces, "material"), flat(scene.surfaces, "temperature")
-    kinds, kelvin = known.kinds, known.kelvin
-    if not np.array_equal(material, known.material):
+    kinds, kelvin = prior.kinds, prior.kelvin
+    if not np.array_equal(material, prior.material):
         kinds = mi.UInt8(aligned(material, np.uint8))
-    warmer = not np.array_equal(temperature, known.temperature)
+    warmer = not np.array_equal(temperature, prior.temperature)
     if warmer:
         kelvin = mi.Float(aligned(temperature))
     if differ is None:
         differ = _differ(baked, scene)
-    pair, pairs = _pairs(known, kinds, differ.shape)
+    pair, pairs = _pairs(prior, kinds, differ.shape)
     if len(pairs) > _MOST_PAIRS:
         return None
-    changed, materials = _changed(known, kelvin, pair, pairs, differ)
-    faces = np.flatnonzero(known.samples.with_any(changed))
+    changed, materials = _changed(prior, kelvin, pair, pairs, differ)
+    faces = np.flatnonzero(prior.samples.with_any(changed))
     return Touched(differ, kinds, kelvin, changed, materials, pair, pairs, faces)
 
 
-def _differ(baked: "BakedScene", scene: Scene) -> NDArray[np.bool_]:
+def _differ(baked: LoadedLight, scene: Scene) -> NDArray[np.bool_]:
     """Whether the emissivity of each material before differs from that of each after, (M, M')."""
     one, other = (spectra_at(baked.plan.spectrum.points, each.materials) for each in (baked.scene, scene))
     return np.asarray((one[:, None] != other).any(axis=-1))
 
 
-def _pairs(known: Known, kinds: Jit, shape: tuple[int, int]) -> tuple[Jit, NDArray[np.intp]]:
+def _pairs(prior: PriorLight, kinds: Jit, shape: tuple[int, int]) -> tuple[Jit, NDArray[np.intp]]:
     """(number of each texel's pair of materials, UInt8; the pairs (p, 2))."""
-    mi, (before, after) = known.samples.geometry.mi, shape
-    if kinds is known.kinds:
+    mi, (before, after) = prior.samples.geometry.mi, shape
+    if kinds is prior.kinds:
         # The same numbers, which may be of other materials.
         return kinds, np.repeat(np.arange(min(before, after))[:, None], 2, axis=1)
-    code = mi.UInt32(known.kinds) * dr.opaque(mi.UInt32, after) + mi.UInt32(kinds)
+    code = mi.UInt32(prior.kinds) * dr.opaque(mi.UInt32, after) + mi.UInt32(kinds)
     present = dr.zeros(mi.UInt32, before * after)
     dr.scatter(present, mi.UInt32(1), code)
     found = np.flatnonzero(np.array(present))
@@ -132,16 +129,16 @@ def _pairs(known: Known, kinds: Jit, shape: tuple[int, int]) -> tuple[Jit, NDArr
 
 
 def _changed(
-    known: Known, kelvin: Jit, pair: Jit, pairs: NDArray[np.intp], differ: NDArray[np.bool_]
+    prior: PriorLight, kelvin: Jit, pair: Jit, pairs: NDArray[np.intp], differ: NDArray[np.bool_]
 ) -> tuple[Jit, NDArray[np.intp]]:
     """(flags of the changed texels, UInt8; numbers of their materials after the edit)."""
-    mi = known.samples.geometry.mi
+    mi = prior.samples.geometry.mi
     table = differ[pairs[:, 0], pairs[:, 1]]
     flags = dr.gather(mi.UInt8, mi.UInt8(aligned(table, np.uint8)), mi.UInt32(pair))
-    if kelvin is known.kelvin:
+    if kelvin is prior.kelvin:
         dr.eval(flags)
         return flags, np.unique(pairs[table, 1])
-    flags = dr.select(known.kelvin != kelvin, mi.UInt8(1), flags)
+    flags = dr.select(prior.kelvin != kelvin, mi.UInt8(1), flags)
     present = dr.zeros(mi.UInt32, len(pairs))
     dr.scatter(present, mi.UInt32(1), mi.UInt32(pair), flags > 0)
     dr.eval(flags, present)
@@ -149,26 +146,26 @@ def _changed(
 
 
 def _sent(
-    known: Known, tables: Tables, spectra: Sequence[Spectrum], touched: Touched
+    prior: PriorLight, tables: Tables, spectra: Sequence[Spectrum], touched: Touched
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:  # fmt: skip
     """`Change.sent` and `Change.strongest` of faces."""
-    samples, kinds, kelvin, changed = known.samples, touched.kinds, touched.kelvin, touched.changed
-    faces, warmer = touched.faces, kelvin is not known.kelvin
+    samples, kinds, kelvin, changed = prior.samples, touched.kinds, touched.kelvin, touched.changed
+    faces, warmer = touched.faces, kelvin is not prior.kelvin
     mi, nodes = samples.geometry.mi, spectra[1].nodes
     if not len(faces):
         return np.zeros((nodes, 0), np.float32), np.zeros(0, np.float32)
     before, after = (Channels(mi, spectrum.emissivity) for spectrum in spectra)
     strong = mi.Float(aligned(1.0 - spectra[1].emissivity.min(axis=1)))
     face = mi.UInt32(aligned(faces, np.uint32))
-    incident, last = known.incident.at(face), dr.opaque(mi.UInt32, samples.count)
+    incident, last = prior.incident.at(face), dr.opaque(mi.UInt32, samples.count)
 
     def body(point: Jit, strongest: Jit, *total: Jit) -> tuple[Jit, ...]:
         texel = samples.texel(face, point)
         on = dr.gather(mi.UInt8, changed, texel) > 0
         kind = mi.UInt32(dr.gather(mi.UInt8, kinds, texel))
-        own, old = after.at(kind, on), before.at(mi.UInt32(dr.gather(mi.UInt8, known.kinds, texel, on)), on)
+        own, old = after.at(kind, on), before.at(mi.UInt32(dr.gather(mi.UInt8, prior.kinds, texel, on)), on)
         black = tables.radiance(dr.gather(mi.Float, kelvin, texel, on), on)
-        was = tables.radiance(dr.gather(mi.Float, known.kelvin, texel, on), on) if warmer else black
+        was = tables.radiance(dr.gather(mi.Float, prior.kelvin, texel, on), on) if warmer else black
         added = (a + e * b - f * c + (f - e) * x
                  for a, e, b, f, c, x in zip(total, own, black, old, was, incident, strict=True))  # fmt: skip
         return (point + 1, dr.maximum(strongest, dr.gather(mi.Float, strong, kind)), *added)

@@ -12,24 +12,23 @@ A preview of a preview may begin from it. Its light is then short of what both l
 """
 
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.render.arrays import Channels, Floats, Jit, aligned
+from thermorender.render.device import DeviceScene
 from thermorender.render.edits.change import Change, change_of, comparable, touched_by
-from thermorender.render.edits.known import Known, Samples, known_of
+from thermorender.render.edits.prior import LeftOut, PriorLight, Samples
 from thermorender.render.layers import OutgoingRadiance
 from thermorender.render.light.exchange import threads
+from thermorender.render.loaded import Loaded, LoadedLight
 from thermorender.render.plan import Plan, make_plan
 from thermorender.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from thermorender.render.baked import BakedScene
 
 # What spectral components may leave out of what faces send [mK], and their number.
 _LEFT_MK, _MOST_SPECTRA = 200.0, 2
@@ -42,59 +41,45 @@ _MOST_PASSED = 0.9
 _WORTH, _QUICK_RAYS = 1.3, 1_000_000
 
 
-@dataclass(frozen=True, eq=False)
-class LeftOut:
-    """Light that a preview leaves out."""
-
-    # (F,) float32 reflected light that is not followed, of each face, summed over the nodes [W m⁻² sr⁻¹]
-    missing: NDArray[np.float32]
-    outside: float  # The same of the surroundings
-    faces: NDArray[np.intp]  # (n,) int faces where it matters most among those that edits changed
-
-
-def preview(baked: "BakedScene", scene: Scene) -> "BakedScene | None":
+def preview(baked: LoadedLight, scene: Scene) -> LoadedLight | None:
     """Return the preview of an edited scene; None where the edit needs a solution."""
-    exact = baked._uploaded.get("exact", baked)
+    exact = baked.solved
     if exact.incident is None or exact.faces is None or not comparable(exact.scene, scene):
         return None
-    start, touched = exact, touched_by(exact, known_of(exact), scene)
+    start, touched = exact, touched_by(exact, exact.prior, scene)
     if touched is not None and baked is not exact:
-        rays_on = known_of(exact).samples.rays_on
+        rays_on = exact.prior.samples.rays_on
         rays = rays_on(touched.faces)
-        later = touched_by(baked, known_of(baked), scene) if rays > _QUICK_RAYS else None
+        later = touched_by(baked, baked.prior, scene) if rays > _QUICK_RAYS else None
         if later is not None and rays > _WORTH * rays_on(later.faces):
             start, touched = baked, later
     plan = edited_plan(start, scene)
     if not plan.bake or plan.sun != exact.plan.sun or plan.specular or exact.plan.specular:
         return None
-    change = None if touched is None else change_of(start, known_of(start), scene, plan, touched)
-    return None if change is None else _previewed(start, known_of(start), scene, change)
+    change = None if touched is None else change_of(start, start.prior, scene, plan, touched)
+    return None if change is None else _previewed(start, start.prior, scene, change)
 
 
-def prepare(baked: "BakedScene") -> None:
+def prepare(baked: LoadedLight) -> None:
     """Make what all previews of a BakedScene begin from, and keep it there."""
-    if (baked.incident is not None and baked.faces is not None) or "exact" in baked._uploaded:
-        samples = known_of(baked).samples
+    if (baked.incident is not None and baked.faces is not None) or baked.loaded.solved:
+        samples = baked.prior.samples
         samples.prepare()
         _strongest(baked, samples)
 
 
-def edited_plan(baked: "BakedScene", scene: Scene) -> Plan:
+def edited_plan(baked: LoadedLight, scene: Scene) -> Plan:
     """Return the Plan of an edited scene that keeps nodes and channels."""
-    old = baked.plan
-    return make_plan(
-        scene, samples=old.samples, taps=old.taps, edge_mk=old.edge_mk, rays=old.rays, tolerance_mk=old.tolerance_mk,
-        kept=(old, baked.scene),
-    )  # fmt: skip
+    return make_plan(scene, baked.plan.sampling, (baked.plan, baked.scene))
 
 
-def _previewed(baked: "BakedScene", known: Known, scene: Scene, change: Change) -> "BakedScene":
+def _previewed(baked: LoadedLight, prior: PriorLight, scene: Scene, change: Change) -> LoadedLight:
     geometry = baked.geometry
     # NumPy's part of the work goes on beside Dr.Jit's.
     with threads() as pool:
-        basis, light, left = _light(baked, known, scene, change, pool)
-        errors = pool.submit(_errors_mk, baked, known.samples, change, basis, light, left)
-        tables = _Tables(baked, known, scene, change, basis, light)
+        basis, light, left = _light(baked, prior, scene, change, pool)
+        errors = pool.submit(_errors_mk, baked, prior.samples, change, basis, light, left)
+        tables = _ChangedTexels(baked, prior, scene, change, basis, light)
         found, added = tables.texels()
         texels = [values.numpy() for values in found]
         parts = [texels[0][:, None], *([np.stack(texels[1:], axis=1)] if len(texels) > 1 else [])]
@@ -103,24 +88,23 @@ def _previewed(baked: "BakedScene", known: Known, scene: Scene, change: Change) 
         first, *rest = (each.result() for each in means)
         errors_mk, left_out = errors.result()
     outgoing = OutgoingRadiance(first, rest[0] if rest else None, Channels(geometry.mi, faces))
-    exact = baked._uploaded.get("exact", baked)
-    kept = {
-        "geometry": geometry, "samples": known.samples, "exact": exact, "left out": left_out,
-        "known later": partial(known.after, scene, change.kinds, change.kelvin, basis, light, found),
-    }  # fmt: skip
+    solved, loaded = baked.solved, Loaded(geometry=geometry, samples=prior.samples, left_out=left_out)
+    loaded.solved = solved
+    loaded.prior_later = partial(prior.after, scene, change.kinds, change.kelvin, basis, light, found)
     shown = replace(
         baked, scene=scene, plan=change.plan, incident=None, texels=tuple(texels), faces=faces,
-        errors_mk=exact.errors_mk | errors_mk, _uploaded=kept,
+        errors_mk=solved.errors_mk | errors_mk, loaded=loaded,
     )  # fmt: skip
-    kept["scene"] = exact.device.showing(shown, outgoing)
+    same_air = scene.surroundings_temperature == solved.scene.surroundings_temperature
+    loaded.device = DeviceScene(shown, geometry, outgoing, solved.device.air if same_air else None)
     return shown
 
 
 def _light(
-    baked: "BakedScene", known: Known, scene: Scene, change: Change, pool: Executor
+    baked: LoadedLight, prior: PriorLight, scene: Scene, change: Change, pool: Executor
 ) -> tuple[Floats, NDArray[np.float32], tuple[NDArray[np.float32], float]]:  # fmt: skip
     """(orthonormal spectra (k, N), change of the light on faces in them (k, F), what they leave out)."""
-    samples, plan = known.samples, change.plan
+    samples, plan = prior.samples, change.plan
     outside = plan.spectrum.black([scene.surroundings_temperature])[0]
     outside = outside - baked.plan.spectrum.black([baked.scene.surroundings_temperature])[0]
     basis, left = _components(change.sent, outside, _LEFT_MK * plan.radiance_per_mk)
@@ -133,7 +117,7 @@ def _light(
 
 
 def _errors_mk(
-    baked: "BakedScene", samples: Samples, change: Change, basis: Floats, light: NDArray[np.float32],
+    baked: LoadedLight, samples: Samples, change: Change, basis: Floats, light: NDArray[np.float32],
     left: tuple[NDArray[np.float32], float],
 ) -> tuple[dict[str, float], LeftOut]:  # fmt: skip
     """(stated errors of a preview, as of `BakedScene.preview_for` [mK]; what it leaves out)."""
@@ -143,7 +127,7 @@ def _errors_mk(
     nodes = plan.spectrum.nodes_mk
     # The solution may have other nodes: where these err too much, where most faces change, and where the rounding of
     # edits has added up.
-    more = nodes + plan.tolerance_mk
+    more = nodes + plan.sampling.tolerance_mk
     # The solutions before and after the edit have errors of their own, and texels are rounded.
     brightest = max(float(values.max()) for values in baked.texels)
     rounding = float(np.finfo(np.float32).eps) * brightest / plan.radiance_per_mk
@@ -167,11 +151,11 @@ def _components(
 
 
 def _left_out(
-    baked: "BakedScene", samples: Samples, change: Change, basis: Floats, light: NDArray[np.float32],
+    baked: LoadedLight, samples: Samples, change: Change, basis: Floats, light: NDArray[np.float32],
     left: tuple[NDArray[np.float32], float],
 ) -> LeftOut:  # fmt: skip
     """The light of the second bounce, and of spectra left out, with what the preview before left out."""
-    changed, before = change.faces, baked._uploaded.get("left out")
+    changed, before = change.faces, baked.loaded.left_out
     reflecting = _reflecting(baked, samples, change)
     missing = reflecting * (np.abs(basis).sum(axis=1).astype(np.float32) @ np.abs(light))
     missing[changed] += left[0]
@@ -183,14 +167,14 @@ def _left_out(
     return LeftOut(missing + before.missing, left[1] + before.outside, faces)
 
 
-def _reflecting(baked: "BakedScene", samples: Samples, change: Change) -> NDArray[np.float32]:
+def _reflecting(baked: LoadedLight, samples: Samples, change: Change) -> NDArray[np.float32]:
     """Largest reflectance of a point of each face at any node after an edit, (F,)."""
     strongest = _strongest(baked, samples)[0].copy()
     strongest[change.faces] = change.strongest
     return strongest
 
 
-def _errors(baked: "BakedScene", samples: Samples, change: Change, left_out: LeftOut) -> tuple[float, float]:
+def _errors(baked: LoadedLight, samples: Samples, change: Change, left_out: LeftOut) -> tuple[float, float]:
     """Estimates of the preview's largest error and of its root mean square over all faces [W m⁻² sr⁻¹]."""
     strongest = _reflecting(baked, samples, change)
     number = np.random.Generator(np.random.Philox(0)).random(_JUDGED)
@@ -211,29 +195,28 @@ def _most(values: NDArray[Any]) -> NDArray[np.intp]:
     )
 
 
-def _strongest(baked: "BakedScene", samples: Samples) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
+def _strongest(baked: LoadedLight, samples: Samples) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
     """(largest reflectance of a point of each face at any node, (F,); faces that reflect most of what they receive).
 
     They are kept with the baked scene.
     """
-    kept = baked._uploaded
-    if "strongest" not in kept:
-        geometry, known = baked.geometry, kept["known"]
+    if baked.loaded.strongest is None:
+        geometry, prior = baked.geometry, baked.prior
         mi = geometry.mi
         table = mi.Float(aligned(1.0 - baked.plan.spectrum.emissivity.min(axis=1)))
         face, last = dr.arange(mi.UInt32, geometry.face_count), dr.opaque(mi.UInt32, samples.count)
 
         def body(point: Jit, found: Jit) -> tuple[Jit, Jit]:
-            kind = mi.UInt32(dr.gather(mi.UInt8, known.kinds, samples.texel(face, point)))
+            kind = mi.UInt32(dr.gather(mi.UInt8, prior.kinds, samples.texel(face, point)))
             return point + 1, dr.maximum(found, dr.gather(mi.Float, table, kind))
 
         start = mi.UInt32(0), dr.zeros(mi.Float, geometry.face_count)
         found = np.array(dr.while_loop(start, lambda point, _: point < last, body)[1])
-        kept["strongest"] = found, _most(found * samples.seen)
-    return kept["strongest"]
+        baked.loaded.strongest = found, _most(found * samples.seen)
+    return baked.loaded.strongest
 
 
-class _Tables:
+class _ChangedTexels:
     """The change of texels and faces, from the change of the light on faces.
 
     Texels differ in what they emit, and in what they reflect of the light before and of its change: these depend on the
@@ -241,10 +224,16 @@ class _Tables:
     """
 
     def __init__(
-        self, baked: "BakedScene", known: Known, scene: Scene, change: Change, basis: Floats, light: NDArray[np.float32]
+        self,
+        baked: LoadedLight,
+        prior: PriorLight,
+        scene: Scene,
+        change: Change,
+        basis: Floats,
+        light: NDArray[np.float32],
     ) -> None:
         self._mi = mi = baked.geometry.mi
-        self._baked, self._known, self._change = baked, known, change
+        self._baked, self._prior, self._change = baked, prior, change
         before, after = baked.plan.spectrum, change.plan.spectrum
         mean = light.mean(axis=1, dtype=np.float64).astype(np.float32)
         self._light = Channels(mi, np.vstack([light.T, mean]))
@@ -269,16 +258,16 @@ class _Tables:
 
     def texels(self) -> tuple[list[Jit], list[Jit]]:
         """Return (radiance of texels, K of Float; change of the light that they reflect, K of Float)."""
-        mi, known, change = self._mi, self._known, self._change
+        mi, prior, change = self._mi, self._prior, self._change
         cover = self._baked.geometry.face_of_texel
         on, kind, pair = change.changed > 0, mi.UInt32(change.kinds), mi.UInt32(change.pair)
         lower, share = change.tables.interval(change.kelvin)
         lower += dr.gather(mi.UInt32, self._row, kind, on) * change.tables.count
         ends = (self._emitted.at(lower + k, on) for k in (0, 1))
         emitted = [dr.lerp(a, b, share) for a, b in zip(*ends, strict=True)]
-        incident, light = known.incident.at(cover, on), self._light.at(cover)
+        incident, light = prior.incident.at(cover, on), self._light.at(cover)
         found, added = [], []
-        for channel, texel in enumerate(known.texels):
+        for channel, texel in enumerate(prior.texels):
             table = self._reflects[channel].at(pair)
             more = _dot(table[: self._spectra], light)
             added.append(_dot(table[self._spectra :], incident) + more)
@@ -289,12 +278,12 @@ class _Tables:
 
     def corrected(self, added: list[Jit]) -> NDArray[np.float32]:
         """Return the correction of faces, (F, K); `added` as of `texels`."""
-        mi, samples, pairs = self._mi, self._known.samples, self._change.pair
+        mi, samples, pairs = self._mi, self._prior.samples, self._change.pair
         starts, texels, weights = samples.others
         faces = self._baked.faces
         assert faces is not None
         face = dr.arange(mi.UInt32, len(faces))
-        light = [*self._light.at(face), *self._known.incident.at(face)]
+        light = [*self._light.at(face), *self._prior.incident.at(face)]
         last = dr.gather(mi.UInt32, starts, face + 1)
 
         def body(entry: Jit, *so_far: Jit) -> tuple[Jit, ...]:

@@ -6,7 +6,6 @@ bound is as small as that of any solution.
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -14,17 +13,15 @@ from numpy.typing import NDArray
 
 from thermorender.render.arrays import Channels, Jit, aligned
 from thermorender.render.edits.change import Change, change_of, comparable
-from thermorender.render.edits.known import Known, Samples, known_of
 from thermorender.render.edits.preview import edited_plan
-from thermorender.render.light import environment, radiosity
+from thermorender.render.edits.prior import PriorLight, Samples
+from thermorender.render.light import environment, solver
 from thermorender.render.light.exchange import Exchange, threads
 from thermorender.render.light.solved import Kept, SolvedLight, black_share, in_steps, tolerance_of
+from thermorender.render.loaded import LoadedLight
 from thermorender.render.plan import Plan
 from thermorender.render.spectrum import Spectrum
 from thermorender.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from thermorender.render.baked import BakedScene
 
 # Where more texels or faces change, all light is solved again, which is as fast.
 _MOST_CHANGED = 0.8
@@ -38,25 +35,29 @@ _FOR_ROUNDING = 0.5
 
 
 def solved_change(
-    baked: "BakedScene", scene: Scene, tick: Callable[[], object]
+    baked: LoadedLight, scene: Scene, tick: Callable[[], object]
 ) -> tuple[Plan, SolvedLight] | None:  # fmt: skip
     """Return (Plan, SolvedLight) of an edited scene; None where all light has to be solved.
 
     `tick` is called every few milliseconds; it may raise.
     """
-    kept, old = baked._uploaded.get("solution"), baked.plan
+    kept, old = baked.loaded.solution, baked.plan
     if kept is None or baked.incident is None or not comparable(baked.scene, scene) or _warmer(baked.scene, scene):
         return None
     plan = edited_plan(baked, scene)
     spectrum = plan.spectrum
-    if not plan.bake or plan.sun != old.sun or max(spectrum.nodes_mk, spectrum.channels_mk) > plan.tolerance_mk:
+    if (
+        not plan.bake
+        or plan.sun != old.sun
+        or max(spectrum.nodes_mk, spectrum.channels_mk) > plan.sampling.tolerance_mk
+    ):
         return None
-    known = known_of(baked)
-    change = change_of(baked, known, scene, plan)
+    prior = baked.prior
+    change = change_of(baked, prior, scene, plan)
     tick()
     if change is None or len(change.faces) > _MOST_CHANGED * baked.geometry.face_count:
         return None
-    found = _solved(baked, known, scene, change, kept, tick)
+    found = _solved(baked, prior, scene, change, kept, tick)
     return None if found is None else (plan, found)
 
 
@@ -68,20 +69,20 @@ def _warmer(one: Scene, other: Scene) -> bool:
 
 
 def _solved(
-    baked: "BakedScene", known: Known, scene: Scene, change: Change, kept: Kept, tick: Callable[[], object]
+    baked: LoadedLight, prior: PriorLight, scene: Scene, change: Change, kept: Kept, tick: Callable[[], object]
 ) -> SolvedLight | None:
     geometry, plan, transport, incident = baked.geometry, change.plan, baked.transport, baked.incident
     assert transport is not None and incident is not None
     before = kept.reflectance
     if before is None:
         everything = np.arange(geometry.face_count)
-        before = _reflectance(known, known.kinds, baked.plan.spectrum, everything)
+        before = _reflectance(prior, prior.kinds, baked.plan.spectrum, everything)
         tick()
     reflectance = before.copy()
-    reflectance[change.faces] = _reflectance(known, change.kinds, plan.spectrum, change.faces)
+    reflectance[change.faces] = _reflectance(prior, change.kinds, plan.spectrum, change.faces)
     tick()
     residual = kept.residual + _ROUNDED * float(incident.max(initial=0.0))
-    tolerance, amplified = tolerance_of(plan), radiosity.amplification(transport, reflectance)
+    tolerance, amplified = tolerance_of(plan), solver.amplification(transport, reflectance)
     if amplified * residual > _FOR_ROUNDING * tolerance:
         return None
     tolerance = (1.0 - _FOR_ROUNDING) * tolerance
@@ -91,10 +92,10 @@ def _solved(
     outside = outside - baked.plan.spectrum.black([baked.scene.surroundings_temperature])[0]
     around = environment.even(np.zeros(plan.spectrum.nodes), outside, geometry.face_count) if outside.any() else None
     with threads() as pool:
-        light = Exchange(transport, pool, rest, reflectance, around, known.samples.strong, tick)
-        left = _settle(light, known.samples, tolerance / amplified)
+        light = Exchange(transport, pool, rest, reflectance, around, prior.samples.strong, tick)
+        left = _settle(light, prior.samples, tolerance / amplified)
     if left * amplified > tolerance:
-        raise radiosity.unsettled(left * amplified, tolerance)
+        raise solver.unsettled(left * amplified, tolerance)
     # The noise of light known before is reflected as that light is.
     shares, noise = black_share(plan), kept.noise.astype(np.float64)
     mean, was = (values[change.faces] @ shares for values in (reflectance, before))
@@ -113,8 +114,8 @@ def _solved(
 def _settle(light: Exchange, samples: Samples, wanted: float) -> float:
     """Send light until at most `wanted` is left, with rounding; return what is left."""
     quick = True
-    for _ in range(radiosity.ROUNDS):
-        before, left = light.largest, light.largest + radiosity.rounding(samples.transport) * light.brightest
+    for _ in range(solver.ROUNDS):
+        before, left = light.largest, light.largest + solver.rounding(samples.transport) * light.brightest
         if left <= wanted:
             break
         faces = light.above(_UNSENT * wanted)
@@ -128,9 +129,9 @@ def _settle(light: Exchange, samples: Samples, wanted: float) -> float:
     return left
 
 
-def _reflectance(known: Known, kinds: Jit, spectrum: Spectrum, faces: NDArray[np.intp]) -> NDArray[np.float32]:
+def _reflectance(prior: PriorLight, kinds: Jit, spectrum: Spectrum, faces: NDArray[np.intp]) -> NDArray[np.float32]:
     """Mean reflectance of faces at each node, (n, N), of the materials `kinds` of all texels."""
-    samples, mi = known.samples, known.samples.geometry.mi
+    samples, mi = prior.samples, prior.samples.geometry.mi
     if not len(faces):
         return np.zeros((0, spectrum.nodes), np.float32)
     table = Channels(mi, 1.0 - spectrum.emissivity)

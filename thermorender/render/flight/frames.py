@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,8 +70,7 @@ class FlightFrames:
                 f"trajectory={shortened(repr(trajectory))} is not a Trajectory; give what load_trajectory returns"
             )
         self._renderer, self._trajectory = renderer, trajectory
-        # Those that another process makes the same frames of.
-        self.arguments = trajectory, rate_hz, start_s, stop_s, None, audit
+        self._part = rate_hz, start_s, stop_s
         self.rate_hz = renderer.scene.camera.frame_rate_hz if rate_hz is None else float(rate_hz)
         self.times = trajectory.frame_times(self.rate_hz, start_s, stop_s)
         self.poses = trajectory.sampled(self.times).poses()
@@ -81,6 +80,13 @@ class FlightFrames:
         self._audit = audit
         # The frame that was audited last.
         self._audited: Frame | None = None
+
+    def by(self, renderer: "Renderer") -> "FlightFrames":
+        """Return the frames of this flight, from its start, by another renderer of its first instant."""
+        return FlightFrames(renderer, self._trajectory, *self._part, audit=self._audit)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return FlightFrames, (self._renderer, self._trajectory, *self._part, None, self._audit)
 
     def __len__(self) -> int:
         return len(self.times)

@@ -44,7 +44,7 @@ from thermorender.render.heat.simulation import solved
 from thermorender.render.variant import activate
 from thermorender.scene.scene import Scene
 from thermorender.scene.surface import FALLBACK, UNMOVED
-from thermorender.scene.temperature_state import Moved as MovedSource
+from thermorender.scene.temperature_state import Moved
 from thermorender.units import ZERO_CELSIUS_K, utc_text
 from thermorender.weather.series import Weather
 
@@ -71,7 +71,7 @@ Instant = tuple[Weather, np.datetime64]
 
 
 @dataclass(frozen=True)
-class Moved:
+class MovedMap:
     """A map moved to one instant."""
 
     # With the moved temperatures, UNMOVED in its flags, and a summary in the `moved_report` of its temperature state
@@ -82,7 +82,7 @@ class Moved:
 
 def moved(
     scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None
-) -> list[Moved]:
+) -> list[MovedMap]:
     """Return a scene whose map gives temperatures of one instant, moved to each of some instants of its weather.
 
     Parameters
@@ -118,7 +118,7 @@ def moved(
 
 def balances(scene: Scene) -> tuple[Scene, Scene]:
     """Return (the scene with source "balance", the same at the trained instant and weather), both unsolved."""
-    if not isinstance(scene.temperature_state.source, MovedSource):
+    if not isinstance(scene.temperature_state.source, Moved):
         raise ThermorenderError(
             f"{scene.where} has no map that could be moved; add [weather], and [temperature.trained] with the time and "
             "weather of its temperatures"
@@ -178,7 +178,7 @@ class Carried:
         material = np.concatenate([surface.material.ravel() for surface in terrain])
         self.failed = np.concatenate([surface.flags.ravel() & FALLBACK for surface in terrain]) > 0
         source = scene.temperature_state.source
-        assert isinstance(source, MovedSource)
+        assert isinstance(source, Moved)
         given = np.concatenate([values.ravel() for values in source.temperatures]).astype(np.float64)
         self.difference = np.where(self.failed, 0.0, given - before.kelvin)
         self.error = source.error_k**2
@@ -192,8 +192,8 @@ class Carried:
         self.ratio = ratio[material]
         self.own = self.ratio * own
 
-    def to(self, at: np.datetime64, after: Expected) -> Moved:
-        """Return the map Moved to an instant, given the Expected of that instant."""
+    def to(self, at: np.datetime64, after: Expected) -> MovedMap:
+        """Return the MovedMap at an instant, given the Expected of that instant."""
         kelvin, rest = after.kelvin, BALANCE_ERROR_K**2
         shared, spread = self.ratio * _product(self.before, after), self.ratio * _product(after, after)
         correlation = _correlation(self.trained, (self.here, at))
@@ -222,7 +222,7 @@ class Carried:
             "correlation": round(correlation, 3),
         }  # fmt: skip
         solved_scene = self.scene.with_solved_temperatures(at, self._split(values), flags=flags, moved_report=report)
-        return Moved(solved_scene, tuple(self._split(std)))
+        return MovedMap(solved_scene, tuple(self._split(std)))
 
     def _split(self, flat: NDArray[Any]) -> list[NDArray[Any]]:
         """An array over all texels as one per surface."""

@@ -65,8 +65,8 @@ def key(geometry: Geometry, rays: int, seed: int = 0) -> str:
         for values in (surface.vertices, surface.faces):
             _feed(digest, values)
         if surface.instances is not None:
-            for values in vars(surface.instances).values():
-                _feed(digest, values)
+            for each in fields(surface.instances):
+                _feed(digest, getattr(surface.instances, each.name))
     return digest.hexdigest()
 
 

@@ -44,6 +44,18 @@ class Environment:
             total += level[:, None] * (up @ sky)
         return total
 
+    def received(self, transport: radiosity.Transport, part: slice) -> tuple[Floats, Floats]:
+        """Return the light that the rays of a part of the faces receive, (n, N) [W m⁻² sr⁻¹].
+
+        The second is half the difference of what the two halves of their rays receive.
+        """
+        up, down = transport.up[part].astype(np.int32), transport.down[part].astype(np.int32)
+        rays = 2.0 * transport.rays
+        whole = self.light((up[:, 0] + up[:, 1]) / rays, (down[:, 0] + down[:, 1]) / rays, part)
+        if self.direct is not None:
+            whole += self.direct[part]
+        return whole, self.light((up[:, 0] - up[:, 1]) / rays, (down[:, 0] - down[:, 1]) / rays, part)
+
     def at(self, nodes: slice) -> "Environment":
         """Return the Environment at a slice of the nodes."""
         direct = None if self.direct is None else self.direct[:, nodes]

@@ -14,17 +14,15 @@ import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor, ThreadPoolExecutor
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.render.arrays import Floats
+from thermorender.render.light.environment import Environment
 from thermorender.render.light.gmres import gmres
-
-if TYPE_CHECKING:
-    from thermorender.render.light.environment import Environment
-    from thermorender.render.light.radiosity import Transport
+from thermorender.render.light.radiosity import Transport
 
 _T = TypeVar("_T")
 # See `Exchange.send_few`.
@@ -45,7 +43,7 @@ def threads() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count())
 
 
-def strong_reflectors(transport: "Transport", reflectance: NDArray[np.floating], known: Strong | None = None) -> Strong:
+def strong_reflectors(transport: Transport, reflectance: NDArray[np.floating], known: Strong | None = None) -> Strong:
     """Return the faces that exchange light among themselves first, with what they see, as `Transport.among`.
 
     `reflectance` is (F, N); `known` is returned where it has all of them.
@@ -88,8 +86,8 @@ class Exchange:
     """
 
     def __init__(
-        self, transport: "Transport", pool: Executor, emitted: Floats, reflectance: NDArray[np.floating],
-        environment: "Environment | None" = None, strong: Strong | None = None,
+        self, transport: Transport, pool: Executor, emitted: Floats, reflectance: NDArray[np.floating],
+        environment: Environment | None = None, strong: Strong | None = None,
         tick: Callable[[], object] | None = None,
     ) -> None:  # fmt: skip
         self._transport, self._pool, self._reflectance, self._tick = transport, pool, reflectance, tick
@@ -100,7 +98,7 @@ class Exchange:
         def begin(part: slice) -> tuple[float, float]:
             if environment is None:
                 return self._received(part, np.zeros((1, 1)), np.zeros((1, 1)))
-            whole, difference = transport.beyond(environment, part)
+            whole, difference = environment.received(transport, part)
             return self._received(part, whole, difference)
 
         self._measure(begin)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from thermorender.render.arrays import Floats
 from thermorender.render.dynamic import StaticLight
 from thermorender.render.geometry import Geometry
-from thermorender.render.light import environment, radiosity, texels
+from thermorender.render.light import environment, radiosity, solver, texels
 from thermorender.render.plan import Plan
 from thermorender.render.spectrum import REFERENCE_K
 from thermorender.scene.scene import Scene
@@ -63,7 +63,7 @@ class SolvedLight:
 
 def tolerance_of(plan: Plan) -> float:
     """Return the error bound to reach at each node [W m⁻² sr⁻¹]."""
-    return 0.1 * plan.tolerance_mk * plan.radiance_per_mk / plan.spectrum.nodes
+    return 0.1 * plan.sampling.tolerance_mk * plan.radiance_per_mk / plan.spectrum.nodes
 
 
 def black_share(plan: Plan) -> Floats:
@@ -94,11 +94,11 @@ def solve_scene(
     incident, noise, mean = np.empty(shape, dtype=np.float32), np.zeros(shape[0]), np.zeros(shape[0])
     bounds, mean_reflectance, residual, rests = np.empty(shape[1]), np.empty(shape[1]), 0.0, list[Steps]()
     static = StaticLight.around(around, *shape) if scene.tracked_objects else None
-    blocks = radiosity.blocks(*shape) if guess is None else radiosity.blocks(*shape, _VECTORS)
+    blocks = solver.blocks(*shape) if guess is None else solver.blocks(*shape, _VECTORS)
     means = texels.face_means(geometry, plan, *texel, blocks, tick)
     for nodes, (emitted, reflectance) in zip(blocks, means, strict=True):
         near = None if guess is None else guess[:, nodes]
-        found = radiosity.solve(known, emitted, reflectance, around.at(nodes), tolerance, near, tick)
+        found = solver.solve(known, emitted, reflectance, around.at(nodes), tolerance, near, tick)
         noise += found.noise
         rests.append(in_steps(found.rest))
         bounds[nodes], residual = found.bound, max(residual, found.rounding)

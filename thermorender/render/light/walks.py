@@ -5,18 +5,20 @@ absorbed or at the sky. They share with the solution the ray caster, the spectra
 neither faces with constant light nor its rays. Their error is noise.
 """
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.materials.material import Material
 from thermorender.physics.band import RadianceTable
 from thermorender.render.arrays import Floats, Jit, aligned
+from thermorender.render.geometry import Geometry
+from thermorender.render.layers import TexelArrays
+from thermorender.render.light.environment import Environment
 from thermorender.render.light.radiosity import SKY_BINS, background_code
-
-if TYPE_CHECKING:
-    from thermorender.render.baked import BakedScene
+from thermorender.render.plan import Plan
 
 # Longest walk, and bounces between looks whether any goes on.
 _LONGEST, _LOOK = 256, 4
@@ -26,14 +28,15 @@ _TABLE = 1024
 
 
 class Walks:
-    """Random walks in a baked scene, without its moving objects."""
+    """Random walks in a scene with `texels` in the light `around` it, without its moving objects."""
 
-    def __init__(self, baked: "BakedScene") -> None:
-        self._baked, self._emitted = baked, dict[int, tuple[Floats, Floats]]()
-        self._geometry = geometry = baked.geometry
-        mi, spectrum, around = geometry.mi, baked.plan.spectrum, baked.environment
-        self._texels = baked.device.texels[0]
-        grid = RadianceTable.grid(baked.plan.coldest, baked.plan.warmest)
+    def __init__(
+        self, materials: Sequence[Material], plan: Plan, geometry: Geometry, around: Environment, texels: TexelArrays
+    ) -> None:
+        self._materials, self._plan, self._emitted = materials, plan, dict[int, tuple[Floats, Floats]]()
+        self._geometry, self._texels = geometry, texels
+        mi, spectrum = geometry.mi, plan.spectrum
+        grid = RadianceTable.grid(plan.coldest, plan.warmest)
         self._grid = tuple(dr.opaque(mi.Float, float(v)) for v in (grid[0], grid[1] - grid[0], len(grid) - 2))
         self._size = dr.opaque(mi.UInt32, len(grid))
         self._black = mi.Float(aligned(spectrum.black(grid).T))
@@ -48,7 +51,7 @@ class Walks:
         self._level, self._last = mi.Float(aligned(position)), dr.opaque(mi.UInt32, levels - 1)
         self._direct = None if around.direct is None else mi.Float(aligned(around.direct))
         # Walks choose their node from this table, each at least once.
-        black = spectrum.black([baked.plan.warmest])[0]
+        black = spectrum.black([plan.warmest])[0]
         number = np.maximum(np.rint(_TABLE * black / black.sum()).astype(int), 1)
         self._node = mi.UInt32(aligned(np.repeat(np.arange(spectrum.nodes), number), np.uint32))
         self._choices = dr.opaque(mi.UInt32, int(number.sum()))
@@ -112,10 +115,10 @@ class Walks:
 
     def emitted(self, material: NDArray[np.integer], kelvin: NDArray[np.floating]) -> Floats:
         """Return the band radiance that materials (n,) emit at temperatures (n,) [K], without a path [W m⁻² sr⁻¹]."""
-        plan, found = self._baked.plan, np.empty(len(material))
+        plan, found = self._plan, np.empty(len(material))
         for one in np.unique(material):
             if one not in self._emitted:
-                at = self._baked.scene.materials[one].emissivity_at
+                at = self._materials[one].emissivity_at
                 grid, table = plan.spectrum.emitted(at, plan.coldest, plan.warmest, plan.band_um)
                 self._emitted[one] = grid, table @ plan.spectrum.solver.sum(axis=0)
             here = material == one

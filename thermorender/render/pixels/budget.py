@@ -10,7 +10,7 @@ difference counts too.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -18,17 +18,15 @@ from numpy.typing import NDArray
 
 from thermorender.materials.mixture import Mixture
 from thermorender.physics.planck import band_radiance
-from thermorender.render.arrays import Floats, aligned, view_ray
+from thermorender.render.arrays import Floats, Jit, aligned, view_ray
 from thermorender.render.dynamic import Placement
-from thermorender.render.layers import Layer
+from thermorender.render.layers import Layer, LayerHit, first_hit
+from thermorender.render.loaded import LoadedLight
 from thermorender.render.pixels.sampling import STAGES, CameraRays, contrast, edge_estimate, texture_estimate
-from thermorender.render.pixels.tracer import Sampling, Tracer
+from thermorender.render.pixels.tracer import SampledImage, Tracer
 from thermorender.render.plan import Plan
 from thermorender.render.reflection import mirrors
 from thermorender.render.truth import truth
-
-if TYPE_CHECKING:
-    from thermorender.render.baked import BakedScene
 
 # The light's error is read at every n-th pixel.
 _PIXELS = 16
@@ -53,8 +51,8 @@ _LEAST_MK = 1.0
 
 
 def budget_mk(
-    baked: "BakedScene", tracer: Tracer, pose: Floats, placements: Sequence[Placement], radiance: NDArray[np.float32],
-    sampling: Sampling,
+    baked: LoadedLight, tracer: Tracer, pose: Floats, placements: Sequence[Placement], radiance: NDArray[np.float32],
+    sampling: SampledImage,
 ) -> dict[str, float]:  # fmt: skip
     """Return {cause: estimated root mean square error [mK]} of a frame over the pixels that show a surface.
 
@@ -77,8 +75,8 @@ def budget_mk(
 
 
 def error_mk(
-    baked: "BakedScene", tracer: Tracer, pose: Floats, placements: Sequence[Placement], radiance: NDArray[np.float32],
-    sampling: Sampling,
+    baked: LoadedLight, tracer: Tracer, pose: Floats, placements: Sequence[Placement], radiance: NDArray[np.float32],
+    sampling: SampledImage,
 ) -> NDArray[np.float32]:  # fmt: skip
     """Return the estimated error of each pixel by all causes, (H, W) float32 [mK at 300 K]; NaN without a surface."""
     errors = np.where(sampling.shown, sampling_error(baked.plan, tracer, radiance, sampling), np.nan)
@@ -90,7 +88,7 @@ def error_mk(
     return np.sqrt(square).astype(np.float32)
 
 
-def emissivity_mk(baked: "BakedScene", images: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
+def emissivity_mk(baked: LoadedLight, images: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
     """Return the standard deviation of each pixel due to a learned emissivity, (H, W) [mK at 300 K]; NaN where none.
 
     `images` are those of `Frame.truth`. The surface is taken to reflect the unobstructed sky without air before it,
@@ -104,7 +102,7 @@ def emissivity_mk(baked: "BakedScene", images: Mapping[str, NDArray[Any]]) -> ND
     return np.asarray(images["emissivity_std"] * contrast / baked.plan.radiance_per_mk, dtype=np.float64)
 
 
-def _everywhere(baked: "BakedScene") -> dict[str, float]:
+def _everywhere(baked: LoadedLight) -> dict[str, float]:
     """{cause: error [mK]} of causes that affect all pixels alike."""
     plan = baked.plan
     parts = {"nodes": plan.spectrum.nodes_mk + baked.errors_mk["solution"]}
@@ -118,7 +116,7 @@ def _everywhere(baked: "BakedScene") -> dict[str, float]:
 
 
 def _light(
-    baked: "BakedScene", rays: CameraRays, pose: Floats, placements: Sequence[Placement], every: int
+    baked: LoadedLight, rays: CameraRays, pose: Floats, placements: Sequence[Placement], every: int
 ) -> tuple[Floats, Floats]:
     """Errors of every n-th pixel, in the order of `rays` [mK]; NaN where nothing is hit.
 
@@ -129,38 +127,38 @@ def _light(
     slope = rays.slopes(0.5, 0.5, mi.UInt32(aligned(numbers, np.uint32)))
     # Variation within faces is known for the static scene only.
     within = dr.opaque(mi.Float, (baked.errors_mk["faces"] * baked.plan.radiance_per_mk) ** 2)
-    distance = dr.full(mi.Float, np.inf, len(slope[0]))
-    square, *steps = (dr.zeros(mi.Float, len(slope[0])) for _ in range(3))
-    state = [mi.UInt32(0)] * 4
-    layers = device.layers(pose, placements)
-    for number, (layer, error) in enumerate(zip(layers, device.face_errors(placements), strict=True)):
-        geometry, ray = layer.geometry, view_ray(mi, *layer.view, *slope)
-        hit = geometry.seen(ray)
-        nearer = hit.valid & (hit.distance < distance)
+    layers, errors = device.layers(pose, placements), device.face_errors(placements)
+    nothing, steps = dr.zeros(mi.Float, len(slope[0])), [dr.zeros(mi.Float, len(slope[0])) for _ in range(2)]
+
+    def read(at: LayerHit) -> list[Jit]:
+        hit, error, geometry = at.hit, errors[at.number], at.layer.geometry
+        own = nothing
         if error is not None:
-            own = dr.gather(mi.Float, error, hit.face, nearer) + (0.0 if number else within)
-            square = dr.select(nearer, own, square)
-        place = geometry.map_position(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
-        own = mi.UInt32(number), hit.face, *mirrors.met(layer, hit, place)
-        state = [dr.select(nearer, new, old) for new, old in zip(own, state, strict=True)]
-        if number == 0:
-            texel = geometry.nearest(hit.surface, *place, hit.valid)
-            material = mi.UInt32(dr.gather(type(device.texels[0].material), device.texels[0].material, texel, nearer))
-            reflects = 1.0 - dr.gather(mi.Float, device.emissivities[0], material, nearer)
-        distance = dr.select(nearer, hit.distance, distance)
+            own = dr.gather(mi.Float, error, hit.face, hit.valid) + (0.0 if at.number else within)
+        reflects = nothing
+        if at.number == 0:
+            texel, of = geometry.nearest(hit.surface, *at.place, hit.valid), device.texels[0].material
+            material = mi.UInt32(dr.gather(type(of), of, texel, hit.valid))
+            reflects = 1.0 - dr.gather(mi.Float, device.emissivities[0], material, hit.valid)
+        return [own, reflects, *mirrors.met(at.layer, hit, at.place)]
+
+    hit, number, (square, reflects, texel, row) = first_hit(
+        layers, lambda layer: view_ray(mi, *layer.view, *slope), read
+    )
+    distance, state = hit.distance, [number, hit.face, texel, row]
     if any(layer.outgoing.mirror for layer in layers):
         ray = view_ray(mi, *layers[0].view, *slope)
         steps = mirrors.last_steps(layers, ray.o, ray.d, distance, *state)
     dr.eval(square, steps, distance, state, reflects)
-    nothing = ~np.isfinite(np.array(distance))
+    missed = ~np.isfinite(np.array(distance))
     own = np.array(square, dtype=np.float64)
     if baked.transport is not None:
-        still = ~nothing & (np.array(state[0]) == 0)
+        still = ~missed & (np.array(state[0]) == 0)
         face, shares = np.array(state[1])[still], np.array(reflects, dtype=np.float64)[still]
         again = np.isin(numbers[still], judged)
         own[still] += _unexplained(baked, rays, layers[0], numbers[still], again, face, shares, own[still])
     found = [np.sqrt(own), *(np.array(step, dtype=np.float64) for step in steps)]
-    light, mirrored, next_step = (np.where(nothing, np.nan, values) / baked.plan.radiance_per_mk for values in found)
+    light, mirrored, next_step = (np.where(missed, np.nan, values) / baked.plan.radiance_per_mk for values in found)
     # Later steps are assumed to decrease by the same ratio.
     share = min(_rms(next_step) / max(_rms(mirrored), 1e-30), _MOST_PASSED)
     return light, mirrored / (1.0 - share)
@@ -177,7 +175,7 @@ def _one_of(every: int, count: int) -> NDArray[np.uint32]:
 
 
 def _unexplained(
-    baked: "BakedScene", rays: CameraRays, layer: Layer, pixels: NDArray[np.uint32], judged: NDArray[np.bool_],
+    baked: LoadedLight, rays: CameraRays, layer: Layer, pixels: NDArray[np.uint32], judged: NDArray[np.bool_],
     face: NDArray[np.uint32], shares: Floats, explained: Floats,
 ) -> Floats:  # fmt: skip
     """Mean square error of the light on static surfaces beyond the `explained` one, (n,) [(W m⁻² sr⁻¹)²].
@@ -207,7 +205,7 @@ def _unexplained(
 
 
 def _differences(
-    baked: "BakedScene", rays: CameraRays, layer: Layer, pixels: NDArray[np.uint32]
+    baked: LoadedLight, rays: CameraRays, layer: Layer, pixels: NDArray[np.uint32]
 ) -> tuple[Floats, Floats]:
     """Mean of what leaves the surfaces in pixels, less that of walks, by two independent estimates, (n,) each
     [W m⁻² sr⁻¹].
@@ -249,15 +247,15 @@ def _rms(values: NDArray[Any]) -> float:
 
 
 def sampling_error(
-    plan: Plan, tracer: Tracer, radiance: NDArray[np.float32], sampling: Sampling
+    plan: Plan, tracer: Tracer, radiance: NDArray[np.float32], sampling: SampledImage
 ) -> NDArray[np.float32]:
     """Return the estimated error of each pixel due to its rays and texture, (H, W) float32 [W m⁻² sr⁻¹]."""
     import cv2
 
-    span = contrast(radiance)
+    span, samples, taps = contrast(radiance), plan.sampling.samples, plan.sampling.taps
     # Without a search for edges any contrast may be one.
     step = span if sampling.step is None else sampling.step
-    guess = edge_estimate(step, plan.samples) ** 2 + texture_estimate(span - step, plan.samples * plan.taps) ** 2
+    guess = edge_estimate(step, samples) ** 2 + texture_estimate(span - step, samples * taps) ** 2
     guess = guess.ravel()
     thin = np.zeros(radiance.size, dtype=bool)
     for part in sampling.refined:

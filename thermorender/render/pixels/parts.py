@@ -7,7 +7,7 @@ split by what its second ray meets.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -15,18 +15,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.physics.planck import brightness_temperature
-from thermorender.render.arrays import Floats, aligned, view_ray
+from thermorender.render.arrays import Floats, Jit, aligned, view_ray
 from thermorender.render.device import flat
-from thermorender.render.edits.known import samples_of
-from thermorender.render.geometry import Hit
-from thermorender.render.labels import object_names, objects_of_surfaces
+from thermorender.render.layers import LayerHit, first_hit
+from thermorender.render.loaded import LoadedLight
+from thermorender.render.object_numbers import object_names, objects_of_surfaces
 from thermorender.render.reflection import mirrors
 from thermorender.render.spectrum import REFERENCE_K
 from thermorender.render.view import View
 from thermorender.sensor.camera import Camera
-
-if TYPE_CHECKING:
-    from thermorender.render.baked import BakedScene
 
 # The first four leave the surface.
 PARTS = ("emission", "sky", "sun", "surroundings", "air", "background")
@@ -74,13 +71,7 @@ class PixelParts:
 
 
 def parts_at(view: View, pixels: ArrayLike) -> list[PixelParts]:
-    """Return the PixelParts of a view at pixels (n, 2), each a row and a column.
-
-    Raises
-    ------
-    ThermorenderError
-        A pixel outside the image.
-    """
+    """Return the PixelParts of a view at pixels (n, 2), each a row and a column."""
     pixels = _checked(pixels, view.rays.camera)
     rays = _Rays(view, pixels)
     scene, band = view.baked.scene, view.baked.plan.band_um
@@ -120,18 +111,10 @@ def _checked(pixels: ArrayLike, camera: Camera) -> NDArray[np.intp]:
 
 
 class _Rays:
-    """The rays through the middles of n pixels, and what they hit.
+    """The rays through the middles of n pixels, and what they hit: arrays (n,), as of `Hit`.
 
-    Attributes
-    ----------
-    valid, distance, surface, face, layer, cosine : (n,)
-        Of the hit, as of `Hit`. The cosine is that of the angle of view.
-    kind, kinetic : (n,)
-        Material and temperature [K] of the texel hit.
-    weight : (n, K)
-        Share of each channel that arrives.
-    added : (n,)
-        Radiance of the air on the path, or of the background [W m⁻² sr⁻¹].
+    `cosine` is that of the angle of view; `kind` and `kinetic` are material and temperature [K] of the texel. Of each
+    channel the share `weight` (n, K) arrives; air or background give `added` [W m⁻² sr⁻¹].
     """
 
     def __init__(self, view: View, pixels: NDArray[np.intp]) -> None:
@@ -140,30 +123,26 @@ class _Rays:
         order = rays.position[pixels[:, 0] * rays.width + pixels[:, 1]]
         slope = rays.slopes(0.5, 0.5, mi.UInt32(aligned(order, np.uint32)))
         layers, medium = device.layers(view.pose, view.placements), device.medium(view.pose, view.placements)
-        channels, surfaces, best = baked.plan.spectrum.channels, 0, list[Any]()
-        for place, (layer, texels) in enumerate(zip(layers, device.texels, strict=True)):
-            geometry, ray = layer.geometry, view_ray(mi, *layer.view, *slope)
-            hit = geometry.seen(ray)
-            at = geometry.map_position(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
-            texel = geometry.nearest(hit.surface, *at, hit.valid)
+        channels = baked.plan.spectrum.channels
+
+        def read(at: LayerHit) -> list[Jit]:
+            geometry, hit, texels = at.layer.geometry, at.hit, device.texels[at.number]
+            texel = geometry.nearest(hit.surface, *at.place, hit.valid)
             normal = mi.Vector3f(*geometry.normals.at(hit.face, hit.valid))
-            _, normal = mirrors.transformed(layer.view, layers[0].view, None, normal)
+            _, normal = mirrors.transformed(at.layer.view, layers[0].view, None, normal)
             kind = mi.UInt32(dr.gather(mi.UInt8, texels.material, texel, hit.valid))
-            own = [hit.distance, hit.valid, hit.face, hit.surface + surfaces, mi.UInt32(place), *normal, kind]
-            own += mirrors.met(layer, hit, at)
-            for corner in geometry.corners(geometry.lattice(hit.surface, hit.valid), *at):
-                own += corner
-            own += layer.outgoing.at(geometry, hit, at)
-            nearer = best and hit.distance < best[0]
-            best = [dr.select(nearer, a, b) for a, b in zip(own, best, strict=True)] if best else own
-            surfaces += len(geometry.surfaces)
-        distance, valid, face, surface, place, x, y, z, kind, texel, row = best[:11]
-        corners, shown, ray = best[11:19], best[19:], view_ray(mi, *layers[0].view, *slope)
+            corners = geometry.corners(geometry.lattice(hit.surface, hit.valid), *at.place)
+            found = [*normal, kind, *mirrors.met(at.layer, hit, at.place), *(part for pair in corners for part in pair)]
+            return found + at.layer.outgoing.at(geometry, hit, at.place)
+
+        hit, place, found = first_hit(layers, lambda layer: view_ray(mi, *layer.view, *slope), read)
+        (x, y, z, kind, texel, row), corners, shown = found[:6], found[6:14], found[14:]
+        distance, valid, face, surface = hit.distance, hit.valid, hit.face, hit.surface
+        ray = view_ray(mi, *layers[0].view, *slope)
         slant, way = dr.dot(mi.Vector3f(x, y, z), ray.d), mi.Float(0.0)
         if any(layer.outgoing.mirror for layer in layers):
             added, way = mirrors.correction(layers, mirrors.DEPTH, ray.o, ray.d, distance, place, face, texel, row)
             shown = [a + b for a, b in zip(shown, added, strict=True)]
-        hit = Hit(valid, distance, face, surface)
         lights = [[mi.Float(float(k == channel)) for k in range(channels)] for channel in range(-1, channels)]
         behind = [sum(medium.at_camera(hit, light, ray.o, ray.d)) for light in lights]
         # Of a mirror: whether its image is of what is above the horizon.
@@ -197,7 +176,7 @@ class _Rays:
         """Temperatures of texels of the static scene, or of the objects hit [K]."""
         found = flat(self._baked.scene.surfaces, "temperature")
         moving = np.array([np.nan, *(placement.temperature for placement in self._view.placements)])
-        still = self.layer == 0
+        still = self.valid & (self.layer == 0)
         return np.where(still, found[np.where(still, texel, 0)], moving[self.layer])
 
     def emissivity(self, number: int) -> float:
@@ -247,7 +226,7 @@ class _Rays:
     def _reflected(self, face: int, texel: NDArray[Any], weight: Floats) -> Floats:
         """Sky and sun that texels and the correction of their face reflect, (2, K)."""
         baked = self._baked
-        number, share = samples_of(baked).around(face)
+        number, share = baked.samples.around(face)
         texels, weights = np.concatenate([texel, number]), np.concatenate([weight, -share])
         count, covers = baked.geometry.face_count, baked.geometry.face_of_texel
         cover = np.array(dr.gather(type(covers), covers, type(covers)(aligned(texels, np.uint32))))
@@ -258,7 +237,7 @@ class _Rays:
         return own + np.einsum("t,tkn,sn->sk", share, reflected[len(texel) :], light[:, -1])
 
 
-def _outside(baked: "BakedScene", faces: NDArray[np.intp]) -> Floats:
+def _outside(baked: LoadedLight, faces: NDArray[np.intp]) -> Floats:
     """Light of the sky and of the sun on faces (n,) at each node, (2, n, N) [W m⁻² sr⁻¹]."""
     around, transport = baked.environment, baked.transport
     assert transport is not None

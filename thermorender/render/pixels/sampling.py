@@ -8,17 +8,15 @@ shows where its second difference is not zero. The contrast of radiance there me
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.render.arrays import Floats, Jit, Mitsuba, aligned
+from thermorender.render.pixels.slender import Rectangles
 from thermorender.sensor.camera import Camera
-
-if TYPE_CHECKING:
-    from thermorender.render.pixels.slender import Rectangles
 
 # Sub-pixel offsets (right, down) in 0…1: lattices with all rows and columns different, and one point in each cell.
 _MULTIPLIER = {1: 1, 2: 1, 8: 5, 16: 5}
@@ -68,28 +66,18 @@ def morton_order(height: int, width: int) -> NDArray[np.int64]:
 
 
 class CameraRays:
-    """A camera's rays on the render side, including a ring of pixels round its image, needed to find edges there.
-
-    Attributes
-    ----------
-    width, height : int
-        Of its image [px].
-    order : (H·W,) int64
-        Pixel numbers in the order of the arrays; the ring follows.
-    position : (H·W,) int64
-        Position of each pixel in that order.
-    ringed : UInt32
-        Numbers of all pixels in the image with its ring, in that order.
-    """
+    """A camera's rays on the render side, including a ring of pixels round its image, needed to find edges there."""
 
     def __init__(self, mi: Mitsuba, camera: Camera) -> None:
         self._mi, self.camera, self.width, self.height = mi, camera, camera.width, camera.height
+        # (H·W,) pixel numbers in the order of the arrays, where the ring follows; position of each pixel in it.
         self.order = morton_order(camera.height, camera.width)
         self.position = np.empty_like(self.order)
         self.position[self.order] = np.arange(self.order.size)
         row, column = np.divmod(self.order, camera.width)
         ring = np.argwhere(np.pad(np.zeros((camera.height, camera.width), bool), RING, constant_values=True)) - RING
         row, column = np.concatenate([[row, column], ring.T], axis=1)
+        # Numbers of all pixels in the image with its ring, in that order.
         self.ringed = mi.UInt32(aligned((row + RING) * (camera.width + 2 * RING) + column + RING, np.uint32))
         # The ring is extrapolated from the nearest pixels of the image, since the lens may not extend to it.
         beside = np.clip(row, 0, camera.height - 1), np.clip(column, 0, camera.width - 1)
@@ -102,7 +90,7 @@ class CameraRays:
         off = [(at - inside)[:, None] for at, inside in zip((row, column), beside, strict=True)]
         parts = (slopes(0.5, 0.5) + off[1] * across + off[0] * along, across, along)
         self._parts = [[mi.Float(aligned(part[:, axis])) for axis in (0, 1)] for part in parts]
-        # `Sampling.hit` of the image rendered last, the Hit of its rays through the pixels' middles, with surfaces
+        # `SampledImage.hit` of the image rendered last, the Hit of its rays through the pixels' middles, with surfaces
         # numbered over the layers, and its geometry and pose if no object moves. Kept here, so that frames in memory do
         # not each hold it; set and read as a whole.
         self.last_hits: tuple[NDArray[np.bool_], Any, tuple[Any, bytes] | None] | None = None
@@ -168,7 +156,7 @@ class CameraRays:
         return slope, across, along
 
     def finer(
-        self, position: NDArray[np.integer], first: int, last: int, within: "Rectangles | None" = None,
+        self, position: NDArray[np.integer], first: int, last: int, within: Rectangles | None = None,
         shift: Floats | None = None,
     ) -> "Footprint":  # fmt: skip
         """Return the Footprints of rays first … last − 1 of the pixels at `position` in the order, side by side per
@@ -205,7 +193,7 @@ class CameraRays:
         right, down = offset
         return self._footprint(right, down, size, middle, index)
 
-    def outside(self, within: "Rectangles", count: int) -> Any:
+    def outside(self, within: Rectangles, count: int) -> Any:
         """Return which of the first `count` rays of pixels are outside their Rectangles, (n, count) bool."""
         from_corner = self._offsets[:count] - within.corner[:, None]
         return ~((from_corner >= 0.0) & (from_corner < within.size[:, None])).all(axis=-1)

@@ -29,7 +29,7 @@ def mesh(mi: Mitsuba, name: str, vertices: Floats, faces: NDArray[np.integer]) -
     return made
 
 
-class Copies:
+class CopyShapes:
     """Shapes of the caster for copies of bodies, and what their numbers mean."""
 
     def __init__(self, mi: Mitsuba, surfaces: Sequence[Surface], face_start: NDArray[np.integer]) -> None:

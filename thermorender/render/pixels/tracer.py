@@ -8,6 +8,7 @@ temperature. Pixels that show an edge get more rays, in stages, until their erro
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from thermorender.render.air import AirView, Vacuum
 from thermorender.render.arrays import Jit, aligned, view_ray
 from thermorender.render.geometry import Hit
-from thermorender.render.layers import Layer
+from thermorender.render.layers import Layer, LayerHit, first_hit
 from thermorender.render.pixels.footprint import PLACES, Climb, OnMap, Reading
 from thermorender.render.pixels.sampling import (
     COPIES_STAGES,
@@ -56,7 +57,7 @@ class Refined:
 
 
 @dataclass(frozen=True)
-class Sampling:
+class SampledImage:
     """How an image was sampled, for its sampling error."""
 
     hit: NDArray[np.bool_]  # (H, W), whether a pixel's ray hits a surface
@@ -78,18 +79,10 @@ class Sampling:
 
 
 class Tracer:
-    """Rays from one pose into the layers of a scene.
+    """Rays from one pose into the layers of a scene, the static one first, through a medium.
 
-    Parameters
-    ----------
-    layers : sequence of Layer
-        The static scene first, then each dynamic object, all seen from this pose.
-    medium : Vacuum or AirView
-        Between the camera and the surfaces.
-    slender : callable
-        Returns the Rectangles of pixels that may show details thinner than a pixel.
-    pose : (4, 4) array, optional
-        Of a view without moving objects: from the pose of the image before, its rays are not cast again.
+    `slender` returns the Rectangles of pixels that may show details thinner than a pixel. With the `pose` (4, 4) of a
+    view without moving objects, an image from the same pose as the one before does not cast its first rays again.
     """
 
     def __init__(
@@ -101,28 +94,58 @@ class Tracer:
         self._layers, self.rays, self._medium = layers, rays, medium
         copies = [surface.instances is not None for layer in layers for surface in layer.geometry.surfaces]
         self._copies = layers[0].geometry.mi.Float(aligned(copies)) if any(copies) else None
-        self._samples, self._mi = plan.samples, layers[0].geometry.mi
+        sampling, self._mi = plan.sampling, layers[0].geometry.mi
+        self._samples = sampling.samples
         # Read here, since reading waits for all kernels that run.
         self._up = np.array([float(value[0]) for value in layers[0].view[0][2]])
-        strong = usual_step(plan.edge_mk * plan.radiance_per_mk, plan.samples)
+        strong = usual_step(sampling.edge_mk * plan.radiance_per_mk, sampling.samples)
         self._strong = dr.opaque(self._mi.Float, strong)
-        self._reading = Reading(self._mi, plan.taps, max(plan.taps, PLACES), 1.0 / plan.samples)
+        self._reading = Reading(self._mi, sampling.taps, max(sampling.taps, PLACES), 1.0 / sampling.samples)
         self._once, self._judge = Reading(self._mi, 1, 1, 1.0), Reading(self._mi, PLACES, 1, 1.0, judges=True)
 
     def image(
-        self, edge_limit: float, like: Sampling | None = None, copies_limit: float = 0.0
-    ) -> tuple[NDArray[np.float32], Sampling]:
-        """Return (image (channels, H, W) float32, Sampling): the mean radiance over each pixel's rays.
+        self, edge_limit: float, like: SampledImage | None = None, copies_limit: float = 0.0
+    ) -> tuple[NDArray[np.float32], SampledImage]:
+        """Return (image (channels, H, W) float32, SampledImage): the mean radiance over each pixel's rays.
 
         `edge_limit` is the error, in the unit of the sum of the channels, above which a pixel that shows an edge gets
         more rays; infinite: never. Where copies of a body show, `copies_limit` replaces a lower one: that of their
-        light, which more rays do not reduce. With `like`, the Sampling of another image of this view, each pixel gets
+        light, which more rays do not reduce. With `like`, how another image of this view was sampled, each pixel gets
         the rays that it had there.
         """
+        search = edge_limit < np.inf
+        targets, channels, hit = self._first_rays(search)
+        # While the kernel runs: both depend on the pose alone.
+        crossed, thin = self._at_horizon(), self._slender() if search else None
+        sides = self.rays.height + 2 * RING, self.rays.width + 2 * RING
+        ringed = np.stack([target.numpy() for target in targets]).reshape(-1, *sides)
+        inside = ..., slice(RING, -RING), slice(RING, -RING)
+        image, guide = ringed[inside][:channels].copy(), ringed[channels:]
+        met = guide[inside][0] > 0.0
+        if self._samples == 1:
+            # Not what depends on the radiance.
+            self.rays.last_hits = met, Hit(hit.valid, hit.distance, hit.face, hit.surface), self._place
+        flat = image.reshape(channels, -1)
+        crossed = crossed[~met.flat[crossed]]
+        if crossed.size:
+            flat[:, crossed] = self._rays_in(crossed, 0, self._samples, None)[0] / self._samples
+        if thin is None:
+            return image, SampledImage(met, None)
+        copies = np.zeros(met.size, dtype=bool)
+        if self._copies is not None:
+            guide, copies = guide[:-1], touched(guide[-1] > 0.0).ravel()
+        step = edge_step(ringed[:channels].sum(axis=0), *guide)
+        refined = self._refine_edges(flat, step, copies, thin, (edge_limit, max(edge_limit, copies_limit)), like)
+        if thin.pixels.size:
+            refined += self._refine(flat, thin.pixels, np.zeros(len(thin.pixels)), edge_limit, thin)
+        return image, SampledImage(met, step, refined)
+
+    def _first_rays(self, search: bool) -> tuple[list[Jit], int, Hit]:
+        """(channels and guides over the image with its ring, [Float]; number of channels; hits of the last rays).
+
+        The kernel that casts the plan's rays in every pixel runs when this returns.
+        """
         mi, rays = self._mi, self.rays
-        # Not whether some light is strong: other temperatures would then compile another kernel.
-        uneven = any(layer.outgoing.faces is not None for layer in self._layers)
-        several = uneven or sum(len(layer.geometry.surfaces) for layer in self._layers) > 1
         total: list[Jit] = []
         # Read and replaced as a whole: another thread may render another view meanwhile.
         single, known, last = self._samples == 1, None, rays.last_hits
@@ -132,45 +155,44 @@ class Tracer:
             hit, values = self._shade(cell, self._reading, False, known)
             total = [a + b for a, b in zip(total, values, strict=True)] if total else values
         channels = len(total)
-        total = [value / self._samples for value in total]
-        # One or two more channels show the edges.
-        x, y = cell.slope
-        near = dr.sqrt(1.0 + x * x + y * y) / (hit.distance + hit.mirrored)
-        total.append(dr.select(hit.valid, dr.maximum(near, _ENDLESS), 0.0))
-        if several and edge_limit < np.inf:
-            # Faces in strong light count as surfaces of their own: smaller than a pixel, they differ without an edge.
-            number = dr.select(hit.strong, (hit.face * _HASH >> 27) + 1, 0)
-            total.append(mi.Float(hit.surface) + mi.Float(number) / 64.0)
-        if self._copies is not None and edge_limit < np.inf:
-            total.append(dr.gather(mi.Float, self._copies, hit.surface, hit.valid))
+        total = [value / self._samples for value in total] + self._guides(hit, cell, search)
         # One target per channel: several scatters into one array would each cast the rays again.
-        sides = rays.height + 2 * RING, rays.width + 2 * RING
-        targets = [dr.zeros(mi.Float, sides[0] * sides[1]) for _ in total]
+        targets = [dr.zeros(mi.Float, (rays.height + 2 * RING) * (rays.width + 2 * RING)) for _ in total]
         for target, value in zip(targets, total, strict=True):
             dr.scatter(target, value, rays.ringed)
         dr.eval(targets, (hit.valid, hit.distance, hit.face, hit.surface) if single else ())
-        # While the kernel runs: both depend on the pose alone.
-        crossed, thin = self._at_horizon(), self._slender() if edge_limit < np.inf else None
-        ringed = np.stack([target.numpy() for target in targets]).reshape(-1, *sides)
-        inside = ..., slice(RING, -RING), slice(RING, -RING)
-        image, guide = ringed[inside][:channels].copy(), ringed[channels:]
-        met = guide[inside][0] > 0.0
-        if single:
-            # Not what depends on the radiance.
-            rays.last_hits = met, Hit(hit.valid, hit.distance, hit.face, hit.surface), self._place
-        flat = image.reshape(channels, -1)
-        crossed = crossed[~met.flat[crossed]]
-        if crossed.size:
-            flat[:, crossed] = self._rays_in(crossed, 0, self._samples, None)[0] / self._samples
-        if thin is None:
-            return image, Sampling(met, None)
-        copies = np.zeros(met.size, dtype=bool)
-        if self._copies is not None:
-            guide, copies = guide[:-1], touched(guide[-1] > 0.0).ravel()
-        step = edge_step(ringed[:channels].sum(axis=0), *guide)
+        return targets, channels, hit
+
+    def _guides(self, hit: Hit, cell: Footprint, search: bool) -> list[Jit]:
+        """Images that show the edges, [Float]: inverse depth [1/m]; in a search also surfaces, and whether of copies.
+
+        Inverse depth is 0 where nothing is hit.
+        """
+        mi, (x, y) = self._mi, cell.slope
+        near = dr.sqrt(1.0 + x * x + y * y) / (hit.distance + hit.mirrored)
+        guides = [dr.select(hit.valid, dr.maximum(near, _ENDLESS), 0.0)]
+        # Not whether some light is strong: other temperatures would then compile another kernel.
+        uneven = any(layer.outgoing.faces is not None for layer in self._layers)
+        several = uneven or sum(len(layer.geometry.surfaces) for layer in self._layers) > 1
+        if several and search:
+            # Faces in strong light count as surfaces of their own: smaller than a pixel, they differ without an edge.
+            number = dr.select(hit.strong, (hit.face * _HASH >> 27) + 1, 0)
+            guides.append(mi.Float(hit.surface) + mi.Float(number) / 64.0)
+        if self._copies is not None and search:
+            guides.append(dr.gather(mi.Float, self._copies, hit.surface, hit.valid))
+        return guides
+
+    def _refine_edges(
+        self, image: NDArray[np.float32], step: NDArray[np.float32], copies: NDArray[np.bool_], thin: Rectangles,
+        limits: tuple[float, float], like: SampledImage | None,
+    ) -> list[Refined]:  # fmt: skip
+        """Refine pixels of an image (channels, H W) that show an edge: first those without copies, then those with.
+
+        `step` is from `edge_step`; `copies` (H W) tells the two apart, which have the errors `limits`. Pixels of `thin`
+        are left out.
+        """
         refined: list[Refined] = []
-        limits = [edge_limit] if self._copies is None else [edge_limit, max(edge_limit, copies_limit)]
-        for number, limit in enumerate(limits):
+        for number, limit in enumerate(limits if self._copies is not None else limits[:1]):
             on = (typical_edge_estimate(step, self._samples).ravel() > limit) & (copies == bool(number))
             on[thin.pixels] = False
             stages = None
@@ -180,10 +202,8 @@ class Tracer:
             if number and stages is None:
                 pixels = pixels[np.argsort(self.rays.position[pixels])]
             unseen = UNSEEN * step.ravel()[pixels]
-            refined += self._refine(flat, pixels, unseen, limit, stages=stages, copies=bool(number))
-        if thin.pixels.size:
-            refined += self._refine(flat, thin.pixels, np.zeros(len(thin.pixels)), edge_limit, thin)
-        return image, Sampling(met, step, refined)
+            refined += self._refine(image, pixels, unseen, limit, stages=stages, copies=bool(number))
+        return refined
 
     def resampled(self, pixels: NDArray[np.integer], count: int, random: np.random.Generator) -> NDArray[Any]:
         """Return (channels, n): the mean over `count` other rays of pixels by flat number, each read as a judge does.
@@ -194,8 +214,8 @@ class Tracer:
         _, values = self._shade(self.rays.finer(self.rays.position[pixels], 0, count, shift=shift), self._judge)
         return np.stack([np.array(dr.block_sum(value, count)) for value in values]) / count
 
-    def slopes(self, sampling: Sampling) -> list[Sequence[Jit]]:
-        """Return the slopes of all rays that an image with this Sampling casts, [(x/z, y/z), …]."""
+    def slopes(self, sampling: SampledImage) -> list[Sequence[Jit]]:
+        """Return the slopes of all rays that an image with this SampledImage casts, [(x/z, y/z), …]."""
         rays = self.rays
         found: list[Sequence[Jit]] = [cell.slope for cell in rays.footprints(self._samples)]
         crossed = self._at_horizon()
@@ -291,40 +311,31 @@ class Tracer:
         of a single layer, if they were cast before.
         """
         layers, mi = self._layers, self._mi
-        best, surfaces = list[Any](), 0
-        for place, layer in enumerate(layers):
-            hit, values, mirror = self._trace(layer, cell, reading, known)
-            own = [hit.distance, hit.valid, hit.face, hit.surface + surfaces, mi.Bool(hit.strong), mi.UInt32(place)]
-            own += [*mirror, *values]
-            nearer = best and hit.distance < best[0]
-            best = [dr.select(nearer, a, b) for a, b in zip(own, best, strict=True)] if best else own
-            surfaces += len(layer.geometry.surfaces)
-        (distance, valid, face, surface, strong, number, texel, row), total = best[:8], best[8:]
-        hit, ray = Hit(valid, distance, face, surface, strong=strong), view_ray(mi, *layers[0].view, *cell.slope)
+        hit, number, (strong, texel, row, *total) = first_hit(
+            layers,
+            lambda layer: view_ray(mi, *layer.view, *cell.slope),
+            partial(self._read, cell, reading),
+            known=known,
+        )
+        hit, ray = replace(hit, strong=strong), view_ray(mi, *layers[0].view, *cell.slope)
         if any(layer.outgoing.mirror for layer in layers):
-            met = ray.o, ray.d, distance, number, face, texel, row
+            met = ray.o, ray.d, hit.distance, number, hit.face, texel, row
             added, mirrored = mirrors.correction(layers, mirrors.DEPTH, *met)
             hit, total = replace(hit, mirrored=mirrored), [a + b for a, b in zip(total, added, strict=True)]
         climb = Climb.of(layers[0].view[0], ray.d.z, cell) if split else None
         return hit, self._medium.at_camera(hit, total, ray.o, ray.d, climb)
 
-    def _trace(
-        self, layer: Layer, cell: Footprint, reading: Reading, known: Hit | None
-    ) -> tuple[Hit, list[Jit], tuple[Jit, Jit]]:
-        """(hit, channels, (texel, row) from `mirrors.met`) of one layer, without mirrors and before the medium."""
-        mi, geometry, outgoing = self._mi, layer.geometry, layer.outgoing
-        rotation, origin = layer.view
-        ray = view_ray(mi, rotation, origin, *cell.slope)
-        hit = geometry.seen(ray) if known is None else known
-        record = geometry.record(hit.face, hit.valid)
-        position = geometry.map_position(record, ray.o + hit.distance * ray.d)
-        on_map = OnMap.of(mi, rotation, ray.d, hit.distance, record, cell)
-        total, level = reading.mean(geometry, outgoing.texels, hit, position, on_map, cell.middle)
+    def _read(self, cell: Footprint, reading: Reading, at: LayerHit) -> list[Jit]:
+        """[whether the light on the face is strong, texel and row as of `mirrors.met`, mean channels over the cell]."""
+        layer, hit = at.layer, at.hit
+        geometry, outgoing, strong = layer.geometry, layer.outgoing, hit.strong
+        on_map = OnMap.of(self._mi, layer.view[0], at.ray.d, hit.distance, at.record, cell)
+        total, level = reading.mean(geometry, outgoing.texels, hit, at.place, on_map, cell.middle)
         if outgoing.rest:
-            total += self._once.mean(geometry, outgoing.rest, hit, position, on_map, cell.middle)[0]
+            total += self._once.mean(geometry, outgoing.rest, hit, at.place, on_map, cell.middle)[0]
         if outgoing.faces:
             # Squares of texels contain many faces with their light.
             own = outgoing.faces.at(hit.face, hit.valid & (level == 0))
             total = [a + b for a, b in zip(total, own, strict=True)]
-            hit = replace(hit, strong=dr.abs(sum(own)) > self._strong)
-        return hit, total, mirrors.met(layer, hit, position)
+            strong = dr.abs(sum(own)) > self._strong
+        return [self._mi.Bool(strong), *mirrors.met(layer, hit, at.place), *total]

@@ -71,7 +71,7 @@ def make_tables(scene: Scene, spectrum: Spectrum, envelope: Envelope) -> Reflect
     # The environment comes first.
     light = envelope.light(spectra, *sources)
     cases = [
-        _Case(scene, spectrum, scene.materials[number], spectra[number], envelope, sources[0], light, *texels)
+        _MaterialFit(scene, spectrum, scene.materials[number], spectra[number], envelope, sources[0], light, *texels)
         for number, texels in seen.items()
     ]
     row = np.zeros(len(scene.materials), dtype=np.uint8)
@@ -83,7 +83,7 @@ def make_tables(scene: Scene, spectrum: Spectrum, envelope: Envelope) -> Reflect
     return ReflectanceTables(row, matrix, environment, weight, effect_mk, error_mk, at_m)
 
 
-class _Case:
+class _MaterialFit:
     """One material's part of `ReflectanceTables`."""
 
     def __init__(

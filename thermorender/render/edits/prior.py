@@ -1,8 +1,9 @@
 """A baked scene on the device as edits need it: its texels, its light, and the points that represent its faces."""
 
 from concurrent.futures import Executor
+from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from thermorender.physics.band import RadianceTable
 from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned
+from thermorender.render.baked_light import BakedLight
 from thermorender.render.device import flat
 from thermorender.render.geometry import Geometry
 from thermorender.render.light.exchange import Strong
@@ -17,9 +19,6 @@ from thermorender.render.light.radiosity import Transport
 from thermorender.render.light.texels import pattern
 from thermorender.render.plan import Plan
 from thermorender.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from thermorender.render.baked import BakedScene
 
 # Temperatures below the coldest and above the warmest of a scene that its tables have [K].
 _BELOW_K, _ABOVE_K = 10.0, 40.0
@@ -29,23 +28,7 @@ _FACES_AT_ONCE = 1 << 16
 
 
 class Samples:
-    """Points that represent the faces of a geometry, and the rays between its faces.
-
-    Attributes
-    ----------
-    count : int
-        Points of a face.
-    nearest : UInt32
-        The number of the texel at each point, of all faces, point after point.
-    seen : (F,) float32
-        Share of each face's hemisphere that shows other faces.
-    background : (F,) float64
-        Share that shows the surroundings below the horizon.
-    area : (F,) float64
-        Area of all faces up to each [m²].
-    strong : Strong or None
-        Those of the last solution.
-    """
+    """Points that represent the faces of a geometry, `count` in each, and the rays between its faces."""
 
     def __init__(self, geometry: Geometry, transport: Transport) -> None:
         mi, points = geometry.mi, pattern(geometry)
@@ -55,15 +38,17 @@ class Samples:
             number = geometry.nearest(*place)
             dr.eval(number)
             found.append(np.array(number))
+        # The number of the texel at each point, of all faces, point after point.
         self.nearest = mi.UInt32(aligned(np.concatenate(found), np.uint32))
         self._pattern = [mi.Float(aligned([point[axis] for point in points])) for axis in (0, 1)]
         self._surface, self._corner = geometry.face_maps()
         self.faces = dr.opaque(mi.UInt32, geometry.face_count)
         outside = transport.up.sum(axis=(1, 2), dtype=np.int64) + transport.down.sum(axis=1, dtype=np.int64)
+        # (F,) share of each face's hemisphere that shows other faces, and surroundings below the horizon.
         self.seen = (1.0 - outside / (2.0 * transport.rays)).astype(np.float32)
         self.background = transport.background
-        self.area = np.cumsum(geometry.area)
-        self.strong: Strong | None = None
+        self.area = np.cumsum(geometry.area)  # (F,) of all faces up to each [m²]
+        self.strong: Strong | None = None  # of the last solution
 
     def texel(self, face: Jit, point: Jit) -> Jit:
         """Return the number of the texel at a point of faces, UInt32."""
@@ -172,11 +157,11 @@ class Samples:
         """
         from scipy.sparse import csr_array
 
-        transport, known = self.transport, self.transport.counted
+        transport, counted = self.transport, self.transport.counted
         hits: NDArray[Any] = transport.hits.astype(np.int16 if transport.rays < 2**15 else np.int32)
         sign = np.tile(np.array([1, -1], np.int8), len(transport.up))
         np.multiply(hits, np.repeat(sign, np.diff(transport.start)), out=hits)
-        found = csr_array((hits, known.indices, known.indptr), known.shape).tocsc()
+        found = csr_array((hits, counted.indices, counted.indptr), counted.shape).tocsc()
         return found.indptr.astype(np.int64), found.indices, np.abs(found.data).astype(np.float32), found.data < 0
 
     def prepare(self) -> None:
@@ -216,37 +201,22 @@ class Samples:
         return np.asarray((total[ends] - total[ends - count]) / (2.0 * transport.rays))
 
 
-def samples_of(baked: "BakedScene") -> Samples:
-    """Return the Samples of a BakedScene, which it keeps."""
-    kept = baked._uploaded
-    if "samples" not in kept:
-        assert baked.transport is not None
-        kept["samples"] = Samples(baked.geometry, baked.transport)
-    return kept["samples"]
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """Light that a preview leaves out."""
 
-
-def known_of(baked: "BakedScene") -> "Known":
-    """Return the Known of a BakedScene, which it keeps."""
-    kept = baked._uploaded
-    if "known" not in kept:
-        # A preview has what makes it.
-        kept["known"] = kept.pop("known later")() if "known later" in kept else Known.of(baked, samples_of(baked))
-    return kept["known"]
+    # (F,) float32 reflected light that is not followed, of each face, summed over the nodes [W m⁻² sr⁻¹]
+    missing: NDArray[np.float32]
+    outside: float  # The same of the surroundings
+    faces: NDArray[np.intp]  # (n,) int faces where it matters most among those that edits changed
 
 
 class Tables:
-    """Blackbody radiance at the nodes of a spectrum against temperature.
-
-    Attributes
-    ----------
-    limits_k : (2,) floats
-        Coldest and warmest temperature [K].
-    black : Channels
-        At each node, for each temperature of `RadianceTable.grid`.
-    """
+    """Blackbody radiance at the nodes of a spectrum, for each temperature of a `RadianceTable.grid`."""
 
     def __init__(self, mi: Mitsuba, plan: Plan) -> None:
         self._mi = mi
+        # Coldest and warmest temperature [K].
         self.limits_k = plan.coldest - _BELOW_K, plan.warmest + _ABOVE_K
         grid = RadianceTable.grid(*self.limits_k)
         self.black = Channels(mi, plan.spectrum.black(grid))
@@ -268,17 +238,10 @@ class Tables:
         return [dr.lerp(a, b, share) for a, b in zip(*ends, strict=True)]
 
 
-class Known:
-    """A BakedScene's texels and light on the device.
+class PriorLight:
+    """Texels and light before an edit, on the device.
 
-    Attributes
-    ----------
-    material, temperature : (T,) uint8 and float32
-        Of all texels; `kinds` and `kelvin` on the device.
-    incident : Channels
-        Radiance at each node that faces receive, and its mean for texels without a face, as `texels.bake_channel`.
-    texels : list of Float
-        `BakedScene.texels`.
+    `kinds` and `kelvin` are material and temperature [K] of all texels, `texels` their radiance as of `BakedLight`.
     """
 
     def __init__(
@@ -287,14 +250,15 @@ class Known:
     ) -> None:  # fmt: skip
         self.samples, self.kinds, self.kelvin, self.texels = samples, kinds, kelvin, texels
         self.material, self.temperature = flat(scene.surfaces, "material"), flat(scene.surfaces, "temperature")
+        # With the mean in the last row, for texels without a face.
         mean = light.mean(axis=0, keepdims=True, dtype=np.float64)
         self.incident = Channels(samples.geometry.mi, np.vstack([light, mean.astype(np.float32)]))
         self._light, self._tables = light, tables
 
     @classmethod
-    def of(cls, baked: "BakedScene", samples: Samples) -> "Known":
-        """Return the Known of a solution."""
-        mi, scene = baked.geometry.mi, baked.scene
+    def of(cls, baked: BakedLight, samples: Samples) -> "PriorLight":
+        """Return the PriorLight of a solution."""
+        mi, scene = samples.geometry.mi, baked.scene
         kinds = mi.UInt8(aligned(flat(scene.surfaces, "material"), np.uint8))
         kelvin = mi.Float(aligned(flat(scene.surfaces, "temperature")))
         texels = [mi.Float(aligned(values)) for values in baked.texels]
@@ -303,10 +267,10 @@ class Known:
 
     def after(
         self, scene: Scene, kinds: Jit, kelvin: Jit, basis: Floats, light: NDArray[np.float32], texels: list[Jit]
-    ) -> "Known":
-        """Return the Known of a preview; the light on faces changes by `light` (k, F) in the spectra `basis` (k, N)."""
+    ) -> "PriorLight":
+        """Return the PriorLight of a preview, whose light changes by `light` (k, F) in the spectra `basis` (k, N)."""
         whole = self._light + light.T @ basis.astype(np.float32)
-        return Known(self.samples, scene, kinds, kelvin, whole, texels, self._tables)
+        return PriorLight(self.samples, scene, kinds, kelvin, whole, texels, self._tables)
 
     def tables(self, plan: Plan) -> Tables:
         """Return Tables that have the temperatures of a Plan."""

@@ -1,0 +1,36 @@
+"""The light of a scene, solved and stored per texel and face: arrays alone, which any process can use."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.render.dynamic import StaticLight
+from thermorender.render.light.radiosity import Transport
+from thermorender.render.plan import Plan
+from thermorender.scene.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class BakedLight:
+    """A scene with its light."""
+
+    scene: Scene
+    plan: Plan
+    transport: Transport | None  # rays between the faces; None where reflection is left out
+    # (F, N) mean radiance that each face receives at each spectral node, from which an edit's solution begins
+    # [W m⁻² sr⁻¹]; None where reflection is left out, and in a preview
+    incident: NDArray[np.float32] | None
+    texels: tuple[NDArray[np.float32], ...]  # (T,) radiance that leaves each texel, by channel [W m⁻² sr⁻¹]
+    faces: NDArray[np.float32] | None  # (F, K) correction of each face, added to its texels [W m⁻² sr⁻¹]
+    face_error: NDArray[np.float32] | None  # (F,) mean square error of the light on each face [(W m⁻² sr⁻¹)²]
+    # (n, K) channels of blackbodies at the temperatures of the directional texels; None without such texels or without
+    # mirrors
+    mirror_black: NDArray[Any] | None
+    static_light: StaticLight | None  # light of the static scene for dynamic objects; None without them
+    # Errors of the reflected light [mK at 300 K]: "solution", the bound from its residual, and root mean squares over
+    # the surfaces: "noise" of the rays, from independent halves, "faces", of light taken as constant over a face, and
+    # "texels", of baking it to texels; with air also "air", an estimate from above, of leaving it out between surfaces.
+    errors_mk: dict[str, float]
+    cache_note: str | None  # why the traced light could not be kept on disk; None where it was kept or need not be
