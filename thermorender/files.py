@@ -83,15 +83,7 @@ def put_in_place(part: Path, path: PathLike) -> None:
 
 @contextmanager
 def atomic_folder(path: PathLike, overwrite: bool = False) -> Iterator[Path]:
-    """Yield a temporary folder; rename it to `path` if the block ends without error.
-
-    Parameters
-    ----------
-    path : path
-        Must not exist, or be empty.
-    overwrite : bool
-        Replace a folder that is not empty.
-    """
+    """Yield a temporary folder; rename it to `path`, which is empty or missing, or replaced with `overwrite`."""
     given, path = path, Path(os.path.realpath(path))
     _refuse_used_folder(given, overwrite)
     part, old, lock = (path.with_name(f".{_short(path)}.{kind}") for kind in ("part", "old", "lock"))
@@ -164,15 +156,9 @@ def _short(path):
 
 
 def remove_parts(folder: Path, name: str = r".+", older_s: float = 0.0) -> None:
-    """Remove the temporary files that killed processes left in a folder.
+    """Remove the temporary files that killed processes left in a folder, and none younger than `older_s` [s].
 
-    Parameters
-    ----------
-    folder : Path
-    name : str
-        Regular expression of the files' names without suffix.
-    older_s : float
-        Keep younger files [s], which other processes may be writing.
+    `name` is a regular expression of the files' names without suffix.
     """
     pattern = _part_name(name)
     for path in folder.iterdir():
@@ -207,14 +193,7 @@ def output_folder(path: PathLike) -> Iterator[Path]:
 
 @contextmanager
 def in_use(folder: PathLike, wait: bool = False) -> Iterator[None]:
-    """Lock a folder against other processes; the lock ends with the process.
-
-    Parameters
-    ----------
-    folder : path
-    wait : bool
-        Wait for another process that holds the lock, instead of raising.
-    """
+    """Lock a folder against other processes until this one ends; `wait` for another that holds the lock, or raise."""
     with _locked(Path(folder) / _LOCK, folder, wait):
         yield
 
@@ -268,14 +247,7 @@ def make_folder(path: PathLike) -> Path:
 
 
 def check_output_file(path: PathLike, suffixes: Sequence[str] = ()) -> None:
-    """Raise ThermorenderError if a file cannot be written; leave nothing behind.
-
-    Parameters
-    ----------
-    path : path
-    suffixes : sequence of str
-        Allowed suffixes, such as ".toml"; any if empty.
-    """
+    """Refuse a file that cannot be written or lacks one of `suffixes`, such as ".toml"; leave nothing behind."""
     path = Path(path)
     if suffixes and path.suffix.lower() not in suffixes:
         raise ThermorenderError(f"{path} has the wrong suffix; give one that ends in {' or '.join(suffixes)}")

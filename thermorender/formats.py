@@ -27,13 +27,8 @@ _SEAL = "checksum"
 def read_text(path: PathLike, kind: str = "UTF-8", other: str | None = None) -> str:
     """Return the text of a UTF-8 file without its byte order mark.
 
-    Parameters
-    ----------
-    path : path
-    kind : str
-        Name of the file type in programs, for the error message.
-    other : str, optional
-        Encoding of a file that is not UTF-8; bytes that it lacks are replaced.
+    `kind` names the file type in programs, for the message; `other` is the encoding of a file that is not UTF-8, and
+    bytes that it lacks are replaced.
     """
     try:
         data = Path(path).read_bytes()
@@ -65,10 +60,7 @@ def write_json(path: PathLike, value: Any) -> None:
 
 
 def checksum(source: PathLike | bytes) -> str:
-    """Return the SHA-256 checksum of a file's bytes, or of bytes, 64 hexadecimal digits, as `sha256sum` prints it.
-
-    Processors compute it themselves, twice as fast as BLAKE2b.
-    """
+    """Return the SHA-256 checksum of a file's bytes, or of bytes, 64 hexadecimal digits, as `sha256sum` prints it."""
     import hashlib
 
     state = hashlib.sha256()
@@ -110,13 +102,7 @@ def append_json(path: PathLike, *values: Any) -> None:
 
 
 def finite_json(text: str) -> Any:
-    """Return the value of a JSON text.
-
-    Raises
-    ------
-    ValueError
-        It is not JSON, is nested too deep, or holds a number that is not finite or takes more than 64 bits.
-    """
+    """Return the value of a JSON text; ValueError for numbers that are not finite or take more than 64 bits."""
 
     def number(kind, digits):
         value = kind(digits)
@@ -132,13 +118,7 @@ def finite_json(text: str) -> Any:
 
 
 def read_json_lines(path: Path) -> list[Any]:
-    """Return the values of a file of JSON lines, [] if it does not exist; remove an incomplete last line from it.
-
-    Raises
-    ------
-    ValueError
-        A complete line is not JSON.
-    """
+    """Return the values of a file of JSON lines, [] without one; an incomplete last line is removed from the file."""
     text = read_text(path) if path.exists() else ""
     whole = text[: text.rfind("\n") + 1]
     if whole != text:
@@ -222,10 +202,7 @@ def encoded_arrays(what: object, arrays: Mapping[str, np.ndarray]) -> bytes:
 
 
 def read_arrays(path: PathLike, what: object) -> dict[str, np.ndarray] | None:
-    """Return the {name: array} that `write_arrays` wrote for `what`, or None if they are missing, damaged or others.
-
-    The checksum also finds members that are missing from the ZIP's table.
-    """
+    """Return the {name: array} that `write_arrays` wrote for `what`, or None if they are missing, damaged or others."""
     import numpy as np
 
     # A damaged file can raise almost any exception in zipfile and NumPy. NumPy does not close a file that it cannot

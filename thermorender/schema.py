@@ -95,34 +95,16 @@ def did_you_mean(name: object, known: Iterable[object]) -> str:
 
 
 def key(read: Reader, default: Any = MISSING, name: str | None = None) -> Any:
-    """Return the dataclass field of a key.
+    """Return the dataclass field of a key, which `read` converts from (value, Where); without default it is required.
 
-    Parameters
-    ----------
-    read : callable
-        Reader: takes (value, Where) and returns the field's value.
-    default : optional
-        A key without default is required.
-    name : str, optional
-        Name of the key in the file, if it differs from the field's.
+    `name` is the key's name in the file, if it differs from the field's.
     """
     kept = {"default": default} if default.__hash__ else {"default_factory": lambda: copy(default)}
     return field(**kept, metadata={"read": read, "name": name})
 
 
 def read(cls: type[_Table], raw: object, where: Where, **more: Any) -> _Table:
-    """Return a dataclass of a table's values, every key checked.
-
-    Parameters
-    ----------
-    cls : type
-        Dataclass whose keys are declared with `key`.
-    raw : dict
-        The table as parsed from TOML.
-    where : Where
-    more
-        Values of fields that are not keys.
-    """
+    """Return a dataclass of a table's values, every key checked; `more` are values of fields that are not keys."""
     if not isinstance(raw, dict):
         where.refuse(raw, "a table")
     rows = {item.metadata["name"] or item.name: item for item in fields(cls) if "read" in item.metadata}
@@ -164,21 +146,10 @@ def number(
     low: float = -float("inf"), high: float = float("inf"), above: bool = False, whole: bool = False, count: int = 1,
     ordered: bool = False, unit: str = "",
 ) -> Reader:  # fmt: skip
-    """Return the reader of a finite number, low … high, or of a list of `count` numbers.
+    """Return the reader of a finite number, low … high, or of a list of `count` numbers, which becomes a tuple.
 
-    Parameters
-    ----------
-    low, high : float
-    above : bool
-        `low` itself is not allowed.
-    whole : bool
-        Only whole numbers are allowed; the value becomes an int instead of a float.
-    count : int
-        Above 1: a list of `count` numbers, which becomes a tuple.
-    ordered : bool
-        Each number of the list must be above the one before.
-    unit : str
-        Unit for the message, if the key's name does not end in it.
+    `above`: `low` itself is not allowed. `whole`: the value becomes an int instead of a float. `ordered`: the list must
+    rise. `unit` is for the message, if the key's name does not end in it.
     """
     ends = f"{low:g}…{high:g}" if high < float("inf") else f"of at least {low:g}" if low > -float("inf") else ""
     if above:
@@ -329,15 +300,9 @@ def parse_toml(data: bytes, name: Any) -> dict[str, Any]:
 
 
 def toml_text(values: Mapping[str, Any], comment: str = "") -> str:
-    """Return the text of a TOML file.
+    """Return the text of a TOML file with a comment at its top.
 
-    Parameters
-    ----------
-    values : dict
-        Text, numbers, flags, paths, and lists and dicts of them. A dict becomes a table, a list of dicts becomes
-        tables headed [[key]], and None is left out.
-    comment : str
-        Written at the top, one comment per line.
+    A dict becomes a table, a list of dicts becomes tables headed [[key]], and None is left out.
     """
     lines = [f"# {_harmless(line)}".rstrip() for line in comment.split("\n")] if comment else []
     return "\n".join([*lines, *_table_lines(values, ())]).strip("\n") + "\n"

@@ -56,28 +56,15 @@ def from_weather(
     near: NearGround, latitude_deg: float, altitude_m: float, time: np.datetime64, aerosol: str = "none",
     cloud_fraction: float | None = None, cloud_base_m: float | None = None,
 ) -> Atmosphere:  # fmt: skip
-    """Return the Atmosphere of the weather at a place.
+    """Return the Atmosphere of the weather near the ground, at a place and an instant, whose day chooses the season.
 
-    Parameters
-    ----------
-    near : NearGround
-    latitude_deg : float
-        North positive.
-    altitude_m : float
-        Of the station above sea level [m].
-    time : datetime64
-        The instant; its day of the year chooses the season.
-    aerosol : str
-        As in `Atmosphere.standard`.
-    cloud_fraction, cloud_base_m : float, optional
-        In place of those that the long-wave irradiance and the dew point suggest.
+    `altitude_m` is the station's above sea level, `aerosol` as in `Atmosphere.standard`; `cloud_fraction` and
+    `cloud_base_m` replace those that the long-wave irradiance and the dew point suggest.
 
-    Notes
-    -----
     Temperature: that of the climate plus the difference at the ground, which decays by 1/e in 4 km. Vapour: the
-    climate's mixing ratio times one factor, up to saturation. Clouds: from the excess of the long-wave over a clear
-    sky (`thermorender.physics.sky.longwave`); their base is the lifting condensation level, 125 m per kelvin between
-    air and dew point (Espy; Lawrence, Bull. Amer. Meteor. Soc. 86 (2005) 225, doi:10.1175/BAMS-86-2-225).
+    climate's mixing ratio times one factor, up to saturation. Clouds: from the excess of the long-wave over a clear sky
+    (`thermorender.physics.sky.longwave`); their base is the lifting condensation level, 125 m per kelvin between air
+    and dew point (Espy; Lawrence, Bull. Amer. Meteor. Soc. 86 (2005) 225, doi:10.1175/BAMS-86-2-225).
     """
     table = read_table()
     haze = name_index("aerosol", aerosol, table["aerosol"])

@@ -31,16 +31,8 @@ def is_igra(line: str) -> bool:
 def read_igra(path: object, lines: list[tuple[int, str]]) -> list[NDArray[np.float64]]:
     """Return [altitude [m], pressure [hPa], temperature [K], relative humidity [%]], each (n,), of a sounding.
 
-    Parameters
-    ----------
-    path : str
-        For messages.
-    lines : list of (line number, text)
-
-    Notes
-    -----
-    Levels without temperature or humidity are left out. Levels without a height get it from the hydrostatic thickness,
-    fitted to the heights around them.
+    `lines` are (line number, text). Levels without temperature or humidity are left out. Levels without a height get it
+    from the hydrostatic thickness, fitted to the heights around them.
     """
     heads = [_HEADER.match(text) for _, text in lines if text.startswith("#")]
     days = ["-".join(head.groups()[:3]) + f"T{head[4]}" for head in heads if head]

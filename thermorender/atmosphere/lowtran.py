@@ -115,20 +115,10 @@ class Air:
 
 
 def spectrum(air, first_m, last_m=None, range_m=None, zenith_deg=None, folder=None):
-    """Return the Run of one path.
+    """Return the Run of one path from an observer at the altitude `first_m`.
 
-    Parameters
-    ----------
-    air : Air
-    first_m : float
-        Altitude of the observer [m].
-    last_m : float, optional
-        Altitude of the far end; with `zenith_deg`, the slant path between both altitudes at that angle at the
-        observer. Absent with `zenith_deg`: to space. Absent with `range_m`: a path at constant altitude.
-    range_m : float, optional
-        Length of the path [m].
-    zenith_deg : float, optional
-        Apparent zenith angle at the observer [degrees].
+    With `last_m` and the apparent `zenith_deg` the path is the slant one between both altitudes, with `zenith_deg`
+    alone it leads to space, and with `range_m` alone it is level, of that length.
     """
     kind = 1 if zenith_deg is None and last_m is None else 3 if last_m is None else 2
     card = _geometry(first_m / 1e3, (last_m or 0.0) / 1e3, zenith_deg or 0.0, (range_m or 0.0) / 1e3)

@@ -59,18 +59,8 @@ class Tape7:
 
 
 def read_tape7(path: str | PathLike[str], lower_um: float, upper_um: float, run: int | None = None) -> Tape7:
-    """Return the Tape7 of a file.
+    """Return the Tape7 of a file that covers the camera's band; `run` is the number, from 1, of one of several runs.
 
-    Parameters
-    ----------
-    path : str or Path
-    lower_um, upper_um : float
-        The camera's band [µm], which the file must cover.
-    run : int, optional
-        Number of the run, from 1, in a file of several.
-
-    Notes
-    -----
     The reader uses card 1 (model, path type, mode), card 2 (aerosol, visibility), card 3 (geometry) and the columns of
     total transmittance and of thermal path radiance. Card 1 begins with letters for the band model, its speed and the
     kind of output, which differ between versions of MODTRAN; cards have fixed widths, so numbers may touch.

@@ -43,21 +43,13 @@ def from_profile(
     path: str | PathLike[str], aerosol: str = "none", visibility_km: float = 23.0, fill: str = "us-1976",
     cloud_fraction: float = 0.0, cloud_base_m: float = 2000.0,
 ) -> Atmosphere:  # fmt: skip
-    """Return the Atmosphere of a profile.
+    """Return the Atmosphere of a profile file, with an aerosol of a visibility of 1 … 100 km at the ground, or without.
 
-    Parameters
-    ----------
-    path : str or Path
-        CSV file with the columns altitude_m (above sea level), pressure_hpa, temperature_k and
-        relative_humidity_percent, lowest level first; a sounding in the University of Wyoming's format, a list
-        (PRES HGHT TEMP … RELH …, in hPa, m, °C and %), a whole page or a CSV table; or one of IGRA version 2.
-    aerosol : {"none", "rural", "maritime", "urban"}
-    visibility_km : float
-        Meteorological range at the ground, 1 … 100 km; not used without aerosol.
-    fill : str
-        Standard atmosphere above the profile and for all gases but water.
-    cloud_fraction, cloud_base_m : float
-        As in `Atmosphere.standard`.
+    The file is a CSV with the columns altitude_m (above sea level), pressure_hpa, temperature_k and
+    relative_humidity_percent, lowest level first; a sounding in the University of Wyoming's format, a list (PRES HGHT
+    TEMP … RELH …, in hPa, m, °C and %), a whole page or a CSV table; or one of IGRA version 2. `aerosol` is none,
+    rural, maritime or urban, `fill` the standard atmosphere above the profile and for all gases but water; clouds are
+    as in `Atmosphere.standard`.
     """
     haze = list(lowtran.HAZES.values())[name_index("aerosol", aerosol, lowtran.HAZES)]
     check_within("visibility_km", visibility_km, 1.0, 100.0, "km")
@@ -94,7 +86,7 @@ def from_profile(
 def read_profile(path: str | PathLike[str]) -> tuple[Floats, Floats, Floats, Floats]:
     """Return (altitude [m], pressure [hPa], temperature [K], relative humidity [%]), each (n,), of a profile file.
 
-    Formats and errors as in `from_profile`.
+    Formats as in `from_profile`.
     """
     lines = _lines(path)
     if lines and is_igra(lines[0][1]):
@@ -124,8 +116,7 @@ def read_profile(path: str | PathLike[str]) -> tuple[Floats, Floats, Floats, Flo
 def read_gases(path: str | PathLike[str], gases: Sequence[str]) -> tuple[Floats, Floats, Floats, Floats]:
     """Return (altitude [m], pressure [hPa], temperature [K], each (n,), gases (M, n) [ppm]) of a profile file.
 
-    Its columns are altitude_m, pressure_hpa, temperature_k, and the name of each gas with _ppm; errors as in
-    `from_profile`.
+    Its columns are altitude_m, pressure_hpa, temperature_k, and the name of each gas with _ppm.
     """
     names = [f"{gas}_ppm" for gas in gases]
     (altitude, pressure, temperature, *ppm), _ = _read_columns(path, _lines(path), (*COLUMNS[:3], *names))

@@ -44,16 +44,9 @@ def read_arrays(
 ) -> Arrays:  # fmt: skip
     """Return the arrays of an .npz file by name; numbers are float64.
 
-    Parameters
-    ----------
-    path : str or Path
-    kind, give : str
-        For messages: name of this kind of file, and advice on what to give instead.
-    axes : dict
-        {array: letters of its axes}; the first array with an axis sets its length, and a digit is a length. The array
-        `gas` has text, others finite numbers.
-    first_wrong : callable
-        Returns the fault of the first invalid array, as a clause, or None.
+    `axes` are {array: letters of its axes}: the first array with an axis sets its length, and a digit is a length. The
+    array `gas` has text, others finite numbers. `first_wrong` returns the fault of the first invalid array, as a
+    clause, or None; `kind` and `give` are for messages, the kind of file and what to give instead.
     """
     try:
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:

@@ -58,16 +58,8 @@ def read_table(
 ) -> list[tuple[int, dict[str, str]]]:
     """Return the rows of a CSV file as (row number in the spreadsheet, dict of column to stripped text).
 
-    Empty rows are skipped. Additional columns are allowed; cells beyond the last heading are not.
-
-    Parameters
-    ----------
-    path : path
-        Comma-separated UTF-8 text with the column names in the first row.
-    columns : sequence of str
-        Required columns.
-    directory : path, optional
-        Folder that must contain the file.
+    The first row has the names, with at least `columns`. Empty rows are skipped, and additional columns are allowed;
+    cells beyond the last heading are not. A `directory` must contain the file.
     """
     text = read_text(path, directory)
     first_line = text.partition("\n")[0]
@@ -143,10 +135,9 @@ def number_in_cell(path: str | Path, row: int, column: str, text: str, low: floa
 
 
 def gaps(wavelength_um: ArrayLike) -> list[tuple[float, float]]:
-    """Return the gaps of a table as a list of (start, end) [µm].
+    """Return the gaps of a table as a list of (start, end) [µm]: steps above 0.5 µm and five times the median step.
 
-    A gap is a step longer than 0.5 µm and than five times the median step. Nothing was measured there, so
-    interpolation across it is not justified.
+    Nothing was measured there, so interpolation across it is not justified.
     """
     wavelength = np.asarray(wavelength_um, dtype=np.float64)
     steps = np.diff(wavelength)

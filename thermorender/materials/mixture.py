@@ -102,29 +102,13 @@ def palette(
     index: NDArray[np.uint8], share: NDArray, probability: NDArray[np.uint8], materials: Sequence[Material],
     band_um: tuple[float, float], most: int, group: NDArray[np.uint8] | None = None,
 ) -> tuple[NDArray[np.uint8], list[Material], dict[str, float]]:  # fmt: skip
-    """Return (number (h, w) uint8, materials and mixtures, error) for texels given as shares of several materials.
+    """Return (number (h, w) uint8, materials and mixtures, error) for texels of several materials.
 
-    Parameters
-    ----------
-    index : (h, w, 3) uint8
-        Indices into `materials`.
-    share : (h, w, 3) float
-        Share of each, largest first; they sum to one.
-    probability : (h, w, C) uint8
-        Probability of each of the materials, in any unit.
-    materials : sequence of Material
-    band_um : (2,) floats
-        Band in which mixtures are compared [µm].
-    most : int
-        Largest size of the palette, up to 256.
-    group : (h, w) uint8, optional
-        Texels of different groups share no entry: other materials may be excluded there. There are fewer than `most`.
-
-    Returns
-    -------
-    number : index into the returned materials.
-    error : dict
-        "mean" and "largest" change of a texel's band-averaged emissivity by rounded shares and the limited palette.
+    `index` (h, w, 3) are the indices into `materials`, `share` their shares, largest first, which sum to one, and
+    `probability` (h, w, C) that of each material, in any unit. `number` is the index into the returned materials, at
+    most `most` ≤ 256, which are compared over `band_um`. Texels of different `group` (h, w), fewer than `most`, share
+    no entry: other materials may be excluded there. `error` has the "mean" and "largest" change of a texel's
+    band-averaged emissivity by rounded shares and the limited palette.
     """
     # One number per texel: three materials in a byte each, and the second and third share.
     code = np.rint(share[..., 2] * _STEPS).astype(np.uint32) * (_STEPS + 1)

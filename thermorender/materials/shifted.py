@@ -21,17 +21,12 @@ _KNOWN = ("melting_k",)
 def shifted(material: Material, name: str) -> Material:
     """Return a Material with one of `PROPERTIES` moved by one standard deviation; for a mixture, that of each part.
 
-    Parameters
-    ----------
-    material : Material
-        With thermal properties.
-    name : str
-        "absorptance": of sunlight, upwards, or downwards close to one.
-        "inertia": conductivity and heat capacity of all layers up by the same factor, and the skin's conductance.
-        "wetness": down by the uncertainty of wetness over surface resistance, since only the ratio matters; where soil
-        has a texture, the resistance moves up.
-        "exchange": momentum roughness length up and heat_roughness_ratio down, each by 1/√2 standard deviations, so
-        that their joint effect is one standard deviation.
+    - "absorptance": of sunlight, upwards, or downwards close to one.
+    - "inertia": conductivity and heat capacity of all layers up by the same factor, and the skin's conductance.
+    - "wetness": down by the uncertainty of wetness over surface resistance, since only the ratio matters; where soil
+      has a texture, the resistance moves up.
+    - "exchange": momentum roughness length up and heat_roughness_ratio down, each by 1/√2 standard deviations, so that
+      their joint effect is one standard deviation.
     """
     if isinstance(material, Mixture):
         return replace(material, parts=tuple((shifted(part, name), share) for part, share in material.parts))
@@ -41,15 +36,8 @@ def shifted(material: Material, name: str) -> Material:
 def strayed(thermal: Thermal, generator: np.random.Generator, scale: float = 1.0) -> Thermal:
     """Return a Thermal whose numbers are drawn from their uncertainty; the layers beneath stay unchanged.
 
-    Positive numbers are log-normal with the table's mean and standard deviation, within the limits of a table; zero
-    stays zero.
-
-    Parameters
-    ----------
-    thermal : Thermal
-    generator : numpy.random.Generator
-    scale : float
-        Factor on the standard deviations of the logarithms.
+    Positive numbers are log-normal with the table's mean and standard deviation times `scale`, within the limits of a
+    table; zero stays zero.
     """
     values = {}
     for key, (low, high, _) in NUMBERS.items():

@@ -106,10 +106,7 @@ class Thermal:
 
     @property
     def layers(self) -> tuple["Thermal", ...]:
-        """All layers from the surface down.
-
-        The last one is unlimited, or ends at one of `ENDS`.
-        """
+        """All layers from the surface down; the last one is unlimited, or ends at one of `ENDS`."""
         if self.below is None and self.beneath not in ("", *ENDS):
             raise ThermorenderError(
                 f"beneath={self.beneath!r} has not been looked up; take the material from load_library(folder), which "
@@ -129,15 +126,7 @@ class Thermal:
 
 
 def read_thermal(path: str | Path, directory: str | Path | None = None) -> Thermal:
-    """Return the Thermal of a table with the columns property, value, uncertainty, source.
-
-    Parameters
-    ----------
-    path : path
-        CSV; a missing row means an empty value.
-    directory : path, optional
-        Folder that must contain the file.
-    """
+    """Return the Thermal of a CSV table of property, value, uncertainty, source; a missing row is an empty value."""
     thermal, faults = parsed(read_table(path, THERMAL_COLUMNS, directory))
     for row, sentence in faults:
         raise ThermorenderError(f"{path}{f', row {row}' if row else ''}: {sentence}")
@@ -220,16 +209,9 @@ def _contradictions(values, given):
 def with_values(
     thermal: Thermal | None, settings: Mapping[str, str], source: str
 ) -> tuple[Thermal | None, list[str]]:  # fmt: skip
-    """Return (Thermal or None, sentences on faults) of a table with other values.
+    """Return (Thermal or None, sentences on faults) of a table with other values, {property: text} and their source.
 
-    Parameters
-    ----------
-    thermal : Thermal or None
-        None: no value is known yet.
-    settings : dict of str to str
-        Properties with their new text; an empty one removes the value.
-    source : str
-        Source of the new values. Their uncertainty stays; without one it is 0.
+    An empty text removes the value. The uncertainty of a value stays; without one it is 0.
     """
     cells = {}
     for key in PROPERTIES:
@@ -287,14 +269,7 @@ def beneath_fault(name: str, thermals: Mapping[str, Thermal]) -> str | None:
 
 
 def stacked(thermals: Mapping[str, Thermal], where: str | Path) -> dict[str, Thermal]:
-    """Return {name: Thermal} with `below` set to the Thermal of the material beneath.
-
-    Parameters
-    ----------
-    thermals : dict of str to Thermal
-    where : str
-        Folder for messages.
-    """
+    """Return {name: Thermal} with `below` set to the Thermal of the material beneath."""
     for name in thermals:
         if fault := beneath_fault(name, thermals):
             raise ThermorenderError(f"{Path(where) / 'thermal' / name}.csv: {fault}")

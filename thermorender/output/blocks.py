@@ -78,12 +78,10 @@ def join(folder: Path, flight: "Flight") -> None:
 
 
 def write_block(flight: "Flight", folder: Path, first: int, stop: int) -> dict[str, Any]:
-    """Render frames and write their files and record; the flight's folder must have its `flight.json`.
+    """Render frames and write their files and record into a folder with `flight.json`; return the times and bytes.
 
-    Returns
-    -------
-    dict
-        warm_up_s, frames_s and moving_s: time for warm-up, for frames, and for putting them in place; bytes written.
+    Keys: warm_up_s, frames_s and moving_s, the time for warm-up, for frames, and for putting them in place; bytes
+    written.
     """
     name, digest = f"{first:09d}-{stop:09d}", settings_digest(flight.settings)
     # Two processes may render the same block, if one of them was believed to be lost.
@@ -224,10 +222,7 @@ def _shown(flight: "Flight", folder: Path, line: dict[str, Any]) -> dict[str, An
 
 
 def state_before(folder: Path, first: int, display: bool = False) -> dict[str, NDArray[Any]] | None:
-    """Return the state before a frame, kept by the flight or by a block; None if it is lost.
-
-    `display` asks for a state that includes the display's.
-    """
+    """Return the state before a frame, with that of the display if asked, of the flight or a block; None if lost."""
     kept = [load_state(folder, first - 1)]
     kept += [formats.read_arrays(path, first - 1) for path in (folder / FOLDER).glob(f"*-{first:09d}.npz")]
     return next((state for state in kept if state is not None and ("agc" in state or not display)), None)

@@ -19,18 +19,7 @@ _DASHES = ("-", "--", "-.", ":")
 def figure(
     path: Path, name: str, rows: Sequence[dict[str, Any]], sun: tuple[NDArray[np.float64], NDArray[np.bool_]]
 ) -> None:
-    """Write a PNG of a day's table.
-
-    Parameters
-    ----------
-    path : path
-    name : str
-        Of the scene.
-    rows : sequence of dict
-        From `thermorender.output.day.day`.
-    sun : (hours, up)
-        Solar hours (N,) and whether the sun is above the horizon (N,); the night is shaded.
-    """
+    """Write a PNG of the rows of `output.day.day`; `sun` is (solar hours (N,), whether it is up): night is shaded."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

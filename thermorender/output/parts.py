@@ -17,7 +17,7 @@ def fly_part(
     renderer: "Renderer", trajectory: "Trajectory", folder: str | PathLike[str], options: FlightOptions, first: int,
     stop: int,
 ) -> dict[str, Any]:  # fmt: skip
-    """Render the frames from `first` up to `stop`, or to the flight's end, as a block; do nothing if it is finished.
+    """Render the frames from `first` up to `stop`, or the end, as a block; do nothing if it is finished.
 
     A flight into the folder with `resume` takes over the blocks.
     """

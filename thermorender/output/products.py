@@ -125,20 +125,9 @@ def encoders(
 ) -> dict[str, Encoder]:  # fmt: skip
     """Return {product: function that returns the bytes of its file}, to be called in any thread.
 
-    Everything that needs the renderer is computed before this returns.
-
-    Parameters
-    ----------
-    frame : Frame
-    products : sequence of str
-    image : (H, W) or (H, W, 3) uint8, optional
-        For `display`; None: `frame.display`.
-    thermography : ThermographySettings, optional
-        Settings of the thermography software whose reading goes into `radiometric` and the EXR.
-    photograph : callable, optional
-        (camera) → (H, W, 3) uint8, for `visible`.
-    compression : str
-        Of the EXR, one of `thermorender.frame.exr.COMPRESSIONS`.
+    Everything that needs the renderer is computed before this returns. `image` is for `display` in place of
+    `frame.display`; `thermography` gives the reading in `radiometric` and the EXR; `photograph` maps a camera to the
+    (H, W, 3) uint8 of `visible`.
     """
     extras = _Extras("truth" in products, "error" in products, image, thermography, photograph, compression)
     return {name: WRITERS[name][1](frame, extras) for name in products if name in WRITERS}

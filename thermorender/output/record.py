@@ -11,10 +11,7 @@ if TYPE_CHECKING:
 
 
 def weather_of(scene: "Scene") -> dict[str, Any]:
-    """Return the weather of a scene's temperatures, and the learned map that depends on it, as plain values.
-
-    {} if the temperatures do not depend on the weather.
-    """
+    """Return the weather of a scene's temperatures and its learned map as plain values, {} if they do not use it."""
     state = scene.temperature_state
     if not state.weather_driven:
         return {}

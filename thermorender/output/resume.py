@@ -22,16 +22,8 @@ _DIGESTED = {
 def finished(folder: Path, settings: dict[str, Any], products: Sequence[str], resume: bool, verify: bool) -> list[bool]:
     """Return for each finished frame whether it shows terrain; drop the lines of other frames from `frames.jsonl`.
 
-    Parameters
-    ----------
-    folder : Path
-    settings : dict
-        Of `flight.json`; those of a flight to resume must be the same.
-    products : sequence of str
-    resume : bool
-        Otherwise the folder must not hold a flight.
-    verify : bool
-        Whether files are compared by checksum, not by size only.
+    The `settings` are those of `flight.json`, which must be the same to resume; without `resume` the folder must not
+    hold a flight. `verify` compares files by checksum, not by size only.
     """
     described, lines = folder / "flight.json", folder / "frames.jsonl"
     if not resume:

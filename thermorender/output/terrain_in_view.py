@@ -14,16 +14,8 @@ _SIDE = 7
 
 
 def shows_terrain(scene: Scene, poses: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return whether each frame can show the scene's terrain, (N,).
+    """Return whether each of N poses (N, 4, 4) can show the scene's terrain, (N,).
 
-    Parameters
-    ----------
-    scene : Scene
-    poses : (N, 4, 4) array
-        world_from_camera.
-
-    Notes
-    -----
     A frame shows terrain if a corner of its faces is in the picture, or if a direction of the picture meets the median
     height of the terrain above it. What hides terrain is not considered.
     """
@@ -57,14 +49,7 @@ def shows_terrain(scene: Scene, poses: NDArray[np.float64]) -> NDArray[np.bool_]
 
 
 def empty_frames_note(scene: Scene, poses: NDArray[np.float64]) -> str | None:
-    """Return a warning if most frames of a flight cannot show terrain, with the option that mends it; else None.
-
-    Parameters
-    ----------
-    scene : Scene
-    poses : (N, 4, 4) array
-        world_from_camera of all frames.
-    """
+    """Return a warning, with its remedy, if most of a flight's poses (N, 4, 4) cannot show terrain; else None."""
     some = poses[:: 1 + len(poses) // _FRAMES]
     empty = some[~shows_terrain(scene, some)]
     if 2 * len(empty) <= len(some):

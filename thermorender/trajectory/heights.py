@@ -58,16 +58,8 @@ def local_positions(
 ) -> Floats:  # fmt: skip
     """Return the vehicle's positions at the log's rows, (N, 3) local east, north, up [m].
 
-    Parameters
-    ----------
-    log : Log
-        The file with the columns.
-    horizontal, height : (2,) names, name
-        The pair of horizontal columns and the height column.
-    frame, ground, undulation
-        As in `read_trajectory`.
-    relative : bool
-        The flight will be anchored: only changes of height matter.
+    `horizontal` and `height` name its columns; `frame`, `ground` and `undulation` are as in `read_trajectory`.
+    `relative`: the flight will be anchored, so only changes of height matter.
     """
     value = log.values[height]
     where = log.where(height, 0)

@@ -59,14 +59,8 @@ def read_log(table: Table, mapping: Mapping, duplicates: str = "refuse") -> Log:
 
     Rows that the file itself marks as invalid are dropped, and the estimator's resets are taken out; see
     `trajectory.estimates`. A row equal to the row before it is dropped, because some loggers write a record twice.
-
-    Parameters
-    ----------
-    table : Table
-    mapping : Mapping
-    duplicates : {"refuse", "spread", "first"}
-        Treatment of different rows with equal times: refuse them, spread them evenly within the last digit of the
-        log's clock, or keep only the first.
+    Other rows with equal times are refused, spread evenly within the last digit of the log's clock, or only the first
+    is kept, by `duplicates` "refuse", "spread" or "first".
     """
     if duplicates not in DUPLICATES:
         raise ThermorenderError(f"duplicates={duplicates!r} is unknown; give one of {', '.join(DUPLICATES)}")

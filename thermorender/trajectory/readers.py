@@ -62,42 +62,22 @@ def read_trajectory(
 ) -> Trajectory:  # fmt: skip
     """Return the camera's `Trajectory` in the scene's frame from one or several log files of a flight.
 
-    Parameters
-    ----------
-    paths : path or list of paths
-        One file, or several with different columns (position, attitude, gimbal) and their own times.
-        Files are joined at the times of all of them within their common span.
-    frame : LocalFrame, optional
-        The scene's georeference; needed for latitude and longitude unless anchored.
-    ground : callable, optional
-        `ground(east, north)`: (N,) arrays [m] to local up of the ground, (N,) [m]; NaN off the terrain.
-    geoid_undulation_m : float, optional
-        Height of the geoid above the ellipsoid at the scene [m]; needed for `alt_geoid_m` unless anchored.
-    format : str or path, optional
-        A bundled column mapping (`trajectory.mapping.bundled_formats()`) or a TOML file in the same form.
-    anchor : Anchor, optional
-        Moves the flight so that its first camera position is at (east, north), `up` metres above the ground
-        there (local up without `ground`), and rotates it about up to the heading. The flight keeps its shape. A log of
-        `above_ground_m` instead follows the new ground, with all its heights shifted so that the first is `up`.
-        No georeference is needed.
-    clock_offset_s : float
-        Added to the log's time [s]. Date-time stamps count from the earliest sample.
-    mount : (3,), optional
-        Yaw, pitch, roll of the optical axis relative to the vehicle's body [deg]. The default (0, 0, 0) looks
-        forward with the image's right edge to the vehicle's right; (0, −90, 0) looks down with the nose at
-        the upper edge.
-    lever_arm_m : (3,)
-        The camera's position in the vehicle's body: forward, right, down [m].
-    duplicates : {"refuse", "spread", "first"}
-        Treatment of different rows with equal times, such as two images within one second of a clock without
-        decimals; see `logs.read_log`.
-    course : bool
-        Turn a vehicle without yaw to its course over ground; see `track.course_deg`.
+    Several files have different columns (position, attitude, gimbal) and their own times; they are joined at the times
+    of all of them within their common span. `Trajectory.notes` says what was dropped, corrected or assumed.
 
-    Notes
-    -----
-    `Trajectory.notes` says what was dropped, corrected or assumed: rows that the log marks as invalid, the estimator's
-    resets, jumps of the position.
+    - `frame` is the scene's georeference, for latitude and longitude; `ground(east, north)` returns the local up of the
+      ground (N,) [m], NaN off the terrain; `geoid_undulation_m` is the geoid's height above the ellipsoid, for
+      `alt_geoid_m`. An anchored flight needs no georeference.
+    - `format` is a bundled column mapping (`trajectory.mapping.bundled_formats()`) or a TOML file in the same form.
+    - `anchor` moves the first camera position to (east, north), `up` metres above the ground there (local up without
+      `ground`), and rotates the flight about up to the heading; it keeps its shape. A log of `above_ground_m` instead
+      follows the new ground, with all its heights shifted so that the first is `up`.
+    - `clock_offset_s` is added to the log's time [s]; date-time stamps count from the earliest sample.
+    - `mount` is yaw, pitch, roll of the optical axis relative to the vehicle's body [deg]: (0, 0, 0), the default,
+      looks forward with the image's right edge to the vehicle's right; (0, −90, 0) looks down with the nose at the
+      upper edge.
+    - `lever_arm_m` is the camera's position in the body: forward, right, down [m].
+    - `duplicates` is as in `logs.read_log`; `course` turns a vehicle without yaw to its course, `track.course_deg`.
     """
     mapping = load_mapping(format)
     logs = _read_logs(paths, mapping, duplicates)
@@ -143,7 +123,7 @@ def read_trajectory(
 def enu_from_ned_at(position: NDArray[np.float64], frame: LocalFrame | None) -> Rotation:
     """Return the rotations from local NED to the scene's axes at positions in it, (N, 3) [m].
 
-    With `frame`, the georeference of the scene, north and down are those of each position; without, of the scene.
+    With `frame`, the scene's georeference, north and down are those of each position; without, of the scene.
     """
     if frame is None:
         return Rotation.from_matrix(ENU_FROM_NED)
@@ -155,18 +135,10 @@ def of_vehicle(
     time_s: NDArray[np.float64], position: NDArray[np.float64], enu_from_body: Rotation, enu_from_optical: Rotation,
     lever_arm_m: NDArray[np.float64],
 ) -> Trajectory:  # fmt: skip
-    """Return the camera's Trajectory on a vehicle.
+    """Return the camera's Trajectory on a vehicle at positions (N, 3) [m] in the scene's frame.
 
-    Parameters
-    ----------
-    time_s : (N,) array
-        [s]
-    position : (N, 3) array
-        Of the vehicle in the scene's frame [m].
-    enu_from_body, enu_from_optical : Rotation
-        From FRD axes of the vehicle, and of the optical axis, to the scene's.
-    lever_arm_m : (3,) array
-        As of `read_trajectory`.
+    `enu_from_body` is from the vehicle's FRD axes and `enu_from_optical` from the optical axis to the scene's;
+    `lever_arm_m` (3,) as in `read_trajectory`.
     """
     return Trajectory(
         time_s,

@@ -49,19 +49,11 @@ def jumps(log: Log, position: Floats) -> str | None:
 
 
 def course_deg(log: Log, position: Floats) -> Floats:
-    """Return the course over ground at a log's samples, (N,) [deg clockwise from north, not wrapped].
+    """Return the course over ground of positions (N, 3) at a log's samples, (N,) [deg from north, not wrapped].
 
-    Parameters
-    ----------
-    log : Log
-        The positions' log, for its times and messages.
-    position : (N, 3) array
-        East, north, up [m].
-
-    Notes
-    -----
-    The course is that of steps of at least 1 m, each at the middle of its time, and turns evenly between them. It is
-    held before the first step, after the last one, and while the vehicle stands: in a step that takes more than 4 s.
+    The course is that of steps of at least 1 m, each at the middle of its time, and turns evenly between them,
+    clockwise positive. It is held before the first step, after the last one, and while the vehicle stands: in a step
+    that takes more than 4 s.
     """
     kept = [0]
     for k in range(1, len(position)):

@@ -26,22 +26,10 @@ def check_clock(
     where: object, time: sun.Times, light: NDArray[np.float64], latitude_deg: float, longitude_deg: float,
     step_s: float, light_shift_min: float | None = None,
 ) -> str | None:  # fmt: skip
-    """Return a note, or None, after refusing a series whose sunlight is 45 min or more away from the sun.
+    """Return a note, or None; refuse a series (N,) whose sunlight deviates from the sun's position by 45 min or more.
 
-    Over four months or more, 25 min are refused.
-
-    Parameters
-    ----------
-    where : str
-        File, for the message.
-    time : (N,) datetime64[s]
-        UTC, as stated.
-    light : (N,)
-        Global or direct · sin(elevation) + diffuse [W m⁻²].
-    latitude_deg, longitude_deg, step_s : float
-        Of the station; length of an averaging interval.
-    light_shift_min : float, optional
-        Value of the user's option of this name [min], for the message; None if there is no such option.
+    Over four months or more, 25 min are refused. `light` is global, or direct · sin(elevation) + diffuse [W m⁻²], in
+    intervals of `step_s`; `light_shift_min` is the user's value of that setting, None if there is none.
     """
     note, found = None, []
     block = ((time - time[0]) / np.timedelta64(_BLOCK_D, "D")).astype(int)

@@ -27,34 +27,21 @@ def complete(
     time: NDArray[np.datetime64], place: tuple[float, float, float], given: Mapping[str, NDArray[np.float64]],
     notes: Sequence[str] = (), wind_m_s: float | None = None, snow_depth_m: float | None = None, **heights: float,
 ) -> Weather:  # fmt: skip
-    """Return the Weather of a series in which quantities may be missing.
+    """Return the Weather of a series (N,) at a place; missing quantities are modelled.
 
-    Parameters
-    ----------
-    time : (N,) datetime64[s]
-    place : (latitude_deg, longitude_deg, altitude_m)
-    given : dict of (N,) arrays without NaN
-        air_k, and any of vapour_pa, wind_m_s, global_w_m2, direct_w_m2, diffuse_w_m2, longwave_w_m2, cloud (0 … 1),
-        rain_mm_h, pressure_pa, snow_m.
-    notes : sequence of str
-        Earlier notes.
-    wind_m_s : float, optional
-        Wind if none is given; 2.5 m/s by default.
-    snow_depth_m : float, optional
-        Snow if none is given; by default it follows from rain and air temperature.
-    heights
-        air_height_m, wind_height_m.
+    `place` is (latitude_deg, longitude_deg, altitude_m). `given` has arrays without NaN: air_k, and any of vapour_pa,
+    wind_m_s, global_w_m2, direct_w_m2, diffuse_w_m2, longwave_w_m2, cloud (0 … 1), rain_mm_h, pressure_pa, snow_m.
+    `wind_m_s` (2.5 m/s by default) and `snow_depth_m` replace missing ones. `heights` are air_height_m and
+    wind_height_m.
 
-    Notes
-    -----
     Short-wave: a global irradiance alone is split by Erbs' correlation; without any, `sky.clear_sky` and `sky.clouded`.
-    Clouds for the long-wave: as given, else by day from the deficit of global light against a clear sky. At night
-    it goes over, within hours, from the deficit interpolated between evening and morning to `sky.cloud_of_humidity`.
-    Mean over twelve places with a pyrgeometer, moist tropics to ice sheet: bias −1, mean absolute error 15 W m⁻²; on
-    cloudy nights 18. Nights under an overcast sky are 24 W m⁻² too low, clear ones 16 W m⁻² too high.
-    Neither the daily range of the air temperature nor its hourly change made nights better at sites left out.
-    Snow: from precipitation and air temperature by degree days, `moisture.snow_water`, at the density of `snow.depths`.
-    Vapour: saturated at the day's lowest air temperature, FAO Irrigation and Drainage Paper 56 (1998), eq. 48.
+    Clouds for the long-wave: as given, else by day from the deficit of global light against a clear sky. At night they
+    change within hours from the deficit interpolated between evening and morning to `sky.cloud_of_humidity`. Mean over
+    twelve places with a pyrgeometer, moist tropics to ice sheet: bias −1, mean absolute error 15 W m⁻²; on cloudy
+    nights 18. Nights under an overcast sky are 24 W m⁻² too low, clear ones 16 W m⁻² too high. Neither the daily range
+    of the air temperature nor its hourly change improved nights at sites left out. Snow: from precipitation and air
+    temperature by degree days, `moisture.snow_water`, at the density of `snow.depths`. Vapour: saturated at the day's
+    lowest air temperature, FAO Irrigation and Drainage Paper 56 (1998), eq. 48.
     """
     latitude_deg, longitude_deg, altitude_m = place
     notes = list(notes)
@@ -123,7 +110,7 @@ def _daily_lowest(time, air, longitude_deg):
 
 
 def _sunlight(given, elevation, distance, clear, limit, notes):
-    """(Direct, diffuse) from the given ones of global, direct and diffuse, or else from a model."""
+    """(Direct, diffuse) irradiance from the measured global, direct or diffuse one, or else from a model."""
     height = np.sin(np.radians(np.maximum(elevation, 0.0)))
     if "direct_w_m2" in given and "diffuse_w_m2" in given:
         direct, diffuse = given["direct_w_m2"], given["diffuse_w_m2"]

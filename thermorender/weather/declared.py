@@ -25,18 +25,10 @@ def declared_weather(
     spec: Any, latitude_deg: float, longitude_deg: float, altitude_m: float,
     time: str | datetime.datetime | np.datetime64 | None = None,
 ) -> Weather:  # fmt: skip
-    """Return the Weather of the table [weather].
+    """Return the Weather of the table [weather], a WeatherSpec with one of file, epw and air_high_c.
 
-    Parameters
-    ----------
-    spec : object
-        With the keys of the table as attributes (`thermorender.scene.spec.WeatherSpec`); None for a key that is not
-        given. One of file, epw and air_high_c is given.
-    latitude_deg, longitude_deg, altitude_m : float
-        Of the scene, also used for a station's file. A typical year keeps the place in its header.
-    time : datetime64, datetime or str, optional
-        Instant to use instead of the table's. It chooses the date of a named day and the year of a typical year; a
-        station's file must cover it.
+    The place is the scene's, but a typical year keeps that of its header. `time` replaces the table's: it chooses the
+    date of a named day and the year of a typical year; a station's file must cover it.
     """
     place = latitude_deg, longitude_deg, altitude_m
     snow = spec.snow_depth_m

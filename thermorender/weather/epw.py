@@ -31,21 +31,11 @@ def read_epw(
     snow_depth_m: float | None = None,
     light_shift_min: float = 0.0,
 ) -> Weather:  # fmt: skip
-    """Return the Weather of an EPW file, or a TMY3 or PSM table, in a calendar year.
+    """Return the Weather of an EPW file, or a TMY3 or PSM table, in a calendar year or that of an instant.
 
-    A file of a whole year is extended by its December before the year and its January after it.
-
-    Parameters
-    ----------
-    path : path
-        The first lines name the format.
-    year : int or datetime64
-        Calendar year; for an instant, its year in the file's zone.
-    snow_depth_m : float, optional
-        Used if the file has none; by default snow follows from rain and air temperature.
-    light_shift_min : float
-        Added to the times of the sunlight [min], for a file whose radiation belongs to other instants than its format
-        says: 30 if it belongs to the labels themselves, -30 if it belongs to an hour before them.
+    A file of a whole year is extended by its December before the year and its January after it. `snow_depth_m` is used
+    if the file has none. `light_shift_min` is added to the times of the sunlight [min], for a file whose radiation
+    belongs to other instants than its format says: 30 for the labels themselves, -30 for an hour before them.
     """
     file = read_year_file(path)
     place, zone_h, step_min = file.place, file.zone_h, file.step_min
@@ -100,7 +90,7 @@ def _of_years(years, year):
 
 
 def _moved(numbers, rows, periodic):
-    """Values (N,) interpolated at the given number of rows after each; a whole year is periodic."""
+    """Values (N,) interpolated at `rows` (fractional) after each sample; a whole year is periodic."""
     if rows == 0.0:
         return numbers
     count = len(numbers)

@@ -47,33 +47,13 @@ def read_station(
     longest_gap_h: float = 3.0, wind_m_s: float | None = None, snow_depth_m: float | None = None,
     air_height_m: float = 2.0, wind_height_m: float = 10.0,
 ) -> Weather:  # fmt: skip
-    """Return the Weather of a station's table.
+    """Return the Weather of a station's CSV table, whose missing quantities `complete` models; its notes list them.
 
-    Parameters
-    ----------
-    path : path
-        CSV in UTF-8 with a row of names: a time, the air temperature, and any others of `columns.COLUMNS`.
-        Times are the middles of averaging intervals: `time_utc`, `time` with a zone in each cell, or `time_local`.
-    latitude_deg, longitude_deg, altitude_m : float
-        Of the station.
-    utc_offset_h : float, optional
-        Of `time_local`, eastward positive, without summer time.
-    names : dict, optional
-        {column of the file: our name} for columns with other names.
-    during : (start, end), optional
-        First and last instant to read, as in `units.instant`.
-    around : datetime64, optional
-        Rows before the last longer gap before this instant, and after the first one behind it, are left out.
-    longest_gap_h : float
-        Gaps up to this length are interpolated.
-    wind_m_s, snow_depth_m : float, optional
-        Used if the file has none; by default 2.5 m/s, and snow that follows from rain and air temperature.
-    air_height_m, wind_height_m : float
-        Of the sensors.
-
-    Notes
-    -----
-    `complete` models missing quantities; the Weather's notes list them.
+    The columns are a time, the air temperature, and any others of `columns.COLUMNS`, or `names`, {column of the file:
+    our name}. Times are the middles of averaging intervals: `time_utc`, `time` with a zone in each cell, or
+    `time_local`, with `utc_offset_h` eastward positive and without summer time. `during` is the first and last instant
+    to read, as in `units.instant`; rows beyond the longer gaps next to the instant `around` are left out. Gaps up to
+    `longest_gap_h` are interpolated. `wind_m_s` (2.5 m/s by default) and `snow_depth_m` are used if the file has none.
     """
     place = latitude_deg, longitude_deg, altitude_m
     header, cells, rows = _read(path, names or {})
@@ -162,14 +142,6 @@ def read_columns(
     """Return (instants (N,) datetime64[s] UTC, {column: numbers (N,), NaN where missing}) of a station's table.
 
     It reads columns that `read_station` does not use, such as other measurements; the rows are the same.
-
-    Parameters
-    ----------
-    path : path
-    columns : sequence of str
-        Names in the file.
-    during, utc_offset_h
-        As in `read_station`.
     """
     header, cells, rows = _read(path, {})
     time = _times(path, header, cells, rows, utc_offset_h)
@@ -326,7 +298,7 @@ def _check_rising(path, time, rows):
 
 
 def _unbroken(time, values, column_of, step_s, longest_gap_h, around, notes):
-    """Rows (a slice) around an instant that no gap interrupts which is longer than those interpolated."""
+    """The slice of rows around an instant without a gap longer than those interpolated."""
     first, last = time[0], time[-1]
     step = np.timedelta64(int(step_s), "s")
     gaps = [("all columns", time[k] + step, time[k + 1] - step)

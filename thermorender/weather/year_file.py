@@ -98,7 +98,7 @@ class YearFile:
 
 
 def read_year_file(path: str | PathLike[str]) -> YearFile:
-    """Return the YearFile of an EPW file, or of a TMY3 or PSM table, which its first lines distinguish.
+    """Return the YearFile of an EPW file or of a TMY3 or PSM table, recognised by its first lines.
 
     The text may be UTF-8 or, with letters in comments and names, of a Western European code page.
     """
@@ -126,7 +126,7 @@ def _lines(path):
 
 
 def _reader(lines):
-    """The reader of the format that the first lines show, or None."""
+    """The reader of the format recognised by its first lines, or None."""
     first = [cell.strip() for cell in lines[0]] if lines else [""]
     second = [cell.strip() for cell in lines[1]] if len(lines) > 1 else []
     if first[0].upper() == "LOCATION":

@@ -17,14 +17,7 @@ ExrFrame = tuple[int, dict[str, NDArray[Any]], dict[str, Any]]
 
 
 def exr_frames(folder: str | PathLike[str], channels: Sequence[str], entries: Sequence[str]) -> Iterator[ExrFrame]:
-    """Yield the frames of a folder in order.
-
-    Parameters
-    ----------
-    folder : path
-    channels, entries : sequence of str
-        Channels and entries of the record that each file must have.
-    """
+    """Yield the frames of a folder in order; each file must have these channels and entries of the record."""
     # Other files, such as a copy of a frame, have no number of their own.
     numbered = {
         int(match[1]): path for path in Path(folder).glob("frame_*.exr") if (match := _FRAME.fullmatch(path.name))

@@ -53,18 +53,7 @@ class Finding:
 
 
 def check(path: str | Path) -> list[Finding]:
-    """Return the findings on a materials folder, or on a spectrum file of any kind that `import` reads.
-
-    Parameters
-    ----------
-    path : path
-        Folder with `index.csv`, `spectra/` and `thermal/`; or a CSV or ECOSTRESS file.
-
-    Returns
-    -------
-    list of Finding
-        Faults prevent reading or using the library; notes do not.
-    """
+    """Return the findings on a materials folder or a spectrum file; only faults prevent reading or using it."""
     path = Path(path)
     if path.is_dir():
         return _check_library(path)

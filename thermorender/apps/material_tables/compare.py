@@ -43,20 +43,10 @@ def apparent_temperature(
     material: Material, band_um: tuple[float, float] = BAND_UM, temperature: ArrayLike = SURFACE_K,
     sky_temperature: ArrayLike = SKY_K,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return the apparent temperature of a surface under a uniform sky [K].
+    """Return the apparent temperature of a surface under a uniform blackbody sky [K].
 
-    Parameters
-    ----------
-    material : Material
-        Its hemispherical emissivity is used.
-    band_um : (lower, upper)
-        The camera's flat band [µm].
-    temperature, sky_temperature : float
-        Temperatures of the surface and of the reflected blackbody sky [K].
-
-    Notes
-    -----
-    Brightness temperature of ∫ [ε B(T) + (1 − ε) B(T_sky)] dλ.
+    Brightness temperature of ∫ [ε B(T) + (1 − ε) B(T_sky)] dλ over the camera's flat band, with hemispherical
+    emissivity.
     """
     own, sky = band_radiance(temperature, *band_um), band_radiance(sky_temperature, *band_um)
     emitted = material.band_emissivity(*band_um, temperature) * own
@@ -76,15 +66,7 @@ def covers(material: Material, band_um: tuple[float, float]) -> bool:
 def compare(
     first: Material | None, second: Material | None, name: str, band_um: tuple[float, float] = BAND_UM
 ) -> Difference:
-    """Return the Difference between two materials.
-
-    Parameters
-    ----------
-    first, second : Material or None
-        None: absent.
-    name : str
-    band_um : (lower, upper)
-    """
+    """Return the Difference between two materials over the camera's band [µm]; None is absent."""
     measured = [material is not None and covers(material, band_um) for material in (first, second)]
     emissivity = tuple(
         float(material.band_emissivity(*band_um, SURFACE_K)) if known else None
@@ -124,16 +106,8 @@ def merge(
 ) -> tuple[list[str], list[str], list[str]]:
     """Merge two libraries into a new folder; return (names from the first, names from the second, conflicts).
 
-    A material that differs between them is a conflict, refused unless `prefer` names the winner. Thermal tables are
-    merged independently of spectra, by the same rule.
-
-    Parameters
-    ----------
-    first, second : path
-        Folders with `index.csv`, `spectra/` and `thermal/`.
-    output : path
-        Folder to create; it must not exist, or be empty.
-    prefer : {None, "first", "second"}
+    A material that differs between them is a conflict, refused unless `prefer` names the winner, "first" or "second".
+    Thermal tables are merged independently of spectra, by the same rule.
     """
     first, second, output = Path(first), Path(second), Path(output)
     check_new_folder(output)

@@ -29,23 +29,11 @@ def copy_material(
     source: str, name: str, directory: str | Path, settings: Mapping[str, str], library: str | Path | None = None,
     replace: bool = False,
 ) -> None:  # fmt: skip
-    """Write a copy of a material into a materials folder, with other values of some properties.
+    """Write a copy of a material into a materials folder, with other values of some properties, {name: text}.
 
-    Parameters
-    ----------
-    source : str
-        Name of a material of `library` or of the shipped one.
-    name : str
-        Name of the copy; the source's own name makes a scene's version of that material.
-    directory : path
-        Materials folder, made if missing.
-    settings : dict of str to str
-        Columns of the index and properties of the thermal table, with their new text; "emissivity" makes the spectrum
-        of a Lambertian material constant. The copy's note and sources say what was set.
-    library : path, optional
-        Materials folder that overrides the shipped one.
-    replace : bool
-        Whether a material of that name in the folder may be replaced.
+    `settings` are columns of the index and properties of the thermal table; "emissivity" makes the spectrum of a
+    Lambertian material constant. The copy's note and sources say what was set. `library` overrides the shipped one; a
+    copy of its source's own name is a scene's version of that material.
     """
     known = find(load_library(library), source, "materials copy")
     own = None if library is None else _row(Path(library), source)

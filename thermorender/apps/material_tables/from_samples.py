@@ -57,19 +57,9 @@ def from_samples(
 
     Samples are resampled to steps of 0.05 µm before the mean and standard deviation. The table covers the common range
     of all samples within 3.2–15 µm, extended towards 7–14 µm by those that cover more; there the mean is over fewer
-    samples, as the note records.
-
-    Parameters
-    ----------
-    samples : sequence of Sample
-    name, title, colour, temperature, note
-        As in Material; the temperature in kelvin.
-    solar_absorptance : float, optional
-        Default: one minus the sunlight-weighted reflectance of the samples that cover the solar range.
-    solar_absorptance_std : float, optional
-        Default: the standard deviation over the samples that cover the solar range, if they are three or more.
-    source, citation, licence : str, optional
-        For samples of an unknown library; known for ECOSTRESS and SLUM.
+    samples, as the note records. `solar_absorptance` is by default one minus the sunlight-weighted reflectance of the
+    samples that cover the solar range, and its standard deviation that over them if they are three or more. Source,
+    citation and licence are known for ECOSTRESS and SLUM.
     """
     if not samples:
         raise ThermorenderError(f"material {name!r} has no sample; give at least one spectrum file")
@@ -115,20 +105,10 @@ def import_files(
     temperature: float = 300.0, rms_slope: float = 0.0, source: str = "", citation: str = "", licence: str = "",
     note: str = "", replace: bool = False,
 ) -> Material:  # fmt: skip
-    """Write a material from spectrum files into a folder; return it as read back.
+    """Write a material from spectra for `read_sample`, or from one table of n and k; return it as read back.
 
-    Parameters
-    ----------
-    paths : sequence of path
-        Spectra for `read_sample`; or one table of n and k for a Fresnel material.
-    directory : path
-        Materials folder; created if missing.
-    columns : sequence of str, optional
-        Samples to take from each table with several.
-    rms_slope : float
-        Roughness, for n and k only.
-    others
-        As in `from_samples`.
+    `columns` are the samples to take from each table with several; `rms_slope` is the roughness, for n and k only.
+    Others are as in `from_samples`.
     """
     kelvin("temperature", temperature)
     paths = [Path(path) for path in paths]
@@ -169,13 +149,8 @@ def read_selection(path: str | Path, folders: Sequence[str | Path]) -> list[Mate
 
     The file has one row per sample. The first row of a material also has its title, colour, temperature, note and, if
     not measured, its solar absorptance; solar_absorptance_std may add the standard deviation if fewer than three
-    samples give one. A sample of a table with several is written `LUMA_SLUM_IR.csv#A001`.
-
-    Parameters
-    ----------
-    path : path
-    folders : sequence of path
-        Folders searched for the spectrum files, in this order.
+    samples give one. A sample of a table with several is written `LUMA_SLUM_IR.csv#A001`. `folders` are searched in
+    order.
     """
     groups = {}
     for row, cells in read_table(path, SELECTION_COLUMNS):

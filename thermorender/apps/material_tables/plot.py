@@ -19,23 +19,10 @@ MOST_MATERIALS = 8
 def plot(
     materials: Sequence[Material], path: str | Path, band_um: tuple[float, float] = BAND_UM, temperature: float = 300.0
 ) -> Path:
-    """Write a PNG of the spectra of materials; return its path.
+    """Write a PNG of the hemispherical emissivity of one to eight materials, ± one standard deviation; return its path.
 
-    Parameters
-    ----------
-    materials : sequence of Material
-        One to eight materials.
-    path : path
-        PNG file.
-    band_um : (lower, upper)
-        Camera band, shaded [µm].
-    temperature : float
-        Surface temperature for the band emissivity in the legend [K].
-
-    Notes
-    -----
-    Lines are hemispherical emissivity, shaded bands ± one standard deviation over the samples. For materials with an
-    angular model, a second panel shows band emissivity against the angle from the normal.
+    The camera's band [µm] is shaded. The legend has the band emissivity at a temperature [K]. For materials with an
+    angular model, a second panel shows it against the angle from the normal.
     """
     path = Path(path)
     if not 1 <= len(materials) <= MOST_MATERIALS:

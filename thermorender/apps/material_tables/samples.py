@@ -78,14 +78,9 @@ class Sample:
 def read_sample(path: str | Path, column: str | None = None) -> Sample:
     """Return the Sample of a file of any of the three kinds, which its content distinguishes.
 
-    Parameters
-    ----------
-    path : path
-        ECOSTRESS text; a SLUM table (`LUMA_SLUM_IR.csv`, with its short-wave table in the same folder); or a CSV
-        of two columns with the headings wavelength_um, wavelength_nm or wavenumber_cm-1, and emissivity,
-        emissivity_percent, reflectance or reflectance_percent.
-    column : str, optional
-        Sample of a table with several.
+    ECOSTRESS text; a SLUM table (`LUMA_SLUM_IR.csv`, with its short-wave table in the same folder), of which `column`
+    is one sample; or a CSV of two columns with the headings wavelength_um, wavelength_nm or wavenumber_cm-1, and
+    emissivity, emissivity_percent, reflectance or reflectance_percent.
     """
     path = Path(path)
     if not path.is_file():
@@ -107,10 +102,7 @@ def is_ecostress(path: str | Path) -> bool:
 
 
 def read_ecostress(path: str | Path) -> Sample:
-    """Return the Sample of an ECOSTRESS spectrum file.
-
-    Wavelengths may be in either order; repeated ones are averaged.
-    """
+    """Return the Sample of an ECOSTRESS file; wavelengths may be in either order, and repeated ones are averaged."""
     path = Path(path)
     if not path.is_file():
         raise ThermorenderError(
