@@ -75,6 +75,7 @@ def exponential(altitude: ArrayLike, levels: Floats, values: Floats) -> Floats:
 
     Below the lowest level the values are constant, above the highest 0.
     """
+    altitude = np.asarray(altitude, np.float64)
     upper = np.clip(np.searchsorted(levels, altitude), 1, len(levels) - 1)
     part = np.clip((altitude - levels[upper - 1]) / (levels[upper] - levels[upper - 1]), 0.0, 1.0)
     first, last = values[:, upper - 1], values[:, upper]

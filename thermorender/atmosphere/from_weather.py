@@ -89,9 +89,9 @@ def from_weather(
     factor = at_ground * column ** (1.0 - np.exp(-above / 500.0))
     gas[0] = np.minimum(gas[0] * factor, np.maximum(saturation_g_m3(kelvin), vapour * (above == 0.0)))
     if cloud_base_m is None:
-        spread = near.air_k - float(dew_point(np.float64(near.vapour_pa)))
+        spread = near.air_k - float(dew_point(np.asarray(near.vapour_pa)))
         cloud_base_m = ground + max(_BASE_M_K * spread, _LOWEST_BASE_M)
-    extinction = exponential(levels, altitude, np.float64(table["extinction"][nearest, haze]))
+    extinction = exponential(levels, altitude, np.asarray(table["extinction"][nearest, haze], np.float64))
     found = Atmosphere.of_table(
         table, levels, kelvin, scaled_densities(pressure, kelvin, gas), extinction, table["aerosol_factor"][haze]
     )
@@ -111,12 +111,12 @@ def _climate(
     for names, season in ((_WINTER, 1.0 - summer), (_SUMMER, summer)):
         for number, name in enumerate(names):
             weights[name_index("standard", name, table["model"])] += season * max(1.0 - abs(polar - number), 0.0)
-    pressure, temperature, gas = (np.float64(table[key]) for key in ("pressure_hpa", "temperature", "gas"))
+    pressure, temperature, gas = (np.asarray(table[key], np.float64) for key in ("pressure_hpa", "temperature", "gas"))
     ratio = gas * (temperature / pressure)[:, None]
     # Geometric mean, as vapour varies by orders of magnitude; a standard atmosphere may have none of a gas somewhere.
     mean = np.exp(np.tensordot(weights, np.log(np.maximum(ratio, 1e-30)), 1))
     mean[mean < 1e-25] = 0.0
-    return np.float64(table["altitude_m"]), weights @ temperature, mean, int(np.argmax(weights))
+    return np.asarray(table["altitude_m"], np.float64), weights @ temperature, mean, int(np.argmax(weights))
 
 
 def _pressure(levels: Floats, kelvin: Floats, ground_m: float, ground_hpa: float) -> Floats:
@@ -131,10 +131,10 @@ def _cloud_and_column(near: NearGround) -> tuple[float, float]:
     """(Cloud cover, factor on the vapour aloft) with which a sky has the long-wave irradiance measured."""
     black = STEFAN_BOLTZMANN * near.air_k**4
     shown = near.longwave_w_m2 / black
-    clear = float(sky.longwave(np.float64(near.air_k), np.float64(near.vapour_pa), 0.0)) / black
+    clear = float(sky.longwave(np.asarray(near.air_k), np.asarray(near.vapour_pa), 0.0)) / black
     cloud = (shown - clear) / (sky.CLOUD_EMISSIVITY * (1.0 - clear))
     if cloud >= LEAST_CLOUD:
         return min(cloud, 1.0), 1.0
     factor = np.geomspace(_DRIEST, _WETTEST, 200)
-    emissivity = sky.longwave(np.float64(near.air_k), near.vapour_pa * factor, 0.0) / black
+    emissivity = sky.longwave(np.asarray(near.air_k), near.vapour_pa * factor, 0.0) / black
     return 0.0, float(np.interp(shown, emissivity, factor))

@@ -34,8 +34,8 @@ def read_igra(path: object, lines: list[tuple[int, str]]) -> list[NDArray[np.flo
     `lines` are (line number, text). Levels without temperature or humidity are left out. Levels without a height get it
     from the hydrostatic thickness, fitted to the heights around them.
     """
-    heads = [_HEADER.match(text) for _, text in lines if text.startswith("#")]
-    days = ["-".join(head.groups()[:3]) + f"T{head[4]}" for head in heads if head]
+    heads = [head for head in (_HEADER.match(text) for _, text in lines) if head]
+    days = ["-".join(head.groups()[:3]) + f"T{head[4]}" for head in heads]
     if len(days) > 1:
         raise ThermorenderError(
             f"profile {path} holds {len(days)} soundings, {days[0]} to {days[-1]}; copy one, its header line and its "
@@ -67,7 +67,7 @@ def read_igra(path: object, lines: list[tuple[int, str]]) -> list[NDArray[np.flo
     return [height, pressure, kelvin, humidity]
 
 
-def _level(path, number, text):
+def _level(path: object, number: int, text: str) -> list[float]:
     """Numbers of a level in hPa, m, °C, % and K, NaN where missing."""
     try:
         if len(text.rstrip()) > _WIDTH:

@@ -66,9 +66,9 @@ def read_arrays(
     return values
 
 
-def _misshapen(values, axes):
+def _misshapen(values: Mapping[str, NDArray[Any]], axes: Mapping[str, str]) -> str | None:
     """The fault of the first array of another type or shape, as a clause, or None."""
-    length = {"2": (2, None)}
+    length: dict[str, tuple[int, str]] = {"2": (2, "")}
     for name, letters in axes.items():
         if name not in values:
             return f"it has no array {name}"
@@ -137,5 +137,5 @@ def _first_wrong(values: Arrays) -> str | None:
     return None
 
 
-def _shape(axes):
+def _shape(axes: str) -> str:
     return f"({', '.join(axes)}{',' if len(axes) == 1 else ''})"

@@ -40,8 +40,8 @@ def declared_weather(
             )
         when = instant("time", spec.time if time is None else time)
         if spec.file is not None:
-            own = {name: getattr(spec, name, None) for name in ("longest_gap_h", "air_height_m", "wind_height_m")}
-            own = {name: value for name, value in own.items() if value is not None}
+            names = ("longest_gap_h", "air_height_m", "wind_height_m")
+            own = {name: getattr(spec, name) for name in names if getattr(spec, name, None) is not None}
             found = read_station(spec.file, *place, around=when, wind_m_s=spec.wind_m_s, snow_depth_m=snow, **own)
         elif spec.epw is not None:
             shift = getattr(spec, "light_shift_min", None) or 0.0
@@ -67,9 +67,9 @@ def declared_weather(
     return found
 
 
-def _away_km(latitude_deg, longitude_deg, other_latitude_deg, other_longitude_deg):
+def _away_km(latitude_deg: float, longitude_deg: float, other_latitude_deg: float, other_longitude_deg: float) -> float:
     """Distance of two places on a sphere [km], by the haversine formula."""
     one, other = np.radians(latitude_deg), np.radians(other_latitude_deg)
     turn = np.radians(longitude_deg - other_longitude_deg)
     square = np.sin(0.5 * (one - other)) ** 2 + np.cos(one) * np.cos(other) * np.sin(0.5 * turn) ** 2
-    return 2.0 * _RADIUS_KM * np.arcsin(np.sqrt(np.minimum(square, 1.0)))
+    return float(2.0 * _RADIUS_KM * np.arcsin(np.sqrt(np.minimum(square, 1.0))))

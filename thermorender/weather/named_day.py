@@ -42,16 +42,16 @@ def named_day(
         if not low <= value <= high:
             raise ThermorenderError(f"{name}={value:g} is not allowed; give {low:g}…{high:g}")
     if wind.shape != (24,) or not ((wind >= 0.0) & (wind <= 80.0)).all():
-        raise ThermorenderError(f"wind_m_s={wind_m_s} is not allowed; give 0…80 m/s, one value or 24 by hour")
+        raise ThermorenderError(f"wind_m_s={wind_m_s!s} is not allowed; give 0…80 m/s, one value or 24 by hour")
     half = np.timedelta64(_STEP_MIN, "m")
-    centre = np.datetime64(time, "m").astype("datetime64[h]")
+    centre = time.astype("datetime64[m]").astype("datetime64[h]")
     count = int((before + after) * 1440 / _STEP_MIN) + 1
     series = (centre - np.timedelta64(before, "D") + half * np.arange(count)).astype("datetime64[s]")
     hour = sun.solar_hour(series, longitude_deg)
     low, high = air_low_c + ZERO_CELSIUS_K, air_high_c + ZERO_CELSIUS_K
     rise = sun.sunrise(latitude_deg, float(sun.declination(centre)))
     air = daily_course(hour, low, high, 2.0 if rise is None else rise)
-    vapour = humidity_low * humidity.saturation_pressure(low)
+    vapour = humidity_low * humidity.saturation_pressure(np.asarray(low))
     given = {
         "air_k": air,
         "vapour_pa": np.full(count, vapour),
