@@ -97,22 +97,22 @@ def append_json(path: PathLike, *values: Any) -> None:
             os.fsync(file.fileno())
     except OSError as error:
         raise ThermorenderError(
-            f"{path} cannot be written: {error.strerror}; make room and continue with --resume"
+            f"{path} cannot be written: {error.strerror}; make room and continue with resume"
         ) from None
 
 
 def finite_json(text: str) -> Any:
     """Return the value of a JSON text; ValueError for numbers that are not finite or take more than 64 bits."""
 
-    def number(kind, digits):
+    def number(kind: type, digits: str) -> float:
         value = kind(digits)
         if not abs(value) < (2**63 if kind is int else float("inf")):
             raise ValueError(f"it holds {digits[:20]}, which is not finite or takes more than 64 bits")
         return value
 
-    kinds = {"parse_int": int, "parse_float": float, "parse_constant": float}
+    whole, real = partial(number, int), partial(number, float)
     try:
-        return json.loads(text, **{name: partial(number, kind) for name, kind in kinds.items()})
+        return json.loads(text, parse_int=whole, parse_float=real, parse_constant=real)
     except RecursionError:
         raise ValueError("it is nested too deep") from None
 
@@ -197,7 +197,8 @@ def encoded_arrays(what: object, arrays: Mapping[str, np.ndarray]) -> bytes:
     import numpy as np
 
     memory = io.BytesIO()
-    np.savez(memory, **arrays, checksum=digest(what, arrays))
+    named: dict[str, Any] = {**arrays, "checksum": digest(what, arrays)}
+    np.savez(memory, **named)
     return memory.getvalue()
 
 
@@ -224,5 +225,5 @@ def digest(what: object, arrays: Mapping[str, np.ndarray]) -> str:
     for name, values in arrays.items():
         values = np.ascontiguousarray(values)
         state.update(f"{name} {values.dtype.str} {np.shape(arrays[name])}".encode())
-        state.update(values.reshape(-1).view(np.uint8))
+        state.update(values.reshape(-1).view(np.uint8).data)
     return state.hexdigest()

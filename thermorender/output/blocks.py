@@ -200,7 +200,8 @@ def _taken_over(flight: "Flight", folder: Path, block: Block) -> bool:
     lines = read.lines
     if flight.remembers_display:
         lines = [_shown(flight, folder, line) for line in lines]
-        data = formats.encoded_arrays(block.stop - 1, state | {"agc": flight.agc})
+        arrays: dict[str, Any] = {**state, "agc": flight.agc}
+        data = formats.encoded_arrays(block.stop - 1, arrays)
         files.put_in_place(files.write_aside(kept, data), kept)
     formats.append_json(folder / "frames.jsonl", *map(formats.sealed, lines))
     flight.terrain += [line["shows_terrain"] for line in lines]
@@ -212,7 +213,7 @@ def _shown(flight: "Flight", folder: Path, line: dict[str, Any]) -> dict[str, An
     paths = product_files.paths(folder, line["index"], (*flight.products, "counts"))
     counts = formats.decoded(paths["counts"].read_bytes(), -1)
     if counts is None:
-        raise ThermorenderError(f"{paths['counts']} is damaged; remove it and continue with --resume")
+        raise ThermorenderError(f"{paths['counts']} is damaged; remove it and continue with resume")
     flight.agc, image = flight.display.image(counts, flight.agc, 1.0 / flight.flown.rate_hz)
     data, path = formats.encoded_image(".png", image), paths["display"]
     files.put_in_place(files.write_aside(path, data), path)
@@ -241,10 +242,10 @@ def _checksum(state: dict[str, NDArray[Any]]) -> str:
 
 
 def parse_frames(text: str) -> tuple[int, int]:
-    """Return (first, stop) of an option --frames=A:B."""
+    """Return (first, stop) of a text A:B."""
     first, colon, stop = text.partition(":")
     if not (colon and first.isdecimal() and stop.isdecimal() and int(first) < int(stop)):
         raise ThermorenderError(
-            f"--frames={text!r} is not allowed; give FIRST:STOP, such as 0:100 for the first hundred frames"
+            f"frames={text!r} is not allowed; give FIRST:STOP, such as 0:100 for the first hundred frames"
         )
     return int(first), int(stop)

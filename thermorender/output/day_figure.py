@@ -44,7 +44,11 @@ def figure(
     axis.set_xticks(range(0, 25, 3))
     axis.grid(alpha=0.3)
     celsius = axis.secondary_yaxis(
-        "right", functions=(lambda kelvin: kelvin - ZERO_CELSIUS_K, lambda celsius: celsius + ZERO_CELSIUS_K)
+        "right",
+        functions=(
+            lambda kelvin: np.asarray(kelvin) - ZERO_CELSIUS_K,
+            lambda celsius: np.asarray(celsius) + ZERO_CELSIUS_K,
+        ),
     )
     celsius.set_ylabel("[°C]")
     drawing.legend(loc="outside lower center", ncols=4, frameon=False, fontsize=9)

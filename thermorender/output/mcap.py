@@ -59,7 +59,7 @@ def check_mcap(first_s: float, absolute: bool) -> None:
     _ = _library()
     if first_s < 0.0 and not absolute:
         raise ThermorenderError(
-            f"the first frame is at {first_s:g} s, and product 'mcap' has no times before 0; give --start-s 0, or a "
+            f"the first frame is at {first_s:g} s, and product 'mcap' has no times before 0; give start_s=0, or a "
             "scene with the time in its [weather]"
         )
 

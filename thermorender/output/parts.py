@@ -26,7 +26,7 @@ def fly_part(
     frames = len(flight.times)
     if not 0 <= first < min(stop, frames):
         raise ThermorenderError(
-            f"--frames={first}:{stop} holds no frame of this flight; give numbers between 0 and {frames}"
+            f"frames={first}:{stop} holds no frame of this flight; give numbers between 0 and {frames}"
         )
     stop = min(stop, frames)
     with files.output_folder(folder) as out:

@@ -11,7 +11,7 @@ from thermorender.sensor.camera import Camera
 
 if TYPE_CHECKING:
     from thermorender.render.renderer import Renderer
-    from thermorender.scene.load import Scene
+    from thermorender.scene.scene import Scene
 
 
 def photograph(

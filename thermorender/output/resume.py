@@ -58,7 +58,7 @@ def refuse_used(folder: Path) -> None:
     """Raise ThermorenderError for a folder that holds a flight or other frames."""
     if (folder / "flight.json").exists() or (folder / "frames.jsonl").exists():
         raise ThermorenderError(
-            f"{folder} already holds a flight; give another folder, or --resume to continue that one"
+            f"{folder} already holds a flight; give another folder, or set resume to continue that one"
         )
     other = next(folder.glob("frame_*"), None)
     if other:
@@ -101,7 +101,7 @@ def refuse_moved(folder: Path, before: os.stat_result) -> None:
         same = False
     if not same:
         raise ThermorenderError(
-            f"{folder} was removed, moved or replaced while it was flown into; continue with --resume where it is now, "
+            f"{folder} was removed, moved or replaced while it was flown into; continue with resume where it is now, "
             "or start again"
         )
 

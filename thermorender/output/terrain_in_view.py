@@ -61,12 +61,12 @@ def empty_frames_note(scene: Scene, poses: NDArray[np.float64]) -> str | None:
         middle = np.median(empty[:, :2, 3], axis=0)
         why = (
             f"the flight is off the scene's terrain, about east {middle[0]:.0f} m, north {middle[1]:.0f} m, and the "
-            f"camera looks {looks}; move the flight with --anchor E,N,U,HEADING"
+            f"camera looks {looks}; move the flight with anchor=E,N,U,HEADING"
         )
     else:
         why = (
-            f"the flight is over the terrain, but the camera looks past it, {looks}; point it with --mount "
+            f"the flight is over the terrain, but the camera looks past it, {looks}; point it with mount "
             "YAW,PITCH,ROLL (0,-90,0 looks down), or move the flight "
-            "with --anchor E,N,U,HEADING"
+            "with anchor=E,N,U,HEADING"
         )
     return f"{len(empty)} of {len(some)} frames looked at show no terrain: {why}"

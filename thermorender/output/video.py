@@ -109,5 +109,5 @@ def _display(path: Path, shape: tuple[int, ...] | None = None) -> NDArray[np.uin
 
     image = decoded(Path(path).read_bytes(), cv2.IMREAD_UNCHANGED) if Path(path).is_file() else None
     if image is None or shape not in (None, image.shape):
-        raise ThermorenderError(f"{path} is damaged; remove it and continue with --resume")
+        raise ThermorenderError(f"{path} is damaged; remove it and continue with resume")
     return np.ascontiguousarray(image if image.ndim == 2 else image[..., ::-1])

@@ -85,7 +85,7 @@ def read_temperature(
     if scale is None and declared is None and kind in ("uint8", "int8"):
         raise ThermorenderError(
             f"{path} has 8 bits a pixel, which is a picture for display; give the radiometric file, or state kelvin "
-            "per count and kelvin of count 0 with --scale"
+            "per count and kelvin of count 0 as scale"
         )
     if scale is None and declared is None:
         raise ThermorenderError(
@@ -167,9 +167,9 @@ def likely_scales(counts: ArrayLike, signed: bool = True) -> list[str]:
 
 def scale_request(names: Sequence[str]) -> str:
     """Return the half sentence that asks for a scale, with the options of the likely ones."""
-    likely = [f"--scale={_LIKELY[name][0]:g},{_LIKELY[name][1]:g} for counts of {name}" for name in names]
+    likely = [f"scale={_LIKELY[name][0]:g},{_LIKELY[name][1]:g} for counts of {name}" for name in names]
     return "state kelvin per count and kelvin of count 0, " + (
-        "which look like " + " or ".join(likely) if likely else "e.g. --scale=0.04,0 for a FLIR core in TLinear mode"
+        "which look like " + " or ".join(likely) if likely else "e.g. scale=0.04,0 for a FLIR core in TLinear mode"
     )
 
 

@@ -18,7 +18,7 @@ from thermorender.trajectory.path import GroundHeight, Trajectory
 
 Floats = NDArray[np.float64]
 
-_MOVE = "move the flight into the scene with --anchor E,N,U,heading"
+_MOVE = "move the flight into the scene with anchor=E,N,U,heading"
 
 
 def frame_of_first_sample(log: Log) -> LocalFrame:
@@ -68,7 +68,7 @@ def local_positions(
         height = "alt_ellipsoid_m" if follows_ellipsoid else "up_m"
     if height == UNSTATED:
         raise ThermorenderError(
-            f"{where}: the log does not say what its height is relative to; move the flight with --anchor "
+            f"{where}: the log does not say what its height is relative to; move the flight with anchor "
             "E,N,U,HEADING, where U is the height of its first position above the ground"
         )
     if height == "alt_geoid_m":

@@ -158,8 +158,8 @@ def _in_time_order(
                 "strictly increase"
             )
         raise ThermorenderError(
-            f"{where} the same time in {what} {table.row[keep[k]]}, but time must strictly increase; give --duplicates "
-            "spread, which spreads them within the clock's last digit, or --duplicates first, which drops the others"
+            f"{where} the same time in {what} {table.row[keep[k]]}, but time must strictly increase; give duplicates="
+            "spread, which spreads them within the clock's last digit, or duplicates=first, which drops the others"
         )
     return np.array(keep)
 

@@ -254,7 +254,7 @@ class _File:
 
 
 def fitting_formats(header: Iterable[str]) -> str:
-    """Return a hint that names the bundled formats with some of these columns, or `--format` if there is none."""
+    """Return a hint that names the bundled formats with some of these columns, or `format` if there is none."""
     fitting, header = [], set(header)
     for name in bundled_formats():
         mapping = load_mapping(name)
@@ -263,10 +263,10 @@ def fitting_formats(header: Iterable[str]) -> str:
         if mapping.reader == "csv" and times & header and columns & header:
             fitting.append(name)
     if fitting:
-        return f"; the columns fit --format {' or --format '.join(fitting)} (in Python, format='{fitting[0]}')"
+        return f"; the columns fit format={' or format='.join(fitting)}"
     return (
-        f"; if another program wrote the file, say with --format which one ({', '.join(bundled_formats())}) or give a "
-        "mapping of its columns"
+        f"; if another program wrote the file, give its format ({', '.join(bundled_formats())}) or a mapping of its "
+        "columns"
     )
 
 

@@ -24,12 +24,12 @@ def exr_frames(folder: str | PathLike[str], channels: Sequence[str], entries: Se
     }
     if not numbered:
         raise ThermorenderError(
-            f"{folder} holds no frame_*.exr; give a folder of `thermorender fly --products exr,truth`"
+            f"{folder} holds no frame_*.exr; give the folder of a flight with the products exr,truth"
         )
     for number, path in sorted(numbered.items()):
         images, about = read_exr(path)
         missing = next((name for name in channels if name not in images), None)
         missing = missing or next((name for name in entries if name not in about), None)
         if missing:
-            raise ThermorenderError(f"{path} has no {missing!r}; render it again with --products exr,truth")
+            raise ThermorenderError(f"{path} has no {missing!r}; render it again with the products exr,truth")
         yield number, images, about

@@ -53,7 +53,7 @@ def plot(
             upper = np.minimum(mean + std, 1.0)
             axes[0].fill_between(wavelength, mean - std, upper, color=colour, alpha=0.2, linewidth=0)
         lowest = min(lowest, np.nanmin(np.where(np.isfinite(std), mean - std, mean)))
-        if material in directional:
+        if material.cosines is not None:
             angle = np.degrees(np.arccos(material.cosines))
             fine = np.union1d(angle, np.linspace(0.0, 90.0, 181))
             low, high = np.clip(band_um, *material.valid_range_um)
@@ -78,7 +78,7 @@ def plot(
     return path
 
 
-def _label(material, band_um, temperature):
+def _label(material: Material, band_um: tuple[float, float], temperature: float) -> str:
     first, last = material.valid_range_um
     low, high = max(band_um[0], first), min(band_um[1], last)
     if (low, high) == tuple(band_um):
@@ -88,7 +88,7 @@ def _label(material, band_um, temperature):
     return f"{label(material.name)}: measured {first:g}–{last:g} µm only, {_samples(material)}"
 
 
-def _samples(material):
+def _samples(material: Material) -> str:
     if material.directional == "fresnel":
         return "from n and k"
     return "1 sample" if material.samples == 1 else f"{material.samples} samples"

@@ -40,7 +40,7 @@ class Curve:
     celsius: bool = False
 
 
-def flight_map(renderer: "Renderer", seen: Prospect, marked: Mapping[str, Sequence[float]] = {}) -> Picture:
+def flight_map(renderer: "Renderer", seen: Prospect, marked: Mapping[str, Sequence[float] | Floats] = {}) -> Picture:
     """Return a picture: the track over the orthophoto, footprints of evenly chosen frames, and marked points.
 
     `marked` is {name: (east, north, …) [m]}.
@@ -185,11 +185,12 @@ def _from_above(renderer: "Renderer", bounds: Floats) -> Picture:
     return np.asarray(cv2.resize(image, small, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _word(axes: Any, place: Sequence[float], word: str, colour: str, up: int = 5) -> None:
+def _word(axes: Any, place: Sequence[float] | Floats, word: str, colour: str, up: int = 5) -> None:
     """A word beside a point, readable on a picture."""
     from matplotlib.patheffects import withStroke
 
-    axes.annotate(label(word), tuple(place), (5, up), textcoords="offset points", fontsize=8, color=colour, zorder=6,
+    at = float(place[0]), float(place[1])
+    axes.annotate(label(word), at, (5, up), textcoords="offset points", fontsize=8, color=colour, zorder=6,
                   path_effects=[withStroke(linewidth=2.5, foreground="white")])  # fmt: skip
 
 

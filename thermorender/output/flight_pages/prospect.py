@@ -87,8 +87,8 @@ class Prospect:
             return "terrain: in all frames"
         where = f", the first at {self.time_s[~self.shows_terrain][0]:.3f} s"
         return (
-            f"terrain: {empty} of {some} frames show none{where}; point the camera with --mount, or move the flight "
-            "with --anchor"
+            f"terrain: {empty} of {some} frames show none{where}; point the camera with mount, or move the flight "
+            "with anchor"
         )
 
     def _texels(self) -> str:
