@@ -24,7 +24,7 @@ def exr_frames(folder: str | PathLike[str], channels: Sequence[str], entries: Se
     }
     if not numbered:
         raise ThermorenderError(
-            f"{folder} holds no frame_*.exr; give the folder of a flight with the products exr,truth"
+            f"{folder} holds no frame_*.exr; give a folder of a flight with the products exr,truth"
         )
     for number, path in sorted(numbered.items()):
         images, about = read_exr(path)
