@@ -324,7 +324,7 @@ def test_names_are_compared_beyond_neighbours_in_the_folder(tmp_path):
 @pytest.mark.parametrize(
     ("step", "zero", "words"),
     [(1.0, 0.0, "scale=1,0 for counts of 1 K"), (1.0, 273.15, r"scale=1,273\.15 for counts of 1 °C"),
-     (5.0 / 9.0, 273.15 - 160.0 / 9.0, r"--scale=0\.555556,255\.372 for counts of 1 °F")],
+     (5.0 / 9.0, 273.15 - 160.0 / 9.0, r"scale=0\.555556,255\.372 for counts of 1 °F")],
 )  # fmt: skip
 def test_fractions_without_a_unit_are_asked_for_with_the_likely_one(tmp_path, step, zero, words):
     # Tenths of a degree Celsius would fit the numbers too, and be tens of kelvin wrong.
