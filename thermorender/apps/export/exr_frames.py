@@ -23,9 +23,7 @@ def exr_frames(folder: str | PathLike[str], channels: Sequence[str], entries: Se
         int(match[1]): path for path in Path(folder).glob("frame_*.exr") if (match := _FRAME.fullmatch(path.name))
     }
     if not numbered:
-        raise ThermorenderError(
-            f"{folder} holds no frame_*.exr; give a folder of a flight with the products exr,truth"
-        )
+        raise ThermorenderError(f"{folder} holds no frame_*.exr; give a folder of a flight with the products exr,truth")
     for number, path in sorted(numbered.items()):
         images, about = read_exr(path)
         missing = next((name for name in channels if name not in images), None)
