@@ -12,7 +12,7 @@ import secrets
 import shutil
 import time
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory, gettempdir
@@ -83,15 +83,7 @@ def put_in_place(part: Path, path: PathLike) -> None:
 
 @contextmanager
 def atomic_folder(path: PathLike, overwrite: bool = False) -> Iterator[Path]:
-    """Yield a temporary folder; rename it to `path` if the block ends without error.
-
-    Parameters
-    ----------
-    path : path
-        Must not exist, or be empty.
-    overwrite : bool
-        Replace a folder that is not empty.
-    """
+    """Yield a temporary folder; rename it to `path`, which is empty or missing, or replaced with `overwrite`."""
     given, path = path, Path(os.path.realpath(path))
     _refuse_used_folder(given, overwrite)
     part, old, lock = (path.with_name(f".{_short(path)}.{kind}") for kind in ("part", "old", "lock"))
@@ -110,12 +102,13 @@ def atomic_folder(path: PathLike, overwrite: bool = False) -> Iterator[Path]:
             shutil.rmtree(part, ignore_errors=True)
 
 
-def _exchange(part, path, old):
+def _exchange(part: Path, path: Path, old: Path | None) -> None:
     """Swap the folders `part` and `path`, through the name `old`; where that is None, `path` must be empty."""
-    if path.exists() and old is None:
-        path.rmdir()
-    elif path.exists():
-        os.replace(path, old)
+    if path.exists():
+        if old is None:
+            path.rmdir()
+        else:
+            os.replace(path, old)
     try:
         os.replace(part, path)
     except BaseException:
@@ -127,7 +120,7 @@ def _exchange(part, path, old):
 
 
 @contextmanager
-def _beside(path):
+def _beside(path: Path) -> Iterator[Path]:
     """Yield a temporary path in the folder of `path`, made if missing; remove it afterwards."""
     part = _part(path)
     with _parents(path):
@@ -138,13 +131,13 @@ def _beside(path):
             _remove(part)
 
 
-def _part(path):
+def _part(path: Path) -> Path:
     """A temporary name beside `path`, which `remove_parts` knows."""
     return path.with_name(f".{path.stem[:_REPEATED]}.{secrets.token_hex(4)}.part{path.suffix}")
 
 
 @contextmanager
-def _parents(path):
+def _parents(path: Path) -> Iterator[None]:
     """Make the folders above `path` for a block, then remove those still empty; raise OS errors as one sentence."""
     made = _missing(path.parent)
     try:
@@ -158,21 +151,15 @@ def _parents(path):
         _remove_empty(made)
 
 
-def _short(path):
+def _short(path: Path) -> str:
     """The beginning of a file's name with the checksum of the whole: short and unique."""
     return f"{path.name[:_REPEATED]}-{zlib.crc32(os.fsencode(path.name)):08x}"
 
 
 def remove_parts(folder: Path, name: str = r".+", older_s: float = 0.0) -> None:
-    """Remove the temporary files that killed processes left in a folder.
+    """Remove the temporary files that killed processes left in a folder, and none younger than `older_s` [s].
 
-    Parameters
-    ----------
-    folder : Path
-    name : str
-        Regular expression of the files' names without suffix.
-    older_s : float
-        Keep younger files [s], which other processes may be writing.
+    `name` is a regular expression of the files' names without suffix.
     """
     pattern = _part_name(name)
     for path in folder.iterdir():
@@ -207,20 +194,13 @@ def output_folder(path: PathLike) -> Iterator[Path]:
 
 @contextmanager
 def in_use(folder: PathLike, wait: bool = False) -> Iterator[None]:
-    """Lock a folder against other processes; the lock ends with the process.
-
-    Parameters
-    ----------
-    folder : path
-    wait : bool
-        Wait for another process that holds the lock, instead of raising.
-    """
+    """Lock a folder against other processes until this one ends; `wait` for another that holds the lock, or raise."""
     with _locked(Path(folder) / _LOCK, folder, wait):
         yield
 
 
 @contextmanager
-def _locked(path, folder, wait=False):
+def _locked(path: Path, folder: PathLike, wait: bool = False) -> Iterator[None]:
     """Hold the lock of a folder, `path`, which is removed at the end."""
     from filelock import FileLock, Timeout
 
@@ -268,14 +248,7 @@ def make_folder(path: PathLike) -> Path:
 
 
 def check_output_file(path: PathLike, suffixes: Sequence[str] = ()) -> None:
-    """Raise ThermorenderError if a file cannot be written; leave nothing behind.
-
-    Parameters
-    ----------
-    path : path
-    suffixes : sequence of str
-        Allowed suffixes, such as ".toml"; any if empty.
-    """
+    """Refuse a file that cannot be written or lacks one of `suffixes`, such as ".toml"; leave nothing behind."""
     path = Path(path)
     if suffixes and path.suffix.lower() not in suffixes:
         raise ThermorenderError(f"{path} has the wrong suffix; give one that ends in {' or '.join(suffixes)}")
@@ -297,12 +270,12 @@ def check_new_folder(path: PathLike) -> None:
         part.mkdir()
 
 
-def _refuse_other_than_file(path):
+def _refuse_other_than_file(path: Path) -> None:
     if os.path.lexists(path) and not path.is_file():
         raise ThermorenderError(f"{path} is not an ordinary file; give the name of a file")
 
 
-def _refuse_used_folder(path, overwrite=False):
+def _refuse_used_folder(path: PathLike, overwrite: bool = False) -> None:
     path = Path(path)
     if os.path.lexists(path) and not os.path.isdir(path):
         raise ThermorenderError(f"{path} is a file; give the path of a folder to make")
@@ -312,20 +285,20 @@ def _refuse_used_folder(path, overwrite=False):
         raise ThermorenderError(f"{path} exists and is not empty; give a new folder")
 
 
-def _missing(path):
+def _missing(path: PathLike) -> list[Path]:
     """Which of a folder and its parents do not exist, the deepest first."""
     path = Path(path)
     return [folder for folder in (path, *path.parents) if not os.path.lexists(folder)]
 
 
-def _remove_empty(folders):
+def _remove_empty(folders: Iterable[Path]) -> None:
     """Remove the empty ones of some folders, in this order."""
     for folder in folders:
         with suppress(OSError):
             folder.rmdir()
 
 
-def _remove(path):
+def _remove(path: Path) -> None:
     with suppress(OSError):
         path.unlink()
 
@@ -343,5 +316,5 @@ def on_disk(*paths: PathLike) -> None:
             # Windows cannot open folders nor sync files opened for reading; some file systems cannot sync folders.
             if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
                 raise ThermorenderError(
-                    f"{path} did not reach the disk: {error.strerror}; check the disk and continue with --resume"
+                    f"{path} did not reach the disk: {error.strerror}; check the disk and continue with resume"
                 ) from error

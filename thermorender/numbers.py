@@ -29,7 +29,7 @@ def parse_scale(text: str | None) -> tuple[float, float] | None:
     """Return (kelvin per count, kelvin of count 0) of "STEP,ZERO"; None if it is not given."""
     if not text:
         return None
-    step, zero = parse_numbers("--scale", text, ("STEP", "ZERO"))
+    step, zero = parse_numbers("scale", text, ("STEP", "ZERO"))
     if step <= 0.0:
-        raise ThermorenderError(f"--scale={text} has a STEP of {step:g} kelvin per count; give a number above 0")
+        raise ThermorenderError(f"scale={text} has a STEP of {step:g} kelvin per count; give a number above 0")
     return step, zero

@@ -7,10 +7,7 @@ from thermorender.errors import ThermorenderError
 
 
 def data_folder(kind: str) -> Path:
-    """Return the folder of the shipped data of one kind, "materials" or "scenes".
-
-    It is `_data/<kind>` inside an installed package, and `<kind>` at the top level of a source checkout.
-    """
+    """Return the folder of shipped "materials" or "scenes": `_data/<kind>` if installed, `<kind>` in a checkout."""
     package = Path(__file__).resolve().parent
     candidates = (package / "_data" / kind, package.parent / kind)
     for folder in candidates:

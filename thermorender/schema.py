@@ -17,7 +17,7 @@ from copy import copy
 from dataclasses import MISSING, dataclass, field, fields, make_dataclass, replace
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar, cast
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.paths import inside
@@ -95,37 +95,19 @@ def did_you_mean(name: object, known: Iterable[object]) -> str:
 
 
 def key(read: Reader, default: Any = MISSING, name: str | None = None) -> Any:
-    """Return the dataclass field of a key.
+    """Return the dataclass field of a key, which `read` converts from (value, Where); without default it is required.
 
-    Parameters
-    ----------
-    read : callable
-        Reader: takes (value, Where) and returns the field's value.
-    default : optional
-        A key without default is required.
-    name : str, optional
-        Name of the key in the file, if it differs from the field's.
+    `name` is the key's name in the file, if it differs from the field's.
     """
     kept = {"default": default} if default.__hash__ else {"default_factory": lambda: copy(default)}
     return field(**kept, metadata={"read": read, "name": name})
 
 
 def read(cls: type[_Table], raw: object, where: Where, **more: Any) -> _Table:
-    """Return a dataclass of a table's values, every key checked.
-
-    Parameters
-    ----------
-    cls : type
-        Dataclass whose keys are declared with `key`.
-    raw : dict
-        The table as parsed from TOML.
-    where : Where
-    more
-        Values of fields that are not keys.
-    """
+    """Return a dataclass of a table's values, every key checked; `more` are values of fields that are not keys."""
     if not isinstance(raw, dict):
         where.refuse(raw, "a table")
-    rows = {item.metadata["name"] or item.name: item for item in fields(cls) if "read" in item.metadata}
+    rows = {item.metadata["name"] or item.name: item for item in fields(cast(Any, cls)) if "read" in item.metadata}
     within = where.key or where.top
     within = f" in {within}" if within else ""
     for name in raw:
@@ -164,52 +146,63 @@ def number(
     low: float = -float("inf"), high: float = float("inf"), above: bool = False, whole: bool = False, count: int = 1,
     ordered: bool = False, unit: str = "",
 ) -> Reader:  # fmt: skip
-    """Return the reader of a finite number, low … high, or of a list of `count` numbers.
+    """Return the reader of a finite number, low … high, or of a list of `count` numbers, which becomes a tuple.
 
-    Parameters
-    ----------
-    low, high : float
-    above : bool
-        `low` itself is not allowed.
-    whole : bool
-        Only whole numbers are allowed; the value becomes an int instead of a float.
-    count : int
-        Above 1: a list of `count` numbers, which becomes a tuple.
-    ordered : bool
-        Each number of the list must be above the one before.
-    unit : str
-        Unit for the message, if the key's name does not end in it.
+    `above`: `low` itself is not allowed. `whole`: the value becomes an int instead of a float. `ordered`: the list must
+    rise. `unit` is for the message, if the key's name does not end in it.
     """
-    ends = f"{low:g}…{high:g}" if high < float("inf") else f"of at least {low:g}" if low > -float("inf") else ""
-    if above:
-        ends = f"above {low:g}" + (f" and up to {high:g}" if high < float("inf") else "")
-    words = f"{'a list of ' + str(count) if count > 1 else 'a'} {'' if ends else 'finite '}{'whole ' if whole else ''}"
-    words += f"number{'s' if count > 1 else ''}{ends and ' ' + ends}{unit and ' ' + unit}"
+    return _Number(low, high, above, whole, count, ordered, unit)
 
-    def fits(value):
+
+@dataclass(frozen=True)
+class _Number:
+    """The reader that `number` returns."""
+
+    low: float
+    high: float
+    above: bool
+    whole: bool
+    count: int
+    ordered: bool
+    unit: str
+
+    @property
+    def words(self) -> str:
+        """What is allowed, for a message."""
+        low, high = self.low, self.high
+        ends = f"{low:g}…{high:g}" if high < float("inf") else f"of at least {low:g}" if low > -float("inf") else ""
+        if self.above:
+            ends = f"above {low:g}" + (f" and up to {high:g}" if high < float("inf") else "")
+        kind = f"{'' if ends else 'finite '}{'whole ' if self.whole else ''}number"
+        several = f"a list of {self.count} {kind}s" if self.count > 1 else f"a {kind}"
+        return f"{several}{ends and ' ' + ends}{self.unit and ' ' + self.unit}"
+
+    def fits(self, value: Any) -> bool:
+        """Return whether a value is a number of the range."""
         # The bound also refuses NaN, infinity and whole numbers beyond float64.
-        return (
-            isinstance(value, Real) and not isinstance(value, bool) and abs(value) < 1e300
-            and (value > low if above else value >= low) and value <= high
-            and (not whole or value == int(value))
-        )  # fmt: skip
+        if isinstance(value, bool) or not isinstance(value, Real):
+            return False
+        number: Any = value
+        within = number > self.low if self.above else number >= self.low
+        return bool(
+            abs(number) < 1e300 and within and number <= self.high and (not self.whole or number == int(number))
+        )
 
-    def read_number(value, where):
-        values = value if count > 1 else [value]
-        good = isinstance(values, (list, tuple)) and len(values) == count and all(map(fits, values))
-        if not good or (ordered and any(a >= b for a, b in zip(values, values[1:], strict=False))):
-            where.refuse(value, f"{words}{unit_of(where.key)}{', the lower value first' if ordered else ''}")
-        values = tuple(map(int if whole else float, values))
-        return values if count > 1 else values[0]
-
-    return read_number
+    def __call__(self, value: Any, where: Where) -> Any:
+        values = value if self.count > 1 else [value]
+        good = isinstance(values, (list, tuple)) and len(values) == self.count and all(map(self.fits, values))
+        if not good or (self.ordered and any(a >= b for a, b in zip(values, values[1:], strict=False))):
+            order = ", the lower value first" if self.ordered else ""
+            where.refuse(value, f"{self.words}{unit_of(where.key)}{order}")
+        read = tuple(map(int if self.whole else float, values))
+        return read if self.count > 1 else read[0]
 
 
 def choice(*allowed: Any) -> Reader:
     """Return the reader of a value that must be one of `allowed`."""
     names = ", ".join(str(one).lower() if isinstance(one, bool) else str(one) for one in allowed)
 
-    def read_choice(value, where):
+    def read_choice(value: Any, where: Where) -> Any:
         for one in allowed:
             if value == one and isinstance(value, bool) == isinstance(one, bool):
                 return one
@@ -237,17 +230,18 @@ def texts(value: Any, where: Where) -> tuple[str, ...]:
 
 def file_inside(value: Any, where: Where) -> Path:
     """Read the name of a file inside the settings' folder; return its Path."""
+    folder = where.folder or Path()
     try:
-        path = Path(os.path.realpath(where.folder / text(value, where)))
+        path = Path(os.path.realpath(folder / text(value, where)))
         there = path.is_file()
     except ThermorenderError:
         raise
     except (OSError, ValueError):  # too long, or with a NUL in it
         where.refuse(value, "the name of a file")
-    if not inside(path, where.folder):
+    if not inside(path, folder):
         where.refuse(value, f"a path inside {where.top or 'the file'}'s folder")
     if not there:
-        raise where.error(f"{where.key}={value!r} does not exist; give a file in {where.folder}")
+        raise where.error(f"{where.key}={value!r} does not exist; give a file in {folder}")
     return path
 
 
@@ -257,7 +251,7 @@ class FrozenDict(dict[Any, Any]):
     def _refuse(self, *values: Any, **more: Any) -> NoReturn:
         raise ThermorenderError("these settings cannot be changed; make other ones and give those")
 
-    __setitem__ = __delitem__ = __ior__ = update = pop = popitem = setdefault = clear = _refuse  # type: ignore[assignment]
+    __setitem__ = __delitem__ = __ior__ = update = pop = popitem = setdefault = clear = _refuse
 
     def __reduce__(self) -> tuple[Any, ...]:
         return FrozenDict, (dict(self),)
@@ -266,7 +260,7 @@ class FrozenDict(dict[Any, Any]):
 def mapping(read_value: Reader, read_key: Reader = lambda key, where: key) -> Reader:
     """Return the reader of a table with any keys, at least one; `read_key` takes (key, Where of the table)."""
 
-    def read_mapping(value, where):
+    def read_mapping(value: Any, where: Where) -> Any:
         if not isinstance(value, dict) or not value:
             where.refuse(value, "a table with at least one entry")
         return FrozenDict({read_key(name, where): read_value(item, where.of(name)) for name, item in value.items()})
@@ -282,7 +276,7 @@ def table(cls: type) -> Reader:
 def tables(cls: type) -> Reader:
     """Return the reader of tables headed [[key]] into a tuple of dataclasses; messages use each table's `name`."""
 
-    def read_tables(value, where):
+    def read_tables(value: Any, where: Where) -> tuple[Any, ...]:
         if not isinstance(value, list):
             where.refuse(value, f"tables headed [[{where.key}]]")
         names = (item.get("name", index) if isinstance(item, dict) else index for index, item in enumerate(value, 1))
@@ -329,15 +323,9 @@ def parse_toml(data: bytes, name: Any) -> dict[str, Any]:
 
 
 def toml_text(values: Mapping[str, Any], comment: str = "") -> str:
-    """Return the text of a TOML file.
+    """Return the text of a TOML file with a comment at its top.
 
-    Parameters
-    ----------
-    values : dict
-        Text, numbers, flags, paths, and lists and dicts of them. A dict becomes a table, a list of dicts becomes
-        tables headed [[key]], and None is left out.
-    comment : str
-        Written at the top, one comment per line.
+    A dict becomes a table, a list of dicts becomes tables headed [[key]], and None is left out.
     """
     lines = [f"# {_harmless(line)}".rstrip() for line in comment.split("\n")] if comment else []
     return "\n".join([*lines, *_table_lines(values, ())]).strip("\n") + "\n"
@@ -363,7 +351,7 @@ def toml_value(value: Any) -> str:
     raise TypeError(f"{value!r} has no form in TOML")
 
 
-def _table_lines(values, path):
+def _table_lines(values: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
     plain, below = [], []
     for name, value in values.items():
         here = (*path, _toml_key(name))
@@ -377,11 +365,11 @@ def _table_lines(values, path):
     return plain + below
 
 
-def _toml_key(name):
+def _toml_key(name: object) -> str:
     return str(name) if re.fullmatch("[A-Za-z0-9_-]+", str(name)) else _quoted(str(name))
 
 
-def _quoted(value):
+def _quoted(value: str) -> str:
     """A TOML basic string: JSON's escapes are valid in TOML, but JSON does not escape the delete character."""
     try:
         value.encode("utf-8")
@@ -390,6 +378,6 @@ def _quoted(value):
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _harmless(comment):
+def _harmless(comment: str) -> str:
     """A one-line comment without the characters that TOML forbids in comments."""
     return re.sub("[\x00-\x1f\x7f\ud800-\udfff]", "\N{REPLACEMENT CHARACTER}", comment)

@@ -38,16 +38,10 @@ _Temperature = TypeVar("_Temperature", bound=ArrayLike)
 
 
 def kelvin(name: str, temperature: _Temperature, allow_zero: bool = False) -> _Temperature:
-    """Return `temperature` unchanged [K] after refusing values that are not plausible in kelvin.
+    """Return `temperature` unchanged [K] after refusing values that are not plausible in kelvin, by their `name`.
 
-    Parameters
-    ----------
-    name : str
-        The user's name of the value, for the message.
-    temperature : float or array
-        Kelvin; NaN means "no value" and is allowed in arrays, not in a single value.
-    allow_zero : bool
-        Accept exactly 0 K, which radiates nothing (a cold space outside a cavity).
+    NaN means "no value" and is allowed in arrays, not in a single value. `allow_zero` accepts exactly 0 K, which
+    radiates nothing (a cold space outside a cavity).
     """
     values = np.asarray(temperature, dtype=np.float64)
     bad = (values < LOWEST_KELVIN) | np.isinf(values) | (np.isnan(values) & (values.ndim == 0))
@@ -72,15 +66,10 @@ def kelvin_scale(unit: str | None) -> tuple[float, float] | None:
 
 
 def instant(name: str, value: str | datetime.datetime | np.datetime64) -> np.datetime64:
-    """Return an instant as datetime64[s], UTC.
+    """Return an instant as datetime64[s], UTC, by its `name` in messages.
 
-    Parameters
-    ----------
-    name : str
-        The user's name of the value, for the message.
-    value : str, datetime or datetime64
-        ISO 8601 with a zone, such as 2018-07-28T14:30Z or 2018-07-28T16:30:00+02:00, to whole seconds; a datetime
-        with a zone; a datetime64, which is UTC.
+    `value` is ISO 8601 with a zone, such as 2018-07-28T14:30Z or 2018-07-28T16:30:00+02:00, to whole seconds; a
+    datetime with a zone; or a datetime64, which is UTC.
     """
     if isinstance(value, np.datetime64) and not np.isnat(value):
         return value.astype("datetime64[s]")

@@ -960,7 +960,7 @@ def test_two_samples_at_the_same_time(scene, refused, call, tmp_path):
     change(scene / "scene.toml", "[camera]", '[truth]\ntemperature = "temperature.tif"\n[camera]')
     (scene / "flight.csv").write_text(f"{COLUMNS}\n0,0,0,20,-90,0\n0,1,0,20,-90,0\n1,2,0,20,-90,0\n")
     for verb in ("fly", "compare"):
-        words = ["flight.csv, row 3, column 'time_s': '0' follows the same time in row 2", "--duplicates spread"]
+        words = ["flight.csv, row 3, column 'time_s': '0' follows the same time in row 2", "duplicates=spread"]
         refused(words, verb, scene, *QUICK)
         refused("duplicates='all' is unknown", verb, scene, "--duplicates", "all", *QUICK)
         model = ["--models", "fok-1to1"] if verb == "compare" else ["--products", "counts"]
@@ -1134,7 +1134,7 @@ def test_resume(scene, call, tmp_path):
         check_sentence(status, errors, words)
         assert everything(output) == before
 
-    untouched([output, "already holds a flight", "--resume"])
+    untouched([output, "already holds a flight", "set resume"])
     untouched([output / "flight.json", "was flown with seed=0, now seed=1"], "--resume", "--seed", "1")
     untouched(["scene_digest=", ", of the scene with its files, air"], "--resume", "--air", "tropical")
     untouched(["path_digest=", ", of the trajectory with its anchor"], "--resume", "--lever-arm-m", "0,0,1")

@@ -317,7 +317,7 @@ def test_empty_rows_of_spreadsheets_are_ignored(tmp_path):
         ({"source": ""}, r"index.csv, row 2: source of material 'tin' is empty"),
         ({"licence": " "}, r"row 2: licence of material 'tin' is empty"),
         ({"directional": "mirror"}, r"row 2: directional='mirror' is not known; write lambertian or fresnel or table"),
-        ({"temperature_k": "21"}, r"row 2: temperature_k=21 is below 100 K.*add 273.15"),
+        ({"temperature_k": "21"}, r"row 2: temperature_k=21 is not within 100…6000; .*add 273.15"),
         ({"temperature_k": "warm"}, r"row 2: temperature_k='warm' is not a number"),
         ({"solar_absorptance": "40"}, r"row 2: solar_absorptance=40 is not within 0…1; .*0.7 for 70 %"),
         ({"colour_g": "256"}, r"row 2: colour_g=256 is not within 0…255"),
@@ -483,7 +483,7 @@ def test_a_material_that_emits_by_angle_is_written_with_its_table(tmp_path):
 def test_writing_keeps_other_rows_and_user_columns(tmp_path):
     folder = write_library(tmp_path / "m", [ROW | {"shop": "Smith"}], columns=[*INDEX_COLUMNS, "shop"])
     write_material(grey("wall", 0.9), folder)
-    with pytest.raises(ThermorenderError, match="already holds material 'wall'; choose another name, or add --replace"):
+    with pytest.raises(ThermorenderError, match="already holds material 'wall'; choose another name, or set replace"):
         write_material(grey("wall", 0.8), folder)
     assert load_library(folder)["wall"].emissivity_at(10.0) == 0.9
     write_material(grey("wall", 0.8), folder, replace=True)
@@ -604,7 +604,7 @@ def test_two_column_tables_state_their_units(tmp_path, header, rows):
         ("wavelength_um,emissivity\n7,nan\n8,0.1\n", None, r"row 2: emissivity=nan is not within"),
         ("wavelength_um,emissivity\n7,0.9\n7,0.9\n", None, r"at least two rows with different, positive"),
         ("wavelength,A001,A002\n8,0.9,0.8\n9,0.9,0.8\n", "A9", r"holds the samples A001, A002 … A002, not 'A9'"),
-        ("wavelength,A001,A002\n8,0.9,0.8\n9,0.9,0.8\n", None, r"not None; name one with --column"),
+        ("wavelength,A001,A002\n8,0.9,0.8\n9,0.9,0.8\n", None, r"not None; name one as column"),
     ],
 )
 def test_faults_of_sample_files_are_reported(tmp_path, text, column, words):

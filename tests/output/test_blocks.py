@@ -114,7 +114,7 @@ def test_parts_of_another_flight_are_refused(renderer, tmp_path):
     fly_part(renderer, path, tmp_path / "f", options, 0, 2)
     with pytest.raises(ThermorenderError, match=r"was flown with rate_hz=4.0, now rate_hz=8.0"):
         fly_part(renderer, path, tmp_path / "f", FlightOptions(rate_hz=8.0, products=("counts",)), 2, 4)
-    with pytest.raises(ThermorenderError, match="--frames=7:9 holds no frame of this flight; give numbers between 0"):
+    with pytest.raises(ThermorenderError, match="frames=7:9 holds no frame of this flight; give numbers between 0"):
         fly_part(renderer, path, tmp_path / "f", options, 7, 9)
     # Another process wrote the file between two looks at the folder.
     flight = Flight(renderer, path, options, None)

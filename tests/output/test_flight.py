@@ -356,7 +356,7 @@ def test_warming_marker_is_read_by_rows_at_their_own_time(tmp_path, rate_hz):
 def test_resume_refuses_other_settings(setting, tmp_path):
     renderer, path = setting
     fly(renderer, path, tmp_path / "f", FlightOptions(rate_hz=2.0, products=("counts",)))
-    with pytest.raises(ThermorenderError, match="already holds a flight; give another folder, or --resume"):
+    with pytest.raises(ThermorenderError, match="already holds a flight; give another folder, or set resume"):
         fly(renderer, path, tmp_path / "f", FlightOptions(rate_hz=2.0, products=("counts",)))
     with pytest.raises(ThermorenderError, match=r"was flown with rate_hz=2.0, now rate_hz=3.0"):
         fly(renderer, path, tmp_path / "f", FlightOptions(rate_hz=3.0, products=("counts",)), resume=True)

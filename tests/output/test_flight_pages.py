@@ -77,7 +77,7 @@ def test_frames_past_the_terrain_are_counted_and_named(renderer):
     assert seen.shows_terrain.tolist() == [True, False, False, False, False]
     assert seen.as_dict()["without_terrain"] == 4 and np.isnan(seen.outline[1:]).all()
     said = "\n".join(seen.lines())
-    assert "4 of 5 frames show none, the first at 0.250 s; point the camera with --mount, or move the flight" in said
+    assert "4 of 5 frames show none, the first at 0.250 s; point the camera with mount, or move the flight" in said
     assert "off the terrain in 4 of 5 frames" in said
 
 

@@ -110,7 +110,7 @@ def test_times_of_a_scene_with_weather_are_utc(renderer, tmp_path):
 def test_what_cannot_be_written_is_refused_before_the_flight(renderer, tmp_path, monkeypatch):
     with pytest.raises(ThermorenderError, match="product 'mcap' is made of the EXR files; add 'exr'"):
         fly(renderer, path_from(0.0), tmp_path / "g", FlightOptions(products=("counts", "mcap")))
-    with pytest.raises(ThermorenderError, match=r"no times before 0; give --start-s 0"):
+    with pytest.raises(ThermorenderError, match=r"no times before 0; give start_s=0"):
         fly(renderer, path_from(-1.0), tmp_path / "g", OPTIONS)
     monkeypatch.setitem(__import__("sys").modules, "mcap_ros2.writer", None)
     with pytest.raises(ThermorenderError, match=r"run `pip install 'thermorender\[ros\]'`"):

@@ -41,7 +41,7 @@ def test_note_names_the_option_that_mends_it(scene):
     assert note.startswith(
         "2 of 3 frames looked at show no terrain: the flight is over the terrain, but the camera looks"
     )
-    assert "0° below the horizon; point it with --mount YAW,PITCH,ROLL (0,-90,0 looks down)" in note
+    assert "0° below the horizon; point it with mount YAW,PITCH,ROLL (0,-90,0 looks down)" in note
     note = empty_frames_note(scene, poses(*[(900, 70, 50, down)] * 1000))
     assert "200 of 200 frames" in note or "of 167 frames" in note
-    assert "off the scene's terrain, about east 900 m, north 70 m" in note and "--anchor E,N,U,HEADING" in note
+    assert "off the scene's terrain, about east 900 m, north 70 m" in note and "anchor=E,N,U,HEADING" in note

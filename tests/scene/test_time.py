@@ -530,7 +530,7 @@ def test_a_date_is_local_to_the_place(scene):
     noon = instant_of(scene, "2018-07-29")
     assert solar_midnight(noon, scene.frame.longitude_deg) == noon - 720 * MINUTE
     assert instant_of(scene, "2018-07-29T01:00+02:00") == np.datetime64("2018-07-28T23:00")
-    with pytest.raises(ThermorenderError, match="--time=2018-02-30"):
+    with pytest.raises(ThermorenderError, match="time=2018-02-30"):
         instant_of(scene, "2018-02-30")
 
 

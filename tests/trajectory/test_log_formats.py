@@ -53,10 +53,10 @@ def test_formats_are_complete_and_named_everywhere():
 
 
 def test_a_file_of_another_program_names_its_format(tmp_path):
-    with pytest.raises(ThermorenderError, match=r"a\.ulg is read with --format ulog; add it"):
+    with pytest.raises(ThermorenderError, match=r"a\.ulg is read with format=ulog; add it"):
         read_trajectory(tmp_path / "a.ulg")
     with pytest.raises(
-        ThermorenderError, match=r"column 'time_s' is missing; row 1 names a, b; if another program .* --form"
+        ThermorenderError, match=r"column 'time_s' is missing; row 1 names a, b; if another program .* give its format"
     ):
         read_trajectory(write(tmp_path / "a.csv", "a,b\n1,2\n"))
 
@@ -147,7 +147,7 @@ def test_gimbal_of_a_ulog_is_relative_to_the_earth_or_to_the_heading(tmp_path, f
 def test_other_and_damaged_binary_files_are_refused(tmp_path, monkeypatch):
     (tmp_path / "a.bin").write_bytes(b"nothing")
     for name, what in (("ulog", "a PX4 log in ULog"), ("ardupilot", "an ArduPilot dataflash log")):
-        with pytest.raises(ThermorenderError, match=rf"a\.bin is not {what}: it begins with b'no.*; check --format"):
+        with pytest.raises(ThermorenderError, match=rf"a\.bin is not {what}: it begins with b'no.*; check format"):
             read(tmp_path / "a.bin", name)
         with pytest.raises(ThermorenderError, match=rf"none cannot be read \(No such file .*\); give {what}"):
             read(tmp_path / "none", name)
@@ -276,7 +276,7 @@ def test_altitude_of_a_subtitle_needs_an_anchor(tmp_path):
     cues = [f"[latitude: 47.0] [longtitude: 8.0] [altitude: {540.5 + k}]" for k in range(3)]
     file = srt(tmp_path / "a.srt", cues)
     with pytest.raises(
-        ThermorenderError, match=r"does not say what its height is relative to; move the flight with --anchor"
+        ThermorenderError, match=r"does not say what its height is relative to; move the flight with anchor"
     ):
         read(file, "dji-srt")
     assert np.allclose(read(file, "dji-srt", anchor=ANCHOR).position[:, 2], [80.0, 81.0, 82.0])
@@ -348,7 +348,7 @@ def test_gpx_track(tmp_path):
         (gpx(("", "")), "track point 1: time is missing; a flight needs lat, lon, ele and time"),
         (gpx(("2024-05-01T10:00:00Z", "")).replace("ele>", "x>"), "track point 1: ele is missing"),
         ("<gpx><rte/></gpx>", "no track points"),
-        ("<kml/>", "is not GPX: its outermost element is 'kml'; check --format"),
+        ("<kml/>", "is not GPX: its outermost element is 'kml'; check format"),
         ("<gpx>", r"is not GPX \(no element found"),
     ):
         with pytest.raises(ThermorenderError, match=message):
@@ -490,7 +490,7 @@ def test_rosbag_of_poses(tmp_path, storage):
         assert np.allclose(view(path)[0], NORTH, atol=1e-9) and np.allclose(view(path)[1], UP, atol=1e-9)
         assert np.allclose(view(path, 2)[0], EAST, atol=1e-9)
         assert any("x of frame 'map' is taken as east" in note for note in path.notes)
-    with pytest.raises(ThermorenderError, match=r"is read with --format rosbag; add it"):
+    with pytest.raises(ThermorenderError, match=r"is read with format=rosbag; add it"):
         read_trajectory(f"{file}#/odom")
 
 
@@ -557,7 +557,7 @@ def test_course_over_ground_stands_for_a_missing_yaw(tmp_path):
     file = write(tmp_path / "a.csv", text)
     path = read_trajectory(file)
     assert np.allclose(view(path, 5)[0], NORTH)
-    assert "the log has no yaw, so the vehicle heads north all the time; --course turns it" in path.notes[0]
+    assert "the log has no yaw, so the vehicle heads north all the time; course turns it" in path.notes[0]
     path = read_trajectory(file, course=True)
     heading = np.degrees(np.arctan2(*path.poses()[:, :2, 2].T))
     # Standing, it keeps its course.
@@ -565,5 +565,5 @@ def test_course_over_ground_stands_for_a_missing_yaw(tmp_path):
     assert path.notes == ()
     with pytest.raises(ThermorenderError, match=r"a\.csv: the positions move less than 1 m, so there is no course"):
         read_trajectory(write(tmp_path / "a.csv", "time_s,east_m,north_m,up_m\n0,0,0,50\n1,0,0.5,50\n"), course=True)
-    with pytest.raises(ThermorenderError, match=r"has the vehicle's yaw already; leave --course out"):
+    with pytest.raises(ThermorenderError, match=r"has the vehicle's yaw already; leave course out"):
         read_trajectory(write(tmp_path / "b.csv", "time_s,east_m,north_m,up_m,yaw_deg\n0,0,0,50,7\n"), course=True)

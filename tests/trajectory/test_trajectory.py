@@ -461,9 +461,9 @@ LOCAL = "time_s,east_m,north_m,up_m"
             "time_s,lat_deg,lon_deg,up_m\n0,49,8,0\n",
             {"frame": FRAME},
             r"row 2, column 'lat_deg': the position is 20\d km from the scene's origin; up to "
-            r"100 km .*--anchor E,N,U",
+            r"100 km .*anchor=E,N,U",
         ),
-        (f"{LOCAL}\n0,0,0,0\n1,200000,0,0\n", {}, r"at 1\.000 s: the position is 200 km from .*--anchor"),
+        (f"{LOCAL}\n0,0,0,0\n1,200000,0,0\n", {}, r"at 1\.000 s: the position is 200 km from .*anchor="),
         (
             "time_s,lat_deg,lon_deg,up_m\n0,49,8,0\n1,0,0,0\n",
             {"anchor": Anchor(0, 0, 50, 0)},
@@ -518,7 +518,7 @@ LOCAL = "time_s,east_m,north_m,up_m"
         (
             "timestamp,x,y,z\n0,0,0,0\n",
             {},
-            "column 'time_s' is missing; .*the columns fit --format px4 .in Python, format='px4'",
+            "column 'time_s' is missing; .*the columns fit format=px4",
         ),
     ],
 )
@@ -645,7 +645,7 @@ def test_two_images_in_one_second(tmp_path):
     with pytest.raises(
         ThermorenderError,
         match=r"row 4, column 'local_datetime': '2022:06:02 14:22:11' follows the same time in row 3, but time must "
-        r"strictly increase; give --duplicates spread, .*, or --duplicates first",
+        r"strictly increase; give duplicates=spread, .*, or duplicates=first",
     ):
         read(tmp_path, DJI + "".join(rows), **options)
     spread = read(tmp_path, DJI + "".join(rows), duplicates="spread", **options)

@@ -57,16 +57,9 @@ ABSORBERS = (
 def scaled_densities(pressure_hpa: ArrayLike, temperature: ArrayLike, gas: Floats) -> Floats:
     """Return the scaled density of each gaseous absorber, (11, L), in the order of ABSORBERS.
 
-    Parameters
-    ----------
-    pressure_hpa, temperature : (L,) arrays
-    gas : (6, L) array
-        Water vapour [g m⁻³]; the others [cm-atm km⁻¹], in the order of GASES.
-
-    Notes
-    -----
-    Line absorption: amount × (p/p₀)ⁿ (T₀/T)ᵐ. Continuum: water times water, the same times (296 K − T)/36 K limited to
-    0…1, and water times dry air, in units of the density of air at p₀, T₀.
+    `gas` (6, L) is water vapour [g m⁻³] and the others [cm-atm km⁻¹], in the order of GASES. Line absorption: amount ×
+    (p/p₀)ⁿ (T₀/T)ᵐ. Continuum: water times water, the same times (296 K − T)/36 K limited to 0…1, and water times dry
+    air, in units of the density of air at p₀, T₀.
     """
     pressure = np.asarray(pressure_hpa, dtype=np.float64) / 1013.25
     cold = ZERO_CELSIUS_K / np.asarray(temperature, dtype=np.float64)
@@ -82,6 +75,7 @@ def exponential(altitude: ArrayLike, levels: Floats, values: Floats) -> Floats:
 
     Below the lowest level the values are constant, above the highest 0.
     """
+    altitude = np.asarray(altitude, np.float64)
     upper = np.clip(np.searchsorted(levels, altitude), 1, len(levels) - 1)
     part = np.clip((altitude - levels[upper - 1]) / (levels[upper] - levels[upper - 1]), 0.0, 1.0)
     first, last = values[:, upper - 1], values[:, upper]

@@ -6,6 +6,7 @@ so it is a node of an `Atmosphere`. Its absorption coefficient at a level is the
 number density.
 """
 
+from collections.abc import Mapping
 from os import PathLike
 from typing import Any
 
@@ -19,6 +20,8 @@ from thermorender.atmosphere.profile import read_gases
 from thermorender.atmosphere.tables import not_rising, read_arrays, wrong_sub_bands
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import BOLTZMANN
+
+Floats = NDArray[np.float64]
 
 # Arrays of a file of absorption data and their axes: gases M, sub-bands S, g points G, pressures P, temperatures T.
 _AXES = {
@@ -60,7 +63,7 @@ def from_absorption(
     Between levels temperature is linear, and pressure and gases are exponential, in altitude.
     """
     data = read_absorption(absorption)
-    altitude, pressure, temperature, ppm = read_gases(profile, data["gas"])
+    altitude, pressure, temperature, ppm = read_gases(profile, data["gas"].tolist())
     inside = ALTITUDE_M[::_EVERY]
     fine = np.unique(np.concatenate([altitude, inside[(inside > altitude[0]) & (inside < altitude[-1])]]))
     pressure = np.exp(np.interp(fine, altitude, np.log(pressure)))
@@ -142,7 +145,7 @@ def _first_wrong(data: dict[str, NDArray[Any]]) -> str | None:
     return next(filter(None, [*wrong, wrong_sub_bands(data["lower_um"], data["upper_um"])]), None)
 
 
-def _at(data, pressure, temperature):
+def _at(data: Mapping[str, NDArray[Any]], pressure: Floats, temperature: Floats) -> Floats:
     """Cross sections (M, S, G, L) at levels: exponential in ln p and in T, or linear where an end is 0."""
     section = data["cross_section_cm2"]
     if len(data["temperature"]) == 1:
@@ -153,11 +156,11 @@ def _at(data, pressure, temperature):
         section, low, part = section[..., [0, 0], :], np.zeros(len(pressure), int), np.zeros(len(pressure))
     else:
         low, part = _interval(np.log(data["pressure_hpa"]), np.log(pressure))
-    ends = [between(section[..., low + k, warm], section[..., low + k, warm + 1], share) for k in (0, 1)]
-    return between(*ends, part)
+    lower, upper = (between(section[..., low + k, warm], section[..., low + k, warm + 1], share) for k in (0, 1))
+    return between(lower, upper, part)
 
 
-def _interval(grid, values):
+def _interval(grid: Floats, values: Floats) -> tuple[NDArray[np.intp], Floats]:
     """(index of the grid point below, fraction of the interval to the next) of values within a rising grid."""
     lower = np.clip(np.searchsorted(grid, values) - 1, 0, len(grid) - 2)
     return lower, np.clip((values - grid[lower]) / (grid[lower + 1] - grid[lower]), 0.0, 1.0)

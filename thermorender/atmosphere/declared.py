@@ -12,17 +12,10 @@ from thermorender.errors import ThermorenderError
 def declared_air(
     spec: Any, band_um: tuple[float, float], where: object, of_weather: Callable[..., Atmosphere] | None = None
 ) -> Atmosphere | None:
-    """Return the Atmosphere of an AtmosphereSpec over a band, or None for None.
+    """Return the Atmosphere of an AtmosphereSpec over the camera's band [µm], or None for None.
 
-    Parameters
-    ----------
-    spec : AtmosphereSpec or None
-    band_um : (2,) floats
-        The camera's band [µm].
-    where : str
-        Path of the scene file, for messages.
-    of_weather : callable, optional
-        Returns the air of the weather from aerosol, cloud_fraction and cloud_base_m.
+    `where` is the scene file, for messages; `of_weather` makes the air of the weather from aerosol, cloud_fraction and
+    cloud_base_m.
     """
     if spec is None:
         return None

@@ -92,7 +92,7 @@ def emission(
     return passed.T, light.T
 
 
-def _interval(altitude):
+def _interval(altitude: Floats) -> tuple[NDArray[np.intp], Floats]:
     """(index of the grid point below (...), fraction of the interval to the next (...)) of altitudes."""
     position = np.log1p(np.maximum(altitude, 0.0) / _SCALE_M)
     position *= (_POINTS - 1) / np.log1p(TOP_M / _SCALE_M)
@@ -100,7 +100,7 @@ def _interval(altitude):
     return index, np.maximum((altitude - ALTITUDE_M.take(index)) / _SPACING.take(index), 0.0)
 
 
-def _lookup(grid, altitude):
+def _lookup(grid: Floats, altitude: Floats) -> Floats:
     """Rows of a grid (points, n) interpolated at altitudes, (..., n)."""
     index, part = _interval(altitude)
     lower, result = grid.take(index, axis=0), grid.take(index + 1, axis=0)

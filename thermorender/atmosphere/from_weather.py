@@ -56,28 +56,15 @@ def from_weather(
     near: NearGround, latitude_deg: float, altitude_m: float, time: np.datetime64, aerosol: str = "none",
     cloud_fraction: float | None = None, cloud_base_m: float | None = None,
 ) -> Atmosphere:  # fmt: skip
-    """Return the Atmosphere of the weather at a place.
+    """Return the Atmosphere of the weather near the ground, at a place and an instant, whose day chooses the season.
 
-    Parameters
-    ----------
-    near : NearGround
-    latitude_deg : float
-        North positive.
-    altitude_m : float
-        Of the station above sea level [m].
-    time : datetime64
-        The instant; its day of the year chooses the season.
-    aerosol : str
-        As in `Atmosphere.standard`.
-    cloud_fraction, cloud_base_m : float, optional
-        In place of those that the long-wave irradiance and the dew point suggest.
+    `altitude_m` is the station's above sea level, `aerosol` as in `Atmosphere.standard`; `cloud_fraction` and
+    `cloud_base_m` replace those that the long-wave irradiance and the dew point suggest.
 
-    Notes
-    -----
     Temperature: that of the climate plus the difference at the ground, which decays by 1/e in 4 km. Vapour: the
-    climate's mixing ratio times one factor, up to saturation. Clouds: from the excess of the long-wave over a clear
-    sky (`thermorender.physics.sky.longwave`); their base is the lifting condensation level, 125 m per kelvin between
-    air and dew point (Espy; Lawrence, Bull. Amer. Meteor. Soc. 86 (2005) 225, doi:10.1175/BAMS-86-2-225).
+    climate's mixing ratio times one factor, up to saturation. Clouds: from the excess of the long-wave over a clear sky
+    (`thermorender.physics.sky.longwave`); their base is the lifting condensation level, 125 m per kelvin between air
+    and dew point (Espy; Lawrence, Bull. Amer. Meteor. Soc. 86 (2005) 225, doi:10.1175/BAMS-86-2-225).
     """
     table = read_table()
     haze = name_index("aerosol", aerosol, table["aerosol"])
@@ -102,9 +89,9 @@ def from_weather(
     factor = at_ground * column ** (1.0 - np.exp(-above / 500.0))
     gas[0] = np.minimum(gas[0] * factor, np.maximum(saturation_g_m3(kelvin), vapour * (above == 0.0)))
     if cloud_base_m is None:
-        spread = near.air_k - float(dew_point(np.float64(near.vapour_pa)))
+        spread = near.air_k - float(dew_point(np.asarray(near.vapour_pa)))
         cloud_base_m = ground + max(_BASE_M_K * spread, _LOWEST_BASE_M)
-    extinction = exponential(levels, altitude, np.float64(table["extinction"][nearest, haze]))
+    extinction = exponential(levels, altitude, np.asarray(table["extinction"][nearest, haze], np.float64))
     found = Atmosphere.of_table(
         table, levels, kelvin, scaled_densities(pressure, kelvin, gas), extinction, table["aerosol_factor"][haze]
     )
@@ -124,12 +111,12 @@ def _climate(
     for names, season in ((_WINTER, 1.0 - summer), (_SUMMER, summer)):
         for number, name in enumerate(names):
             weights[name_index("standard", name, table["model"])] += season * max(1.0 - abs(polar - number), 0.0)
-    pressure, temperature, gas = (np.float64(table[key]) for key in ("pressure_hpa", "temperature", "gas"))
+    pressure, temperature, gas = (np.asarray(table[key], np.float64) for key in ("pressure_hpa", "temperature", "gas"))
     ratio = gas * (temperature / pressure)[:, None]
     # Geometric mean, as vapour varies by orders of magnitude; a standard atmosphere may have none of a gas somewhere.
     mean = np.exp(np.tensordot(weights, np.log(np.maximum(ratio, 1e-30)), 1))
     mean[mean < 1e-25] = 0.0
-    return np.float64(table["altitude_m"]), weights @ temperature, mean, int(np.argmax(weights))
+    return np.asarray(table["altitude_m"], np.float64), weights @ temperature, mean, int(np.argmax(weights))
 
 
 def _pressure(levels: Floats, kelvin: Floats, ground_m: float, ground_hpa: float) -> Floats:
@@ -144,10 +131,10 @@ def _cloud_and_column(near: NearGround) -> tuple[float, float]:
     """(Cloud cover, factor on the vapour aloft) with which a sky has the long-wave irradiance measured."""
     black = STEFAN_BOLTZMANN * near.air_k**4
     shown = near.longwave_w_m2 / black
-    clear = float(sky.longwave(np.float64(near.air_k), np.float64(near.vapour_pa), 0.0)) / black
+    clear = float(sky.longwave(np.asarray(near.air_k), np.asarray(near.vapour_pa), 0.0)) / black
     cloud = (shown - clear) / (sky.CLOUD_EMISSIVITY * (1.0 - clear))
     if cloud >= LEAST_CLOUD:
         return min(cloud, 1.0), 1.0
     factor = np.geomspace(_DRIEST, _WETTEST, 200)
-    emissivity = sky.longwave(np.float64(near.air_k), near.vapour_pa * factor, 0.0) / black
+    emissivity = sky.longwave(np.asarray(near.air_k), near.vapour_pa * factor, 0.0) / black
     return 0.0, float(np.interp(shown, emissivity, factor))

@@ -31,19 +31,11 @@ def is_igra(line: str) -> bool:
 def read_igra(path: object, lines: list[tuple[int, str]]) -> list[NDArray[np.float64]]:
     """Return [altitude [m], pressure [hPa], temperature [K], relative humidity [%]], each (n,), of a sounding.
 
-    Parameters
-    ----------
-    path : str
-        For messages.
-    lines : list of (line number, text)
-
-    Notes
-    -----
-    Levels without temperature or humidity are left out. Levels without a height get it from the hydrostatic thickness,
-    fitted to the heights around them.
+    `lines` are (line number, text). Levels without temperature or humidity are left out. Levels without a height get it
+    from the hydrostatic thickness, fitted to the heights around them.
     """
-    heads = [_HEADER.match(text) for _, text in lines if text.startswith("#")]
-    days = ["-".join(head.groups()[:3]) + f"T{head[4]}" for head in heads if head]
+    heads = [head for head in (_HEADER.match(text) for _, text in lines) if head]
+    days = ["-".join(head.groups()[:3]) + f"T{head[4]}" for head in heads]
     if len(days) > 1:
         raise ThermorenderError(
             f"profile {path} holds {len(days)} soundings, {days[0]} to {days[-1]}; copy one, its header line and its "
@@ -75,7 +67,7 @@ def read_igra(path: object, lines: list[tuple[int, str]]) -> list[NDArray[np.flo
     return [height, pressure, kelvin, humidity]
 
 
-def _level(path, number, text):
+def _level(path: object, number: int, text: str) -> list[float]:
     """Numbers of a level in hPa, m, °C, % and K, NaN where missing."""
     try:
         if len(text.rstrip()) > _WIDTH:

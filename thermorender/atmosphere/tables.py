@@ -44,16 +44,9 @@ def read_arrays(
 ) -> Arrays:  # fmt: skip
     """Return the arrays of an .npz file by name; numbers are float64.
 
-    Parameters
-    ----------
-    path : str or Path
-    kind, give : str
-        For messages: name of this kind of file, and advice on what to give instead.
-    axes : dict
-        {array: letters of its axes}; the first array with an axis sets its length, and a digit is a length. The array
-        `gas` has text, others finite numbers.
-    first_wrong : callable
-        Returns the fault of the first invalid array, as a clause, or None.
+    `axes` are {array: letters of its axes}: the first array with an axis sets its length, and a digit is a length. The
+    array `gas` has text, others finite numbers. `first_wrong` returns the fault of the first invalid array, as a
+    clause, or None; `kind` and `give` are for messages, the kind of file and what to give instead.
     """
     try:
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
@@ -73,9 +66,9 @@ def read_arrays(
     return values
 
 
-def _misshapen(values, axes):
+def _misshapen(values: Mapping[str, NDArray[Any]], axes: Mapping[str, str]) -> str | None:
     """The fault of the first array of another type or shape, as a clause, or None."""
-    length = {"2": (2, None)}
+    length: dict[str, tuple[int, str]] = {"2": (2, "")}
     for name, letters in axes.items():
         if name not in values:
             return f"it has no array {name}"
@@ -144,5 +137,5 @@ def _first_wrong(values: Arrays) -> str | None:
     return None
 
 
-def _shape(axes):
+def _shape(axes: str) -> str:
     return f"({', '.join(axes)}{',' if len(axes) == 1 else ''})"

@@ -237,8 +237,9 @@ class ViewOptions:
         from thermorender.trajectory.path import pose
 
         (east, north, up, *angles), point = self.numbers()
+        yaw, pitch, roll = angles or (0.0, 0.0, 0.0)
         if self.local_up:
-            return pose(east, north, up, *angles, look_at=point)
+            return pose(east, north, up, yaw, pitch, roll, look_at=point)
         ground = float(scene.ground(east, north))
         if ground != ground:
             raise ThermorenderError(f"--pose={self.pose!r} is outside the terrain; move it, or give --local-up")
@@ -247,7 +248,7 @@ class ViewOptions:
                 f"--pose={self.pose!r} is {-up:.6g} m under the terrain; give U in metres above the ground, or "
                 "--local-up"
             )
-        return scene.pose(east, north, up, *angles, look_at=point)
+        return scene.pose(east, north, up, yaw, pitch, roll, look_at=point)
 
 
 @dataclass(frozen=True)

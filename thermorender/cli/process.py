@@ -16,11 +16,7 @@ UsageError: Any = typer.BadParameter.__base__
 def run(app: typer.Typer, without_arguments: Sequence[str] = ("--help",)) -> NoReturn:
     """Run an application of typer and exit: a user's mistake is one sentence and status 2; a stop cleans up first.
 
-    Parameters
-    ----------
-    app : typer.Typer
-    without_arguments : sequence of str
-        Arguments for an empty command line.
+    `without_arguments` stands for an empty command line.
     """
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]

@@ -190,6 +190,7 @@ def fly(
             for written in foresee(renderer, path, options, output, _print_outlook):
                 typer.echo(str(written))
             return
+        assert output is not None  # Only a preview needs none.
         if cluster.frames:
             typer.echo(cluster.part(renderer, path, output, options))
             return

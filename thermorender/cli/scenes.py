@@ -25,10 +25,13 @@ def map_materials(
     from thermorender.scene.material_map import write_map
 
     with progress() as report, files.output_folder(output) as folder:
+
+        def mapped(share: float) -> None:
+            report("mapping the materials", share)
+
         written, shares, notes = write_map(
-            scene_folder(scene), folder, model, fallback, confidence, split(without),
-            lambda share: report("mapping the materials", share),
-        )  # fmt: skip
+            scene_folder(scene), folder, model, fallback, confidence, split(without), mapped
+        )
     for note in notes:
         typer.echo(note)
     table(("material", "share"), [(name, f"{share:.1%}") for name, share in shares.items()])

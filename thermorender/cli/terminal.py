@@ -51,10 +51,7 @@ def read_instant(scene: "Scene", text: str) -> Any:
 def at_time(
     name: str, time: str | None, read: ReadTime = read_instant, temperature: "TemperatureSpec | None" = None
 ) -> "Scene":
-    """Return the Scene of a folder or name at the instant of an option --time, or at its own instant for None.
-
-    `read` converts (scene, text) to an instant; `temperature` is a TemperatureSpec in place of the scene's own.
-    """
+    """Return the Scene of a folder or name at the instant that `read` makes of (scene, text), or at its own."""
     with phase("imports"):
         from thermorender.scene.load import load_scene
 

@@ -27,27 +27,13 @@ from thermorender.sensor.display import DisplaySettings
 
 @dataclass(frozen=True)
 class Found:
-    """The view of a pickled frame, without its scene.
+    """The view of a pickled frame, without its scene."""
 
-    Attributes
-    ----------
-    images : dict
-        From `View.truth`.
-    objects : dict
-        From `View.targets`.
-    extents : dict
-        From `View.labels`.
-    budget : dict or None
-        From `View.budget_mk`.
-    error : (H, W) float32 or None
-        From `View.error_mk`.
-    """
-
-    images: dict[str, NDArray[Any]]
-    objects: dict[str, dict[str, Any]]
-    extents: dict[str, dict[str, Any]]
-    budget: dict[str, float] | None
-    error: NDArray[np.float32] | None
+    images: dict[str, NDArray[Any]]  # From `View.truth`
+    objects: dict[str, dict[str, Any]]  # From `View.targets`
+    extents: dict[str, dict[str, Any]]  # From `View.labels`
+    budget: dict[str, float] | None  # From `View.budget_mk`
+    error: NDArray[np.float32] | None  # (H, W), from `View.error_mk`
 
     def truth(self, sampling: Any) -> dict[str, NDArray[Any]]:
         """Return the truth without the sensor's flags."""

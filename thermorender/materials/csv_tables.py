@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender import formats
 from thermorender.errors import ThermorenderError, shortened
@@ -41,6 +41,12 @@ FINEST_UM = 0.05
 # A step larger than both limits is a gap in the measurement, not its sampling.
 GAP_UM = 0.5
 GAP_STEPS = 5.0
+# For emissivities, absorptances and reflectances outside 0…1.
+SHARE_ADVICE = "divide by 100 if the values are percent, take 1 minus them if they are reflectances"
+
+Rows = list[tuple[int, dict[str, str]]]  # Row number in the spreadsheet, {column: text}
+Fault = tuple[int | None, str]  # Row, or None for the whole table; sentence with the correction
+Floats = NDArray[np.float64]
 
 
 def read_text(path: str | Path, directory: str | Path | None = None) -> str:
@@ -53,48 +59,48 @@ def read_text(path: str | Path, directory: str | Path | None = None) -> str:
     return formats.read_text(path, "'CSV UTF-8' in the spreadsheet")
 
 
-def read_table(
-    path: str | Path, columns: Sequence[str], directory: str | Path | None = None
-) -> list[tuple[int, dict[str, str]]]:
-    """Return the rows of a CSV file as (row number in the spreadsheet, dict of column to stripped text).
+def read_table(path: str | Path, columns: Sequence[str], directory: str | Path | None = None) -> Rows:
+    """Return the rows of a CSV file as `parsed_table` does; its first fault is an error."""
+    _, rows, faults = parsed_table(read_text(path, directory), columns)
+    for row, sentence in faults:
+        raise ThermorenderError(f"{path}, row {row}: {sentence}" if row else f"{path}, {sentence}")
+    return rows
 
-    Empty rows are skipped. Additional columns are allowed; cells beyond the last heading are not.
 
-    Parameters
-    ----------
-    path : path
-        Comma-separated UTF-8 text with the column names in the first row.
-    columns : sequence of str
-        Required columns.
-    directory : path, optional
-        Folder that must contain the file.
+def parsed_table(text: str, columns: Sequence[str]) -> tuple[list[str], Rows, list[Fault]]:
+    """Return (column names, rows as (row number in the spreadsheet, {column: stripped text}), faults) of a CSV text.
+
+    The first row has the names, with at least `columns`, each once. Empty rows are skipped, and additional columns are
+    allowed; cells beyond the last heading are not.
     """
-    text = read_text(path, directory)
-    first_line = text.partition("\n")[0]
-    if ";" in first_line and "," not in first_line:
-        raise ThermorenderError(
-            f"{path}, row 1 is separated by semicolons; save it comma-separated with a point as decimal mark"
-        )
-    table = csv_rows(text, path)
+    faults: list[Fault] = []
+    first, delimiter = text.partition("\n")[0], ","
+    if ";" in first and "," not in first:
+        faults.append((None, "row 1 is separated by semicolons; save it comma-separated with a point as decimal mark"))
+        delimiter = ";"
+    table, fault = _cells(text, delimiter)
+    if fault:
+        return [], [], [*faults, fault]
     header = [cell.strip() for cell in table[0]] if table else []
     missing = [column for column in columns if column not in header]
     if missing:
         found = shortened(" ".join(", ".join(header).split())) or "nothing"
-        raise ThermorenderError(
-            f"{path}, row 1 lacks column {', '.join(missing)} (found: {found}); "
-            f"the first row must hold {', '.join(columns)}"
+        lacks = (
+            f"row 1 lacks column {', '.join(missing)} (found: {found}); the first row must hold {', '.join(columns)}"
         )
+        return header, [], [*faults, (None, lacks)]
     twice = [column for column in dict.fromkeys(header) if column and header.count(column) > 1]
     if twice:
-        raise ThermorenderError(f"{path}, row 1 holds column {shortened(twice[0])} twice; rename or delete one of them")
-    rows = []
+        holds = f"row 1 holds column {shortened(twice[0])} twice; rename or delete one of them"
+        return header, [], [*faults, (None, holds)]
+    rows: Rows = []
     for number, cells in enumerate(table[1:], start=2):
         if any(cell.strip() for cell in cells):
-            if fault := beyond(header, cells):
-                raise ThermorenderError(f"{path}, row {number}: {fault}")
+            if sentence := beyond(header, cells):
+                faults.append((number, sentence))
             cells = cells + [""] * (len(header) - len(cells))
             rows.append((number, {key: cell.strip() for key, cell in zip(header, cells, strict=False)}))
-    return rows
+    return header, rows, faults
 
 
 def beyond(header: Sequence[str], cells: Sequence[str]) -> str | None:
@@ -107,18 +113,24 @@ def beyond(header: Sequence[str], cells: Sequence[str]) -> str | None:
     )
 
 
-def csv_rows(text: str, path: str | Path, delimiter: str = ",") -> list[list[str]]:
+def csv_rows(text: str, path: str | Path) -> list[list[str]]:
     """Return the rows of a CSV text as lists of cells."""
-    rows = []
+    rows, fault = _cells(text, ",")
+    if fault:
+        raise ThermorenderError(f"{path}, row {fault[0]}: {fault[1]}")
+    return rows
+
+
+def _cells(text: str, delimiter: str) -> tuple[list[list[str]], Fault | None]:
+    """(Rows of a CSV text as lists of cells, fault of the first row that is not CSV, or None)."""
+    rows: list[list[str]] = []
     try:
         for cells in csv.reader(io.StringIO(text), delimiter=delimiter, strict=True):
             rows.append(cells)
     except csv.Error as error:
-        raise ThermorenderError(
-            f"{path}, row {len(rows) + 1}: is not CSV ({error}); close its quotation marks, or save the file as "
-            "'CSV UTF-8' in the spreadsheet"
-        ) from None
-    return rows
+        advice = "close its quotation marks, or save the file as 'CSV UTF-8' in the spreadsheet"
+        return rows, (len(rows) + 1, f"is not CSV ({error}); {advice}")
+    return rows, None
 
 
 def decimal(text: str) -> float:
@@ -130,23 +142,30 @@ def decimal(text: str) -> float:
 
 def number_in_cell(path: str | Path, row: int, column: str, text: str, low: float, high: float, advice: str) -> float:
     """Return the number in a table's cell, checked to be within low…high."""
-    try:
-        value = decimal(text)
-    except ValueError:
-        raise ThermorenderError(
-            f"{path}, row {row}: {column}={shortened(repr(text))} is not a number; write {low:g}…{high:g} with a "
-            "point as decimal mark and no unit"
-        ) from None
-    if not low <= value <= high:
-        raise ThermorenderError(f"{path}, row {row}: {column}={value:g} is not within {low:g}…{high:g}; {advice}")
+    value, fault = parsed_number(column, text, low, high, advice)
+    if value is None:
+        raise ThermorenderError(f"{path}, row {row}: {fault}")
     return value
 
 
-def gaps(wavelength_um: ArrayLike) -> list[tuple[float, float]]:
-    """Return the gaps of a table as a list of (start, end) [µm].
+def parsed_number(column: str, text: str, low: float, high: float, advice: str) -> tuple[float | None, str]:
+    """Return (number of a cell within low…high, or None, a sentence on its fault, or "")."""
+    try:
+        value = decimal(text)
+    except ValueError:
+        return None, (
+            f"{column}={shortened(repr(text))} is not a number; write {low:g}…{high:g} with a point as decimal mark "
+            "and no unit"
+        )
+    if not low <= value <= high:
+        return None, f"{column}={value:g} is not within {low:g}…{high:g}; {advice}"
+    return value, ""
 
-    A gap is a step longer than 0.5 µm and than five times the median step. Nothing was measured there, so
-    interpolation across it is not justified.
+
+def gaps(wavelength_um: ArrayLike) -> list[tuple[float, float]]:
+    """Return the gaps of a table as a list of (start, end) [µm]: steps above 0.5 µm and five times the median step.
+
+    Nothing was measured there, so interpolation across it is not justified.
     """
     wavelength = np.asarray(wavelength_um, dtype=np.float64)
     steps = np.diff(wavelength)
@@ -203,8 +222,8 @@ def read_angles(path: str | Path, directory: str | Path | None = None) -> dict[s
     them.
     """
     rows, wavelength = _rows(path, ("wavelength_um", "at_0", "at_90"), directory)
-    columns = [column for column in rows[0][1] if ANGLE_COLUMN.fullmatch(column)]
-    angle = np.array([float(ANGLE_COLUMN.fullmatch(column)[1]) for column in columns])
+    matches = [match for match in map(ANGLE_COLUMN.fullmatch, rows[0][1]) if match]
+    columns, angle = [match[0] for match in matches], np.array([float(match[1]) for match in matches])
     if angle.max() > 90.0:
         raise ThermorenderError(
             f"{path}, row 1: column at_{angle.max():g} is beyond 90 degrees; angles count from the normal, 0…90"
@@ -221,7 +240,9 @@ def read_angles(path: str | Path, directory: str | Path | None = None) -> dict[s
     )
 
 
-def _directional(wavelength, cosines, by_angle, holes, text):
+def _directional(
+    wavelength: Floats, cosines: Floats, by_angle: Floats, holes: list[tuple[float, float]], text: str
+) -> dict[str, Any]:
     return {
         "wavelength_um": wavelength, "emissivity": fresnel.hemispherical(cosines, by_angle),
         "emissivity_std": np.full(wavelength.size, np.nan), "cosines": cosines, "emissivity_by_angle": by_angle,
@@ -229,16 +250,16 @@ def _directional(wavelength, cosines, by_angle, holes, text):
     }  # fmt: skip
 
 
-def _text(columns, rows):
+def _text(columns: Sequence[str], rows: Rows) -> str:
     """The columns of a table as text."""
     lines = (columns, *([cells[column] for column in columns] for _, cells in rows))
     return "".join(f"{','.join(line)}\n" for line in lines)
 
 
-def _rows(path, columns, directory):
+def _rows(path: str | Path, columns: Sequence[str], directory: str | Path | None) -> tuple[Rows, Floats]:
     """Return the rows of a spectrum table and their wavelengths (N,) [µm], checked to be ascending."""
     rows = read_table(path, columns, directory)
-    wavelength = []
+    wavelength: list[float] = []
     for row, cells in rows:
         value = number_in_cell(
             path, row, "wavelength_um", cells["wavelength_um"], 0.0, LONGEST_WAVELENGTH_UM,
@@ -262,5 +283,4 @@ def _rows(path, columns, directory):
 
 def share_in_cell(path: str | Path, row: int, column: str, text: str) -> float:
     """Return an emissivity, absorptance or reflectance in a table's cell, checked to be within 0…1."""
-    advice = "divide by 100 if the values are percent, take 1 minus them if they are reflectances"
-    return number_in_cell(path, row, column, text, 0.0, 1.0, advice)
+    return number_in_cell(path, row, column, text, 0.0, 1.0, SHARE_ADVICE)

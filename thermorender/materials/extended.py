@@ -61,22 +61,11 @@ def assumptions(material: Material, band_um: tuple[float, float]) -> list[Assump
 def within_band(
     material: Material, band_um: tuple[float, float], library: Mapping[str, Material], where: object
 ) -> Material:
-    """Return a material that covers a band: itself, or with rows assumed where its table ends.
+    """Return a material that covers a band [µm]: itself, or with rows assumed where its table ends.
 
-    Parameters
-    ----------
-    material : Material
-    band_um : (2,) floats
-        The camera's band [µm].
-    library : dict of str to Material
-        Materials to compare with.
-    where : str
-        Start of the message.
-
-    Notes
-    -----
-    The 12 materials with the smallest difference over the common part are compared. The assumed emissivity is the
-    table's last one plus the mean step of those materials; its standard deviation is theirs and 0.02 in quadrature.
+    The 12 materials of the library with the smallest difference over the common part are compared. The assumed
+    emissivity is the table's last one plus the mean step of those materials; its standard deviation is theirs and 0.02
+    in quadrature.
     """
     parts = missing(material, band_um)
     share = sum(_share(part, band_um) for part in parts)

@@ -17,9 +17,10 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.materials.csv_tables import (
     INDEX_COLUMNS,
+    OPTIONAL_COLUMNS,
     ROUGHNESS_COLUMN,
     SOLAR_STD_COLUMN,
-    number_in_cell,
+    parsed_number,
     read_angles,
     read_emissivity,
     read_refractive_index,
@@ -30,11 +31,20 @@ from thermorender.materials.thermal import Thermal, beneath, read_thermals, stac
 from thermorender.paths import data_folder
 from thermorender.physics.fresnel import LARGEST_SLOPE
 from thermorender.schema import closest
-from thermorender.units import kelvin
+from thermorender.units import LOWEST_KELVIN, ZERO_CELSIUS_K
 
 # Angular models of emissivity; the model determines the columns of `spectra/<name>.csv`.
 DIRECTIONAL_MODELS = ("lambertian", "fresnel", "table")
 NAME = re.compile(r"[A-Za-z0-9_-]+")
+# Numbers of a row of the index: lowest and highest value, and the advice for others.
+_LIMITS = {
+    "solar_absorptance": (0.0, 1.0, "give the share absorbed, 0.7 for 70 %"),
+    "temperature_k": (LOWEST_KELVIN, 6000.0, f"values are kelvin, add {ZERO_CELSIUS_K} to °C"),
+    "samples": (1.0, 1e6, "count the measured samples"),
+    **{f"colour_{c}": (0.0, 255.0, "give sRGB as a colour picker shows it") for c in "rgb"},
+    ROUGHNESS_COLUMN: (0.0, LARGEST_SLOPE, "give the root mean square slope, 0 for a mirror"),
+    SOLAR_STD_COLUMN: (0.0, 1.0, "give one standard deviation, or leave the cell empty"),
+}
 
 
 def find(library: Mapping[str, Material], name: str, where: str) -> Material:
@@ -130,7 +140,8 @@ def stray(name: str, library: Iterable[str]) -> str:
 def read_library(directory: Path) -> dict[str, Material]:
     """Return the materials of one folder by name; `load_library` adds the materials beneath their layers."""
     index = directory / "index.csv"
-    thermals, library = read_thermals(directory), {}
+    thermals = read_thermals(directory)
+    library: dict[str, Material] = {}
     if thermals and not index.exists():
         return library
     for row, cells in read_table(index, INDEX_COLUMNS, directory):
@@ -148,42 +159,44 @@ def read_library(directory: Path) -> dict[str, Material]:
     return library
 
 
-def _read_material(directory, index, row, cells, thermal):
-    """Return the material of one row of the index together with its spectrum and thermal properties."""
-    for column in ("title", "source", "citation", "licence"):
-        if not cells[column]:
-            raise ThermorenderError(
-                f"{index}, row {row}: {column} of material {cells['name']!r} is empty; say where the numbers "
-                "come from and on what terms ('own measurement, 2024' will do)"
-            )
+def parsed_row(cells: Mapping[str, str]) -> tuple[dict[str, float | None], list[str]]:
+    """Return ({column: number, or None without one}, sentences on all faults) of a row of the index."""
+    faults = [
+        f"{column} of material {cells['name']!r} is empty; say where the numbers come from and on what terms ('own "
+        "measurement, 2024' will do)"
+        for column in ("title", "source", "citation", "licence")
+        if not cells[column]
+    ]
     if cells["directional"] not in DIRECTIONAL_MODELS:
-        raise ThermorenderError(
-            f"{index}, row {row}: directional={cells['directional']!r} is not known; write "
-            f"{' or '.join(DIRECTIONAL_MODELS)}"
-        )
+        faults.append(f"directional={cells['directional']!r} is not known; write {' or '.join(DIRECTIONAL_MODELS)}")
+    numbers: dict[str, float | None] = {}
+    for column, (low, high, advice) in _LIMITS.items():
+        if column in OPTIONAL_COLUMNS and not cells.get(column):
+            numbers[column] = None
+            continue
+        numbers[column], fault = parsed_number(column, cells[column], low, high, advice)
+        faults += [fault] if fault else []
+    return numbers, faults
 
-    def number(column, low, high, advice):
-        return number_in_cell(index, row, column, cells[column], low, high, advice)
 
-    temperature = number("temperature_k", 0.0, 6000.0, "give kelvin")
-    kelvin(f"{index}, row {row}: temperature_k", temperature)
-    colour = [number(f"colour_{c}", 0, 255, "give sRGB as a colour picker shows it") for c in "rgb"]
-    rms_slope = 0.0
-    if cells.get(ROUGHNESS_COLUMN):
-        rms_slope = number(ROUGHNESS_COLUMN, 0.0, LARGEST_SLOPE, "give the root mean square slope, 0 for a mirror")
-    solar_std = None
-    if cells.get(SOLAR_STD_COLUMN):
-        solar_std = number(SOLAR_STD_COLUMN, 0.0, 1.0, "give one standard deviation, or leave the cell empty")
+def _read_material(
+    directory: Path, index: Path, row: int, cells: Mapping[str, str], thermal: Thermal | None
+) -> Material:
+    """Return the material of one row of the index together with its spectrum and thermal properties."""
+    numbers, faults = parsed_row(cells)
+    for fault in faults:
+        raise ThermorenderError(f"{index}, row {row}: {fault}")
+    number = {column: value or 0.0 for column, value in numbers.items()}
     path = directory / "spectra" / f"{cells['name']}.csv"
     if cells["directional"] == "fresnel":
-        spectrum = read_refractive_index(path, rms_slope, directory)
+        spectrum = read_refractive_index(path, number[ROUGHNESS_COLUMN], directory)
     else:
         spectrum = {"lambertian": read_emissivity, "table": read_angles}[cells["directional"]](path, directory)
+    red, green, blue = (round(number[f"colour_{c}"]) for c in "rgb")
     return Material(
-        name=cells["name"], title=cells["title"], **spectrum, rms_slope=rms_slope,
-        colour=tuple(round(c) for c in colour),
-        solar_absorptance=number("solar_absorptance", 0.0, 1.0, "give the share absorbed, 0.7 for 70 %"),
-        temperature=temperature, source=cells["source"], citation=cells["citation"], licence=cells["licence"],
-        directional=cells["directional"], samples=int(number("samples", 1, 1e6, "count the measured samples")),
-        note=cells["note"], solar_absorptance_std=solar_std, thermal=thermal,
+        name=cells["name"], title=cells["title"], **spectrum, rms_slope=number[ROUGHNESS_COLUMN],
+        colour=(red, green, blue), solar_absorptance=number["solar_absorptance"],
+        temperature=number["temperature_k"], source=cells["source"], citation=cells["citation"],
+        licence=cells["licence"], directional=cells["directional"], samples=int(number["samples"]),
+        note=cells["note"], solar_absorptance_std=numbers[SOLAR_STD_COLUMN], thermal=thermal,
     )  # fmt: skip

@@ -8,6 +8,7 @@ is the uncertainty.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,65 +67,57 @@ def mix(parts: Sequence[tuple[Material, float]], possible: Sequence[tuple[Materi
     """
     if len(parts) == 1 and len(possible) < 2:
         return parts[0][0]
-    seen = possible or parts
-    materials = [material for material, _ in seen]
-    share = np.array([part for _, part in seen])
-    start = max(material.valid_range_um[0] for material in materials)
-    end = min(material.valid_range_um[1] for material in materials)
-    wavelength = np.unique(np.concatenate([material.wavelength_um for material in materials] + [[start, end]]))
-    wavelength = wavelength[(wavelength >= start) & (wavelength <= end)]
-    # Values inside gaps are never used.
-    spectra = np.array([np.interp(wavelength, material.wavelength_um, material.emissivity) for material in materials])
-    emissivity, std = share @ spectra, np.full(wavelength.size, np.nan)
-    if possible:
-        own = [np.interp(wavelength, material.wavelength_um, np.nan_to_num(material.emissivity_std))
-               for material in materials]  # fmt: skip
-        std = np.sqrt(share @ ((spectra - emissivity) ** 2 + np.square(own)))
-    materials, share = [material for material, _ in parts], np.array([part for _, part in parts])
+    materials = [material for material, _ in parts]
+    share = np.array([part for _, part in parts])
+    wavelength, emissivity, std = _mean_spectrum(possible or parts, bool(possible))
     names = " + ".join(f"{part:.3g} {material.name}" for material, part in parts)
 
-    def every(key):
+    def every(key: str) -> str:
         return "; ".join(dict.fromkeys(getattr(material, key) for material in materials))
 
+    red, green, blue = (round(c) for c in share @ [material.colour for material in materials])
     return Mixture(
         name=names, title=f"mix of {names}", wavelength_um=wavelength, emissivity=emissivity,
-        emissivity_std=std,
-        colour=tuple(round(c) for c in share @ [material.colour for material in materials]),
+        emissivity_std=std, colour=(red, green, blue),
         solar_absorptance=float(share @ [material.solar_absorptance for material in materials]),
         temperature=float(share @ [material.temperature for material in materials]), source=every("source"),
         citation=every("citation"), licence=every("licence"),
-        gaps_um=tuple(gap for material, _ in seen for gap in material.gaps_um), parts=tuple(parts),
+        gaps_um=tuple(gap for material, _ in possible or parts for gap in material.gaps_um), parts=tuple(parts),
         possible=tuple(possible),
     )  # fmt: skip
 
 
+def _mean_spectrum(
+    weighted: Sequence[tuple[Material, float]], uncertain: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """(Wavelengths (N,) [µm], mean emissivity, its deviation, NaN unless `uncertain`) of (Material, share) pairs."""
+    materials = [material for material, _ in weighted]
+    share = np.array([part for _, part in weighted])
+    start = max(material.valid_range_um[0] for material in materials)
+    end = min(material.valid_range_um[1] for material in materials)
+    wavelength = np.unique(np.concatenate([*(material.wavelength_um for material in materials), [start, end]]))
+    wavelength = wavelength[(wavelength >= start) & (wavelength <= end)]
+    # Values inside gaps are never used.
+    spectra = np.array([np.interp(wavelength, material.wavelength_um, material.emissivity) for material in materials])
+    emissivity = share @ spectra
+    if not uncertain:
+        return wavelength, emissivity, np.full(wavelength.size, np.nan)
+    own = [np.interp(wavelength, material.wavelength_um, np.nan_to_num(material.emissivity_std))
+           for material in materials]  # fmt: skip
+    return wavelength, emissivity, np.sqrt(share @ ((spectra - emissivity) ** 2 + np.square(own)))
+
+
 def palette(
-    index: NDArray[np.uint8], share: NDArray, probability: NDArray[np.uint8], materials: Sequence[Material],
+    index: NDArray[np.uint8], share: NDArray[Any], probability: NDArray[np.uint8], materials: Sequence[Material],
     band_um: tuple[float, float], most: int, group: NDArray[np.uint8] | None = None,
 ) -> tuple[NDArray[np.uint8], list[Material], dict[str, float]]:  # fmt: skip
-    """Return (number (h, w) uint8, materials and mixtures, error) for texels given as shares of several materials.
+    """Return (number (h, w) uint8, materials and mixtures, error) for texels of several materials.
 
-    Parameters
-    ----------
-    index : (h, w, 3) uint8
-        Indices into `materials`.
-    share : (h, w, 3) float
-        Share of each, largest first; they sum to one.
-    probability : (h, w, C) uint8
-        Probability of each of the materials, in any unit.
-    materials : sequence of Material
-    band_um : (2,) floats
-        Band in which mixtures are compared [µm].
-    most : int
-        Largest size of the palette, up to 256.
-    group : (h, w) uint8, optional
-        Texels of different groups share no entry: other materials may be excluded there. There are fewer than `most`.
-
-    Returns
-    -------
-    number : index into the returned materials.
-    error : dict
-        "mean" and "largest" change of a texel's band-averaged emissivity by rounded shares and the limited palette.
+    `index` (h, w, 3) are the indices into `materials`, `share` their shares, largest first, which sum to one, and
+    `probability` (h, w, C) that of each material, in any unit. `number` is the index into the returned materials, at
+    most `most` ≤ 256, which are compared over `band_um`. Texels of different `group` (h, w), fewer than `most`, share
+    no entry: other materials may be excluded there. `error` has the "mean" and "largest" change of a texel's
+    band-averaged emissivity by rounded shares and the limited palette.
     """
     # One number per texel: three materials in a byte each, and the second and third share.
     code = np.rint(share[..., 2] * _STEPS).astype(np.uint32) * (_STEPS + 1)
@@ -183,7 +176,7 @@ def _band_means(probability: NDArray[np.uint8], emissivity: NDArray[np.float64])
     return np.asarray(weighted / total)
 
 
-def _chosen(spectra, count, most, of):
+def _chosen(spectra: NDArray[np.float64], count: NDArray[Any], most: int, of: NDArray[Any]) -> NDArray[np.intp]:
     """Indices of the spectra for a palette: half the most frequent, half those farthest from all chosen before.
 
     Each group, by its number `of` (N,), has its most frequent spectrum.

@@ -5,6 +5,7 @@ exponential of the standard deviation of their logarithm.
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -21,17 +22,12 @@ _KNOWN = ("melting_k",)
 def shifted(material: Material, name: str) -> Material:
     """Return a Material with one of `PROPERTIES` moved by one standard deviation; for a mixture, that of each part.
 
-    Parameters
-    ----------
-    material : Material
-        With thermal properties.
-    name : str
-        "absorptance": of sunlight, upwards, or downwards close to one.
-        "inertia": conductivity and heat capacity of all layers up by the same factor, and the skin's conductance.
-        "wetness": down by the uncertainty of wetness over surface resistance, since only the ratio matters; where soil
-        has a texture, the resistance moves up.
-        "exchange": momentum roughness length up and heat_roughness_ratio down, each by 1/√2 standard deviations, so
-        that their joint effect is one standard deviation.
+    - "absorptance": of sunlight, upwards, or downwards close to one.
+    - "inertia": conductivity and heat capacity of all layers up by the same factor, and the skin's conductance.
+    - "wetness": down by the uncertainty of wetness over surface resistance, since only the ratio matters; where soil
+      has a texture, the resistance moves up.
+    - "exchange": momentum roughness length up and heat_roughness_ratio down, each by 1/√2 standard deviations, so that
+      their joint effect is one standard deviation.
     """
     if isinstance(material, Mixture):
         return replace(material, parts=tuple((shifted(part, name), share) for part, share in material.parts))
@@ -41,17 +37,10 @@ def shifted(material: Material, name: str) -> Material:
 def strayed(thermal: Thermal, generator: np.random.Generator, scale: float = 1.0) -> Thermal:
     """Return a Thermal whose numbers are drawn from their uncertainty; the layers beneath stay unchanged.
 
-    Positive numbers are log-normal with the table's mean and standard deviation, within the limits of a table; zero
-    stays zero.
-
-    Parameters
-    ----------
-    thermal : Thermal
-    generator : numpy.random.Generator
-    scale : float
-        Factor on the standard deviations of the logarithms.
+    Positive numbers are log-normal with the table's mean and standard deviation times `scale`, within the limits of a
+    table; zero stays zero.
     """
-    values = {}
+    values: dict[str, Any] = {}
     for key, (low, high, _) in NUMBERS.items():
         # One draw per property, used or not, so that properties are independent of each other.
         normal, width = generator.standard_normal(), scale * _of_logarithm(thermal, key)
@@ -61,17 +50,17 @@ def strayed(thermal: Thermal, generator: np.random.Generator, scale: float = 1.0
     return replace(thermal, **values)
 
 
-def _absorptance(material, thermal):
+def _absorptance(material: Material, thermal: Thermal) -> Material:
     step = material.solar_uncertainty
-    room = material.solar_absorptance + step <= _MOST_ABSORPTANCE
-    return replace(material, solar_absorptance=material.solar_absorptance + (step if room else -step))
+    fits = material.solar_absorptance + step <= _MOST_ABSORPTANCE
+    return replace(material, solar_absorptance=material.solar_absorptance + (step if fits else -step))
 
 
-def _inertia(material, thermal):
+def _inertia(material: Material, thermal: Thermal) -> Material:
     return replace(material, thermal=_slower(thermal))
 
 
-def _slower(thermal):
+def _slower(thermal: Thermal) -> Thermal:
     parts = ("conductivity_w_m_k", "density_kg_m3", "specific_heat_j_kg_k")
     # The logarithm of the inertia √(kρc) is half the sum of the logarithms.
     factor = np.exp(0.5 * np.sqrt(sum(_of_logarithm(thermal, part) ** 2 for part in parts)))
@@ -85,7 +74,7 @@ def _slower(thermal):
     )
 
 
-def _wetness(material, thermal):
+def _wetness(material: Material, thermal: Thermal) -> Material:
     both = np.hypot(_of_logarithm(thermal, "wetness"), _of_logarithm(thermal, "surface_resistance_s_m"))
     drier = float(np.exp(-both))
     if thermal.texture and thermal.surface_resistance_s_m:
@@ -96,13 +85,13 @@ def _wetness(material, thermal):
     return replace(material, thermal=moved)
 
 
-def _exchange(material, thermal):
+def _exchange(material: Material, thermal: Thermal) -> Material:
     rough = thermal.roughness_m * float(np.exp(0.5**0.5 * _of_logarithm(thermal, "roughness_m")))
     ratio = thermal.heat_roughness_ratio - 0.5**0.5 * thermal.uncertainty.get("heat_roughness_ratio", 0.0)
     return replace(material, thermal=replace(thermal, roughness_m=rough, heat_roughness_ratio=max(ratio, 0.0)))
 
 
-def _of_logarithm(thermal, key):
+def _of_logarithm(thermal: Thermal, key: str) -> float:
     """Standard deviation of the logarithm of a log-normal property; 0 without a value."""
     value = getattr(thermal, key)
     return float(np.sqrt(np.log1p((thermal.uncertainty.get(key, 0.0) / value) ** 2))) if value else 0.0

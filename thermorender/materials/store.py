@@ -3,7 +3,7 @@
 import csv
 import io
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +72,7 @@ def write_refractive_index(
     directory, replace
         As in `write_material`.
     """
-    row = {SOLAR_STD_COLUMN: ""} | material | {"directional": "fresnel"}
+    row = {SOLAR_STD_COLUMN: "", **material, "directional": "fresnel"}
     lines = [",".join(INDEX_OF_REFRACTION_COLUMNS)]
     rows = read_table(path, INDEX_OF_REFRACTION_COLUMNS)
     lines += [",".join(cells[key] for key in INDEX_OF_REFRACTION_COLUMNS) for _, cells in rows]
@@ -112,20 +112,20 @@ def store(
             read_library(Path(scratch))
         except ThermorenderError as error:
             raise ThermorenderError(str(error).replace(scratch, str(directory))) from None
-    rows[name] = rows.get(name, {}) | row
+    rows[name] = {**rows.get(name, {}), **row}
     _write_all(directory, tables | {"index.csv": _index_text(rows.values())})
 
 
-def _refuse_existing(directory, name, replace):
+def _refuse_existing(directory: Path, name: str, replace: bool) -> None:
     index, table = directory / "index.csv", directory / "spectra" / f"{name}.csv"
     names = {cells["name"] for _, cells in read_table(index, INDEX_COLUMNS)} if index.is_file() else set()
     if replace:
         return
     if name in names:
-        raise ThermorenderError(f"{directory} already holds material {name!r}; choose another name, or add --replace")
+        raise ThermorenderError(f"{directory} already holds material {name!r}; choose another name, or set replace")
     if table.exists():
         raise ThermorenderError(
-            f"{table} has no row in index.csv, as after an interrupted import; add --replace, or choose another name"
+            f"{table} has no row in index.csv, as after an interrupted import; set replace, or choose another name"
         )
 
 
@@ -138,7 +138,7 @@ def drop_material(name: str, directory: str | Path) -> None:
     replace_files(gone | ({index: _index_text(left) if left else None} if left != rows else {}))
 
 
-def _write_all(directory, texts):
+def _write_all(directory: Path, texts: Mapping[str, str]) -> None:
     """Replace files of a folder, {path in it: text}; a failure restores those already written."""
     replace_files({directory / name: text for name, text in texts.items()})
 
@@ -157,7 +157,7 @@ def replace_files(contents: Mapping[Path, str | bytes | None]) -> None:
         raise
 
 
-def _replace(path, data):
+def _replace(path: Path, data: str | bytes | None) -> None:
     if data is None:
         path.unlink(missing_ok=True)
         return
@@ -168,7 +168,7 @@ def _replace(path, data):
         part.write_bytes(data)
 
 
-def _index_text(rows):
+def _index_text(rows: Iterable[Mapping[str, Any]]) -> str:
     rows = list(rows)
     columns = list(dict.fromkeys([*INDEX_COLUMNS, *(key for cells in rows for key in cells)]))
     text = io.StringIO()

@@ -4,7 +4,7 @@
 begins with `chosen:` marks a value without a measurement and gives the reason for it.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.materials.csv_tables import number_in_cell, read_table
+from thermorender.materials.csv_tables import Fault, parsed_number, read_table
 from thermorender.physics.moisture import TEXTURES
 from thermorender.schema import closest
 from thermorender.units import ZERO_CELSIUS_K
@@ -106,10 +106,7 @@ class Thermal:
 
     @property
     def layers(self) -> tuple["Thermal", ...]:
-        """All layers from the surface down.
-
-        The last one is unlimited, or ends at one of `ENDS`.
-        """
+        """All layers from the surface down; the last one is unlimited, or ends at one of `ENDS`."""
         if self.below is None and self.beneath not in ("", *ENDS):
             raise ThermorenderError(
                 f"beneath={self.beneath!r} has not been looked up; take the material from load_library(folder), which "
@@ -117,7 +114,7 @@ class Thermal:
             )
         return (self, *(self.below.layers if self.below else ()))
 
-    def __str__(self):
+    def __str__(self) -> str:
         width = max(map(len, PROPERTIES))
         lines = []
         for key, value in self.values.items():
@@ -129,24 +126,20 @@ class Thermal:
 
 
 def read_thermal(path: str | Path, directory: str | Path | None = None) -> Thermal:
-    """Return the Thermal of a table with the columns property, value, uncertainty, source.
-
-    Parameters
-    ----------
-    path : path
-        CSV; a missing row means an empty value.
-    directory : path, optional
-        Folder that must contain the file.
-    """
+    """Return the Thermal of a CSV table of property, value, uncertainty, source; a missing row is an empty value."""
     thermal, faults = parsed(read_table(path, THERMAL_COLUMNS, directory))
-    for row, sentence in faults:
+    if thermal is None:
+        row, sentence = faults[0]
         raise ThermorenderError(f"{path}{f', row {row}' if row else ''}: {sentence}")
     return thermal
 
 
-def parsed(rows: Iterable[tuple[int, dict[str, str]]]) -> tuple[Thermal | None, list[tuple[int | None, str]]]:
+def parsed(rows: Iterable[tuple[int, dict[str, str]]]) -> tuple[Thermal | None, list[Fault]]:
     """Return (Thermal or None, list of faults as (row or None, sentence)) of a table's rows (number, cells)."""
-    values, uncertainty, source, faults = {}, {}, {}, []
+    values: dict[str, Any] = {}
+    uncertainty: dict[str, float] = {}
+    source: dict[str, str] = {}
+    faults: list[Fault] = []
     for row, cells in rows:
         key, text, spread = cells["property"], cells["value"], cells["uncertainty"]
         if key not in PROPERTIES:
@@ -168,7 +161,8 @@ def parsed(rows: Iterable[tuple[int, dict[str, str]]]) -> tuple[Thermal | None, 
                            "and give the reason"))  # fmt: skip
         if key in NUMBERS:
             name, advice = f"uncertainty of {key}", "give one standard deviation in the value's unit"
-            uncertainty[key], fault = _number(name, spread, 0.0, 1e6, advice)
+            number, fault = parsed_number(name, spread, 0.0, 1e6, advice)
+            uncertainty[key] = number or 0.0
             faults += [(row, fault)] if fault else []
     # A refused value is not missing, since its source is recorded.
     missing = [key for key in PROPERTIES if key not in OPTIONAL and key not in source]
@@ -180,29 +174,22 @@ def parsed(rows: Iterable[tuple[int, dict[str, str]]]) -> tuple[Thermal | None, 
     return Thermal(**values, uncertainty=uncertainty, source=source), []
 
 
-def _value(key, text):
-    """Return (a property's value or None, sentence on its fault or None)."""
+def _value(key: str, text: str) -> tuple[Any, str]:
+    """(A property's value or None, sentence on its fault or "")."""
     if key == "beneath":
-        return text, None
+        return text, ""
     if not text:
-        return "" if key == "texture" else None, None
+        return "" if key == "texture" else None, ""
     if key == "texture":
         fault = f"texture={text!r} is not known; write one of {', '.join(SOILS)}, or leave it empty"
-        return (text, None) if text in SOILS else (None, fault)
+        return (text, "") if text in SOILS else (None, fault)
     if key == "cover":
         fault = f"cover={text!r} is not known; write {', '.join(COVERS[:-1])} or {COVERS[-1]}"
-        return (text, None) if text in COVERS else (None, fault)
-    return _number(key, text, *NUMBERS[key])
+        return (text, "") if text in COVERS else (None, fault)
+    return parsed_number(key, text, *NUMBERS[key])
 
 
-def _number(name, text, low, high, advice):
-    try:
-        return number_in_cell("", 0, name, text, low, high, advice), None
-    except ThermorenderError as error:
-        return None, str(error).partition(": ")[2]
-
-
-def _contradictions(values, given):
+def _contradictions(values: Mapping[str, Any], given: Mapping[str, str]) -> Iterator[str]:
     """Yield sentences on values that contradict each other; `given` holds the keys with a value, refused ones too."""
     beneath, conductivity, density = (values.get(key) for key in ("beneath", "conductivity_w_m_k", "density_kg_m3"))
     if "thickness_m" in given and not beneath:
@@ -220,16 +207,9 @@ def _contradictions(values, given):
 def with_values(
     thermal: Thermal | None, settings: Mapping[str, str], source: str
 ) -> tuple[Thermal | None, list[str]]:  # fmt: skip
-    """Return (Thermal or None, sentences on faults) of a table with other values.
+    """Return (Thermal or None, sentences on faults) of a table with other values, {property: text} and their source.
 
-    Parameters
-    ----------
-    thermal : Thermal or None
-        None: no value is known yet.
-    settings : dict of str to str
-        Properties with their new text; an empty one removes the value.
-    source : str
-        Source of the new values. Their uncertainty stays; without one it is 0.
+    An empty text removes the value. The uncertainty of a value stays; without one it is 0.
     """
     cells = {}
     for key in PROPERTIES:
@@ -287,19 +267,12 @@ def beneath_fault(name: str, thermals: Mapping[str, Thermal]) -> str | None:
 
 
 def stacked(thermals: Mapping[str, Thermal], where: str | Path) -> dict[str, Thermal]:
-    """Return {name: Thermal} with `below` set to the Thermal of the material beneath.
-
-    Parameters
-    ----------
-    thermals : dict of str to Thermal
-    where : str
-        Folder for messages.
-    """
+    """Return {name: Thermal} with `below` set to the Thermal of the material beneath."""
     for name in thermals:
         if fault := beneath_fault(name, thermals):
             raise ThermorenderError(f"{Path(where) / 'thermal' / name}.csv: {fault}")
 
-    def stack(name):
+    def stack(name: str) -> Thermal:
         thermal = thermals[name]
         return replace(thermal, below=stack(thermal.beneath)) if thermal.beneath in thermals else thermal
 

@@ -78,12 +78,10 @@ def join(folder: Path, flight: "Flight") -> None:
 
 
 def write_block(flight: "Flight", folder: Path, first: int, stop: int) -> dict[str, Any]:
-    """Render frames and write their files and record; the flight's folder must have its `flight.json`.
+    """Render frames and write their files and record into a folder with `flight.json`; return the times and bytes.
 
-    Returns
-    -------
-    dict
-        warm_up_s, frames_s and moving_s: time for warm-up, for frames, and for putting them in place; bytes written.
+    Keys: warm_up_s, frames_s and moving_s, the time for warm-up, for frames, and for putting them in place; bytes
+    written.
     """
     name, digest = f"{first:09d}-{stop:09d}", settings_digest(flight.settings)
     # Two processes may render the same block, if one of them was believed to be lost.
@@ -202,7 +200,8 @@ def _taken_over(flight: "Flight", folder: Path, block: Block) -> bool:
     lines = read.lines
     if flight.remembers_display:
         lines = [_shown(flight, folder, line) for line in lines]
-        data = formats.encoded_arrays(block.stop - 1, state | {"agc": flight.agc})
+        arrays: dict[str, Any] = {**state, "agc": flight.agc}
+        data = formats.encoded_arrays(block.stop - 1, arrays)
         files.put_in_place(files.write_aside(kept, data), kept)
     formats.append_json(folder / "frames.jsonl", *map(formats.sealed, lines))
     flight.terrain += [line["shows_terrain"] for line in lines]
@@ -214,7 +213,7 @@ def _shown(flight: "Flight", folder: Path, line: dict[str, Any]) -> dict[str, An
     paths = product_files.paths(folder, line["index"], (*flight.products, "counts"))
     counts = formats.decoded(paths["counts"].read_bytes(), -1)
     if counts is None:
-        raise ThermorenderError(f"{paths['counts']} is damaged; remove it and continue with --resume")
+        raise ThermorenderError(f"{paths['counts']} is damaged; remove it and continue with resume")
     flight.agc, image = flight.display.image(counts, flight.agc, 1.0 / flight.flown.rate_hz)
     data, path = formats.encoded_image(".png", image), paths["display"]
     files.put_in_place(files.write_aside(path, data), path)
@@ -224,10 +223,7 @@ def _shown(flight: "Flight", folder: Path, line: dict[str, Any]) -> dict[str, An
 
 
 def state_before(folder: Path, first: int, display: bool = False) -> dict[str, NDArray[Any]] | None:
-    """Return the state before a frame, kept by the flight or by a block; None if it is lost.
-
-    `display` asks for a state that includes the display's.
-    """
+    """Return the state before a frame, with that of the display if asked, of the flight or a block; None if lost."""
     kept = [load_state(folder, first - 1)]
     kept += [formats.read_arrays(path, first - 1) for path in (folder / FOLDER).glob(f"*-{first:09d}.npz")]
     return next((state for state in kept if state is not None and ("agc" in state or not display)), None)
@@ -246,10 +242,10 @@ def _checksum(state: dict[str, NDArray[Any]]) -> str:
 
 
 def parse_frames(text: str) -> tuple[int, int]:
-    """Return (first, stop) of an option --frames=A:B."""
+    """Return (first, stop) of a text A:B."""
     first, colon, stop = text.partition(":")
     if not (colon and first.isdecimal() and stop.isdecimal() and int(first) < int(stop)):
         raise ThermorenderError(
-            f"--frames={text!r} is not allowed; give FIRST:STOP, such as 0:100 for the first hundred frames"
+            f"frames={text!r} is not allowed; give FIRST:STOP, such as 0:100 for the first hundred frames"
         )
     return int(first), int(stop)

@@ -31,7 +31,7 @@ from thermorender.units import instant, utc_text
 if TYPE_CHECKING:
     from thermorender.frame import Frame
     from thermorender.materials.material import Material
-    from thermorender.scene.load import Scene
+    from thermorender.scene.scene import Scene
 
 DEFAULT = ("exr", "truth", "counts", "display", "video")
 # Frames of the video per second.
@@ -53,9 +53,9 @@ def solar_midnight(time: np.datetime64, longitude_deg: float) -> np.datetime64:
 def instant_of(scene: "Scene", text: str) -> np.datetime64:
     """Return an instant of the local solar day that a text names, a date or an instant, at a scene's longitude."""
     if not re.fullmatch(r"\d{4}-\d\d-\d\d", text):
-        return instant("--time", text)
+        return instant("time", text)
     longitude = scene.frame.longitude_deg if scene.frame else 0.0
-    return instant("--time", f"{text}T12:00Z") - np.timedelta64(round(longitude * 240.0), "s")
+    return instant("time", f"{text}T12:00Z") - np.timedelta64(round(longitude * 240.0), "s")
 
 
 def day(
@@ -146,7 +146,7 @@ def day_frames(
 
 def _times(scene: "Scene", step_min: int) -> NDArray[np.datetime64]:
     """The instants of the day's frames."""
-    if not scene.temperature_state.weather_driven:
+    if not scene.temperature_state.weather_driven or scene.time is None:
         raise ThermorenderError(
             f"{scene.where}: a day needs temperature.source='balance', or a map with [temperature.trained], whose "
             f"temperatures depend on the hour, not {scene.spec.temperature.source!r}; set one and add [weather]"
@@ -162,7 +162,7 @@ def _times(scene: "Scene", step_min: int) -> NDArray[np.datetime64]:
     if times[0] < weather.time[0] or times[-1] > weather.time[-1]:
         raise ThermorenderError(
             f"{scene.where}: the local solar day {utc_text(times[0])} to {utc_text(times[-1])} is not all inside its "
-            f"weather, {utc_text(weather.time[0])} to {utc_text(weather.time[-1])}; give another --time, or weather of "
+            f"weather, {utc_text(weather.time[0])} to {utc_text(weather.time[-1])}; give another time, or weather of "
             "the whole day"
         )
     return times
@@ -185,7 +185,7 @@ def _frames(
     baked, seed = None, settings.get("seed", 0)
     for index, solved in enumerate(solved_in_parts(scene, times, geometry, report)):
         if baked is None:
-            renderer = Renderer(solved, device=device, progress=report, **settings)
+            renderer = Renderer(solved, progress=report, **{"device": device, **settings})
             baked = renderer.baked
         else:
             renderer = Renderer.of(baked.solved_for(solved), seed)
@@ -194,11 +194,13 @@ def _frames(
 
 def _row(scene: "Scene", frame: "Frame") -> dict[str, Any]:
     """The row of one instant in the day's table, without its hour."""
-    _, elevation = scene.weather.sun(scene.time)
+    time = scene.time
+    assert time is not None  # Solved at an instant.
+    _, elevation = scene.weather.sun(time)
     row = {
-        "time_utc": utc_text(scene.time),
+        "time_utc": utc_text(time),
         "sun_elevation_deg": float(elevation),
-        "air_k": float(scene.weather.at(scene.time).air_k),
+        "air_k": float(scene.weather.at(time).air_k),
         "apparent_mean_k": float(frame.apparent_temperature.mean(dtype=np.float64)),
     }
     terrain = scene.surfaces[: scene.terrain_count]
@@ -217,7 +219,7 @@ def _largest(materials: "Sequence[Material]", texels: NDArray[np.uint8]) -> dict
     count = np.bincount(texels, minlength=len(materials))
     groups: dict[str, list[int]] = {}
     for number in np.flatnonzero(count):
-        main, _ = max(parts_of(materials[number]), key=lambda part: part[1])
+        main, _ = max(parts_of(materials[int(number)]), key=lambda part: part[1])
         groups.setdefault(main.name, []).append(int(number))
     ordered = sorted(groups, key=lambda name: -int(count[groups[name]].sum()))
     found = {name: groups[name] for name in ordered[:_MOST_MATERIALS]}

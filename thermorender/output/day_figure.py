@@ -19,18 +19,7 @@ _DASHES = ("-", "--", "-.", ":")
 def figure(
     path: Path, name: str, rows: Sequence[dict[str, Any]], sun: tuple[NDArray[np.float64], NDArray[np.bool_]]
 ) -> None:
-    """Write a PNG of a day's table.
-
-    Parameters
-    ----------
-    path : path
-    name : str
-        Of the scene.
-    rows : sequence of dict
-        From `thermorender.output.day.day`.
-    sun : (hours, up)
-        Solar hours (N,) and whether the sun is above the horizon (N,); the night is shaded.
-    """
+    """Write a PNG of the rows of `output.day.day`; `sun` is (solar hours (N,), whether it is up): night is shaded."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -55,7 +44,11 @@ def figure(
     axis.set_xticks(range(0, 25, 3))
     axis.grid(alpha=0.3)
     celsius = axis.secondary_yaxis(
-        "right", functions=(lambda kelvin: kelvin - ZERO_CELSIUS_K, lambda celsius: celsius + ZERO_CELSIUS_K)
+        "right",
+        functions=(
+            lambda kelvin: np.asarray(kelvin) - ZERO_CELSIUS_K,
+            lambda celsius: np.asarray(celsius) + ZERO_CELSIUS_K,
+        ),
     )
     celsius.set_ylabel("[°C]")
     drawing.legend(loc="outside lower center", ncols=4, frameon=False, fontsize=9)

@@ -34,22 +34,11 @@ def prepare(
     encoders: Mapping[Path, Callable[[], bytes]], state: tuple[Path, Callable[[], bytes]],
     image: NDArray[np.uint8] | None = None,
 ) -> Prepared:  # fmt: skip
-    """Write the files of a frame under temporary names.
+    """Write the files of a frame, {path: returns the bytes}, under temporary names in a folder.
 
-    Parameters
-    ----------
-    folder : Path
-    place : os.stat_result
-        Of the folder at the start of the flight.
-    line : callable
-        Returns the frame's line in `frames.jsonl` without its files.
-    encoders : dict
-        {path: returns the bytes of the file}.
-    state : tuple
-        (path, returns the bytes) of the sensor's state, which is not in the line. A resume can do without it, so it is
-        not waited for on the disk.
-    image : array, optional
-        As of Prepared.
+    `place` identifies the folder at the start of the flight; `line` returns the frame's line in `frames.jsonl` without
+    its files. `state`, (path, returns the bytes), is the sensor's, which is not in the line: a resume can do without
+    it, so it is not waited for on the disk. `image` is as in Prepared.
     """
     frame, known = Prepared({}, {}), {}
     try:

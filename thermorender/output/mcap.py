@@ -52,19 +52,14 @@ _TYPES = {
 
 
 def check_mcap(first_s: float, absolute: bool) -> None:
-    """Refuse what cannot be written, before a flight: a missing library, or a time before 0.
+    """Refuse what cannot be written, before a flight: a missing library, or a first frame before 0 [s].
 
-    Parameters
-    ----------
-    first_s : float
-        Time of the first frame [s].
-    absolute : bool
-        Whether the flight has a date, which the file then gives.
+    `absolute`: the flight has a date, which the file then gives.
     """
     _ = _library()
     if first_s < 0.0 and not absolute:
         raise ThermorenderError(
-            f"the first frame is at {first_s:g} s, and product 'mcap' has no times before 0; give --start-s 0, or a "
+            f"the first frame is at {first_s:g} s, and product 'mcap' has no times before 0; give start_s=0, or a "
             "scene with the time in its [weather]"
         )
 

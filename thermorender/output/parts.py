@@ -17,7 +17,7 @@ def fly_part(
     renderer: "Renderer", trajectory: "Trajectory", folder: str | PathLike[str], options: FlightOptions, first: int,
     stop: int,
 ) -> dict[str, Any]:  # fmt: skip
-    """Render the frames from `first` up to `stop`, or to the flight's end, as a block; do nothing if it is finished.
+    """Render the frames from `first` up to `stop`, or the end, as a block; do nothing if it is finished.
 
     A flight into the folder with `resume` takes over the blocks.
     """
@@ -26,7 +26,7 @@ def fly_part(
     frames = len(flight.times)
     if not 0 <= first < min(stop, frames):
         raise ThermorenderError(
-            f"--frames={first}:{stop} holds no frame of this flight; give numbers between 0 and {frames}"
+            f"frames={first}:{stop} holds no frame of this flight; give numbers between 0 and {frames}"
         )
     stop = min(stop, frames)
     with files.output_folder(folder) as out:

@@ -11,31 +11,17 @@ from thermorender.sensor.camera import Camera
 
 if TYPE_CHECKING:
     from thermorender.render.renderer import Renderer
-    from thermorender.scene.load import Scene
+    from thermorender.scene.scene import Scene
 
 
 def photograph(
     renderer: "Renderer", pose: NDArray[np.float64], time_s: float = 0.0, objects: dict[str, Any] | None = None,
     camera: Camera | None = None,
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:  # fmt: skip
-    """Return (image (H, W, 3) uint8 sRGB, covered (H, W) bool) of a camera for visible light.
+    """Return (image (H, W, 3) uint8 sRGB, covered (H, W) bool) of a camera for visible light, by default the scene's.
 
-    Parameters
-    ----------
-    renderer : Renderer
-    pose : (4, 4) array
-        world_from_camera.
-    time_s : float
-        Time of the dynamic objects on their tracks [s].
-    objects : dict, optional
-        As for `Renderer.frame`.
-    camera : Camera, optional
-        Default: the scene's camera, so that the photograph is registered to the thermal image.
-
-    Returns
-    -------
-    image : with the sky, by the clouds of the scene or its weather, where no surface is visible.
-    covered : where the orthophoto is known.
+    `time_s` and `objects` are as in `Renderer.frame`. Where no surface is visible the image has the sky, by the clouds
+    of the scene or its weather; `covered` is where the orthophoto is known.
     """
     image, covered = renderer.visible(pose, camera, time_s, objects)
     return with_sky(image, renderer.sky(pose, camera, time_s, objects), pose, camera or renderer.scene.camera,
@@ -71,19 +57,10 @@ def sky_of(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def sky_colour(sine: ArrayLike, cloud: float = 0.0) -> NDArray[np.float32]:
-    """Return the linear sRGB colour of the daytime sky, (..., 3) float32.
+    """Return the linear sRGB colour of the daytime sky, (..., 3) float32, by the sine of elevation and cloud fraction.
 
-    Parameters
-    ----------
-    sine : (...) array
-        Sine of the elevation above the horizon, 0…1.
-    cloud : float
-        Cloud fraction, 0…1, spread evenly without single clouds.
-
-    Notes
-    -----
     Blue overhead and white towards the horizon, where the air path is long; grey under clouds, three times as bright at
-    the zenith as at the horizon (Moon & Spencer, 1942, the CIE overcast sky). Colours are chosen.
+    the zenith as at the horizon (Moon & Spencer, 1942, the CIE overcast sky). Clouds are uniform. Colours are chosen.
     """
     high = np.clip(np.asarray(sine, np.float32), 0.0, 1.0)[..., None]
     zenith, horizon, grey = (

@@ -76,6 +76,13 @@ WRITERS: dict[str, tuple[str, Callable[["Frame", _Extras], Encoder]]] = {
 }  # fmt: skip
 
 
+# (Product, the one that it needs, what it is.)
+_NEEDS = (
+    ("truth", "exr", "channels of the EXR"), ("error", "exr", "channels of the EXR"),
+    ("video", "display", "made of the display images"), ("mcap", "exr", "made of the EXR files"),
+)  # fmt: skip
+
+
 def check(
     products: Iterable[str], thermography: ThermographySettings | None = None, camera: Camera | None = None,
     flight: bool = False,
@@ -99,15 +106,12 @@ def check(
             f"product 'visible-camera' needs a visible camera, which {camera.name} does not have; add visible_width "
             "and visible_field_of_view_deg to its file, or take 'visible', registered to the thermal camera"
         )
-    for name in ("truth", "error"):
-        if name in products and "exr" not in products:
-            raise ThermorenderError(f"product {name!r} is channels of the EXR; add 'exr'")
     for name, what in (("report", "a page"), ("mcap", "a file")):
         if name in products and not flight:
             raise ThermorenderError(f"product {name!r} is {what} of a flight; leave it out here")
-    for name, needed, what in (("video", "display", "the display images"), ("mcap", "exr", "the EXR files")):
+    for name, needed, what in _NEEDS:
         if name in products and needed not in products:
-            raise ThermorenderError(f"product {name!r} is made of {what}; add {needed!r}")
+            raise ThermorenderError(f"product {name!r} is {what}; add {needed!r}")
     if thermography is not None and not {"exr", "radiometric"} & set(products):
         raise ThermorenderError("the thermography reading goes into 'exr' and 'radiometric'; add one of these products")
     return products
@@ -125,20 +129,9 @@ def encoders(
 ) -> dict[str, Encoder]:  # fmt: skip
     """Return {product: function that returns the bytes of its file}, to be called in any thread.
 
-    Everything that needs the renderer is computed before this returns.
-
-    Parameters
-    ----------
-    frame : Frame
-    products : sequence of str
-    image : (H, W) or (H, W, 3) uint8, optional
-        For `display`; None: `frame.display`.
-    thermography : ThermographySettings, optional
-        Settings of the thermography software whose reading goes into `radiometric` and the EXR.
-    photograph : callable, optional
-        (camera) → (H, W, 3) uint8, for `visible`.
-    compression : str
-        Of the EXR, one of `thermorender.frame.exr.COMPRESSIONS`.
+    Everything that needs the renderer is computed before this returns. `image` is for `display` in place of
+    `frame.display`; `thermography` gives the reading in `radiometric` and the EXR; `photograph` maps a camera to the
+    (H, W, 3) uint8 of `visible`.
     """
     extras = _Extras("truth" in products, "error" in products, image, thermography, photograph, compression)
     return {name: WRITERS[name][1](frame, extras) for name in products if name in WRITERS}

@@ -7,18 +7,15 @@ from thermorender.scene.temperature_state import Conditional
 from thermorender.versions import versions
 
 if TYPE_CHECKING:
-    from thermorender.scene.load import Scene
+    from thermorender.scene.scene import Scene
 
 
 def weather_of(scene: "Scene") -> dict[str, Any]:
-    """Return the weather of a scene's temperatures, and the learned map that depends on it, as plain values.
-
-    {} if the temperatures do not depend on the weather.
-    """
+    """Return the weather of a scene's temperatures and its learned map as plain values, {} if they do not use it."""
     state = scene.temperature_state
-    if not state.weather_driven:
-        return {}
     spec = scene.spec.weather
+    if not state.weather_driven or spec is None:
+        return {}
     file = spec.file or spec.epw
     named = "named day" if file is None else file.name
     found: dict[str, Any] = {

@@ -22,16 +22,8 @@ _DIGESTED = {
 def finished(folder: Path, settings: dict[str, Any], products: Sequence[str], resume: bool, verify: bool) -> list[bool]:
     """Return for each finished frame whether it shows terrain; drop the lines of other frames from `frames.jsonl`.
 
-    Parameters
-    ----------
-    folder : Path
-    settings : dict
-        Of `flight.json`; those of a flight to resume must be the same.
-    products : sequence of str
-    resume : bool
-        Otherwise the folder must not hold a flight.
-    verify : bool
-        Whether files are compared by checksum, not by size only.
+    The `settings` are those of `flight.json`, which must be the same to resume; without `resume` the folder must not
+    hold a flight. `verify` compares files by checksum, not by size only.
     """
     described, lines = folder / "flight.json", folder / "frames.jsonl"
     if not resume:
@@ -66,7 +58,7 @@ def refuse_used(folder: Path) -> None:
     """Raise ThermorenderError for a folder that holds a flight or other frames."""
     if (folder / "flight.json").exists() or (folder / "frames.jsonl").exists():
         raise ThermorenderError(
-            f"{folder} already holds a flight; give another folder, or --resume to continue that one"
+            f"{folder} already holds a flight; give another folder, or set resume to continue that one"
         )
     other = next(folder.glob("frame_*"), None)
     if other:
@@ -109,7 +101,7 @@ def refuse_moved(folder: Path, before: os.stat_result) -> None:
         same = False
     if not same:
         raise ThermorenderError(
-            f"{folder} was removed, moved or replaced while it was flown into; continue with --resume where it is now, "
+            f"{folder} was removed, moved or replaced while it was flown into; continue with resume where it is now, "
             "or start again"
         )
 

@@ -14,16 +14,8 @@ _SIDE = 7
 
 
 def shows_terrain(scene: Scene, poses: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return whether each frame can show the scene's terrain, (N,).
+    """Return whether each of N poses (N, 4, 4) can show the scene's terrain, (N,).
 
-    Parameters
-    ----------
-    scene : Scene
-    poses : (N, 4, 4) array
-        world_from_camera.
-
-    Notes
-    -----
     A frame shows terrain if a corner of its faces is in the picture, or if a direction of the picture meets the median
     height of the terrain above it. What hides terrain is not considered.
     """
@@ -57,14 +49,7 @@ def shows_terrain(scene: Scene, poses: NDArray[np.float64]) -> NDArray[np.bool_]
 
 
 def empty_frames_note(scene: Scene, poses: NDArray[np.float64]) -> str | None:
-    """Return a warning if most frames of a flight cannot show terrain, with the option that mends it; else None.
-
-    Parameters
-    ----------
-    scene : Scene
-    poses : (N, 4, 4) array
-        world_from_camera of all frames.
-    """
+    """Return a warning, with its remedy, if most of a flight's poses (N, 4, 4) cannot show terrain; else None."""
     some = poses[:: 1 + len(poses) // _FRAMES]
     empty = some[~shows_terrain(scene, some)]
     if 2 * len(empty) <= len(some):
@@ -76,12 +61,12 @@ def empty_frames_note(scene: Scene, poses: NDArray[np.float64]) -> str | None:
         middle = np.median(empty[:, :2, 3], axis=0)
         why = (
             f"the flight is off the scene's terrain, about east {middle[0]:.0f} m, north {middle[1]:.0f} m, and the "
-            f"camera looks {looks}; move the flight with --anchor E,N,U,HEADING"
+            f"camera looks {looks}; move the flight with anchor=E,N,U,HEADING"
         )
     else:
         why = (
-            f"the flight is over the terrain, but the camera looks past it, {looks}; point it with --mount "
+            f"the flight is over the terrain, but the camera looks past it, {looks}; point it with mount "
             "YAW,PITCH,ROLL (0,-90,0 looks down), or move the flight "
-            "with --anchor E,N,U,HEADING"
+            "with anchor=E,N,U,HEADING"
         )
     return f"{len(empty)} of {len(some)} frames looked at show no terrain: {why}"

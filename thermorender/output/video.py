@@ -22,14 +22,7 @@ class VideoWriter:
     """Writes 8-bit images, (H, W) grey or (H, W, 3) RGB, as an H.264 MP4, in the order in which they are given.
 
     The file gets its name when the block ends; an error in the block leaves nothing behind. An encoder that ends too
-    early, killed or on a full disk, is reported at the end of the block as a ThermorenderError.
-
-    Parameters
-    ----------
-    path : path
-        In a folder that exists.
-    rate_hz : float
-        Frames per second.
+    early, killed or on a full disk, is reported at the end of the block.
     """
 
     def __init__(self, path: str | PathLike[str], rate_hz: float) -> None:
@@ -104,16 +97,7 @@ class VideoWriter:
 
 
 def write_video(path: str | PathLike[str], images: Sequence[Path], rate_hz: float) -> None:
-    """Write 8-bit PNG files, grey or colour, as an H.264 MP4.
-
-    Parameters
-    ----------
-    path : path
-    images : sequence of paths
-        Display images, in order.
-    rate_hz : float
-        Frames per second.
-    """
+    """Write 8-bit PNG files, grey or colour, as an H.264 MP4."""
     with VideoWriter(path, rate_hz) as video:
         for image in images:
             video.write_file(image)
@@ -125,5 +109,5 @@ def _display(path: Path, shape: tuple[int, ...] | None = None) -> NDArray[np.uin
 
     image = decoded(Path(path).read_bytes(), cv2.IMREAD_UNCHANGED) if Path(path).is_file() else None
     if image is None or shape not in (None, image.shape):
-        raise ThermorenderError(f"{path} is damaged; remove it and continue with --resume")
+        raise ThermorenderError(f"{path} is damaged; remove it and continue with resume")
     return np.ascontiguousarray(image if image.ndim == 2 else image[..., ::-1])

@@ -18,17 +18,10 @@ MOST = WORKERS + 1
 class OrderedWriter(Generic[T]):
     """Prepares jobs in threads and finishes them in the order in which they were put.
 
-    An error of a job is raised by `put` or `drain` when its turn comes; nothing is finished after it. Leaving the block
-    without error finishes all jobs. After an error, the jobs that are not finished are discarded.
-
-    Parameters
-    ----------
-    finish : callable
-        Called with the result of each job, in order, in a thread.
-    report : callable
-        Called with the result after that, in the thread of the caller. The next job is finished after it has returned.
-    discard : callable
-        Called with the results of jobs that are not finished because of an error.
+    `finish` gets the result of each job, in order, in a thread; then `report`, in the thread of the caller, before the
+    next job is finished. An error of a job is raised by `put` or `drain` when its turn comes; nothing is finished after
+    it, and `discard` gets the results of the jobs that are not finished. Leaving the block without error finishes all
+    jobs.
     """
 
     def __init__(

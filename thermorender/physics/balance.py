@@ -1,8 +1,8 @@
-"""Time-stepping of the surface heat balance: sun, sky, air, vapour and the layers beneath.
+"""Time-stepping of the surface energy balance: sun, sky, air, vapour and the layers beneath.
 
 A surface without heat capacity covers a column of layers. In each stage of a step the column responds linearly to heat
-from above, so Newton's method has to find the surface temperature only. Arrays are NumPy's or Dr.Jit's, and `xp` is
-the library; all fields broadcast over the columns.
+from above, so Newton's method solves for the surface temperature only. Arrays are NumPy's or Dr.Jit's, and `xp` is the
+library; all fields broadcast over the columns.
 """
 
 from typing import Any, NamedTuple
@@ -89,10 +89,7 @@ class Fluxes(NamedTuple):
 
 
 def at_rest(xp: Any, temperatures_k: list[Any], ground: Ground) -> State:
-    """Return the initial State of columns with given layer temperatures [K].
-
-    The surface is dry, and snow and layers below 0 °C are frozen.
-    """
+    """Return the initial State of dry columns of layer temperatures [K]; snow and layers below 0 °C are frozen."""
     liquid = None
     if ground.water is not None and ground.room is not None:
         liquid = [
@@ -103,26 +100,14 @@ def at_rest(xp: Any, temperatures_k: list[Any], ground: Ground) -> State:
 
 
 def seen_k(state: State, ground: Ground) -> Any:
-    """Return the temperature at which the columns radiate [K]: of the surface, and of what its gaps show."""
+    """Return the radiative temperature of the columns [K], of the surface and of the first layer in its gaps."""
     if ground.gap is None:
         return state.surface_k
     return ((1.0 - ground.gap) * state.surface_k**4 + ground.gap * state.layers_k[0] ** 4) ** 0.25
 
 
 def step(xp: Any, state: State, ground: Ground, first: Forcing, second: Forcing, seconds: Any) -> tuple[State, Fluxes]:
-    """Return (State, Fluxes) after one time step.
-
-    Parameters
-    ----------
-    xp : module
-        NumPy or Dr.Jit, with `where`.
-    state : State
-    ground : Ground
-    first, second : Forcing
-        At `stage_times` of the step.
-    seconds : float or array
-        Length of the step [s].
-    """
+    """Return (State, Fluxes) after `seconds`; `first` and `second` are the Forcing at the step's `stage_times`."""
     stage = _GAMMA * seconds
     if state.remainder_k is None:
         state = state._replace(remainder_k=[0.0 * t for t in state.layers_k])
@@ -151,7 +136,7 @@ def stage_times(seconds: float) -> tuple[float, float]:
 
 
 def _warmed(kelvin: Any, remainder: Any, change: Any) -> tuple[Any, Any]:
-    """(temperature, remainder) of a layer after a change, with what the sum's rounding would lose kept."""
+    """(temperature, remainder) of a layer after a change; the remainder is the rounding error of the sum."""
     change = change + remainder
     after = kelvin + change
     return after, change - (after - kelvin)
@@ -162,7 +147,7 @@ def _stage(
 ) -> tuple[Any, list[Any], tuple[Any, ...]]:
     """(surface [K], changes of the layers [K], Fluxes without `molten`) after one implicit stage.
 
-    `sources` is heat that the layers gain beside conduction and sunlight [W m⁻²].
+    `sources` is heat that the layers gain beside conduction and sunlight [W m⁻²]; `guess` starts Newton's method [K].
     """
     layers, remainder = state.layers_k, state.remainder_k
     drops = [(layers[i] - layers[i + 1]) + (remainder[i] - remainder[i + 1]) for i in range(len(layers) - 1)]
@@ -238,10 +223,7 @@ def _stage(
 def _melted(
     xp: Any, layers: list[tuple[Any, Any]], liquid: Any, ground: Any
 ) -> tuple[list[tuple[Any, Any]], list[Any], Any]:
-    """((temperature, remainder) of layers, liquid water, melted water of all layers [kg m⁻²]).
-
-    Warm ice melts and cold water freezes.
-    """
+    """((temperature, remainder) of layers, their liquid water, net melt of all layers [kg m⁻²]) after phase change."""
     warm, wet, total = [], [], 0.0
     for (t, more), now, water, room, capacity in zip(
         layers, liquid, ground.water, ground.room, ground.capacity, strict=True

@@ -52,12 +52,9 @@ def ladder(count: int = LAYERS) -> tuple[Floats, Floats]:
     16 layers reach 1e-4 from 6 h to 2 d. With 12 layers it is 2e-3 at half an hour and 4e-3 at a month. At depth the
     grid is coarse: the error is 2 % of the surface's amplitude for temperatures, 4 % for the depth of frost.
 
-    Notes
-    -----
     1/√s = (2/π) ∫ eˣ / (s + e²ˣ) dx by the trapezoidal rule gives the poles and residues of a rational function. The
-    Lanczos process turns them into a ladder of resistances and capacities. Method: Ingerman, Druskin & Knizhnerman,
-    "Optimal finite difference grids and rational approximations of the square root", Comm. Pure Appl. Math. 53 (2000)
-    1039. Poles faster than the first act as a resistance, poles slower than the last as a capacity.
+    Lanczos process turns them into a ladder of resistances and capacities: Ingerman, Druskin & Knizhnerman, Comm. Pure
+    Appl. Math. 53 (2000) 1039. Poles faster than the first act as a resistance, slower than the last as a capacity.
     """
     x = 0.5 * np.linspace(np.log(_FASTEST), np.log(_SLOWEST), count - 1)
     step = x[0] - x[1]
@@ -81,18 +78,10 @@ def ladder(count: int = LAYERS) -> tuple[Floats, Floats]:
 
 
 def layered(slabs: Sequence[Slab], skin: float = np.inf, film: float | None = None, count: int = LAYERS) -> Layers:
-    """Return the Layers of a stack of slabs.
+    """Return the Layers of a stack of slabs, from the top down; only the last slab may be infinitely thick.
 
-    Parameters
-    ----------
-    slabs : sequence of Slab
-        From the top down; only the last may be infinitely thick.
-    skin : float
-        Conductance between the radiating surface and the first slab [W m⁻² K⁻¹].
-    film : float, optional
-        Conductance from the last slab's lower face to the air below [W m⁻² K⁻¹]; None: insulated.
-    count : int
-        Number of layers.
+    `skin` is the conductance between the radiating surface and the first slab, `film` that from the last slab's lower
+    face to the air below [W m⁻² K⁻¹]; without it the face is insulated. `count` is the number of layers.
     """
     node, border = ladder(count)
     speed = np.array([np.sqrt(slab.conductivity / slab.capacity) for slab in slabs])
@@ -145,24 +134,13 @@ class Response(NamedTuple):
 def top_response(
     drops: list[Any], sources: list[Any], capacity: list[Any], conductance: list[Any], seconds: Any
 ) -> Response:
-    """Return the Response of a column to one implicit stage.
+    """Return the Response of a column of L layers to an implicit stage of `seconds`.
 
-    Parameters
-    ----------
-    drops : list of L - 1 arrays
-        Temperature of each layer minus that of the layer below it, before the stage [K].
-    sources : list of L arrays
-        Heat that each layer gains without conduction between layers and from the surface [W m⁻²].
-    capacity, conductance : lists of L and L + 1 arrays
-        As in `Layers`.
-    seconds : float or array
-        Length of the stage [s].
-
-    Notes
-    -----
-    Backward Euler for the changes x: C x/Δt = source + G (drop₋ + x₋ − x) − G₊ (drop + x − x₊), eliminated from the
-    bottom up. Where layers conduct well, G is far above C/Δt; no term is a difference of numbers near G or G · drop, so
-    single precision costs a few ulp of x.
+    `drops` are the L − 1 temperature differences between a layer and the next lower one [K], `sources` the heat that
+    each layer gains without conduction [W m⁻²]; capacity and conductance are as in `Layers`. Backward Euler for the
+    changes x, C x/Δt = source + G (drop₋ + x₋ − x) − G₊ (drop + x − x₊), is eliminated from the bottom up. Where layers
+    conduct well, G is far above C/Δt; no term is a difference of numbers near G or G · drop, so single precision costs
+    a few ulp of x.
     """
     count = len(sources)
     shares, rises = [0.0] * (count - 1), [0.0] * (count - 1)

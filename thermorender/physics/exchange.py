@@ -34,9 +34,9 @@ BLENDING_M = 60.0
 def wind_factor(
     height_m: ArrayLike, roughness_m: ArrayLike, station_height_m: float, station_roughness_m: float
 ) -> Any:
-    """Return the ratio of the wind at a height over other land to a station's wind [1].
+    """Return the ratio of the wind at a height over other land to a station's wind [1]; both are equal at 60 m.
 
-    Both winds are equal at 60 m in neutral air: Wieringa, Q. J. R. Meteorol. Soc. 112 (1986) 867, eq. 2.
+    Neutral air: Wieringa, Q. J. R. Meteorol. Soc. 112 (1986) 867, eq. 2.
     """
     roughness_m = np.asarray(roughness_m, dtype=np.float64)
     up = np.log(BLENDING_M / station_roughness_m) / np.log(station_height_m / station_roughness_m)
@@ -53,26 +53,10 @@ def convection(
 ) -> tuple[Any, Any]:  # fmt: skip
     """Return (exchange coefficient h [W m⁻² K⁻¹], its derivative with respect to surface temperature).
 
-    Parameters
-    ----------
-    xp : module
-        NumPy or Dr.Jit.
-    surface_k, air_k : array
-        [K]
-    wind_m_s : array
-        [m/s]
-    density : array
-        Of the air [kg m⁻³].
-    log_wind : array
-        ln(z/z₀) with the height of the wind and the roughness length for momentum.
-    log_heat : array
-        ln(z/z₀ₕ) with the height of the air temperature and the roughness length for heat.
-    height_m : array
-        Height of the air temperature above the displacement plane, for the Richardson number [m].
+    `log_wind` is ln(z/z₀) for momentum and `log_heat` is ln(z/z₀ₕ) for heat; `height_m` is the height of the air
+    temperature above the displacement plane, `density` that of the air [kg m⁻³].
 
-    Notes
-    -----
-    ρ c κ² U f / (ln(z/z₀) ln(z/z₀ₕ)), Garratt, The Atmospheric Boundary Layer (1992), eq. 3.52, plus a constant for
+    h = ρ c κ² U f / (ln(z/z₀) ln(z/z₀ₕ)), Garratt, The Atmospheric Boundary Layer (1992), eq. 3.52, plus a constant for
     calm air. Unstable: f of the bulk Richardson number by Louis, Tiedtke & Geleyn, "A short history of the PBL
     parameterization at ECMWF" (1982), b = c = 5. Stable: f = 1 / (1 + 10 Ri), the long tail of Brown et al.,
     Boundary-Layer Meteorol. 128 (2008) 117, with the height of Ri limited to `STABLE_M`. With it the heat flux from the
@@ -114,27 +98,11 @@ def evaporation(
 ) -> tuple[Any, Any, Any]:  # fmt: skip
     """Return (latent heat flux [W m⁻²], its derivative with respect to surface temperature, heat per mass [J kg⁻¹]).
 
-    Parameters
-    ----------
-    xp : module
-    surface_k : array
-        [K]
-    vapour_pa, pressure_pa : array
-        Of the air [Pa].
-    convective, bend : array
-        Exchange coefficient of heat [W m⁻² K⁻¹] and its derivative, from `convection`.
-    density : array
-        Of the air [kg m⁻³].
-    resistance : array
-        Of the surface to evaporation [s/m]; very large for surfaces without evaporation.
-    film : array
-        Share of the surface covered by free water, 0…1.
-    frozen : array of bool
-        Whether ice sublimates. It does not follow `surface_k`: the heat per mass would jump by a seventh at 0 °C, and
-        two temperatures could balance.
+    `convective` and `bend` are h and its derivative from `convection`, `density` that of the air [kg m⁻³], `resistance`
+    that of the surface [s/m] (very large without evaporation) and `film` the share of the surface under free water,
+    0…1. `frozen` selects sublimation. It does not follow `surface_k`: the heat per mass would jump by a seventh at 0
+    °C, and two temperatures could balance.
 
-    Notes
-    -----
     Bulk transfer with resistances in series, the aerodynamic one as for heat: Monteith & Unsworth, Principles of
     Environmental Physics (4th ed. 2013), ch. 13. Dew meets the aerodynamic resistance only.
     """
@@ -151,26 +119,11 @@ def evaporation(
 
 
 def stomata(xp: Any, resistance: Any, sunlight_w_m2: Any, deficit_pa: Any, air_k: Any) -> Any:
-    """Return the surface resistance of leaves [s/m] for given sunlight, saturation deficit and temperature.
+    """Return the surface resistance of leaves [s/m] for sunlight on them, saturation deficit and air temperature.
 
-    Parameters
-    ----------
-    xp : module
-        NumPy or Dr.Jit.
-    resistance : array
-        In full sun and moist air [s/m].
-    sunlight_w_m2 : array
-        On the leaves [W m⁻²].
-    deficit_pa : array
-        Saturation deficit of the air [Pa].
-    air_k : array
-        [K]
-
-    Notes
-    -----
-    Sunlight: IFS documentation CY41R2, part IV, eq. 8.11. Deficit: Leuning, Plant Cell Environ. 18 (1995) 339, with
-    half the conductance at 1500 Pa, relative to the 1000 Pa of published minimum resistances. Temperature: Noilhan and
-    Planton (1989), eq. B5; closed 25 K away from 298 K.
+    `resistance` is that in full sun and moist air. Sunlight: IFS documentation CY41R2, part IV, eq. 8.11. Deficit:
+    Leuning, Plant Cell Environ. 18 (1995) 339, with half the conductance at 1500 Pa, relative to the 1000 Pa of
+    published minimum resistances. Temperature: Noilhan and Planton (1989), eq. B5; closed 25 K away from 298 K.
     """
     light = (0.004 * sunlight_w_m2 + 0.05) / (0.81 * (0.004 * sunlight_w_m2 + 1.0))
     dry = (1.0 + xp.maximum(deficit_pa, 0.0) / 1500.0) / (1.0 + 1000.0 / 1500.0)

@@ -24,17 +24,8 @@ FARTHEST_M = 100e3
 
 
 def ecef_from_geodetic(latitude_deg: ArrayLike, longitude_deg: ArrayLike, height_m: ArrayLike) -> Floats:
-    """Return ECEF positions, (..., 3) [m].
+    """Return ECEF positions, (..., 3) [m], of WGS 84 coordinates [deg] and ellipsoid heights [m].
 
-    Parameters
-    ----------
-    latitude_deg, longitude_deg : array
-        Geodetic WGS 84 coordinates [deg].
-    height_m : array
-        Height above the ellipsoid [m].
-
-    Notes
-    -----
     Closed form: Hofmann-Wellenhof et al., GNSS (2008), eq. 8.4.
     """
     lat, lon, h = np.broadcast_arrays(
@@ -77,15 +68,7 @@ def geodetic_from_ecef(position: ArrayLike) -> tuple[Floats, Floats, Floats]:
 
 @dataclass(frozen=True)
 class LocalFrame:
-    """A scene's East-North-Up frame, defined by its origin in WGS 84.
-
-    Parameters
-    ----------
-    latitude_deg, longitude_deg : float
-        Geodetic coordinates of the origin [deg].
-    height_m : float
-        Ellipsoid height of the origin [m].
-    """
+    """A scene's East-North-Up frame, by its origin in WGS 84: latitude and longitude [deg], ellipsoid height [m]."""
 
     latitude_deg: float
     longitude_deg: float

@@ -27,33 +27,15 @@ def step(
     exchange: NDArray[np.float32], wet: NDArray[np.float32], air: NDArray[np.float32] | float, vapour_pa: float,
     inertia: NDArray[np.float32], deep: NDArray[np.float32],
 ) -> NDArray[np.float32]:  # fmt: skip
-    """Return surface temperatures after one implicit time step, (H, W) float32 [K].
+    """Return surface temperatures after one implicit time step of `seconds`, (H, W) float32 [K].
 
-    Parameters
-    ----------
-    temperature : (H, W) float32
-        At the start of the step [K].
-    seconds : float
-        Length of the step [s].
-    absorbed, longwave : (H, W) float32
-        Absorbed sunlight and downward long-wave [W m⁻²].
-    exchange : (H, W) float32
-        Convective coefficient h [W m⁻² K⁻¹].
-    wet : (H, W) float32
-        Evaporation relative to free water, 0…1.
-    air : (H, W) float32 or float
-        Air temperature [K].
-    vapour_pa : float
-        Vapour pressure of the air [Pa].
-    inertia, deep : (H, W) float32
-        Thermal inertia [J m⁻² K⁻¹ s^-1/2] and temperature of the restoring layer [K].
+    `absorbed` and `longwave` are sunlight and downward long-wave [W m⁻²], `exchange` the convective coefficient h [W
+    m⁻² K⁻¹], `wet` the evaporation relative to free water, 0…1, `air` the air temperature [K], `inertia` the thermal
+    inertia [J m⁻² K⁻¹ s^-1/2] and `deep` the temperature of the restoring layer [K].
 
-    Notes
-    -----
-    Force–restore: dT/dt = 2√π F / (I √τ) − (2π/τ) (T − T_deep), Deardorff, J. Geophys. Res. 83 (1978)
-    1889, eq. 8 with ρ c d₁ = I √τ. The flux F = S + εL − εσT⁴ − h (T − T_air) − w (h/γ)(e_s(T) − e) has
-    evaporation in Penman's bulk form (Proc. R. Soc. A 193 (1948) 120). Backward Euler, solved by Newton's method;
-    emissivity ε = 0.96.
+    Force–restore: dT/dt = 2√π F / (I √τ) − (2π/τ) (T − T_deep), Deardorff, J. Geophys. Res. 83 (1978) 1889, eq. 8 with
+    ρ c d₁ = I √τ. The flux F = S + εL − εσT⁴ − h (T − T_air) − w (h/γ)(e_s(T) − e) has evaporation in Penman's bulk
+    form (Proc. R. Soc. A 193 (1948) 120). Backward Euler, solved by Newton's method; emissivity ε = 0.96.
     """
     emissivity = np.float32(0.96)
     gain = np.float32(seconds * 2.0 * np.sqrt(np.pi) / np.sqrt(_DAY_S)) / inertia

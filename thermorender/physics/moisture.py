@@ -42,7 +42,7 @@ MEMORY_D = 21
 
 
 class Texture(NamedTuple):
-    """A soil: water at field capacity and wilting point and in all pores [1], readily evaporable water [mm]; kind.
+    """A soil: water at field capacity, at wilting point and in all pores [1], readily evaporable water [mm]; kind.
 
     `coarse` soils have Johansen's Kersten number for sand.
     """
@@ -111,17 +111,7 @@ def snow_water(
 ) -> tuple[Floats, Floats]:
     """Return (water of the snow on the ground, rain and melt that reach the soil) of each interval, (N,) [mm].
 
-    Parameters
-    ----------
-    time : (N,) datetime64
-        Middles of the intervals.
-    latitude_deg : float
-    air_k, rain_mm_h : (N,)
-        Air temperature and precipitation.
-
-    Notes
-    -----
-    Precipitation below 1 °C stays, and melts by `melt_factor`.
+    `time` are the middles of the intervals. Precipitation below 1 °C stays, and melts by `melt_factor`.
     """
     length, celsius = intervals_s(time), air_k - ZERO_CELSIUS_K
     rain = rain_mm_h * length / 3600.0
@@ -141,18 +131,8 @@ def reference_evapotranspiration(
 ) -> Floats:  # fmt: skip
     """Return the evapotranspiration of a day of well-watered short grass [mm]: FAO-56, eq. 6, without heat in soil.
 
-    Parameters
-    ----------
-    celsius : array
-        Mean air temperature.
-    saturation_pa : array
-        Mean of the saturation pressures at the highest and lowest air temperature.
-    vapour_pa, pressure_pa : array
-        Of the air.
-    wind_2m : array
-        At 2 m [m/s].
-    net_w_m2 : array
-        Net radiation of grass.
+    `celsius` is the mean air temperature, `saturation_pa` the mean of the saturation pressures at the highest and
+    lowest one, `vapour_pa` that of the air, `wind_2m` the wind at 2 m [m/s] and `net_w_m2` the net radiation of grass.
     """
     celsius, wind_2m = np.asarray(celsius, np.float64), np.asarray(wind_2m, np.float64)
     slope = 4098.0 * 0.6108 * np.exp(17.27 * celsius / (celsius + 237.3)) / (celsius + 237.3) ** 2
@@ -202,12 +182,9 @@ def after_day(
 ) -> tuple[Bucket, float, float]:
     """Return (Bucket, evapotranspiration, drainage [mm]) after a day of rain and melt and reference evapotranspiration.
 
+    FAO-56, eqs 71 (evaporation), 77 and 79 (surface layer), 85 and 88 (roots), with the day's rain early in the day.
     Closed leaves transpire from the roots. Bare soil evaporates from its surface layer, and by diffusion from below.
     Water above field capacity drains; none runs off.
-
-    Notes
-    -----
-    FAO-56, eqs 71 (evaporation), 77 and 79 (surface layer), 85 and 88 (roots), with the day's rain early in the day.
     """
     surface = max(bucket.surface_mm - wet_mm, 0.0)
     roots = bucket.roots_mm - wet_mm
@@ -251,18 +228,8 @@ def conductivity(texture: Texture, water: ArrayLike, dry_kg_m3: float) -> Floats
 
 
 def resistance(texture: Texture, water: ArrayLike, surface_mm: ArrayLike) -> Floats:
-    """Return the resistance of bare soil to evaporation [s/m].
+    """Return the resistance of bare soil to evaporation [s/m] by its surface layer's water [m³ m⁻³] and depletion.
 
-    Parameters
-    ----------
-    texture : Texture
-    water : array
-        Water of the surface layer [m³ m⁻³].
-    surface_mm : array
-        Depletion of the surface layer [mm].
-
-    Notes
-    -----
     A share Kr of the soil is moist up to its surface: exp(8.206 − 4.225 S), Sellers et al., J. Geophys. Res. 97 (1992)
     19033, doi:10.1029/92JD01096. Vapour of the rest diffuses through half the surface layer.
     """
@@ -272,17 +239,8 @@ def resistance(texture: Texture, water: ArrayLike, surface_mm: ArrayLike) -> Flo
 
 
 def growing_season(lowest_c: ArrayLike, day_h: ArrayLike) -> Floats:
-    """Return the growing season index of days by frost and light, 0 (dormant) … 1 (green).
+    """Return the growing season index of days by lowest air temperature and day length, 0 (dormant) … 1 (green).
 
-    Parameters
-    ----------
-    lowest_c : array
-        Lowest air temperature of a day [°C].
-    day_h : array
-        Time from sunrise to sunset [h].
-
-    Notes
-    -----
     Product of linear ramps, with `moist` as the third: Jolly, Nemani and Running, Glob. Change Biol. 11 (2005) 619,
     doi:10.1111/j.1365-2486.2005.00930.x, eqs 1–4. The greenness of land is its mean over 21 days.
     """
@@ -290,10 +248,7 @@ def growing_season(lowest_c: ArrayLike, day_h: ArrayLike) -> Floats:
 
 
 def moist(deficit_pa: ArrayLike) -> Floats:
-    """Return the growing season index by the mean vapour pressure deficit of a day's light [Pa], 0 … 1.
-
-    Dry air stands for dry soil; source as `growing_season`.
-    """
+    """Return the growing season index by mean vapour pressure deficit in daylight [Pa], 0 … 1; dry air: dry soil."""
     return _ramp(deficit_pa, *_DRY_PA)
 
 

@@ -52,26 +52,13 @@ def clear_sky(
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Return (direct, diffuse) irradiance under a cloudless sky [W m⁻²], 0 where the sun is down.
 
-    Parameters
-    ----------
-    elevation_deg : array
-        Of the sun.
-    pressure_pa : array
-        At the ground.
-    water_cm : array
-        Precipitable water.
-    aerosol : array
-        Optical depth at 0.5 µm.
-    distance : array
-        `sun.eccentricity`.
-    albedo : array
-        Of the ground; the sky reflects part of the ground's light.
+    `elevation_deg` is that of the sun, `pressure_pa` at the ground, `water_cm` precipitable water, `aerosol` the
+    optical depth at 0.5 µm, `distance` `sun.eccentricity`, and `albedo` that of the ground, which the sky reflects in
+    part.
 
-    Notes
-    -----
-    Bird and Hulstrom, A Simplified Clear Sky Model for Direct and Diffuse Insolation, SERI/TR-642-761 (1981), with
-    0.3 cm of ozone, an aerosol single-scattering albedo of 0.9 and forward share of 0.85. Up to an air mass of 5.6
-    (10°) the error against rigorous codes is 3 % direct, 5 % diffuse.
+    Bird and Hulstrom, A Simplified Clear Sky Model for Direct and Diffuse Insolation, SERI/TR-642-761 (1981), with 0.3
+    cm of ozone, an aerosol single-scattering albedo of 0.9 and forward share of 0.85. Up to an air mass of 5.6 (10°)
+    the error against rigorous codes is 3 % direct, 5 % diffuse.
     """
     up = elevation_deg > 0.0
     mass = air_mass(elevation_deg)
@@ -113,19 +100,10 @@ def split_global(
 ) -> tuple[Floats, Floats]:
     """Return (direct, diffuse) of a measured global irradiance [W m⁻²]: total = direct · sin(elevation) + diffuse.
 
-    Parameters
-    ----------
-    total : array
-        Global irradiance, not negative.
-    elevation_deg, distance : array
-        Of the sun; `sun.eccentricity`.
-    limit : array
-        Upper limit of the direct irradiance (`clearest_direct`), for the division by sin(elevation) near the horizon.
-
-    Notes
-    -----
     Erbs, Klein and Duffie, Solar Energy 28 (1982) 293, doi:10.1016/0038-092X(82)90302-4: diffuse share from the
-    clearness index, for hourly values. The uncertainty of the share is ± 0.1 for one hour.
+    clearness index, for hourly values; its uncertainty is ± 0.1 for one hour. `distance` is `sun.eccentricity`. `limit`
+    is the upper limit of the direct irradiance (`clearest_direct`), for the division by sin(elevation) near the
+    horizon.
     """
     height = np.sin(np.radians(np.maximum(elevation_deg, 0.0)))
     clearness = total / np.maximum(SOLAR_CONSTANT_W_M2 * distance * height, 1e-9)
@@ -140,11 +118,9 @@ def split_global(
 def clouded(direct: Floats, diffuse: Floats, elevation_deg: Floats, cloud: Floats | float) -> tuple[Floats, Floats]:
     """Return (direct, diffuse) irradiance [W m⁻²] under a cloud cover of 0 … 1, from clear-sky values.
 
-    Notes
-    -----
     Global light falls to 1 − 0.75 c^3.4: Kasten and Czeplak, Solar Energy 24 (1980) 177,
-    doi:10.1016/0038-092X(80)90391-6, eq. 10, means over ten years in Hamburg. The sun is unobscured for the share
-    1 − c of the time; the rest of the global light is diffuse.
+    doi:10.1016/0038-092X(80)90391-6, eq. 10, means over ten years in Hamburg. The sun is unobscured for the share 1 − c
+    of the time; the rest of the global light is diffuse.
     """
     height = np.sin(np.radians(np.maximum(elevation_deg, 0.0)))
     total = (direct * height + diffuse) * (1.0 - 0.75 * np.asarray(cloud, np.float64) ** 3.4)
@@ -155,8 +131,6 @@ def clouded(direct: Floats, diffuse: Floats, elevation_deg: Floats, cloud: Float
 def cloud_of_humidity(humidity: Floats) -> Floats:
     """Return the cloud cover [1] that a relative humidity near the ground [1] makes likely at night.
 
-    Notes
-    -----
     1 − √((1 − h)/(1 − h₀)): Sundqvist, Berge and Kristjánsson, Mon. Weather Rev. 117 (1989) 1641,
     doi:10.1175/1520-0493(1989)117<1641:CACPSW>2.0.CO;2, for the humidity of a cloud's layer. Near the ground it is the
     mean over the nights of eleven places with a pyrgeometer, to 0.1 with h₀ = 0.5, though 0.1 too low in saturated air.
@@ -165,21 +139,12 @@ def cloud_of_humidity(humidity: Floats) -> Floats:
 
 
 def longwave(air_k: Floats, vapour_pa: Floats, cloud: Floats | float) -> Floats:
-    """Return the downward long-wave irradiance of the sky [W m⁻²] from measurements near the ground.
+    """Return the downward long-wave irradiance of the sky [W m⁻²] from measurements at about 2 m.
 
-    Parameters
-    ----------
-    air_k, vapour_pa : array
-        Air temperature and vapour pressure at about 2 m.
-    cloud : array
-        Cloud cover, 0 … 1; or the relative deficit of sunlight against the clear sky.
-
-    Notes
-    -----
-    Clear-sky emissivity ε: Prata, Q. J. R. Meteorol. Soc. 122 (1996) 1127, doi:10.1002/qj.49712253306. With clouds,
-    (1 − 0.84 c) ε + 0.84 c: Unsworth and Monteith, Q. J. R. Meteorol. Soc. 101 (1975) 13,
-    doi:10.1002/qj.49710142703. The error of hourly values on clear nights in valleys is 8 to 18 W m⁻², more under
-    clouds.
+    `cloud` is the cloud cover, 0 … 1, or the relative deficit of sunlight against the clear sky. Clear-sky emissivity
+    ε: Prata, Q. J. R. Meteorol. Soc. 122 (1996) 1127, doi:10.1002/qj.49712253306. With clouds, (1 − 0.84 c) ε + 0.84 c:
+    Unsworth and Monteith, Q. J. R. Meteorol. Soc. 101 (1975) 13, doi:10.1002/qj.49710142703. The error of hourly values
+    on clear nights in valleys is 8 to 18 W m⁻², more under clouds.
     """
     water = precipitable_water(vapour_pa, air_k)
     clear = 1.0 - (1.0 + water) * np.exp(-np.sqrt(1.2 + 3.0 * water))

@@ -29,21 +29,9 @@ class Pack(NamedTuple):
 
 
 def packs(seconds: Floats, air_c: Floats, depth_m: Floats, first: Pack) -> Pack:
-    """Return the Pack after intervals of a record of depths.
+    """Return the Pack after intervals of a record of depths (N,), which starts from the Pack `first`.
 
-    Parameters
-    ----------
-    seconds : (N,)
-        Length of each interval [s].
-    air_c : (N,)
-        Air temperature [°C]; from 0 °C on the snow melts.
-    depth_m : (N,)
-        Depth at the end of each; what it gains is new snow.
-    first : Pack
-        Before the first interval.
-
-    Notes
-    -----
+    `depth_m` is the depth at the end of each interval, and what it gains is new snow; from 0 °C of `air_c` on it melts.
     Albedo falls linearly in frost and exponentially in melt, and new snow raises it in proportion: Douville, Royer and
     Mahfouf (1995), eqs 16–18. Density goes exponentially to that of settled or of wet snow (Essery 2015, eq. 14), and
     averages with that of new snow.
@@ -67,10 +55,7 @@ def packs(seconds: Floats, air_c: Floats, depth_m: Floats, first: Pack) -> Pack:
 
 
 def depths(seconds: Floats, air_c: Floats, water_mm: Floats) -> Floats:
-    """Return the depth of snow (N,) [m] from its water at the end of each of some intervals (N,) [s, mm], from none.
-
-    It settles as in `packs`.
-    """
+    """Return snow depths (N,) [m] from the water at the end of intervals (N,) [s, mm], settled as in `packs`."""
     found, water, density = np.zeros(len(water_mm)), 0.0, NEW_KG_M3
     rows = zip((seconds / _DAY_S).tolist(), air_c.tolist(), water_mm.tolist(), strict=True)
     for k, (length, celsius, now) in enumerate(rows):

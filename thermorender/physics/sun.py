@@ -39,19 +39,8 @@ def position_at(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the sun's (azimuth clockwise from north, elevation) [deg] at instants, in the shape of `time`.
 
-    The elevation is that of the disc's centre. It includes parallax, but not refraction (0.5° at the horizon, 0.1° at
-    10°).
-
-    Parameters
-    ----------
-    time : datetime64 or array of them
-        UTC, 1950 to 2050.
-    latitude_deg, longitude_deg : float
-        Of the site, north and east positive; any longitude. At a pole the meridian of the longitude defines the
-        azimuth.
-
-    Notes
-    -----
+    Valid from 1950 to 2050 (UTC), for any longitude; at a pole the meridian of the longitude defines the azimuth. The
+    elevation is that of the disc's centre. It includes parallax, but not refraction (0.5° at the horizon, 0.1° at 10°).
     The Astronomical Almanac's low-precision formulae, as collected by Michalsky, Solar Energy 40 (1988) 227,
     doi:10.1016/0038-092X(88)90045-X. The error against the full theory is 0.003° on average, 0.011° at most.
     """
@@ -66,10 +55,7 @@ def position_at(
 
 
 def solar_hour(time: Times, longitude_deg: float) -> NDArray[np.float64]:
-    """Return the apparent solar time [h], 0 … 24, at UTC instants and a longitude [deg]; 12 is the culmination.
-
-    Validity and source as `position_at`.
-    """
+    """Return the apparent solar time [h], 0 … 24, at UTC instants and a longitude [deg]; source as `position_at`."""
     days = _days(time)
     _, ascension = _ecliptic(time)
     sidereal = 6.697375 + 0.0657098242 * days + 24.0 * ((days + 0.5) % 1.0)
@@ -82,10 +68,7 @@ def declination(time: Times) -> NDArray[np.float64]:
 
 
 def eccentricity(time: Times) -> NDArray[np.float64]:
-    """Return the ratio of the sun's irradiance to that at the mean distance, 0.966 … 1.035 [1], at UTC instants.
-
-    It is the inverse square of the distance in astronomical units; source as `position_at`.
-    """
+    """Return the sun's irradiance over that at the mean distance, 0.966 … 1.035, at instants as in `position_at`."""
     anomaly = np.radians(357.528 + 0.9856003 * _days(time))
     return (1.00014 - 0.01671 * np.cos(anomaly) - 0.00014 * np.cos(2.0 * anomaly)) ** -2
 
@@ -106,9 +89,9 @@ def _ecliptic(time: Times) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def sunrise(latitude_deg: float, declination_deg: float) -> float | None:
-    """Return the apparent solar time of sunrise over level ground [h], 0 … 12.
+    """Return the apparent solar time of sunrise over level ground [h], 0 … 12; None without sunrise on that day.
 
-    None if the sun stays up or down all day. Iqbal, An Introduction to Solar Radiation (1983), eq. 1.5.4.
+    Iqbal, An Introduction to Solar Radiation (1983), eq. 1.5.4.
     """
     cosine = -np.tan(np.radians(latitude_deg)) * np.tan(np.radians(declination_deg))
     if abs(cosine) > 1.0:

@@ -7,14 +7,9 @@ from thermorender.physics.band import Emissivity, Floats, RadianceTable, emitted
 
 
 def reflected_radiance(emissivity: Emissivity, temperature: ArrayLike, lower_um: float, upper_um: float) -> Floats:
-    """Return the band radiance of an isotropic blackbody reflected by a diffuse opaque surface [W m⁻² sr⁻¹].
+    """Return the band radiance of a blackbody of `temperature` [K] all around, reflected diffusely [W m⁻² sr⁻¹].
 
-    Parameters
-    ----------
-    emissivity : callable
-        Wavelengths [µm] → emissivity of the surface; its reflectance is 1 − ε (Kirchhoff).
-    temperature : array
-        Temperature of the surroundings [K].
+    `emissivity` maps wavelengths [µm] to that of the opaque surface; its reflectance is 1 − ε (Kirchhoff).
     """
     return emitted_radiance(lambda wavelength: 1.0 - emissivity(wavelength), temperature, lower_um, upper_um)
 
@@ -23,25 +18,10 @@ def kinetic_temperature(
     apparent_radiance: ArrayLike, emissivity: Emissivity, sky_temperature: float, band_um: tuple[float, float],
     range_k: tuple[float, float],
 ) -> Floats:  # fmt: skip
-    """Return the kinetic temperature [K] of a surface from its apparent radiance; NaN for no solution in `range_k`.
+    """Return the kinetic temperature [K] of a surface from its apparent radiance [W m⁻² sr⁻¹]; NaN outside `range_k`.
 
-    Parameters
-    ----------
-    apparent_radiance : array
-        Band radiance leaving the surface [W m⁻² sr⁻¹].
-    emissivity : callable
-        Wavelengths [µm] → emissivity.
-    sky_temperature : float
-        Temperature of the isotropic blackbody sky during the measurement [K].
-    band_um : (lower, upper)
-        Band [µm].
-    range_k : (coldest, warmest)
-        Plausible kinetic temperatures [K]; NaN outside.
-
-    Notes
-    -----
-    Solves ∫[ε B(T) + (1−ε) B(T_sky)] dλ = L for T. An error of L grows by 1/ε or more in T, so low ε needs the
-    plausible range.
+    Solves ∫[ε B(T) + (1−ε) B(T_sky)] dλ = L for T, with an isotropic blackbody sky. An error of L grows by 1/ε or more
+    in T, so low ε needs the plausible range. `emissivity` maps wavelengths [µm] to ε.
     """
     table = RadianceTable.of(emissivity, *range_k, *band_um)
     emitted = np.asarray(apparent_radiance) - reflected_radiance(emissivity, sky_temperature, *band_um)

@@ -76,20 +76,7 @@ def in_sequence(camera: Camera, index: int, elapsed_s: float) -> Moment:
 
 
 class Sensor:
-    """One camera with one seed: everything that is constant from frame to frame.
-
-    Parameters
-    ----------
-    camera : Camera
-    seed : int
-
-    Attributes
-    ----------
-    blur : Blur or None
-        Of the lens.
-    illumination : (H, W) float32
-        From `relative_illumination`.
-    """
+    """One camera with one seed: everything that is constant from frame to frame."""
 
     def __init__(self, camera: Camera, seed: int) -> None:
         self.camera, self.seed = camera, seed
@@ -164,10 +151,7 @@ class Sensor:
         return Wander(self.camera, self.seed)
 
     def pattern(self, moment: Moment) -> Image:
-        """Return the fixed pattern after a flat-field correction, (H, W) float32 [W].
-
-        Pixels with a wrong gain are correct at the temperature of the shutter.
-        """
+        """Return the fixed pattern after a flat-field correction, (H, W) float32 [W], for gains set at the shutter."""
         made = moment.correction, moment.corrected_k
         if self._pattern is None or self._pattern[0] != made:
             pattern = noise.fixed_pattern(self.camera, self.seed, moment.correction)

@@ -25,23 +25,10 @@ def absorbed_power(irradiance: Any, camera: Camera) -> Any:
 def response_weights(
     span_s: ArrayLike, time_constant_s: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return (old, first, last): the signal after a span is old·signal + first·P(start) + last·P(end).
+    """Return (old, first, last) of a span ≥ 0 [s], whose signal is old·signal + first·P(start) + last·P(end).
 
-    Parameters
-    ----------
-    span_s : array
-        Time that passes, at or above 0 [s].
-    time_constant_s : float
-        At or above 0 [s].
-
-    Returns
-    -------
-    old, first, last : arrays in the shape of `span_s`
-        They sum to 1. Exact where the power is linear in time between start and end.
-
-    Notes
-    -----
-    With x = t/τ: old = e⁻ˣ, last = 1 − (1−e⁻ˣ)/x, first = (1−e⁻ˣ)/x − e⁻ˣ.
+    They sum to 1, and are exact where the power is linear in time. With x = t/τ: old = e⁻ˣ, last = 1 − (1−e⁻ˣ)/x, first
+    = (1−e⁻ˣ)/x − e⁻ˣ.
     """
     span = np.asarray(span_s, np.float64)
     if not time_constant_s:
@@ -56,20 +43,15 @@ def response_weights(
 def forgotten_s(camera: Camera) -> float:
     """Return the time after which pixels have forgotten an earlier state to the last bit [s].
 
-    Notes
-    -----
     A difference falls as e⁻ᵗ/τ. After 53 ln 2 time constants it is below the last bit of a float64 signal. It then
-    changes a rounding with a probability that falls as fast, which ln(100 n) more bring to 1 % for all n pixels.
-    Half a count is reached earlier: 2¹⁴ counts fall below it after 15 ln 2 = 10.4 time constants.
+    changes a rounding with a probability that falls as fast, which ln(100 n) more bring to 1 % for all n pixels. Half a
+    count is reached earlier: 2¹⁴ counts fall below it after 15 ln 2 = 10.4 time constants.
     """
     return camera.time_constant_ms * 1e-3 * float(53.0 * np.log(2.0) + np.log(100.0 * camera.width * camera.height))
 
 
 def row_delays(camera: Camera, frame_interval_s: float = np.inf) -> NDArray[np.float64]:
-    """Return the read-out time of each row, (H,) [s], from the frame's time, which is the middle of the read-out.
-
-    The read-out takes at most one frame interval.
-    """
+    """Return each row's read-out time (H,) [s] from the middle of a read-out that takes at most one interval."""
     row_s = min(camera.row_time_us * 1e-6, frame_interval_s / camera.height)
     return (np.arange(camera.height, dtype=np.float64) - 0.5 * (camera.height - 1)) * row_s
 
@@ -110,19 +92,7 @@ def read_rows(
     state: PixelState, time_s: float, power: Image, row_times_s: NDArray[np.float64], rows: slice,
     time_constant_s: float, out: Image,
 ) -> None:  # fmt: skip
-    """Read rows into `out` while the power changes linearly to `power` at `time_s`.
-
-    Parameters
-    ----------
-    state : PixelState
-        The pixels at the start.
-    time_s, power
-        The end [s], and the (H, W) power at that time [W].
-    row_times_s : (n,) array
-        When each of the rows is read, between start and end [s].
-    rows : slice of n rows
-    out : (H, W) float32
-    """
+    """Read n rows at `row_times_s` (n,) into `out` while power changes to `power` (H, W) [W] at `time_s`."""
     whole = time_s - state.time_s
     passed = np.asarray(row_times_s) - state.time_s
     old, first, last = response_weights(passed, time_constant_s)
@@ -134,15 +104,7 @@ def read_rows(
 
 
 class Follower:
-    """Pixels that are heated from instant to instant, and their rows as they are read in between.
-
-    Attributes
-    ----------
-    pixels : PixelState or None
-        At the last instant; None before the first.
-    signal : (H, W) float32
-        Of the rows read so far [W].
-    """
+    """Pixels that are heated from instant to instant, and their rows as they are read in between."""
 
     def __init__(
         self, pixels: PixelState | None, row_times_s: NDArray[np.float64], time_constant_s: float,

@@ -86,10 +86,7 @@ class DisplaySettings:
 
 
 def _ends(counts: _Counts, tails_percent: tuple[float, float]) -> _Measure:
-    """The counts shown black and white, (2,) float64.
-
-    The span is at least 64 counts, so that noise on a flat scene is not amplified to full contrast.
-    """
+    """The counts shown black and white, (2,) float64, at least 64 apart, so that noise on a flat scene stays faint."""
     below = np.cumsum(np.bincount(counts.ravel()))
     low = int(np.searchsorted(below, tails_percent[0] / 100.0 * below[-1], side="right"))
     high = int(np.searchsorted(below, (1.0 - tails_percent[1] / 100.0) * below[-1]))

@@ -62,28 +62,13 @@ _GHOST_AGE = 4.0
 
 
 class Exposure:
-    """The state of a flight's sensor from one frame to the next.
+    """The state of a flight's sensor from one frame to the next, `interval_s` [s] apart.
 
-    Parameters
-    ----------
-    sensor : Sensor
-    radiance_at : callable
-        Time [s], Camera, time of the light on and from moving objects [s] → (H, W) float32 band radiance
-        [W m⁻² sr⁻¹] in that camera: the sensor's or a part of it. The light is that of the frame's own time.
-    pose_at : callable
-        Time [s] → (4, 4) world_from_camera.
-    depth_at : callable
-        Pose, Camera → (h, w) depth of the static scene along the axis at the pixel centres; infinite where nothing
-        is hit [m].
-    interval_s : float
-        From one frame to the next [s].
-    render_px : float
-        Motion between two renders [px], between which images are moved as the ground moves; 0: every instant is
-        rendered.
-    lag_mk : float
-        Estimated error allowed to the spacing of instants [mK].
-    movers : sequence of Mover
-        Moving objects.
+    `radiance_at` (time [s], Camera, time [s] of the light on and from moving objects: the frame's own) returns band
+    radiance, (H, W) float32 [W m⁻² sr⁻¹], of the sensor's camera or a part of it; `pose_at` (time) returns
+    world_from_camera; `depth_at` (pose, Camera) the depth of the static scene along the axis at the pixel centres, (h,
+    w) [m], infinite where nothing is hit. `render_px` is the motion between two renders, between which images are moved
+    as the ground moves; 0 renders every instant. `lag_mk` is the estimated error allowed to the spacing of instants.
     """
 
     pixels: PixelState | None
@@ -108,22 +93,10 @@ class Exposure:
         self.pixels, self.last_counts = None, None
 
     def read(self, index: int, time_s: float, radiance: Image) -> tuple[NDArray[np.uint16], dict[str, Any]]:
-        """Return (counts (H, W) uint16, how they were made) of one frame; frames come in order.
+        """Return (counts (H, W) uint16, how they were made) of frame `index` at `time_s`, the middle of its read-out.
 
-        Parameters
-        ----------
-        index : int
-            Number of the frame, from 0 at the start of the flight.
-        time_s : float
-            The frame's time: the middle of its read-out [s].
-        radiance : (H, W) float32
-            At that time [W m⁻² sr⁻¹].
-
-        Returns
-        -------
-        counts : (H, W) uint16
-        how : dict
-            frozen (by a flat-field correction), and the keys of `signal`.
+        Frames come in order. `radiance` (H, W) is that at `time_s` [W m⁻² sr⁻¹]. `how` has the keys of `signal`, and
+        whether the image is frozen by a flat-field correction.
         """
         moment = in_sequence(self.sensor.camera, index, index * self.interval_s)
         if moment.frozen and self.last_counts is not None:
@@ -285,14 +258,10 @@ class Exposure:
         self, part: Part, motion: float, before: PixelState | None, moment: Moment, time_s: float,
         radiance: Image, signal: Image,
     ) -> tuple[int, float]:  # fmt: skip
-        """Write the signal of a part of the image into `signal`, followed through separately rendered instants.
+        """Write the signal of a part of the image from separately rendered instants; return (instants, error_mk).
 
-        Returns
-        -------
-        instants : int
-        error_mk : float
-            Estimate, root mean square: the difference from the signal through half the instants between bends, and
-            at least the error of their spacing [mK].
+        The error is an estimate, root mean square: the difference from the signal through half the instants between
+        bends, and at least the error of their spacing.
         """
         camera, since_s = self.sensor.camera, self._since(time_s, before)
         here = part.rows, part.columns
@@ -374,15 +343,10 @@ class Exposure:
         return self.sensor.power(total, moment, blurred=True), error_mk
 
     def _fast(self, plan: Schedule, relief: Relief, image: Image, moment: Moment) -> tuple[Image, float]:
-        """The signal of each row at its own time from the image at the frame's time, and the error of its lag.
+        """(Signal (H, W) float32 [W] of each row at its own time from the frame's image, error of its lag [mK]).
 
-        Returns
-        -------
-        signal : (H, W) float32
-            [W]
-        error_mk : float
-            Root mean square over the sampled pixels: of the spacing of instants, by leaving out half of them, and of
-            the parts of the view that no image saw [mK].
+        The error is root mean square over the sampled pixels: of the spacing of instants, by leaving out half of them,
+        and of the parts of the view that no image saw.
         """
         camera, times = self.sensor.camera, plan.times_s
         state = self.pixels if self.pixels is not None and self.pixels.time_s >= times[0] else None

@@ -26,7 +26,7 @@ _MOST_RECORDS = 512
 # What to do with a radiometric JPEG of DJI, after its name.
 DJI = (
     "is a radiometric JPEG of DJI, whose calibration is not public; convert it with the DJI Thermal SDK, "
-    f"`dji_irp -s IN.JPG -a measure -o OUT.raw`, save these int16 values as TIFF and give --scale=0.1,{ZERO_CELSIUS_K}"
+    f"`dji_irp -s IN.JPG -a measure -o OUT.raw`, save these int16 values as TIFF and give scale=0.1,{ZERO_CELSIUS_K}"
 )
 
 

@@ -20,13 +20,8 @@ _ROUNDS = 2
 class Relief:
     """The depth of a view on a grid, linear in 1/depth between, from which the motion of its image follows.
 
-    Parameters
-    ----------
-    camera : Camera
-    pose : (4, 4) array
-        world_from_camera of the view.
-    depth : (h, w) array
-        Along the optical axis at the pixel centres of `grid_camera(camera)`; infinite where nothing is hit [m].
+    `pose` is the view's world_from_camera; `depth` (h, w) is along the optical axis at the pixel centres of
+    `grid_camera(camera)`, infinite where nothing is hit [m].
     """
 
     def __init__(self, camera: Camera, pose: ArrayLike, depth: NDArray[np.floating[Any]]) -> None:
@@ -51,17 +46,9 @@ class Relief:
         return float(np.percentile(np.nan_to_num(np.linalg.norm(way, axis=-1), nan=most), 98.0))
 
     def source_pixels(self, seen_from: Pose, wanted_from: Pose) -> tuple[Image, Image]:
-        """Return the position of each pixel of a wanted view in the image of another, exact on a grid, linear between.
+        """Return the (column, row) (H, W) of a wanted view's pixels in another image, exact on a grid, linear between.
 
-        Parameters
-        ----------
-        seen_from, wanted_from : (4, 4) arrays
-            world_from_camera of the view of the image, and of the wanted view; both near the pose of this Relief.
-
-        Returns
-        -------
-        column, row : (H, W) float32
-            In the image's array; whole numbers are pixel centres. Far outside for points that are not in view.
+        Both poses are near that of this Relief. Whole numbers are pixel centres; points out of view are far outside.
         """
         import cv2
 
@@ -133,7 +120,7 @@ def moved(image: Image, column: Image, row: Image, coarsely: bool = False) -> Im
 
 
 def border_uncertainty(image: Image, column: Image, row: Image) -> Image:
-    """Return the uncertainty of `moved` at positions outside the image, in the shape of `column`; 0 inside.
+    """Return the uncertainty of `moved` outside the image, in the shape of `column`; 0 inside.
 
     It is the difference between the nearest border pixel and the image as far inside the border.
     """

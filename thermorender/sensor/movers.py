@@ -59,20 +59,10 @@ def parts(
     camera: Camera, pose_at: Callable[[float], Pose], movers: Sequence[Mover], since_s: float, until_s: float,
     margin_px: int, moved_s: float = 0.0,
 ) -> list[Part]:  # fmt: skip
-    """Return the Parts of an image that objects change between two times; none overlap.
+    """Return the Parts of an image that objects change between two times [s]; none overlap.
 
-    Parameters
-    ----------
-    camera : Camera
-    pose_at : callable
-        Time [s] → (4, 4) world_from_camera.
-    movers : sequence of Mover
-    since_s, until_s : float
-    margin_px : int
-        Of a part around the objects' boxes.
-    moved_s : float
-        Longest time over which images are moved; it shifts objects to where poses so much earlier or later show
-        them [s].
+    `pose_at` maps a time to world_from_camera. `margin_px` surrounds the objects' boxes; `moved_s` is the longest time
+    over which images are moved, which shifts objects to where poses so much earlier or later show them.
     """
     made = (_part(camera, pose_at, mover, since_s, until_s, margin_px, moved_s) for mover in movers)
     found, apart = [part for part in made if part], list[Part]()

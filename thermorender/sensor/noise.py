@@ -26,19 +26,17 @@ _WAVES = 3
 def noise_power(camera: Camera, difference_mk: float) -> float:
     """Return the absorbed power [W] of a temperature difference [mK] under the conditions of the camera's NETD.
 
-    Notes
-    -----
-    The noise-equivalent temperature difference is stated for a lossless lens of its own f-number at 300 K:
-    σ = π NETD dL/dT / (4 F₀² + 1) on the detector. Seen through another f-number it grows as (4F² + 1), not as F².
+    The NETD is stated for a lossless lens of its own f-number at 300 K: σ = π NETD dL/dT / (4 F₀² + 1) on the detector.
+    Seen through another f-number it grows as (4F² + 1), not as F².
     """
     radiance = difference_mk * 1e-3 * band_radiance_derivative(NETD_REFERENCE_K, *camera.band_um)
     return float(absorbed_power(detector_irradiance(radiance, camera.netd_f_number), camera))
 
 
 def temporal_noise(camera: Camera, seed: int, index: int) -> Image:
-    """Return the noise of one frame on the detector [W], (H, W) float32: σ_tvh, σ_tv, σ_th and σ_t.
+    """Return the noise of frame `index` on the detector [W], (H, W) float32: σ_tvh, σ_tv, σ_th and σ_t.
 
-    Depends on `seed` and the frame's `index` only. The NETD contains all four, so σ_tvh is the rest.
+    It depends on `seed` and `index` only. The NETD contains all four, so σ_tvh is the rest.
     """
     height, width = camera.height, camera.width
     common = [camera.sigma_t_mk, camera.sigma_tv_mk, camera.sigma_th_mk]
@@ -86,8 +84,8 @@ def residual_responsivity(camera: Camera, seed: int) -> Image:
 def smooth_field(shape: tuple[int, int], seed: int, stream: int) -> Image:
     """Return a smooth field, (H, W) float32, of mean 0 and root mean square 1; fixed by the seed.
 
-    Nine cosines of up to three half waves in total across and along the image. Their amplitudes are normal and
-    decrease with the number of half waves, like stray light from around a lens.
+    Nine cosines of up to three half waves in total across and along the image. Their amplitudes are normal and decrease
+    with the number of half waves, like stray light from around a lens.
     """
     halves = np.add.outer(np.arange(_WAVES + 1), np.arange(_WAVES + 1))
     drawn = normal(seed, 0, stream, halves.shape, np.float32(1.0)).astype(np.float64)

@@ -11,29 +11,13 @@ _RING_WIDTH = 0.25
 
 
 def detector_irradiance(radiance: Any, f_number: float, transmittance: float = 1.0) -> Any:
-    """Return the irradiance on a detector at the centre of the image [W m⁻²], in the shape of `radiance`.
-
-    Parameters
-    ----------
-    radiance : array
-        Band radiance of an extended source [W m⁻² sr⁻¹].
-    f_number : float
-        Focal length over aperture diameter.
-    transmittance : float
-        Of the lens.
-
-    Notes
-    -----
-    E = τ π L / (4 F² + 1), the cone of half-angle arctan(1/2F) seen from the detector.
-    """
+    """Return the irradiance [W m⁻²] of band radiance [W m⁻² sr⁻¹] at the image's centre: E = τ π L / (4 F² + 1)."""
     return transmittance * np.pi * np.asarray(radiance) / (4.0 * f_number**2 + 1.0)
 
 
 def relative_illumination(camera: Camera) -> Image:
     """Return the irradiance at each pixel over that on the optical axis, (H, W) float32 in 0 … 1.
 
-    Notes
-    -----
     cosⁿθ with n the camera's `illumination_exponent` (4: natural law of a thin lens) and θ the angle of incidence,
     times 1 − v (r/R)² for the rims of the lens, with v `vignetting` and R the largest distance r of a pixel from the
     axis.
@@ -49,17 +33,9 @@ def relative_illumination(camera: Camera) -> Image:
 def case_share(camera: Camera, illumination: Image) -> Image:
     """Return the share of each pixel's hemisphere that is lens and housing, in the shape of `illumination`.
 
-    Parameters
-    ----------
-    camera : Camera
-    illumination : array
-        From `relative_illumination`.
-
-    Notes
-    -----
     1 − τ V cos⁴θ / (4 F² + 1): the hemisphere above a pixel is black except for the transmitted part of the lens's
-    cone. Times π B(T), at 300 K and f/1.25, this is seven times the signal of a scene of 300 K. Therefore cameras
-    close a shutter every few minutes.
+    cone. Times π B(T), at 300 K and f/1.25, this is seven times the signal of a scene of 300 K. Therefore cameras close
+    a shutter every few minutes.
     """
     return 1.0 - np.asarray(illumination) * (camera.lens_transmittance / (4.0 * camera.f_number**2 + 1.0))
 

@@ -26,22 +26,11 @@ _FREQUENCIES, _LOWEST = 64, 1.0 / 640.0
 def lens_otf(
     frequency: ArrayLike, wavelength_um: float, f_number: float, defocus_um: float = 0.0
 ) -> NDArray[np.float64]:
-    """Return the optical transfer function of an aberration-free lens with a round aperture, real.
+    """Return the real optical transfer function of an aberration-free lens, round aperture, at `frequency` [1/µm].
 
-    Parameters
-    ----------
-    frequency : array
-        Spatial frequency on the detector [cycles/µm].
-    wavelength_um : float
-    f_number : float
-    defocus_um : float
-        Distance of the detector from the focal plane [µm].
-
-    Notes
-    -----
-    Overlap of two apertures shifted by s = ν λ F of their diameter, with the phase 4 W s x between them, where
-    W = δ/(8 F²) is the path difference at the rim (Hopkins 1955, doi:10.1098/rspa.1955.0158). In focus it is
-    2/π (arccos s − s √(1−s²)) (Goodman, Introduction to Fourier Optics, eq. 6-31).
+    Overlap of two apertures shifted by s = ν λ F of their diameter, with the phase 4 W s x between them, where W = δ/(8
+    F²) is the path difference at the rim for a detector δ from focus (Hopkins 1955, doi:10.1098/rspa.1955.0158). In
+    focus it is 2/π (arccos s − s √(1−s²)) (Goodman, Introduction to Fourier Optics, eq. 6-31).
     """
     shift = np.minimum(np.abs(np.asarray(frequency, np.float64)) * wavelength_um * f_number, 1.0)
     if not defocus_um:
@@ -90,16 +79,8 @@ class Blur(NamedTuple):
 
 @lru_cache(maxsize=16)
 def blur_of(camera: Camera, fine: int = FINE, coarse: int = COARSE) -> Blur:
-    """Return the Blur that applies `otf` to an image of pixels.
+    """Return the Blur that applies `otf` to an image of pixels, by kernels of odd sides; `coarse` 0 for none.
 
-    Parameters
-    ----------
-    camera : Camera
-    fine, coarse : int
-        Odd sides of the two kernels; coarse 0 for none.
-
-    Notes
-    -----
     Least squares up to the Nyquist frequencies, weighted with the spectrum of scenes: power falls with the square of
     frequency (Field 1987, doi:10.1364/JOSAA.4.002379), times the pixel aperture. The tails matter: a round aperture
     spreads 6 % of the light beyond 2.5 pixels. A 5 × 5 kernel without them changes a scene's contrast by 1.9 % root

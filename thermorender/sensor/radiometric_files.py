@@ -41,17 +41,8 @@ _SEQUENCES = (".seq", ".csq", ".ats", ".fcf", ".sfmov")
 
 
 def write_tlinear(path: str | PathLike[str], temperature: ArrayLike, step_k: float = TLINEAR_STEP_K) -> None:
-    """Write temperatures as a 16-bit TIFF of `step_k` kelvin per count that declares scale and unit.
+    """Write temperatures (H, W) [K] as a 16-bit TIFF of `step_k` per count; NaN is 0, others at the nearest count.
 
-    Parameters
-    ----------
-    path : path
-    temperature : (H, W) array
-        [K]. NaN is written as 0, a value out of range as the nearest count.
-    step_k : float
-
-    Notes
-    -----
     The TIFF has GDAL's scale, offset and unit, so GDAL, rasterio and QGIS show kelvin; other programs show counts.
     """
     counts = np.rint(np.nan_to_num(np.asarray(temperature, np.float64), nan=0.0) / step_k)
@@ -76,16 +67,10 @@ def read_temperature(
     path: str | PathLike[str], scale: tuple[float, float] | None = None,
     thermography: ThermographySettings | None = None,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return the temperatures of a radiometric file, (H, W) float64 [K]; NaN where it has none.
+    """Return the temperatures of a TIFF of one band or of FLIR's radiometric JPEG, (H, W) float64 [K]; NaN where none.
 
-    Parameters
-    ----------
-    path : path
-        TIFF of one band, or a radiometric JPEG of FLIR.
-    scale : (2,) floats, optional
-        (kelvin per count, kelvin of count 0) of a TIFF that does not declare them.
-    thermography : ThermographySettings, optional
-        In place of the settings stored in a JPEG.
+    `scale` is (kelvin per count, kelvin of count 0) of a TIFF that does not declare them; `thermography` replaces the
+    settings stored in a JPEG.
     """
     path = Path(path)
     if path.suffix.lower() in FLIR_JPEG:
@@ -100,7 +85,7 @@ def read_temperature(
     if scale is None and declared is None and kind in ("uint8", "int8"):
         raise ThermorenderError(
             f"{path} has 8 bits a pixel, which is a picture for display; give the radiometric file, or state kelvin "
-            "per count and kelvin of count 0 with --scale"
+            "per count and kelvin of count 0 as scale"
         )
     if scale is None and declared is None:
         raise ThermorenderError(
@@ -182,9 +167,9 @@ def likely_scales(counts: ArrayLike, signed: bool = True) -> list[str]:
 
 def scale_request(names: Sequence[str]) -> str:
     """Return the half sentence that asks for a scale, with the options of the likely ones."""
-    likely = [f"--scale={_LIKELY[name][0]:g},{_LIKELY[name][1]:g} for counts of {name}" for name in names]
+    likely = [f"scale={_LIKELY[name][0]:g},{_LIKELY[name][1]:g} for counts of {name}" for name in names]
     return "state kelvin per count and kelvin of count 0, " + (
-        "which look like " + " or ".join(likely) if likely else "e.g. --scale=0.04,0 for a FLIR core in TLinear mode"
+        "which look like " + " or ".join(likely) if likely else "e.g. scale=0.04,0 for a FLIR core in TLinear mode"
     )
 
 

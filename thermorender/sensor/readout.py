@@ -12,14 +12,7 @@ from thermorender.sensor.optics import detector_irradiance
 
 
 def digitised(signal: Image, camera: Camera) -> NDArray[np.uint16]:
-    """Return the counts of a signal, (H, W) uint16 in 0 … 2**bits − 1; overwrites the signal.
-
-    Parameters
-    ----------
-    signal : (H, W) float32
-        Absorbed power, corrected to the image centre [W].
-    camera : Camera
-    """
+    """Return the counts of a signal (H, W) [W] at the image centre, uint16 in 0 … 2**bits − 1; overwrites it."""
     low, step = _scale(camera)
     signal -= np.float32(low)
     signal *= np.float32(1.0 / step)

@@ -67,29 +67,13 @@ def schedule(
     time_s: float, delays: NDArray[np.float64], time_constant_s: float, motion: float, since_s: float,
     lag_mk: float = LAG_MK, render_px: float = RENDER_PX,
 ) -> Schedule:  # fmt: skip
-    """Return the Schedule of a frame.
+    """Return the Schedule of a frame at `time_s` whose rows are read `delays` (H,) [s] later.
 
-    Parameters
-    ----------
-    time_s : float
-        Of the frame [s].
-    delays : (H,) array
-        Read-out time of each row after `time_s` [s].
-    time_constant_s : float
-        Of a pixel [s]; where 0, `motion` is that during the read-out.
-    motion : float
-        Of the image within a time constant, above 0 [px].
-    since_s : float
-        Earliest time whose power matters [s].
-    lag_mk : float
-        Estimated error allowed to the spacing of instants [mK].
-    render_px : float
-        Motion between two renders [px]; 0: every instant is rendered.
-
-    Notes
-    -----
-    In the integral of a curved function against e⁻ᵃ, the errors of the trapezoids are balanced if their widths grow as
-    e^(a/3). So do the spans between instants before the first row is read, and those between renders.
+    `motion` is that of the image within a time constant [px], or during the read-out without one; power before
+    `since_s` does not matter. `lag_mk` is the estimated error allowed to the spacing of instants, `render_px` the
+    motion between two renders, 0 if every instant is rendered. In the integral of a curved function against e⁻ᵃ, the
+    errors of the trapezoids are balanced if their widths grow as e^(a/3): so do the spans between instants before the
+    first row is read, and those between renders.
     """
     span = time_constant_s or delays[-1] - delays[0]
     rows = time_s + delays
@@ -135,21 +119,10 @@ def moved_mk(
 ) -> float:  # fmt: skip
     """Return the estimated error of moved images [mK], from cubic interpolation between every other pixel.
 
-    Parameters
-    ----------
-    image : (H, W) float32
-        Band radiance [W m⁻² sr⁻¹].
-    camera : Camera
-    way : two (H, W) arrays
-        Motion within a time constant to the right and down [px].
-    motion : float
-        The most of it that counts [px].
-    gaps, weights : (n,) arrays
-        Time from instants to the nearest render [time constants], and share of the signal that they make.
-    counts : (H, W) bool
-        The pixels over which the error is the root mean square.
-    lines_read : int
-        About how many rows and as many columns are read.
+    `image` (H, W) is band radiance [W m⁻² sr⁻¹] and `way` its motion within a time constant to the right and down [px],
+    of which at most `motion` counts. `gaps` and `weights` (n,) are the times from instants to the nearest render [time
+    constants] and their shares of the signal. The error is the root mean square over the pixels of `counts` (H, W),
+    read in about `lines_read` rows and as many columns.
     """
     every = max(min(image.shape) // lines_read, 1)
     # An error along an axis arises from motion along it.

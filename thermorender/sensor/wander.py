@@ -30,10 +30,8 @@ _BEFORE = 2**32
 def covariance(lag_s: ArrayLike) -> NDArray[np.float64]:
     """Return the covariance of 1/f noise at two instants, in the shape of their distance [s], for octaves of unit size.
 
-    Notes
-    -----
-    Ticks k apart have Σ max(0, 1 − k/2ᵒ) over the octaves o. The mean over the positions of both instants between
-    ticks is its sum weighted with the cubic B-spline, the autocorrelation of linear interpolation.
+    Ticks k apart have Σ max(0, 1 − k/2ᵒ) over the octaves o. The mean over the positions of both instants between ticks
+    is its sum weighted with the cubic B-spline, the autocorrelation of linear interpolation.
     """
     lag = np.abs(np.asarray(lag_s, np.float64)) / TICK_S
     first, total = np.floor(lag), np.zeros_like(lag)
@@ -46,13 +44,7 @@ def covariance(lag_s: ArrayLike) -> NDArray[np.float64]:
 
 
 class Wander:
-    """The drift of one camera with one seed.
-
-    Parameters
-    ----------
-    camera : Camera
-    seed : int
-    """
+    """The drift of one camera with one seed."""
 
     def __init__(self, camera: Camera, seed: int) -> None:
         self.camera, self.seed = camera, seed
@@ -88,10 +80,8 @@ class Wander:
     def blinking(self, corrected_s: float, time_s: float) -> Image:
         """Return the jump of each of `blinking_pixels` since a correction, (n,) float32 [W].
 
-        Notes
-        -----
-        A random telegraph signal: one of two levels is drawn at the instants of a Poisson process. Every second
-        draw changes nothing, so a mean time s at a level takes 2/s draws, and the correlation falls as exp(−2t/s).
+        A random telegraph signal: one of two levels is drawn at the instants of a Poisson process. Every second draw
+        changes nothing, so a mean time s at a level takes 2/s draws, and the correlation falls as exp(−2t/s).
         """
         jumped = self._level(time_s) - self._level(corrected_s)
         return jumped.astype(np.float32) * np.float32(noise.noise_power(self.camera, self.camera.blinking_mk))

@@ -1,12 +1,9 @@
-"""What a state estimator says about its own output: rows that are not valid, and resets.
+"""What a state estimator reports about its own output: invalid rows and resets.
 
-An autopilot estimates its position and attitude. It marks rows as invalid, and when it corrects its estimate by a reset
-it counts the reset and records the change. A mapping names these columns; a file without them is read as it is.
-
-- A row is dropped if a column of `valid` is 0; a log without any valid row is refused.
-- A column of `doubtful` that is not 0 is reported only.
-- Positions continue from the start of the log: the change of a reset is subtracted from the rows after it. Attitudes
-  before a reset are turned by its change, because the later one is the corrected one.
+A mapping names the columns. A row is dropped if a column of `valid` is 0, a log without any valid row is refused, and a
+column of `doubtful` that is not 0 is reported only. An estimator that corrects itself by a reset counts it and records
+the change. Positions continue from the start of the log: the change of a reset is subtracted from the rows after it.
+Attitudes before a reset are turned by its change, because the later one is the corrected one.
 """
 
 from dataclasses import dataclass

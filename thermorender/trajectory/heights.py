@@ -18,7 +18,7 @@ from thermorender.trajectory.path import GroundHeight, Trajectory
 
 Floats = NDArray[np.float64]
 
-_MOVE = "move the flight into the scene with --anchor E,N,U,heading"
+_MOVE = "move the flight into the scene with anchor=E,N,U,heading"
 
 
 def frame_of_first_sample(log: Log) -> LocalFrame:
@@ -58,16 +58,8 @@ def local_positions(
 ) -> Floats:  # fmt: skip
     """Return the vehicle's positions at the log's rows, (N, 3) local east, north, up [m].
 
-    Parameters
-    ----------
-    log : Log
-        The file with the columns.
-    horizontal, height : (2,) names, name
-        The pair of horizontal columns and the height column.
-    frame, ground, undulation
-        As in `read_trajectory`.
-    relative : bool
-        The flight will be anchored: only changes of height matter.
+    `horizontal` and `height` name its columns; `frame`, `ground` and `undulation` are as in `read_trajectory`.
+    `relative`: the flight will be anchored, so only changes of height matter.
     """
     value = log.values[height]
     where = log.where(height, 0)
@@ -76,7 +68,7 @@ def local_positions(
         height = "alt_ellipsoid_m" if follows_ellipsoid else "up_m"
     if height == UNSTATED:
         raise ThermorenderError(
-            f"{where}: the log does not say what its height is relative to; move the flight with --anchor "
+            f"{where}: the log does not say what its height is relative to; move the flight with anchor "
             "E,N,U,HEADING, where U is the height of its first position above the ground"
         )
     if height == "alt_geoid_m":

@@ -59,14 +59,8 @@ def read_log(table: Table, mapping: Mapping, duplicates: str = "refuse") -> Log:
 
     Rows that the file itself marks as invalid are dropped, and the estimator's resets are taken out; see
     `trajectory.estimates`. A row equal to the row before it is dropped, because some loggers write a record twice.
-
-    Parameters
-    ----------
-    table : Table
-    mapping : Mapping
-    duplicates : {"refuse", "spread", "first"}
-        Treatment of different rows with equal times: refuse them, spread them evenly within the last digit of the
-        log's clock, or keep only the first.
+    Other rows with equal times are refused, spread evenly within the last digit of the log's clock, or only the first
+    is kept, by `duplicates` "refuse", "spread" or "first".
     """
     if duplicates not in DUPLICATES:
         raise ThermorenderError(f"duplicates={duplicates!r} is unknown; give one of {', '.join(DUPLICATES)}")
@@ -164,8 +158,8 @@ def _in_time_order(
                 "strictly increase"
             )
         raise ThermorenderError(
-            f"{where} the same time in {what} {table.row[keep[k]]}, but time must strictly increase; give --duplicates "
-            "spread, which spreads them within the clock's last digit, or --duplicates first, which drops the others"
+            f"{where} the same time in {what} {table.row[keep[k]]}, but time must strictly increase; give duplicates="
+            "spread, which spreads them within the clock's last digit, or duplicates=first, which drops the others"
         )
     return np.array(keep)
 

@@ -51,15 +51,12 @@ _NAMED_AXES = {
 
 @dataclass(frozen=True)
 class Quantity:
-    """The source of one of our quantities: a column times `scale` plus `offset`, or a constant.
-
-    A log without an `optional` column is read all the same.
-    """
+    """The source of one of our quantities: a column times `scale` plus `offset`, or a constant."""
 
     column: str | None = key(text, None)
     scale: float = key(number(), 1.0)
     offset: float = key(number(), 0.0)
-    optional: bool = key(flag, False)
+    optional: bool = key(flag, False)  # A log without the column is read all the same
     constant: float | None = None
 
 
@@ -67,13 +64,14 @@ class Quantity:
 class Reset:
     """The columns of an estimator's resets: a counter, and what the last reset changed.
 
-    `shift` names the column of the change for each of our quantities, in the unit of that quantity's own column.
-    `turn` names the four columns (w, x, y, z) of the rotation that the attitude was multiplied by from the left.
-    With neither, a change of the counter is refused unless one of the files has the counter `unless`.
+    With neither `shift` nor `turn`, a change of the counter is refused unless one of the files has the counter
+    `unless`.
     """
 
     counter: str = key(text)
+    # Column of the change for each of our quantities, in the unit of that quantity's own column
     shift: dict[str, str] = key(mapping(text), FrozenDict())
+    # Columns w, x, y, z of the rotation that the attitude was multiplied by from the left
     turn: tuple[str, ...] = key(texts, ())
     unless: str | None = key(text, None)
 
@@ -98,62 +96,29 @@ class Origin:
 
 @dataclass(frozen=True, eq=False)
 class Mapping:
-    """The mapping of a log's columns to ours.
+    """The mapping of a log's columns to ours."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the bundled format or path of the file.
-    title : str
-        Description in one line.
-    quantities : dict
-        Our column name to `Quantity`s, of which the first whose column is present counts; empty for our own format.
-    time : tuple of Quantity
-        Numeric times [s after scaling], of which the first present counts; ignored if `stamps` are used.
-    from_start : bool
-        Time counts from the earliest sample of all files.
-    stamps : tuple of dict
-        Date-time columns to try in turn: column, pattern ("iso" or strptime's), optional fraction column.
-    sort_by_time : bool
-        Sort the rows by time before the check.
-    quaternion_world : str
-        Axes the quaternion rotates into, "NED" or "ENU".
-    log_body_from_frd : (3, 3) array
-        Columns: forward, right and down in the log's body axes.
-    quaternion_inverse : bool
-        The log's quaternion rotates world to body.
-    valid, doubtful : tuple of str
-        Columns, if present. Rows where one of `valid` is 0 are dropped; rows where one of `doubtful` is not are
-        reported.
-    resets : tuple of Reset
-        Resets of the estimator, if their counters are present.
-    origin : Origin or None
-        Latitude and longitude of the origin of local positions, if its columns are present.
-    reader : str
-        Kind of file; see `trajectory.sources`.
-    suffix : str
-        Ends of the names of such files, separated by blanks; "" for CSV.
-    assumes : str
-        What the format takes for granted, for the user.
-    """
-
-    name: str = "canonical"
+    name: str = "canonical"  # Of the bundled format, or path of the file
     title: str = "thermorender's own columns"
+    # Our column name to its sources, of which the first whose column is present counts; empty for our own format
     quantities: dict[str, tuple[Quantity, ...]] = field(default_factory=dict)
+    # Numeric times [s after scaling], of which the first present counts; ignored if `stamps` are used
     time: tuple[Quantity, ...] = (Quantity("time_s"),)
-    from_start: bool = False
+    from_start: bool = False  # Time counts from the earliest sample of all files
+    # Date-time columns to try in turn: column, pattern ("iso" or strptime's), optional fraction column
     stamps: tuple[dict[str, str], ...] = ()
-    sort_by_time: bool = False
-    quaternion_world: str = "NED"
+    sort_by_time: bool = False  # Before the check of the times
+    quaternion_world: str = "NED"  # Axes that the quaternion rotates into, "NED" or "ENU"
+    # (3, 3); its columns are forward, right and down in the log's body axes
     log_body_from_frd: NDArray[np.float64] = field(default_factory=lambda: np.eye(3))
-    quaternion_inverse: bool = False
-    valid: tuple[str, ...] = ()
-    doubtful: tuple[str, ...] = ()
-    resets: tuple[Reset, ...] = ()
-    origin: Origin | None = None
-    reader: str = "csv"
-    suffix: str = ""
-    assumes: str = ""
+    quaternion_inverse: bool = False  # The log's quaternion rotates world to body
+    valid: tuple[str, ...] = ()  # Columns, if present; rows where one is 0 are dropped
+    doubtful: tuple[str, ...] = ()  # Columns, if present; rows where one is not 0 are reported
+    resets: tuple[Reset, ...] = ()  # Of the estimator, if their counters are present
+    origin: Origin | None = None  # Of local positions, if its columns are present
+    reader: str = "csv"  # Kind of file; see `trajectory.sources`
+    suffix: str = ""  # Ends of the names of such files, separated by blanks; "" for CSV
+    assumes: str = ""  # What the format takes for granted, for the user
 
 
 def bundled_formats() -> list[str]:
@@ -289,7 +254,7 @@ class _File:
 
 
 def fitting_formats(header: Iterable[str]) -> str:
-    """Return a hint that names the bundled formats with some of these columns, or `--format` if there is none."""
+    """Return a hint that names the bundled formats with some of these columns, or `format` if there is none."""
     fitting, header = [], set(header)
     for name in bundled_formats():
         mapping = load_mapping(name)
@@ -298,10 +263,10 @@ def fitting_formats(header: Iterable[str]) -> str:
         if mapping.reader == "csv" and times & header and columns & header:
             fitting.append(name)
     if fitting:
-        return f"; the columns fit --format {' or --format '.join(fitting)} (in Python, format='{fitting[0]}')"
+        return f"; the columns fit format={' or format='.join(fitting)}"
     return (
-        f"; if another program wrote the file, say with --format which one ({', '.join(bundled_formats())}) or give a "
-        "mapping of its columns"
+        f"; if another program wrote the file, give its format ({', '.join(bundled_formats())}) or a mapping of its "
+        "columns"
     )
 
 

@@ -40,22 +40,13 @@ MOVED_M = 1.0
 
 @dataclass(frozen=True)
 class Anchor:
-    """The target of a moved flight: its first camera position and first heading.
+    """The target of a moved flight: its first camera position and first heading."""
 
-    Parameters
-    ----------
-    east, north : float
-        Scene coordinates of the first camera position [m].
-    up : float
-        Height of the first camera position [m]: above the ground below it if the ground is known, otherwise local up.
-    heading_deg : float
-        First heading, clockwise from north [deg].
-    """
-
+    # Scene coordinates of the first camera position [m]
     east: float
     north: float
-    up: float
-    heading_deg: float
+    up: float  # Its height [m]: above the ground below it if the ground is known, otherwise local up
+    heading_deg: float  # First heading, clockwise from north
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,21 +242,10 @@ class Trajectory:
 
 
 def check_above_ground(trajectory: Trajectory, ground: GroundHeight, minimum_m: float = 0.0) -> float:
-    """Return the lowest height above ground at the samples [m] after refusing a flight below the limit.
+    """Return the lowest height above ground at the samples [m] after refusing one below `minimum_m`.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-        The flight; use `trajectory.sampled(frame_times)` to check the rendered frames.
-    ground : callable
-        As in `Trajectory.above_ground`; samples off the terrain are not checked.
-    minimum_m : float
-        Lowest height allowed [m].
-
-    Raises
-    ------
-    ThermorenderError
-        A sample is lower; the message names the first such time and the distance.
+    `trajectory.sampled(frame_times)` has the rendered frames. `ground` is as in `Trajectory.above_ground`; samples off
+    the terrain are not checked.
     """
     height = trajectory.above_ground(ground)
     low = height < minimum_m

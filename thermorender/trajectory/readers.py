@@ -62,42 +62,22 @@ def read_trajectory(
 ) -> Trajectory:  # fmt: skip
     """Return the camera's `Trajectory` in the scene's frame from one or several log files of a flight.
 
-    Parameters
-    ----------
-    paths : path or list of paths
-        One file, or several with different columns (position, attitude, gimbal) and their own times.
-        Files are joined at the times of all of them within their common span.
-    frame : LocalFrame, optional
-        The scene's georeference; needed for latitude and longitude unless anchored.
-    ground : callable, optional
-        `ground(east, north)`: (N,) arrays [m] to local up of the ground, (N,) [m]; NaN off the terrain.
-    geoid_undulation_m : float, optional
-        Height of the geoid above the ellipsoid at the scene [m]; needed for `alt_geoid_m` unless anchored.
-    format : str or path, optional
-        A bundled column mapping (`trajectory.mapping.bundled_formats()`) or a TOML file in the same form.
-    anchor : Anchor, optional
-        Moves the flight so that its first camera position is at (east, north), `up` metres above the ground
-        there (local up without `ground`), and rotates it about up to the heading. The flight keeps its shape. A log of
-        `above_ground_m` instead follows the new ground, with all its heights shifted so that the first is `up`.
-        No georeference is needed.
-    clock_offset_s : float
-        Added to the log's time [s]. Date-time stamps count from the earliest sample.
-    mount : (3,), optional
-        Yaw, pitch, roll of the optical axis relative to the vehicle's body [deg]. The default (0, 0, 0) looks
-        forward with the image's right edge to the vehicle's right; (0, −90, 0) looks down with the nose at
-        the upper edge.
-    lever_arm_m : (3,)
-        The camera's position in the vehicle's body: forward, right, down [m].
-    duplicates : {"refuse", "spread", "first"}
-        Treatment of different rows with equal times, such as two images within one second of a clock without
-        decimals; see `logs.read_log`.
-    course : bool
-        Turn a vehicle without yaw to its course over ground; see `track.course_deg`.
+    Several files have different columns (position, attitude, gimbal) and their own times; they are joined at the times
+    of all of them within their common span. `Trajectory.notes` says what was dropped, corrected or assumed.
 
-    Notes
-    -----
-    `Trajectory.notes` says what was dropped, corrected or assumed: rows that the log marks as invalid, the estimator's
-    resets, jumps of the position.
+    - `frame` is the scene's georeference, for latitude and longitude; `ground(east, north)` returns the local up of the
+      ground (N,) [m], NaN off the terrain; `geoid_undulation_m` is the geoid's height above the ellipsoid, for
+      `alt_geoid_m`. An anchored flight needs no georeference.
+    - `format` is a bundled column mapping (`trajectory.mapping.bundled_formats()`) or a TOML file in the same form.
+    - `anchor` moves the first camera position to (east, north), `up` metres above the ground there (local up without
+      `ground`), and rotates the flight about up to the heading; it keeps its shape. A log of `above_ground_m` instead
+      follows the new ground, with all its heights shifted so that the first is `up`.
+    - `clock_offset_s` is added to the log's time [s]; date-time stamps count from the earliest sample.
+    - `mount` is yaw, pitch, roll of the optical axis relative to the vehicle's body [deg]: (0, 0, 0), the default,
+      looks forward with the image's right edge to the vehicle's right; (0, −90, 0) looks down with the nose at the
+      upper edge.
+    - `lever_arm_m` is the camera's position in the body: forward, right, down [m].
+    - `duplicates` is as in `logs.read_log`; `course` turns a vehicle without yaw to its course, `track.course_deg`.
     """
     mapping = load_mapping(format)
     logs = _read_logs(paths, mapping, duplicates)
@@ -143,7 +123,7 @@ def read_trajectory(
 def enu_from_ned_at(position: NDArray[np.float64], frame: LocalFrame | None) -> Rotation:
     """Return the rotations from local NED to the scene's axes at positions in it, (N, 3) [m].
 
-    With `frame`, the georeference of the scene, north and down are those of each position; without, of the scene.
+    With `frame`, the scene's georeference, north and down are those of each position; without, of the scene.
     """
     if frame is None:
         return Rotation.from_matrix(ENU_FROM_NED)
@@ -155,18 +135,10 @@ def of_vehicle(
     time_s: NDArray[np.float64], position: NDArray[np.float64], enu_from_body: Rotation, enu_from_optical: Rotation,
     lever_arm_m: NDArray[np.float64],
 ) -> Trajectory:  # fmt: skip
-    """Return the camera's Trajectory on a vehicle.
+    """Return the camera's Trajectory on a vehicle at positions (N, 3) [m] in the scene's frame.
 
-    Parameters
-    ----------
-    time_s : (N,) array
-        [s]
-    position : (N, 3) array
-        Of the vehicle in the scene's frame [m].
-    enu_from_body, enu_from_optical : Rotation
-        From FRD axes of the vehicle, and of the optical axis, to the scene's.
-    lever_arm_m : (3,) array
-        As of `read_trajectory`.
+    `enu_from_body` is from the vehicle's FRD axes and `enu_from_optical` from the optical axis to the scene's;
+    `lever_arm_m` (3,) as in `read_trajectory`.
     """
     return Trajectory(
         time_s,
@@ -203,8 +175,15 @@ def _read_logs(
     for path in paths:
         other = format_of_suffix(path)
         if not mapping.quantities and mapping.reader == "csv" and other:
-            raise ThermorenderError(f"{path} is read with --format {other}; add it, or give a log in CSV")
+            raise ThermorenderError(f"{path} is read with format={other}; add it, or give a log in CSV")
     logs = [read_log(table, mapping, duplicates) for path in paths for table in SOURCES[mapping.reader](str(path))]
+    _refuse_open_resets(logs)
+    _add_constants(logs, mapping)
+    return _from_zero(logs) if mapping.from_start else logs
+
+
+def _refuse_open_resets(logs: list[Log]) -> None:
+    """Refuse a reset whose effect is in the file with another counter, where none of the files has that counter."""
     for log in logs:
         for counter, phrase in log.open_resets.items():
             if not any(counter in other.counters for other in logs):
@@ -212,24 +191,29 @@ def _read_logs(
                     f"{log.path}: {phrase}, but no file has the column {counter!r} to correct the attitude by; give "
                     "the attitude's file with that column, or a log that begins after the reset"
                 )
+
+
+def _add_constants(logs: list[Log], mapping: Mapping) -> None:
+    """Add the mapping's constants, each to the log with columns of its kind."""
     kinds = (POSITION, QUATERNION + ANGLES, GIMBAL)
     for name, (quantity, *_) in mapping.quantities.items():
         if quantity.constant is not None:
             kind = next(kind for kind in kinds if name in kind)
             owner = next((log for log in logs if any(n in log.values for n in kind)), logs[0])
             owner.values[name] = np.full(owner.time_s.size, quantity.constant)
-    if mapping.from_start:
-        # Simulations count from the start of the flight, not from 1970; all files have the same zero.
-        zero = min(log.time_s[0] for log in logs)
-        logs = [
-            replace(
-                log,
-                time_s=log.time_s - zero,
-                resets=[(before, time - zero, after) for before, time, after in log.resets],
-            )
-            for log in logs
-        ]
-    return logs
+
+
+def _from_zero(logs: list[Log]) -> list[Log]:
+    """Logs whose time counts from the earliest sample of all: simulations count from the start of the flight."""
+    zero = min(log.time_s[0] for log in logs)
+    return [
+        replace(
+            log,
+            time_s=log.time_s - zero,
+            resets=[(before, time - zero, after) for before, time, after in log.resets],
+        )
+        for log in logs
+    ]
 
 
 def _triple(name: str, value: Sequence[float], meaning: str) -> NDArray[np.float64]:
@@ -241,24 +225,15 @@ def _triple(name: str, value: Sequence[float], meaning: str) -> NDArray[np.float
 
 def _position_columns(logs: list[Log], mapping: Mapping) -> tuple[Log, tuple[str, ...], str]:
     """The log with the position, its pair of horizontal columns and its height column."""
-    log_of: dict[str, Log] = {}
-    for log in logs:
-        for name in log.values:
-            if name in log_of:
-                raise ThermorenderError(
-                    f"column {log.columns.get(name, name)!r} is in both {log_of[name].path} and {log.path}; "
-                    f"give it once"
-                )
-            log_of[name] = log
+    log_of = _log_of(logs)
     names = ", ".join(log.path for log in logs)
-    if mapping.quantities:
-        for name, choices in mapping.quantities.items():
-            if name not in log_of and not any(choice.optional for choice in choices):
-                column = " or ".join(repr(choice.column) for choice in choices)
-                raise ThermorenderError(
-                    f"{names}: column {column} ({name}) is missing; format={mapping.name!r} needs "
-                    "it, in this file or in another one given with it"
-                )
+    for name, choices in mapping.quantities.items():
+        if name not in log_of and not any(choice.optional for choice in choices):
+            column = " or ".join(repr(choice.column) for choice in choices)
+            raise ThermorenderError(
+                f"{names}: column {column} ({name}) is missing; format={mapping.name!r} needs "
+                "it, in this file or in another one given with it"
+            )
     pairs = [pair for pair in (POSITION_LOCAL, POSITION_GEODETIC) if any(name in log_of for name in pair)]
     if len(pairs) != 1:
         raise ThermorenderError(
@@ -280,6 +255,19 @@ def _position_columns(logs: list[Log], mapping: Mapping) -> tuple[Log, tuple[str
     return first if first is above else _joined(first, pairs[0], above, heights[0]), pairs[0], heights[0]
 
 
+def _log_of(logs: list[Log]) -> dict[str, Log]:
+    """The log of each of our columns, after refusing one in two logs."""
+    found: dict[str, Log] = {}
+    for log in logs:
+        for name in log.values:
+            if name in found:
+                raise ThermorenderError(
+                    f"column {log.columns.get(name, name)!r} is in both {found[name].path} and {log.path}; give it once"
+                )
+            found[name] = log
+    return found
+
+
 def _joined(log: Log, pair: tuple[str, ...], above: Log, height: str) -> Log:
     """One log of positions from two files: both are interpolated at the times of either within their common span."""
     time_s = _common_times([log, above])
@@ -299,14 +287,12 @@ def _course(
     """The course at the positions' times if it stands for the yaw; a note if there is neither yaw nor course."""
     has_yaw = body is not None and ("qw" in body.values or ANGLES[0] in body.values)
     if wanted and has_yaw:
-        raise ThermorenderError(
-            f"course: {body.path if body else ''} has the vehicle's yaw already; leave --course out"
-        )
+        raise ThermorenderError(f"course: {body.path if body else ''} has the vehicle's yaw already; leave course out")
     if wanted:
         return course_deg(log, position)
     if not has_yaw and (gimbal is None or GIMBAL[0] not in gimbal.values):
         notes.append(
-            f"{log.path}: the log has no yaw, so the vehicle heads north all the time; --course turns it to its course "
+            f"{log.path}: the log has no yaw, so the vehicle heads north all the time; course turns it to its course "
             "over ground"
         )
     return None
@@ -320,23 +306,25 @@ def _attitude_logs(logs: list[Log], mount: Sequence[float] | None) -> list[Log |
         if len(holders) > 1:
             raise ThermorenderError(f"{', '.join(log.path for log in holders)}: the {what} must be columns of one file")
         chosen.append(holders[0] if holders else None)
-    body = chosen[0]
+    body, gimbal = chosen
     if body is not None:
-        quaternion = [name for name in QUATERNION if name in body.values]
-        if quaternion and any(name in body.values for name in ANGLES):
-            raise ThermorenderError(
-                f"{body.path}: the attitude is given twice, by qw, qx, qy, qz and by angles; keep one"
-            )
-        if quaternion and len(quaternion) < 4:
-            missing = ", ".join(repr(name) for name in QUATERNION if name not in quaternion)
-            raise ThermorenderError(f"{body.path}: column {missing} is missing; a quaternion needs qw, qx, qy, qz")
-    gimbal = chosen[1]
+        _check_attitude(body)
     if gimbal is not None and mount is not None:
         raise ThermorenderError(
             f"mount={tuple(mount)} contradicts {gimbal.path}, whose gimbal columns say where the camera looks; leave "
             f"mount out or delete the columns {', '.join(n for n in GIMBAL if n in gimbal.values)}"
         )
     return chosen
+
+
+def _check_attitude(body: Log) -> None:
+    """Refuse an attitude by both quaternion and angles, or by a part of a quaternion."""
+    quaternion = [name for name in QUATERNION if name in body.values]
+    if quaternion and any(name in body.values for name in ANGLES):
+        raise ThermorenderError(f"{body.path}: the attitude is given twice, by qw, qx, qy, qz and by angles; keep one")
+    if quaternion and len(quaternion) < 4:
+        missing = ", ".join(repr(name) for name in QUATERNION if name not in quaternion)
+        raise ThermorenderError(f"{body.path}: column {missing} is missing; a quaternion needs qw, qx, qy, qz")
 
 
 def _common_times(logs: list[Log]) -> NDArray[np.float64]:

@@ -43,25 +43,17 @@ def jumps(log: Log, position: Floats) -> str | None:
     return (
         f"{log.path}: the position jumps by {length[k]:.1f} m within {duration[k]:.3g} s at {log.time_s[k + 1]:.3f} s "
         f"({log.what} {log.row[k + 1]}), {speed[k]:.0f} m/s where up to {JUMP_M_S:.0f} m/s or "
-        f"{_TIMES_NEIGHBOURS:.0f} times the speed around it is usual{rest}; fly a part without them with --start-s and "
-        "--stop-s, or correct the log"
+        f"{_TIMES_NEIGHBOURS:.0f} times the speed around it is usual{rest}; fly a part without them with start_s and "
+        "stop_s, or correct the log"
     )
 
 
 def course_deg(log: Log, position: Floats) -> Floats:
-    """Return the course over ground at a log's samples, (N,) [deg clockwise from north, not wrapped].
+    """Return the course over ground of positions (N, 3) at a log's samples, (N,) [deg from north, not wrapped].
 
-    Parameters
-    ----------
-    log : Log
-        The positions' log, for its times and messages.
-    position : (N, 3) array
-        East, north, up [m].
-
-    Notes
-    -----
-    The course is that of steps of at least 1 m, each at the middle of its time, and turns evenly between them. It is
-    held before the first step, after the last one, and while the vehicle stands: in a step that takes more than 4 s.
+    The course is that of steps of at least 1 m, each at the middle of its time, and turns evenly between them,
+    clockwise positive. It is held before the first step, after the last one, and while the vehicle stands: in a step
+    that takes more than 4 s.
     """
     kept = [0]
     for k in range(1, len(position)):
@@ -70,7 +62,7 @@ def course_deg(log: Log, position: Floats) -> Floats:
     if len(kept) < 2:
         raise ThermorenderError(
             f"{log.path}: the positions move less than {MOVED_M:g} m, so there is no course over ground; leave "
-            "--course out, or give yaw_deg"
+            "course out, or give yaw_deg"
         )
     step = np.diff(position[kept, :2], axis=0)
     course = np.unwrap(np.degrees(np.arctan2(step[:, 0], step[:, 1])), period=360.0)

@@ -1,5 +1,7 @@
 """Check of a station's clock: measured sunlight against the sun's position."""
 
+from typing import NoReturn
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,27 +23,17 @@ _FEWEST, _TIMES, _MORE_W_M2 = 2, 1.5, 20.0
 _CLEAR_FIT = 0.98
 _LONG_D = 7
 
+Times = NDArray[np.datetime64]
+
 
 def check_clock(
-    where: object, time: sun.Times, light: NDArray[np.float64], latitude_deg: float, longitude_deg: float,
+    where: object, time: Times, light: NDArray[np.float64], latitude_deg: float, longitude_deg: float,
     step_s: float, light_shift_min: float | None = None,
 ) -> str | None:  # fmt: skip
-    """Return a note, or None, after refusing a series whose sunlight is 45 min or more away from the sun.
+    """Return a note, or None; refuse a series (N,) whose sunlight deviates from the sun's position by 45 min or more.
 
-    Over four months or more, 25 min are refused.
-
-    Parameters
-    ----------
-    where : str
-        File, for the message.
-    time : (N,) datetime64[s]
-        UTC, as stated.
-    light : (N,)
-        Global or direct · sin(elevation) + diffuse [W m⁻²].
-    latitude_deg, longitude_deg, step_s : float
-        Of the station; length of an averaging interval.
-    light_shift_min : float, optional
-        Value of the user's option of this name [min], for the message; None if there is no such option.
+    Over four months or more, 25 min are refused. `light` is global, or direct · sin(elevation) + diffuse [W m⁻²], in
+    intervals of `step_s`; `light_shift_min` is the user's value of that setting, None if there is none.
     """
     note, found = None, []
     block = ((time - time[0]) / np.timedelta64(_BLOCK_D, "D")).astype(int)
@@ -68,7 +60,14 @@ def check_clock(
     return note
 
 
-def _refuse(where, start, shift, latitude_deg, longitude_deg, light_shift_min):
+def _refuse(
+    where: object,
+    start: np.datetime64,
+    shift: int,
+    latitude_deg: float,
+    longitude_deg: float,
+    light_shift_min: float | None,
+) -> NoReturn:
     hours = round(-shift / 30.0) / 2.0
     fix = "write times as the middles of averaging intervals"
     if light_shift_min is not None:
@@ -80,14 +79,16 @@ def _refuse(where, start, shift, latitude_deg, longitude_deg, light_shift_min):
     )
 
 
-def _shift(time, light, latitude_deg, longitude_deg, step_s):
+def _shift(
+    time: Times, light: NDArray[np.float64], latitude_deg: float, longitude_deg: float, step_s: float
+) -> tuple[int, float, int]:
     """(Minutes to add to the times, correlation after that, number of samples with impossible light before it)."""
     hour = sun.solar_hour(time, longitude_deg)
     lat, dec = np.radians(latitude_deg), np.radians(sun.declination(time))
     level, swing = np.sin(lat) * np.sin(dec), np.cos(lat) * np.cos(dec)
     parts = step_s / 3600.0 * np.array([-0.4, -0.2, 0.0, 0.2, 0.4])
 
-    def clear(later_h):
+    def clear(later_h: float) -> NDArray[np.float64]:
         """Interval means of Haurwitz' clear-sky irradiance, J. Meteorol. 2 (1945) 154."""
         height = level + swing * np.cos(np.pi / 12.0 * (hour + later_h + parts[:, None] - 12.0))
         height = np.maximum(height, 1e-3)
@@ -104,4 +105,4 @@ def _shift(time, light, latitude_deg, longitude_deg, step_s):
             fits[index] = np.corrcoef(light, model)[0, 1]
     best = int(np.argmax(fits))
     beyond = light > _TIMES * clear(0.0) + _MORE_W_M2
-    return int(shifts[best]), fits[best], int(beyond.sum())
+    return int(shifts[best]), float(fits[best]), int(beyond.sum())

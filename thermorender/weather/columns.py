@@ -117,17 +117,7 @@ _PRESSURE_SHARES = (0.86, 1.06)
 
 
 def check_values(where: object, column: str, values: NDArray[np.float64], rows: NDArray[np.int64]) -> None:
-    """Refuse numbers of a column outside the range of its quantity; NaN is allowed.
-
-    Parameters
-    ----------
-    where : str
-        File, for messages.
-    column : str
-        Key of `COLUMNS`.
-    values, rows : (N,)
-        Values in the quantity's unit, and their rows in the file.
-    """
+    """Refuse numbers (N,) of a column of `COLUMNS` outside the range of its quantity; NaN is allowed."""
     quantity, scale, after, before = COLUMNS[column]
     low, high, allowed = _RANGES[quantity]
     with np.errstate(invalid="ignore"):
@@ -159,11 +149,10 @@ def check_light(
     where: object, column: str, values: NDArray[np.float64], elevation_deg: NDArray[np.float64], step_s: float,
     others: Mapping[str, NDArray[np.float64]] = MappingProxyType({}),
 ) -> None:  # fmt: skip
-    """Refuse sunlight that never exceeds 5 W m⁻² although the sun rises above 20°, or unlike a clear sky's at its best.
+    """Refuse sunlight that never exceeds 5 W m⁻² with the sun above 20°, or whose maximum is unlike a clear sky's.
 
-    NaN is allowed. Direct light may be 0 all day, or that low, as a tracker's noise is, where the global light in
-    `others`, the file's quantities, leaves it no more. The brightest global light is judged over 300 hours or more of a
-    sun above 30°.
+    NaN is allowed. Direct light may be as low as a tracker's noise where the global light in `others`, the file's
+    quantities, implies no more. The brightest global light is judged over 300 hours or more of a sun above 30°.
     """
     most = np.nanmax(values)
     if (
@@ -190,10 +179,10 @@ def check_light(
 
 
 def _beam_left(others: Mapping[str, NDArray[np.float64]], elevation_deg: NDArray[np.float64]) -> float:
-    """Direct light [W m⁻²] that the brightest tenth of the day has at least, by its global and diffuse light.
+    """Lower limit of the direct light [W m⁻²] in the brightest tenth of the day, from its global and diffuse light.
 
-    Global less diffuse light, less what two pyranometers differ by; without diffuse light, what Erbs' split gives less
-    three times its uncertainty. Diffuse light alone leaves anything: infinity.
+    Global less diffuse light, less the uncertainty of two pyranometers; without diffuse light, that of Erbs'
+    correlation less three times its uncertainty. Diffuse light alone sets no limit: infinity.
     """
     if "global_w_m2" not in others:
         return np.inf
@@ -223,16 +212,8 @@ def vapour_of(
 ) -> NDArray[np.float64] | None:
     """Return the vapour pressure (N,) [Pa], at most saturated, or None without a humidity.
 
-    Parameters
-    ----------
-    where : str
-        File, for messages.
-    values : dict
-        Quantities by name. The first of vapour_pa, dew_point_k, rh and deficit_pa is used.
-    air_k : (N,)
-        Air temperature.
-    notes : list
-        Gets a note on values above saturation.
+    It follows from the first of vapour_pa, dew_point_k, rh and deficit_pa in `values`; `notes` gets a note on values
+    above saturation.
     """
     saturated = humidity.saturation_pressure(air_k)
     forms = {

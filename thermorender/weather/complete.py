@@ -1,13 +1,14 @@
 """Complete a measured series to a Weather: missing sun, sky, vapour and pressure are modelled and noted."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.physics import humidity, moisture, sky, snow, sun
 from thermorender.units import ZERO_CELSIUS_K
-from thermorender.weather.series import Weather
+from thermorender.weather.series import Floats, Weather
 
 # Range of altitudes on land [m].
 LOWEST_M, HIGHEST_M = -500.0, 9000.0
@@ -22,46 +23,35 @@ _CLOUD_LASTS_H = 12.0
 _DARK_DEG = -6.0
 _WIND_M_S = 2.5
 
+Given = Mapping[str, Floats]
+
 
 def complete(
     time: NDArray[np.datetime64], place: tuple[float, float, float], given: Mapping[str, NDArray[np.float64]],
     notes: Sequence[str] = (), wind_m_s: float | None = None, snow_depth_m: float | None = None, **heights: float,
 ) -> Weather:  # fmt: skip
-    """Return the Weather of a series in which quantities may be missing.
+    """Return the Weather of a series (N,) at a place; missing quantities are modelled.
 
-    Parameters
-    ----------
-    time : (N,) datetime64[s]
-    place : (latitude_deg, longitude_deg, altitude_m)
-    given : dict of (N,) arrays without NaN
-        air_k, and any of vapour_pa, wind_m_s, global_w_m2, direct_w_m2, diffuse_w_m2, longwave_w_m2, cloud (0 … 1),
-        rain_mm_h, pressure_pa, snow_m.
-    notes : sequence of str
-        Earlier notes.
-    wind_m_s : float, optional
-        Wind if none is given; 2.5 m/s by default.
-    snow_depth_m : float, optional
-        Snow if none is given; by default it follows from rain and air temperature.
-    heights
-        air_height_m, wind_height_m.
+    `place` is (latitude_deg, longitude_deg, altitude_m). `given` has arrays without NaN: air_k, and any of vapour_pa,
+    wind_m_s, global_w_m2, direct_w_m2, diffuse_w_m2, longwave_w_m2, cloud (0 … 1), rain_mm_h, pressure_pa, snow_m.
+    `wind_m_s` (2.5 m/s by default) and `snow_depth_m` replace missing ones. `heights` are air_height_m and
+    wind_height_m.
 
-    Notes
-    -----
     Short-wave: a global irradiance alone is split by Erbs' correlation; without any, `sky.clear_sky` and `sky.clouded`.
-    Clouds for the long-wave: as given, else by day from the deficit of global light against a clear sky. At night
-    it goes over, within hours, from the deficit interpolated between evening and morning to `sky.cloud_of_humidity`.
-    Mean over twelve places with a pyrgeometer, moist tropics to ice sheet: bias −1, mean absolute error 15 W m⁻²; on
-    cloudy nights 18. Nights under an overcast sky are 24 W m⁻² too low, clear ones 16 W m⁻² too high.
-    Neither the daily range of the air temperature nor its hourly change made nights better at sites left out.
-    Snow: from precipitation and air temperature by degree days, `moisture.snow_water`, at the density of `snow.depths`.
-    Vapour: saturated at the day's lowest air temperature, FAO Irrigation and Drainage Paper 56 (1998), eq. 48.
+    Clouds for the long-wave: as given, else by day from the deficit of global light against a clear sky. At night they
+    change within hours from the deficit interpolated between evening and morning to `sky.cloud_of_humidity`. Mean over
+    twelve places with a pyrgeometer, moist tropics to ice sheet: bias −1, mean absolute error 15 W m⁻²; on cloudy
+    nights 18. Nights under an overcast sky are 24 W m⁻² too low, clear ones 16 W m⁻² too high. Neither the daily range
+    of the air temperature nor its hourly change improved nights at sites left out. Snow: from precipitation and air
+    temperature by degree days, `moisture.snow_water`, at the density of `snow.depths`. Vapour: saturated at the day's
+    lowest air temperature, FAO Irrigation and Drainage Paper 56 (1998), eq. 48.
     """
     latitude_deg, longitude_deg, altitude_m = place
     notes = list(notes)
     count, air = len(time), given["air_k"]
-    rest = {}
+    rest: dict[str, Floats] = {}
 
-    def take(name, value, note):
+    def take(name: str, value: ArrayLike, note: str) -> None:
         if name not in given:
             notes.append(note)
         rest[name] = given[name] if name in given else np.broadcast_to(np.asarray(value, np.float64), (count,))
@@ -95,13 +85,16 @@ def complete(
         humid = rest["vapour_pa"] / humidity.saturation_pressure(air)
         cloud = _cloud(time, given, direct, diffuse, elevation, clear, humid, notes)
         rest["longwave_w_m2"] = sky.longwave(air, rest["vapour_pa"], cloud)
+    series: dict[str, Any] = {**rest, **heights}
     return Weather(
         time=time, air_k=air, direct_w_m2=direct, diffuse_w_m2=diffuse, latitude_deg=latitude_deg,
-        longitude_deg=longitude_deg, altitude_m=altitude_m, notes=tuple(notes), **rest, **heights,
+        longitude_deg=longitude_deg, altitude_m=altitude_m, notes=tuple(notes), **series,
     )  # fmt: skip
 
 
-def _likely_snow(time, latitude_deg, air, rain, notes):
+def _likely_snow(
+    time: NDArray[np.datetime64], latitude_deg: float, air: Floats, rain: Floats, notes: list[str]
+) -> Floats:
     """Depth of snow (N,) [m] from precipitation and air temperature; its note is added."""
     water, _ = moisture.snow_water(time, latitude_deg, air, rain)
     depth = snow.depths(moisture.intervals_s(time), air - ZERO_CELSIUS_K, water)
@@ -113,7 +106,7 @@ def _likely_snow(time, latitude_deg, air, rain, notes):
     return depth
 
 
-def _daily_lowest(time, air, longitude_deg):
+def _daily_lowest(time: NDArray[np.datetime64], air: Floats, longitude_deg: float) -> Floats:
     """The lowest air temperature of each instant's day in mean solar time."""
     local = time + np.timedelta64(int(240.0 * ((longitude_deg + 180.0) % 360.0 - 180.0)), "s")
     _, day = np.unique(local.astype("datetime64[D]"), return_inverse=True)
@@ -122,8 +115,10 @@ def _daily_lowest(time, air, longitude_deg):
     return lowest[day]
 
 
-def _sunlight(given, elevation, distance, clear, limit, notes):
-    """(Direct, diffuse) from the given ones of global, direct and diffuse, or else from a model."""
+def _sunlight(
+    given: Given, elevation: Floats, distance: Floats, clear: tuple[Floats, Floats], limit: Floats, notes: list[str]
+) -> tuple[Floats, Floats]:
+    """(Direct, diffuse) irradiance from the measured global, direct or diffuse one, or else from a model."""
     height = np.sin(np.radians(np.maximum(elevation, 0.0)))
     if "direct_w_m2" in given and "diffuse_w_m2" in given:
         direct, diffuse = given["direct_w_m2"], given["diffuse_w_m2"]
@@ -150,7 +145,16 @@ def _sunlight(given, elevation, distance, clear, limit, notes):
     return np.where(elevation > 0.0, direct, 0.0), np.where(elevation > _DARK_DEG, diffuse, 0.0)
 
 
-def _cloud(time, given, direct, diffuse, elevation, clear, humid, notes):
+def _cloud(
+    time: NDArray[np.datetime64],
+    given: Given,
+    direct: Floats,
+    diffuse: Floats,
+    elevation: Floats,
+    clear: tuple[Floats, Floats],
+    humid: Floats,
+    notes: list[str],
+) -> Floats:
     """Cloud cover (N,) for the long-wave."""
     if "cloud" in given:
         notes.append("Long-wave is missing: modelled from air, vapour and clouds.")
@@ -171,7 +175,7 @@ def _cloud(time, given, direct, diffuse, elevation, clear, humid, notes):
     first = np.searchsorted(hour, hour - 0.5 * _CLOUD_WINDOW_H)
     last = np.searchsorted(hour, hour + 0.5 * _CLOUD_WINDOW_H, side="right")
 
-    def windowed(values):
+    def windowed(values: Floats) -> Floats:
         sums = np.concatenate([[0.0], np.cumsum(np.where(day, values, 0.0))])
         return (sums[last] - sums[first])[day]
 

@@ -25,18 +25,10 @@ def declared_weather(
     spec: Any, latitude_deg: float, longitude_deg: float, altitude_m: float,
     time: str | datetime.datetime | np.datetime64 | None = None,
 ) -> Weather:  # fmt: skip
-    """Return the Weather of the table [weather].
+    """Return the Weather of the table [weather], a WeatherSpec with one of file, epw and air_high_c.
 
-    Parameters
-    ----------
-    spec : object
-        With the keys of the table as attributes (`thermorender.scene.spec.WeatherSpec`); None for a key that is not
-        given. One of file, epw and air_high_c is given.
-    latitude_deg, longitude_deg, altitude_m : float
-        Of the scene, also used for a station's file. A typical year keeps the place in its header.
-    time : datetime64, datetime or str, optional
-        Instant to use instead of the table's. It chooses the date of a named day and the year of a typical year; a
-        station's file must cover it.
+    The place is the scene's, but a typical year keeps that of its header. `time` replaces the table's: it chooses the
+    date of a named day and the year of a typical year; a station's file must cover it.
     """
     place = latitude_deg, longitude_deg, altitude_m
     snow = spec.snow_depth_m
@@ -48,8 +40,8 @@ def declared_weather(
             )
         when = instant("time", spec.time if time is None else time)
         if spec.file is not None:
-            own = {name: getattr(spec, name, None) for name in ("longest_gap_h", "air_height_m", "wind_height_m")}
-            own = {name: value for name, value in own.items() if value is not None}
+            names = ("longest_gap_h", "air_height_m", "wind_height_m")
+            own = {name: getattr(spec, name) for name in names if getattr(spec, name, None) is not None}
             found = read_station(spec.file, *place, around=when, wind_m_s=spec.wind_m_s, snow_depth_m=snow, **own)
         elif spec.epw is not None:
             shift = getattr(spec, "light_shift_min", None) or 0.0
@@ -75,9 +67,9 @@ def declared_weather(
     return found
 
 
-def _away_km(latitude_deg, longitude_deg, other_latitude_deg, other_longitude_deg):
+def _away_km(latitude_deg: float, longitude_deg: float, other_latitude_deg: float, other_longitude_deg: float) -> float:
     """Distance of two places on a sphere [km], by the haversine formula."""
     one, other = np.radians(latitude_deg), np.radians(other_latitude_deg)
     turn = np.radians(longitude_deg - other_longitude_deg)
     square = np.sin(0.5 * (one - other)) ** 2 + np.cos(one) * np.cos(other) * np.sin(0.5 * turn) ** 2
-    return 2.0 * _RADIUS_KM * np.arcsin(np.sqrt(np.minimum(square, 1.0)))
+    return float(2.0 * _RADIUS_KM * np.arcsin(np.sqrt(np.minimum(square, 1.0))))

@@ -6,8 +6,10 @@ those of the sunlight, to which the other quantities are interpolated.
 """
 
 from os import PathLike
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics import sun
@@ -16,8 +18,8 @@ from thermorender.weather.columns import check_light, check_pressure, check_rang
 from thermorender.weather.complete import complete
 from thermorender.weather.gaps import filled, without_offset
 from thermorender.weather.rain import check_rain
-from thermorender.weather.series import Weather
-from thermorender.weather.year_file import LIGHT, read_year_file
+from thermorender.weather.series import Floats, Weather
+from thermorender.weather.year_file import LIGHT, YearFile, read_year_file
 
 _LONGEST_GAP_H = 3
 # Days added before and after the year, for simulations that begin earlier.
@@ -31,21 +33,11 @@ def read_epw(
     snow_depth_m: float | None = None,
     light_shift_min: float = 0.0,
 ) -> Weather:  # fmt: skip
-    """Return the Weather of an EPW file, or a TMY3 or PSM table, in a calendar year.
+    """Return the Weather of an EPW file, or a TMY3 or PSM table, in a calendar year or that of an instant.
 
-    A file of a whole year is extended by its December before the year and its January after it.
-
-    Parameters
-    ----------
-    path : path
-        The first lines name the format.
-    year : int or datetime64
-        Calendar year; for an instant, its year in the file's zone.
-    snow_depth_m : float, optional
-        Used if the file has none; by default snow follows from rain and air temperature.
-    light_shift_min : float
-        Added to the times of the sunlight [min], for a file whose radiation belongs to other instants than its format
-        says: 30 if it belongs to the labels themselves, -30 if it belongs to an hour before them.
+    A file of a whole year is extended by its December before the year and its January after it. `snow_depth_m` is used
+    if the file has none. `light_shift_min` is added to the times of the sunlight [min], for a file whose radiation
+    belongs to other instants than its format says: 30 for the labels themselves, -30 for an hour before them.
     """
     file = read_year_file(path)
     place, zone_h, step_min = file.place, file.zone_h, file.step_min
@@ -59,7 +51,7 @@ def read_epw(
     notes = [_of_years(file.years, year), *file.notes]
     if light_shift_min:
         notes.append(f"Its sunlight is shifted by {light_shift_min:g} min, as declared.")
-    given = {}
+    given: dict[str, Floats] = {}
     # For messages: the file's dates, if its days follow each other.
     begin = np.datetime64(f"{year:04d}-{file.days[0][0]:02d}-01", "s") + np.timedelta64(file.days[0][1] - 1, "D")
     stamps = begin + np.timedelta64(round(60 * step_min), "s") * np.arange(len(file.days) * file.per_day)
@@ -92,26 +84,26 @@ def read_epw(
     return complete(time, place, given, notes, snow_depth_m=snow_depth_m)
 
 
-def _of_years(years, year):
+def _of_years(years: set[int], year: int) -> str:
     """A note on the years of the rows."""
     if len(years) > 1:
         return f"A typical year: its months, of different years, are mapped to {year}."
     return f"Its rows of the year {min(years)} are mapped to {year}." if years != {year} else f"Its rows are of {year}."
 
 
-def _moved(numbers, rows, periodic):
-    """Values (N,) interpolated at the given number of rows after each; a whole year is periodic."""
+def _moved(numbers: Floats, rows: float, periodic: bool) -> Floats:
+    """Values (N,) interpolated at `rows` (fractional) after each sample; a whole year is periodic."""
     if rows == 0.0:
         return numbers
     count = len(numbers)
     return np.interp(np.arange(count) + rows, np.arange(count), numbers, period=count if periodic else None)
 
 
-def _calendar(path, file, year):
+def _calendar(path: object, file: YearFile, year: int) -> tuple[NDArray[np.datetime64], NDArray[np.int64]]:
     """(Labels in the zone's time (M,) datetime64[s], rows of the file (M,)) for a year."""
     first_row = {date: file.per_day * k for k, date in enumerate(file.days)}
-    if file.whole:
-        first_row.setdefault((2, 29), first_row.get((2, 28)))
+    if file.whole and (2, 28) in first_row:
+        first_row.setdefault((2, 29), first_row[2, 28])
     day = np.timedelta64(1, "D")
     start, end = np.datetime64(f"{year:04d}-01-01"), np.datetime64(f"{year:04d}-12-31")
     dates = (
@@ -128,5 +120,5 @@ def _calendar(path, file, year):
     within = np.timedelta64(1, "s") * np.round(
         60.0 * (file.first_min + file.step_min * np.arange(file.per_day))
     ).astype(int)
-    labels = dates.astype("datetime64[s]")[:, None] + within
-    return labels.ravel(), (np.array([row for _, row in found])[:, None] + np.arange(file.per_day)).ravel()
+    labels: Any = (dates.astype("datetime64[s]")[:, None] + within).ravel()
+    return labels, (np.array([row for _, row in found])[:, None] + np.arange(file.per_day)).ravel()

@@ -22,10 +22,7 @@ def without_offset(column: str, values: NDArray[np.float64], notes: list[str]) -
 def long_gaps(
     values: NDArray[np.float64], time: NDArray[np.datetime64], step_s: float, longest_gap_h: float
 ) -> list[tuple[np.datetime64, np.datetime64]]:
-    """Return (first, last missing instant) of the gaps longer than `longest_gap_h`; the series' ends count too.
-
-    Parameters are those of `filled`.
-    """
+    """Return (first, last missing instant) of the gaps above `longest_gap_h`, also at the ends of the series."""
     good = np.flatnonzero(~np.isnan(values))
     second = (time - time[0]).astype(np.float64)
     edges = np.concatenate([[second[0] - step_s], second[good], [second[-1] + step_s]])
@@ -39,21 +36,9 @@ def filled(
     path: object, column: str, quantity: str, values: NDArray[np.float64], time: NDArray[np.datetime64], step_s: float,
     longest_gap_h: float, notes: list[str],
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Return values (N,) with short gaps interpolated; rain and snow are 0 in gaps of any length.
+    """Return values (N,) with gaps (NaN) up to `longest_gap_h` interpolated; rain and snow are 0 in gaps of any length.
 
-    Parameters
-    ----------
-    path, column : str
-        For messages.
-    quantity : str
-        Our name of the quantity.
-    values : (N,)
-        NaN marks missing values; at least one is a number.
-    time : (N,) datetime64[s]
-    step_s, longest_gap_h : float
-        Step of the series; longest gap to interpolate.
-    notes : list
-        Gets a note on the gaps.
+    At least one value is a number; `notes` gets a note on the gaps.
     """
     hole = np.isnan(values)
     if not hole.any():

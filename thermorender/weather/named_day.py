@@ -21,27 +21,11 @@ def named_day(
 ) -> Weather:  # fmt: skip
     """Return the half-hourly Weather of an instant's day, repeated from `before` days before to `after` days after.
 
-    Parameters
-    ----------
-    time : datetime64
-        Instant within the day, UTC.
-    place : (latitude_deg, longitude_deg, altitude_m)
-    air_low_c, air_high_c : float
-        The day's lowest and highest air temperature at 2 m [°C], at sunrise and at 14 h apparent solar time.
-    humidity_low : float
-        Relative humidity at the lowest temperature, 0.01 … 1; the vapour pressure is constant all day.
-    wind_m_s : float or (24,) floats
-        Wind at 10 m, all day or at the hours 0 … 23 of apparent solar time.
-    cloud : float
-        Cloud cover, 0 … 1.
-    snow_depth_m : float
-        On the ground.
-
-    Notes
-    -----
-    Half cosines from sunrise to 14 h and from there to the next sunrise: de Wit, Goudriaan and van Laar (1978) as
-    in Reicosky and others, Agric. For. Meteorol. 46 (1989) 193, doi:10.1016/0168-1923(89)90064-6. On days without
-    sunrise the lowest temperature is at 2 h. Sun, sky and long-wave as in `complete`.
+    The lowest air temperature at 2 m is at sunrise, on days without sunrise at 2 h, and the highest at 14 h apparent
+    solar time. `humidity_low` is the relative humidity at the lowest one, 0.01 … 1; the vapour pressure is constant.
+    The wind at 10 m is one number or (24,) at the hours of apparent solar time; `cloud` is the cloud cover, 0 … 1. Half
+    cosines between the extremes: de Wit, Goudriaan and van Laar (1978) as in Reicosky and others, Agric. For. Meteorol.
+    46 (1989) 193, doi:10.1016/0168-1923(89)90064-6. Sun, sky and long-wave as in `complete`.
     """
     latitude_deg, longitude_deg, _ = place
     wind = np.broadcast_to(np.asarray(wind_m_s, np.float64), (24,)) if np.ndim(wind_m_s) == 0 else np.asarray(wind_m_s)
@@ -58,16 +42,16 @@ def named_day(
         if not low <= value <= high:
             raise ThermorenderError(f"{name}={value:g} is not allowed; give {low:g}…{high:g}")
     if wind.shape != (24,) or not ((wind >= 0.0) & (wind <= 80.0)).all():
-        raise ThermorenderError(f"wind_m_s={wind_m_s} is not allowed; give 0…80 m/s, one value or 24 by hour")
+        raise ThermorenderError(f"wind_m_s={wind_m_s!s} is not allowed; give 0…80 m/s, one value or 24 by hour")
     half = np.timedelta64(_STEP_MIN, "m")
-    centre = np.datetime64(time, "m").astype("datetime64[h]")
+    centre = time.astype("datetime64[m]").astype("datetime64[h]")
     count = int((before + after) * 1440 / _STEP_MIN) + 1
     series = (centre - np.timedelta64(before, "D") + half * np.arange(count)).astype("datetime64[s]")
     hour = sun.solar_hour(series, longitude_deg)
     low, high = air_low_c + ZERO_CELSIUS_K, air_high_c + ZERO_CELSIUS_K
     rise = sun.sunrise(latitude_deg, float(sun.declination(centre)))
     air = daily_course(hour, low, high, 2.0 if rise is None else rise)
-    vapour = humidity_low * humidity.saturation_pressure(low)
+    vapour = humidity_low * humidity.saturation_pressure(np.asarray(low))
     given = {
         "air_k": air,
         "vapour_pa": np.full(count, vapour),

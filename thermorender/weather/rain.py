@@ -17,18 +17,9 @@ _HOUR_MM, _YEAR_MM = (200.0, 100.0), (26_500.0, 4000.0)
 
 
 def in_mm(column: str, depth: Floats, fewest: int, notes: list[str]) -> Floats:
-    """Return depths (N,) in mm: a tenth of those that are whole tenths of a millimetre from a gauge of 0.01 inch.
+    """Return depths (N,) in mm: whole tenths of a millimetre from a gauge of 0.01 inch are divided by 10.
 
-    Parameters
-    ----------
-    column : str
-        For the note.
-    depth : (N,)
-        As in the file; NaN is missing.
-    fewest : int
-        Least number of depths below 3 mm to judge by.
-    notes : list
-        Gets a note if the depths are tenths.
+    At least `fewest` depths below 3 mm are needed to recognise tenths, on which `notes` gets a note; NaN is missing.
     """
     fallen = depth[depth > 0.0]
     low = fallen[fallen < _BELOW_TENTHS]
@@ -46,23 +37,10 @@ def by_hour(
 ) -> Floats:
     """Return amounts (N,) [mm] of single intervals; those of several hours are spread over their hours.
 
-    Parameters
-    ----------
-    path : str
-        File, for messages.
-    depth_mm, period_h : (N,)
-        Amount that fell in the `period_h` hours before the end of an interval; NaN is missing. Amounts without a period
-        are of their interval.
-    per_hour : int
-        Intervals in an hour.
-    periodic : bool
-        Whether the last interval precedes the first.
-    notes : list
-        Gets notes on spread amounts and on amounts of an unknown period, which count as missing.
-
-    Notes
-    -----
-    Hours with an amount of a shorter period keep it, and the rest of the longer one is spread evenly over the others.
+    `depth_mm` fell in the `period_h` hours before the end of an interval; NaN is missing, and an amount without a
+    period is that of its interval. Hours with an amount of a shorter period keep it, and the rest of the longer one is
+    spread evenly over the others. `periodic`: the last interval precedes the first. `notes` gets notes on spread
+    amounts, and on amounts of an unknown period, which count as missing.
     """
     known = ~np.isnan(depth_mm)
     period = np.where(np.isnan(period_h) | (period_h == 0.0), 1.0 / per_hour, period_h)
@@ -97,16 +75,7 @@ def by_hour(
 
 
 def check_rain(where: object, column: str, rain_mm_h: Floats, step_s: float, notes: list[str]) -> None:
-    """Refuse rain (N,) [mm/h] beyond the records of an hour and a year; add a note on rare totals.
-
-    Parameters
-    ----------
-    where, column : str
-        File and column, for messages.
-    rain_mm_h : (N,)
-        Rate in intervals of `step_s` seconds; NaN is missing.
-    notes : list
-    """
+    """Refuse rain (N,) [mm/h] in steps of `step_s` beyond the records of an hour and a year; note rare totals."""
     advice = "divide the column by 10 if it holds tenths of a millimetre, or leave it empty to go on without rain"
     rain = np.nan_to_num(rain_mm_h) * step_s / 3600.0
     width = max(round(3600.0 / step_s), 1)

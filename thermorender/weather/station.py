@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
 from os import PathLike
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,47 +34,30 @@ from thermorender.weather.columns import (
 from thermorender.weather.complete import complete
 from thermorender.weather.gaps import ZERO_IN_GAPS, filled, long_gaps, without_offset
 from thermorender.weather.rain import check_rain
-from thermorender.weather.series import Weather
+from thermorender.weather.series import Floats, Weather
 
 _TIMES = ("time_utc", "time", "time_local")
 _LONGEST_STEP_S = 3 * 3600.0
 _LIGHT = ("global_w_m2", "direct_w_m2", "diffuse_w_m2")
 
+Times = NDArray[np.datetime64]
+Period = Sequence[str | datetime | np.datetime64]
+
 
 def read_station(
     path: str | PathLike[str], latitude_deg: float, longitude_deg: float, altitude_m: float, *,
     utc_offset_h: float | None = None, names: Mapping[str, str] | None = None,
-    during: Sequence[str | datetime | np.datetime64] | None = None, around: np.datetime64 | None = None,
+    during: Period | None = None, around: np.datetime64 | None = None,
     longest_gap_h: float = 3.0, wind_m_s: float | None = None, snow_depth_m: float | None = None,
     air_height_m: float = 2.0, wind_height_m: float = 10.0,
 ) -> Weather:  # fmt: skip
-    """Return the Weather of a station's table.
+    """Return the Weather of a station's CSV table, whose missing quantities `complete` models; its notes list them.
 
-    Parameters
-    ----------
-    path : path
-        CSV in UTF-8 with a row of names: a time, the air temperature, and any others of `columns.COLUMNS`.
-        Times are the middles of averaging intervals: `time_utc`, `time` with a zone in each cell, or `time_local`.
-    latitude_deg, longitude_deg, altitude_m : float
-        Of the station.
-    utc_offset_h : float, optional
-        Of `time_local`, eastward positive, without summer time.
-    names : dict, optional
-        {column of the file: our name} for columns with other names.
-    during : (start, end), optional
-        First and last instant to read, as in `units.instant`.
-    around : datetime64, optional
-        Rows before the last longer gap before this instant, and after the first one behind it, are left out.
-    longest_gap_h : float
-        Gaps up to this length are interpolated.
-    wind_m_s, snow_depth_m : float, optional
-        Used if the file has none; by default 2.5 m/s, and snow that follows from rain and air temperature.
-    air_height_m, wind_height_m : float
-        Of the sensors.
-
-    Notes
-    -----
-    `complete` models missing quantities; the Weather's notes list them.
+    The columns are a time, the air temperature, and any others of `columns.COLUMNS`, or `names`, {column of the file:
+    our name}. Times are the middles of averaging intervals: `time_utc`, `time` with a zone in each cell, or
+    `time_local`, with `utc_offset_h` eastward positive and without summer time. `during` is the first and last instant
+    to read, as in `units.instant`; rows beyond the longer gaps next to the instant `around` are left out. Gaps up to
+    `longest_gap_h` are interpolated. `wind_m_s` (2.5 m/s by default) and `snow_depth_m` are used if the file has none.
     """
     place = latitude_deg, longitude_deg, altitude_m
     header, cells, rows = _read(path, names or {})
@@ -97,25 +81,8 @@ def read_station(
     _note_missing_rows(path, time, rows, step_s, longest_gap_h, notes)
     time, rows, values = _dry_gaps(time, rows, values, step_s)
     elevation = sun.position_at(time, latitude_deg, longitude_deg)[1]
-    for quantity in list(values):
-        if quantity.startswith("rain_mm"):
-            rate = values[quantity] * (3600.0 / step_s if quantity == "rain_mm" else 1.0)
-            check_rain(path, column_of[quantity], rate, step_s, notes)
-        if quantity in _LIGHT:
-            check_light(path, column_of[quantity], values[quantity], elevation, step_s, values)
-            values[quantity] = without_offset(column_of[quantity], values[quantity], notes)
-        values[quantity] = filled(
-            path, column_of[quantity], quantity, values[quantity], time, step_s, longest_gap_h, notes
-        )
-    vapour = vapour_of(path, values, values["air_k"], notes)
-    given = {name: values[name] for name in values if name not in ("vapour_pa", "dew_point_k", "rh", "deficit_pa")}
-    if vapour is not None:
-        given["vapour_pa"] = vapour
-    if "rain_mm" in given:
-        rain = given.pop("rain_mm") * 3600.0 / step_s
-        given.setdefault("rain_mm_h", rain)
-    if "snow_m" in given:
-        given["snow_m"] = np.maximum(given["snow_m"], 0.0)
+    _repair(path, time, values, column_of, elevation, step_s, longest_gap_h, notes)
+    given = _for_complete(path, values, step_s, notes)
     found = complete(time, place, given, notes, wind_m_s, snow_depth_m, air_height_m=air_height_m,
                      wind_height_m=wind_height_m)  # fmt: skip
     if set(_LIGHT) & set(given):
@@ -127,9 +94,42 @@ def read_station(
     return found
 
 
-def _quantities(path, header, cells, rows, notes):
+def _repair(
+    path: object, time: Times, values: dict[str, Floats], column_of: Mapping[str, str], elevation: Floats,
+    step_s: float, longest_gap_h: float, notes: list[str],
+) -> None:  # fmt: skip
+    """Check rain and light of `values`, in place, set night offsets of light to 0, and fill short gaps."""
+    for quantity in list(values):
+        column = column_of[quantity]
+        if quantity.startswith("rain_mm"):
+            rate = values[quantity] * (3600.0 / step_s if quantity == "rain_mm" else 1.0)
+            check_rain(path, column, rate, step_s, notes)
+        if quantity in _LIGHT:
+            check_light(path, column, values[quantity], elevation, step_s, values)
+            values[quantity] = without_offset(column, values[quantity], notes)
+        values[quantity] = filled(path, column, quantity, values[quantity], time, step_s, longest_gap_h, notes)
+
+
+def _for_complete(path: object, values: Mapping[str, Floats], step_s: float, notes: list[str]) -> dict[str, Floats]:
+    """The quantities that `complete` takes: one humidity, a rate of rain, and snow that is not negative."""
+    vapour = vapour_of(path, values, values["air_k"], notes)
+    given = {name: values[name] for name in values if name not in ("vapour_pa", "dew_point_k", "rh", "deficit_pa")}
+    if vapour is not None:
+        given["vapour_pa"] = vapour
+    if "rain_mm" in given:
+        rain = given.pop("rain_mm") * 3600.0 / step_s
+        given.setdefault("rain_mm_h", rain)
+    if "snow_m" in given:
+        given["snow_m"] = np.maximum(given["snow_m"], 0.0)
+    return given
+
+
+def _quantities(
+    path: object, header: list[str], cells: list[list[str]], rows: NDArray[np.int64], notes: list[str]
+) -> tuple[dict[str, Floats], dict[str, str]]:
     """({quantity: values (N,) in its unit, NaN where missing}, {quantity: column}), checked."""
-    values, column_of = {}, {}
+    values: dict[str, Floats] = {}
+    column_of: dict[str, str] = {}
     for name, column in COLUMNS.items():
         if name in header:
             numbers = _numbers(path, name, [row[header.index(name)] for row in cells], rows, notes)
@@ -157,19 +157,11 @@ def _quantities(path, header, cells, rows, notes):
 
 def read_columns(
     path: str | PathLike[str], columns: Sequence[str], *,
-    during: Sequence[str | datetime | np.datetime64] | None = None, utc_offset_h: float | None = None,
-) -> tuple[NDArray[np.datetime64], dict[str, NDArray[np.float64]]]:  # fmt: skip
+    during: Period | None = None, utc_offset_h: float | None = None,
+) -> tuple[Times, dict[str, Floats]]:  # fmt: skip
     """Return (instants (N,) datetime64[s] UTC, {column: numbers (N,), NaN where missing}) of a station's table.
 
     It reads columns that `read_station` does not use, such as other measurements; the rows are the same.
-
-    Parameters
-    ----------
-    path : path
-    columns : sequence of str
-        Names in the file.
-    during, utc_offset_h
-        As in `read_station`.
     """
     header, cells, rows = _read(path, {})
     time = _times(path, header, cells, rows, utc_offset_h)
@@ -186,7 +178,7 @@ def read_columns(
 # The file
 
 
-def _read(path, names):
+def _read(path: str | PathLike[str], names: Mapping[str, str]) -> tuple[list[str], list[list[str]], NDArray[np.int64]]:
     """(Header in our names, rows of cells, row numbers)."""
     lines, numbers = [], []
     try:
@@ -217,7 +209,7 @@ def _read(path, names):
     return header, lines[1:], np.array(numbers[1:])
 
 
-def _refuse_near_misses(path, header):
+def _refuse_near_misses(path: object, header: list[str]) -> None:
     """Refuse a misspelt name of ours, or one in another unit, if no other column has its quantity."""
     given = {COLUMNS[name].quantity for name in header if name in COLUMNS}
     ours = [name for name, column in COLUMNS.items() if column.quantity not in given and len(name) > 4]
@@ -237,7 +229,7 @@ def _refuse_near_misses(path, header):
                 )
 
 
-def _numbers(path, name, texts, rows, notes):
+def _numbers(path: object, name: str, texts: Sequence[str], rows: NDArray[np.int64], notes: list[str]) -> Floats:
     """Numbers of a column (N,), NaN where missing."""
     found = np.full(len(texts), np.nan)
     marked = 0
@@ -263,7 +255,9 @@ def _numbers(path, name, texts, rows, notes):
 # Time
 
 
-def _times(path, header, cells, rows, utc_offset_h):
+def _times(
+    path: object, header: list[str], cells: list[list[str]], rows: NDArray[np.int64], utc_offset_h: float | None
+) -> Times:
     """Instants (N,) in UTC."""
     column = next((name for name in _TIMES if name in header), None)
     if column is None:
@@ -294,11 +288,11 @@ def _times(path, header, cells, rows, utc_offset_h):
         if column == "time_utc" and moment.utcoffset():
             raise ThermorenderError(f"{path}, row {number}: time_utc={line[k]!r} is not UTC; name the column time")
         found.append(moment.replace(tzinfo=timezone.utc) if column == "time_local" else moment)
-    time = np.array([int(moment.timestamp()) for moment in found]).astype("datetime64[s]")
-    return time - np.timedelta64(round(3600 * utc_offset_h), "s") if column == "time_local" else time
+    time: Any = np.array([int(moment.timestamp()) for moment in found]).astype("datetime64[s]")
+    return time - np.timedelta64(round(3600 * (utc_offset_h or 0.0)), "s") if column == "time_local" else time
 
 
-def _within(path, time, during):
+def _within(path: object, time: Times, during: Period | None) -> NDArray[np.bool_]:
     """Whether each row (N,) is within the period."""
     if during is None:
         return np.ones(len(time), bool)
@@ -311,7 +305,7 @@ def _within(path, time, during):
     return keep
 
 
-def _check_rising(path, time, rows):
+def _check_rising(path: object, time: Times, rows: NDArray[np.int64]) -> float:
     """The step of the series [s], after refusing times that do not rise."""
     step = np.diff(time).astype(np.int64)
     wrong = step <= 0
@@ -325,8 +319,16 @@ def _check_rising(path, time, rows):
     return float(np.median(step))
 
 
-def _unbroken(time, values, column_of, step_s, longest_gap_h, around, notes):
-    """Rows (a slice) around an instant that no gap interrupts which is longer than those interpolated."""
+def _unbroken(
+    time: Times,
+    values: Mapping[str, Floats],
+    column_of: Mapping[str, str],
+    step_s: float,
+    longest_gap_h: float,
+    around: np.datetime64,
+    notes: list[str],
+) -> slice:
+    """The slice of rows around an instant without a gap longer than those interpolated."""
     first, last = time[0], time[-1]
     step = np.timedelta64(int(step_s), "s")
     gaps = [("all columns", time[k] + step, time[k + 1] - step)
@@ -345,7 +347,9 @@ def _unbroken(time, values, column_of, step_s, longest_gap_h, around, notes):
     return slice(*np.searchsorted(time, [first, last + np.timedelta64(1, "s")]))
 
 
-def _note_missing_rows(path, time, rows, step_s, longest_gap_h, notes):
+def _note_missing_rows(
+    path: object, time: Times, rows: NDArray[np.int64], step_s: float, longest_gap_h: float, notes: list[str]
+) -> None:
     """Refuse long gaps of missing rows, and note short ones."""
     step = np.diff(time).astype(np.float64)
     long = step - step_s > 3600.0 * longest_gap_h
@@ -363,12 +367,14 @@ def _note_missing_rows(path, time, rows, step_s, longest_gap_h, notes):
         )
 
 
-def _dry_gaps(time, rows, values, step_s):
+def _dry_gaps(
+    time: Times, rows: NDArray[np.int64], values: dict[str, Floats], step_s: float
+) -> tuple[Times, NDArray[np.int64], dict[str, Floats]]:
     """Times, rows and values with rows of no rain after and before gaps, so that rain beside a gap does not fill it."""
     rain = [quantity for quantity in values if quantity in ("rain_mm", "rain_mm_h")]
     step = np.timedelta64(int(step_s), "s")
-    after = np.flatnonzero(np.diff(time) > 1.5 * step) if rain else []
-    if not len(after):
+    after = np.flatnonzero(np.diff(time) > 1.5 * step)
+    if not rain or not after.size:
         return time, rows, values
     added = np.unique(np.concatenate([time[after] + step, np.maximum(time[after + 1] - step, time[after] + step)]))
     added = np.setdiff1d(added, time)

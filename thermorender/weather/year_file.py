@@ -8,17 +8,17 @@ import csv
 import datetime
 import io
 import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 
 import numpy as np
-from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.formats import read_text
 from thermorender.units import ZERO_CELSIUS_K
 from thermorender.weather.complete import HIGHEST_M, LOWEST_M
-from thermorender.weather.rain import by_hour, in_mm
+from thermorender.weather.rain import Floats, by_hour, in_mm
 
 LIGHT = ("global_w_m2", "direct_w_m2", "diffuse_w_m2")
 # Our quantity: (column, scale, offset added after, lowest mark of a missing value).
@@ -70,6 +70,10 @@ _FEWEST_TMY3, _FEWEST_EPW = 1, 10
 _OFFSET = re.compile(r"Irradiance Time Offset \(h\): *([-+]?[\d.]+)", re.IGNORECASE)
 _AVERAGING = re.compile(r"Averaging Method: *([\w ]+)", re.IGNORECASE)
 
+# (year, month, day, minute of the day, text of the hour) of a row.
+Label = tuple[int, int, int, int, str]
+Lines = list[list[str]]
+
 
 @dataclass(frozen=True)
 class YearFile:
@@ -77,7 +81,7 @@ class YearFile:
 
     place: tuple[float, float, float]  # (latitude_deg, longitude_deg, altitude_m)
     zone_h: float  # Of the labels, hours east of UTC
-    values: dict[str, NDArray[np.float64]]  # Quantities by name, NaN where missing
+    values: dict[str, Floats]  # Quantities by name, NaN where missing
     days: tuple[tuple[int, int], ...]  # Of each of the N / `per_day` days, in order
     years: set[int]  # Calendar years of the rows
     per_day: int  # Rows of a day
@@ -98,7 +102,7 @@ class YearFile:
 
 
 def read_year_file(path: str | PathLike[str]) -> YearFile:
-    """Return the YearFile of an EPW file, or of a TMY3 or PSM table, which its first lines distinguish.
+    """Return the YearFile of an EPW file or of a TMY3 or PSM table, recognised by its first lines.
 
     The text may be UTF-8 or, with letters in comments and names, of a Western European code page.
     """
@@ -118,15 +122,15 @@ def is_year_file(path: str | PathLike[str]) -> bool:
     return _reader(_lines(path)) is not None
 
 
-def _lines(path):
+def _lines(path: str | PathLike[str]) -> Lines:
     try:
         return [line for line in csv.reader(io.StringIO(read_text(path, "the text it was", "cp1252"))) if line]
     except csv.Error as error:
         raise ThermorenderError(f"{path} is not comma-separated text ({error}); give the file as it came") from None
 
 
-def _reader(lines):
-    """The reader of the format that the first lines show, or None."""
+def _reader(lines: Lines) -> Callable[[object, Lines], YearFile] | None:
+    """The reader of the format recognised by its first lines, or None."""
     first = [cell.strip() for cell in lines[0]] if lines else [""]
     second = [cell.strip() for cell in lines[1]] if len(lines) > 1 else []
     if first[0].upper() == "LOCATION":
@@ -138,7 +142,7 @@ def _reader(lines):
     return None
 
 
-def _epw(path, lines):
+def _epw(path: object, lines: Lines) -> YearFile:
     start = next((k for k, line in enumerate(lines) if line[0].strip().upper().startswith("DATA PERIODS")), None)
     if start is None or len(lines[0]) < 10:
         raise ThermorenderError(f"{path} has no line DATA PERIODS or an unfinished LOCATION; give the whole EPW file")
@@ -165,7 +169,7 @@ def _epw(path, lines):
     }
     rain = _scaled(_numbers(path, rows, _EPW_RAIN), 1.0, 0.0, 999.0)
     hours = _scaled(_numbers(path, rows, _EPW_RAIN_H), 1.0, 0.0, 99.5)
-    notes = []
+    notes: list[str] = []
     # Where every row has the whole step of an hour, a label within the interval is its middle.
     interval = -min(first, step) + 0.5 * step
     light = interval
@@ -178,7 +182,7 @@ def _epw(path, lines):
                     interval, light, notes)  # fmt: skip
 
 
-def _tmy3(path, lines):
+def _tmy3(path: object, lines: Lines) -> YearFile:
     header, rows = [cell.strip() for cell in lines[1]], lines[2:]
     zone_h, latitude, longitude, altitude = (_number(path, "line 1", text) for text in lines[0][3:7])
     labels = []
@@ -200,7 +204,8 @@ def _tmy3(path, lines):
     columns = {found[1]: (k, found[2]) for k, found in enumerate(units[name] for name in header) if found}
     values = _named(path, rows, _TMY3, columns, "row 2")
     rain, hours = values.pop("rain_mm", None), values.pop("rain_h", None)
-    notes, per_hour = [], round(60.0 / step)
+    notes: list[str] = []
+    per_hour = round(60.0 / step)
     if rain is not None:
         hours = np.ones(len(rain)) if hours is None else hours
         whole = len(days) >= 365
@@ -216,7 +221,7 @@ def _tmy3(path, lines):
                     interval, interval, notes)  # fmt: skip
 
 
-def _psm(path, lines):
+def _psm(path: object, lines: Lines) -> YearFile:
     about = dict(zip((cell.strip() for cell in lines[0]), (cell.strip() for cell in lines[1]), strict=False))
     zone_h, latitude, longitude, altitude = (
         _number(path, name, about.get(name, "")) for name in ("Time Zone", "Latitude", "Longitude", "Elevation")
@@ -241,7 +246,13 @@ def _psm(path, lines):
                     first, 0.0, 0.0)  # fmt: skip
 
 
-def _named(path, rows, table, columns, where):
+def _named(
+    path: object,
+    rows: Lines,
+    table: Mapping[str, tuple[str, str, float, float]],
+    columns: Mapping[str, tuple[int, str]],
+    where: str,
+) -> dict[str, Floats]:
     """{Quantity: values (N,)} of named columns {name: (number, unit)}, after refusing other units."""
     values = {}
     for name, (column, unit, scale, after) in table.items():
@@ -255,18 +266,30 @@ def _named(path, rows, table, columns, where):
     return values
 
 
-def _add_rain(path, values, depth, period_h, per_hour, periodic, fewest, column, notes):
+def _add_rain(
+    path: object,
+    values: dict[str, Floats],
+    depth: Floats,
+    period_h: Floats,
+    per_hour: int,
+    periodic: bool,
+    fewest: int,
+    column: str,
+    notes: list[str],
+) -> None:
     if not np.isnan(depth).all():
         amount = by_hour(path, in_mm(column, depth, fewest, notes), period_h, per_hour, periodic, notes)
         values["rain_mm_h"] = amount * per_hour
 
 
-def _scaled(numbers, scale, after, missing):
+def _scaled(numbers: Floats, scale: float, after: float, missing: float) -> Floats:
     numbers[(numbers >= missing) | (numbers <= _BELOW)] = np.nan
     return numbers * scale + after
 
 
-def _days(path, labels, step, first_row, hours, end=True):
+def _days(
+    path: object, labels: Sequence[Label], step: float, first_row: int, hours: str, end: bool = True
+) -> tuple[tuple[tuple[int, int], ...], set[int], float]:
     """((Month, day) of each day, years, label of a day's first row [min]) of (year, month, day, minute, text).
 
     Labels are ends of intervals, where 00:00 of the next day or of the same date stands for 24:00, or else instants.
@@ -278,7 +301,8 @@ def _days(path, labels, step, first_row, hours, end=True):
         raise ThermorenderError(
             f"{path} has {len(labels)} rows from {labels[0][4]} on; give whole days of hours {hours}, in order"
         )
-    days, years = [], set()
+    days: list[tuple[int, int]] = []
+    years: set[int] = set()
     for k, (year, month, day, minute, text) in enumerate(labels):
         number, date = k % per_day, (month, day)
         if number == 0:
@@ -297,14 +321,14 @@ def _days(path, labels, step, first_row, hours, end=True):
     return tuple(days), years, float(first)
 
 
-def _following(date):
+def _following(date: tuple[int, int]) -> set[tuple[int, int]]:
     """The (month, day) after a date, in a common year and in a leap year."""
     years = (2000, 2001) if date != (2, 29) else (2000,)
     after = [datetime.date(year, *date) + datetime.timedelta(1) for year in years]
     return {(each.month, each.day) for each in after}
 
 
-def _date(path, number, texts):
+def _date(path: object, number: int, texts: Sequence[str]) -> tuple[int, int]:
     """(Month, day) of a row."""
     try:
         month, day = (int(text) for text in texts)
@@ -317,7 +341,7 @@ def _date(path, number, texts):
     return month, day
 
 
-def _whole(path, number, text):
+def _whole(path: object, number: int, text: str) -> int:
     try:
         return int(float(text))
     except (ValueError, OverflowError):
@@ -326,7 +350,7 @@ def _whole(path, number, text):
         ) from None
 
 
-def _place(path, latitude, longitude, altitude):
+def _place(path: object, latitude: float, longitude: float, altitude: float) -> tuple[float, float, float]:
     if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and LOWEST_M <= altitude <= HIGHEST_M):
         raise ThermorenderError(
             f"{path}: latitude {latitude:g}, longitude {longitude:g}, elevation {altitude:g} m in the header are not "
@@ -335,14 +359,14 @@ def _place(path, latitude, longitude, altitude):
     return latitude, longitude, altitude
 
 
-def _number(path, where, text):
+def _number(path: object, where: str, text: str) -> float:
     try:
         return float(text)
     except ValueError:
         raise ThermorenderError(f"{path}: {shortened(repr(text))} in {where} is not a number; correct it") from None
 
 
-def _numbers(path, rows, column):
+def _numbers(path: object, rows: Lines, column: int) -> Floats:
     """Numbers (N,) of a column; empty cells are missing."""
     return np.array(
         [

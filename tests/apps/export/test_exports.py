@@ -314,7 +314,9 @@ def test_what_cannot_be_exported_is_refused(tmp_path):
 
     (tmp_path / "bare").mkdir()
     write_exr(tmp_path / "bare" / "frame_000000.exr", frame, truth=False)
-    with pytest.raises(ThermorenderError, match=r"has no 'truth.material'; render it again with --products exr,truth"):
+    with pytest.raises(
+        ThermorenderError, match=r"has no 'truth.material'; render it again with the products exr,truth"
+    ):
         masks(tmp_path / "bare", tmp_path / "out")
     assert not (tmp_path / "out").exists()
     with pytest.raises(ThermorenderError, match=r"without a place on Earth; add \[frame\] with latitude_deg"):
@@ -324,8 +326,6 @@ def test_what_cannot_be_exported_is_refused(tmp_path):
     scene = narrow(tr.load_scene(mesh), 16, 16)
     frame = tr.Renderer(scene, quality="fast", rays=16).frame(tr.pose(0, 0, 10, pitch_deg=-90))
     write_exr(tmp_path / "bare" / "frame_000000.exr", frame, truth=False)
-    with pytest.raises(
-        ThermorenderError, match=r"reaches 6\d\d K, and counts of 0.01 K end at 655.35 K; add --float32"
-    ):
+    with pytest.raises(ThermorenderError, match=r"reaches 6\d\d K, and counts of 0.01 K end at 655.35 K; set float32"):
         geotiff(tmp_path / "bare", tmp_path / "out")
     assert geotiff(tmp_path / "bare", tmp_path / "out", float32=True) == 1

@@ -2,7 +2,7 @@
 
 import pytest
 
-from thermorender.apps.material_tables.copy import copy_material
+from thermorender.apps.material_tables.edit import copy_material
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
 
@@ -49,7 +49,7 @@ def test_copy_of_a_directional_material_keeps_its_table(tmp_path):
             "'soil_lome', which the library does not hold; the closest are soil_loam",
         ),
         ("soil_loam", "my loam", {}, "name='my loam' is not a material name"),
-        ("soil_loam", "mine", {"solar": "0.2"}, "--set solar: not a property of a material; .*solar_absorptance"),
+        ("soil_loam", "mine", {"solar": "0.2"}, "'solar' is not a property of a material; .*solar_absorptance"),
         ("soil_loam", "mine", {"solar_absorptance": "25"}, "solar_absorptance=25 is not within 0…1"),
         ("soil_loam", "mine", {"emissivity": "95"}, "emissivity=95 is not within 0…1"),
         ("soil_loam", "mine", {"wetness": "wet"}, "wetness='wet' is not a number"),

@@ -109,7 +109,7 @@ def test_a_table_of_n_and_k_makes_a_material_emit_by_angle(files, tmp_path):
         wanted = document.library["glass_fresnel"].band_emissivity(*BAND, cosine)
         assert [each.band_emissivity(*BAND, cosine) for each in (pane, read)] == [wanted, wanted]
     assert "n and k from nk.csv" in read.note
-    with pytest.raises(ThermorenderError, match=r"pane emits by angle \(fresnel\); duplicate a Lambertian"):
+    with pytest.raises(ThermorenderError, match=r"pane emits by angle \(fresnel\); copy a Lambertian"):
         document.with_text("pane", "emissivity", "0.9")
 
 

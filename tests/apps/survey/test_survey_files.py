@@ -323,8 +323,8 @@ def test_names_are_compared_beyond_neighbours_in_the_folder(tmp_path):
 
 @pytest.mark.parametrize(
     ("step", "zero", "words"),
-    [(1.0, 0.0, "--scale=1,0 for counts of 1 K"), (1.0, 273.15, r"--scale=1,273\.15 for counts of 1 °C"),
-     (5.0 / 9.0, 273.15 - 160.0 / 9.0, r"--scale=0\.555556,255\.372 for counts of 1 °F")],
+    [(1.0, 0.0, "scale=1,0 for counts of 1 K"), (1.0, 273.15, r"scale=1,273\.15 for counts of 1 °C"),
+     (5.0 / 9.0, 273.15 - 160.0 / 9.0, r"scale=0\.555556,255\.372 for counts of 1 °F")],
 )  # fmt: skip
 def test_fractions_without_a_unit_are_asked_for_with_the_likely_one(tmp_path, step, zero, words):
     # Tenths of a degree Celsius would fit the numbers too, and be tens of kelvin wrong.
@@ -338,12 +338,12 @@ def test_fractions_without_a_unit_are_asked_for_with_the_likely_one(tmp_path, st
 
 def test_means_of_counts_are_asked_for_with_the_scale_of_counts(tmp_path):
     path = tiff(tmp_path / "a.tif", np.linspace(7100.5, 7500.25, 20, dtype=np.float32).reshape(4, 5))
-    with pytest.raises(ThermorenderError, match=r"look like --scale=0\.04,0 for counts of 0\.04 K"):
+    with pytest.raises(ThermorenderError, match=r"look like scale=0\.04,0 for counts of 0\.04 K"):
         read_temperature(path)
 
 
 def test_a_step_that_turns_warm_into_cold_is_refused():
-    with pytest.raises(ThermorenderError, match=r"--scale=-0\.01,600 has a STEP of -0\.01 .*above 0"):
+    with pytest.raises(ThermorenderError, match=r"scale=-0\.01,600 has a STEP of -0\.01 .*above 0"):
         parse_scale("-0.01,600")
 
 
@@ -376,7 +376,7 @@ def test_pictures_for_display_are_not_temperatures(tmp_path):
 
 def test_thousandths_of_a_degree_are_a_likely_scale(tmp_path):
     path = tiff(tmp_path / "a.tif", np.linspace(19_000, 43_000, 20).astype(np.uint16).reshape(4, 5))
-    with pytest.raises(ThermorenderError, match=r"look like --scale=0\.001,273\.15"):
+    with pytest.raises(ThermorenderError, match=r"look like scale=0\.001,273\.15"):
         read_temperature(path)
 
 

@@ -76,7 +76,7 @@ def geotiff(folder: str | PathLike[str], output: str | PathLike[str], float32: b
             if not float32 and (hottest := float(np.nanmax(kelvin))) > 65535 * STEP_K:
                 raise ThermorenderError(
                     f"frame {number} of {folder} reaches {hottest:.0f} K, and counts of 0.01 K end at "
-                    f"{65535 * STEP_K:.2f} K; add --float32"
+                    f"{65535 * STEP_K:.2f} K; set float32"
                 )
             with files.atomic(out / f"frame_{number:06d}.tif") as part:
                 _write(part, kelvin, about, float32)

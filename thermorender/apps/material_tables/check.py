@@ -4,11 +4,12 @@ Reading a library stops at the first fault. The check continues, and also looks 
 units in nanometres, percent or wavenumbers, gaps, missing spreads, tables without a row in the index.
 """
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.apps.material_tables.from_samples import WANTED_RANGE_UM
 from thermorender.apps.material_tables.samples import (
@@ -24,20 +25,21 @@ from thermorender.materials.csv_tables import (
     INDEX_COLUMNS,
     INDEX_OF_REFRACTION_COLUMNS,
     LONGEST_WAVELENGTH_UM,
-    ROUGHNESS_COLUMN,
-    SOLAR_STD_COLUMN,
     SPECTRUM_COLUMNS,
-    beyond,
-    csv_rows,
+    Fault,
+    Rows,
     decimal,
     gaps,
-    number_in_cell,
+    parsed_table,
+    read_text,
 )
-from thermorender.materials.library import DIRECTIONAL_MODELS, NAME, stray
-from thermorender.materials.thermal import THERMAL_COLUMNS, beneath, beneath_fault, parsed, read_thermals
-from thermorender.paths import data_folder, inside
-from thermorender.physics.fresnel import LARGEST_SLOPE
-from thermorender.units import LOWEST_KELVIN, ZERO_CELSIUS_K
+from thermorender.materials.library import NAME, parsed_row, stray
+from thermorender.materials.thermal import THERMAL_COLUMNS, Thermal, beneath, beneath_fault, parsed, read_thermals
+from thermorender.paths import data_folder
+
+Floats = NDArray[np.float64]
+
+_IN_UM = "the column is in µm"
 
 
 @dataclass(frozen=True)
@@ -48,23 +50,12 @@ class Finding:
     where: str
     text: str
 
-    def __str__(self):
+    def __str__(self) -> str:
         return f"{'fault' if self.fault else 'note '}  {self.where}: {self.text}"
 
 
 def check(path: str | Path) -> list[Finding]:
-    """Return the findings on a materials folder, or on a spectrum file of any kind that `import` reads.
-
-    Parameters
-    ----------
-    path : path
-        Folder with `index.csv`, `spectra/` and `thermal/`; or a CSV or ECOSTRESS file.
-
-    Returns
-    -------
-    list of Finding
-        Faults prevent reading or using the library; notes do not.
-    """
+    """Return the findings on a materials folder or a spectrum file; only faults prevent reading or using it."""
     path = Path(path)
     if path.is_dir():
         return _check_library(path)
@@ -75,12 +66,13 @@ def check(path: str | Path) -> list[Finding]:
     return _check_spectrum(path, path.name, None)
 
 
-def _check_library(folder):
-    rows, findings = [], []
+def _check_library(folder: Path) -> list[Finding]:
+    rows: Rows = []
+    findings: list[Finding] = []
     # A folder with only thermal properties needs no index.
     if (folder / "index.csv").exists() or not any((folder / "thermal").glob("*.csv")):
-        _, rows, findings = _table(folder, folder / "index.csv", INDEX_COLUMNS)
-    seen = set()
+        _, rows, findings = _table(folder, folder / "index.csv", INDEX_COLUMNS, "index.csv")
+    seen: set[str] = set()
     for row, cells in rows:
         where, name = f"index.csv, row {row}", cells["name"]
         if not NAME.fullmatch(name):
@@ -89,7 +81,7 @@ def _check_library(folder):
         if name in seen:
             findings.append(Finding(True, where, f"material {name!r} is listed twice; delete one row or rename it"))
         seen.add(name)
-        findings += check_row(where, cells)
+        findings += [Finding(True, where, fault) for fault in parsed_row(cells)[1]]
         findings += _check_spectrum(
             folder / "spectra" / f"{name}.csv", f"spectra/{name}.csv", cells["directional"], folder, cells["samples"]
         )
@@ -101,14 +93,17 @@ def _check_library(folder):
     return findings + _check_thermals(folder, seen)
 
 
-def _check_thermals(folder, names):
+def _check_thermals(folder: Path, names: set[str]) -> list[Finding]:
     """Return the findings on the thermal tables of a folder whose index has `names`."""
-    shipped, own, unreadable, findings = read_thermals(data_folder("materials")), {}, set(), []
+    shipped = read_thermals(data_folder("materials"))
+    own: dict[str, Thermal] = {}
+    unreadable: set[str] = set()
+    findings: list[Finding] = []
     for path in sorted((folder / "thermal").glob("*.csv")):
         where = f"thermal/{path.name}"
         _, rows, found = _table(folder, path, THERMAL_COLUMNS, where)
         thermal, faults = parsed(rows) if rows or not found else (None, [])
-        findings += found + _thermal_findings(where, faults)
+        findings += found + _of_faults(where, faults)
         if thermal:
             own[path.stem] = thermal
         else:
@@ -122,49 +117,19 @@ def _check_thermals(folder, names):
     return findings
 
 
-def _thermal_findings(where, faults):
+def _of_faults(where: str, faults: Sequence[Fault]) -> list[Finding]:
     return [Finding(True, f"{where}, row {row}" if row else where, sentence) for row, sentence in faults]
 
 
-def check_row(where: str, cells: Mapping[str, str]) -> list[Finding]:
-    """Return the findings on one row of the index, {column: text}."""
-    findings = [
-        Finding(True, where, f"{column} of material {cells['name']!r} is missing; say where the numbers come from and "
-                "on what terms ('own measurement, 2024' will do)")
-        for column in ("title", "source", "citation", "licence")
-        if not cells[column]
-    ]  # fmt: skip
-    if cells["directional"] not in DIRECTIONAL_MODELS:
-        findings.append(
-            Finding(True, where, f"directional={cells['directional']!r} is not known; write "
-                    f"{' or '.join(DIRECTIONAL_MODELS)}")
-        )  # fmt: skip
-    limits = [
-        ("solar_absorptance", 0.0, 1.0, "give the share absorbed, 0.7 for 70 %"),
-        ("temperature_k", LOWEST_KELVIN, 6000.0, f"values are kelvin, add {ZERO_CELSIUS_K} to °C"),
-        ("samples", 1.0, 1e6, "count the measured samples"),
-        *((f"colour_{c}", 0.0, 255.0, "give sRGB as a colour picker shows it") for c in "rgb"),
-    ]
-    if cells.get(ROUGHNESS_COLUMN):
-        limits.append((ROUGHNESS_COLUMN, 0.0, LARGEST_SLOPE, "give the root mean square slope, 0 for a mirror"))
-    if cells.get(SOLAR_STD_COLUMN):
-        limits.append((SOLAR_STD_COLUMN, 0.0, 1.0, "give one standard deviation, or leave the cell empty"))
-    for column, low, high, advice in limits:
-        try:
-            number_in_cell("", 0, column, cells[column], low, high, advice)
-        except ThermorenderError as error:
-            findings.append(Finding(True, where, str(error).partition(": ")[2]))
-    return findings
-
-
-def _check_spectrum(path, where, directional, folder=None, samples=""):
-    """Return the findings on a CSV table; with `directional` None its headings determine its kind."""
+def _check_spectrum(
+    path: Path, where: str, directional: str | None, folder: Path | None = None, samples: str = ""
+) -> list[Finding]:
+    """The findings on a CSV table; with `directional` None its column names determine its kind."""
     header, rows, findings = _table(folder, path, (), where)
     if directional is None and "property" in header:
         missing = [column for column in THERMAL_COLUMNS if column not in header]
         lacks = f"row 1 lacks column {', '.join(missing)}; it must hold {', '.join(THERMAL_COLUMNS)}"
-        faults = [(None, lacks)] if missing else parsed(rows)[1]
-        return findings + _thermal_findings(where, faults)
+        return findings + _of_faults(where, [(None, lacks)] if missing else parsed(rows)[1])
     if not rows:
         if header and not findings:
             findings.append(Finding(True, where, "has no row of data; a spectrum needs at least 2"))
@@ -184,45 +149,54 @@ def _check_spectrum(path, where, directional, folder=None, samples=""):
             Finding(True, where, f"row 1 holds {shortened(', '.join(header))}; it must hold {wanted}, which state the "
                     "units")
         ]  # fmt: skip
-    numbers = [row for row, _ in rows]
-    axis, found = _column(where, numbers, first, [cells[first] for _, cells in rows])
+    axis, found = _check_axis(where, rows, first, in_library=directional is not None)
     findings += found
-    if first == "wavelength_um":
-        axis, found = _to_um(where, axis)
-        # In another unit all values are outside, which is reported once.
-        findings += found or _outside(where, numbers, first, axis, 0.0, LONGEST_WAVELENGTH_UM, "the column is in µm")
-    else:
-        axis = WAVELENGTH_UNITS[first](axis)
-    # Wavenumbers, and tables that `import` sorts, may be in either order.
-    order = _order(where, numbers, axis, first)
-    if directional is not None or found or np.any(np.diff(axis) >= 0.0):
-        findings += order if not (found and np.all(np.diff(axis) < 0.0)) else []
     for column in quantities:
-        values, found = _column(where, numbers, column, [cells[column] for _, cells in rows])
-        findings += found
-        if column in ("n", "k"):
-            findings += _outside(where, numbers, column, values, 1e-3 if column == "n" else 0.0, 1e3, "give n + ik")
-        else:
-            findings += _share(where, numbers, column, values, "percent" in column)
+        findings += _check_quantity(where, rows, column)
     if "emissivity_std" in header:
-        findings += _spread(where, numbers, [cells["emissivity_std"] for _, cells in rows], samples)
+        findings += _spread(where, rows, samples)
     return findings + _coverage(where, axis)
 
 
-def _check_slum(where, header, rows):
-    """Return the findings on a SLUM table: emissivity against µm, or reflectance [%] against nm, one column each."""
-    numbers = [row for row, _ in rows]
-    axis, findings = _column(where, numbers, header[0], [cells[header[0]] for _, cells in rows])
+def _check_axis(where: str, rows: Rows, column: str, in_library: bool) -> tuple[Floats, list[Finding]]:
+    """(Wavelengths (N,) [µm] of a column, findings on their unit, range and order)."""
+    axis, findings = _column(where, rows, column)
+    found: list[Finding] = []
+    if column == "wavelength_um":
+        axis, found = _to_um(where, axis)
+        # In another unit all values are outside, which is reported once.
+        findings += found or _outside(where, _numbers(rows), column, axis, 0.0, LONGEST_WAVELENGTH_UM, _IN_UM)
+    else:
+        found, axis = findings[:], WAVELENGTH_UNITS[column](axis)
+    # Wavenumbers, and tables that `import` sorts, may be in either order.
+    falls, order = bool(np.all(np.diff(axis) < 0.0)), _order(where, _numbers(rows), axis, column)
+    if in_library or found or np.any(np.diff(axis) >= 0.0):
+        findings += order if not (found and falls) else []
+    return axis, findings
+
+
+def _check_quantity(where: str, rows: Rows, column: str) -> list[Finding]:
+    """The findings on a column of n, k, emissivity or reflectance."""
+    values, findings = _column(where, rows, column)
+    if column in ("n", "k"):
+        low = 1e-3 if column == "n" else 0.0
+        return findings + _outside(where, _numbers(rows), column, values, low, 1e3, "give n + ik")
+    return findings + _share(where, _numbers(rows), column, values, "percent" in column)
+
+
+def _check_slum(where: str, header: list[str], rows: Rows) -> list[Finding]:
+    """The findings on a SLUM table: emissivity against µm, or reflectance [%] against nm, one column each."""
+    axis, findings = _column(where, rows, header[0])
     short_wave = bool(np.nanmax(axis) > LONGEST_WAVELENGTH_UM)
     axis = axis / 1e3 if short_wave else axis
-    findings += _order(where, numbers, axis, header[0])
+    findings += _order(where, _numbers(rows), axis, header[0])
     for column in header[1:]:
-        values, found = _column(where, numbers, column, [cells[column] for _, cells in rows])
-        findings += found + _share(where, numbers, column, values, short_wave)
+        values, found = _column(where, rows, column)
+        findings += found + _share(where, _numbers(rows), column, values, short_wave)
     return findings if short_wave else findings + _coverage(where, axis)
 
 
-def _check_ecostress(path):
+def _check_ecostress(path: Path) -> list[Finding]:
     where = path.name
     header, pairs = ecostress_lines(path)
     findings = []
@@ -249,54 +223,27 @@ def _check_ecostress(path):
     wavelength, found = _to_um(where, wavelength)
     findings += found + _order(where, numbers, wavelength, "wavelength", "pair")
     thermal = wavelength > 3.2
-    inside = _share(where, np.array(numbers)[thermal], "reflectance", percent[thermal], True, "pair")
-    return findings + inside + _coverage(where, wavelength)
+    kept = [number for number, own in zip(numbers, thermal, strict=True) if own]
+    return findings + _share(where, kept, "reflectance", percent[thermal], True, "pair") + _coverage(where, wavelength)
 
 
-def _table(folder, path, columns, where=None):
-    """Return header, rows and findings of a CSV file, continuing after faults if possible."""
-    where, findings = where or path.name, []
-    if folder is not None and not inside(path, folder):
-        return [], [], [Finding(True, where, f"leads out of {folder}; put the file itself into the folder")]
-    if not path.is_file():
-        text = "does not exist; a materials folder holds index.csv and spectra/<name>.csv"
-        return [], [], [Finding(True, where, text)]
-    raw = path.read_bytes()
+def _table(
+    folder: Path | None, path: Path, columns: Sequence[str], where: str
+) -> tuple[list[str], Rows, list[Finding]]:
+    """(Column names, rows, findings) of a CSV file, continuing after faults if possible."""
+    findings = []
     try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        text = f"is not UTF-8 text ({error.reason} at byte {error.start}); save it as 'CSV UTF-8' in the spreadsheet"
-        findings.append(Finding(True, where, text))
-        text = raw.decode("latin-1")
-    first = text.partition("\n")[0]
-    delimiter = ","
-    if ";" in first and "," not in first:
-        findings.append(Finding(True, where, "is separated by semicolons; save it comma-separated"))
-        delimiter = ";"
-    try:
-        table = csv_rows(text, where, delimiter)
+        text = read_text(path, folder)
     except ThermorenderError as error:
-        row, _, fault = str(error).partition(": ")
-        return [], [], findings + [Finding(True, row, fault)]
-    header = [cell.strip() for cell in table[0]] if table else []
-    missing = [column for column in columns if column not in header]
-    twice = {column for column in header if column and header.count(column) > 1}
-    if missing or not header or twice:
-        fault = f"lacks column {', '.join(missing)}" if missing else "holds no headings"
-        fault = f"holds column {', '.join(sorted(twice))} twice" if twice else fault
-        advice = f"; the first row must hold {', '.join(columns) or 'the names of the columns'}, each once"
-        return header, [], findings + [Finding(True, where, f"row 1 {fault}{advice}")]
-    rows = []
-    for number, cells in enumerate(table[1:], start=2):
-        if any(cell.strip() for cell in cells):
-            if fault := beyond(header, cells):
-                findings.append(Finding(True, f"{where}, row {number}", fault))
-            cells = cells + [""] * (len(header) - len(cells))
-            rows.append((number, {key: cell.strip() for key, cell in zip(header, cells, strict=False)}))
-    return header, rows, findings
+        findings.append(Finding(True, where, str(error).removeprefix(f"{path} ")))
+        if not isinstance(error.__cause__, UnicodeDecodeError):
+            return [], [], findings
+        text = path.read_bytes().decode("latin-1")
+    header, rows, faults = parsed_table(text, columns)
+    return header, rows, findings + _of_faults(where, faults)
 
 
-def _quantities(header, directional):
+def _quantities(header: list[str], directional: str | None) -> list[str]:
     """Return the value columns that a table of this kind must have; empty if they are missing."""
     angles = [column for column in header if ANGLE_COLUMN.fullmatch(column)]
     if directional == "fresnel" or (directional is None and {"n", "k"} <= set(header)):
@@ -308,8 +255,13 @@ def _quantities(header, directional):
     return ["emissivity"] if set(SPECTRUM_COLUMNS) <= set(header) else []
 
 
-def _column(where, numbers, column, texts):
-    """Return the values of a column, NaN where a cell is not a number, and one finding on these."""
+def _numbers(rows: Rows) -> list[int]:
+    return [number for number, _ in rows]
+
+
+def _column(where: str, rows: Rows, column: str, empty: str = "") -> tuple[Floats, list[Finding]]:
+    """(Values (N,) of a column, NaN where a cell is not a number, one finding on these); `empty` is for empty cells."""
+    texts = [cells[column] or empty for _, cells in rows]
     values = np.full(len(texts), np.nan)
     for index, text in enumerate(texts):
         try:
@@ -321,10 +273,10 @@ def _column(where, numbers, column, texts):
         return values, []
     first = shortened(repr(texts[bad[0]]))
     text = f"{column}={first} is not a number{_more(bad)}; write it with a point as decimal mark and no unit"
-    return values, [Finding(True, f"{where}, row {numbers[bad[0]]}", text)]
+    return values, [Finding(True, f"{where}, row {rows[bad[0]][0]}", text)]
 
 
-def _to_um(where, wavelength):
+def _to_um(where: str, wavelength: Floats) -> tuple[Floats, list[Finding]]:
     """Return the wavelengths converted to µm from their apparent unit, and a finding if that is not µm."""
     known = wavelength[np.isfinite(wavelength)]
     if not known.size or (known.max() <= LONGEST_WAVELENGTH_UM and not known.min() >= 300.0):
@@ -336,7 +288,7 @@ def _to_um(where, wavelength):
     return wavelength / 1e3, [Finding(True, where, f"{span}: nanometres? divide the column by 1000")]
 
 
-def _order(where, numbers, wavelength, column, word="row"):
+def _order(where: str, numbers: Sequence[int], wavelength: Floats, column: str, word: str = "row") -> list[Finding]:
     steps = np.diff(wavelength)
     findings = []
     repeated, falling = np.flatnonzero(steps == 0.0), np.flatnonzero(steps < 0.0)
@@ -354,7 +306,9 @@ def _order(where, numbers, wavelength, column, word="row"):
     return findings
 
 
-def _share(where, numbers, column, values, percent, word="row"):
+def _share(
+    where: str, numbers: Sequence[int], column: str, values: Floats, percent: bool, word: str = "row"
+) -> list[Finding]:
     """Return the findings on values within 0…1, or within 0…100 percent."""
     known = values[np.isfinite(values)]
     if not percent and known.size and np.median(known) > 1.5 and known.max() <= 100.0:
@@ -364,7 +318,16 @@ def _share(where, numbers, column, values, percent, word="row"):
     return _outside(where, numbers, column, values, 0.0, top, "leave the sample out, or correct it", word)
 
 
-def _outside(where, numbers, column, values, low, high, advice, word="row"):
+def _outside(
+    where: str,
+    numbers: Sequence[int],
+    column: str,
+    values: Floats,
+    low: float,
+    high: float,
+    advice: str,
+    word: str = "row",
+) -> list[Finding]:
     bad = np.flatnonzero((values < low) | (values > high))
     if not bad.size:
         return []
@@ -372,9 +335,11 @@ def _outside(where, numbers, column, values, low, high, advice, word="row"):
     return [Finding(True, f"{where}, {word} {numbers[bad[0]]}", text)]
 
 
-def _spread(where, numbers, texts, samples):
-    values, findings = _column(where, numbers, "emissivity_std", [text or "0" for text in texts])
-    findings += _outside(where, numbers, "emissivity_std", values, 0.0, 1.0, "give the standard deviation, or nothing")
+def _spread(where: str, rows: Rows, samples: str) -> list[Finding]:
+    texts = [cells["emissivity_std"] for _, cells in rows]
+    values, findings = _column(where, rows, "emissivity_std", "0")
+    advice = "give the standard deviation, or nothing"
+    findings += _outside(where, _numbers(rows), "emissivity_std", values, 0.0, 1.0, advice)
     if samples.isdigit() and int(samples) > 1 and not any(texts):
         text = f"emissivity_std is empty for {samples} samples; give their standard deviation"
         findings.append(Finding(False, where, text))
@@ -384,7 +349,7 @@ def _spread(where, numbers, texts, samples):
     return findings
 
 
-def _coverage(where, wavelength):
+def _coverage(where: str, wavelength: Floats) -> list[Finding]:
     """Return the findings on gaps and on the range of the wavelengths [µm]."""
     known = np.unique(wavelength[np.isfinite(wavelength)])
     if known.size < 2:
@@ -404,12 +369,12 @@ def _coverage(where, wavelength):
     return findings
 
 
-def _more(bad):
+def _more(bad: NDArray[np.intp]) -> str:
     return f" (and {bad.size - 1} more)" if bad.size > 1 else ""
 
 
-def _is_number(text):
+def _is_number(text: str) -> bool:
     try:
-        return np.isfinite(decimal(text))
+        return bool(np.isfinite(decimal(text)))
     except ValueError:
         return False

@@ -8,21 +8,36 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.apps.material_tables.check import check_row
 from thermorender.apps.material_tables.from_samples import from_samples, is_refractive_index
 from thermorender.apps.material_tables.samples import read_sample
 from thermorender.errors import ThermorenderError
-from thermorender.materials.csv_tables import SOLAR_STD_COLUMN, decimal, gaps, read_refractive_index, share_in_cell
-from thermorender.materials.library import find
+from thermorender.materials.csv_tables import (
+    INDEX_COLUMNS,
+    ROUGHNESS_COLUMN,
+    SHARE_ADVICE,
+    SOLAR_STD_COLUMN,
+    SPECTRUM_COLUMNS,
+    decimal,
+    gaps,
+    parsed_number,
+    read_refractive_index,
+    read_table,
+    read_text,
+)
+from thermorender.materials.library import find, load_library, parsed_row
 from thermorender.materials.material import Material
-from thermorender.materials.store import index_row
-from thermorender.materials.thermal import CHOSEN, PROPERTIES, Thermal, stacked, with_values
+from thermorender.materials.store import index_row, store
+from thermorender.materials.thermal import CHOSEN, PROPERTIES, Thermal, stacked, table_text, with_values
+from thermorender.paths import data_folder
+from thermorender.schema import did_you_mean
 
 # A flat emissivity, as a property beside those of the tables.
 EMISSIVITY = "emissivity"
 # Columns of the index that an edit may set.
 _NUMBERS = ("solar_absorptance", SOLAR_STD_COLUMN, "temperature_k")
 _TEXTS = ("title", "source", "citation", "licence", "note")
+# Columns of the index that a copy may set.
+_OF_COPY = ("title", "colour_r", "colour_g", "colour_b", *_NUMBERS, ROUGHNESS_COLUMN, "note")
 # Source of thermal values, and begin of the note on others, that an edit sets.
 _SOURCE, _NOTE = f"{CHOSEN} set by hand", "Set by hand: "
 
@@ -69,9 +84,8 @@ def with_text(library: Mapping[str, Material], name: str, key: str, text: str) -
         grid = material.wavelength_um
         return {**library, name: with_spectrum(material, grid, np.full(grid.size, share(text)), f"{key}={text}")}
     row = {column: str(value) for column, value in index_row(material).items()} | {key: text}
-    for finding in check_row(name, row):
-        if finding.fault:
-            raise ThermorenderError(finding.text)
+    for fault in parsed_row(row)[1]:
+        raise ThermorenderError(fault)
     new: dict[str, Any] = {key: text}
     if key in _NUMBERS:
         number = decimal(text) if text else None
@@ -81,10 +95,10 @@ def with_text(library: Mapping[str, Material], name: str, key: str, text: str) -
 
 def share(text: str) -> float:
     """Return an emissivity 0…1; ThermorenderError, in the words of a table, for any other text."""
-    try:
-        return share_in_cell("", 0, EMISSIVITY, text)
-    except ThermorenderError as error:
-        raise ThermorenderError(str(error).partition(": ")[2]) from None
+    value, fault = parsed_number(EMISSIVITY, text, 0.0, 1.0, SHARE_ADVICE)
+    if value is None:
+        raise ThermorenderError(fault)
+    return value
 
 
 def _noted(note: str, what: str) -> str:
@@ -97,9 +111,7 @@ def _noted(note: str, what: str) -> str:
 
 
 def _with_thermal(library: Mapping[str, Material], material: Material, key: str, text: str) -> dict[str, Material]:
-    thermal, faults = with_values(material.thermal, {key: text}, _SOURCE)
-    if thermal is None:
-        raise ThermorenderError(faults[0])
+    thermal = _thermal_of(material, {key: text}, _SOURCE)
     thermals: dict[str, Thermal] = {}
     for each in library.values():
         layers = each.thermal.layers if each.thermal else ()
@@ -113,6 +125,13 @@ def _with_thermal(library: Mapping[str, Material], material: Material, key: str,
         name: each if each.thermal == layered.get(name) else replace(each, thermal=layered[name])
         for name, each in library.items()
     }
+
+
+def _thermal_of(material: Material, settings: Mapping[str, str], source: str) -> Thermal:
+    thermal, faults = with_values(material.thermal, settings, source)
+    if thermal is None:
+        raise ThermorenderError(faults[0])
+    return thermal
 
 
 def with_spectrum(
@@ -133,16 +152,20 @@ def with_spectrum(
     ThermorenderError
         The material emits by angle.
     """
-    if material.directional != "lambertian":
-        raise ThermorenderError(
-            f"{material.name} emits by angle ({material.directional}); duplicate a Lambertian material, or load a "
-            "table with the columns wavelength_um, n and k"
-        )
+    _refuse_angular(material)
     return replace(
         material, wavelength_um=wavelength_um, emissivity=emissivity, assumed_um=(),
         gaps_um=tuple(gaps(wavelength_um)),
         emissivity_std=np.full(wavelength_um.size, np.nan), samples=1, note=_noted(material.note, what),
     )  # fmt: skip
+
+
+def _refuse_angular(material: Material) -> None:
+    if material.directional != "lambertian":
+        raise ThermorenderError(
+            f"{material.name} emits by angle ({material.directional}); copy a Lambertian material, or load a table "
+            "with the columns wavelength_um, n and k"
+        )
 
 
 def with_spectrum_of(material: Material, path: str | Path, column: str | None = None, name: str = "") -> Material:
@@ -179,3 +202,47 @@ def with_spectrum_of(material: Material, path: str | Path, column: str | None = 
         raise ThermorenderError(str(error).replace(str(path), name).replace(path.name, name)) from None
     new = with_spectrum(material, made.wavelength_um, made.emissivity, f"emissivity from {name}")
     return replace(new, source=made.source, citation=made.citation, licence=made.licence) if sample.library else new
+
+
+def copy_material(
+    source: str, name: str, directory: str | Path, settings: Mapping[str, str], library: str | Path | None = None,
+    replace: bool = False,
+) -> None:  # fmt: skip
+    """Write a copy of a material into a materials folder, with other values of some properties, {name: text}.
+
+    `settings` are columns of the index, properties of the thermal table, and a flat emissivity of a Lambertian
+    material; other cells keep their text. The copy's note and sources say what was set. `library` overrides the shipped
+    one; a copy of its source's own name is a scene's version of that material.
+    """
+    known = find(load_library(library), source, "materials copy")
+    own = None if library is None else _row(Path(library), source)
+    folder = Path(library) if library is not None and own is not None else data_folder("materials")
+    row = dict(own or _row(folder, source) or {})
+    allowed = (*_OF_COPY, EMISSIVITY, *PROPERTIES)
+    for key in settings:
+        if key not in allowed:
+            raise ThermorenderError(
+                f"{key!r} is not a property of a material; {did_you_mean(key, allowed)}give one of {', '.join(allowed)}"
+            )
+    spectrum = read_text(folder / "spectra" / f"{source}.csv")
+    if EMISSIVITY in settings:
+        _refuse_angular(known)
+        lines = [f"{wavelength:.9g},{settings[EMISSIVITY]}," for wavelength in known.wavelength_um]
+        spectrum = "\n".join([",".join(SPECTRUM_COLUMNS), *lines]) + "\n"
+    shown = ", ".join(f"{key}={text}" for key, text in settings.items() if key not in ("title", "note"))
+    note = f"Copy of {source}" + (f" with {shown}" if shown else "") + "."
+    row |= {"name": name, "note": " ".join(filter(None, (note, row.get("note", ""))))}
+    row |= {key: text for key, text in settings.items() if key in _OF_COPY}
+    changed = {key: text for key, text in settings.items() if key in PROPERTIES}
+    thermal = known.thermal
+    if changed:
+        thermal = _thermal_of(known, changed, f"{CHOSEN} set in a copy of {source}")
+    store(row, spectrum, directory, replace, table_text(thermal) if thermal else None)
+
+
+def _row(folder: Path, name: str) -> dict[str, str] | None:
+    """The cells of a material in a folder's index, or None."""
+    index = folder / "index.csv"
+    if not index.is_file():
+        return None
+    return next((cells for _, cells in read_table(index, INDEX_COLUMNS) if cells["name"] == name), None)

@@ -5,10 +5,11 @@ over the samples on a grid of 0.05 µm that preserves the integrals of the measu
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.apps.material_tables.samples import LIBRARIES, Sample, is_ecostress, read_sample
 from thermorender.errors import ThermorenderError
@@ -18,6 +19,8 @@ from thermorender.materials.material import Material
 from thermorender.materials.store import write_material, write_refractive_index
 from thermorender.physics.planck import spectral_radiance
 from thermorender.units import kelvin
+
+Floats = NDArray[np.float64]
 
 SELECTION_COLUMNS = (
     "material", "file", "title", "colour_r", "colour_g", "colour_b", "solar_absorptance", "temperature_k",
@@ -57,19 +60,9 @@ def from_samples(
 
     Samples are resampled to steps of 0.05 µm before the mean and standard deviation. The table covers the common range
     of all samples within 3.2–15 µm, extended towards 7–14 µm by those that cover more; there the mean is over fewer
-    samples, as the note records.
-
-    Parameters
-    ----------
-    samples : sequence of Sample
-    name, title, colour, temperature, note
-        As in Material; the temperature in kelvin.
-    solar_absorptance : float, optional
-        Default: one minus the sunlight-weighted reflectance of the samples that cover the solar range.
-    solar_absorptance_std : float, optional
-        Default: the standard deviation over the samples that cover the solar range, if they are three or more.
-    source, citation, licence : str, optional
-        For samples of an unknown library; known for ECOSTRESS and SLUM.
+    samples, as the note records. `solar_absorptance` is by default one minus the sunlight-weighted reflectance of the
+    samples that cover the solar range, and its standard deviation that over them if they are three or more. Source,
+    citation and licence are known for ECOSTRESS and SLUM.
     """
     if not samples:
         raise ThermorenderError(f"material {name!r} has no sample; give at least one spectrum file")
@@ -99,9 +92,10 @@ def from_samples(
         f"{LIBRARIES[key][0]}: {'; '.join(sample.source for sample in samples if sample.library == key)}"
         for key in libraries
     ]
+    red, green, blue = colour
     return Material(
         name=name, title=title or samples[0].name, wavelength_um=grid, emissivity=np.nanmean(tables, axis=0),
-        emissivity_std=std, colour=tuple(colour), solar_absorptance=solar_absorptance, temperature=temperature,
+        emissivity_std=std, colour=(red, green, blue), solar_absorptance=solar_absorptance, temperature=temperature,
         source="; ".join(filter(None, [source, *sources])),
         citation="; ".join(filter(None, [citation, *(LIBRARIES[key][1] for key in libraries)])),
         licence="; ".join(filter(None, [licence, *(LIBRARIES[key][2] for key in libraries)])), samples=len(samples),
@@ -115,53 +109,45 @@ def import_files(
     temperature: float = 300.0, rms_slope: float = 0.0, source: str = "", citation: str = "", licence: str = "",
     note: str = "", replace: bool = False,
 ) -> Material:  # fmt: skip
-    """Write a material from spectrum files into a folder; return it as read back.
+    """Write a material from spectra for `read_sample`, or from one table of n and k; return it as read back.
 
-    Parameters
-    ----------
-    paths : sequence of path
-        Spectra for `read_sample`; or one table of n and k for a Fresnel material.
-    directory : path
-        Materials folder; created if missing.
-    columns : sequence of str, optional
-        Samples to take from each table with several.
-    rms_slope : float
-        Roughness, for n and k only.
-    others
-        As in `from_samples`.
+    `columns` are the samples to take from each table with several; `rms_slope` is the roughness, for n and k only.
+    Others are as in `from_samples`.
     """
     kelvin("temperature", temperature)
-    paths = [Path(path) for path in paths]
-    is_index = [is_refractive_index(path) for path in paths]
-    if any(is_index) and (len(paths) > 1 or columns):
-        table = paths[is_index.index(True)]
-        raise ThermorenderError(f"{table} is a table of n and k, which must be a material's only file")
+    files = [Path(path) for path in paths]
+    tables = [path for path in files if is_refractive_index(path)]
+    if tables and (len(files) > 1 or columns):
+        raise ThermorenderError(f"{tables[0]} is a table of n and k, which must be a material's only file")
     words = {"source": source, "citation": citation, "licence": licence}
-    if not any(is_index):
-        samples = [read_sample(path, column) for path in paths for column in (columns or [None])]
-    if any(is_index) or any(not sample.library for sample in samples):
-        missing = [key for key, value in words.items() if not value]
-        if missing:
-            raise ThermorenderError(
-                f"material {name!r} does not come from a known library; add its origin with "
-                f"{' '.join(f'--{key} TEXT' for key in missing)}"
-            )
-    if any(is_index):
+    samples = [] if tables else [read_sample(path, column) for path in files for column in (columns or (None,))]
+    if tables or not all(sample.library for sample in samples):
+        _refuse_without_origin(name, words)
+    if tables:
         if solar_absorptance is None:
-            raise ThermorenderError(f"n and k do not give the solar absorptance of {name!r}; add --solar-absorptance")
+            raise ThermorenderError(f"n and k do not give the solar absorptance of {name!r}; add solar_absorptance")
         cells = words | {
-            "name": name, "title": title or name, "samples": 1, "note": note, "temperature_k": f"{temperature:g}",
+            "name": name, "title": title or name, "samples": "1", "note": note, "temperature_k": f"{temperature:g}",
             "solar_absorptance": f"{solar_absorptance:g}", "rms_slope": f"{rms_slope:g}",
         } | {f"colour_{key}": f"{value:g}" for key, value in zip("rgb", colour, strict=True)}  # fmt: skip
-        write_refractive_index(paths[0], cells, directory, replace)
+        write_refractive_index(files[0], cells, directory, replace)
     else:
         if rms_slope:
             raise ThermorenderError(f"rms_slope={rms_slope:g} is for tables of n and k; leave it out for {name!r}")
         material = from_samples(
-            samples, name, title, tuple(int(value) for value in colour), solar_absorptance, temperature, note, **words
-        )
+            samples, name, title, tuple(int(value) for value in colour), solar_absorptance, temperature, note,
+            source=source, citation=citation, licence=licence,
+        )  # fmt: skip
         write_material(material, directory, replace)
     return read_library(Path(directory))[name]
+
+
+def _refuse_without_origin(name: str, words: Mapping[str, str]) -> None:
+    missing = [key for key, value in words.items() if not value]
+    if missing:
+        raise ThermorenderError(
+            f"material {name!r} does not come from a known library; add its origin as {', '.join(missing)}"
+        )
 
 
 def read_selection(path: str | Path, folders: Sequence[str | Path]) -> list[Material]:
@@ -169,15 +155,10 @@ def read_selection(path: str | Path, folders: Sequence[str | Path]) -> list[Mate
 
     The file has one row per sample. The first row of a material also has its title, colour, temperature, note and, if
     not measured, its solar absorptance; solar_absorptance_std may add the standard deviation if fewer than three
-    samples give one. A sample of a table with several is written `LUMA_SLUM_IR.csv#A001`.
-
-    Parameters
-    ----------
-    path : path
-    folders : sequence of path
-        Folders searched for the spectrum files, in this order.
+    samples give one. A sample of a table with several is written `LUMA_SLUM_IR.csv#A001`. `folders` are searched in
+    order.
     """
-    groups = {}
+    groups: dict[str, tuple[int, dict[str, str], list[tuple[Path, str | None]]]] = {}
     for row, cells in read_table(path, SELECTION_COLUMNS):
         file, _, column = cells["file"].partition("#")
         if Path(file).name != file:
@@ -195,7 +176,7 @@ def read_selection(path: str | Path, folders: Sequence[str | Path]) -> list[Mate
     materials = []
     for name, (row, cells, sources) in groups.items():
 
-        def number(column, low, high, row=row, cells=cells):
+        def number(column: str, low: float, high: float, row: int = row, cells: dict[str, str] = cells) -> float:
             return number_in_cell(path, row, column, cells[column], low, high, "correct the first row of the material")
 
         solar, solar_std = (
@@ -216,7 +197,7 @@ def read_selection(path: str | Path, folders: Sequence[str | Path]) -> list[Mate
     return materials
 
 
-def _resampled(samples, name):
+def _resampled(samples: Sequence[Sample], name: str) -> tuple[Floats, Floats]:
     """Return the wavelengths (N,) [µm] and the emissivity of each sample, (samples, N), NaN where not covered."""
     grid = _common_grid(samples, name)
     tables = np.full((len(samples), grid.size), np.nan)
@@ -242,7 +223,7 @@ def is_refractive_index(path: Path) -> bool:
     return {"n", "k"} <= {cell.strip() for cell in header}
 
 
-def _common_grid(samples, name):
+def _common_grid(samples: Sequence[Sample], name: str) -> Floats:
     """Return the table's wavelengths [µm]: the common range of all samples, extended towards 7–14 µm by some."""
     starts, ends = np.array([sample.wavelength_um[[0, -1]] for sample in samples]).T
     first = max(KEPT_RANGE_UM[0], min(starts.max(), max(WANTED_RANGE_UM[0], starts.min())))
@@ -256,7 +237,7 @@ def _common_grid(samples, name):
     return np.round(steps * STEP_UM, 9)
 
 
-def _thermal_part(sample, name):
+def _thermal_part(sample: Sample, name: str) -> Sample:
     """Return a sample without the part below a gap of its measurement; refuse gaps within 7–14 µm."""
     first = sample.wavelength_um[0]
     for start, end in gaps(sample.wavelength_um):
@@ -271,7 +252,7 @@ def _thermal_part(sample, name):
     return dataclasses.replace(sample, wavelength_um=sample.wavelength_um[kept], reflectance=sample.reflectance[kept])
 
 
-def _check_sample(sample, name, first, last):
+def _check_sample(sample: Sample, name: str, first: float, last: float) -> None:
     """Refuse a sample outside 0…1 within the table's range."""
     kept = (sample.wavelength_um >= first - SLACK_UM) & (sample.wavelength_um <= last + SLACK_UM)
     bad = kept & ~((sample.reflectance >= 0.0) & (sample.reflectance <= 1.0))
@@ -293,7 +274,7 @@ def _check_sample(sample, name, first, last):
         )
 
 
-def _on_grid(wavelength, value, grid):
+def _on_grid(wavelength: Floats, value: Floats, grid: Floats) -> Floats:
     """Return the least-squares table of a spectrum on an even grid, both linear between their points.
 
     The mean and slope over each half micrometre are kept exactly. Band emissivities are integrals with a smooth weight,
@@ -311,21 +292,21 @@ def _on_grid(wavelength, value, grid):
     share = (points - grid[cell]) / step
     spectrum = np.interp(points, wavelength, value)
 
-    def onto_grid(values, row=0, rows=1):
+    def onto_grid(values: Floats, row: NDArray[np.intp] | int = 0, rows: int = 1) -> Floats:
         """Integrals of values times each hat function of the table, summed into rows."""
         left = np.bincount(row * size + cell, values * weights * (1.0 - share), rows * size)
-        return (left + np.bincount(row * size + cell + 1, values * weights * share, rows * size)).reshape(rows, size)
+        right = np.bincount(row * size + cell + 1, values * weights * share, rows * size)
+        return np.asarray(left + right, np.float64).reshape(rows, size)
 
     between = np.diag(np.bincount(cell, weights * share * (1.0 - share), size)[:-1], 1)
     own = np.bincount(cell, weights * (1.0 - share) ** 2, size) + np.bincount(cell + 1, weights * share**2, size)
     gram, pull = np.diag(own) + between + between.T, onto_grid(spectrum)[0]
     edges = np.flatnonzero(np.abs(grid / INTERVAL_UM - np.round(grid / INTERVAL_UM)) < 1e-6)
     interval = np.searchsorted(edges, cell, side="right")
-    kept, aim = [], []
-    for lever in (np.ones(points.size), points - grid[cell[0]]):
-        kept.append(onto_grid(lever, interval, edges.size + 1)[1:-1])
-        aim.append(np.bincount(interval, weights * lever * spectrum, edges.size + 1)[1:-1])
-    kept, aim = np.concatenate(kept), np.concatenate(aim)
+    levers = (np.ones(points.size), points - grid[cell[0]])
+    kept = np.concatenate([onto_grid(lever, interval, edges.size + 1)[1:-1] for lever in levers])
+    moments = [np.bincount(interval, weights * lever * spectrum, edges.size + 1)[1:-1] for lever in levers]
+    aim = np.concatenate(moments)
     table, fixed = np.zeros(size), np.zeros(size, dtype=bool)
     for _ in range(size):
         free = ~fixed
@@ -342,7 +323,7 @@ def _on_grid(wavelength, value, grid):
     return table
 
 
-def _coverage(grid, count):
+def _coverage(grid: Floats, count: NDArray[np.intp]) -> str:
     """Return a remark on the number of samples by wavelength; "" if it is constant."""
     if count.min() == count.max():
         return ""
@@ -351,7 +332,7 @@ def _coverage(grid, count):
     return "samples: " + ", ".join(f"{count[a]} over {grid[a]:g}–{grid[b - 1]:g} µm" for a, b in parts)
 
 
-def _solar_absorptance(samples, name):
+def _solar_absorptance(samples: Sequence[Sample], name: str) -> tuple[float, float | None, str]:
     """Return one minus the reflectance weighted with a 5778 K blackbody, its spread or None, and a remark."""
     values, starts = [], []
     for sample in samples:
@@ -368,7 +349,7 @@ def _solar_absorptance(samples, name):
     if not values:
         raise ThermorenderError(
             f"no sample of material {name!r} covers {SOLAR_START_UM:g}–{SOLAR_RANGE_UM[1]:g} µm, so its "
-            "solar_absorptance is unknown; give an assumed value with --solar-absorptance"
+            "solar_absorptance is unknown; give an assumed value as solar_absorptance"
         )
     remark = (
         f"solar absorptance from {len(values)} of {len(samples)} samples, weighted with a "

@@ -19,23 +19,10 @@ MOST_MATERIALS = 8
 def plot(
     materials: Sequence[Material], path: str | Path, band_um: tuple[float, float] = BAND_UM, temperature: float = 300.0
 ) -> Path:
-    """Write a PNG of the spectra of materials; return its path.
+    """Write a PNG of the hemispherical emissivity of one to eight materials, ± one standard deviation; return its path.
 
-    Parameters
-    ----------
-    materials : sequence of Material
-        One to eight materials.
-    path : path
-        PNG file.
-    band_um : (lower, upper)
-        Camera band, shaded [µm].
-    temperature : float
-        Surface temperature for the band emissivity in the legend [K].
-
-    Notes
-    -----
-    Lines are hemispherical emissivity, shaded bands ± one standard deviation over the samples. For materials with an
-    angular model, a second panel shows band emissivity against the angle from the normal.
+    The camera's band [µm] is shaded. The legend has the band emissivity at a temperature [K]. For materials with an
+    angular model, a second panel shows it against the angle from the normal.
     """
     path = Path(path)
     if not 1 <= len(materials) <= MOST_MATERIALS:
@@ -66,7 +53,7 @@ def plot(
             upper = np.minimum(mean + std, 1.0)
             axes[0].fill_between(wavelength, mean - std, upper, color=colour, alpha=0.2, linewidth=0)
         lowest = min(lowest, np.nanmin(np.where(np.isfinite(std), mean - std, mean)))
-        if material in directional:
+        if material.cosines is not None:
             angle = np.degrees(np.arccos(material.cosines))
             fine = np.union1d(angle, np.linspace(0.0, 90.0, 181))
             low, high = np.clip(band_um, *material.valid_range_um)
@@ -91,7 +78,7 @@ def plot(
     return path
 
 
-def _label(material, band_um, temperature):
+def _label(material: Material, band_um: tuple[float, float], temperature: float) -> str:
     first, last = material.valid_range_um
     low, high = max(band_um[0], first), min(band_um[1], last)
     if (low, high) == tuple(band_um):
@@ -101,7 +88,7 @@ def _label(material, band_um, temperature):
     return f"{label(material.name)}: measured {first:g}–{last:g} µm only, {_samples(material)}"
 
 
-def _samples(material):
+def _samples(material: Material) -> str:
     if material.directional == "fresnel":
         return "from n and k"
     return "1 sample" if material.samples == 1 else f"{material.samples} samples"

@@ -4,7 +4,7 @@ Every file becomes hemispherical reflectance over ascending wavelength in µm. T
 unit; nothing is guessed.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -78,14 +78,9 @@ class Sample:
 def read_sample(path: str | Path, column: str | None = None) -> Sample:
     """Return the Sample of a file of any of the three kinds, which its content distinguishes.
 
-    Parameters
-    ----------
-    path : path
-        ECOSTRESS text; a SLUM table (`LUMA_SLUM_IR.csv`, with its short-wave table in the same folder); or a CSV
-        of two columns with the headings wavelength_um, wavelength_nm or wavenumber_cm-1, and emissivity,
-        emissivity_percent, reflectance or reflectance_percent.
-    column : str, optional
-        Sample of a table with several.
+    ECOSTRESS text; a SLUM table (`LUMA_SLUM_IR.csv`, with its short-wave table in the same folder), of which `column`
+    is one sample; or a CSV of two columns with the headings wavelength_um, wavelength_nm or wavenumber_cm-1, and
+    emissivity, emissivity_percent, reflectance or reflectance_percent.
     """
     path = Path(path)
     if not path.is_file():
@@ -107,10 +102,7 @@ def is_ecostress(path: str | Path) -> bool:
 
 
 def read_ecostress(path: str | Path) -> Sample:
-    """Return the Sample of an ECOSTRESS spectrum file.
-
-    Wavelengths may be in either order; repeated ones are averaged.
-    """
+    """Return the Sample of an ECOSTRESS file; wavelengths may be in either order, and repeated ones are averaged."""
     path = Path(path)
     if not path.is_file():
         raise ThermorenderError(
@@ -146,7 +138,7 @@ def read_ecostress(path: str | Path) -> Sample:
     )  # fmt: skip
 
 
-def _check_extent(path, header, pairs):
+def _check_extent(path: Path, header: Mapping[str, str], pairs: Sequence[tuple[float, float]]) -> None:
     """Refuse pairs that are not as many, or do not begin and end, as a header states."""
     names = ("number of x values", "first x value", "last x value")
     try:
@@ -180,7 +172,8 @@ def stated_units(
 
 def ecostress_lines(path: str | Path) -> tuple[dict[str, str], list[tuple[float, float]]]:
     """Return the header of an ECOSTRESS file with lower-case keys, and its (x, y) pairs in file order."""
-    header, pairs = {}, []
+    header: dict[str, str] = {}
+    pairs: list[tuple[float, float]] = []
     # Some headers have degree signs in latin-1, which decodes any byte.
     for line in Path(path).read_text(encoding="latin-1").splitlines():
         key, colon, value = line.partition(":")
@@ -222,19 +215,19 @@ def read_columns(path: str | Path) -> Sample:
     path = Path(path)
     rows = read_table(path, ())
     header = list(rows[0][1]) if rows else []
-    first, second = ([key for key in kind if key in header] for kind in (WAVELENGTH_UNITS, QUANTITIES))
+    axes, quantities = ([key for key in kind if key in header] for kind in (WAVELENGTH_UNITS, QUANTITIES))
     through = [key for key in header if "transmi" in key.lower()]
     if through:
         raise ThermorenderError(
             f"{path} has a column {through[0]!r}; emissivity is one minus reflectance for opaque samples only, so "
             "leave the sample out, or delete the column if it is 0 throughout"
         )
-    if len(first) != 1 or len(second) != 1:
+    if len(axes) != 1 or len(quantities) != 1:
         raise ThermorenderError(
             f"{path}, row 1 holds {shortened(', '.join(header)) or 'nothing'}; the headings must be one of "
             f"{', '.join(WAVELENGTH_UNITS)} and one of {', '.join(QUANTITIES)}, which state the units"
         )
-    first, second = first[0], second[0]
+    first, second = axes[0], quantities[0]
     values = np.array([[_number(path, row, key, cells[key]) for key in (first, second)] for row, cells in rows])
     with np.errstate(divide="ignore"):
         wavelength = WAVELENGTH_UNITS[first](values[:, 0])
@@ -253,18 +246,18 @@ def read_columns(path: str | Path) -> Sample:
     return Sample(path.stem, path.name, "", wavelength, reflectance, wavelength, reflectance)
 
 
-def _number(path, row, column, text):
+def _number(path: Path, row: int, column: str, text: str) -> float:
     """Return a cell as a finite float."""
     return number_in_cell(path, row, column, text, -1e9, 1e9, "correct the cell")
 
 
-def _slum_column(path, column):
+def _slum_column(path: Path, column: str | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     rows = read_table(path, ("wavelength",))
     names = [key for key in rows[0][1] if key != "wavelength"] if rows else []
-    if column not in names:
+    if column is None or column not in names:
         raise ThermorenderError(
-            f"{path} holds the samples {', '.join(names[:3])} … {', '.join(names[-1:])}, not {column!r}; name one with "
-            "--column"
+            f"{path} holds the samples {', '.join(names[:3])} … {', '.join(names[-1:])}, not {column!r}; name one as "
+            "column"
         )
     values = [[_number(path, row, key, cells[key]) for key in ("wavelength", column)] for row, cells in rows]
     wavelength, value = np.array(sorted(values)).T

@@ -11,7 +11,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.files import check_new_folder, check_output_file
 
 if TYPE_CHECKING:
-    from thermorender.materials.library import Material
+    from thermorender.materials.material import Material
 
 app = typer.Typer(
     help="Look at, check, import and join tables of surface materials.", no_args_is_help=True, rich_markup_mode=None
@@ -57,16 +57,16 @@ def show(
     limits = _band(band)
     for material in _materials(library, names):
         typer.echo(str(material))
-        part = np.clip(limits, *material.valid_range_um)
-        if part[0] >= part[1]:
+        low, high = np.clip(limits, *material.valid_range_um)
+        if low >= high:
             typer.echo(f"  band          not measured within {limits[0]:g}–{limits[1]:g} µm")
             continue
-        where = f"over {part[0]:g}–{part[1]:g} µm at {temperature:g} K"
-        rest = "" if tuple(part) == limits else f"; {limits[0]:g}–{limits[1]:g} µm is not all measured"
-        typer.echo(f"  band          {material.band_emissivity(*part, temperature):.6f} {where}{rest}")
+        where = f"over {low:g}–{high:g} µm at {temperature:g} K"
+        rest = "" if (low, high) == limits else f"; {limits[0]:g}–{limits[1]:g} µm is not all measured"
+        typer.echo(f"  band          {material.band_emissivity(low, high, temperature):.6f} {where}{rest}")
         if material.emissivity_by_angle is not None:
             angles = (0, 30, 45, 60, 70, 75, 80, 85)
-            by_angle = (material.band_emissivity(*part, temperature, np.cos(np.radians(angle))) for angle in angles)
+            by_angle = (material.band_emissivity(low, high, temperature, np.cos(np.radians(angle))) for angle in angles)
             parts = ", ".join(f"{value:.4f} at {angle}°" for angle, value in zip(angles, by_angle, strict=True))
             typer.echo(f"  by angle      {parts}, {where}")
 
@@ -153,7 +153,7 @@ def copy_material(
     replace: Annotated[bool, typer.Option("--replace", help="Replace a material of that name.")] = False,
 ) -> None:  # fmt: skip
     """Copy a material into a materials folder, with other values of some properties."""
-    from thermorender.apps.material_tables.copy import copy_material as run
+    from thermorender.apps.material_tables.edit import copy_material as run
 
     wanted = dict(named(text, "--set", "KEY=VALUE, such as solar_absorptance=0.25") for text in settings or [])
     run(source, name, into, wanted, library, replace)
@@ -174,8 +174,8 @@ def diff(
 
     limits = _band(band)
     if second and not Path(first).is_dir() and not Path(second).is_dir():
-        pair = _materials(library, [first, second])
-        found = [material_compare.compare(*pair, f"{first} → {second}", limits)]
+        one, other = _materials(library, [first, second])
+        found = [material_compare.compare(one, other, f"{first} → {second}", limits)]
     elif second:
         found = material_compare.diff_folders(Path(first), Path(second), limits)
     else:

@@ -49,7 +49,7 @@ class Cost:
             return None
         return (
             f"{self.frames} frames take {_size(self.space)}, and the output's file system has {_size(self.free)} free: "
-            "give another folder, fewer --products, a lower --rate-hz, or a part with --start-s and --stop-s"
+            "give another folder, fewer products, a lower rate_hz, or a part with start_s and stop_s"
         )
 
 

@@ -40,15 +40,10 @@ class Curve:
     celsius: bool = False
 
 
-def flight_map(renderer: "Renderer", seen: Prospect, marked: Mapping[str, Sequence[float]] = {}) -> Picture:
+def flight_map(renderer: "Renderer", seen: Prospect, marked: Mapping[str, Sequence[float] | Floats] = {}) -> Picture:
     """Return a picture: the track over the orthophoto, footprints of evenly chosen frames, and marked points.
 
-    Parameters
-    ----------
-    renderer : Renderer
-    seen : Prospect
-    marked : dict
-        {name: (east, north, …) [m]}.
+    `marked` is {name: (east, north, …) [m]}.
     """
     bounds = _bounds(renderer, seen)
     size = bounds[2:] - bounds[:2]
@@ -123,16 +118,7 @@ def thumbnail(image: NDArray[np.float32]) -> NDArray[np.float32]:
 def sheet(
     kelvin: Sequence[NDArray[np.float32]], surface: Sequence[NDArray[np.bool_]], labels: Sequence[str], title: str
 ) -> Picture:
-    """Return a picture of frames beside each other in the colours of one bar, whose range is that of the surfaces.
-
-    Parameters
-    ----------
-    kelvin : sequence of (h, w) arrays
-    surface : sequence of (h, w) bool
-        Where a surface is seen, and neither sky nor surroundings.
-    labels : sequence of str
-    title : str
-    """
+    """Return a picture of frames (h, w) [K] in the colours of one bar, with the range of `surface` (h, w)."""
     from matplotlib.colors import ListedColormap
 
     (height, width), gap, head = kelvin[0].shape, 4, 16
@@ -199,11 +185,12 @@ def _from_above(renderer: "Renderer", bounds: Floats) -> Picture:
     return np.asarray(cv2.resize(image, small, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _word(axes: Any, place: Sequence[float], word: str, colour: str, up: int = 5) -> None:
+def _word(axes: Any, place: Sequence[float] | Floats, word: str, colour: str, up: int = 5) -> None:
     """A word beside a point, readable on a picture."""
     from matplotlib.patheffects import withStroke
 
-    axes.annotate(label(word), tuple(place), (5, up), textcoords="offset points", fontsize=8, color=colour, zorder=6,
+    at = float(place[0]), float(place[1])
+    axes.annotate(label(word), at, (5, up), textcoords="offset points", fontsize=8, color=colour, zorder=6,
                   path_effects=[withStroke(linewidth=2.5, foreground="white")])  # fmt: skip
 
 

@@ -87,8 +87,8 @@ class Prospect:
             return "terrain: in all frames"
         where = f", the first at {self.time_s[~self.shows_terrain][0]:.3f} s"
         return (
-            f"terrain: {empty} of {some} frames show none{where}; point the camera with --mount, or move the flight "
-            "with --anchor"
+            f"terrain: {empty} of {some} frames show none{where}; point the camera with mount, or move the flight "
+            "with anchor"
         )
 
     def _texels(self) -> str:
@@ -107,17 +107,7 @@ def chosen(count: int, most: int) -> NDArray[np.int64]:
 
 
 def prospect(renderer: "Renderer", trajectory: Trajectory, times_s: Floats, rate_hz: float) -> Prospect:
-    """Return the Prospect of a flight.
-
-    Parameters
-    ----------
-    renderer : Renderer
-    trajectory : Trajectory
-    times_s : (N,) array
-        Of the frames [s].
-    rate_hz : float
-        Frames per second.
-    """
+    """Return the Prospect of a flight whose frames are at `times_s` (N,)."""
     scene, camera = renderer.scene, renderer.scene.camera
     index = chosen(len(times_s), MOST_FRAMES)
     time_s = times_s[index]

@@ -36,4 +36,4 @@ def check_file(path: str, begins: bytes, what: str) -> None:
     except OSError as error:
         raise ThermorenderError(f"{path} cannot be read ({error.strerror}); give {what}") from error
     if start != begins:
-        raise ThermorenderError(f"{path} is not {what}: it begins with {start!r}, not {begins!r}; check --format")
+        raise ThermorenderError(f"{path} is not {what}: it begins with {start!r}, not {begins!r}; check format")

@@ -58,44 +58,25 @@ def read_kml(path: str) -> list[Table]:
         raise ThermorenderError(
             f"{path} has no gx:Track; a path without times cannot be flown: export a track with times"
         )
-    columns: dict[str, Any] = {name: [] for name in ("time", "lat_deg", "lon_deg", "height")}
-    turned: list[tuple[float, ...]] = []
-    modes, empty = set(), 0
-    for track in tracks:
-        parts: dict[str, list[str]] = {"when": [], "coord": [], "angles": [], "altitudeMode": []}
-        for node in track:
-            if _name(node) in parts:
-                parts[_name(node)].append((node.text or "").strip())
-        modes.add(parts["altitudeMode"][0] if parts["altitudeMode"] else "clampToGround")
-        when, coord, angles = (parts[name] for name in ("when", "coord", "angles"))
-        if len(when) != len(coord) or (angles and len(angles) != len(when)):
-            raise ThermorenderError(
-                f"{path}: a track has {len(when)} times, {len(coord)} positions and {len(angles)} angles; their "
-                "numbers must be equal (angles may be absent)"
-            )
-        # An empty coordinate is a sample without a position.
-        filled = [k for k, text in enumerate(coord) if text]
-        empty += len(coord) - len(filled)
-        when, coord, angles = ([cells[k] for k in filled] if cells else [] for cells in (when, coord, angles))
-        for text in coord:
-            if len(text.split()) != 3:
-                raise ThermorenderError(
-                    f"{path}: gx:coord {text!r} is not longitude, latitude and altitude; give all three"
-                )
-        columns["time"] += when
-        for name, k in (("lon_deg", 0), ("lat_deg", 1), ("height", 2)):
-            columns[name] += [text.split()[k] for text in coord]
-        turned += [_angles(path, text) for text in angles]
+    found = [_track(path, node) for node in tracks]
+    modes = {mode for mode, *_ in found}
     if len(modes) > 1 or not modes <= set(_HEIGHTS):
         raise ThermorenderError(
             f"{path}: altitudeMode is {' and '.join(sorted(modes))}; every track needs the same of "
             f"{', '.join(_HEIGHTS)}"
         )
-    columns[_HEIGHTS[modes.pop()]] = columns.pop("height")
-    if not columns["time"]:
+    when = [text for _, times, *_ in found for text in times]
+    positions = [text.split() for _, _, coord, *_ in found for text in coord]
+    turned = [_angles(path, text) for *_, angles, _ in found for text in angles]
+    empty = sum(count for *_, count in found)
+    if not when:
         raise ThermorenderError(f"{path}: the tracks have no samples; export a track with times")
+    longitude, latitude, height = (list(cells) for cells in zip(*positions, strict=True))
+    columns: dict[str, Any] = {
+        "time": when, "lat_deg": latitude, "lon_deg": longitude, _HEIGHTS[modes.pop()]: height,
+    }  # fmt: skip
     notes = []
-    if len(turned) == len(columns["time"]):
+    if len(turned) == len(when):
         columns |= dict(zip(ANGLES, np.array(turned).T, strict=True))
         if any(pitch or roll for _, pitch, roll in turned):
             notes.append(
@@ -106,7 +87,32 @@ def read_kml(path: str) -> list[Table]:
         notes.append(f"{path}: altitudeMode is clampToGround, by which KML ignores altitudes; their changes are flown")
     if empty:
         notes.append(f"{path}: {empty} samples without a position are dropped")
-    return [Table(path, dict(columns), np.arange(1, len(columns["time"]) + 1), "sample", notes=tuple(notes))]
+    return [Table(path, columns, np.arange(1, len(when) + 1), "sample", notes=tuple(notes))]
+
+
+def _track(path: str, track: ElementTree.Element) -> tuple[str, list[str], list[str], list[str], int]:
+    """(Altitude mode, times, positions, angles as texts, number of samples without a position) of a gx:Track."""
+    parts: dict[str, list[str]] = {"when": [], "coord": [], "angles": [], "altitudeMode": []}
+    for node in track:
+        if _name(node) in parts:
+            parts[_name(node)].append((node.text or "").strip())
+    when, coord, angles = (parts[name] for name in ("when", "coord", "angles"))
+    if len(when) != len(coord) or (angles and len(angles) != len(when)):
+        raise ThermorenderError(
+            f"{path}: a track has {len(when)} times, {len(coord)} positions and {len(angles)} angles; their "
+            "numbers must be equal (angles may be absent)"
+        )
+    # An empty coordinate is a sample without a position.
+    filled = [k for k, text in enumerate(coord) if text]
+    empty = len(coord) - len(filled)
+    when, coord, angles = ([cells[k] for k in filled] if cells else [] for cells in (when, coord, angles))
+    for text in coord:
+        if len(text.split()) != 3:
+            raise ThermorenderError(
+                f"{path}: gx:coord {text!r} is not longitude, latitude and altitude; give all three"
+            )
+    mode = parts["altitudeMode"][0] if parts["altitudeMode"] else "clampToGround"
+    return mode, when, coord, angles, empty
 
 
 def _angles(path: str, text: str) -> tuple[float, ...]:
@@ -138,7 +144,5 @@ def _root(path: str, kind: str) -> ElementTree.Element:
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise ThermorenderError(f"{path} is not {kind.upper()} ({error}); export it again") from error
     if _name(root) != kind:
-        raise ThermorenderError(
-            f"{path} is not {kind.upper()}: its outermost element is {_name(root)!r}; check --format"
-        )
+        raise ThermorenderError(f"{path} is not {kind.upper()}: its outermost element is {_name(root)!r}; check format")
     return root

@@ -122,7 +122,7 @@ class View(LocalListener):
             request.wfile.write(head.encode() + data + b"\r\n")
 
     def _h264(self, request: BaseHTTPRequestHandler) -> None:
-        from imageio_ffmpeg import get_ffmpeg_exe  # type: ignore[import-untyped]
+        from imageio_ffmpeg import get_ffmpeg_exe
 
         pipe = subprocess.PIPE
         encoder = subprocess.Popen([get_ffmpeg_exe(), *_TO_H264], stdin=pipe, stdout=pipe, bufsize=0)
