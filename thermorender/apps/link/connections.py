@@ -77,13 +77,7 @@ class Peer:
     lost: bool = False
 
     async def made_room(self) -> None:
-        """Wait until a request is answered.
-
-        Raises
-        ------
-        ConnectionError
-            The client takes no more replies.
-        """
+        """Wait until a request is answered; ConnectionError if the client takes no more replies."""
         self.room.clear()
         if self.lost:
             raise ConnectionError

@@ -29,21 +29,7 @@ _HIGHEST_M = 1e6
 
 
 class Session:
-    """One camera of one vehicle.
-
-    Parameters
-    ----------
-    settings : Open
-    renderer : Renderer
-        With the session's camera, temperatures and seed.
-    model : TemperatureMap, optional
-        Of methods B and C.
-
-    Attributes
-    ----------
-    last : Frame or None
-        The frame that was answered last.
-    """
+    """One camera of one vehicle: a Renderer with its camera, temperatures and seed, and the map of methods B and C."""
 
     def __init__(self, settings: Open, renderer: Renderer, model: TemperatureMap | None = None) -> None:
         self.settings, self.renderer, self.model = settings, renderer, model
@@ -76,17 +62,9 @@ class Session:
         self.frames.add(request.time_s, self._path(request.poses) if len(request.poses) else None, request.objects)
 
     def answer(self, requests: Sequence[Request], arrived_s: float, added: int = 0) -> list[Any]:
-        """Return the payload of a reply, as a list of buffers, to the last of some requests.
-
-        Earlier ones, which the last replaces, only add to the path and to the objects.
-
-        Parameters
-        ----------
-        requests : sequence of Request
-        arrived_s : float
-            When the last of them arrived, on the clock of `time.perf_counter` [s].
-        added : int
-            Replaced requests that `add` took before.
+        """Return the payload of a reply, as a list of buffers, to the last of some requests. Earlier ones, which the
+        last replaces, only add to the path and to the objects, like the `added` before them; `arrived_s` is on the
+        clock of `time.perf_counter` [s].
         """
         start, request = time.perf_counter(), requests[-1]
         frame = self._frame(requests)
@@ -160,15 +138,7 @@ class Session:
 
 
 class TranslatedFrames(LiveFrames):
-    """Frames that a learned map makes of the visible view, or of the client's own picture.
-
-    Attributes
-    ----------
-    picture : (H, W, 3) uint8 or None
-        For the next frame; None: the photograph of its pose.
-    texel_m : float or None
-        Ground sampling distance of `picture` [m]; None: the map's own.
-    """
+    """Frames that a learned map makes of the visible view, or of the client's own picture."""
 
     def __init__(
         self, renderer: Renderer, model: TemperatureMap, rate_hz: float | None, audit: int, allow_below_ground: bool
@@ -178,6 +148,8 @@ class TranslatedFrames(LiveFrames):
             # This raises the error that names the missing inputs.
             model.radiance(Inputs(np.zeros((1, 1, 3), np.uint8)))
         self.model = model
+        # For the next frame, (H, W, 3) sRGB, with its ground sampling distance [m]; without them the photograph of its
+        # pose, and the map's own.
         self.picture: NDArray[np.uint8] | None = None
         self.texel_m: float | None = None
 

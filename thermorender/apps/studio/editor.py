@@ -53,14 +53,7 @@ _WIDTHS = {0.0: "this point", 0.15: "± 0.15 µm", 0.5: "± 0.5 µm", 1.5: "± 1
 
 
 class Editor:
-    """What a tab shows of the materials.
-
-    Parameters
-    ----------
-    tab : Tab
-    left, right : ui.element
-        Where the list and the panels go.
-    """
+    """What a tab shows of the materials: the list on the left, and the panels on the right."""
 
     def __init__(self, tab: "Tab", left: ui.element, right: ui.element) -> None:
         self._tab, self._session = tab, tab.session

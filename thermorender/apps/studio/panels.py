@@ -71,19 +71,8 @@ def _alike(one: str, other: str) -> bool:
 
 
 class Entry(ui.input):
-    """A field whose text edits the Document; text that is being typed stays while another tab edits.
-
-    Parameters
-    ----------
-    tab : Tab
-    called, test : str
-        Its name in messages, and in tests.
-    change : callable (document, text)
-        Returns the changed Document.
-    words : callable (text)
-        Returns the edit in words.
-    **options
-        Of ui.input.
+    """A field whose text edits the Document by `change`; text that is being typed stays while another tab edits.
+    `words` describes an edit.
     """
 
     def __init__(

@@ -74,13 +74,7 @@ class _Solution:
 
 @dataclass(eq=False)
 class Renders:
-    """The thread that renders, and the one that solves beside it.
-
-    Parameters
-    ----------
-    renderer : Renderer
-        Of the scene as saved.
-    """
+    """The thread that renders, and the one that solves beside it; it starts from the Renderer of the scene as saved."""
 
     renderer: Renderer
     light: Light = field(init=False)

@@ -105,16 +105,8 @@ def _line(name: str, x: Any, y: Any, more: dict[str, Any]) -> dict[str, Any]:
 
 
 def dragged(material: Material, wavelength_um: float, emissivity: float, width_um: float) -> Material:
-    """Return a material whose spectrum passes through a point, with its surroundings moved along a bell curve.
-
-    Parameters
-    ----------
-    material : Material
-        Lambertian.
-    wavelength_um, emissivity : float
-        The point [µm, 1].
-    width_um : float
-        Standard deviation of the bell [µm].
+    """Return a Lambertian material whose spectrum passes through a point [µm, 1], with its surroundings moved along a
+    bell curve of standard deviation `width_um`.
     """
     share(f"{emissivity:g}")
     grid = material.wavelength_um

@@ -24,12 +24,7 @@ _STEP_MIN = 60
 
 
 class Timeline:
-    """Sliders along the flight and over the day, where the scene has them.
-
-    Parameters
-    ----------
-    tab : Tab
-    """
+    """Sliders along the flight and over the day, where the scene has them."""
 
     def __init__(self, tab: "Tab") -> None:
         self._tab, self._session = tab, tab.session

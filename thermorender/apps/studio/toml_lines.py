@@ -10,19 +10,8 @@ _ASSIGNED = re.compile(r"""(?P<key>[^=]*=\s*)("(\\.|[^"\\])*"|'[^']*'|[^\s"'#]+)
 
 
 def stated(text: str, table: str, name: str | None, key: str, value: str | None) -> str:
-    """Return a scene file in which a table states another value.
-
-    Parameters
-    ----------
-    text : str
-        The file.
-    table : str
-        The line that begins the table, such as "[[object]]".
-    name : str or None
-        The table's name, where it is one of several; a key that the only one lacks is added to it.
-    key : str
-    value : str or None
-        As TOML; None: the key is removed.
+    """Return the text of a scene file in which `key` of a table, given by its first line such as "[[object]]" and its
+    name, has another value; None removes it. A name that the only table lacks is added.
     """
     lines = text.splitlines(keepends=True)
     bare = [line.split("#")[0].strip() for line in lines]

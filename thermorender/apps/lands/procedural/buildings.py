@@ -19,17 +19,8 @@ ROOFS = (
 
 
 class Window:
-    """A window of the canvas in a local frame: u to the right of a heading, v along it.
-
-    Parameters
-    ----------
-    canvas : Canvas
-    east, north : float
-        Origin [m].
-    heading_deg : float
-        Direction of v, clockwise from north [deg].
-    half_m : float
-        Half side of the window [m].
+    """A window of the canvas in a local frame: u to the right of `heading_deg` (clockwise from north), v along it. Its
+    origin and half side are in metres.
     """
 
     def __init__(self, canvas: Canvas, east: float, north: float, heading_deg: float, half_m: float) -> None:
@@ -76,22 +67,8 @@ def house(
     window: Window, fine: NDArray, generator: np.random.Generator, u: float, v: float, half_u: float, half_v: float,
     wall_m: float, roof: tuple[str, tuple[int, int, int], bool], pitch_deg: float = 40.0, hip: bool = False,
 ) -> NDArray[np.bool_]:  # fmt: skip
-    """Build a house with its ridge along u; return its footprint in the window.
-
-    Parameters
-    ----------
-    window : Window
-    fine : (N, N) float32
-        Fine noise of the whole canvas, for the roofing.
-    generator : numpy.random.Generator
-    u, v, half_u, half_v, wall_m : float
-        Centre, half lengths and height of the walls [m].
-    roof : tuple
-        One of `ROOFS`.
-    pitch_deg : float
-        Slope of a pitched roof [deg].
-    hip : bool
-        Slope the gable ends too.
+    """Build a house with its ridge along u and a roof of `ROOFS`; return its footprint in the window. Lengths are half
+    sides [m]; `fine`, (N, N), is noise for the roofing, and `hip` slopes the gable ends too.
     """
     c = window.canvas
     material, colour, pitched = roof
@@ -254,20 +231,8 @@ def car(
     name: str, east: float, north: float, heading_deg: float, colour: tuple[int, int, int], material: str,
     temperature: float, bonnet: float,
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """Return the [[object]] tables of a car: body, cabin, bonnet.
-
-    Parameters
-    ----------
-    name : str
-    east, north : float
-        Centre [m].
-    heading_deg : float
-        Clockwise from north [deg].
-    colour : sequence of int
-        sRGB.
-    material : str
-    temperature, bonnet : float
-        Temperatures of the body and of the bonnet [K].
+    """Return the [[object]] tables of a car: body, cabin, bonnet. Centre [m], heading clockwise from north [deg], sRGB,
+    and the temperatures of body and bonnet [K].
     """
     s, c = np.sin(np.radians(heading_deg)), np.cos(np.radians(heading_deg))
 

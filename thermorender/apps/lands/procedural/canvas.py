@@ -14,38 +14,24 @@ if TYPE_CHECKING:
 
 
 class Canvas:
-    """A square scene under construction; a layout paints it from the ground up.
-
-    Attributes
-    ----------
-    east, north : (1, N) and (N, 1) float32
-        Texel centres relative to the scene's centre [m]; row 0 in the north.
-    ground, top, relief : (N, N) float32
-        Bare ground, height of objects on it, and small relief that is lit but not in the surface model [m].
-    albedo : (N, N, 3) float32
-        Linear colour of a level surface in full sun.
-    material : (N, N) uint8
-        Class value; `names` maps it to a material.
-    wetness : (N, N) float32
-        Added moisture, 0…1.
-    solids : Solids or None
-        Record of what is placed on the ground, in three dimensions; None: it is painted only.
-    """
+    """A square scene under construction; a layout paints it from the ground up."""
 
     def __init__(self, seed: int, size_m: float, texel_m: float) -> None:
         self.seed, self.size, self.texel = seed, size_m, texel_m
         self.n = round(size_m / texel_m)
         self.shape = (self.n, self.n)
         line = ((np.arange(self.n) + 0.5) * texel_m - 0.5 * size_m).astype(np.float32)
+        # Texel centres relative to the scene's centre [m]; row 0 in the north.
         self.east, self.north = line[None, :], -line[:, None]
+        # Bare ground, height of objects on it, and small relief that is lit but not in the surface model [m].
         self.ground = np.zeros(self.shape, np.float32)
         self.top = np.zeros(self.shape, np.float32)
         self.relief = np.zeros(self.shape, np.float32)
-        self.albedo = np.zeros((*self.shape, 3), np.float32)
-        self.material = np.zeros(self.shape, np.uint8)
-        self.wetness = np.zeros(self.shape, np.float32)
-        self.names: dict[int, str] = {}
-        self.solids: Solids | None = None
+        self.albedo = np.zeros((*self.shape, 3), np.float32)  # Linear colour of a level surface in full sun
+        self.material = np.zeros(self.shape, np.uint8)  # Class value
+        self.wetness = np.zeros(self.shape, np.float32)  # Added moisture, 0…1
+        self.names: dict[int, str] = {}  # Material of each class value
+        self.solids: Solids | None = None  # What is placed on the ground, in three dimensions; None: painted only
 
     @property
     def surface(self) -> NDArray[np.float32]:
@@ -91,15 +77,8 @@ class Canvas:
         return float(self.ground[int(np.clip(row, 0, self.n - 1)), int(np.clip(column, 0, self.n - 1))])
 
     def paint(self, cover: NDArray, colour: NDArray, material: str | None = None) -> None:
-        """Blend a colour over the canvas by `cover`, (N, N) in 0…1; above one half it also sets the material.
-
-        Parameters
-        ----------
-        cover : (N, N) float32
-        colour : (3,) or (N, N, 3) float32
-            Linear.
-        material : str, optional
-            Material of the covered texels; None keeps it.
+        """Blend a linear colour, (3,) or (N, N, 3), over the canvas by `cover`, (N, N) in 0…1; above one half it also
+        sets the material.
         """
         for channel in range(3):
             target = self.albedo[..., channel]
@@ -121,21 +100,8 @@ class Canvas:
         )
 
     def ribbon(self, points: NDArray, reach_m: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return (offset, along) of a polyline, two (N, N) float32 [m].
-
-        Parameters
-        ----------
-        points : (K, 2) array
-            East, north [m].
-        reach_m : float
-            Largest distance from the line.
-
-        Returns
-        -------
-        offset : (N, N)
-            Signed distance, positive to the right of the direction of travel; inf beyond reach.
-        along : (N, N)
-            Length along the line.
+        """Return (offset, along) of a polyline of points (K, 2) east and north, two (N, N) float32 [m]. Offset is
+        positive to the right of the direction of travel, and inf beyond `reach_m`.
         """
         offset = np.full(self.shape, np.inf, np.float32)
         along = np.zeros(self.shape, np.float32)
@@ -161,20 +127,9 @@ class Canvas:
         self, crown: NDArray, tone: NDArray, east: float, north: float, height_m: float, colour: NDArray, material: int,
         beneath: float = 0.35,
     ) -> None:  # fmt: skip
-        """Place a tree or shrub on the canvas; it is visible where it is higher than the existing surface.
-
-        Parameters
-        ----------
-        crown, tone : (h, w) float32
-            Height as a fraction of `height_m`, 0 outside the crown, and factor on the colour.
-        east, north, height_m : float
-            Centre and height [m].
-        colour : (3,)
-            Linear.
-        material : int
-            Class value.
-        beneath : float
-            Crown parts below this fraction of the height are not drawn.
+        """Place a tree or shrub on the canvas; it is visible where it is higher than the existing surface. `crown`, (h,
+        w), is its height as a share of `height_m`, drawn where above `beneath`, and `tone` a factor on the linear
+        colour.
         """
         row, column = self.texels(east, north)
         r0, c0 = round(row) - crown.shape[0] // 2, round(column) - crown.shape[1] // 2
@@ -206,19 +161,8 @@ def spline(points: ArrayLike, spacing_m: float = 2.0) -> NDArray[np.float64]:
 
 
 def ruts(c: Canvas, points: NDArray, gauge: float, width: float, strength: float, name: str) -> NDArray[np.float32]:
-    """Return the marks of a pair of wheels along a line, (N, N) float32 in 0…1.
-
-    Parameters
-    ----------
-    c : Canvas
-    points : (K, 2) array
-        Path of the vehicle, east and north [m].
-    gauge, width : float
-        Distance of the wheels and half width of a mark [m].
-    strength : float
-        Full strength of the marks, 0…1.
-    name : str
-        Name of the noise that interrupts them.
+    """Return the marks of a pair of wheels along points (K, 2) east and north [m], (N, N) float32 in 0…1. The noise
+    `name` interrupts them; gauge and half width of a mark are in metres.
     """
     offset, along = c.ribbon(points, 3.0)
     near = np.isfinite(offset)
@@ -231,18 +175,8 @@ def ruts(c: Canvas, points: NDArray, gauge: float, width: float, strength: float
 def crowns(
     generator: np.random.Generator, texel_m: float, radius_m: float, form: str, count: int = 24
 ) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-    """Return a list of (crown, tone) pairs for `Canvas.stamp`, each (h, w) float32.
-
-    Parameters
-    ----------
-    generator : numpy.random.Generator
-    texel_m, radius_m : float
-        Side of a texel and mean crown radius [m].
-    form : str
-        "pine" (clumps of needles on a flat dome), "spruce" (a cone with whorled branches) or "broad" (many
-        leafy lobes).
-    count : int
-        Number of different crowns.
+    """Return `count` (crown, tone) pairs for `Canvas.stamp`, each (h, w) float32. Forms are "pine" (clumps on a flat
+    dome), "spruce" (a cone with whorled branches) and "broad" (many leafy lobes).
     """
     made = []
     for _ in range(count):
@@ -290,18 +224,8 @@ def crowns(
 def scatter(
     generator: np.random.Generator, canvas: Canvas, spacing_m: float, density: NDArray, jitter: float = 0.42
 ) -> NDArray[np.float64]:
-    """Return jittered grid positions, kept with the local density, (K, 2) [m] east, north.
-
-    Parameters
-    ----------
-    generator : numpy.random.Generator
-    canvas : Canvas
-    spacing_m : float
-        Mean spacing of neighbours [m].
-    density : (N, N) float32
-        Probability that a position is kept, 0…1.
-    jitter : float
-        Largest shift as a fraction of the spacing.
+    """Return positions on a jittered grid, kept with the probability `density` (N, N), as (K, 2) east and north [m].
+    The largest shift is `jitter` of the spacing.
     """
     count = int(np.ceil(canvas.size * 1.05 / spacing_m)) + 2
     j, i = np.mgrid[:count, :count].astype(np.float64)
@@ -320,18 +244,8 @@ def scatter(
 def planted_rows(
     g: np.random.Generator, c: Canvas, between: float, along: float, bearing: float, density: NDArray
 ) -> NDArray[np.float64]:
-    """Return positions in planted rows, (K, 2) [m] east, north.
-
-    Parameters
-    ----------
-    g : numpy.random.Generator
-    c : Canvas
-    between, along : float
-        Spacing of rows and of trees in a row [m].
-    bearing : float
-        Rotation of the rows [rad].
-    density : (N, N) float32
-        Probability of a tree, 0…1.
+    """Return positions in planted rows, kept with the probability `density` (N, N), as (K, 2) east and north [m].
+    `between` and `along` are spacings [m]; `bearing` turns the rows [rad].
     """
     count_a, count_b = int(1.5 * c.size / between), int(1.5 * c.size / along)
     a, b = np.meshgrid(np.arange(count_a) - count_a / 2, np.arange(count_b) - count_b / 2)
@@ -350,15 +264,8 @@ def plant(
     library: Sequence[tuple[NDArray, NDArray]], height_m: float, colours: Sequence[tuple[int, int, int]], material: str,
     spread: float = 0.14, beneath: float = 0.35,
 ) -> None:  # fmt: skip
-    """Place a tree or shrub at each of the (K, 2) positions, with crowns drawn from the library.
-
-    Parameters
-    ----------
-    height_m : float
-        Median height [m]; individuals vary by `spread` (log-normal).
-    colours : sequence of (3,)
-        sRGB 0…255 colours to mix.
-    material : str
+    """Place a tree or shrub at each of the (K, 2) positions, with crowns of the library and a mix of sRGB colours.
+    Heights are log-normal about `height_m` by `spread`.
     """
     value = canvas.value(material)
     palette = np.array([linear(*c) for c in colours])

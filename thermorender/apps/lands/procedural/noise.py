@@ -7,16 +7,8 @@ from numpy.typing import NDArray
 
 
 def stream(seed: int, name: str) -> np.random.Generator:
-    """Return a generator that depends on (seed, name) only.
-
-    With one stream per feature, changing a feature does not affect the others.
-
-    Parameters
-    ----------
-    seed : int
-        0 … 2⁶⁴−1.
-    name : str
-        Purpose of the numbers.
+    """Return a generator that depends on the seed, 0 … 2⁶⁴−1, and the name of a purpose only. With one stream per
+    feature, changing a feature does not affect the others.
     """
     return np.random.Generator(np.random.Philox(key=np.array([int(seed), zlib.crc32(name.encode())], np.uint64)))
 
@@ -28,14 +20,6 @@ def smooth_noise(
 
     Normal deviates on a lattice of `wavelength_m` / 2, rotated by a random angle to hide its axes, and interpolated
     cubically. Below two texels the noise is white.
-
-    Parameters
-    ----------
-    generator : numpy.random.Generator
-    shape : tuple of int
-        (H, W).
-    texel_m, wavelength_m : float
-        Side of a texel and scale of the noise [m].
     """
     import cv2
 
@@ -62,21 +46,8 @@ def fractal_noise(
     generator: np.random.Generator, shape: tuple[int, int], texel_m: float, wavelength_m: float, octaves: int = 5,
     gain: float = 0.5,
 ) -> NDArray[np.float32]:  # fmt: skip
-    """Return a sum of octaves, (H, W) float32, mean about 0, standard deviation about 1.
-
-    Parameters
-    ----------
-    generator : numpy.random.Generator
-    shape : tuple of int
-        (H, W).
-    texel_m : float
-        Side of a texel [m].
-    wavelength_m : float
-        Scale of the longest octave [m]; each further one halves it, down to the texel.
-    octaves : int
-        Largest number of octaves.
-    gain : float
-        Amplitude of an octave relative to the one before.
+    """Return a sum of octaves, (H, W) float32, mean about 0, standard deviation about 1. The longest is `wavelength_m`;
+    each further one halves it, down to the texel, with `gain` times the amplitude.
     """
     total = np.zeros(shape, np.float32)
     power = 0.0

@@ -99,16 +99,8 @@ class SyntheticScene:
 
 
 def weather_of(kind: str, weather_seed: int | None = None, **given: Any) -> WeatherSpec:
-    """Return the WeatherSpec of a kind's default day, or one drawn from a seed, with the given values replaced.
-
-    Parameters
-    ----------
-    kind : str
-        One of `KINDS`; the land's altitude makes a drawn weather colder.
-    weather_seed : int, optional
-        Seed of `synthetic.weather.drawn_weather`.
-    **given
-        Keys of a declared day's WeatherSpec; None keeps a value. `time` is parsed by `thermorender.units.instant`.
+    """Return the WeatherSpec of a kind's default day, or one drawn from a seed, with the given keys replaced; None
+    keeps a value. The land's altitude makes a drawn weather colder.
     """
     known = _kind(kind)
     if weather_seed is not None:
@@ -124,27 +116,9 @@ def make(
     kind: str, seed: int = 0, size_m: float | None = None, texel_m: float | None = None, post_m: float | None = None,
     time: str | np.datetime64 | None = None, weather: WeatherSpec | None = None, again: int = 0,
 ) -> SyntheticScene:  # fmt: skip
-    """Return a procedural scene; equal arguments give equal scenes.
+    """Return a procedural scene; equal arguments give equal scenes. `texel_m` and `post_m` divide `size_m`, and post_m
+    ≥ texel_m; with `again` above 0 the deviations are another draw for the same photograph.
 
-    Parameters
-    ----------
-    kind : str
-        One of `KINDS`.
-    seed : int
-        0 … 2⁶⁴−1, for the landscape.
-    size_m : float, optional
-        Side of the square extent [m]; default: the kind's.
-    texel_m, post_m : float, optional
-        Side of an orthophoto texel and of an elevation cell [m]; both divide the size, and post_m ≥ texel_m.
-    time : str or datetime64, optional
-        Instant of the scene, UTC or with a zone; default: the weather's.
-    weather : WeatherSpec, optional
-        A declared day; default: the kind's, a clear early afternoon in September.
-    again : int
-        Above 0: another draw of the deviations for the same photograph.
-
-    Notes
-    -----
     Land, materials and hidden fields depend on kind and seed only. The weather adds snow, changes the objects'
     temperatures and lights the orthophoto, which is taken at noon if the sun is below 10°; clouds soften shadows.
     """

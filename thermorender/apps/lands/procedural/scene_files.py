@@ -37,13 +37,7 @@ def write_declared(scene: SyntheticScene, folder: Path) -> None:
 
 
 def write_temperature(scene: SyntheticScene, folder: Path, temperature: NDArray, every: int) -> None:
-    """Add the true temperature (N, N) [K] to a scene's folder as its temperature source.
-
-    Parameters
-    ----------
-    every : int
-        Texels per side of a stored texel, which is their mean.
-    """
+    """Add the true temperature (N, N) [K] to a scene's folder as its source, averaged over `every` texels a side."""
     side = len(temperature) // every
     mean = temperature.astype(np.float64).reshape(side, every, side, every).mean(axis=(1, 3))
     counts = np.clip(np.round((mean - _TEMPERATURE_BASE_K) / TEMPERATURE_STEP_K), 0, 65535).astype(np.uint16)

@@ -33,26 +33,12 @@ _BARK = (104, 88, 72)
 
 
 class Solids:
-    """The solids of a canvas.
-
-    Parameters
-    ----------
-    canvas : Canvas
-        Its ground is read when a solid is recorded.
-
-    Attributes
-    ----------
-    quads : Quads
-        Buildings, fences and other boxes.
-    plants : Plants
-    covered : (N, N) bool
-        Texels under a solid.
-    """
+    """The solids of a canvas, whose ground is read when a solid is recorded."""
 
     def __init__(self, canvas: "Canvas") -> None:
         self.canvas = canvas
         self.quads, self.plants = Quads(_TEXEL_M), Plants()
-        self.covered = np.zeros(canvas.shape, bool)
+        self.covered = np.zeros(canvas.shape, bool)  # Texels under a solid
         self._kept = {name: np.zeros_like(getattr(canvas, name)) for name in _FIELDS}
         self._draw, self._leaf = canvas.stream("solids"), canvas.stream("leaves")
 

@@ -46,19 +46,7 @@ _LOOKS = ((0.0, 0.0), (-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)
 def write(
     world: World, directory: str | Path, overwrite: bool = False, progress: Callable[[str, float], None] | None = None
 ) -> Path:
-    """Write a World as a scene with its true temperatures, and its survey as a scene in `survey`; return the folder.
-
-    Parameters
-    ----------
-    world : World
-        From `thermorender.apps.lands.procedural.world.make_world`.
-    directory : path
-        Folder to create.
-    overwrite : bool
-        Replace a folder that is not empty.
-    progress : callable, optional
-        Called with (task, fraction done).
-    """
+    """Write a World as a scene with its true temperatures, and its survey as a scene in `survey`; return the folder."""
     scene, frame, skins = world.scene, _frame(world.scene), _on_frame(world)
     heights = Ground(skins), Ground(skins[:1])  # type: ignore[arg-type]
     scene = replace(scene, objects=tuple(_standing(item, heights) for item in scene.objects))
@@ -187,12 +175,8 @@ def write_survey(
     scene: SyntheticScene, frame: LocalFrame, geometry: Geometry, folder: Path, loaded: Scene,
     colour: NDArray[np.uint8], kelvin: NDArray[np.floating],
 ) -> None:  # fmt: skip
-    """Write what a survey from above sees as a scene of rasters, with its true temperatures.
-
-    Parameters
-    ----------
-    colour, kelvin : (T, 3) and (T,)
-        Of the terrain's texels.
+    """Write what a survey from above sees as a scene of rasters, from colours (T, 3) and temperatures (T,) [K] of the
+    terrain's texels.
     """
     grid, light = _grid(scene), linear_from_bytes(colour)
     numbers = {material.name: number for number, material in enumerate(loaded.materials)}

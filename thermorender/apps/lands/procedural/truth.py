@@ -32,24 +32,11 @@ def write(
     scene: SyntheticScene, directory: str | Path, overwrite: bool = False, temperature_every: int = 2,
     progress: Callable[[str, float], None] | None = None,
 ) -> Path:  # fmt: skip
-    """Write a procedural scene: rasters with its true temperature, scene.toml and flight.csv; return the folder.
+    """Write a procedural scene: rasters with its true temperature, scene.toml and flight.csv; return the folder. A
+    stored temperature is the mean of `temperature_every` texels a side.
 
-    The folder is written under a temporary name and then renamed, so it is never incomplete. The scene file uses the
-    truth (`source = "raster"`) and holds the weather of its solution, so that `source = "balance"` predicts the same
-    scene from tables.
-
-    Parameters
-    ----------
-    scene : SyntheticScene
-        From `synthetic.procedural_scene.make`.
-    directory : path
-        Folder to create.
-    overwrite : bool
-        Replace a folder that is not empty.
-    temperature_every : int
-        Orthophoto texels per side of a stored temperature texel, which is their mean.
-    progress : callable, optional
-        Called with (task, fraction done).
+    The scene file uses the truth (`source = "raster"`) and holds the weather of its solution, so that `source =
+    "balance"` predicts the same scene from tables.
     """
     refuse_every(scene, temperature_every)
     with atomic_folder(directory, overwrite) as draft:
@@ -62,13 +49,8 @@ def write(
 def true_temperature(
     loaded: Scene, scene: SyntheticScene, progress: Callable[[str, float], None] | None = None
 ) -> NDArray[np.float32]:
-    """Return the true temperature of a scene's terrain at the scene's time, (H, W) float32 [K].
-
-    Parameters
-    ----------
-    loaded : Scene
-        Scene read from the declared files, with temperature.source="balance".
-    scene : SyntheticScene
+    """Return the true temperature of the terrain of a scene at its time, (H, W) float32 [K]; `loaded` is its files with
+    temperature.source="balance".
     """
     from thermorender.render.heat.simulation import solved
 

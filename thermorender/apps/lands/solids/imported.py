@@ -93,31 +93,9 @@ def imported(
     ground_colour: Sequence[int], walls: Walls, library: Mapping[str, Material], seed: int = 0,
     copies: bool = False,
 ) -> Imported:  # fmt: skip
-    """Return the Imported world of a surface model.
-
-    Parameters
-    ----------
-    height : (h, w) float64
-        Surface model [m above the ellipsoid], NaN where missing.
-    grid : Grid
-    post_m : float
-        Distance of posts [m].
-    ground : (h, w) float64, optional
-        Terrain model on the same grid; found by a filter otherwise.
-    known : sequence of Outline, optional
-        Outlines of buildings; found by height otherwise.
-    picture : (rgb, valid, Grid), optional
-        Orthophoto.
-    ground_colour : (3,)
-        sRGB of the ground without an orthophoto.
-    walls : Walls
-        Materials of walls that the outlines do not declare.
-    library : dict of str to Material
-        For materials of walls, and colours of walls and roofs.
-    seed : int
-        Of the leaves.
-    copies : bool
-        Whether trees are copies of typical ones.
+    """Return the Imported world of a surface model (h, w) [m above the ellipsoid], NaN where missing. Without `ground`,
+    a terrain model on the same grid, or `known` outlines of buildings, both are found from heights; `picture` is an
+    orthophoto (rgb, valid, Grid), and `ground_colour` sRGB without one.
     """
     if known is None and post_m > _FINE_M:
         raise ThermorenderError(

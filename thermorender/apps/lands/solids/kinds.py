@@ -69,18 +69,8 @@ def kinds_of(
     trees: Sequence[found.Tree], height: Floats, bare: Floats, at: Callable[..., Floats], draw: np.random.Generator,
     post_m: float, number: Mapping[str, int], colours: Callable[[NDArray[np.int64]], NDArray[np.float32]],
 ) -> tuple[Kind, ...]:  # fmt: skip
-    """Return the Kinds of trees.
-
-    Parameters
-    ----------
-    height, bare : (h, w) float64
-        Surface model and ground [m].
-    at : callable
-        Returns points (n, 3) of columns and rows of the grid at heights.
-    number : mapping
-        Class numbers by material.
-    colours : callable
-        Returns the linear colour of crowns at posts (n, 2).
+    """Return the Kinds of trees over a surface model and ground, (h, w) [m]. `at` places columns, rows and heights in
+    metres, `number` maps materials to classes, and `colours` gives linear colours of posts (n, 2).
     """
     if len(trees) > MOST_TREES:
         raise ThermorenderError(

@@ -98,20 +98,8 @@ class Plants:
         self, generator: np.random.Generator, column: NDArray[np.float64], cell_m: float, edge_m: float,
         density: float, colour: NDArray[np.floating], material: int,
     ) -> None:  # fmt: skip
-        """Fill a volume of upright columns with clusters of leaves.
-
-        Parameters
-        ----------
-        column : (C, 4) float64
-            East, north, lower and upper end of each column [m].
-        cell_m : float
-            Side of a column [m].
-        edge_m, density : float
-            Edge of a cluster [m], and one side of leaves per volume [m²/m³].
-        colour : (C, 3)
-            Linear, of the leaves in a column.
-        material : int
-            Class number.
+        """Fill columns (C, 4), east, north, lower and upper end [m], with clusters of leaves of linear colours (C, 3).
+        `density` is one side of leaves per volume [m²/m³].
         """
         depth = np.maximum(column[:, 3] - column[:, 2], 0.0)
         volume = float(depth.sum()) * cell_m**2

@@ -14,14 +14,8 @@ Paint = Callable[[NDArray[np.float64], NDArray[np.float64]], tuple[ArrayLike, Ar
 
 
 class Quads:
-    """Quadrilaterals under construction.
-
-    Parameters
-    ----------
-    texel_m : float
-        Side of a texel [m].
-    edge_m : float
-        Longest edge of a triangle [m]: light is constant over a triangle.
+    """Quadrilaterals under construction, with texels of `texel_m`; triangles have edges up to `edge_m`, as light is
+    constant over one.
     """
 
     def __init__(self, texel_m: float, edge_m: float = 1.0) -> None:

@@ -10,27 +10,8 @@ HOST = "127.0.0.1"
 
 
 class LocalListener:
-    """A server on 127.0.0.1 in a thread of its own.
-
-    Parameters
-    ----------
-    kind : type
-        Of socketserver.TCPServer with threads.
-    handler : type
-        Of socketserver.BaseRequestHandler, made for each connection.
-    port : int
-        To listen on; 0 chooses a free one.
-    what, option : str
-        What it is for, and the option that gives the port, for messages.
-
-    Attributes
-    ----------
-    port : int
-
-    Raises
-    ------
-    ThermorenderError
-        The port cannot be listened on.
+    """A server on 127.0.0.1 in a thread of its own; port 0 chooses a free one. `what` and `argument` name it in
+    messages.
     """
 
     def __init__(self, kind: type[Any], handler: type[Any], port: int, what: str, option: str) -> None:

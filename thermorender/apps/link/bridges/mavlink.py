@@ -22,13 +22,7 @@ _HEARTBEAT_S = 1.0
 
 
 class ThermalRange:
-    """Sends the range of each frame that a server answers.
-
-    Parameters
-    ----------
-    address : str
-        udpout:HOST:PORT, as other programs of MAVLink name it.
-    """
+    """Sends the range of each frame that a server answers to an address such as udpout:HOST:PORT."""
 
     def __init__(self, address: str) -> None:
         found = re.fullmatch(r"udpout:([^:\s]+):(\d{1,5})", address)

@@ -87,18 +87,8 @@ def fit_camera(
     paths: Iterable[str | PathLike[str]], base: str | PathLike[str] = defaults.CAMERA,
     scale: tuple[float, float] | None = None, progress: Callable[[float], object] | None = None,
 ) -> dict[str, Estimate]:  # fmt: skip
-    """Return estimates of a camera's properties from its frames, {key of a camera file: Estimate}.
-
-    Parameters
-    ----------
-    paths : sequence of paths
-        Frames, or folders of them: 16-bit TIFFs, or radiometric JPEGs.
-    base : str or path
-        Camera model with the optics of the real one.
-    scale : (2,) floats, optional
-        (kelvin per count, kelvin of count 0) of TIFFs that do not declare it.
-    progress : callable, optional
-        Called with the share done.
+    """Return estimates of a camera's properties from its frames, {key of a camera file: Estimate}. Frames are 16-bit
+    TIFFs or radiometric JPEGs; `scale` is (kelvin per count, kelvin of count 0) of TIFFs that declare none.
     """
     camera, files = load_camera(base, "base camera"), frame_files(paths)
     shape = camera.height, camera.width
@@ -190,17 +180,8 @@ def write_camera(path: str | PathLike[str], base: str | PathLike[str], estimates
 
 
 def noise_scale(camera: Camera, scene_k: float) -> float:
-    """Return the ratio of the noise at the centre of frames to the noise in a camera file.
-
-    Parameters
-    ----------
-    camera : Camera
-    scene_k : float
-        Apparent temperature of the scene [K].
-
-    Notes
-    -----
-    dL/dT at 300 K over that at the scene's temperature, times (4F² + 1) / ((4F₀² + 1) τ) of the lens.
+    """Return the ratio of the noise at the centre of frames of a scene [K] to the noise in a camera file: dL/dT at 300
+    K over that at the scene's temperature, times (4F² + 1) / ((4F₀² + 1) τ) of the lens.
     """
     slope = band_radiance_derivative(np.array([NETD_REFERENCE_K, scene_k]), *camera.band_um)
     lens = (4.0 * camera.f_number**2 + 1.0) / (4.0 * camera.netd_f_number**2 + 1.0) / camera.lens_transmittance

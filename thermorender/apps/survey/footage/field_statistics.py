@@ -21,12 +21,7 @@ _FALSE_ALARM = 0.1
 
 
 class Field:
-    """Sums over frames of one size, gathered frame by frame.
-
-    Parameters
-    ----------
-    shape : (H, W)
-    """
+    """Sums over frames of one size, gathered frame by frame."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.shape, self._waves, self._levels, self._first = shape, [], [], None
@@ -61,19 +56,11 @@ class Field:
         return sigma_of((mean**2 - error).sum(), np.sqrt((4.0 * mean**2 * error + 2.0 * error**2).sum()))
 
     def replaced(self, noise_k: float, step_k: float) -> tuple[float, float] | None:
-        """Return (share of the pixels that are the mean of their neighbours, uncertainty); None for few frames.
+        """Return (share of the pixels that are the mean of their neighbours, uncertainty); None if few frames do not
+        separate them without a false alarm.
 
-        Parameters
-        ----------
-        noise_k : float
-            Temporal noise of single pixels at the image centre [K].
-        step_k : float
-            Step from one value of the frames to the next [K].
-
-        Notes
-        -----
         The difference of a pixel from the mean of its eight neighbours has 9/8 of the noise's variance or more; that of
-        a replaced pixel is rounding. The result is None if n frames do not separate them without a false alarm.
+        a replaced pixel is rounding, by steps of `step_k` [K].
         """
         from scipy.ndimage import binary_dilation
         from scipy.stats import chi2
@@ -92,19 +79,9 @@ class Field:
         return count / variance.size, np.sqrt(max(count, 1)) / variance.size
 
     def wander(self, rate_hz: float, known_k: float) -> tuple[tuple[float, float], ...] | None:
-        """Return ((noise of whole frames, uncertainty), (1/f noise of the scale per octave, uncertainty)) [K].
+        """Return ((noise of whole frames, uncertainty), (1/f noise of the scale per octave, uncertainty)) [K] of a
+        static camera; None for few frames. `known_k` is what pixels, rows and columns add to a frame's mean [K].
 
-        For a static camera; None for few frames.
-
-        Parameters
-        ----------
-        rate_hz : float
-            Frames per second.
-        known_k : float
-            Contribution of the noise of pixels, rows and columns to the mean of a frame [K].
-
-        Notes
-        -----
         Maximum likelihood of the levels of up to 600 frames, with the covariance of `sensor.wander.covariance` plus
         white noise. Along the eigenvectors of the former, orthogonal to the mean, the two variances add. A span of k
         ticks has about k draws of the drift, however many frames, so its variance is uncertain by √(2/k) at least. The
@@ -140,26 +117,11 @@ def vignetting(
     blocks: NDArray[np.float64], share: float, illumination: NDArray[np.float64], rims: NDArray[np.float64],
     fixed: float,
 ) -> tuple[float, float] | None:  # fmt: skip
-    """Return (loss of light at the corner by the rims of the lens as a share, uncertainty), from the growth of noise.
+    """Return (loss of light at the corner by the rims of the lens as a share, uncertainty), from the growth of noise
+    towards the corner; None if a ring around the centre has fewer than four flat blocks.
 
-    None if a ring around the centre has fewer than four blocks within the range.
-
-    Parameters
-    ----------
-    blocks : (n, 2) array
-        `noise_statistics.block_powers` of all frames, or of the changes between them [K²].
-    share : float
-        Share of the blocks of a ring that are flat enough to use.
-    illumination : (H, W) array
-        Illumination relative to the centre, without rims.
-    rims : (H, W) array
-        Loss of light at each pixel for a `vignetting` of 1.
-    fixed : float
-        Power that does not grow as the light decreases [K²].
-
-    Notes
-    -----
-    Least squares of a / (light (1 − v·rims))² + fixed to the mean powers of six rings.
+    Least squares of a / (light (1 − v·rims))² + fixed to the mean powers of six rings. `blocks` are `block_powers` (n,
+    2) [K²], of which `share` are flat enough; `illumination` and `rims` are (H, W).
     """
     from scipy.optimize import minimize_scalar
 

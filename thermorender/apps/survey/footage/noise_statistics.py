@@ -38,28 +38,14 @@ _HANN_LINE, _HANN_ALIKE = 2.0 / 3.0, 3.8
 
 
 class Spectra:
-    """Power spectra of frames of one size, gathered frame by frame.
-
-    Parameters
-    ----------
-    shape : (H, W)
-    gain : (H, W) array, optional
-        Amplification of each pixel's noise by the flat-field correction; None: 1 everywhere.
-
-    Attributes
-    ----------
-    shape : (H, W)
-    count : int
-        Frames gathered.
-    image : (H, W) float64
-        Mean frame.
-    lost : (n,) bool
-        Blocks that are cut off at an end of the range in any frame.
+    """Power spectra of frames of one size, gathered frame by frame; `gain`, (H, W), is how the flat-field correction
+    amplifies the noise of each pixel.
     """
 
     def __init__(self, shape: tuple[int, int], gain: NDArray[np.float64] | None = None) -> None:
         self.shape, self.count, self._blocks, self._changes, self._last = shape, 0, [], [], None
         self.gain = np.ones(shape) if gain is None else gain
+        # Blocks that are cut off at an end of the range in any frame.
         self.lost = np.zeros((shape[0] // _BLOCK) * (shape[1] // _BLOCK), bool)
         self._image, self._power, self._sum = np.zeros(shape), 0.0, 0.0
         if min(shape) < 3 * _BLOCK:
@@ -163,16 +149,13 @@ class Noise:
 
 
 def noise_of(spectra: Spectra) -> Noise:
-    """Return the Noise of Spectra.
+    """Return the Noise of Spectra. Blocks that are cut off at an end of the range are ignored.
 
-    Notes
-    -----
     For a moving camera, the noise of single pixels is that of the flattest tenth of blocks, less the fixed part; it is
     too high if no part of the images is flat. For a static camera, it is the difference between frames, and the fixed
-    part comes from the flattest blocks of the mean frame. If the difference has more power in coarse detail than in
-    the finest, the scene changes; then the tenth of blocks with the least coarse change gives the noise. Blocks that
-    are cut off at an end of the range are ignored. Rows and columns in the scene (fields, roofs) count as temporal row
-    and column noise of a moving camera.
+    part comes from the flattest blocks of the mean frame. If the difference has more power in coarse detail than in the
+    finest, the scene changes; then the tenth of blocks with the least coarse change gives the noise. Rows and columns
+    in the scene (fields, roofs) count as noise of a moving camera.
     """
     window = _window(spectra.shape) ** 2
     seen_gain = float((window * spectra.gain**2).sum() / window.sum())

@@ -45,20 +45,8 @@ def notes_of(
     survey: Survey, blind: Sequence[int], state: State, spread: Spread, settings: Settings, pixel_m: float,
     level: Level, time: np.datetime64 | None = None,
 ) -> list[str]:  # fmt: skip
-    """Return sentences for the user.
-
-    Parameters
-    ----------
-    survey : Survey
-    blind : sequence of int
-        Numbers of the frames that show nothing of the terrain.
-    state, spread, settings
-        Of the solution.
-    pixel_m : float
-        Side of a pixel on the ground [m]; 0 if no frame shows it.
-    level : Level
-    time : datetime64, optional
-        Of the scene's weather, UTC.
+    """Return sentences for the user on a solution. `blind` are numbers of frames without terrain, and `pixel_m` is the
+    side of a pixel on the ground [m], 0 if no frame shows it.
     """
     return [
         *_coverage(survey, blind, spread), *_misfits(survey, state, spread, settings),

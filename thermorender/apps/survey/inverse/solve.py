@@ -94,21 +94,8 @@ class State:
 
 
 class Problem:
-    """Frames over a scene, and what is assumed of them.
-
-    Parameters
-    ----------
-    renderer : Renderer
-        Of the scene.
-    camera : Camera
-    images : (F, H, W) float32
-        Linear kelvin; NaN where a pixel is not valid.
-    poses : (F, 4, 4) array
-        As measured.
-    lattice : Lattice
-    prior : Prior
-        Of the map, in linear kelvin.
-    settings : Settings
+    """Frames over a scene, (F, H, W) float32 in linear kelvin with NaN where not valid, their measured poses (F, 4, 4),
+    and the prior.
     """
 
     def __init__(
@@ -328,15 +315,6 @@ class Common:
     Before the step, map and pattern would both take what either of them explains, and alternate without an end where
     the frames stand on a grid. Places on the map are kept for that, because casting rays takes long: 6 bytes a pixel,
     with places to 1/65535 of the map's longer side.
-
-    Parameters
-    ----------
-    frames, pixels : int
-        Numbers of both.
-    longest : int
-        Longer side of the map [texels].
-    noise_k, pattern_k : float
-        Least standard deviation of a pixel, and that of the pattern before the frames [K].
     """
 
     def __init__(self, frames: int, pixels: int, longest: int, noise_k: float, pattern_k: float) -> None:

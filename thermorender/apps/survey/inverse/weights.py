@@ -200,14 +200,7 @@ class Sight:
 
 
 class Viewer:
-    """The forward model of one camera over one scene: `sight` casts a frame's rays.
-
-    Parameters
-    ----------
-    renderer : Renderer
-    camera : Camera
-    lattice : Lattice
-    """
+    """The forward model of one camera over one scene: `sight` casts a frame's rays."""
 
     def __init__(self, renderer: "Renderer", camera: Camera, lattice: Lattice) -> None:
         self.renderer, self.camera, self.lattice = renderer, camera, lattice
@@ -367,15 +360,8 @@ def texel_line(side: float) -> Floats:
 
 
 def sharpened(step: Floats, reach: float, terms: int) -> Floats:
-    """Return a step of the map, which the matrix finds without blur, after the first terms of the blur's inverse.
-
-    Parameters
-    ----------
-    step : (h, w) array
-    reach : float
-        Distance of the outer taps of a pixel [texels].
-    terms : int
-        Of 1 + (1 − B) + (1 − B)² + …, with B the blur of a pixel. A transfer b leaves (1 − b)^terms.
+    """Return a step of the map (h, w), found without blur, after the first `terms` of 1 + (1 − B) + (1 − B)² + …, with
+    B the blur of a pixel whose outer taps are `reach` texels away. A transfer b leaves (1 − b)^terms.
     """
     total, rest = step.copy(), step
     for _ in range(terms - 1):
