@@ -84,7 +84,7 @@ def test_address_of_a_cluster(tmp_path):
     assert parse_cluster("tcp://host:8786") == Address(scheduler="tcp://host:8786")
     assert parse_cluster(str(config)) == Address(config=config)
     for text in ("local:0", "local", "host:8786", "tcp://host", str(tmp_path), "no.yaml"):
-        with pytest.raises(ThermorenderError, match=r"--cluster='.*' is not allowed; give local:N with a number"):
+        with pytest.raises(ThermorenderError, match=r"cluster='.*' is not allowed; give local:N with a number"):
             parse_cluster(text)
     for text, wrong in (
         ("a: 1\n", "has no scheduler-address"),
@@ -114,7 +114,7 @@ def test_blocks_begin_at_multiples_of_their_length():
     (("--frames", "5:5"), "--frames='5:5' is not allowed; give FIRST:STOP"),
     (("--frames", "0:5", "--resume"), "--frames needs no --resume"),
     (("--cluster", "local:2", "--preview"), "--preview writes no frames; leave --cluster and --frames out"),
-    (("--cluster", "here"), "--cluster='here' is not allowed"),
+    (("--cluster", "here"), "cluster='here' is not allowed"),
 ])  # fmt: skip
 def test_contradicting_options_are_refused(call, tmp_path, arguments, wrong):
     status, _, errors = call("fly", "heath", "-o", tmp_path / "f", *arguments)
@@ -165,7 +165,7 @@ def test_scheduler_restarted_worker_late_and_resume(setting, tmp_path, start):
         if done >= 10:
             first.kill()
 
-    with pytest.raises(ThermorenderError, match=r"the scheduler was lost .* start it again and continue with --resume"):
+    with pytest.raises(ThermorenderError, match=r"the scheduler was lost .* start it again and continue with resume"):
         fly(renderer, path, tmp_path / "f", Address(scheduler=address), OPTIONS, block=5, progress=kill)
     _, address = scheduler(start)
     worker(start, address, "second")
@@ -213,8 +213,7 @@ def worlds_in_process(monkeypatch):
     """Worlds of two tiny pairs each, rendered in this process where workers would."""
     from contextlib import nullcontext
 
-    from thermorender.apps.cluster import dataset
-    from thermorender.apps.training import rendered
+    from thermorender.apps.training import on_workers, rendered
     from thermorender.apps.training.dataset import Entry
     from thermorender.apps.training.dataset_writer import packed
 
@@ -227,9 +226,9 @@ def worlds_in_process(monkeypatch):
             yield entry, packed(np.zeros((2, 3, 3), np.uint8), value)
 
     monkeypatch.setattr(rendered, "_pairs", pairs)
-    monkeypatch.setattr(dataset, "connected", lambda address: nullcontext())
+    monkeypatch.setattr(on_workers, "connected", lambda address: nullcontext())
     # In another order than that of the campaign.
-    monkeypatch.setattr(dataset, "results", lambda client, do, units, report: ((k, do(k)) for k in reversed(units)))
+    monkeypatch.setattr(on_workers, "results", lambda client, do, units, report: ((k, do(k)) for k in reversed(units)))
     return pairs
 
 
@@ -254,7 +253,7 @@ def test_worlds_by_workers_have_the_bytes_of_one_machine(worlds_in_process, tmp_
 
 
 def test_workers_of_another_version_are_refused(monkeypatch):
-    from thermorender.apps.cluster.work import ready
+    from thermorender.apps.cluster.engine import ready
     from thermorender.versions import versions
 
     ready(versions(), 0)

@@ -9,10 +9,10 @@ from typer.testing import CliRunner
 
 import thermorender as tr
 from scenes import write_raster
+from thermorender.apps.lands.import_settings import ImportSettings, ThreeD
 from thermorender.apps.lands.import_terrain import import_terrain
 from thermorender.apps.lands.solids import found
 from thermorender.apps.lands.solids.borders import OPEN, borders
-from thermorender.apps.lands.solids.importing import ThreeD
 from thermorender.apps.lands.solids.outlines import outlines_in
 from thermorender.apps.lands.solids.steps import cut_at_steps
 from thermorender.cli import app as cli
@@ -68,7 +68,7 @@ def upright_area(surface):
 def test_a_house_has_walls_to_its_eaves_and_a_tree_a_crown(model, tmp_path, given, known):
     three_d = ThreeD(model / "dem.tif" if given else None)
     outlines = model / "known.geojson" if known else None
-    made = import_terrain(model / "dsm.tif", None, tmp_path / "s", known=outlines, three_d=three_d)
+    made = import_terrain(model / "dsm.tif", None, tmp_path / "s", ImportSettings(known=outlines), three_d)
     assert (made["buildings"], made["trees"]) == (1, 1)
     of = surfaces(scene := tr.load_scene(tmp_path / "s"))
     assert set(of) == {"ground", "roofs", "walls", "plants"}
@@ -110,10 +110,12 @@ def test_the_ground_below_objects_is_found():
 
 def test_wrong_arguments(model, tmp_path):
     with pytest.raises(ThermorenderError, match="fill is for a raster of heights"):
-        import_terrain(model / "dsm.tif", None, tmp_path / "s", fill=True, three_d=ThreeD())
+        import_terrain(model / "dsm.tif", None, tmp_path / "s", ImportSettings(fill=True), ThreeD())
     (tmp_path / "none.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": []}))
     with pytest.raises(ThermorenderError, match="has no polygon with a tag 'building'"):
-        import_terrain(model / "dsm.tif", None, tmp_path / "s", known=tmp_path / "none.geojson", three_d=ThreeD())
+        import_terrain(
+            model / "dsm.tif", None, tmp_path / "s", ImportSettings(known=tmp_path / "none.geojson"), ThreeD()
+        )
     done = CliRunner().invoke(cli.app, ["import-terrain", str(model / "dsm.tif"), "-o", str(tmp_path / "s"),
                                         "--wall", "brick_clay"])  # fmt: skip
     assert done.exit_code != 0 and "--wall, --building-class and --copies are for scenes" in str(done.exception)
@@ -124,13 +126,17 @@ def test_outlines_of_a_gis_are_read_with_rows_without_a_shape(model, tmp_path):
     content = json.loads((model / "known.geojson").read_text())
     content["features"].insert(0, {"type": "Feature", "properties": {"building": "yes"}, "geometry": None})
     (tmp_path / "known.geojson").write_text(json.dumps(content))
-    made = import_terrain(model / "dsm.tif", None, tmp_path / "s", known=tmp_path / "known.geojson", three_d=ThreeD())
+    made = import_terrain(
+        model / "dsm.tif", None, tmp_path / "s", ImportSettings(known=tmp_path / "known.geojson"), ThreeD()
+    )
     assert made["buildings"] == 1
     # The same outline without a tag, and a member "crs" of null, which stands for longitude and latitude.
     del content["features"][2]["properties"]["building"]
     (tmp_path / "known.geojson").write_text(json.dumps(content))
     with pytest.raises(ThermorenderError, match=r"1 polygons without a tag 'building'.*building=yes"):
-        import_terrain(model / "dsm.tif", None, tmp_path / "t", known=tmp_path / "known.geojson", three_d=ThreeD())
+        import_terrain(
+            model / "dsm.tif", None, tmp_path / "t", ImportSettings(known=tmp_path / "known.geojson"), ThreeD()
+        )
     write_text(tmp_path / "l.geojson", '{"features": [], "crs": null}')
     assert read_features(tmp_path / "l.geojson")[1].is_geographic
 
@@ -163,7 +169,7 @@ def test_walls_of_a_courtyard_face_it(tmp_path, reverse):
     (tmp_path / "b.geojson").write_text(
         json.dumps({"type": "FeatureCollection", "crs": crs, "features": [feature]}), encoding="utf-8"
     )
-    import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", known=tmp_path / "b.geojson", three_d=ThreeD())
+    import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", ImportSettings(known=tmp_path / "b.geojson"), ThreeD())
     walls = surfaces(tr.load_scene(tmp_path / "s"))["walls"]
     corner = walls.vertices[walls.faces]
     across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -326,7 +332,7 @@ def test_the_wall_between_two_houses_is_the_step_between_their_roofs(terrace, tm
     """10 m wide each, 15 m deep: the party wall has 15 by 4 m, above the lower roof, and faces it."""
     known = features(tmp_path / "k.geojson", [(ring_of(10, 15, 20 + overlap, 30), {"building": "house"}),
                                               (ring_of(20, 15, 30, 30), {"building": "house"})])  # fmt: skip
-    made = import_terrain(terrace / "dsm.tif", None, tmp_path / "s", known=known, three_d=ThreeD())
+    made = import_terrain(terrace / "dsm.tif", None, tmp_path / "s", ImportSettings(known=known), ThreeD())
     assert made["buildings"] == 2
     planes, total = wall_areas(tr.load_scene(tmp_path / "s"))
     expected = {-14: 15 * 5.5, -4: 15 * 4.0, 6: 15 * 9.5}
@@ -339,12 +345,12 @@ def test_walls_are_those_that_outlines_declare(terrace, tmp_path):
         (ring_of(10, 15, 20, 30), {"building": "garage", "building:material": "reed", "building:colour": "#ff0000"}),
         (ring_of(20, 15, 30, 30), {"building": "yes", "building:material": "brick", "building:colour": "striped"}),
     ])  # fmt: skip
-    three_d = ThreeD(wall_by_kind={"garage": "concrete", "barn": "wood"})
-    made = import_terrain(terrace / "dsm.tif", None, tmp_path / "s", known=known, three_d=three_d)
+    three_d = ThreeD(wall=["garage=concrete", "barn=wood"])
+    made = import_terrain(terrace / "dsm.tif", None, tmp_path / "s", ImportSettings(known=known), three_d)
     # Each has one declaration with a match.
     assert made["stated_walls"] == 2
     assert made["unmatched"] == {
-        "building:material=reed": 1, "building:colour=striped": 1, "building=barn of --wall": 0
+        "building:material=reed": 1, "building:colour=striped": 1, "building=barn of wall": 0
     }  # fmt: skip
     scene = tr.load_scene(tmp_path / "s")
     walls = surfaces(scene)["walls"]
@@ -354,7 +360,7 @@ def test_walls_are_those_that_outlines_declare(terrace, tmp_path):
     red, green, blue = np.moveaxis(walls.colour[names == "concrete"].astype(int), -1, 0)
     assert np.median(red) > 200 and np.median(green) == np.median(blue) == 0
     plain = features(tmp_path / "p.geojson", [(ring_of(10, 15, 20, 30), {"building": "yes", "material": "granite"})])
-    made = import_terrain(terrace / "dsm.tif", None, tmp_path / "t", known=plain, three_d=ThreeD())
+    made = import_terrain(terrace / "dsm.tif", None, tmp_path / "t", ImportSettings(known=plain), ThreeD())
     assert (made["stated_walls"], made["unmatched"]) == (1, {})
     assert "granite" in {material.name for material in tr.load_scene(tmp_path / "t").materials}
 
@@ -364,19 +370,21 @@ def test_a_class_of_a_raster_is_the_outline_of_buildings(terrace, tmp_path):
     classes[15:30, 10:30] = 2
     write_raster(tmp_path / "classes.tif", classes[None], corner=CORNER)
     known = tmp_path / "classes.tif"
-    made = import_terrain(terrace / "dsm.tif", None, tmp_path / "s", known=known, three_d=ThreeD(building_class=2))
+    made = import_terrain(
+        terrace / "dsm.tif", None, tmp_path / "s", ImportSettings(known=known), ThreeD(building_class=2)
+    )
     assert made["buildings"] == 1
     planes, _ = wall_areas(tr.load_scene(tmp_path / "s"))
     # One outline, whose roof steps by 4 m in the middle.
     assert planes == pytest.approx({-14: 15 * 5.5, -4: 15 * 4.0, 6: 15 * 9.5}, rel=0.03)
     for number, words in (
-        (None, "give the number of its buildings as --building-class"),
+        (None, "give building_class, the number of its buildings"),
         (7, r"holds the classes \[1, 2\]"),
         (0, "building_class=0 marks pixels without data"),
     ):
         with pytest.raises(ThermorenderError, match=words):
             import_terrain(
-                terrace / "dsm.tif", None, tmp_path / "t", known=known, three_d=ThreeD(building_class=number)
+                terrace / "dsm.tif", None, tmp_path / "t", ImportSettings(known=known), ThreeD(building_class=number)
             )
 
 
@@ -408,10 +416,10 @@ def test_posts_far_apart_need_outlines(tmp_path):
     height = np.full((30, 30), 20.0, np.float32)
     height[10:14, 10:18] = 28.0
     write_raster(tmp_path / "dsm.tif", height[None], step=2.0, corner=CORNER)
-    with pytest.raises(ThermorenderError, match=r"posts 2 m apart.*give a finer model \(or more --max-vertices"):
+    with pytest.raises(ThermorenderError, match=r"posts 2 m apart.*give a finer model \(or more max_vertices"):
         import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", three_d=ThreeD())
     known = features(tmp_path / "k.geojson", [(ring_of(20, 20, 36, 28), {"building": "yes"})])
-    made = import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", known=known, three_d=ThreeD())
+    made = import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", ImportSettings(known=known), ThreeD())
     assert (made["buildings"], made["trees"]) == (1, 0)
 
 
@@ -431,7 +439,7 @@ def test_a_block_and_its_low_annex_in_one_outline_have_a_wall_between_their_roof
     ring = [(10, 12), (38, 12), (38, 36), (10, 36)]
     write_raster(tmp_path / "dsm.tif", height[None].astype(np.float32), corner=CORNER)
     known = features(tmp_path / "k.geojson", [(ring[::-1] if turned else ring, {"building": "yes"})])
-    made = import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", known=known, three_d=ThreeD())
+    made = import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", ImportSettings(known=known), ThreeD())
     assert made["buildings"] == 1
     of = surfaces(scene := tr.load_scene(tmp_path / "s"))
     roof, faces = of["roofs"].vertices, of["roofs"].faces

@@ -233,7 +233,7 @@ def test_a_token_file_belongs_to_one_server(tmp_path, monkeypatch):
     assert not kept.exists()
     (kept / "folder").mkdir(parents=True)
     with pytest.raises(
-        ThermorenderError, match=r"token file .*token cannot be written \(.*\); give a file in .*--token-file"
+        ThermorenderError, match=r"token file .*token cannot be written \(.*\); give a file in a folder of yours"
     ):
         access.new_token(kept)
     assert sorted(each.name for each in tmp_path.iterdir()) == ["link", "token"]

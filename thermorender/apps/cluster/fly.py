@@ -1,20 +1,20 @@
 """A flight whose blocks are rendered by the workers of a Dask cluster."""
 
+import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from thermorender import files
 from thermorender.apps.cluster.connect import Address, connected
-from thermorender.apps.cluster.dispatch import Report, results, sentence
-from thermorender.apps.cluster.work import do_block, store
+from thermorender.apps.cluster.engine import Report, do_unit, results, sentence, store
 from thermorender.errors import ThermorenderError
-from thermorender.output.blocks import finished_blocks, gaps, join, uncovered, usual_length
+from thermorender.output.blocks import FOLDER, finished_blocks, gaps, join, uncovered, usual_length, write_block
 from thermorender.output.flight import Flight, FlightOptions
 from thermorender.output.flight import fly as fly_here
-from thermorender.output.resume import finished
+from thermorender.output.resume import finished, refuse_other_settings
 
 if TYPE_CHECKING:
     from thermorender.render.renderer import Renderer
@@ -41,40 +41,55 @@ class Tally:
             return
         self.blocks += 1
         self.frames += frames
+        spent = found["value"] | {"loading_s": found["loading_s"]}
         for name in ("bytes", "loading_s", "warm_up_s", "frames_s", "moving_s"):
-            setattr(self, name, getattr(self, name) + found[name])
+            setattr(self, name, getattr(self, name) + spent[name])
+
+
+class FlightBlocks:
+    """Renders blocks of a flight; pickled as what a worker makes the flight from."""
+
+    def __init__(self, folder: Path, flight: Flight, trajectory: "Trajectory", options: FlightOptions) -> None:
+        self._folder, self._flight, self._trajectory, self._options = folder, flight, trajectory, options
+
+    def __call__(self, frames: range) -> dict[str, Any]:
+        """Render a block; return what `write_block` does."""
+        refuse_other_settings(self._folder / "flight.json", self._flight.settings)
+        return write_block(self._flight, self._folder, frames.start, frames.stop)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        renderer = self._flight.renderer
+        baked = renderer.baked
+        if not renderer.scene.temperature_state.weather_driven:
+            # Temperatures that do not change need no further solution of the light; the error budget needs `transport`.
+            baked = replace(baked, incident=None)
+        folder, prospect = Path(os.path.abspath(self._folder)), self._flight.prospect
+        return _blocks_of, (folder, baked, renderer.seed, self._trajectory, self._options, prospect)
+
+
+def _blocks_of(
+    folder: Path, baked: Any, seed: int, trajectory: "Trajectory", options: FlightOptions, prospect: Any
+) -> FlightBlocks:
+    """The FlightBlocks in a worker, of the baked scene that it was pickled with."""
+    from thermorender.render.renderer import Renderer
+
+    flight = Flight(Renderer.of(baked, seed), trajectory, options, None, prospect)
+    # The contact sheet is made of the finished frames.
+    flight.sheet = []
+    return FlightBlocks(folder, flight, trajectory, options)
 
 
 def fly(
-    renderer: "Renderer",
-    trajectory: "Trajectory",
-    folder: str | PathLike[str],
-    address: Address,
-    options: FlightOptions,
-    *,
-    block: int | None = None,
-    resume: bool = False,
-    verify: bool = False,
+    renderer: "Renderer", trajectory: "Trajectory", folder: str | os.PathLike[str], address: Address,
+    options: FlightOptions, *, block: int | None = None, resume: bool = False, verify: bool = False,
     progress: Callable[[int, int], object] | None = None,
-    of_worker: Callable[[str, int, int], object] | None = None,
-    report: Report = lambda line: None,
-) -> dict[str, Any]:
+    of_worker: Callable[[str, int, int], object] | None = None, report: Report = lambda line: None,
+) -> dict[str, Any]:  # fmt: skip
     """Render a flight by the workers of a cluster and return its summary: that of `thermorender.fly`, and `workers`.
 
     The folder must be on a disk that all workers share, under the same path. Its files have the bytes of a flight on
-    one machine with the same kind of processor.
-
-    Parameters
-    ----------
-    renderer, trajectory, folder, options, resume, verify, progress
-        As of `thermorender.output.flight.fly`.
-    address : Address
-    block : int, optional
-        Frames of a block; see `thermorender.output.blocks.usual_length`.
-    of_worker : callable, optional
-        Called with (worker, its frames, frames in total).
-    report : callable
-        Called with lines on workers that join, are lost, or fail.
+    one machine with the same kind of processor. `block` is the frames of a block; `of_worker` is called with (worker,
+    its frames, frames in total), and `report` with lines on workers that join, are lost, or fail.
     """
     flight = Flight(renderer, trajectory, options, None)
     total = len(flight.times)
@@ -90,10 +105,12 @@ def fly(
             work = _cut(uncovered(kept, before, total), block or usual_length(flight))
             failures: list[str] = []
             if work:
-                job = store(flight, out, address.local)
+                path = out / FOLDER / "flight.pickle"
+                path.parent.mkdir(exist_ok=True)
+                job = store(FlightBlocks(out, flight, trajectory, options), path, address.local)
                 done = total - sum(map(len, work))
                 with connected(address) as client:
-                    for frames, found in results(client, partial(do_block, job), work, report):
+                    for frames, found in results(client, partial(do_unit, job), work, report):
                         tallies.setdefault(found["worker"], Tally()).add(found, len(frames))
                         if "error" in found:
                             failures.append(f"frames {frames.start} to {frames.stop - 1} on {sentence(found)}")
@@ -109,7 +126,7 @@ def fly(
                 next(gaps(flight, out), None)
                 raise ThermorenderError(
                     f"{len(failures)} of {len(work)} blocks failed, the first: {failures[0]}; the others are finished, "
-                    "mend the cause and continue with --resume"
+                    "mend the cause and continue with resume"
                 )
         summary = fly_here(renderer, trajectory, out, options, resume=True)
     return summary | {"rendered": total - before, "workers": {name: vars(each) for name, each in tallies.items()}}

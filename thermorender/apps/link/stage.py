@@ -75,7 +75,7 @@ class Stage:
         if name not in self.cameras:
             raise ThermorenderError(
                 f"camera {name!r} is not served; give one of {', '.join(self.cameras)}, or start the server with "
-                f"--camera {name or 'NAME'}"
+                "this camera"
             )
         if settings.method == "A":
             if settings.map:
@@ -83,7 +83,7 @@ class Stage:
         elif settings.map not in self._models:
             raise ThermorenderError(
                 f"map {settings.map!r} is not served; give one of {', '.join(self._models) or 'none'}, or start the "
-                f"server with --map {settings.map or 'NAME'}"
+                "server with this map"
             )
         if settings.attitude == "camera" and any((*settings.mount_deg, *settings.lever_arm_m)):
             raise ThermorenderError(

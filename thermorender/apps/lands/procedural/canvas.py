@@ -1,13 +1,13 @@
 """The canvas of a synthetic scene: height, material, colour and moisture per texel, and functions that paint them."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermorender.apps.lands.procedural.light import linear
-from thermorender.apps.lands.procedural.noise import fractal_noise, smooth_noise, smoothstep, stream
+from thermorender.apps.lands.procedural.noise import Values, fractal_noise, smooth_noise, smoothstep, stream
 
 if TYPE_CHECKING:
     from thermorender.apps.lands.procedural.solids import Solids
@@ -25,7 +25,7 @@ class Canvas:
         self.east, self.north = line[None, :], -line[:, None]
         # Bare ground, height of objects on it, and small relief that is lit but not in the surface model [m].
         self.ground = np.zeros(self.shape, np.float32)
-        self.top = np.zeros(self.shape, np.float32)
+        self.top: Values = np.zeros(self.shape, np.float32)
         self.relief = np.zeros(self.shape, np.float32)
         self.albedo = np.zeros((*self.shape, 3), np.float32)  # Linear colour of a level surface in full sun
         self.material = np.zeros(self.shape, np.uint8)  # Class value
@@ -62,7 +62,7 @@ class Canvas:
         """Return the scene's single-octave noise of that name, (N, N) float32."""
         return smooth_noise(self.stream(name), self.shape, self.texel, wavelength_m)
 
-    def texels(self, east: ArrayLike, north: ArrayLike) -> tuple[NDArray, NDArray]:
+    def texels(self, east: Any, north: Any) -> tuple[Any, Any]:
         """Return (row, column) of a position [m] as floats, texel centres at integers."""
         return (0.5 * self.size - north) / self.texel - 0.5, (east + 0.5 * self.size) / self.texel - 0.5
 
@@ -76,7 +76,7 @@ class Canvas:
         row, column = self.texels(east, north)
         return float(self.ground[int(np.clip(row, 0, self.n - 1)), int(np.clip(column, 0, self.n - 1))])
 
-    def paint(self, cover: NDArray, colour: NDArray, material: str | None = None) -> None:
+    def paint(self, cover: Values, colour: Values, material: str | None = None) -> None:
         """Blend a linear colour, (3,) or (N, N, 3), over the canvas by `cover`, (N, N) in 0…1; above one half it also
         sets the material.
         """
@@ -86,7 +86,7 @@ class Canvas:
         if material is not None:
             self.material[cover > 0.5] = self.value(material)
 
-    def tint(self, factor: NDArray) -> None:
+    def tint(self, factor: Values) -> None:
         """Multiply the colour by an (N, N) or (N, N, 3) factor."""
         self.albedo *= factor[..., None] if factor.ndim == 2 else factor
 
@@ -99,7 +99,7 @@ class Canvas:
             clip(np.floor(left)), clip(np.ceil(right) + 1)
         )
 
-    def ribbon(self, points: NDArray, reach_m: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def ribbon(self, points: Values, reach_m: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return (offset, along) of a polyline of points (K, 2) east and north, two (N, N) float32 [m]. Offset is
         positive to the right of the direction of travel, and inf beyond `reach_m`.
         """
@@ -124,7 +124,7 @@ class Canvas:
         return offset, along
 
     def stamp(
-        self, crown: NDArray, tone: NDArray, east: float, north: float, height_m: float, colour: NDArray, material: int,
+        self, crown: Values, tone: Values, east: float, north: float, height_m: float, colour: Values, material: int,
         beneath: float = 0.35,
     ) -> None:  # fmt: skip
         """Place a tree or shrub on the canvas; it is visible where it is higher than the existing surface. `crown`, (h,
@@ -160,7 +160,7 @@ def spline(points: ArrayLike, spacing_m: float = 2.0) -> NDArray[np.float64]:
     return np.vstack([*pieces, p[-2:-1]])
 
 
-def ruts(c: Canvas, points: NDArray, gauge: float, width: float, strength: float, name: str) -> NDArray[np.float32]:
+def ruts(c: Canvas, points: Values, gauge: float, width: float, strength: float, name: str) -> NDArray[np.float32]:
     """Return the marks of a pair of wheels along points (K, 2) east and north [m], (N, N) float32 in 0…1. The noise
     `name` interrupts them; gauge and half width of a mark are in metres.
     """
@@ -222,7 +222,7 @@ def crowns(
 
 
 def scatter(
-    generator: np.random.Generator, canvas: Canvas, spacing_m: float, density: NDArray, jitter: float = 0.42
+    generator: np.random.Generator, canvas: Canvas, spacing_m: float, density: Values, jitter: float = 0.42
 ) -> NDArray[np.float64]:
     """Return positions on a jittered grid, kept with the probability `density` (N, N), as (K, 2) east and north [m].
     The largest shift is `jitter` of the spacing.
@@ -242,7 +242,7 @@ def scatter(
 
 
 def planted_rows(
-    g: np.random.Generator, c: Canvas, between: float, along: float, bearing: float, density: NDArray
+    g: np.random.Generator, c: Canvas, between: float, along: float, bearing: float, density: Values
 ) -> NDArray[np.float64]:
     """Return positions in planted rows, kept with the probability `density` (N, N), as (K, 2) east and north [m].
     `between` and `along` are spacings [m]; `bearing` turns the rows [rad].
@@ -260,8 +260,8 @@ def planted_rows(
 
 
 def plant(
-    generator: np.random.Generator, canvas: Canvas, positions: NDArray,
-    library: Sequence[tuple[NDArray, NDArray]], height_m: float, colours: Sequence[tuple[int, int, int]], material: str,
+    generator: np.random.Generator, canvas: Canvas, positions: Values,
+    library: Sequence[tuple[Values, Values]], height_m: float, colours: Sequence[tuple[int, int, int]], material: str,
     spread: float = 0.14, beneath: float = 0.35,
 ) -> None:  # fmt: skip
     """Place a tree or shrub at each of the (K, 2) positions, with crowns of the library and a mix of sRGB colours.
@@ -270,8 +270,8 @@ def plant(
     value = canvas.value(material)
     palette = np.array([linear(*c) for c in colours])
     for east, north in positions:
-        crown, tone = library[generator.integers(len(library))]
-        turn = generator.integers(8)
+        crown, tone = library[int(generator.integers(len(library)))]
+        turn = int(generator.integers(8))
         crown, tone = np.rot90(crown, turn % 4), np.rot90(tone, turn % 4)
         if turn > 3:
             crown, tone = crown.T, tone.T

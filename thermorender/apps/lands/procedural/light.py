@@ -1,5 +1,7 @@
 """Sunlight on a surface model, and the orthophoto of the lit surface."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,7 +15,7 @@ _SUN_SHARE = np.array([0.82, 0.795, 0.755], np.float32)
 _SKY_SHARE = 1.0 - _SUN_SHARE
 
 
-def _shifted(field, east_texels, north_texels):
+def _shifted(field: NDArray[np.float32], east_texels: float, north_texels: float) -> Any:
     """Return the field sampled at a constant offset; edges are repeated."""
     import cv2
 
@@ -114,8 +116,8 @@ def photograph(
     for channel in range(3):
         light = _SUN_SHARE[channel] * direct + _SKY_SHARE[channel] * ambient
         value = _developed(albedo[..., channel] * light * drift, channel)
-        value = cv2.GaussianBlur(value, (0, 0), blur_texels)
-        value = 255.0 * srgb.encoded(value) + np.float32(noise) * grain
+        blurred = np.asarray(cv2.GaussianBlur(value, (0, 0), blur_texels), np.float32)
+        value = 255.0 * srgb.encoded(blurred) + np.float32(noise) * grain
         picture[..., channel] = np.clip(value + 0.5, 0, 255).astype(np.uint8)
     return picture
 

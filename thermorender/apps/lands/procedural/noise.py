@@ -1,9 +1,13 @@
 """Seeded random streams, and fractal noise in the plane without a visible lattice."""
 
 import zlib
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+# Of texels, (N, N), or of positions, (K, 2).
+Values = NDArray[Any]
 
 
 def stream(seed: int, name: str) -> np.random.Generator:
@@ -85,7 +89,7 @@ def ridged_noise(
     return total / np.float32(weight)
 
 
-def warp(field: NDArray, offset_x: NDArray, offset_y: NDArray) -> NDArray:
+def warp(field: Values, offset_x: Values, offset_y: Values) -> Values:
     """Return the (H, W) field sampled at positions shifted by the (H, W) offsets [texels]; edges are repeated."""
     import cv2
 
@@ -95,7 +99,7 @@ def warp(field: NDArray, offset_x: NDArray, offset_y: NDArray) -> NDArray:
     return cv2.remap(field, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
-def smoothstep(low: float, high: float, value: NDArray | float) -> NDArray:
+def smoothstep(low: float, high: float, value: Values | float) -> Values:
     """Return the cubic step that is 0 below `low` and 1 above `high`, in the value's shape."""
     t = np.clip((value - low) / (high - low), 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from thermorender.apps.lands.procedural import house_shapes
 from thermorender.apps.lands.procedural.light import linear
+from thermorender.apps.lands.procedural.noise import Values
 from thermorender.apps.lands.solids.plants import DENSITY, DENSITY_CONIFER, DENSITY_HEDGE, Plants, edge_of
 from thermorender.apps.lands.solids.quads import Quads
 from thermorender.errors import ThermorenderError
@@ -92,7 +93,7 @@ class Solids:
 
     def box(
         self, window: "Window", mask: NDArray[np.bool_], u: float, v: float, half: tuple[float, float], height_m: float,
-        colour: NDArray, material: str,
+        colour: Values, material: str,
     ) -> None:  # fmt: skip
         """Record a box on the ground."""
         if not mask.any():
@@ -103,7 +104,7 @@ class Solids:
             window.position, u, v, *half, low - 0.2, low + height_m, lambda s, t: (colour * np.exp(tone), number)
         )
 
-    def hedge(self, window: "Window", mask: NDArray[np.bool_], height_m: NDArray, colour: NDArray) -> None:
+    def hedge(self, window: "Window", mask: NDArray[np.bool_], height_m: Values, colour: Values) -> None:
         """Record a hedge; height [m] and linear colour are those of the (n,) texels of the mask."""
         if not mask.any():
             return
@@ -115,7 +116,7 @@ class Solids:
         self.plants.fill(self._leaf, column, c.texel, _HEDGE_EDGE_M, DENSITY_HEDGE, colour, c.value("broadleaf"))
 
     def tree(
-        self, crown: NDArray, tone: NDArray, east: float, north: float, height_m: float, colour: NDArray, material: int,
+        self, crown: Values, tone: Values, east: float, north: float, height_m: float, colour: Values, material: int,
         beneath: float,
     ) -> None:  # fmt: skip
         """Record a tree or shrub with the arguments of `Canvas.stamp`."""

@@ -4,7 +4,6 @@ The survey is a scene of rasters: the highest surface under each texel, with its
 So the same world exists twice, and the draped one can be judged against the other.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ from thermorender.files import atomic_folder
 from thermorender.formats import write_text
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
+from thermorender.progress import Progress
 from thermorender.render.daylight import daylight
 from thermorender.render.from_above import from_above
 from thermorender.render.geometry import Geometry
@@ -43,9 +43,7 @@ SURVEY = "survey"
 _LOOKS = ((0.0, 0.0), (-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))
 
 
-def write(
-    world: World, directory: str | Path, overwrite: bool = False, progress: Callable[[str, float], None] | None = None
-) -> Path:
+def write(world: World, directory: str | Path, overwrite: bool = False, progress: Progress | None = None) -> Path:
     """Write a World as a scene with its true temperatures, and its survey as a scene in `survey`; return the folder."""
     scene, frame, skins = world.scene, _frame(world.scene), _on_frame(world)
     heights = Ground(skins), Ground(skins[:1])  # type: ignore[arg-type]
@@ -116,6 +114,7 @@ def _declare(
     tables = write_skins(folder, skins)
     if known:
         tables = [{**table, "temperature": f"{table['name']}_kelvin.tif"} for table in tables]
+    assert scene.weather.air_high_c is not None
     air = {"source": "constant", "value": round(scene.weather.air_high_c + ZERO_CELSIUS_K, 2)}
     solid = {
         "terrain": {"mesh": MESH}, "temperature": air if known else {"source": "balance"}, "frame": _place(frame),
@@ -156,9 +155,10 @@ def _lit(loaded: Scene, geometry: Geometry, skins: list[Skin], world: World) -> 
 
 
 def _true_kelvin(
-    loaded: Scene, geometry: Geometry, scene: SyntheticScene, progress: Callable[[str, float], None] | None
+    loaded: Scene, geometry: Geometry, scene: SyntheticScene, progress: Progress | None
 ) -> dict[str, NDArray[np.float32]]:
     """{skin: (h, w) [K]}: the true temperatures, from drawn properties as in 2.5-D."""
+    assert loaded.time is not None
     true, exchange = drawn(loaded, scene.kind, scene.seed)
     sizes = {_name(surface): surface.material.size for surface in loaded.surfaces[: loaded.terrain_count]}
     fields = {}
@@ -194,7 +194,8 @@ def write_survey(
         # Map and ground differ by the map's scale: at the edge the outermost ray may miss.
         missed = texel < 0
         if missed.any():
-            near = np.clip(place[missed, :2], *(side * (0.5 * scene.size_m - 0.01) for side in (-1.0, 1.0)))
+            edge = 0.5 * scene.size_m - 0.01
+            near = np.clip(place[missed, :2], -edge, edge)
             up[missed], texel[missed] = from_above(geometry, near[:, 0], near[:, 1])
         if number == 0:
             classes = value[material[texel]]

@@ -92,6 +92,7 @@ def sky_temperature(weather: WeatherSpec, found: Conditions, altitude_m: float) 
     the atmospheric window.
     """
     air = declared_air(atmosphere(weather, found, altitude_m), defaults.BAND_UM, "synthetic scene")
+    assert air is not None
     return air.sky_temperature(altitude_m)
 
 

@@ -147,13 +147,13 @@ def check_levels(
     if below:
         raise ThermorenderError(
             f"the surface model is {where}, so both count from different levels; convert one of them, or leave "
-            "--ground out"
+            "ground out"
         )
     if smooth:
         raise ThermorenderError(
             f"the surface model is {where}, and smooth there: both count from different levels, or a closed crop "
             "covers everything; convert one of them, declare the vertical CRS of both, or, above a crop, leave "
-            "--ground out, so that its surface is the ground"
+            "ground out, so that its surface is the ground"
         )
 
 

@@ -100,8 +100,8 @@ def imported(
     if known is None and post_m > _FINE_M:
         raise ThermorenderError(
             f"the surface model has posts {post_m:.3g} m apart, and buildings are found by height in posts of "
-            f"{_FINE_M} m or less; give a finer model (or more --max-vertices, if they thin it), or the buildings' "
-            "outlines as --known"
+            f"{_FINE_M} m or less; give a finer model (or more max_vertices, if they thin it), or the buildings' "
+            "outlines as known"
         )
     green = found.is_green(*picture, grid) if picture else None
     bare = (found.ground_below(height, post_m, green) if ground is None
@@ -172,7 +172,7 @@ def _all_walls(
             _walls(quads, loop, base, top, tops, paint)
     counts = Counter(unmatched.values())
     kinds = {each.tags.get("building") for each in high}
-    counts.update({f"building={kind} of --wall": 0 for kind in walls.by_kind if kind not in kinds})
+    counts.update({f"building={kind} of wall": 0 for kind in walls.by_kind if kind not in kinds})
     return len(stated), dict(counts)
 
 

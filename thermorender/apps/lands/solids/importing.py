@@ -1,13 +1,13 @@
-"""What `import-terrain --three-d` adds: the solids of a surface model, and their files in the scene's folder."""
+"""An import in three dimensions: the solids of a surface model, and their files in the scene's folder."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.apps.lands.import_settings import ThreeD
 from thermorender.apps.lands.solids import found
 from thermorender.apps.lands.solids.clouds import Cloud
 from thermorender.apps.lands.solids.imported import INFERRED, PLANTS, ROOF, ROOFS, WALLS, Imported, Walls, imported
@@ -20,66 +20,55 @@ from thermorender.materials.library import find, load_library
 from thermorender.scene.raster import Grid, onto
 from thermorender.scene.terrain import doubtful_zeros, filled, read_elevation, zero_of_heights
 
-WALL = "brick_painted"
+
+def solid_of(
+    three_d: ThreeD, height: NDArray[np.float64], grid: Grid, post_m: float, undulation_m: float, known: Path | None,
+    picture: tuple[NDArray[np.uint8], NDArray[np.bool_], Grid] | None, material: str, crs: Any,
+    cloud: Cloud | None = None,
+) -> Imported:  # fmt: skip
+    """Return the Imported world of heights above the geoid or ellipsoid; `undulation_m` lies between [m].
+
+    `crs` is that of the heights' file. The ground and the buildings of a cloud's classes are used where no file
+    states them.
+    """
+    library = load_library()
+    wall, wall_by_kind = three_d.walls()
+    for name in (wall, *wall_by_kind.values()):
+        find(library, name, "wall").known_thermal()
+    bare: NDArray[np.float64] | None = None
+    notes: tuple[str, ...] = ()
+    if three_d.ground is not None:
+        bare, notes = _terrain_model(three_d.ground, height, grid, post_m, crs)
+        bare = bare + undulation_m
+    elif cloud is not None and cloud.ground is not None:
+        bare = onto(cloud.ground, cloud.grid, grid, "average") + undulation_m
+    outlines = None
+    if known is not None:
+        outlines, stated = _outlines(known, three_d.building_class, grid)
+        notes += stated
+    if known is None and cloud is not None and cloud.building is not None:
+        house = onto(cloud.building.astype(np.float32), cloud.grid, grid, "nearest") == 1.0
+        # A few stray points are no statement on the others.
+        outlines = found.outlines_of(found.large(house, post_m)) or None
+    walls, colour = Walls(wall, wall_by_kind), library[material].colour
+    solid = imported(height + undulation_m, grid, post_m, bare, outlines, picture, colour, walls, library,
+                     copies=three_d.copies)  # fmt: skip
+    return replace(solid, notes=notes + solid.notes)
 
 
-@dataclass(frozen=True)
-class ThreeD:
-    """How a surface model becomes solids."""
-
-    ground: Path | None = None  # Raster of the ground's heights below all objects; None: a filter finds it
-    wall: str = WALL  # Material of walls that the outlines do not declare
-    wall_by_kind: Mapping[str, str] = field(default_factory=dict)  # {value of the tag `building`: material}
-    # The number of buildings, where the outlines are those of a raster of classes
-    building_class: int | None = None
-    copies: bool = False  # Whether trees are copies of typical ones, for woods whose leaves do not fit into memory
-
-    def made(
-        self, height: NDArray[np.float64], grid: Grid, post_m: float, undulation_m: float, known: Path | None,
-        picture: tuple[NDArray[np.uint8], NDArray[np.bool_], Grid] | None, material: str, crs: Any,
-        cloud: Cloud | None = None,
-    ) -> Imported:  # fmt: skip
-        """Return the Imported world of heights above the geoid or ellipsoid; `undulation_m` lies between [m].
-
-        `crs` is that of the heights' file. The ground and the buildings of a cloud's classes are used where no file
-        states them.
-        """
-        library = load_library()
-        for name in (self.wall, *self.wall_by_kind.values()):
-            find(library, name, "wall").known_thermal()
-        bare: NDArray[np.float64] | None = None
-        notes: tuple[str, ...] = ()
-        if self.ground is not None:
-            bare, notes = _terrain_model(self.ground, height, grid, post_m, crs)
-            bare = bare + undulation_m
-        elif cloud is not None and cloud.ground is not None:
-            bare = onto(cloud.ground, cloud.grid, grid, "average") + undulation_m
-        outlines = None
-        if known is not None:
-            outlines, stated = self._outlines(known, grid)
-            notes += stated
-        if known is None and cloud is not None and cloud.building is not None:
-            house = onto(cloud.building.astype(np.float32), cloud.grid, grid, "nearest") == 1.0
-            # A few stray points are no statement on the others.
-            outlines = found.outlines_of(found.large(house, post_m)) or None
-        walls, colour = Walls(self.wall, self.wall_by_kind), library[material].colour
-        solid = imported(height + undulation_m, grid, post_m, bare, outlines, picture, colour, walls, library,
-                         copies=self.copies)  # fmt: skip
-        return replace(solid, notes=notes + solid.notes)
-
-    def _outlines(self, known: Path, grid: Grid) -> tuple[list[found.Outline], tuple[str, ...]]:
-        """The outlines of a GeoJSON, or of a class of a raster, and sentences on what else the file states."""
-        number, is_raster = self.building_class, known.suffix.lower() not in (".json", ".geojson")
-        if is_raster and number is None:
-            raise ThermorenderError(
-                f"known={known} is not a GeoJSON; if it is a raster of classes, give the number of its buildings as "
-                "--building-class"
-            )
-        if number is None:
-            return outlines_in(known, grid)
-        if not is_raster:
-            raise ThermorenderError(f"building_class={number} is for a raster, and {known} is a GeoJSON; leave it out")
-        return outlines_in_classes(known, number, grid), ()
+def _outlines(known: Path, number: int | None, grid: Grid) -> tuple[list[found.Outline], tuple[str, ...]]:
+    """The outlines of a GeoJSON, or of a class of a raster, and sentences on what else the file states."""
+    is_raster = known.suffix.lower() not in (".json", ".geojson")
+    if is_raster and number is None:
+        raise ThermorenderError(
+            f"known={known} is not a GeoJSON; if it is a raster of classes, give building_class, the "
+            "number of its buildings"
+        )
+    if number is None:
+        return outlines_in(known, grid)
+    if not is_raster:
+        raise ThermorenderError(f"building_class={number} is for a raster, and {known} is a GeoJSON; leave it out")
+    return outlines_in_classes(known, number, grid), ()
 
 
 def _terrain_model(

@@ -191,6 +191,6 @@ def outlines_in_classes(path: Path, number: int, grid: Grid) -> list[Outline]:
         held = np.unique(classes[np.isfinite(classes)]).astype(int).tolist()
         raise ThermorenderError(
             f"{path} has no building of class {number} on {grid.name}; it holds the classes {held[:20]}, so give the "
-            "one of buildings as --building-class, or a raster of this area"
+            "one of buildings as building_class, or a raster of this area"
         )
     return found

@@ -58,7 +58,7 @@ class Bridge(LocalListener):
                     finally:
                         bridge._room.release()
 
-        super().__init__(socketserver.ThreadingTCPServer, Handler, port, "AirSim's calls", "--airsim")
+        super().__init__(socketserver.ThreadingTCPServer, Handler, port, "AirSim's calls")
 
     def pose(self, vehicle: str) -> NDArray[np.float64]:
         """Return x, y, z [m] and quaternion w, x, y, z of a vehicle, (7,)."""

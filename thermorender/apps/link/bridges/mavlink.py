@@ -28,19 +28,18 @@ class ThermalRange:
         found = re.fullmatch(r"udpout:([^:\s]+):(\d{1,5})", address)
         if found is None or not 0 < int(found[2]) < 65536:
             raise ThermorenderError(
-                f"--mavlink {shortened(repr(address))} is not allowed; give udpout:HOST:PORT, e.g. "
-                "udpout:127.0.0.1:14550"
+                f"mavlink={shortened(repr(address))} is not allowed; give udpout:HOST:PORT, e.g. udpout:127.0.0.1:14550"
             )
         try:
             from pymavlink.dialects.v20 import common
         except ImportError:
             raise ThermorenderError(
-                "--mavlink needs pymavlink, which is not installed; run `pip install 'thermorender[mavlink]'`"
+                "mavlink needs pymavlink, which is not installed; run `pip install 'thermorender[mavlink]'`"
             ) from None
         try:
             self._to = socket.gethostbyname(found[1]), int(found[2])
         except OSError:
-            raise ThermorenderError(f"--mavlink: host {found[1]!r} is not known; give its address") from None
+            raise ThermorenderError(f"mavlink: host {found[1]!r} is not known; give its address") from None
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._common, self._beat_s = common, -np.inf
         self._mavlink: Any = common.MAVLink(self, srcSystem=SYSTEM, srcComponent=COMPONENT)

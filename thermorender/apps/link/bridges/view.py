@@ -43,7 +43,7 @@ class View(LocalListener):
             def log_message(self, *_: Any) -> None:
                 """Write nothing: the path holds the token."""
 
-        super().__init__(ThreadingHTTPServer, Handler, port, "the live view", "--view")
+        super().__init__(ThreadingHTTPServer, Handler, port, "the live view")
         # For a browser, VLC, ffplay or OpenCV; with live.mp4 in place of live.mjpg it is H.264.
         self.address = f"http://{HOST}:{self.port}/{self._token}/live.mjpg"
 

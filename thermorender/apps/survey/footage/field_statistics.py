@@ -24,7 +24,10 @@ class Field:
     """Sums over frames of one size, gathered frame by frame."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
-        self.shape, self._waves, self._levels, self._first = shape, [], [], None
+        self.shape = shape
+        self._waves: list[NDArray[np.float64]] = []
+        self._levels: list[float] = []
+        self._first: NDArray[np.float64] | None = None
         self._sum, self._square, self._cut_off = np.zeros(shape), np.zeros(shape), np.zeros(shape, bool)
 
     def add(self, image: NDArray[np.float64], cut_off: NDArray[np.bool_]) -> None:
@@ -34,9 +37,10 @@ class Field:
         self._cut_off |= cut_off
         down, right = (half_waves(n) for n in self.shape)
         self._waves.append(down @ image @ right.T / image.size)
-        self._first = image if self._first is None else self._first
+        if self._first is None:
+            self._first = image
         # The median, since a change in a part of the scene leaves most blocks unchanged.
-        self._levels.append(np.median(block_means(image - self._first)))
+        self._levels.append(float(np.median(block_means(image - self._first))))
         beside = image - (9.0 * uniform_filter(image, 3) - image) / 8.0
         self._sum += beside
         self._square += beside**2
@@ -100,7 +104,7 @@ class Field:
         unit = max(square.mean(), 1e-18)
         known = 2.0 / 3.0 * np.pi * known_k**2 / unit + 1e-9
 
-        def unlikeliness(p):
+        def unlikeliness(p: NDArray[np.float64]) -> float:
             variance = p[0] + p[1] * each + known
             return 0.5 * float((np.log(variance) + square / unit / variance).sum())
 
@@ -138,10 +142,10 @@ def vignetting(
         error[number] = blocks[own, 1].std() / np.sqrt(len(own))
         chosen.append(own)
 
-    def misfit(value):
+    def misfit(value: float) -> float:
         gain = np.array([np.mean(1.0 / (light[own] * (1.0 - value * dark[own])) ** 2) for own in chosen])
         middle = (power * gain / error**2).sum() / (gain**2 / error**2).sum()
-        return (((power - middle * gain) / error) ** 2).sum()
+        return float((((power - middle * gain) / error) ** 2).sum())
 
     value = float(minimize_scalar(misfit, bounds=(0.0, 0.9), method="bounded", options={"xatol": 1e-4}).x)
     # The misfit grows by one within an uncertainty; its curvature is that of a parabola over a hundredth.

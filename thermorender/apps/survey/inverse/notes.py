@@ -114,8 +114,8 @@ def _common_move(survey: Survey, state: State, settings: Settings) -> list[str]:
         return []
     return [
         f"the frames moved together by {east:+.2f} m east, {north:+.2f} m north and {up:+.2f} m up, more than "
-        "twice --pose-error: their heights, the scene's place or the focal length of the camera is wrong, or the "
-        "frames are too few to hold their poses, which --pose-error 0,0 keeps"
+        "twice pose_error: their heights, the scene's place or the focal length of the camera is wrong, or the "
+        "frames are too few to hold their poses, which pose_error=0,0 keeps"
     ]
 
 
@@ -124,7 +124,7 @@ def _texels(settings: Settings, pixel_m: float) -> list[str]:
         return []
     return [
         f"texels of {settings.texel_m:.3g} m are smaller than a pixel on the ground, {pixel_m:.3g} m, which amplifies "
-        f"the noise; give --texel-m {1.5 * pixel_m:.2g} for a map with less noise"
+        f"the noise; give texel_m={1.5 * pixel_m:.2g} for a map with less noise"
     ]
 
 

@@ -134,7 +134,7 @@ def reconstruct(
     if (camera.height, camera.width) != (height, width):
         raise ThermorenderError(
             f"frames have {width}×{height} pixels, and camera {camera.name} {camera.width}×{camera.height}; give the "
-            "camera that took them with --camera"
+            "camera that took them"
         )
     renderer = Renderer(scene.with_camera(camera), quality="fast", progress=progress)
     survey = without_air(survey, camera, renderer)

@@ -40,7 +40,7 @@ def run(inputs: Inputs, folder: Path, progress: Progress | None = None) -> dict[
     The folder keeps the state of each round, so a stopped run continues.
     """
     scene = load_scene(inputs.scene)
-    camera = scene.camera if inputs.camera is None else load_camera(inputs.camera, "--camera")
+    camera = scene.camera if inputs.camera is None else load_camera(inputs.camera, "camera")
     places = None if inputs.poses is None else read_poses(inputs.poses, scene)
     survey = read_frames(frame_files(inputs.frames), places, scene, inputs.scale, inputs.above_ground_m)
     lens = survey.lens if inputs.lens is None else read_lens(inputs.lens)
