@@ -12,8 +12,7 @@ import numpy as np
 
 from thermorender.apps.lands.import_settings import ImportSettings, ThreeD
 from thermorender.apps.lands.import_terrain import import_terrain
-from thermorender.apps.lands.procedural.three_d import SURVEY, write
-from thermorender.apps.lands.procedural.world import make_world
+from thermorender.apps.lands.procedural.three_d import SURVEY, make_world, write
 from thermorender.scene.load import load_scene
 from thermorender.versions import versions
 from validation.three_d import study

@@ -10,17 +10,21 @@ from contextlib import suppress
 import dask
 import numpy as np
 import pytest
-from test_blocks import contents
 
 import thermorender as tr
 from scenes import coarse, write_terrain
 from thermorender.apps.cluster.connect import Address, connected, parse_cluster
-from thermorender.apps.cluster.fly import _cut, fly
+from thermorender.apps.cluster.fly import cut, fly
 from thermorender.errors import ThermorenderError
 from thermorender.output import flight as here
 from thermorender.output.flight import FlightOptions
 
 OPTIONS = FlightOptions(rate_hz=30.0, products=("exr", "counts"), audit=5)
+
+
+def contents(folder):
+    """{name: bytes} of the files in a folder."""
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.is_file()}
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +101,7 @@ def test_address_of_a_cluster(tmp_path):
 
 
 def test_no_scheduler_is_one_sentence(monkeypatch):
-    monkeypatch.setattr("thermorender.apps.cluster.connect._ANSWER_S", 0.3)
+    monkeypatch.setattr("thermorender.apps.cluster.connect.ANSWER_S", 0.3)
     with pytest.raises(ThermorenderError, match=r"no scheduler answers at tcp://127.0.0.1:9"):
         with connected(Address(scheduler="tcp://127.0.0.1:9")):
             pass
@@ -105,7 +109,7 @@ def test_no_scheduler_is_one_sentence(monkeypatch):
 
 
 def test_blocks_begin_at_multiples_of_their_length():
-    assert _cut([range(3, 10), range(12, 25)], 10) == [range(3, 10), range(12, 20), range(20, 25)]
+    assert cut([range(3, 10), range(12, 25)], 10) == [range(3, 10), range(12, 20), range(20, 25)]
 
 
 @pytest.mark.parametrize(("arguments", "wrong"), [

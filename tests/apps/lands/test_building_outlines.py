@@ -10,7 +10,7 @@ import thermorender as tr
 from scenes import write_raster
 from thermorender.apps.lands.import_settings import ImportSettings, ThreeD
 from thermorender.apps.lands.import_terrain import import_terrain
-from thermorender.apps.lands.solids import found
+from thermorender.apps.lands.solids import detection
 from thermorender.apps.lands.solids.outlines import is_building, outlines_in
 from thermorender.errors import ThermorenderError
 from thermorender.scene.terrain import read_elevation, zero_of_heights
@@ -319,11 +319,11 @@ def test_an_offset_shows_where_ground_is_open(share, shift):
     """Ground with 0.1 m of noise is open on a share of the posts, and the rest is a closed wood."""
     random = np.random.default_rng(4)
     above = np.where(column < 1.0 + share * SIDE, 0.0, wood(0.05)) + 0.1 * random.standard_normal(GROUND.shape)
-    found.check_levels(GROUND, GROUND + above, 1.0)
+    detection.check_levels(GROUND, GROUND + above, 1.0)
     with pytest.raises(ThermorenderError, match="count from different levels"):
-        found.check_levels(GROUND, GROUND + above + shift, 1.0)
+        detection.check_levels(GROUND, GROUND + above + shift, 1.0)
     if shift > 0.0:
-        found.check_levels(GROUND, GROUND + above + shift, 1.0, declared=True)
+        detection.check_levels(GROUND, GROUND + above + shift, 1.0, declared=True)
 
 
 @pytest.mark.parametrize("farm", [False, True])
@@ -349,14 +349,14 @@ def test_a_surface_model_below_its_terrain_model_is_not_taken_for_a_crop():
     with pytest.raises(
         ThermorenderError, match="count from different levels; convert one of them, or leave ground out"
     ):
-        found.check_levels(GROUND, HOUSE - 8.0, 1.0, declared=True)
+        detection.check_levels(GROUND, HOUSE - 8.0, 1.0, declared=True)
 
 
 def test_a_terrain_model_above_open_ground_is_refused_though_most_of_the_model_is_wood():
     above = np.where(column < 0.3 * SIDE, 0.0, wood(0.05)) - 8.0
     assert np.median(above) > 2.0
     with pytest.raises(ThermorenderError, match="count from different levels"):
-        found.check_levels(GROUND, GROUND + above, 1.0)
+        detection.check_levels(GROUND, GROUND + above, 1.0)
 
 
 @pytest.mark.parametrize("surface", ["EPSG:32634+5773", "EPSG:32634"])

@@ -77,7 +77,7 @@ def test_each_tree_is_a_copy_where_it_stands_and_as_large(wood):
     np.testing.assert_allclose(foot[:, 2] + scene.frame.height_m, 40.0 + 0.04 * (foot[:, 0] + 30.0), atol=0.1)
     # Leaves reach half an edge of a cluster, at most 0.5 m, beyond the crown, and kinds are alike to 20 %.
     assert (np.abs(size - trees[nearest, 2:]) < 0.5 + 0.2 * trees[nearest, 2:]).all()
-    # What `kinds.MOST_TREES` counts on.
+    # What `tree_types.MOST_TREES` counts on.
     trunks = [s.instances for s in scene.surfaces if s.instances is not None and s.name.startswith("bark")]
     assert max(body.patches for body in bodies) == 12 and max(body.patches for body in trunks) <= 6
     scale = np.concatenate([body.scale for body in bodies])
@@ -97,7 +97,7 @@ def test_command_says_that_trees_are_copies(wood, tmp_path):
 
 
 def test_more_trees_than_the_memory_holds_are_refused(wood, tmp_path, monkeypatch):
-    monkeypatch.setattr("thermorender.apps.lands.solids.kinds.MOST_TREES", 35)
+    monkeypatch.setattr("thermorender.apps.lands.solids.tree_types.MOST_TREES", 35)
     with pytest.raises(ThermorenderError, match=r"has 36 trees, more than the 35 whose .*; give a smaller area"):
         import_terrain(wood[0] / "dsm.tif", None, tmp_path / "s", ImportSettings(weather=wood[0] / "w.csv", time=TIME),
                        three_d=ThreeD(copies=True))  # fmt: skip

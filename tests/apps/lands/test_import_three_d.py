@@ -11,10 +11,10 @@ import thermorender as tr
 from scenes import write_raster
 from thermorender.apps.lands.import_settings import ImportSettings, ThreeD
 from thermorender.apps.lands.import_terrain import import_terrain
-from thermorender.apps.lands.solids import found
+from thermorender.apps.lands.solids import detection
 from thermorender.apps.lands.solids.borders import OPEN, borders
 from thermorender.apps.lands.solids.outlines import outlines_in
-from thermorender.apps.lands.solids.steps import cut_at_steps
+from thermorender.apps.lands.solids.roof_steps import cut_at_steps
 from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
 from thermorender.formats import write_text
@@ -103,7 +103,7 @@ def test_what_nobody_has_seen_is_flagged_and_listed(model, tmp_path):
 
 
 def test_the_ground_below_objects_is_found():
-    bare = found.ground_below(heights(), 1.0)
+    bare = detection.ground_below(heights(), 1.0)
     # The lowest filter leaves the slope as it is, and fills house and tree linearly.
     assert np.abs(bare - GROUND).max() < 0.35 and np.abs(bare - GROUND).mean() < 0.05
 
@@ -189,7 +189,7 @@ def grid_of(folder):
 def test_holes_of_the_terrain_model_below_a_building_keep_it(model):
     ground = np.where(HOUSE, np.nan, GROUND)
     ground[:, 40:] = np.nan
-    bare = found.ground_given(ground, heights(), 1.0)
+    bare = detection.ground_given(ground, heights(), 1.0)
     assert np.abs(bare - GROUND)[:, :40].max() < 0.05
     assert np.abs(bare - GROUND)[:, 40:].max() < 0.5
 
@@ -197,7 +197,7 @@ def test_holes_of_the_terrain_model_below_a_building_keep_it(model):
 @pytest.mark.parametrize("shift", [-100.0, 30.0])
 def test_a_terrain_model_from_another_level_is_refused(shift):
     with pytest.raises(ThermorenderError, match="count from different levels"):
-        found.check_levels(GROUND + shift, heights(), 1.0)
+        detection.check_levels(GROUND + shift, heights(), 1.0)
 
 
 def outlined(folder, path, rings):
@@ -219,7 +219,7 @@ def test_outlines_keep_their_corners_whether_closed_or_not(model, tmp_path):
 
 def boxes(*given):
     """[Outline] of rectangles (left, top, right, bottom) in posts."""
-    return [found.Outline([np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], float)]) for x0, y0, x1, y1 in given]
+    return [detection.Outline([np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], float)]) for x0, y0, x1, y1 in given]
 
 
 def lengths(loops):
@@ -250,7 +250,7 @@ def lengths(loops):
         # Over the edge of the grid.
         (boxes((-9, 10, 10.5, 20)), [(40.0, {})]),
         # Corners in an order that crosses itself: two triangles.
-        ([found.Outline([np.array([[5, 5], [15, 15], [15, 5], [5, 15]], float)])], [(48.284271, {})]),
+        ([detection.Outline([np.array([[5, 5], [15, 15], [15, 5], [5, 15]], float)])], [(48.284271, {})]),
     ],
 )
 def test_each_piece_of_wall_stands_once(outlines, expected):
@@ -269,7 +269,7 @@ def test_terraces_drawn_by_hand_have_no_walls_inside():
     for row in (5, 27, 49):
         for left in range(5, 105, 20):
             corner = np.array([[0, 0], [20, 0], [20, 12], [10, 12], [10, 16], [0, 16]], float) + [left, row]
-            outlines.append(found.Outline([corner + random.uniform(-0.1, 0.1, corner.shape)]))
+            outlines.append(detection.Outline([corner + random.uniform(-0.1, 0.1, corner.shape)]))
     made = borders(outlines, (120, 120), 1.0)
     for number, loops in enumerate(made):
         (loop,) = loops
@@ -321,7 +321,7 @@ def wall_areas(scene):
 
 def test_a_tip_that_smaller_outlines_leave_of_another_has_no_walls():
     """A wedge of 20 posts, of which rectangles cover all but the last 0.35: a border of two points."""
-    wedge = found.Outline([np.array([[10.0, 16.0], [30.0, 16.5], [10.0, 17.0]])])
+    wedge = detection.Outline([np.array([[10.0, 16.0], [30.0, 16.5], [10.0, 17.0]])])
     ends = np.linspace(9.0, 29.65, 9)
     made = borders([wedge, *boxes(*((x0, 15, x1, 18) for x0, x1 in itertools.pairwise(ends)))], (48, 48), 1.0)
     assert not made[0] and all(made[1:])
@@ -390,7 +390,7 @@ def test_a_class_of_a_raster_is_the_outline_of_buildings(terrace, tmp_path):
 
 def test_a_building_of_three_corners_covers_its_posts(model):
     corner = np.array([[4, 4], [20, 4], [4, 20]], float)
-    covered = found.inside([found.Outline([corner])], grid_of(model))
+    covered = detection.inside([detection.Outline([corner])], grid_of(model))
     # Half of 16 by 16 posts, but for those on the long side.
     assert 112 <= covered.sum() <= 136 and covered[6, 6] and not covered[18, 18]
 
@@ -470,6 +470,6 @@ def test_steep_roofs_and_steps_below_a_storey_are_not_cut(flat):
     if flat:
         height[14:18, 13:18] += 2.0
     height[16, 20] += 4.0
-    outline = found.Outline([np.array([(10, 12), (24, 12), (24, 21), (10, 21)], float)])
+    outline = detection.Outline([np.array([(10, 12), (24, 12), (24, 21), (10, 21)], float)])
     made, clear = cut_at_steps([outline], height, np.full_like(height, 20.0), 1.0)
     assert made == [outline] and (clear == height).all()

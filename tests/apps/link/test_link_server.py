@@ -436,7 +436,7 @@ def test_addresses_that_cannot_be_used_are_refused():
             ("é" * 64, 0, "not a name of a machine"),
         ):
             with pytest.raises(
-                ThermorenderError, match=rf"{host} port {port} cannot be listened on \({why}.*another --port"
+                ThermorenderError, match=rf"{host} port {port} cannot be listened on \({why}.*another port"
             ):
                 Server(Stills(), host, port)
     # An empty host would be all addresses.

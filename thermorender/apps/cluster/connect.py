@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 # How long a scheduler may take to answer [s].
-_ANSWER_S = 20.0
+ANSWER_S = 20.0
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def connected(address: Address) -> Iterator["Client"]:
     with dask.config.set(given):
         scheduler = dask.config.get("scheduler-address")
         try:
-            client = Client(timeout=_ANSWER_S, set_as_default=False)
+            client = Client(timeout=ANSWER_S, set_as_default=False)
         except (OSError, TimeoutError, ValueError, TypeError) as error:
             raise ThermorenderError(
                 f"no scheduler answers at {scheduler} ({str(error).splitlines()[0] or type(error).__name__}); start it "

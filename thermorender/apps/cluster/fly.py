@@ -7,18 +7,17 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from thermorender import files
+from thermorender import FlightOptions, files
 from thermorender.apps.cluster.connect import Address, connected
 from thermorender.apps.cluster.engine import Report, do_unit, results, sentence, store
 from thermorender.errors import ThermorenderError
 from thermorender.output.blocks import FOLDER, finished_blocks, gaps, join, uncovered, usual_length, write_block
-from thermorender.output.flight import Flight, FlightOptions
+from thermorender.output.flight import Flight
 from thermorender.output.flight import fly as fly_here
 from thermorender.output.resume import finished, refuse_other_settings
 
 if TYPE_CHECKING:
-    from thermorender.render.renderer import Renderer
-    from thermorender.trajectory.path import Trajectory
+    from thermorender import Renderer, Trajectory
 
 
 @dataclass
@@ -71,7 +70,7 @@ def _blocks_of(
     folder: Path, baked: Any, seed: int, trajectory: "Trajectory", options: FlightOptions, prospect: Any
 ) -> FlightBlocks:
     """The FlightBlocks in a worker, of the baked scene that it was pickled with."""
-    from thermorender.render.renderer import Renderer
+    from thermorender import Renderer
 
     flight = Flight(Renderer.of(baked, seed), trajectory, options, None, prospect)
     # The contact sheet is made of the finished frames.
@@ -102,7 +101,7 @@ def fly(
             before = len(flight.terrain)
             join(out, flight)
             kept = finished_blocks(out, flight.settings, verify)
-            work = _cut(uncovered(kept, before, total), block or usual_length(flight))
+            work = cut(uncovered(kept, before, total), block or usual_length(flight))
             failures: list[str] = []
             if work:
                 path = out / FOLDER / "flight.pickle"
@@ -132,7 +131,7 @@ def fly(
     return summary | {"rendered": total - before, "workers": {name: vars(each) for name, each in tallies.items()}}
 
 
-def _cut(ranges: list[range], length: int) -> list[range]:
+def cut(ranges: list[range], length: int) -> list[range]:
     """Ranges of frames in blocks that begin at multiples of a length, so that a resume finds the same ones."""
     found = []
     for each in ranges:

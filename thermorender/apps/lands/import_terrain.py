@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender import defaults, formats
+from thermorender import defaults, formats, load_camera
 from thermorender.apps.lands.import_settings import ImportSettings, ThreeD
+from thermorender.apps.lands.solids.city_model import CityModel
 from thermorender.apps.lands.solids.clouds import SUFFIXES, Cloud, read_cloud
-from thermorender.apps.lands.solids.imported import Imported
-from thermorender.apps.lands.solids.importing import solid_of, write_solid
+from thermorender.apps.lands.solids.solid_scene import solid_of, write_solid
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic_folder, check_new_folder
 from thermorender.formats import write_text
@@ -29,7 +29,6 @@ from thermorender.scene.spec import WeatherSpec
 from thermorender.scene.surface import scene_kelvin
 from thermorender.scene.terrain import doubtful_zeros, filled, read_elevation
 from thermorender.schema import toml_text
-from thermorender.sensor.camera import load_camera
 from thermorender.units import instant, utc_text
 from thermorender.weather.declared import declared_weather
 from thermorender.weather.year_file import is_year_file
@@ -44,7 +43,7 @@ _DEFAULT = ImportSettings()
 _Bounds = tuple[float, float, float, float]
 # Name of the shapes of OpenStreetMap in the scene's folder.
 _KNOWN = "known.geojson"
-# Of a scene in three dimensions: values of `Imported` in the summary.
+# Of a scene in three dimensions: values of `CityModel` in the summary.
 _FOUND = ("buildings", "trees", "flat_outlines", "stated_walls", "unmatched")
 
 
@@ -220,9 +219,9 @@ def _write_rasters(folder: Path, height: NDArray[Any], posts: Grid, picture: _Pi
                photometric="RGB", mask=picture.valid)  # fmt: skip
 
 
-def _solid_counts(solid: Imported) -> dict[str, Any]:
+def _solid_counts(solid: CityModel) -> dict[str, Any]:
     """Counts of what was found in the heights; `kinds` is that of typical trees, 0 where each has its own leaves."""
-    return {name: getattr(solid, name) for name in _FOUND} | {"kinds": len(solid.kinds)}
+    return {name: getattr(solid, name) for name in _FOUND} | {"kinds": len(solid.tree_types)}
 
 
 def _height_shares(height: NDArray[Any], fill: bool) -> dict[str, float]:

@@ -31,8 +31,8 @@ def import_terrain(
     solids: ThreeD,
 ) -> None:
     """Make a scene from an elevation model and an orthophoto, or from an elevation model alone."""
+    from thermorender import load_camera
     from thermorender.apps.lands.import_terrain import import_terrain as run
-    from thermorender.sensor.camera import load_camera
 
     if not three_d and solids != ThreeD():
         raise ThermorenderError(
@@ -144,8 +144,8 @@ def make_scene(
     with progress() as report:
         report("making the landscape", 0.0)
         if three_d:
+            from thermorender.apps.lands.procedural.three_d import make_world
             from thermorender.apps.lands.procedural.three_d import write as write_world
-            from thermorender.apps.lands.procedural.world import make_world
 
             world = make_world(kind, seed, size_m, texel_m, post_m, weather=weather)
             folder = write_world(world, output, progress=report)

@@ -31,7 +31,7 @@ DEFAULT_LIMITS = Limits()
 
 
 class Shown(Protocol):
-    """A session, as the server needs it: `thermorender.apps.link.session.Session`."""
+    """A session, as the server needs it: `thermorender.apps.link.session.ServerSession`."""
 
     opened: Opened
 

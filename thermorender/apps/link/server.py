@@ -44,7 +44,7 @@ class Server:
         self, stage: Stages, host: str = "127.0.0.1", port: int = DEFAULT_PORT, limits: Limits = DEFAULT_LIMITS
     ) -> None:
         self._stage, self.token, self._limits = stage, "", limits
-        # Called with (number of the session, its Session) after each answered frame, in the thread that renders.
+        # Called with (number of the session, its ServerSession) after each answered frame, in the thread that renders.
         self.watchers: list[Callable[[int, Any], object]] = []
         self._welcome = json.dumps(stage.describe()).encode()
         self._jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()

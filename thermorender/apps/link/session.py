@@ -10,17 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender import Frame, Renderer, Scene, TemperatureMap, Trajectory
 from thermorender.apps.link.messages import Open, Opened, Request, reply_bytes, reply_head, target_rows
 from thermorender.apps.link.wire import ALL_PRODUCTS, Product
 from thermorender.errors import ThermorenderError
-from thermorender.frame import Frame
-from thermorender.learned.temperature_map import Inputs, TemperatureMap
+from thermorender.learned.temperature_map import Inputs
 from thermorender.output.photograph import photograph
 from thermorender.render.flight.live import LiveFrames
 from thermorender.render.flight.timed import TimedRenderer
-from thermorender.render.renderer import Renderer
-from thermorender.scene.scene import Scene
-from thermorender.trajectory.path import Trajectory
 from thermorender.trajectory.readers import enu_from_ned_at, of_vehicle
 from thermorender.trajectory.rotations import rotation_from_angles
 
@@ -28,7 +25,7 @@ from thermorender.trajectory.rotations import rotation_from_angles
 _HIGHEST_M = 1e6
 
 
-class Session:
+class ServerSession:
     """One camera of one vehicle: a Renderer with its camera, temperatures and seed, and the map of methods B and C."""
 
     def __init__(self, settings: Open, renderer: Renderer, model: TemperatureMap | None = None) -> None:
@@ -49,7 +46,7 @@ class Session:
         )  # fmt: skip
 
     def __repr__(self) -> str:
-        return f"Session({self.settings.method}, {self.frames!r})"
+        return f"ServerSession({self.settings.method}, {self.frames!r})"
 
     @property
     def most_bytes(self) -> int:
@@ -181,7 +178,7 @@ def _local(scene: Scene, position: NDArray[np.float64]) -> NDArray[np.float64]:
     return scene.frame.enu_from_geodetic(latitude, longitude, height)
 
 
-def _visible(session: Session, frame: Frame) -> NDArray[np.uint8]:
+def _visible(session: ServerSession, frame: Frame) -> NDArray[np.uint8]:
     frames = session.frames
     if isinstance(frames, TranslatedFrames) and frames.picture is not None:
         return frames.picture

@@ -24,8 +24,8 @@ from thermorender.apps.studio.spectrum import MOST_BYTES
 if TYPE_CHECKING:
     import socket
 
+    from thermorender import Renderer
     from thermorender.apps.studio.scene_files import SceneFiles
-    from thermorender.render.renderer import Renderer
 
 _LEAVES_S = 3
 _LOCAL = ("127.0.0.1", "localhost", "[::1]")

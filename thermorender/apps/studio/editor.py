@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from nicegui import ui
 
+from thermorender import Material
 from thermorender.apps.material_tables.edit import EMISSIVITY, is_chosen, text_of
 from thermorender.apps.studio import spectrum
 from thermorender.apps.studio.document import Document
@@ -14,7 +15,6 @@ from thermorender.apps.studio.pictures import hexadecimal
 from thermorender.apps.studio.session import BAND_K, band_mean
 from thermorender.errors import ThermorenderError
 from thermorender.materials.csv_tables import SOLAR_STD_COLUMN
-from thermorender.materials.material import Material
 
 if TYPE_CHECKING:
     from thermorender.apps.studio.page import Tab

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from nicegui import run, ui
 
+from thermorender import load_scene
 from thermorender.apps.studio import ground
 from thermorender.apps.studio.document import Document
 from thermorender.apps.studio.pictures import Legend
@@ -15,7 +16,6 @@ from thermorender.apps.studio.scene_files import Save
 from thermorender.apps.studio.view import commands, exported
 from thermorender.errors import ThermorenderError
 from thermorender.materials.csv_tables import decimal
-from thermorender.scene.load import load_scene
 from thermorender.units import kelvin
 
 if TYPE_CHECKING:

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender import Frame
 from thermorender.apps.studio.view import View
 from thermorender.formats import encoded_image
-from thermorender.frame import Frame
 from thermorender.frame.picture import limits as automatic
 from thermorender.sensor.palettes import PALETTES, palette
 

@@ -7,19 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from thermorender import Material
 from thermorender.apps.studio.document import Document
 from thermorender.apps.studio.renders import Renders
 from thermorender.apps.studio.scene_files import Save, SceneFiles
 from thermorender.errors import ThermorenderError
-from thermorender.materials.material import Material
 from thermorender.materials.mixture import parts_of
 from thermorender.render.geometry import refuse_other_surfaces
 
 if TYPE_CHECKING:
+    from thermorender import Renderer, Scene
     from thermorender.apps.studio.ground import Layer
     from thermorender.apps.studio.page import Tab
-    from thermorender.render.renderer import Renderer
-    from thermorender.scene.scene import Scene
 
 # Edits that undo can take back.
 MOST_EDITS = 300

@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
+from thermorender import Material
 from thermorender.apps.material_tables.edit import share, with_spectrum, with_spectrum_of
 from thermorender.errors import ThermorenderError
 from thermorender.files import scratch_folder
-from thermorender.materials.material import Material
 
 # Longest body of a request: a spectrum file is far shorter.
 MOST_BYTES = 2_000_000

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender import Scene, load_scene
 from thermorender.apps.lands.procedural.noise import stream
 from thermorender.apps.lands.procedural.procedural_scene import SyntheticScene
 from thermorender.apps.lands.procedural.scene_files import refuse_every, write_declared, write_temperature
@@ -19,8 +20,6 @@ from thermorender.files import atomic_folder
 from thermorender.materials.shifted import strayed
 from thermorender.materials.thermal import Thermal
 from thermorender.progress import Progress
-from thermorender.scene.load import load_scene
-from thermorender.scene.scene import Scene
 
 # Standard deviation of the logarithm of the heat transfer coefficient. Chosen, within the spread of the laws collected
 # by Palyvos, Appl. Therm. Eng. 28 (2008) 801, doi:10.1016/j.applthermaleng.2007.12.005.

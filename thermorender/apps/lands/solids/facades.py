@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender import Material
 from thermorender.apps.lands.solids.quads import Paint
-from thermorender.materials.material import Material
 from thermorender.physics.srgb import linear_from_bytes
 
 # Material and sRGB colour of walls.

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.apps.lands.solids.borders import THIN
+from thermorender.apps.lands.solids.detection import Outline, Ring, area_of, even_odd, outlines_of
 from thermorender.apps.lands.solids.facades import COLOURS, MATERIALS
-from thermorender.apps.lands.solids.found import Outline, Ring, area_of, even_odd, outlines_of
 from thermorender.errors import ThermorenderError
 from thermorender.scene.parts.known_cover import counted, tagged, underground
 from thermorender.scene.parts.patch import pixels_of, read_features

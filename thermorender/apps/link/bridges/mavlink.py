@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from thermorender import Frame
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.frame import Frame
 from thermorender.units import ZERO_CELSIUS_K
 
 SYSTEM, COMPONENT = 1, 100

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender import defaults
+from thermorender import Camera, defaults, load_camera
 from thermorender.apps.survey.footage.edge_width import edge_widths, sharpest, width_through
 from thermorender.apps.survey.footage.field_statistics import Field, vignetting
 from thermorender.apps.survey.footage.noise_statistics import FLAT, Noise, Spectra, noise_of
@@ -24,7 +24,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.files import atomic, check_output_file
 from thermorender.physics.planck import band_radiance_derivative
 from thermorender.schema import read_toml, toml_line, toml_value
-from thermorender.sensor.camera import Camera, load_camera, model_path
+from thermorender.sensor.camera import model_path
 from thermorender.sensor.flir_jpeg import read_flir_jpeg
 from thermorender.sensor.noise import NETD_REFERENCE_K
 from thermorender.sensor.optics import relative_illumination

@@ -17,9 +17,10 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender import Camera
 from thermorender.errors import ThermorenderError
 from thermorender.formats import finite_json, read_text
-from thermorender.sensor.camera import MOST_PIXELS, Camera, edge_directions
+from thermorender.sensor.camera import MOST_PIXELS, edge_directions
 
 Floats = NDArray[np.float64]
 # The largest difference between a lens and its Brown model [px], and the largest that goes without a note.

@@ -7,14 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
+from thermorender import Atmosphere, Camera
 from thermorender.apps.survey.inverse.frames import Survey
 from thermorender.apps.survey.inverse.linear import RANGE_K
-from thermorender.atmosphere.model import Atmosphere
 from thermorender.render.air import altitude
-from thermorender.sensor.camera import Camera
 
 if TYPE_CHECKING:
-    from thermorender.render.renderer import Renderer
+    from thermorender import Renderer
 
 Floats = NDArray[np.float64]
 # Temperature at which emissivities are averaged over the band [K].

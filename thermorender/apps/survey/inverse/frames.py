@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from thermorender import Scene
 from thermorender.apps.survey.footage.lens_files import Lens
 from thermorender.apps.survey.inverse.linear import RANGE_K
 from thermorender.errors import ThermorenderError
-from thermorender.scene.scene import Scene
 from thermorender.sensor.flir_jpeg import read_flir_jpeg
 from thermorender.sensor.radiometric_files import FLIR_JPEG, SUFFIXES, check_upright, read_temperature
 from thermorender.sensor.radiometry import ThermographySettings

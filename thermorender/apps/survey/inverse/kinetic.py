@@ -17,7 +17,7 @@ from thermorender.physics.band import RadianceTable, emitted_radiance
 from thermorender.physics.surface import reflected_radiance
 
 if TYPE_CHECKING:
-    from thermorender.render.renderer import Renderer
+    from thermorender import Renderer
 
 Floats = NDArray[np.float64]
 

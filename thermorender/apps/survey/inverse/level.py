@@ -20,7 +20,7 @@ from thermorender.trajectory.tables import rows_of
 from thermorender.units import kelvin
 
 if TYPE_CHECKING:
-    from thermorender.render.renderer import Renderer
+    from thermorender import Renderer
 
 Floats = NDArray[np.float64]
 _COLUMNS = ("name", "east_m", "north_m", "radius_m", "kelvin", "std_k")

@@ -29,13 +29,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from thermorender import Scene
 from thermorender.apps.survey.footage.lens_files import Lens, opensfm_lens
 from thermorender.apps.survey.inverse.frames import HEIGHTS, Place, camera_rotation
 from thermorender.errors import ThermorenderError
 from thermorender.formats import finite_json, read_text
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene.georeference import pose_from_map
-from thermorender.scene.scene import Scene
 from thermorender.trajectory.rotations import ENU_FROM_NED, rotation_from_angles
 from thermorender.trajectory.tables import rows_of
 

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.optimize import nnls
 
+from thermorender import Camera
 from thermorender.apps.survey.inverse.normal import Footprint, Normal, Prior, Sums, Unknowns
 from thermorender.apps.survey.inverse.poses import slopes
 from thermorender.apps.survey.inverse.weights import sharpened, texel_line, texel_means
 from thermorender.render.light.exchange import threads
-from thermorender.sensor.camera import Camera
 from thermorender.sensor.psf import otf
 
 Floats = NDArray[np.float64]

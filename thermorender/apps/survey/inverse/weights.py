@@ -14,14 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender import Camera, Scene
 from thermorender.errors import ThermorenderError
 from thermorender.scene.raster import Grid
-from thermorender.scene.scene import Scene
-from thermorender.sensor.camera import Camera
 from thermorender.sensor.psf import blur_of, blurred, otf
 
 if TYPE_CHECKING:
-    from thermorender.render.renderer import Renderer
+    from thermorender import Renderer
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -108,7 +107,7 @@ def _shift(columns: float, rows: float) -> object:
     return Affine.translation(columns, rows)
 
 
-def _means(first: int, count: int, side: float, most: int):  # type: ignore[no-untyped-def]
+def _means(first: int, count: int, side: float, most: int) -> Any:
     """The sparse matrix (count, most) of means over stretches of `side` texels."""
     from scipy.sparse import csr_matrix
 

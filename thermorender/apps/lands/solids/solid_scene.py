@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.apps.lands.import_settings import ThreeD
-from thermorender.apps.lands.solids import found
+from thermorender.apps.lands.solids import detection
+from thermorender.apps.lands.solids.city_model import INFERRED, PLANTS, ROOF, ROOFS, WALLS, CityModel, Walls, city_model
 from thermorender.apps.lands.solids.clouds import Cloud
-from thermorender.apps.lands.solids.imported import INFERRED, PLANTS, ROOF, ROOFS, WALLS, Imported, Walls, imported
-from thermorender.apps.lands.solids.kinds import write_kinds
 from thermorender.apps.lands.solids.outlines import outlines_in, outlines_in_classes
 from thermorender.apps.lands.solids.plants import write_leaf_tables
-from thermorender.apps.lands.solids.skin import MESH, write_skins
+from thermorender.apps.lands.solids.textured_mesh import MESH, write_meshes
+from thermorender.apps.lands.solids.tree_types import write_tree_types
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import find, load_library
 from thermorender.scene.raster import Grid, onto
@@ -25,8 +25,8 @@ def solid_of(
     three_d: ThreeD, height: NDArray[np.float64], grid: Grid, post_m: float, undulation_m: float, known: Path | None,
     picture: tuple[NDArray[np.uint8], NDArray[np.bool_], Grid] | None, material: str, crs: Any,
     cloud: Cloud | None = None,
-) -> Imported:  # fmt: skip
-    """Return the Imported world of heights above the geoid or ellipsoid; `undulation_m` lies between [m].
+) -> CityModel:  # fmt: skip
+    """Return the CityModel world of heights above the geoid or ellipsoid; `undulation_m` lies between [m].
 
     `crs` is that of the heights' file. The ground and the buildings of a cloud's classes are used where no file
     states them.
@@ -49,14 +49,14 @@ def solid_of(
     if known is None and cloud is not None and cloud.building is not None:
         house = onto(cloud.building.astype(np.float32), cloud.grid, grid, "nearest") == 1.0
         # A few stray points are no statement on the others.
-        outlines = found.outlines_of(found.large(house, post_m)) or None
+        outlines = detection.outlines_of(detection.large(house, post_m)) or None
     walls, colour = Walls(wall, wall_by_kind), library[material].colour
-    solid = imported(height + undulation_m, grid, post_m, bare, outlines, picture, colour, walls, library,
+    solid = city_model(height + undulation_m, grid, post_m, bare, outlines, picture, colour, walls, library,
                      copies=three_d.copies)  # fmt: skip
     return replace(solid, notes=notes + solid.notes)
 
 
-def _outlines(known: Path, number: int | None, grid: Grid) -> tuple[list[found.Outline], tuple[str, ...]]:
+def _outlines(known: Path, number: int | None, grid: Grid) -> tuple[list[detection.Outline], tuple[str, ...]]:
     """The outlines of a GeoJSON, or of a class of a raster, and sentences on what else the file states."""
     is_raster = known.suffix.lower() not in (".json", ".geojson")
     if is_raster and number is None:
@@ -85,26 +85,26 @@ def _terrain_model(
             f"{path} counts heights from {zero!r} and the surface model from {other!r}; convert one of them, with "
             "`gdalwarp -s_srs EPSG:MAP+HEIGHTS -t_srs EPSG:MAP+HEIGHTS IN OUT`"
         )
-    found.check_levels(bare, height, post_m, declared=zero is not None and other is not None)
+    detection.check_levels(bare, height, post_m, declared=zero is not None and other is not None)
     whole, _ = filled(bare)
     beyond = float((~np.isfinite(whole))[np.isfinite(height)].mean())
     missing = f"{path.name} has no heights for {beyond:.1%} of the surface model; a filter estimates the ground there"
     return whole, (*doubtful_zeros(path, lower), *([missing] if beyond > 0.0 else []))
 
 
-def write_solid(folder: Path, solid: Imported, tables: dict[str, Any]) -> dict[str, Any]:
+def write_solid(folder: Path, solid: CityModel, tables: dict[str, Any]) -> dict[str, Any]:
     """Write the mesh, its class rasters and the leaves' thermal tables; return the tables of scene.toml."""
     write_leaf_tables(folder)
     learned = tables["emissivity"]["source"] == "learned"
     surfaces = []
-    for table in write_skins(folder, [skin for skin in solid.skins if skin.name in (WALLS, PLANTS)], solid.skins):
+    for table in write_meshes(folder, [mesh for mesh in solid.meshes if mesh.name in (WALLS, PLANTS)], solid.meshes):
         surfaces.append(table | ({"inferred": True} if table["name"] in INFERRED else {}))
-    if not learned and any(skin.name == ROOFS for skin in solid.skins):
+    if not learned and any(mesh.name == ROOFS for mesh in solid.meshes):
         surfaces.append({"name": ROOFS, "material": ROOF})
     frame = solid.frame
     place = {"latitude_deg": frame.latitude_deg, "longitude_deg": frame.longitude_deg, "height_m": frame.height_m}
     return tables | {
         "terrain": {"mesh": MESH}, "frame": place, "surface": surfaces,
         "emissivity": tables["emissivity"] | {"classes": solid.classes},
-        "object": write_kinds(folder, solid.kinds) or None,
+        "object": write_tree_types(folder, solid.tree_types) or None,
     }  # fmt: skip

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.apps.lands.solids.found import LEAST_M, Outline, even_odd, outlines_of
+from thermorender.apps.lands.solids.detection import LEAST_M, Outline, even_odd, outlines_of
 
 # Neighbouring posts with a steeper slope between them are not of one roof: 60°.
 _STEEP = np.tan(np.radians(60.0))
