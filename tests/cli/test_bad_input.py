@@ -559,7 +559,7 @@ def test_failed_import_leaves_nothing(scene, refused, call, tmp_path):
     refused(nan, "import-terrain", elevation, orthophoto, "--sky-temperature", "nan")
     refused("sky_temperature=-20 is below 100 K", "import-terrain", elevation, orthophoto, "--sky-temperature", "-20")
     refused("geoid_undulation_m=inf", "import-terrain", elevation, orthophoto, "--geoid-undulation-m", "inf")
-    sea = "--height-reference='sea' is not allowed"
+    sea = "height_reference='sea' is not allowed"
     refused(sea, "import-terrain", elevation, orthophoto, "--height-reference", "sea")
     refused("learned map 'none' is unknown", "import-terrain", elevation, orthophoto, "--model", "none")
     refused("max_texels=-1", "import-terrain", elevation, orthophoto, "--max-texels", "-1")

@@ -320,9 +320,9 @@ def _(folder):
     plants = Plants()
     column = np.column_stack([x, y, 3.0 - half, 3.0 + half])
     plants.fill(np.random.default_rng(1), column, 0.2, 0.45, 1.2, np.full((len(x), 3), 0.2), 1)
-    skin = plants.skin("crown")
+    mesh = plants.mesh("crown")
     folder.mkdir()
-    trimesh.Trimesh(skin.vertices, skin.faces, process=False).export(folder / "crown.ply")
+    trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(folder / "crown.ply")
     crown = item("crown", "paint_metallic", 294.0, [1, 1, 1], [0, 0, 0], shape="disc").replace(
         'shape = "disc"', 'file = "crown.ply"'
     )

@@ -6,6 +6,7 @@ import rasterio
 from rasterio.enums import ColorInterp, Resampling
 from rasterio.shutil import copy
 
+from thermorender.apps.lands.import_settings import ImportSettings
 from thermorender.apps.lands.import_terrain import import_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.scene import terrain
@@ -52,7 +53,7 @@ def write(path, bands, colours=None, words=None, units=None, scale=None, mask=No
 def scene_of(folder, orthophoto, **settings):
     height = 100.0 + np.arange(256.0, dtype=np.float32).reshape(16, 16) / 64.0
     write(folder / "dem.tif", height)
-    import_terrain(folder / "dem.tif", orthophoto, folder / "s", **settings)
+    import_terrain(folder / "dem.tif", orthophoto, folder / "s", ImportSettings(**settings))
     return load_scene(folder / "s")
 
 
@@ -354,7 +355,7 @@ def test_a_weather_gives_an_import_its_heat_balance(tmp_path, call):
     (tmp_path / "w.csv").write_text(STATION)
     asked = ("import-terrain", tmp_path / "dem.tif", tmp_path / "o.tif", "-o", tmp_path / "s", "--weather")
     status, _, errors = call(*asked, tmp_path / "w.csv")
-    assert status == 2 and "needs the scene's instant; give --time" in errors and not (tmp_path / "s").exists()
+    assert status == 2 and "needs the scene's instant; give time" in errors and not (tmp_path / "s").exists()
     status, _, errors = call(*asked, tmp_path / "w.csv", "--time", "2024-06-15T12:00Z")
     assert status == 2 and "is outside the weather" in errors and not (tmp_path / "s").exists()
     status, output, errors = call(*asked, tmp_path / "w.csv", "--time", "2021-06-15T12:00Z")

@@ -8,6 +8,7 @@ import rasterio
 import trimesh
 from rasterio.crs import CRS
 
+from thermorender.apps.lands.import_settings import ImportSettings
 from thermorender.apps.lands.import_terrain import import_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
@@ -177,7 +178,7 @@ def test_import_fills_islands_but_not_edges(tmp_path, call):
 )
 def test_import_refuses_scenes_that_could_not_be_loaded(tmp_path, keywords, words):
     with pytest.raises(ThermorenderError, match=words):
-        import_terrain(tmp_path / "none.tif", tmp_path / "none.tif", tmp_path / "s", **keywords)
+        import_terrain(tmp_path / "none.tif", tmp_path / "none.tif", tmp_path / "s", ImportSettings(**keywords))
 
 
 def test_undeclared_placeholders_are_not_heights(tmp_path):

@@ -7,6 +7,7 @@ import pytest
 from test_weather import PLACE, hours, station, sunlight, write_epw, write_tmy3
 
 from scenes import write_terrain
+from thermorender.apps.lands.import_settings import ImportSettings
 from thermorender.apps.lands.import_terrain import import_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.scene.load import load_scene
@@ -300,5 +301,5 @@ def test_an_import_takes_a_table_of_the_nsrdb_for_a_weather_year(tmp_path):
     """The import distinguishes weather files as the reader of weather years does."""
     terrain = write_terrain(tmp_path / "t") / "elevation.tif"
     psm, _ = write_psm(tmp_path / "w.csv")
-    import_terrain(terrain, None, tmp_path / "s", weather=psm, time="2019-07-21T12:00Z")
+    import_terrain(terrain, None, tmp_path / "s", ImportSettings(weather=psm, time="2019-07-21T12:00Z"))
     assert load_scene(tmp_path / "s").spec.weather.epw == tmp_path / "s" / "weather.csv"

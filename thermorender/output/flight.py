@@ -226,13 +226,13 @@ class Flight:
     def __getstate__(self) -> dict[str, Any]:
         """The flight as a worker needs it, before its first frame.
 
-        Temperatures that do not change need no further solution of the light.
+        Temperatures that do not change need no further solution of the light; the error budget needs its rays.
         """
         from thermorender.render.renderer import Renderer
 
         renderer = self.renderer
         if not renderer.scene.temperature_state.weather_driven:
-            renderer = Renderer.of(replace(renderer.baked, transport=None, incident=None), renderer.seed)
+            renderer = Renderer.of(replace(renderer.baked, incident=None), renderer.seed)
         return self.__dict__ | {"renderer": renderer, "flown": self.flown.by(renderer), "sheet": [], "terrain": []}
 
     def _settings(self, trajectory: Trajectory) -> dict[str, Any]:

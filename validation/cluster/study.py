@@ -100,7 +100,8 @@ def _remove(folder):
 
 def one_block(folder):
     """Return the seconds of one core of the parts of a block, its bytes, and the memory of a worker."""
-    from thermorender.apps.cluster.work import do_block, file_of, store
+    from thermorender.apps.cluster.engine import do_unit, store
+    from thermorender.apps.cluster.fly import FlightBlocks
     from thermorender.output.blocks import finished_blocks, join, write_block
     from thermorender.output.flight import Flight
 
@@ -109,8 +110,10 @@ def one_block(folder):
     flight = Flight(*setting(), None)
     flight.sheet = []
     join(folder, flight)
-    job = store(flight, folder, 0)
-    scene_bytes = file_of(folder).stat().st_size
+    stored = folder / "blocks" / "flight.pickle"
+    stored.parent.mkdir(exist_ok=True)
+    job = store(FlightBlocks(folder, flight, *setting()[1:]), stored, 0)
+    scene_bytes = stored.stat().st_size
     # Compiles all kernels.
     write_block(flight, folder, 0, 2)
     machine.forget_peak_memory()
@@ -129,14 +132,14 @@ def one_block(folder):
     formats.append_json(folder / "taken.jsonl", *map(formats.sealed, lines))
     take_over_s = (time.process_time() - clock) / len(lines)
     clock = time.process_time()
-    pickle.loads(file_of(folder).read_bytes())
-    result = {"worker": "worker@host", "loading_s": 0.0, **found}
+    pickle.loads(stored.read_bytes())
+    result = {"worker": "worker@host", "loading_s": 0.0, "value": found}
     return {
         "frame_s": block_s / first, "warm_up": warm_up, "warm_up_frame_s": warm_up_s / warm_up,
         "loading_s": time.process_time() - clock, "scene_bytes": scene_bytes,
         "frame_bytes": found["bytes"] / first, "frame_files": len(lines[0]["files"]),
         "record_bytes": record.stat().st_size / first, "take_over_s": take_over_s,
-        "sent_bytes": len(pickle.dumps((partial(do_block, job), range(first, 2 * first)))),
+        "sent_bytes": len(pickle.dumps((partial(do_unit, job), range(first, 2 * first)))),
         "returned_bytes": len(pickle.dumps(result)), "memory_mib": machine.peak_memory_mib(),
     }  # fmt: skip
 
@@ -144,7 +147,7 @@ def one_block(folder):
 def scheduler_costs():
     """Return the seconds that client and scheduler take for a unit without work, by two local workers."""
     from thermorender.apps.cluster.connect import Address, connected
-    from thermorender.apps.cluster.dispatch import results
+    from thermorender.apps.cluster.engine import results
 
     with connected(Address(local=2)) as client:
         list(results(client, _nothing, range(50), lambda line: None))

@@ -22,8 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
+from thermorender.apps.lands.import_settings import ImportSettings, ThreeD
 from thermorender.apps.lands.import_terrain import import_terrain
-from thermorender.apps.lands.solids.importing import ThreeD
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.physics.sun import direction
@@ -122,10 +122,10 @@ def _modelled(folder, wall, times, rays, longwave=None):
     with tempfile.TemporaryDirectory() as made:
         weather = Path(made) / "weather.csv"
         weather.write_text(_weather(folder / FILES[3], longwave))
-        three_d = ThreeD(folder / FILES[1], wall, building_class=ROOFS_CLASS)
+        three_d = ThreeD(folder / FILES[1], [wall], ROOFS_CLASS)
         found = import_terrain(
-            folder / FILES[0], None, Path(made) / "scene", material=PAVING, weather=weather, time=f"{times[0]}Z",
-            known=folder / FILES[2], three_d=three_d,
+            folder / FILES[0], None, Path(made) / "scene",
+            ImportSettings(material=PAVING, weather=weather, time=f"{times[0]}Z", known=folder / FILES[2]), three_d,
         )  # fmt: skip
         scene = load_scene(Path(made) / "scene")
     geometry = Geometry(activate(), scene.surfaces)

@@ -5,8 +5,8 @@ import pytest
 
 import thermorender as tr
 from scenes import write_raster
+from thermorender.apps.lands.import_settings import ImportSettings, ThreeD
 from thermorender.apps.lands.import_terrain import import_terrain
-from thermorender.apps.lands.solids.importing import ThreeD
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.render.geometry import Geometry
@@ -24,8 +24,8 @@ def yard(tmp_path_factory):
     height = np.where((away < 15.0) & (away > 5.0), 28.0, 20.0)
     write_raster(folder / "dsm.tif", height[None].astype(np.float32))
     write_raster(folder / "classes.tif", (height[None] > 25.0).astype(np.uint8))
-    import_terrain(folder / "dsm.tif", None, folder / "s", known=folder / "classes.tif",
-                   three_d=ThreeD(building_class=1))  # fmt: skip
+    import_terrain(folder / "dsm.tif", None, folder / "s", ImportSettings(known=folder / "classes.tif"),
+                   ThreeD(building_class=1))  # fmt: skip
     scene = tr.load_scene(folder / "s").with_temperature(290.0)
     return Geometry(activate(), scene.surfaces), scene
 

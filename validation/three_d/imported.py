@@ -10,10 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from thermorender.apps.lands.import_settings import ImportSettings, ThreeD
 from thermorender.apps.lands.import_terrain import import_terrain
-from thermorender.apps.lands.procedural.three_d import SURVEY, write
-from thermorender.apps.lands.procedural.world import make_world
-from thermorender.apps.lands.solids.importing import ThreeD
+from thermorender.apps.lands.procedural.three_d import SURVEY, make_world, write
 from thermorender.scene.load import load_scene
 from thermorender.versions import versions
 from validation.three_d import study
@@ -36,8 +35,8 @@ def run(seed=401, views=2, size_m=60.0, device="auto"):
     with tempfile.TemporaryDirectory() as folder:
         made = write(make_world("village", seed, size_m, _TEXEL_M, _POST_M), Path(folder) / "world") / SURVEY
         found = import_terrain(
-            made / "elevation.tif", made / "orthophoto.tif", Path(folder) / "imported", height_reference="ellipsoid",
-            three_d=ThreeD(),
+            made / "elevation.tif", made / "orthophoto.tif", Path(folder) / "imported",
+            ImportSettings(height_reference="ellipsoid"), ThreeD(),
         )  # fmt: skip
         weather = load_scene(made).spec.weather
         scene = load_scene(Path(folder) / "imported").with_weather(weather).with_temperature("balance")

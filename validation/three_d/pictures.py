@@ -15,8 +15,8 @@ import typer
 from rasterio.windows import from_bounds
 
 from thermorender import formats
+from thermorender.apps.lands.import_settings import ImportSettings, ThreeD
 from thermorender.apps.lands.import_terrain import import_terrain
-from thermorender.apps.lands.solids.importing import ThreeD
 from thermorender.output.photograph import photograph
 from thermorender.scene.surface import SURFACE
 from validation.command import Device, run_command
@@ -42,7 +42,9 @@ def main(
         rasters = [_cut(path, folder / f"{name}.tif", square) for path, name in ((elevation, "dsm"), (orthophoto, "o"))]
         columns = []
         for name, three_d in (("draped", None), ("solid", ThreeD())):
-            import_terrain(*rasters, folder / name, height_reference="ellipsoid", fill=three_d is None, three_d=three_d)
+            import_terrain(
+                *rasters, folder / name, ImportSettings(height_reference="ellipsoid", fill=three_d is None), three_d
+            )
             columns.append(_views(folder / name, yaw_deg, device))
     formats.write_image(output, sheet(*columns))
 

@@ -20,8 +20,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.stats import kendalltau
 
 from thermorender.apps.compare.machine import machine
-from thermorender.apps.lands.procedural.three_d import SURVEY, write
-from thermorender.apps.lands.procedural.world import make_world
+from thermorender.apps.lands.procedural.three_d import SURVEY, make_world, write
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
 from thermorender.learned.temperature_map import Inputs, load_model

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from thermorender.apps.lands.procedural.procedural_scene import make
+from thermorender.apps.lands.procedural.three_d import make_world
 from thermorender.apps.lands.procedural.three_d import write as write_world
 from thermorender.apps.lands.procedural.truth import write
-from thermorender.apps.lands.procedural.world import make_world
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.scene.load import load_scene
 

@@ -10,17 +10,21 @@ from contextlib import suppress
 import dask
 import numpy as np
 import pytest
-from test_blocks import contents
 
 import thermorender as tr
 from scenes import coarse, write_terrain
 from thermorender.apps.cluster.connect import Address, connected, parse_cluster
-from thermorender.apps.cluster.fly import _cut, fly
+from thermorender.apps.cluster.fly import cut, fly
 from thermorender.errors import ThermorenderError
 from thermorender.output import flight as here
 from thermorender.output.flight import FlightOptions
 
 OPTIONS = FlightOptions(rate_hz=30.0, products=("exr", "counts"), audit=5)
+
+
+def contents(folder):
+    """{name: bytes} of the files in a folder."""
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.is_file()}
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +88,7 @@ def test_address_of_a_cluster(tmp_path):
     assert parse_cluster("tcp://host:8786") == Address(scheduler="tcp://host:8786")
     assert parse_cluster(str(config)) == Address(config=config)
     for text in ("local:0", "local", "host:8786", "tcp://host", str(tmp_path), "no.yaml"):
-        with pytest.raises(ThermorenderError, match=r"--cluster='.*' is not allowed; give local:N with a number"):
+        with pytest.raises(ThermorenderError, match=r"cluster='.*' is not allowed; give local:N with a number"):
             parse_cluster(text)
     for text, wrong in (
         ("a: 1\n", "has no scheduler-address"),
@@ -97,7 +101,7 @@ def test_address_of_a_cluster(tmp_path):
 
 
 def test_no_scheduler_is_one_sentence(monkeypatch):
-    monkeypatch.setattr("thermorender.apps.cluster.connect._ANSWER_S", 0.3)
+    monkeypatch.setattr("thermorender.apps.cluster.connect.ANSWER_S", 0.3)
     with pytest.raises(ThermorenderError, match=r"no scheduler answers at tcp://127.0.0.1:9"):
         with connected(Address(scheduler="tcp://127.0.0.1:9")):
             pass
@@ -105,7 +109,7 @@ def test_no_scheduler_is_one_sentence(monkeypatch):
 
 
 def test_blocks_begin_at_multiples_of_their_length():
-    assert _cut([range(3, 10), range(12, 25)], 10) == [range(3, 10), range(12, 20), range(20, 25)]
+    assert cut([range(3, 10), range(12, 25)], 10) == [range(3, 10), range(12, 20), range(20, 25)]
 
 
 @pytest.mark.parametrize(("arguments", "wrong"), [
@@ -114,7 +118,7 @@ def test_blocks_begin_at_multiples_of_their_length():
     (("--frames", "5:5"), "--frames='5:5' is not allowed; give FIRST:STOP"),
     (("--frames", "0:5", "--resume"), "--frames needs no --resume"),
     (("--cluster", "local:2", "--preview"), "--preview writes no frames; leave --cluster and --frames out"),
-    (("--cluster", "here"), "--cluster='here' is not allowed"),
+    (("--cluster", "here"), "cluster='here' is not allowed"),
 ])  # fmt: skip
 def test_contradicting_options_are_refused(call, tmp_path, arguments, wrong):
     status, _, errors = call("fly", "heath", "-o", tmp_path / "f", *arguments)
@@ -165,7 +169,7 @@ def test_scheduler_restarted_worker_late_and_resume(setting, tmp_path, start):
         if done >= 10:
             first.kill()
 
-    with pytest.raises(ThermorenderError, match=r"the scheduler was lost .* start it again and continue with --resume"):
+    with pytest.raises(ThermorenderError, match=r"the scheduler was lost .* start it again and continue with resume"):
         fly(renderer, path, tmp_path / "f", Address(scheduler=address), OPTIONS, block=5, progress=kill)
     _, address = scheduler(start)
     worker(start, address, "second")
@@ -213,8 +217,7 @@ def worlds_in_process(monkeypatch):
     """Worlds of two tiny pairs each, rendered in this process where workers would."""
     from contextlib import nullcontext
 
-    from thermorender.apps.training import on_workers as dataset
-    from thermorender.apps.training import rendered
+    from thermorender.apps.training import on_workers, rendered
     from thermorender.apps.training.dataset import Entry
     from thermorender.apps.training.dataset_writer import packed
 
@@ -227,9 +230,9 @@ def worlds_in_process(monkeypatch):
             yield entry, packed(np.zeros((2, 3, 3), np.uint8), value)
 
     monkeypatch.setattr(rendered, "_pairs", pairs)
-    monkeypatch.setattr(dataset, "connected", lambda address: nullcontext())
+    monkeypatch.setattr(on_workers, "connected", lambda address: nullcontext())
     # In another order than that of the campaign.
-    monkeypatch.setattr(dataset, "results", lambda client, do, units, report: ((k, do(k)) for k in reversed(units)))
+    monkeypatch.setattr(on_workers, "results", lambda client, do, units, report: ((k, do(k)) for k in reversed(units)))
     return pairs
 
 
@@ -254,7 +257,7 @@ def test_worlds_by_workers_have_the_bytes_of_one_machine(worlds_in_process, tmp_
 
 
 def test_workers_of_another_version_are_refused(monkeypatch):
-    from thermorender.apps.cluster.work import ready
+    from thermorender.apps.cluster.engine import ready
     from thermorender.versions import versions
 
     ready(versions(), 0)

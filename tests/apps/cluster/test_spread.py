@@ -13,9 +13,8 @@ from typer.testing import CliRunner
 
 import thermorender as tr
 from scenes import coarse, write_terrain
-from thermorender.apps.cluster import spread as spreads
-from thermorender.apps.cluster.connect import Address
-from thermorender.apps.cluster.spread import spreading
+from thermorender.apps.cluster import engine, workers
+from thermorender.apps.cluster.workers import spreading
 from thermorender.apps.compare.comparison import Options, compare
 from thermorender.apps.compare.evaluation import evaluate
 from thermorender.errors import ThermorenderError
@@ -38,9 +37,9 @@ def untimed(value):
 @pytest.fixture
 def in_process(monkeypatch):
     """Units done in this process where workers would do them, the last one first."""
-    monkeypatch.setattr(spreads, "connected", lambda address: nullcontext())
+    monkeypatch.setattr(workers, "connected", lambda address: nullcontext())
     monkeypatch.setattr(
-        spreads, "results", lambda client, do, units, *more: ((unit, do(unit)) for unit in reversed(units))
+        workers, "results", lambda client, do, units, *more: ((unit, do(unit)) for unit in reversed(units))
     )
 
 
@@ -48,14 +47,14 @@ def in_process(monkeypatch):
 def by_workers(tmp_path_factory):
     """A function like `map` of two processes."""
     folder = tmp_path_factory.mktemp("spread")
-    with spreading(Address(local=2), folder / "out") as spread:
+    with spreading("local:2", folder / "out") as spread:
         yield spread
     assert list(folder.iterdir()) == []
 
 
 def test_results_come_in_the_order_of_units_and_the_folder_of_the_work_is_removed(in_process, tmp_path):
     calls = []
-    with spreading(Address(local=2), tmp_path / "new" / "out") as spread:
+    with spreading("local:2", tmp_path / "new" / "out") as spread:
         assert [*spread(lambda number: number**2, range(5))] == [0, 1, 4, 9, 16]
         offset = 3
         for value in spread(lambda number: number + offset, [10, 20]):
@@ -71,24 +70,24 @@ def test_a_unit_that_fails_is_one_sentence_with_its_worker(in_process, tmp_path)
         raise ThermorenderError(f"unit {number} is not allowed; give another")
 
     with pytest.raises(ThermorenderError, match=r"^\d+@\S+: unit 2 is not allowed; give another$"):
-        with spreading(Address(local=2), tmp_path / "out") as spread:
+        with spreading("local:2", tmp_path / "out") as spread:
             list(spread(refuse, range(3)))
     with pytest.raises(ThermorenderError, match=r"^\d+@\S+: ZeroDivisionError: .*zero$"):
-        with spreading(Address(local=2), tmp_path / "out") as spread:
+        with spreading("local:2", tmp_path / "out") as spread:
             list(spread(lambda number: 1 // number, range(3)))
 
 
 def test_changed_work_is_refused(in_process, tmp_path):
-    with spreading(Address(local=2), tmp_path / "out") as spread:
-        found = spread(lambda number: spreads.versions, [1])
-        plain = spreads.unpickled
+    with spreading("local:2", tmp_path / "out") as spread:
+        found = spread(lambda number: number, [1])
+        plain = engine.unpickled
         with pytest.MonkeyPatch.context() as patch:
 
             def changed(path, checksum):
                 path.write_bytes(path.read_bytes() + b"x")
                 return plain(path, checksum)
 
-            patch.setattr(spreads, "unpickled", changed)
+            patch.setattr(engine, "unpickled", changed)
             with pytest.raises(ThermorenderError, match="is not the file of this work; stop other processes"):
                 list(found)
 
@@ -99,7 +98,7 @@ def test_pairs_are_scored_alike_in_any_order(in_process, tmp_path):
     save_map(linear_map(), tmp_path / "linear.npz")
     models = [str(tmp_path / "linear.npz"), "fok-1to1"]
     one = evaluate(dataset, models, tmp_path / "one")
-    with spreading(Address(local=2), tmp_path / "two") as spread:
+    with spreading("local:2", tmp_path / "two") as spread:
         two = evaluate(dataset, models, tmp_path / "two", spread=spread)
     same_evaluation(one, two, tmp_path)
 
@@ -112,10 +111,10 @@ def test_commands_take_a_cluster(call, tmp_path, monkeypatch, verb, more):
     monkeypatch.chdir(tmp_path)
     if verb in ("evaluate", "compare"):
         status, _, errors = call(verb, *more, "-o", "out/here", "--cluster", "here")
-        assert status == 2 and "--cluster='here' is not allowed; give local:N" in errors
+        assert status == 2 and "cluster='here' is not allowed; give local:N" in errors
         return
     main = importlib.import_module(f"validation.{verb}.__main__").main
-    with pytest.raises(ThermorenderError, match="--cluster='here' is not allowed; give local:N"):
+    with pytest.raises(ThermorenderError, match="cluster='here' is not allowed; give local:N"):
         CliRunner().invoke(app_of(main), [*more, "-o", "out/here", "--cluster", "here"], catch_exceptions=False)
 
 

@@ -8,9 +8,9 @@ from rasterio.crs import CRS
 
 import thermorender as tr
 from scenes import write_raster
+from thermorender.apps.lands.import_settings import ImportSettings, ThreeD
 from thermorender.apps.lands.import_terrain import import_terrain
-from thermorender.apps.lands.solids import found
-from thermorender.apps.lands.solids.importing import ThreeD
+from thermorender.apps.lands.solids import detection
 from thermorender.apps.lands.solids.outlines import is_building, outlines_in
 from thermorender.errors import ThermorenderError
 from thermorender.scene.terrain import read_elevation, zero_of_heights
@@ -52,7 +52,7 @@ def imported(folder, height, *features, **how):
     """(Summary of an import, {name: (area, area in the plan)} of its surfaces)."""
     write_raster(folder / "dsm.tif", height[None].astype(np.float32), corner=CORNER)
     known = collected(folder / "k.geojson", *features)
-    made = import_terrain(folder / "dsm.tif", None, folder / "s", known=known, three_d=ThreeD(**how))
+    made = import_terrain(folder / "dsm.tif", None, folder / "s", ImportSettings(known=known), ThreeD(**how))
     areas = {}
     for surface in tr.load_scene(folder / "s").surfaces:
         corner = surface.vertices[surface.faces]
@@ -319,11 +319,11 @@ def test_an_offset_shows_where_ground_is_open(share, shift):
     """Ground with 0.1 m of noise is open on a share of the posts, and the rest is a closed wood."""
     random = np.random.default_rng(4)
     above = np.where(column < 1.0 + share * SIDE, 0.0, wood(0.05)) + 0.1 * random.standard_normal(GROUND.shape)
-    found.check_levels(GROUND, GROUND + above, 1.0)
+    detection.check_levels(GROUND, GROUND + above, 1.0)
     with pytest.raises(ThermorenderError, match="count from different levels"):
-        found.check_levels(GROUND, GROUND + above + shift, 1.0)
+        detection.check_levels(GROUND, GROUND + above + shift, 1.0)
     if shift > 0.0:
-        found.check_levels(GROUND, GROUND + above + shift, 1.0, declared=True)
+        detection.check_levels(GROUND, GROUND + above + shift, 1.0, declared=True)
 
 
 @pytest.mark.parametrize("farm", [False, True])
@@ -334,7 +334,7 @@ def test_a_closed_crop_is_refused_with_its_terrain_model_and_is_the_ground_witho
     write_raster(tmp_path / "dsm.tif", (GROUND + above)[None].astype(np.float32), corner=CORNER)
     write_raster(tmp_path / "dtm.tif", GROUND[None].astype(np.float32), corner=CORNER)
     with pytest.raises(
-        ThermorenderError, match=r"or a closed crop covers everything; .* above a crop, leave --ground out"
+        ThermorenderError, match=r"or a closed crop covers everything; .* above a crop, leave ground out"
     ):
         import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", three_d=ThreeD(tmp_path / "dtm.tif"))
     made = import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", three_d=ThreeD())
@@ -347,16 +347,16 @@ def test_a_closed_crop_is_refused_with_its_terrain_model_and_is_the_ground_witho
 
 def test_a_surface_model_below_its_terrain_model_is_not_taken_for_a_crop():
     with pytest.raises(
-        ThermorenderError, match="count from different levels; convert one of them, or leave --ground out"
+        ThermorenderError, match="count from different levels; convert one of them, or leave ground out"
     ):
-        found.check_levels(GROUND, HOUSE - 8.0, 1.0, declared=True)
+        detection.check_levels(GROUND, HOUSE - 8.0, 1.0, declared=True)
 
 
 def test_a_terrain_model_above_open_ground_is_refused_though_most_of_the_model_is_wood():
     above = np.where(column < 0.3 * SIDE, 0.0, wood(0.05)) - 8.0
     assert np.median(above) > 2.0
     with pytest.raises(ThermorenderError, match="count from different levels"):
-        found.check_levels(GROUND, GROUND + above, 1.0)
+        detection.check_levels(GROUND, GROUND + above, 1.0)
 
 
 @pytest.mark.parametrize("surface", ["EPSG:32634+5773", "EPSG:32634"])

@@ -6,8 +6,8 @@ from typer.testing import CliRunner
 
 import thermorender as tr
 from scenes import coarse, write_raster
+from thermorender.apps.lands.import_settings import ImportSettings, ThreeD
 from thermorender.apps.lands.import_terrain import import_terrain
-from thermorender.apps.lands.solids.importing import ThreeD
 from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
 
@@ -47,7 +47,7 @@ def wood(tmp_path_factory):
         write_raster(folder / f"{name}.tif", values[None].astype(np.float32), POST_M, corner=CORNER)
     (folder / "w.csv").write_text(STATION)
     made = [
-        import_terrain(folder / "dsm.tif", None, folder / name, weather=folder / "w.csv", time=TIME,
+        import_terrain(folder / "dsm.tif", None, folder / name, ImportSettings(weather=folder / "w.csv", time=TIME),
                        three_d=ThreeD(folder / "dem.tif", copies=name == "copies"))
         for name in ("copies", "own")
     ]  # fmt: skip
@@ -77,7 +77,7 @@ def test_each_tree_is_a_copy_where_it_stands_and_as_large(wood):
     np.testing.assert_allclose(foot[:, 2] + scene.frame.height_m, 40.0 + 0.04 * (foot[:, 0] + 30.0), atol=0.1)
     # Leaves reach half an edge of a cluster, at most 0.5 m, beyond the crown, and kinds are alike to 20 %.
     assert (np.abs(size - trees[nearest, 2:]) < 0.5 + 0.2 * trees[nearest, 2:]).all()
-    # What `kinds.MOST_TREES` counts on.
+    # What `tree_types.MOST_TREES` counts on.
     trunks = [s.instances for s in scene.surfaces if s.instances is not None and s.name.startswith("bark")]
     assert max(body.patches for body in bodies) == 12 and max(body.patches for body in trunks) <= 6
     scale = np.concatenate([body.scale for body in bodies])
@@ -97,9 +97,9 @@ def test_command_says_that_trees_are_copies(wood, tmp_path):
 
 
 def test_more_trees_than_the_memory_holds_are_refused(wood, tmp_path, monkeypatch):
-    monkeypatch.setattr("thermorender.apps.lands.solids.kinds.MOST_TREES", 35)
+    monkeypatch.setattr("thermorender.apps.lands.solids.tree_types.MOST_TREES", 35)
     with pytest.raises(ThermorenderError, match=r"has 36 trees, more than the 35 whose .*; give a smaller area"):
-        import_terrain(wood[0] / "dsm.tif", None, tmp_path / "s", weather=wood[0] / "w.csv", time=TIME,
+        import_terrain(wood[0] / "dsm.tif", None, tmp_path / "s", ImportSettings(weather=wood[0] / "w.csv", time=TIME),
                        three_d=ThreeD(copies=True))  # fmt: skip
     assert not (tmp_path / "s").exists()
 

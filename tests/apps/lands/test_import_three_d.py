@@ -9,12 +9,12 @@ from typer.testing import CliRunner
 
 import thermorender as tr
 from scenes import write_raster
+from thermorender.apps.lands.import_settings import ImportSettings, ThreeD
 from thermorender.apps.lands.import_terrain import import_terrain
-from thermorender.apps.lands.solids import found
+from thermorender.apps.lands.solids import detection
 from thermorender.apps.lands.solids.borders import OPEN, borders
-from thermorender.apps.lands.solids.importing import ThreeD
 from thermorender.apps.lands.solids.outlines import outlines_in
-from thermorender.apps.lands.solids.steps import cut_at_steps
+from thermorender.apps.lands.solids.roof_steps import cut_at_steps
 from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
 from thermorender.formats import write_text
@@ -69,7 +69,7 @@ def upright_area(surface):
 def test_a_house_has_walls_to_its_eaves_and_a_tree_a_crown(model, tmp_path, given, known):
     three_d = ThreeD(model / "dem.tif" if given else None)
     outlines = model / "known.geojson" if known else None
-    made = import_terrain(model / "dsm.tif", None, tmp_path / "s", known=outlines, three_d=three_d)
+    made = import_terrain(model / "dsm.tif", None, tmp_path / "s", ImportSettings(known=outlines), three_d)
     assert (made["buildings"], made["trees"]) == (1, 1)
     of = surfaces(scene := tr.load_scene(tmp_path / "s"))
     assert set(of) == {"ground", "roofs", "walls", "plants"}
@@ -107,17 +107,19 @@ def test_what_nobody_has_seen_is_flagged_and_listed(model, tmp_path):
 
 
 def test_the_ground_below_objects_is_found():
-    bare = found.ground_below(heights(), 1.0)
+    bare = detection.ground_below(heights(), 1.0)
     # The lowest filter leaves the slope as it is, and fills house and tree linearly.
     assert np.abs(bare - GROUND).max() < 0.35 and np.abs(bare - GROUND).mean() < 0.05
 
 
 def test_wrong_arguments(model, tmp_path):
     with pytest.raises(ThermorenderError, match="fill is for a raster of heights"):
-        import_terrain(model / "dsm.tif", None, tmp_path / "s", fill=True, three_d=ThreeD())
+        import_terrain(model / "dsm.tif", None, tmp_path / "s", ImportSettings(fill=True), ThreeD())
     (tmp_path / "none.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": []}))
     with pytest.raises(ThermorenderError, match="has no polygon with a tag 'building'"):
-        import_terrain(model / "dsm.tif", None, tmp_path / "s", known=tmp_path / "none.geojson", three_d=ThreeD())
+        import_terrain(
+            model / "dsm.tif", None, tmp_path / "s", ImportSettings(known=tmp_path / "none.geojson"), ThreeD()
+        )
     done = CliRunner().invoke(cli.app, ["import-terrain", str(model / "dsm.tif"), "-o", str(tmp_path / "s"),
                                         "--wall", "brick_clay"])  # fmt: skip
     assert done.exit_code != 0 and "--wall, --building-class and --copies are for scenes" in str(done.exception)
@@ -128,13 +130,17 @@ def test_outlines_of_a_gis_are_read_with_rows_without_a_shape(model, tmp_path):
     content = json.loads((model / "known.geojson").read_text())
     content["features"].insert(0, {"type": "Feature", "properties": {"building": "yes"}, "geometry": None})
     (tmp_path / "known.geojson").write_text(json.dumps(content))
-    made = import_terrain(model / "dsm.tif", None, tmp_path / "s", known=tmp_path / "known.geojson", three_d=ThreeD())
+    made = import_terrain(
+        model / "dsm.tif", None, tmp_path / "s", ImportSettings(known=tmp_path / "known.geojson"), ThreeD()
+    )
     assert made["buildings"] == 1
     # The same outline without a tag, and a member "crs" of null, which stands for longitude and latitude.
     del content["features"][2]["properties"]["building"]
     (tmp_path / "known.geojson").write_text(json.dumps(content))
     with pytest.raises(ThermorenderError, match=r"1 polygons without a tag 'building'.*building=yes"):
-        import_terrain(model / "dsm.tif", None, tmp_path / "t", known=tmp_path / "known.geojson", three_d=ThreeD())
+        import_terrain(
+            model / "dsm.tif", None, tmp_path / "t", ImportSettings(known=tmp_path / "known.geojson"), ThreeD()
+        )
     write_text(tmp_path / "l.geojson", '{"features": [], "crs": null}')
     assert read_features(tmp_path / "l.geojson")[1].is_geographic
 
@@ -167,7 +173,7 @@ def test_walls_of_a_courtyard_face_it(tmp_path, reverse):
     (tmp_path / "b.geojson").write_text(
         json.dumps({"type": "FeatureCollection", "crs": crs, "features": [feature]}), encoding="utf-8"
     )
-    import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", known=tmp_path / "b.geojson", three_d=ThreeD())
+    import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", ImportSettings(known=tmp_path / "b.geojson"), ThreeD())
     walls = surfaces(tr.load_scene(tmp_path / "s"))["walls"]
     corner = walls.vertices[walls.faces]
     across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -187,7 +193,7 @@ def grid_of(folder):
 def test_holes_of_the_terrain_model_below_a_building_keep_it(model):
     ground = np.where(HOUSE, np.nan, GROUND)
     ground[:, 40:] = np.nan
-    bare = found.ground_given(ground, heights(), 1.0)
+    bare = detection.ground_given(ground, heights(), 1.0)
     assert np.abs(bare - GROUND)[:, :40].max() < 0.05
     assert np.abs(bare - GROUND)[:, 40:].max() < 0.5
 
@@ -195,7 +201,7 @@ def test_holes_of_the_terrain_model_below_a_building_keep_it(model):
 @pytest.mark.parametrize("shift", [-100.0, 30.0])
 def test_a_terrain_model_from_another_level_is_refused(shift):
     with pytest.raises(ThermorenderError, match="count from different levels"):
-        found.check_levels(GROUND + shift, heights(), 1.0)
+        detection.check_levels(GROUND + shift, heights(), 1.0)
 
 
 def outlined(folder, path, rings):
@@ -217,7 +223,7 @@ def test_outlines_keep_their_corners_whether_closed_or_not(model, tmp_path):
 
 def boxes(*given):
     """[Outline] of rectangles (left, top, right, bottom) in posts."""
-    return [found.Outline([np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], float)]) for x0, y0, x1, y1 in given]
+    return [detection.Outline([np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], float)]) for x0, y0, x1, y1 in given]
 
 
 def lengths(loops):
@@ -248,7 +254,7 @@ def lengths(loops):
         # Over the edge of the grid.
         (boxes((-9, 10, 10.5, 20)), [(40.0, {})]),
         # Corners in an order that crosses itself: two triangles.
-        ([found.Outline([np.array([[5, 5], [15, 15], [15, 5], [5, 15]], float)])], [(48.284271, {})]),
+        ([detection.Outline([np.array([[5, 5], [15, 15], [15, 5], [5, 15]], float)])], [(48.284271, {})]),
     ],
 )
 def test_each_piece_of_wall_stands_once(outlines, expected):
@@ -267,7 +273,7 @@ def test_terraces_drawn_by_hand_have_no_walls_inside():
     for row in (5, 27, 49):
         for left in range(5, 105, 20):
             corner = np.array([[0, 0], [20, 0], [20, 12], [10, 12], [10, 16], [0, 16]], float) + [left, row]
-            outlines.append(found.Outline([corner + random.uniform(-0.1, 0.1, corner.shape)]))
+            outlines.append(detection.Outline([corner + random.uniform(-0.1, 0.1, corner.shape)]))
     made = borders(outlines, (120, 120), 1.0)
     for number, loops in enumerate(made):
         (loop,) = loops
@@ -319,7 +325,7 @@ def wall_areas(scene):
 
 def test_a_tip_that_smaller_outlines_leave_of_another_has_no_walls():
     """A wedge of 20 posts, of which rectangles cover all but the last 0.35: a border of two points."""
-    wedge = found.Outline([np.array([[10.0, 16.0], [30.0, 16.5], [10.0, 17.0]])])
+    wedge = detection.Outline([np.array([[10.0, 16.0], [30.0, 16.5], [10.0, 17.0]])])
     ends = np.linspace(9.0, 29.65, 9)
     made = borders([wedge, *boxes(*((x0, 15, x1, 18) for x0, x1 in itertools.pairwise(ends)))], (48, 48), 1.0)
     assert not made[0] and all(made[1:])
@@ -330,7 +336,7 @@ def test_the_wall_between_two_houses_is_the_step_between_their_roofs(terrace, tm
     """10 m wide each, 15 m deep: the party wall has 15 by 4 m, above the lower roof, and faces it."""
     known = features(tmp_path / "k.geojson", [(ring_of(10, 15, 20 + overlap, 30), {"building": "house"}),
                                               (ring_of(20, 15, 30, 30), {"building": "house"})])  # fmt: skip
-    made = import_terrain(terrace / "dsm.tif", None, tmp_path / "s", known=known, three_d=ThreeD())
+    made = import_terrain(terrace / "dsm.tif", None, tmp_path / "s", ImportSettings(known=known), ThreeD())
     assert made["buildings"] == 2
     planes, total = wall_areas(tr.load_scene(tmp_path / "s"))
     expected = {-14: 15 * 5.5, -4: 15 * 4.0, 6: 15 * 9.5}
@@ -343,12 +349,12 @@ def test_walls_are_those_that_outlines_declare(terrace, tmp_path):
         (ring_of(10, 15, 20, 30), {"building": "garage", "building:material": "reed", "building:colour": "#ff0000"}),
         (ring_of(20, 15, 30, 30), {"building": "yes", "building:material": "brick", "building:colour": "striped"}),
     ])  # fmt: skip
-    three_d = ThreeD(wall_by_kind={"garage": "concrete", "barn": "wood"})
-    made = import_terrain(terrace / "dsm.tif", None, tmp_path / "s", known=known, three_d=three_d)
+    three_d = ThreeD(wall=["garage=concrete", "barn=wood"])
+    made = import_terrain(terrace / "dsm.tif", None, tmp_path / "s", ImportSettings(known=known), three_d)
     # Each has one declaration with a match.
     assert made["stated_walls"] == 2
     assert made["unmatched"] == {
-        "building:material=reed": 1, "building:colour=striped": 1, "building=barn of --wall": 0
+        "building:material=reed": 1, "building:colour=striped": 1, "building=barn of wall": 0
     }  # fmt: skip
     scene = tr.load_scene(tmp_path / "s")
     walls = surfaces(scene)["walls"]
@@ -358,7 +364,7 @@ def test_walls_are_those_that_outlines_declare(terrace, tmp_path):
     red, green, blue = np.moveaxis(walls.colour[names == "concrete"].astype(int), -1, 0)
     assert np.median(red) > 200 and np.median(green) == np.median(blue) == 0
     plain = features(tmp_path / "p.geojson", [(ring_of(10, 15, 20, 30), {"building": "yes", "material": "granite"})])
-    made = import_terrain(terrace / "dsm.tif", None, tmp_path / "t", known=plain, three_d=ThreeD())
+    made = import_terrain(terrace / "dsm.tif", None, tmp_path / "t", ImportSettings(known=plain), ThreeD())
     assert (made["stated_walls"], made["unmatched"]) == (1, {})
     assert "granite" in {material.name for material in tr.load_scene(tmp_path / "t").materials}
 
@@ -368,25 +374,27 @@ def test_a_class_of_a_raster_is_the_outline_of_buildings(terrace, tmp_path):
     classes[15:30, 10:30] = 2
     write_raster(tmp_path / "classes.tif", classes[None], corner=CORNER)
     known = tmp_path / "classes.tif"
-    made = import_terrain(terrace / "dsm.tif", None, tmp_path / "s", known=known, three_d=ThreeD(building_class=2))
+    made = import_terrain(
+        terrace / "dsm.tif", None, tmp_path / "s", ImportSettings(known=known), ThreeD(building_class=2)
+    )
     assert made["buildings"] == 1
     planes, _ = wall_areas(tr.load_scene(tmp_path / "s"))
     # One outline, whose roof steps by 4 m in the middle.
     assert planes == pytest.approx({-14: 15 * 5.5, -4: 15 * 4.0, 6: 15 * 9.5}, rel=0.03)
     for number, words in (
-        (None, "give the number of its buildings as --building-class"),
+        (None, "give building_class, the number of its buildings"),
         (7, r"holds the classes \[1, 2\]"),
         (0, "building_class=0 marks pixels without data"),
     ):
         with pytest.raises(ThermorenderError, match=words):
             import_terrain(
-                terrace / "dsm.tif", None, tmp_path / "t", known=known, three_d=ThreeD(building_class=number)
+                terrace / "dsm.tif", None, tmp_path / "t", ImportSettings(known=known), ThreeD(building_class=number)
             )
 
 
 def test_a_building_of_three_corners_covers_its_posts(model):
     corner = np.array([[4, 4], [20, 4], [4, 20]], float)
-    covered = found.inside([found.Outline([corner])], grid_of(model))
+    covered = detection.inside([detection.Outline([corner])], grid_of(model))
     # Half of 16 by 16 posts, but for those on the long side.
     assert 112 <= covered.sum() <= 136 and covered[6, 6] and not covered[18, 18]
 
@@ -412,10 +420,10 @@ def test_posts_far_apart_need_outlines(tmp_path):
     height = np.full((30, 30), 20.0, np.float32)
     height[10:14, 10:18] = 28.0
     write_raster(tmp_path / "dsm.tif", height[None], step=2.0, corner=CORNER)
-    with pytest.raises(ThermorenderError, match=r"posts 2 m apart.*give a finer model \(or more --max-vertices"):
+    with pytest.raises(ThermorenderError, match=r"posts 2 m apart.*give a finer model \(or more max_vertices"):
         import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", three_d=ThreeD())
     known = features(tmp_path / "k.geojson", [(ring_of(20, 20, 36, 28), {"building": "yes"})])
-    made = import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", known=known, three_d=ThreeD())
+    made = import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", ImportSettings(known=known), ThreeD())
     assert (made["buildings"], made["trees"]) == (1, 0)
 
 
@@ -435,7 +443,7 @@ def test_a_block_and_its_low_annex_in_one_outline_have_a_wall_between_their_roof
     ring = [(10, 12), (38, 12), (38, 36), (10, 36)]
     write_raster(tmp_path / "dsm.tif", height[None].astype(np.float32), corner=CORNER)
     known = features(tmp_path / "k.geojson", [(ring[::-1] if turned else ring, {"building": "yes"})])
-    made = import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", known=known, three_d=ThreeD())
+    made = import_terrain(tmp_path / "dsm.tif", None, tmp_path / "s", ImportSettings(known=known), ThreeD())
     assert made["buildings"] == 1
     of = surfaces(scene := tr.load_scene(tmp_path / "s"))
     roof, faces = of["roofs"].vertices, of["roofs"].faces
@@ -466,6 +474,6 @@ def test_steep_roofs_and_steps_below_a_storey_are_not_cut(flat):
     if flat:
         height[14:18, 13:18] += 2.0
     height[16, 20] += 4.0
-    outline = found.Outline([np.array([(10, 12), (24, 12), (24, 21), (10, 21)], float)])
+    outline = detection.Outline([np.array([(10, 12), (24, 12), (24, 21), (10, 21)], float)])
     made, clear = cut_at_steps([outline], height, np.full_like(height, 20.0), 1.0)
     assert made == [outline] and (clear == height).all()

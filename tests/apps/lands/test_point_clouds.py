@@ -6,9 +6,9 @@ import pytest
 from rasterio.crs import CRS
 
 import thermorender as tr
+from thermorender.apps.lands.import_settings import ThreeD
 from thermorender.apps.lands.import_terrain import import_terrain
 from thermorender.apps.lands.solids.clouds import read_cloud
-from thermorender.apps.lands.solids.importing import ThreeD
 from thermorender.errors import ThermorenderError
 
 LEFT, BOTTOM, SIDE = 500000.0, 5780000.0, 40.0

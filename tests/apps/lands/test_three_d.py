@@ -9,11 +9,10 @@ import thermorender as tr
 from thermorender.apps.lands.procedural.buildings import ROOFS, Window, house
 from thermorender.apps.lands.procedural.canvas import Canvas
 from thermorender.apps.lands.procedural.solids import Solids
-from thermorender.apps.lands.procedural.three_d import SURVEY, write
-from thermorender.apps.lands.procedural.world import make_world
+from thermorender.apps.lands.procedural.three_d import SURVEY, make_world, write
 from thermorender.apps.lands.solids.plants import Plants, leaves, surface_m2
 from thermorender.apps.lands.solids.quads import Quads
-from thermorender.apps.lands.solids.skin import write_mesh
+from thermorender.apps.lands.solids.textured_mesh import write_mesh
 from thermorender.errors import ThermorenderError
 from thermorender.physics.srgb import linear_from_bytes
 from thermorender.render.from_above import from_above
@@ -46,11 +45,11 @@ def test_a_crown_lets_light_through_by_beers_law(degrees):
     column = np.column_stack([x, y, np.zeros(len(x)), np.full(len(x), depth)])
     plants = Plants()
     plants.fill(np.random.default_rng(3), column, cell, 0.3, density, np.full((len(x), 3), 0.2), 1)
-    skin = plants.skin("leaves")
+    mesh = plants.mesh("leaves")
     # Turning the layer about the x axis is looking at it at an angle.
     turn = np.radians(degrees)
     matrix = np.array([[1, 0, 0], [0, np.cos(turn), -np.sin(turn)], [0, np.sin(turn), np.cos(turn)]])
-    geometry = Geometry(activate(), [surface_of((skin.vertices - [0, 0, 0.5 * depth]) @ matrix.T, skin.faces)])
+    geometry = Geometry(activate(), [surface_of((mesh.vertices - [0, 0, 0.5 * depth]) @ matrix.T, mesh.faces)])
     # Rays that stay inside the layer's sides.
     reach = half * np.cos(turn) - 0.5 * depth * np.sin(turn) - 0.3
     east, north = np.meshgrid(np.linspace(-half + 0.3, half - 0.3, 480), np.linspace(-reach, reach, 240))
@@ -78,10 +77,10 @@ def test_a_trunk_has_a_texel_for_each_short_length():
     """A gap of the crown then lights a part of the trunk, not a whole side."""
     plants = Plants()
     plants.trunk(2.0, 3.0, 1.0, 8.0, 0.2, np.full(3, 0.2), 1)
-    skin = plants.skin("trunk")
-    corner = skin.vertices[skin.faces]
+    mesh = plants.mesh("trunk")
+    corner = mesh.vertices[mesh.faces]
     assert np.ptp(corner[..., 2], axis=1).max() < 1.0
-    assert len(np.unique(skin.uv.mean(axis=1), axis=0)) == len(skin.faces) == plants.faces
+    assert len(np.unique(mesh.uv.mean(axis=1), axis=0)) == len(mesh.faces) == plants.faces
     across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     # Sides of a hexagonal frustum whose radius goes from 0.2 to 0.07 m: trapezia of the two edges.
     height = np.hypot(7.0, (0.2 - 0.07) * np.cos(np.pi / 6.0))
@@ -100,8 +99,8 @@ def test_a_picture_is_upright_on_its_wall_and_comes_back_from_the_file(tmp_path)
     quads = Quads(0.1)
     quads.add([(0, 0, 0), (4, 0, 0), (4, 0, 2), (0, 0, 2)], paint)
     quads.add([(0, 9, 0), (0, 9, 0.5), (-1, 9, 0.5), (-1, 9, 0)], lambda s, t: ((0.2, 0.2, 0.2), 4))
-    skin = quads.skin("walls")
-    write_mesh(tmp_path / "w.glb", [skin])
+    mesh = quads.mesh("walls")
+    write_mesh(tmp_path / "w.glb", [mesh])
     (part,) = load(tmp_path / "w.glb", named=("walls",))
     corner = part.vertices[part.faces]
     across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -114,7 +113,7 @@ def test_a_picture_is_upright_on_its_wall_and_comes_back_from_the_file(tmp_path)
     upper_east = wall & (middle[:, 2] > 1.0) & (middle[:, 0] > 2.0)
     assert low.any() and (shown[low] == (1.0, 0.0, 0.0)).all()
     assert upper_east.any() and (shown[upper_east] == (0.0, 0.0, 1.0)).all()
-    assert (skin.classes[at[:, 1], at[:, 0]][low] == 1).all() and (skin.classes[at[:, 1], at[:, 0]][~wall] == 4).all()
+    assert (mesh.classes[at[:, 1], at[:, 0]][low] == 1).all() and (mesh.classes[at[:, 1], at[:, 0]][~wall] == 4).all()
 
 
 @pytest.mark.parametrize(("roof", "hip"), [(ROOFS[0], False), (ROOFS[0], True), (ROOFS[-1], False)])
@@ -126,8 +125,8 @@ def test_a_house_has_the_heights_of_its_surface_model_and_walls_below_its_eaves(
     window = Window(canvas, 1.0, -0.5, 25.0, 11.0)
     fine = np.zeros(canvas.shape, np.float32)
     body = house(window, fine, np.random.default_rng(5), 0.5, 0.3, 5.5, 4.2, 4.0, roof, 38.0, hip)
-    skin = canvas.solids.quads.skin("house")
-    geometry = Geometry(activate(), [surface_of(skin.vertices, skin.faces)])
+    mesh = canvas.solids.quads.mesh("house")
+    geometry = Geometry(activate(), [surface_of(mesh.vertices, mesh.faces)])
     east, north = np.broadcast_arrays(canvas.east, canvas.north)
     height, texel = from_above(geometry, east, north)
     there = np.zeros(canvas.shape, bool)
@@ -137,7 +136,7 @@ def test_a_house_has_the_heights_of_its_surface_model_and_walls_below_its_eaves(
     print(roof[0], hip, np.median(apart), np.quantile(apart, [0.9, 0.98]))
     # But for chimneys, whose width differs, and texels across an edge.
     assert np.quantile(apart, 0.95) < 0.12
-    corner = skin.vertices[skin.faces]
+    corner = mesh.vertices[mesh.faces]
     across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     upright = np.abs(across[:, 2]) < 1e-9
     # Four walls of 11 by 8.4 m, at least to the height of the eaves.

@@ -13,7 +13,7 @@ import thermorender as tr
 from scenes import WEATHER, coarse, write_balance, write_terrain
 from thermorender.apps.link import Code, LinkError
 from thermorender.apps.link.messages import Open, Request
-from thermorender.apps.link.session import Session
+from thermorender.apps.link.session import ServerSession
 from thermorender.apps.link.stage import Stage
 from thermorender.errors import ThermorenderError
 from thermorender.frame.exr import read_exr
@@ -293,7 +293,7 @@ def test_requests_added_one_by_one_give_the_frame_of_all_together(renderer):
     [
         (
             {"camera": "x"},
-            r"camera 'x' is not served; give one of zenmuse-xt2, half, or start the server with --camera x",
+            r"camera 'x' is not served; give one of zenmuse-xt2, half, or start the server with this camera",
         ),
         ({"method": "B"}, r"map '' is not served; give one of fok-1to1"),
         ({"method": "C", "map": "/etc/passwd"}, r"map '/etc/passwd' is not served"),
@@ -384,7 +384,7 @@ def test_paths_are_those_of_logs_up_to_rounding(renderer, tmp_path, position):
     lines = [",".join(map(repr, map(float, row[:7]))) for row in rows]
     (tmp_path / "log.csv").write_text("\n".join([f"time_s,{names},yaw_deg,pitch_deg,roll_deg", *lines]))
     wanted = tr.load_trajectory(tmp_path / "log.csv", scene, mount=mount, lever_arm_m=lever)
-    session = Session(Open("", "", "A", position, "angles", mount_deg=mount, lever_arm_m=lever), renderer)
+    session = ServerSession(Open("", "", "A", position, "angles", mount_deg=mount, lever_arm_m=lever), renderer)
     for pieces in ([rows], np.split(rows, 40), np.split(rows, [3, 20])):
         paths = [session._path(piece) for piece in pieces]
         for name, most in (("time_s", 0.0), ("position", 1e-13), ("quaternion", 1e-15)):

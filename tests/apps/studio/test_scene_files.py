@@ -129,12 +129,12 @@ def test_a_scene_still_loads_after_a_save_that_failed(files, monkeypatch):
     document = files.saved.with_text("grass_green", "emissivity", "0.8")
     save = files.plan(document)
 
-    def full(path, data):
-        path.parent.mkdir(parents=True, exist_ok=True)
+    def full(contents):
+        next(iter(contents)).parent.mkdir(parents=True, exist_ok=True)
         raise ThermorenderError("no space")
 
     with monkeypatch.context() as patched:
-        patched.setattr("thermorender.materials.store._replace", full)
+        patched.setattr("thermorender.apps.studio.scene_files.replace_files", full)
         with pytest.raises(ThermorenderError, match="no space"):
             files.write(save)
     tr.load_scene(files.scene.spec.folder)

@@ -214,7 +214,7 @@ def test_the_next_preview_does_not_wait_for_a_solution_and_only_the_latest_solut
 def test_after_quick_edits_a_solution_waits_for_a_pause(session, monkeypatch):
     renders, begun = session.renders, []
     solved_for = Renderer.solved_for
-    monkeypatch.setattr("thermorender.apps.studio.renders._PAUSE_S", 3600.0)
+    monkeypatch.setattr("thermorender.apps.studio.renders.PAUSE_S", 3600.0)
 
     def counted(self, scene, progress=None):
         begun.append(scene)
@@ -423,7 +423,7 @@ def test_a_page_that_has_gone_does_not_end_the_thread_that_renders(session, capf
 def test_an_edit_during_a_preview_leaves_the_pause_before_the_next_solution(session, monkeypatch):
     renders, begun, previewing, going = session.renders, [], threading.Event(), threading.Event()
     preview_for = Renderer.preview_for
-    monkeypatch.setattr("thermorender.apps.studio.renders._PAUSE_S", 3600.0)
+    monkeypatch.setattr("thermorender.apps.studio.renders.PAUSE_S", 3600.0)
 
     def slow(self, scene, progress=None):
         previewing.set()

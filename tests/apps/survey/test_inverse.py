@@ -22,7 +22,7 @@ from thermorender.apps.survey.inverse.poses import PoseError, deviation, slopes
 from thermorender.apps.survey.inverse.products import files_of_scene
 from thermorender.apps.survey.inverse.products import write as write_products
 from thermorender.apps.survey.inverse.reconstruct import check_folder, reconstruct
-from thermorender.apps.survey.inverse.solve import Problem, Settings, _tilt, tilting, vignetting
+from thermorender.apps.survey.inverse.solve import Problem, Settings, tilt_of, tilting, vignetting
 from thermorender.apps.survey.inverse.weights import Lattice, Viewer, binned, binned_camera, moved, taps_of
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import brightness_temperature
@@ -302,9 +302,9 @@ def test_a_strip_of_a_frame_has_no_weight_in_the_tilts():
     rng = np.random.default_rng(3)
     right, down, noise = rng.uniform(-1.0, 1.0, (3, 400))
     whole, strip = (np.array([np.ones(400), x, down]) for x in (right, 0.98 + 0.02 * right))
-    tilts, weights = _tilt(whole, 0.6 * right - 0.2 * down + 0.1 * noise, np.ones(400))
+    tilts, weights = tilt_of(whole, 0.6 * right - 0.2 * down + 0.1 * noise, np.ones(400))
     np.testing.assert_allclose(tilts, [0.6, -0.2], atol=0.02)
-    assert _tilt(strip, noise, np.ones(400))[1, 0] < 1e-3 * weights[0]
+    assert tilt_of(strip, noise, np.ones(400))[1, 0] < 1e-3 * weights[0]
 
 
 def test_a_reference_fixes_the_common_level(survey):

@@ -8,7 +8,7 @@ import pytest
 
 from thermorender.apps.survey.inverse import normal as normal_module
 from thermorender.apps.survey.inverse.normal import Normal, Prior, Stencil, Sums, footprint, links
-from thermorender.apps.survey.inverse.solve import Common, _alike
+from thermorender.apps.survey.inverse.solve import Common, correlated_pixels
 from thermorender.apps.survey.inverse.weights import Sight, bilinear, texel_means
 
 SHAPE = (7, 6)
@@ -139,7 +139,7 @@ def test_pixels_alike_are_the_pixels_of_a_square_with_one_error(side, alike):
     residual = np.kron(squares, np.ones((side, side))).ravel()
     nothing = np.zeros((2, count), np.float32)
     sight = Sight(np.arange(count), nothing[0], nothing[0], nothing, nothing, nothing, nothing)
-    assert abs(_alike(shape, sight, residual, np.full(count, 9.0)) / alike - 1.0) < 0.16
+    assert abs(correlated_pixels(shape, sight, residual, np.full(count, 9.0)) / alike - 1.0) < 0.16
 
 
 @pytest.mark.parametrize(("side", "count"), [(1.0, 1), (2.0, 2), (3.0, 3), (4.0, 4), (1.25, 2000), (0.4, 1)])

@@ -75,7 +75,7 @@ def test_frames_that_fit_their_map_have_no_note():
         ({"noise_k": 1.4}, "the frames differ from the map by 1.40 K, "),
         ({"frames": at(2, 0.9, 0.1)}, "1 frames differ from the map 3 times as much as others, by up to 0.90 K: f2;"),
         ({"offsets": at(5, 300.0)}, "1 frames have another level than the others, by up to 300.0 K, .*: f5;"),
-        ({"pixel_m": 0.4}, r"texels of 0\.25 m are smaller than a pixel on the ground, 0\.4 m.*--texel-m 0\.6 "),
+        ({"pixel_m": 0.4}, r"texels of 0\.25 m are smaller than a pixel on the ground, 0\.4 m.*texel_m=0\.6 "),
     ],
 )
 def test_frames_that_contradict_the_map_are_stated(changes, words):

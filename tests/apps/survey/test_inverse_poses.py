@@ -145,7 +145,7 @@ def test_frames_below_the_terrain_are_refused(scene, tmp_path):
     places = read_poses(
         written(tmp_path / "p.csv", HEAD.replace("above_ground_m", "up_m") + "a,0,0,-99,0,-90,0\n"), scene
     )
-    with pytest.raises(ThermorenderError, match="--above-ground"):
+    with pytest.raises(ThermorenderError, match="above_ground"):
         poses_of(list(places.values()), scene)
 
 

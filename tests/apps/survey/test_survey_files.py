@@ -96,7 +96,7 @@ def test_heights_above_the_ellipsoid_keep_their_sign(tmp_path, reference, height
     ],
 )
 def test_tags_that_are_no_pose_are_refused(tmp_path, gps, values, words):
-    with pytest.raises(ThermorenderError, match=f"{words}.*--poses"):
+    with pytest.raises(ThermorenderError, match=f"{words}.*give the poses in a file"):
         tagged_place(tagged(tmp_path / "a.jpg", GPS | gps, values))
 
 
@@ -139,7 +139,7 @@ def test_places_and_heights_that_cannot_be_are_refused(scene, tmp_path):
     places = read_poses(written(tmp_path / "p.csv", HEAD + "a,0,0,40,0,-90,0\nb,0,0,-40,0,-90,0\n"), scene)
     with pytest.raises(ThermorenderError, match="frame 2 of 2 is 40 m below the terrain"):
         poses_of(list(places.values()), scene)
-    with pytest.raises(ThermorenderError, match="--above-ground=-5"):
+    with pytest.raises(ThermorenderError, match="above_ground_m=-5"):
         poses_of([places["a"]], scene, -5.0)
 
 

@@ -1,4 +1,4 @@
-"""The option --cluster: local processes, a scheduler by its address, or a Dask configuration that names one."""
+"""Where the workers are: local processes, a scheduler by its address, or a Dask configuration that names one."""
 
 import re
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 # How long a scheduler may take to answer [s].
-_ANSWER_S = 20.0
+ANSWER_S = 20.0
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Address:
 
 
 def parse_cluster(text: str) -> Address:
-    """Return the Address of an option --cluster."""
+    """Return the Address of a text such as local:2, tcp://scheduler:8786 or a file's name."""
     if match := re.fullmatch(r"local:([1-9]\d{0,3})", text):
         return Address(local=int(match[1]))
     if re.fullmatch(r"(tcp|tls)://[^/\s]+:\d+", text):
@@ -35,7 +35,7 @@ def parse_cluster(text: str) -> Address:
     if Path(text).is_file():
         return Address(config=Path(text))
     raise ThermorenderError(
-        f"--cluster={text!r} is not allowed; give local:N with a number of processes, the address of a scheduler such "
+        f"cluster={text!r} is not allowed; give local:N with a number of processes, the address of a scheduler such "
         "as tcp://scheduler:8786, or the file of a Dask configuration with scheduler-address"
     )
 
@@ -48,7 +48,7 @@ def connected(address: Address) -> Iterator["Client"]:
         from distributed import Client
     except ImportError:
         raise ThermorenderError(
-            "--cluster needs Dask, which is not installed; add it with `pip install 'thermorender[cluster]'`"
+            "a cluster needs Dask, which is not installed; add it with `pip install 'thermorender[cluster]'`"
         ) from None
     if address.local:
         from thermorender.apps.cluster.local import local_cluster
@@ -60,11 +60,11 @@ def connected(address: Address) -> Iterator["Client"]:
     with dask.config.set(given):
         scheduler = dask.config.get("scheduler-address")
         try:
-            client = Client(timeout=_ANSWER_S, set_as_default=False)
+            client = Client(timeout=ANSWER_S, set_as_default=False)
         except (OSError, TimeoutError, ValueError, TypeError) as error:
             raise ThermorenderError(
                 f"no scheduler answers at {scheduler} ({str(error).splitlines()[0] or type(error).__name__}); start it "
-                "with `dask scheduler` and give its address to --cluster"
+                "with `dask scheduler` and give its address as cluster"
             ) from None
         with client:
             yield client

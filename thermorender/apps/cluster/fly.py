@@ -1,24 +1,23 @@
 """A flight whose blocks are rendered by the workers of a Dask cluster."""
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from thermorender import files
+from thermorender import FlightOptions, files
 from thermorender.apps.cluster.connect import Address, connected
-from thermorender.apps.cluster.dispatch import Report, results, sentence
-from thermorender.apps.cluster.work import do_block, store
+from thermorender.apps.cluster.engine import Report, do_unit, results, sentence, store
 from thermorender.errors import ThermorenderError
-from thermorender.output.blocks import finished_blocks, gaps, join, uncovered, usual_length
-from thermorender.output.flight import Flight, FlightOptions
+from thermorender.output.blocks import FOLDER, finished_blocks, gaps, join, uncovered, usual_length, write_block
+from thermorender.output.flight import Flight
 from thermorender.output.flight import fly as fly_here
-from thermorender.output.resume import finished
+from thermorender.output.resume import finished, refuse_other_settings
 
 if TYPE_CHECKING:
-    from thermorender.render.renderer import Renderer
-    from thermorender.trajectory.path import Trajectory
+    from thermorender import Renderer, Trajectory
 
 
 @dataclass
@@ -41,40 +40,35 @@ class Tally:
             return
         self.blocks += 1
         self.frames += frames
+        spent = found["value"] | {"loading_s": found["loading_s"]}
         for name in ("bytes", "loading_s", "warm_up_s", "frames_s", "moving_s"):
-            setattr(self, name, getattr(self, name) + found[name])
+            setattr(self, name, getattr(self, name) + spent[name])
+
+
+@dataclass
+class FlightBlocks:
+    """Renders blocks of a flight into a folder, in the worker to which it is sent."""
+
+    folder: Path
+    flight: Flight
+
+    def __call__(self, frames: range) -> dict[str, Any]:
+        """Render a block; return what `write_block` does."""
+        refuse_other_settings(self.folder / "flight.json", self.flight.settings)
+        return write_block(self.flight, self.folder, frames.start, frames.stop)
 
 
 def fly(
-    renderer: "Renderer",
-    trajectory: "Trajectory",
-    folder: str | PathLike[str],
-    address: Address,
-    options: FlightOptions,
-    *,
-    block: int | None = None,
-    resume: bool = False,
-    verify: bool = False,
+    renderer: "Renderer", trajectory: "Trajectory", folder: str | os.PathLike[str], address: Address,
+    options: FlightOptions, *, block: int | None = None, resume: bool = False, verify: bool = False,
     progress: Callable[[int, int], object] | None = None,
-    of_worker: Callable[[str, int, int], object] | None = None,
-    report: Report = lambda line: None,
-) -> dict[str, Any]:
+    of_worker: Callable[[str, int, int], object] | None = None, report: Report = lambda line: None,
+) -> dict[str, Any]:  # fmt: skip
     """Render a flight by the workers of a cluster and return its summary: that of `thermorender.fly`, and `workers`.
 
     The folder must be on a disk that all workers share, under the same path. Its files have the bytes of a flight on
-    one machine with the same kind of processor.
-
-    Parameters
-    ----------
-    renderer, trajectory, folder, options, resume, verify, progress
-        As of `thermorender.output.flight.fly`.
-    address : Address
-    block : int, optional
-        Frames of a block; see `thermorender.output.blocks.usual_length`.
-    of_worker : callable, optional
-        Called with (worker, its frames, frames in total).
-    report : callable
-        Called with lines on workers that join, are lost, or fail.
+    one machine with the same kind of processor. `block` is the frames of a block; `of_worker` is called with (worker,
+    its frames, frames in total), and `report` with lines on workers that join, are lost, or fail.
     """
     flight = Flight(renderer, trajectory, options, None)
     total = len(flight.times)
@@ -87,13 +81,15 @@ def fly(
             before = len(flight.terrain)
             join(out, flight)
             kept = finished_blocks(out, flight.settings, verify)
-            work = _cut(uncovered(kept, before, total), block or usual_length(flight))
+            work = cut(uncovered(kept, before, total), block or usual_length(flight))
             failures: list[str] = []
             if work:
-                job = store(flight, out, address.local)
+                path = out / FOLDER / "flight.pickle"
+                path.parent.mkdir(exist_ok=True)
+                job = store(FlightBlocks(Path(os.path.abspath(out)), flight), path, address.local)
                 done = total - sum(map(len, work))
                 with connected(address) as client:
-                    for frames, found in results(client, partial(do_block, job), work, report):
+                    for frames, found in results(client, partial(do_unit, job), work, report):
                         tallies.setdefault(found["worker"], Tally()).add(found, len(frames))
                         if "error" in found:
                             failures.append(f"frames {frames.start} to {frames.stop - 1} on {sentence(found)}")
@@ -109,13 +105,13 @@ def fly(
                 next(gaps(flight, out), None)
                 raise ThermorenderError(
                     f"{len(failures)} of {len(work)} blocks failed, the first: {failures[0]}; the others are finished, "
-                    "mend the cause and continue with --resume"
+                    "mend the cause and continue with resume"
                 )
         summary = fly_here(renderer, trajectory, out, options, resume=True)
     return summary | {"rendered": total - before, "workers": {name: vars(each) for name, each in tallies.items()}}
 
 
-def _cut(ranges: list[range], length: int) -> list[range]:
+def cut(ranges: list[range], length: int) -> list[range]:
     """Ranges of frames in blocks that begin at multiples of a length, so that a resume finds the same ones."""
     found = []
     for each in ranges:

@@ -6,20 +6,22 @@ The orthophoto's empty borders become its mask.
 """
 
 import shutil
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender import defaults, formats
-from thermorender.apps.lands.solids.clouds import SUFFIXES, read_cloud
-from thermorender.apps.lands.solids.importing import ThreeD, write_solid
+from thermorender import defaults, formats, load_camera
+from thermorender.apps.lands.import_settings import ImportSettings, ThreeD
+from thermorender.apps.lands.solids.city_model import CityModel
+from thermorender.apps.lands.solids.clouds import SUFFIXES, Cloud, read_cloud
+from thermorender.apps.lands.solids.solid_scene import solid_of, write_solid
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic_folder, check_new_folder
 from thermorender.formats import write_text
 from thermorender.materials.extended import within_band
+from thermorender.numbers import parse_numbers
 from thermorender.scene.mapped_cover import read_mapped_cover
 from thermorender.scene.orthophoto import COLLAR, empty_border, read_colour
 from thermorender.scene.raster import Grid, bounds_in, grid_of, lon_lat, onto
@@ -27,213 +29,158 @@ from thermorender.scene.spec import WeatherSpec
 from thermorender.scene.surface import scene_kelvin
 from thermorender.scene.terrain import doubtful_zeros, filled, read_elevation
 from thermorender.schema import toml_text
-from thermorender.sensor.camera import load_camera
 from thermorender.units import instant, utc_text
 from thermorender.weather.declared import declared_weather
 from thermorender.weather.year_file import is_year_file
 
-DEFAULT_VERTICES = 4_000_000
-DEFAULT_TEXELS = 8192
 # Placeholders until the user gives better ones [K]: the sky without weather, and the ground without orthophoto.
 SKY_K, GROUND_K = 255.0, 288.15
 # Duration of the flight that comes with the scene [s]: 180 frames of the default camera.
 _FLIGHT_S = 20.0
+_DEFAULT = ImportSettings()
 
 
 _Bounds = tuple[float, float, float, float]
 # Name of the shapes of OpenStreetMap in the scene's folder.
 _KNOWN = "known.geojson"
-# Of a scene in three dimensions: values of `Imported` in the summary.
+# Of a scene in three dimensions: values of `CityModel` in the summary.
 _FOUND = ("buildings", "trees", "flat_outlines", "stated_walls", "unmatched")
 
 
+class _Picture(NamedTuple):
+    """An orthophoto on a map's grid."""
+
+    rgb: NDArray[np.uint8]  # (h, w, 3) sRGB
+    valid: NDArray[np.bool_]  # (h, w)
+    grid: Grid
+
+
 def import_terrain(
-    elevation: Path, orthophoto: Path | None, folder: Path, max_vertices: int = DEFAULT_VERTICES,
-    max_texels: int = DEFAULT_TEXELS, height_reference: str | None = None, geoid_undulation_m: float | None = None,
-    model: str = defaults.TEMPERATURE_MAP, material: str = "soil_loam", sky_temperature: float | None = None,
-    fill: bool = False, bands: Sequence[int] | None = None, colour_range: tuple[float, float] | None = None,
-    collar: int = 0, weather: Path | None = None, time: str | None = None, known: Path | None = None,
+    elevation: Path, orthophoto: Path | None, folder: Path, settings: ImportSettings = _DEFAULT,
     three_d: ThreeD | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Write a scene folder from an elevation model and an orthophoto, and return a summary of what is in it.
 
-    Parameters
-    ----------
-    elevation : path
-        GeoTIFF of heights in one band, in metres or the unit it declares; or a point cloud, LAS or LAZ, whose highest
-        points are the heights. With `three_d`, its points of class 2 are the ground, and those of class 6 buildings.
-    orthophoto : path or None
-        GeoTIFF in colour; without one the ground has the colour of its material.
-    folder : path
-        New scene folder; it does not exist, or is empty.
-    max_vertices : int
-        Largest number of posts of the mesh; a finer elevation model is averaged.
-    max_texels : int
-        Largest number of texels along a side of the texture; a finer orthophoto is averaged.
-    height_reference : {"ellipsoid", "geoid"}, optional
-        Zero of the heights; by default "geoid" if the CRS names a vertical datum, else "ellipsoid".
-    geoid_undulation_m : float, optional
-        Height of the geoid above the ellipsoid there [m].
-    model : str
-        Learned map that gives the scene its temperatures if there is an orthophoto and no weather.
-    material : str
-        Material of the ground; with orthophoto and weather, of texels whose material is not recognised.
-    sky_temperature : float, optional
-        [K]; by default the sky of the weather, or 255 K without one.
-    fill : bool
-        Whether the scene fills enclosed gaps in the heights and flags them in the truth mask; not with `three_d`.
-    bands : sequence of int, optional
-        Numbers of the orthophoto's red, green and blue bands; by default those that it declares.
-    colour_range : (float, float), optional
-        Its values of black and white; needed where it does not have 8 bits.
-    collar : int
-        Its borders within this many of 255 levels of black or white are holes: lossy compression changes them.
-    weather : path, optional
-        A station's CSV, an EPW file, or a TMY3 or PSM table. The scene then has the temperatures of a heat balance, and
-        with an orthophoto the materials that a learned map finds in it.
-    time : str, optional
-        Instant of the scene with its zone; needed with `weather`.
-    known : path, optional
-        GeoJSON of OpenStreetMap shapes, as `emissivity.known`; needs an orthophoto. The scene then has the materials
-        that a learned map finds in the orthophoto. With `three_d` its buildings are the outlines to extrude instead,
-        or those of a raster of classes, and no orthophoto is needed.
-    three_d : ThreeD, optional
-        How the scene becomes a mesh with walls below its roofs and porous trees, all found in the heights. Posts are
-        1 m apart or less, unless `known` states the buildings.
-
-    Returns
-    -------
-    dict
-        crs, posts and texels ([rows, columns]), post_m, texel_m, height_reference, height_reference_stated (by the
-        caller or the CRS), flight_m (height of flight.csv above the ground), share_without_height, share_filled (of
-        the posts), share_without_colour, share_collar (not empty, but near black or white up to the edge),
-        share_clipped (black or white in some band), the last three None without orthophoto, and known, sentences on
-        what was doubtful or left out in the files. With `three_d` also buildings, trees, flat_outlines (left out, as
-        less than a third of each is high), stated_walls (buildings whose outlines declare their walls), unmatched,
-        {declared wall without a match: count}, and kinds (number of typical trees of which the trees are copies; 0
-        where each has its own leaves).
+    Heights are a GeoTIFF of one band, or a point cloud, LAS or LAZ, whose highest points count; with `three_d` its
+    points of class 2 are the ground, and those of class 6 buildings. Without orthophoto the ground has the colour of
+    its material.
     """
-    _check(model, material, height_reference, geoid_undulation_m, sky_temperature)
+    _check(settings, orthophoto, three_d)
     check_new_folder(folder)
-    _check_together(orthophoto, known, weather, fill, three_d, max_vertices, max_texels)
-    cloud = read_cloud(elevation) if Path(elevation).suffix.lower() in SUFFIXES else None
-    height, height_grid = (cloud.surface, cloud.grid) if cloud else read_elevation(elevation)
-    notes = cloud.notes if cloud else doubtful_zeros(elevation, height)
-    stated = height_reference is not None or _has_vertical_datum(height_grid.crs)
-    if height_reference is None:
-        height_reference = "geoid" if stated else "ellipsoid"
-    day = _weather(weather, time, height, height_grid)
+    cloud, height, height_grid, notes = _read_heights(elevation)
+    stated = settings.height_reference is not None or _has_vertical_datum(height_grid.crs)
+    reference = settings.height_reference or ("geoid" if stated else "ellipsoid")
+    day = _weather(settings.weather, settings.time, height, height_grid)
     crs = _map_crs(height_grid)
     bounds = bounds_in(crs, height_grid)
     picture = None
     if orthophoto is not None:
-        colours = read_colour(orthophoto, bands, colour_range, collar)
-        picture, bounds = _picture(orthophoto, colours, elevation, crs, bounds, max_texels)
-    height, target = _heights(height, height_grid, crs, bounds, max_vertices, square=three_d is not None)
+        picture, bounds = _read_picture(orthophoto, settings, elevation, crs, bounds)
+    height, posts = _heights(height, height_grid, crs, bounds, settings.max_vertices, square=three_d is not None)
     if not np.isfinite(height).any():
         raise ThermorenderError(f"{elevation} has no valid height where {orthophoto} is; give a DEM of the same area")
-    terrain = {"elevation": "elevation.tif", "orthophoto": "orthophoto.tif" if picture else None,
-               "height_reference": height_reference, "geoid_undulation_m": geoid_undulation_m,
-               "fill": fill or None}  # fmt: skip
-    tables = {"title": Path(folder).resolve().name, "terrain": terrain}
-    tables |= _sources(picture is not None, day, model, material, sky_temperature, None if three_d else known)
-    made_from = " and ".join(Path(path).name for path in (elevation, orthophoto) if path is not None)
-    texels = picture[2] if picture else target
-    solid = None
+    texels = picture.grid if picture else posts
+    post_m, texel_m = _step(crs, posts), _step(crs, texels)
+    solid, known = None, settings.known
     if three_d:
-        undulation_m = (geoid_undulation_m or 0.0) if height_reference == "geoid" else 0.0
-        solid = three_d.made(height, target, _step(crs, target), undulation_m, known, picture, material,
-                             height_grid.crs, cloud)  # fmt: skip
-        known = None
-    shapes = read_mapped_cover(known, texels, _step(crs, texels)).notes if known is not None else ()
-    flight_m, flight = _flight(bounds, _step(crs, texels))
+        undulation_m = (settings.geoid_undulation_m or 0.0) if reference == "geoid" else 0.0
+        solid = solid_of(three_d, height, posts, post_m, undulation_m, known, picture, settings.material,
+                         height_grid.crs, cloud)  # fmt: skip
+        notes, known = (*notes, *solid.notes), None
+    if known is not None:
+        notes = (*notes, *read_mapped_cover(known, texels, texel_m).notes)
+    terrain = {"elevation": "elevation.tif", "orthophoto": "orthophoto.tif" if picture else None,
+               "height_reference": reference, "geoid_undulation_m": settings.geoid_undulation_m,
+               "fill": settings.fill or None}  # fmt: skip
+    tables = {"title": Path(folder).resolve().name, "terrain": terrain}
+    tables |= _sources(picture is not None, day, settings, known)
+    flight_m, flight = _flight(bounds, texel_m)
     with atomic_folder(folder) as part:
         if solid is not None:
             tables = write_solid(part, solid, tables)
             # Heights above the ground would follow each roof and crown.
             flight = flight.replace("above_ground_m", "up_m")
         else:
-            _write(part / "elevation.tif", height[None].astype(np.float32), target, nodata=np.nan, predictor=3)
-        if picture and solid is None:
-            _write(part / "orthophoto.tif", np.moveaxis(picture[0], -1, 0), texels, predictor=2, photometric="RGB",
-                   mask=picture[1])  # fmt: skip
-        if weather is not None:
-            shutil.copyfile(weather, part / _copied(weather))
+            _write_rasters(part, height, posts, picture)
+        if settings.weather is not None:
+            shutil.copyfile(settings.weather, part / _copied(settings.weather))
         if known is not None:
             shutil.copyfile(known, part / _KNOWN)
+        made_from = " and ".join(Path(path).name for path in (elevation, orthophoto) if path is not None)
         write_text(part / "scene.toml", toml_text(tables, f"Made from {made_from}."))
         write_text(part / "flight.csv", flight)
-    given = np.isfinite(height)
-    after = np.isfinite(filled(height)[0]) if fill else given
     return {
         "crs": crs.to_string(),
-        "posts": [target.height, target.width],
-        "post_m": _step(crs, target),
+        "posts": [posts.height, posts.width],
+        "post_m": post_m,
         "texels": [texels.height, texels.width],
-        "texel_m": _step(crs, texels),
-        "height_reference": height_reference,
-        "height_reference_stated": stated,
-        "flight_m": flight_m,
-        "known": (*notes, *(solid.notes if solid else ()), *shapes),
-        **({name: getattr(solid, name) for name in _FOUND} | {"kinds": len(solid.kinds)} if solid else {}),
-        "share_without_height": float(1.0 - after.mean()),
-        "share_filled": float((after & ~given).mean()),
-        **_colour_shares(*picture[:2] if picture else (None, None)),
+        "texel_m": texel_m,
+        "height_reference": reference,
+        "height_reference_stated": stated,  # By the caller or the CRS
+        "flight_m": flight_m,  # Height of flight.csv above the ground
+        "known": notes,  # Sentences on what was doubtful or left out in the files
+        **(_solid_counts(solid) if solid else {}),
+        **_height_shares(height, settings.fill),
+        **_colour_shares(picture),
     }
 
 
-def _check(
-    model: str, material: str, height_reference: str | None, geoid_undulation_m: float | None,
-    sky_temperature: float | None,
-) -> None:  # fmt: skip
+def _check(settings: ImportSettings, orthophoto: Path | None, three_d: ThreeD | None) -> None:
+    """Refuse settings that no scene can have, those that exclude each other, and one that needs another."""
     from thermorender.learned.temperature_map import load_model
     from thermorender.materials.library import find, load_library
 
-    load_model(model)
+    load_model(settings.model)
     library = load_library()
-    within_band(find(library, material, "material"), defaults.BAND_UM, library, "material")
-    if height_reference not in (None, "ellipsoid", "geoid"):
-        raise ThermorenderError(f"height_reference={height_reference!r} is not allowed; give ellipsoid or geoid")
-    _finite("geoid_undulation_m", geoid_undulation_m)
-    if sky_temperature is not None:
-        _finite("sky_temperature", sky_temperature)
-        scene_kelvin("sky_temperature", sky_temperature)
-
-
-def _check_together(
-    orthophoto: Path | None, known: Path | None, weather: Path | None, fill: bool, three_d: ThreeD | None,
-    max_vertices: int, max_texels: int,
-) -> None:  # fmt: skip
-    """Refuse arguments that exclude each other, one that needs another, and limits without room for a mesh."""
-    if three_d and fill:
+    within_band(find(library, settings.material, "material"), defaults.BAND_UM, library, "material")
+    if settings.height_reference not in (None, "ellipsoid", "geoid"):
+        raise ThermorenderError(
+            f"height_reference={settings.height_reference!r} is not allowed; give ellipsoid or geoid"
+        )
+    _finite("geoid_undulation_m", settings.geoid_undulation_m)
+    if settings.sky_temperature is not None:
+        _finite("sky_temperature", settings.sky_temperature)
+        scene_kelvin("sky_temperature", settings.sky_temperature)
+    if three_d and settings.fill:
         raise ThermorenderError("fill is for a raster of heights, and three_d makes a mesh; leave one of them out")
-    if three_d and three_d.copies and weather is None:
+    if three_d and three_d.copies and settings.weather is None:
         raise ThermorenderError(
             "copies of trees have the temperatures of a heat balance; give a weather and a time too, or leave copies "
             "out"
         )
-    if known is not None and orthophoto is None and not three_d:
-        raise ThermorenderError(f"known={known} restricts materials that are read from an orthophoto; give one too")
-    if max_vertices < 4 or max_texels < 2:
+    if settings.known is not None and orthophoto is None and not three_d:
         raise ThermorenderError(
-            f"max_vertices={max_vertices}, max_texels={max_texels} are too small; give at least 4 and 2"
+            f"known={settings.known} restricts materials that are read from an orthophoto; give one too"
         )
+    if settings.max_vertices < 4 or settings.max_texels < 2:
+        raise ThermorenderError(
+            f"max_vertices={settings.max_vertices}, max_texels={settings.max_texels} are too small; give at least 4 "
+            "and 2"
+        )
+
+
+def _read_heights(path: Path) -> tuple[Cloud | None, NDArray[Any], Grid, tuple[str, ...]]:
+    """(Point cloud or None, its or a raster's heights (h, w) [m], their Grid, sentences on doubtful ones)."""
+    if Path(path).suffix.lower() in SUFFIXES:
+        cloud = read_cloud(path)
+        return cloud, cloud.surface, cloud.grid, tuple(cloud.notes)
+    height, grid = read_elevation(path)
+    return None, height, grid, tuple(doubtful_zeros(path, height))
 
 
 def _weather(path: Path | None, time: str | None, height: NDArray[np.float64], grid: Grid) -> dict[str, Any] | None:
     """The table [weather] of a file and an instant, both tried at the terrain's place; None without a file."""
     if path is None:
         if time is not None:
-            raise ThermorenderError(f"time={time} is the instant of a weather; give --weather too, or leave it out")
+            raise ThermorenderError(f"time={time} is the instant of a weather; give weather too, or leave it out")
         return None
     if time is None:
-        raise ThermorenderError(f"weather={path} needs the scene's instant; give --time, such as 2018-07-28T14:30Z")
+        raise ThermorenderError(f"weather={path} needs the scene's instant; give time, such as 2018-07-28T14:30Z")
     when = instant("time", time)
     kind = "epw" if is_year_file(path) else "file"
-    x, y = grid.to_map(grid.width / 2, grid.height / 2)
-    (longitude,), (latitude,) = lon_lat(grid, np.array([x]), np.array([y]))
+    latitude, longitude = _middle(grid)
     spec = WeatherSpec(when, epw=Path(path)) if kind == "epw" else WeatherSpec(when, file=Path(path))
-    declared_weather(spec, float(latitude), float(longitude), float(np.nanmedian(height)))
+    declared_weather(spec, latitude, longitude, float(np.nanmedian(height)))
     return {"time": utc_text(when), kind: _copied(path)}
 
 
@@ -243,22 +190,20 @@ def _copied(weather: Path) -> str:
 
 
 def _sources(
-    picture: bool,
-    weather: dict[str, Any] | None,
-    model: str,
-    material: str,
-    sky_temperature: float | None,
-    known: Path | None,
+    pictured: bool, weather: dict[str, Any] | None, settings: ImportSettings, known: Path | None
 ) -> dict[str, Any]:
     """The scene file's tables of temperatures, materials, weather, sky and camera."""
-    found: dict[str, Any] = {"source": "material", "material": material}
-    if picture and (weather is not None or known is not None):
-        found = {"source": "learned", "model": defaults.EMISSIVITY_MAP, "fallback": material,
+    found: dict[str, Any] = {"source": "material", "material": settings.material}
+    if pictured and (weather is not None or known is not None):
+        found = {"source": "learned", "model": defaults.EMISSIVITY_MAP, "fallback": settings.material,
                  "known": None if known is None else _KNOWN}  # fmt: skip
+    sky_temperature = settings.sky_temperature
     if weather is not None:
         tables: dict[str, Any] = {"temperature": {"source": "balance"}, "weather": weather, "emissivity": found}
     else:
-        placeholder = {"source": "learned", "model": model} if picture else {"source": "constant", "value": GROUND_K}
+        placeholder = (
+            {"source": "learned", "model": settings.model} if pictured else {"source": "constant", "value": GROUND_K}
+        )
         tables = {"temperature": placeholder, "emissivity": found}
         sky_temperature = SKY_K if sky_temperature is None else sky_temperature
     if sky_temperature is not None:
@@ -266,9 +211,31 @@ def _sources(
     return tables | {"camera": {"model": defaults.CAMERA}}
 
 
-def _colour_shares(rgb: NDArray[np.uint8] | None, valid: NDArray[np.bool_] | None) -> dict[str, float | None]:
-    if rgb is None or valid is None:
+def _write_rasters(folder: Path, height: NDArray[Any], posts: Grid, picture: _Picture | None) -> None:
+    """Write elevation.tif and orthophoto.tif."""
+    _write(folder / "elevation.tif", height[None].astype(np.float32), posts, nodata=np.nan, predictor=3)
+    if picture:
+        _write(folder / "orthophoto.tif", np.moveaxis(picture.rgb, -1, 0), picture.grid, predictor=2,
+               photometric="RGB", mask=picture.valid)  # fmt: skip
+
+
+def _solid_counts(solid: CityModel) -> dict[str, Any]:
+    """Counts of what was found in the heights; `kinds` is that of typical trees, 0 where each has its own leaves."""
+    return {name: getattr(solid, name) for name in _FOUND} | {"kinds": len(solid.tree_types)}
+
+
+def _height_shares(height: NDArray[Any], fill: bool) -> dict[str, float]:
+    """Shares of the posts that stay without height, and that the scene fills."""
+    given = np.isfinite(height)
+    after = np.isfinite(filled(height)[0]) if fill else given
+    return {"share_without_height": float(1.0 - after.mean()), "share_filled": float((after & ~given).mean())}
+
+
+def _colour_shares(picture: _Picture | None) -> dict[str, float | None]:
+    """Shares of the texels without colour, near black or white up to the edge, and black or white in some band."""
+    if picture is None:
         return dict.fromkeys(("share_without_colour", "share_collar", "share_clipped"))
+    rgb, valid, _ = picture
     shown = np.where(valid[..., None], rgb, 0)
     return {
         "share_without_colour": float(1.0 - valid.mean()),
@@ -289,17 +256,22 @@ def _heights(
     return onto(height, grid, target, "average" if _step(crs, target) > 1.5 * post else "bilinear"), target
 
 
-def _picture(
-    orthophoto: Path, colours: tuple[NDArray[np.uint8], NDArray[np.bool_]], elevation: Path, crs: Any, bounds: _Bounds,
-    max_texels: int,
-) -> tuple[tuple[NDArray[np.uint8], NDArray[np.bool_], Grid], _Bounds]:  # fmt: skip
-    """(Colours on a map's grid as `_colours`, bounds shared with the elevation)."""
-    (rgb, valid), grid = colours, grid_of(orthophoto)
+def _read_picture(
+    orthophoto: Path, settings: ImportSettings, elevation: Path, crs: Any, bounds: _Bounds
+) -> tuple[_Picture, _Bounds]:
+    """(Orthophoto on a map's grid, bounds shared with the elevation)."""
+    bands, ends = settings.bands, settings.colour_range
+    chosen = [int(number) for number in parse_numbers("bands", bands, ("RED", "GREEN", "BLUE"))] if bands else None
+    scale = None
+    if ends:
+        black, white = parse_numbers("colour_range", ends, ("BLACK", "WHITE"))
+        scale = black, white
+    (rgb, valid), grid = read_colour(orthophoto, chosen, scale, settings.collar), grid_of(orthophoto)
     if not valid.any():
         raise ThermorenderError(f"{orthophoto} is empty: every pixel is masked or border; give another orthophoto")
     bounds = _shared(bounds, bounds_in(crs, grid), elevation, orthophoto)
-    picture = _colours(rgb, valid, grid, crs, bounds, max_texels)
-    if not picture[1].any():
+    picture = _Picture(*_colours(rgb, valid, grid, crs, bounds, settings.max_texels))
+    if not picture.valid.any():
         raise ThermorenderError(f"{orthophoto} is empty where {elevation} is; give an orthophoto of the same area")
     return picture, bounds
 
@@ -361,10 +333,16 @@ def _map_crs(grid: Grid) -> Any:
 
     if grid.crs.is_projected and abs(grid.crs.linear_units_factor[1] - 1.0) < 1e-9:
         return grid.crs
-    x, y = grid.to_map(grid.width / 2, grid.height / 2)
-    (longitude,), (latitude,) = lon_lat(grid, np.array([x]), np.array([y]))
+    latitude, longitude = _middle(grid)
     zone = int((longitude + 180.0) // 6.0) % 60 + 1
     return CRS.from_epsg((32600 if latitude >= 0.0 else 32700) + zone)
+
+
+def _middle(grid: Grid) -> tuple[float, float]:
+    """(Latitude, longitude) of the middle of a grid [deg]."""
+    x, y = grid.to_map(grid.width / 2, grid.height / 2)
+    (longitude,), (latitude,) = lon_lat(grid, np.array([x]), np.array([y]))
+    return float(latitude), float(longitude)
 
 
 def _shared(a: _Bounds, b: _Bounds, elevation: Path, orthophoto: Path) -> _Bounds:

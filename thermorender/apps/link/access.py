@@ -17,7 +17,7 @@ from thermorender.errors import ThermorenderError
 def listening(host: str, port: int) -> socket.socket:
     """Return a socket that listens on an address of this machine; port 0 chooses a free one."""
     if not host:
-        raise ThermorenderError("host is empty; give 0.0.0.0 for all addresses of this machine, or leave --host out")
+        raise ThermorenderError("host is empty; give 0.0.0.0 for all addresses of this machine, or leave it out")
     try:
         host.encode("idna")  # of a name that cannot be one, an open socket would be left
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -26,7 +26,7 @@ def listening(host: str, port: int) -> socket.socket:
         why = str(getattr(error, "strerror", "not a name of a machine")).partition(" (")[0]
         raise ThermorenderError(
             f"address {host} port {port} cannot be listened on ({why}); give an "
-            "address of this machine as --host, another --port, or stop the server that uses it"
+            "address of this machine as host, another port, or stop the server that uses it"
         ) from None
 
 
@@ -63,7 +63,7 @@ def new_token(path: str | PathLike[str]) -> str:
         with suppress(OSError):
             part.unlink(missing_ok=True)
         raise ThermorenderError(
-            f"token file {path} cannot be written ({error.strerror}); give a file in a folder of yours as --token-file"
+            f"token file {path} cannot be written ({error.strerror}); give a file in a folder of yours"
         ) from None
     return token
 

@@ -31,7 +31,7 @@ DEFAULT_LIMITS = Limits()
 
 
 class Shown(Protocol):
-    """A session, as the server needs it: `thermorender.apps.link.session.Session`."""
+    """A session, as the server needs it: `thermorender.apps.link.session.ServerSession`."""
 
     opened: Opened
 
@@ -77,13 +77,7 @@ class Peer:
     lost: bool = False
 
     async def made_room(self) -> None:
-        """Wait until a request is answered.
-
-        Raises
-        ------
-        ConnectionError
-            The client takes no more replies.
-        """
+        """Wait until a request is answered; ConnectionError if the client takes no more replies."""
         self.room.clear()
         if self.lost:
             raise ConnectionError

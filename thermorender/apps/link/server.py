@@ -38,33 +38,13 @@ from thermorender.errors import ThermorenderError
 
 
 class Server:
-    """A server of one Stage.
-
-    Parameters
-    ----------
-    stage : Stage
-    host : str
-        Address to listen on; 127.0.0.1 is reached from this machine only.
-    port : int
-        0 chooses a free one.
-    limits : Limits
-
-    Attributes
-    ----------
-    token : str
-        That clients must give; set it before `run`.
-    address, port : str, int
-        The address in digits and the port that it listens on.
-    answered : int
-        Requests answered with a frame.
-    watchers : list of callables
-        Called with (number of the session, its Session) after each frame was answered, in the thread that renders.
-    """
+    """A server of one Stage; port 0 chooses a free one. Set `token` before `run` if clients must give one."""
 
     def __init__(
         self, stage: Stages, host: str = "127.0.0.1", port: int = DEFAULT_PORT, limits: Limits = DEFAULT_LIMITS
     ) -> None:
         self._stage, self.token, self._limits = stage, "", limits
+        # Called with (number of the session, its ServerSession) after each answered frame, in the thread that renders.
         self.watchers: list[Callable[[int, Any], object]] = []
         self._welcome = json.dumps(stage.describe()).encode()
         self._jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()

@@ -10,17 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender import Frame, Renderer, Scene, TemperatureMap, Trajectory
 from thermorender.apps.link.messages import Open, Opened, Request, reply_bytes, reply_head, target_rows
 from thermorender.apps.link.wire import ALL_PRODUCTS, Product
 from thermorender.errors import ThermorenderError
-from thermorender.frame import Frame
-from thermorender.learned.temperature_map import Inputs, TemperatureMap
+from thermorender.learned.temperature_map import Inputs
 from thermorender.output.photograph import photograph
 from thermorender.render.flight.live import LiveFrames
 from thermorender.render.flight.timed import TimedRenderer
-from thermorender.render.renderer import Renderer
-from thermorender.scene.scene import Scene
-from thermorender.trajectory.path import Trajectory
 from thermorender.trajectory.readers import enu_from_ned_at, of_vehicle
 from thermorender.trajectory.rotations import rotation_from_angles
 
@@ -28,22 +25,8 @@ from thermorender.trajectory.rotations import rotation_from_angles
 _HIGHEST_M = 1e6
 
 
-class Session:
-    """One camera of one vehicle.
-
-    Parameters
-    ----------
-    settings : Open
-    renderer : Renderer
-        With the session's camera, temperatures and seed.
-    model : TemperatureMap, optional
-        Of methods B and C.
-
-    Attributes
-    ----------
-    last : Frame or None
-        The frame that was answered last.
-    """
+class ServerSession:
+    """One camera of one vehicle: a Renderer with its camera, temperatures and seed, and the map of methods B and C."""
 
     def __init__(self, settings: Open, renderer: Renderer, model: TemperatureMap | None = None) -> None:
         self.settings, self.renderer, self.model = settings, renderer, model
@@ -63,7 +46,7 @@ class Session:
         )  # fmt: skip
 
     def __repr__(self) -> str:
-        return f"Session({self.settings.method}, {self.frames!r})"
+        return f"ServerSession({self.settings.method}, {self.frames!r})"
 
     @property
     def most_bytes(self) -> int:
@@ -76,17 +59,9 @@ class Session:
         self.frames.add(request.time_s, self._path(request.poses) if len(request.poses) else None, request.objects)
 
     def answer(self, requests: Sequence[Request], arrived_s: float, added: int = 0) -> list[Any]:
-        """Return the payload of a reply, as a list of buffers, to the last of some requests.
-
-        Earlier ones, which the last replaces, only add to the path and to the objects.
-
-        Parameters
-        ----------
-        requests : sequence of Request
-        arrived_s : float
-            When the last of them arrived, on the clock of `time.perf_counter` [s].
-        added : int
-            Replaced requests that `add` took before.
+        """Return the payload of a reply, as a list of buffers, to the last of some requests. Earlier ones, which the
+        last replaces, only add to the path and to the objects, like the `added` before them; `arrived_s` is on the
+        clock of `time.perf_counter` [s].
         """
         start, request = time.perf_counter(), requests[-1]
         frame = self._frame(requests)
@@ -160,15 +135,7 @@ class Session:
 
 
 class TranslatedFrames(LiveFrames):
-    """Frames that a learned map makes of the visible view, or of the client's own picture.
-
-    Attributes
-    ----------
-    picture : (H, W, 3) uint8 or None
-        For the next frame; None: the photograph of its pose.
-    texel_m : float or None
-        Ground sampling distance of `picture` [m]; None: the map's own.
-    """
+    """Frames that a learned map makes of the visible view, or of the client's own picture."""
 
     def __init__(
         self, renderer: Renderer, model: TemperatureMap, rate_hz: float | None, audit: int, allow_below_ground: bool
@@ -178,6 +145,8 @@ class TranslatedFrames(LiveFrames):
             # This raises the error that names the missing inputs.
             model.radiance(Inputs(np.zeros((1, 1, 3), np.uint8)))
         self.model = model
+        # For the next frame, (H, W, 3) sRGB, with its ground sampling distance [m]; without them the photograph of its
+        # pose, and the map's own.
         self.picture: NDArray[np.uint8] | None = None
         self.texel_m: float | None = None
 
@@ -209,7 +178,7 @@ def _local(scene: Scene, position: NDArray[np.float64]) -> NDArray[np.float64]:
     return scene.frame.enu_from_geodetic(latitude, longitude, height)
 
 
-def _visible(session: Session, frame: Frame) -> NDArray[np.uint8]:
+def _visible(session: ServerSession, frame: Frame) -> NDArray[np.uint8]:
     frames = session.frames
     if isinstance(frames, TranslatedFrames) and frames.picture is not None:
         return frames.picture

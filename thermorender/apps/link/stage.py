@@ -7,13 +7,12 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from thermorender import Camera, Renderer, TemperatureMap
 from thermorender.apps.link.messages import Open, name_bytes
-from thermorender.apps.link.session import Session
+from thermorender.apps.link.session import ServerSession
 from thermorender.apps.link.wire import Product
 from thermorender.errors import ThermorenderError
-from thermorender.learned.temperature_map import TemperatureMap, load_model
-from thermorender.render.renderer import Renderer
-from thermorender.sensor.camera import Camera
+from thermorender.learned.temperature_map import load_model
 from thermorender.versions import versions
 
 # Most renderers of different cameras and maps; each holds its own light and textures.
@@ -69,13 +68,13 @@ class Stage:
             "versions": versions(),
         }
 
-    def open(self, settings: Open) -> Session:
+    def open(self, settings: Open) -> ServerSession:
         """Return a new session."""
         name = settings.camera or self.renderer.scene.camera.name
         if name not in self.cameras:
             raise ThermorenderError(
                 f"camera {name!r} is not served; give one of {', '.join(self.cameras)}, or start the server with "
-                f"--camera {name or 'NAME'}"
+                "this camera"
             )
         if settings.method == "A":
             if settings.map:
@@ -83,7 +82,7 @@ class Stage:
         elif settings.map not in self._models:
             raise ThermorenderError(
                 f"map {settings.map!r} is not served; give one of {', '.join(self._models) or 'none'}, or start the "
-                f"server with --map {settings.map or 'NAME'}"
+                "server with this map"
             )
         if settings.attitude == "camera" and any((*settings.mount_deg, *settings.lever_arm_m)):
             raise ThermorenderError(
@@ -95,7 +94,7 @@ class Stage:
             )
         renderer = self._renderer(name, settings.map if settings.method == "C" else "")
         model = self._models[settings.map][1] if settings.map else None
-        return Session(settings, Renderer.of(renderer.baked, settings.seed), model)
+        return ServerSession(settings, Renderer.of(renderer.baked, settings.seed), model)
 
     def _renderer(self, camera: str, model: str) -> Renderer:
         """The Renderer of a camera and of the map that gives the temperatures."""

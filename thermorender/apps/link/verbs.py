@@ -63,11 +63,11 @@ def serve(
     device: Device = "auto",
 ) -> None:  # fmt: skip
     """Serve frames to a simulator over a socket, pose by pose, until Ctrl-C."""
+    from thermorender import load_camera
     from thermorender.apps.link.access import drop_token, new_token
     from thermorender.apps.link.access import token_file as default_file
     from thermorender.apps.link.server import Server
     from thermorender.apps.link.stage import Stage
-    from thermorender.sensor.camera import load_camera
 
     cameras = {each.name: each for each in (load_camera(name, "--camera") for name in camera or ())}
     with progress() as report:

@@ -85,17 +85,10 @@ class MalformedError(ThermorenderError):
 
 
 class LinkError(ThermorenderError):
-    """An error that the server reports, or a lost connection.
-
-    Attributes
-    ----------
-    code : Code
-    session, id : int
-        Of the message that it answers; 0 for none.
-    """
+    """An error that the server reports, or a lost connection."""
 
     code = Code.INTERNAL
-    session = id = 0
+    session = id = 0  # Of the message that it answers; 0 for none
 
 
 @dataclass(frozen=True)
@@ -130,13 +123,7 @@ def error_of(head: Head, payload: bytes | bytearray) -> LinkError:
 
 
 def head_of(data: bytes) -> Head:
-    """Return the header of a message.
-
-    Raises
-    ------
-    MalformedError
-        Other bytes, another version or an unknown type.
-    """
+    """Return the header of a message; MalformedError for other bytes, another version or an unknown type."""
     magic, version, kind, length, session, number = HEADER.unpack(data)
     if magic != MAGIC:
         raise MalformedError(f"the message begins with {magic!r}, not {MAGIC!r}; this port speaks thermorender's link")

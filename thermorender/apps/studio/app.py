@@ -24,8 +24,8 @@ from thermorender.apps.studio.spectrum import MOST_BYTES
 if TYPE_CHECKING:
     import socket
 
+    from thermorender import Renderer
     from thermorender.apps.studio.scene_files import SceneFiles
-    from thermorender.render.renderer import Renderer
 
 _LEAVES_S = 3
 _LOCAL = ("127.0.0.1", "localhost", "[::1]")
@@ -33,15 +33,8 @@ _NOT_KEPT = {"cache-control": "no-store"}
 
 
 class Guard:
-    """An ASGI application in front of another one, which refuses what does not come from the studio's own page.
-
-    Parameters
-    ----------
-    app : ASGI application
-    token : str
-    host : str
-        Address that is listened on. One that is reached from other machines admits every host name.
-    port : int
+    """An ASGI application in front of another one, which refuses what does not come from the studio's own page. A host
+    that other machines reach admits every host name.
     """
 
     def __init__(self, app: ASGIApp, token: str, host: str, port: int) -> None:
@@ -100,23 +93,8 @@ def run(
     renderer: "Renderer", files: "SceneFiles", listening: "socket.socket", host: str, pose: str, quality: str,
     announce: Callable[[str], object],
 ) -> None:  # fmt: skip
-    """Serve the studio until Ctrl-C.
-
-    Parameters
-    ----------
-    renderer : Renderer
-    files : SceneFiles
-        Of its scene, from when it was loaded.
-    listening : socket
-        Of `thermorender.apps.link.access.listening`.
-    host : str
-        Its address.
-    pose : str
-        E,N,U,YAW,PITCH,ROLL of the first view.
-    quality : str
-        Of the renderer.
-    announce : callable (address)
-        Called with the address that a browser opens.
+    """Serve the studio until Ctrl-C; `announce` gets the address that a browser opens, and `pose` is
+    E,N,U,YAW,PITCH,ROLL of the first view.
     """
     token, port = secrets.token_urlsafe(24), int(listening.getsockname()[1])
     session = Session(renderer, quality, files)

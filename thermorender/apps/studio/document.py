@@ -6,16 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from thermorender import Material
 from thermorender.apps.material_tables.edit import with_text
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.materials.library import NAME, find, load_library, read_library
-from thermorender.materials.material import Material
 from thermorender.materials.mixture import parts_of
 from thermorender.scene.arguments import number_of
 from thermorender.scene.surface import scene_kelvin
 
 if TYPE_CHECKING:
-    from thermorender.scene.scene import Scene
+    from thermorender import Scene
 
 # Files are named after materials.
 _LONGEST_NAME = 100

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from nicegui import ui
 
+from thermorender import Material
 from thermorender.apps.material_tables.edit import EMISSIVITY, is_chosen, text_of
 from thermorender.apps.studio import spectrum
 from thermorender.apps.studio.document import Document
@@ -14,7 +15,6 @@ from thermorender.apps.studio.pictures import hexadecimal
 from thermorender.apps.studio.session import BAND_K, band_mean
 from thermorender.errors import ThermorenderError
 from thermorender.materials.csv_tables import SOLAR_STD_COLUMN
-from thermorender.materials.material import Material
 
 if TYPE_CHECKING:
     from thermorender.apps.studio.page import Tab
@@ -53,14 +53,7 @@ _WIDTHS = {0.0: "this point", 0.15: "± 0.15 µm", 0.5: "± 0.5 µm", 1.5: "± 1
 
 
 class Editor:
-    """What a tab shows of the materials.
-
-    Parameters
-    ----------
-    tab : Tab
-    left, right : ui.element
-        Where the list and the panels go.
-    """
+    """What a tab shows of the materials: the list on the left, and the panels on the right."""
 
     def __init__(self, tab: "Tab", left: ui.element, right: ui.element) -> None:
         self._tab, self._session = tab, tab.session

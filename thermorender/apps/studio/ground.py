@@ -13,8 +13,8 @@ from thermorender.formats import encoded_image
 from thermorender.scene.raster import Grid
 
 if TYPE_CHECKING:
+    from thermorender import Scene
     from thermorender.apps.studio.session import Session
-    from thermorender.scene.scene import Scene
 
 _LEAST_PIXELS, _MOST_PIXELS = 1000, 2000
 _MOST_CORNERS = 5000

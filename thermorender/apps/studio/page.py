@@ -45,14 +45,7 @@ def first_pose(session: Session) -> str:
 
 
 class Tab:
-    """A tab of the browser.
-
-    Parameters
-    ----------
-    session : Session
-    pose : str
-        E,N,U,YAW,PITCH,ROLL; "" for a view from the south.
-    """
+    """A tab of the browser; its first view is at `pose`, E,N,U,YAW,PITCH,ROLL, or "" for one from the south."""
 
     def __init__(self, session: Session, pose: str) -> None:
         self.session, self.key = session, secrets.token_hex(8)

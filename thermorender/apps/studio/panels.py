@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from nicegui import run, ui
 
+from thermorender import load_scene
 from thermorender.apps.studio import ground
 from thermorender.apps.studio.document import Document
 from thermorender.apps.studio.pictures import Legend
@@ -15,7 +16,6 @@ from thermorender.apps.studio.scene_files import Save
 from thermorender.apps.studio.view import commands, exported
 from thermorender.errors import ThermorenderError
 from thermorender.materials.csv_tables import decimal
-from thermorender.scene.load import load_scene
 from thermorender.units import kelvin
 
 if TYPE_CHECKING:
@@ -71,19 +71,8 @@ def _alike(one: str, other: str) -> bool:
 
 
 class Entry(ui.input):
-    """A field whose text edits the Document; text that is being typed stays while another tab edits.
-
-    Parameters
-    ----------
-    tab : Tab
-    called, test : str
-        Its name in messages, and in tests.
-    change : callable (document, text)
-        Returns the changed Document.
-    words : callable (text)
-        Returns the edit in words.
-    **options
-        Of ui.input.
+    """A field whose text edits the Document by `change`; text that is being typed stays while another tab edits.
+    `words` describes an edit.
     """
 
     def __init__(

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender import Frame
 from thermorender.apps.studio.view import View
 from thermorender.formats import encoded_image
-from thermorender.frame import Frame
 from thermorender.frame.picture import limits as automatic
 from thermorender.sensor.palettes import PALETTES, palette
 
@@ -83,18 +83,8 @@ def picture_of(
     frame: Frame, view: View, blank: Picture, before: NDArray[np.float32] | None,
     colour: tuple[NDArray[np.uint8], NDArray[np.bool_]] | None,
 ) -> Picture:  # fmt: skip
-    """Return the Picture of a frame.
-
-    Parameters
-    ----------
-    frame : Frame
-    view : View
-    blank : Picture
-        Without data: number, version and words.
-    before : (H, W) array or None
-        Apparent temperature of the saved tables, for a difference [K].
-    colour : (image, valid) or None
-        The photograph, as of `Renderer.visible`.
+    """Return the Picture of a frame, filled into `blank`; `before` is the apparent temperature of the saved tables for
+    a difference (H, W) [K], and `colour` the photograph as of `Renderer.visible`.
     """
 
     def drawn(

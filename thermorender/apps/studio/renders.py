@@ -15,13 +15,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from thermorender import Frame, Renderer, Scene
 from thermorender.apps.studio.pictures import Picture, picture_of
 from thermorender.apps.studio.view import View
 from thermorender.errors import ThermorenderError
-from thermorender.frame import Frame
 from thermorender.render.pixels.parts import PixelParts
-from thermorender.render.renderer import Renderer
-from thermorender.scene.scene import Scene
 
 _T = TypeVar("_T")
 # Longest wait for a job, such as an export behind a long solution.
@@ -31,7 +29,7 @@ _FETCHED_S = 0.1
 
 
 # Where edits come faster than solutions, which only delay previews then, the next solution waits for such a pause.
-_PAUSE_S = 1.5
+PAUSE_S = 1.5
 
 
 class _Newer(Exception):
@@ -74,13 +72,7 @@ class _Solution:
 
 @dataclass(eq=False)
 class Renders:
-    """The thread that renders, and the one that solves beside it.
-
-    Parameters
-    ----------
-    renderer : Renderer
-        Of the scene as saved.
-    """
+    """The thread that renders, and the one that solves beside it; it starts from the Renderer of the scene as saved."""
 
     renderer: Renderer
     light: Light = field(init=False)
@@ -271,7 +263,7 @@ class Renders:
             with self._news:
                 self._news.wait_for(lambda: self._asked() or self._fetched == self._pictures, _FETCHED_S)
         if self._edit is None:
-            work = partial(self._solve, solution, self._solved, _PAUSE_S if hurried else 0.0, self._solver)
+            work = partial(self._solve, solution, self._solved, PAUSE_S if hurried else 0.0, self._solver)
             self._solver = threading.Thread(target=work, name="studio solves", daemon=True)
             self._solver.start()
 

@@ -10,10 +10,12 @@ For example::
 The shipped tables and scenes are never written. A file that changed on disk since it was read is not overwritten.
 """
 
+import re
 from codecs import BOM_UTF8
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +23,6 @@ import numpy as np
 
 from thermorender.apps.material_tables.compare import diff
 from thermorender.apps.studio.document import Document
-from thermorender.apps.studio.toml_lines import stated
 from thermorender.errors import ThermorenderError
 from thermorender.files import scratch_folder
 from thermorender.formats import checksum
@@ -35,11 +36,13 @@ from thermorender.scene.raster import grid_of
 from thermorender.schema import parse_toml
 
 if TYPE_CHECKING:
-    from thermorender.scene.scene import Scene
+    from thermorender import Scene
 
 _Contents = dict[Path, bytes | None]
 
 _MOST_CLASSES = 255
+# A line that assigns a string or a number.
+_ASSIGNED = re.compile(r"""(?P<key>[^=]*=\s*)("(\\.|[^"\\])*"|'[^']*'|[^\s"'#]+)(?P<comment>\s*(#.*)?)""")
 # Of a difference between the tables before and after.
 _WORDS = {"only in the second": "new material", "only in the first": "removed"}
 
@@ -121,12 +124,12 @@ class SceneFiles:
             lines += lines_of_map
         for number, name in (dict.fromkeys(map(int, known)) | classes).items():
             if name != known.get(str(number)):
-                text = stated(text, "[emissivity.classes]", None, str(number), name and f'"{name}"')
+                text = _stated(text, "[emissivity.classes]", None, str(number), name and f'"{name}"')
         for name, (material, kelvin) in document.objects.items():
             if material != self.saved.objects[name][0]:
-                text = stated(text, "[[object]]", name, "material", f'"{material}"')
+                text = _stated(text, "[[object]]", name, "material", f'"{material}"')
             if kelvin is not None and kelvin != self.saved.objects[name][1]:
-                text = stated(text, "[[object]]", name, "temperature", f"{kelvin:.12g}")
+                text = _stated(text, "[[object]]", name, "temperature", f"{kelvin:.12g}")
         _refuse_names_left(text, self.saved.library.keys() - document.library.keys())
         if text != old:
             _refuse_other_meaning(old, text, document, classes)
@@ -171,19 +174,8 @@ class SceneFiles:
         removed = [name for name in saved.library if name not in document.library or name in shipped]
         if not changed and not removed:
             return {}, []
-        with scratch_folder() as scratch:
-            there = scratch / "materials"
-            before = {path.relative_to(own): path.read_bytes() for path in sorted(own.rglob("*.csv"))}
-            replace_files({there / name: data for name, data in before.items()})
-            for name in removed:
-                drop_material(name, there)
-            for name in [each for each in changed if each not in shipped]:
-                write_material(document.library[name], there, replace=True)
-            try:
-                load_library(there if any(there.rglob("*.csv")) else None)
-            except ThermorenderError as error:
-                raise ThermorenderError(str(error).replace(str(there), str(own))) from None
-            after = {path.relative_to(there): path.read_bytes() for path in sorted(there.rglob("*.csv"))}
+        before = {path.relative_to(own): path.read_bytes() for path in sorted(own.rglob("*.csv"))}
+        after = self._rewritten(document, before, [name for name in changed if name not in shipped], removed)
         files: _Contents = {
             own / name: after.get(name) for name in {**before, **after} if before.get(name) != after.get(name)
         }
@@ -193,6 +185,23 @@ class SceneFiles:
             shift = "" if each.millikelvin is None else f" ({each.millikelvin:+.1f} mK at 300 K)"
             lines.append(f"{each.name}  emissivity {values}{shift}: {_WORDS.get(each.what, each.what)}")
         return files, lines + [f"materials/{path.relative_to(own)}  written" for path in files]
+
+    def _rewritten(
+        self, document: Document, before: Mapping[Path, bytes], changed: Sequence[str], removed: Sequence[str]
+    ) -> dict[Path, bytes]:
+        """Contents of all tables after changes and removals, tried as a library beside the scene."""
+        with scratch_folder() as scratch:
+            there = scratch / "materials"
+            replace_files({there / name: data for name, data in before.items()})
+            for name in removed:
+                drop_material(name, there)
+            for name in changed:
+                write_material(document.library[name], there, replace=True)
+            try:
+                load_library(there if any(there.rglob("*.csv")) else None)
+            except ThermorenderError as error:
+                raise ThermorenderError(str(error).replace(str(there), str(self._folder / "materials"))) from None
+            return {path.relative_to(there): path.read_bytes() for path in sorted(there.rglob("*.csv"))}
 
     def _class_raster(self, document: Document, classes: dict[int, str]) -> tuple[_Contents, list[str]]:
         """The class raster with the painted areas, and the change in words; new classes are added to `classes`."""
@@ -236,6 +245,30 @@ class SceneFiles:
         count = int(np.count_nonzero(values != before))
         words = f"{self._raster.name}  {count} texels of another class; painted areas: {len(document.painted)}"
         return {self._raster: data}, [words]
+
+
+def _stated(text: str, table: str, name: str | None, key: str, value: str | None) -> str:
+    """Return the text of a scene file in which `key` of a table, given by its first line such as "[[object]]" and its
+    name, has another value; None removes it. A name that the only table lacks is added.
+    """
+    lines = text.splitlines(keepends=True)
+    bare = [line.split("#")[0].strip() for line in lines]
+    for start, end in pairwise([*(k for k, line in enumerate(bare) if line.startswith("[")), len(lines)]):
+        pairs = {k: tuple(part.strip("\"' ") for part in bare[k].partition("=")[::2]) for k in range(start + 1, end)}
+        if bare[start] != table or (name is not None and ("name", name) not in pairs.values()):
+            continue
+        at = next((k for k, (known, _) in pairs.items() if known == key), None)
+        if at is None and name is None:
+            return "".join([*lines[: start + 1], f"{key} = {value}\n", *lines[start + 1 :]])
+        if at is not None and value is None:
+            return "".join([*lines[:at], *lines[at + 1 :]])
+        if at is not None and (assigned := _ASSIGNED.fullmatch(lines[at].rstrip("\n"))):
+            return "".join([*lines[:at], f"{assigned['key']}{value}{assigned['comment']}\n", *lines[at + 1 :]])
+        break
+    raise ThermorenderError(
+        f"scene.toml does not state {key} of {name or table} on a line of its own, so it cannot be changed there; "
+        f"write {key} = {value} there by hand and read the scene again"
+    )
 
 
 def _refuse_names_left(text: str, gone: set[str]) -> None:

@@ -7,19 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from thermorender import Material
 from thermorender.apps.studio.document import Document
 from thermorender.apps.studio.renders import Renders
 from thermorender.apps.studio.scene_files import Save, SceneFiles
 from thermorender.errors import ThermorenderError
-from thermorender.materials.material import Material
 from thermorender.materials.mixture import parts_of
 from thermorender.render.geometry import refuse_other_surfaces
 
 if TYPE_CHECKING:
+    from thermorender import Renderer, Scene
     from thermorender.apps.studio.ground import Layer
     from thermorender.apps.studio.page import Tab
-    from thermorender.render.renderer import Renderer
-    from thermorender.scene.scene import Scene
 
 # Edits that undo can take back.
 MOST_EDITS = 300
@@ -32,16 +31,11 @@ class Outdated(ThermorenderError):
 
 
 class History:
-    """The edits of a scene, and the number of the version that all tabs show.
-
-    Attributes
-    ----------
-    version : int
-        Counts every edit, undo and redo, so that no two states have the same number.
-    """
+    """The edits of a scene, and the number of the version that all tabs show."""
 
     def __init__(self, first: Document) -> None:
         self._steps: list[tuple[Document, str]] = [(first, "")]
+        # The version counts every edit, undo and redo, so that no two states have the same number.
         self._at = self.version = 0
         # Who made the current version, and the first version since which nobody else made one.
         self._by, self._since = "", 0
@@ -71,20 +65,8 @@ class History:
         self, version: int, what: str, change: Callable[[Document], Document], check: Callable[[Document], object],
         by: str = "",
     ) -> bool:  # fmt: skip
-        """Change the Document; return whether it differs.
-
-        Parameters
-        ----------
-        version : int
-            The version that the user saw.
-        what : str
-            The edit in words.
-        change : callable
-            Returns the changed Document.
-        check : callable
-            Raises where the changed Document cannot be used.
-        by : str
-            The tab.
+        """Change the Document of the `version` that the user saw; return whether it differs. `check` raises where the
+        changed one cannot be used, and nothing changes.
         """
         self.refuse_outdated(version, by)
         made = change(self.document)
@@ -118,30 +100,7 @@ class History:
 
 
 class Session:
-    """A scene and its edits, shared by all tabs.
-
-    Parameters
-    ----------
-    renderer : Renderer
-        Of the scene as its files describe it.
-    quality : str
-        Its quality, for the lines that a user copies.
-    files : SceneFiles, optional
-        Of the scene when it was loaded; by default as they are now.
-
-    Attributes
-    ----------
-    files : SceneFiles
-    history : History
-    renders : Renders
-    tabs : list of Tab
-    labels : list of dict
-        GeoJSON features to train a map on.
-    learned : dict of str to Layer
-        What the latest training gave.
-    training, stop_training : Lock, Event
-        Held by the training under way; set to end it.
-    """
+    """A scene and its edits, shared by all tabs. It starts from the Renderer of the scene as its files describe it."""
 
     def __init__(self, renderer: "Renderer", quality: str, files: SceneFiles | None = None) -> None:
         self.quality = quality
@@ -149,8 +108,9 @@ class Session:
         self.history = History(self.files.origin)
         self.renders = Renders(renderer)
         self.tabs: list[Tab] = []
-        self.labels: list[dict[str, Any]] = []
-        self.learned: dict[str, Layer] = {}
+        self.labels: list[dict[str, Any]] = []  # GeoJSON features to train a map on
+        self.learned: dict[str, Layer] = {}  # What the latest training gave
+        # Held by the training under way; set to end it.
         self.training, self.stop_training = threading.Lock(), threading.Event()
         self._scene: Scene = self.base
         # Held by the edit, step, reload or write under way, in whatever thread.

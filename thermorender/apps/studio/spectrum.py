@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
+from thermorender import Material
 from thermorender.apps.material_tables.edit import share, with_spectrum, with_spectrum_of
 from thermorender.errors import ThermorenderError
 from thermorender.files import scratch_folder
-from thermorender.materials.material import Material
 
 # Longest body of a request: a spectrum file is far shorter.
 MOST_BYTES = 2_000_000
@@ -105,16 +105,8 @@ def _line(name: str, x: Any, y: Any, more: dict[str, Any]) -> dict[str, Any]:
 
 
 def dragged(material: Material, wavelength_um: float, emissivity: float, width_um: float) -> Material:
-    """Return a material whose spectrum passes through a point, with its surroundings moved along a bell curve.
-
-    Parameters
-    ----------
-    material : Material
-        Lambertian.
-    wavelength_um, emissivity : float
-        The point [µm, 1].
-    width_um : float
-        Standard deviation of the bell [µm].
+    """Return a Lambertian material whose spectrum passes through a point [µm, 1], with its surroundings moved along a
+    bell curve of standard deviation `width_um`.
     """
     share(f"{emissivity:g}")
     grid = material.wavelength_um

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from nicegui import ui
 
+from thermorender import load_trajectory
 from thermorender.apps.studio.document import Document
 from thermorender.apps.studio.panels import VALUE_AND_VERSION, draw
 from thermorender.apps.studio.spectrum import chart
 from thermorender.apps.studio.view import Pose
 from thermorender.errors import ThermorenderError
-from thermorender.scene.load import load_trajectory
 from thermorender.units import utc_text
 
 if TYPE_CHECKING:
@@ -24,12 +24,7 @@ _STEP_MIN = 60
 
 
 class Timeline:
-    """Sliders along the flight and over the day, where the scene has them.
-
-    Parameters
-    ----------
-    tab : Tab
-    """
+    """Sliders along the flight and over the day, where the scene has them."""
 
     def __init__(self, tab: "Tab") -> None:
         self._tab, self._session = tab, tab.session

@@ -33,12 +33,11 @@ def studio(
         raise ThermorenderError(
             "the studio needs NiceGUI; install it with `pip install 'thermorender[studio]'`"
         ) from None
+    from thermorender import Renderer, load_scene
     from thermorender.apps.link.access import listening
     from thermorender.apps.studio.app import run
     from thermorender.apps.studio.scene_files import SceneFiles
     from thermorender.apps.studio.view import Pose
-    from thermorender.render.renderer import Renderer
-    from thermorender.scene.load import load_scene
 
     with listening(host, port) as socket:
         with progress() as report:

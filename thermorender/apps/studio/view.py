@@ -16,8 +16,8 @@ from thermorender.trajectory.rotations import BODY_FROM_CAMERA, ENU_FROM_NED, an
 from thermorender.units import utc_text
 
 if TYPE_CHECKING:
+    from thermorender import Scene
     from thermorender.apps.studio.session import Session
-    from thermorender.scene.scene import Scene
 
 MODES = {
     "apparent": "Apparent temperature",

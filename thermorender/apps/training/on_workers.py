@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from thermorender.apps.cluster.connect import Address, connected
-from thermorender.apps.cluster.dispatch import Report, attempted, results, sentence
-from thermorender.apps.cluster.work import ready
+from thermorender.apps.cluster.engine import Report, attempted, ready, results, sentence
 from thermorender.apps.training.dataset import Dataset, read_dataset
 from thermorender.apps.training.rendered import World, render_campaign
 from thermorender.errors import ThermorenderError

@@ -1,5 +1,6 @@
 """Buildings of synthetic scenes: streets, houses, solar panels, greenhouses, garden objects, cars."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,7 @@ from numpy.typing import NDArray
 
 from thermorender.apps.lands.procedural.canvas import Canvas
 from thermorender.apps.lands.procedural.light import linear
-from thermorender.apps.lands.procedural.noise import smoothstep
+from thermorender.apps.lands.procedural.noise import Values, smoothstep
 
 # Roofs: material, sRGB colour, whether it is pitched.
 ROOFS = (
@@ -19,17 +20,8 @@ ROOFS = (
 
 
 class Window:
-    """A window of the canvas in a local frame: u to the right of a heading, v along it.
-
-    Parameters
-    ----------
-    canvas : Canvas
-    east, north : float
-        Origin [m].
-    heading_deg : float
-        Direction of v, clockwise from north [deg].
-    half_m : float
-        Half side of the window [m].
+    """A window of the canvas in a local frame: u to the right of `heading_deg` (clockwise from north), v along it. Its
+    origin and half side are in metres.
     """
 
     def __init__(self, canvas: Canvas, east: float, north: float, heading_deg: float, half_m: float) -> None:
@@ -40,7 +32,7 @@ class Window:
         s, c = np.float32(np.sin(np.radians(heading_deg))), np.float32(np.cos(np.radians(heading_deg)))
         self.u, self.v = x * c - y * s, x * s + y * c
 
-    def view(self, field: NDArray) -> NDArray:
+    def view(self, field: Values) -> Values:
         """Return the window of a canvas field, as a writable view."""
         return field[self.rows, self.columns]
 
@@ -49,12 +41,12 @@ class Window:
         s, c = np.sin(np.radians(self.heading)), np.cos(np.radians(self.heading))
         return self.origin[0] + u * c + v * s, self.origin[1] - u * s + v * c
 
-    def box(self, u: float, v: float, half_u: float, half_v: float, soft: float = 0.12) -> NDArray:
+    def box(self, u: float, v: float, half_u: float, half_v: float, soft: float = 0.12) -> Values:
         """Return the coverage of a rectangle, 0…1, with edges softened over `soft` [m]."""
         d = np.minimum(half_u - np.abs(self.u - u), half_v - np.abs(self.v - v))
         return smoothstep(-soft, soft, d)
 
-    def paint(self, cover: NDArray, colour: NDArray, material: str | None = None) -> None:
+    def paint(self, cover: Values, colour: Values, material: str | None = None) -> None:
         """Blend a colour into the window; coverage above one half also sets the material."""
         colour = np.asarray(colour, np.float32)
         albedo = self.view(self.canvas.albedo)
@@ -62,7 +54,7 @@ class Window:
         if material is not None:
             self.view(self.canvas.material)[cover > 0.5] = self.canvas.value(material)
 
-    def level(self, cover: NDArray) -> None:
+    def level(self, cover: Values) -> None:
         """Make the window's ground flat and bare where covered."""
         ground = self.view(self.canvas.ground)
         if (cover > 0.5).any():
@@ -73,25 +65,11 @@ class Window:
 
 
 def house(
-    window: Window, fine: NDArray, generator: np.random.Generator, u: float, v: float, half_u: float, half_v: float,
+    window: Window, fine: Values, generator: np.random.Generator, u: float, v: float, half_u: float, half_v: float,
     wall_m: float, roof: tuple[str, tuple[int, int, int], bool], pitch_deg: float = 40.0, hip: bool = False,
 ) -> NDArray[np.bool_]:  # fmt: skip
-    """Build a house with its ridge along u; return its footprint in the window.
-
-    Parameters
-    ----------
-    window : Window
-    fine : (N, N) float32
-        Fine noise of the whole canvas, for the roofing.
-    generator : numpy.random.Generator
-    u, v, half_u, half_v, wall_m : float
-        Centre, half lengths and height of the walls [m].
-    roof : tuple
-        One of `ROOFS`.
-    pitch_deg : float
-        Slope of a pitched roof [deg].
-    hip : bool
-        Slope the gable ends too.
+    """Build a house with its ridge along u and a roof of `ROOFS`; return its footprint in the window. Lengths are half
+    sides [m]; `fine`, (N, N), is noise for the roofing, and `hip` slopes the gable ends too.
     """
     c = window.canvas
     material, colour, pitched = roof
@@ -166,7 +144,7 @@ def panels(
     window.view(c.top)[field] += np.float32(0.12)
 
 
-def greenhouse(window: Window, fine: NDArray, u: float, v: float, half_u: float, half_v: float, spans: int) -> None:
+def greenhouse(window: Window, fine: Values, u: float, v: float, half_u: float, half_v: float, spans: int) -> None:
     """Build a greenhouse of several glazed spans along v."""
     c = window.canvas
     inside = np.minimum(half_u - np.abs(window.u - u), half_v - np.abs(window.v - v))
@@ -210,7 +188,7 @@ def clutter(
             mark, rim = smoothstep(1.65, 1.5, r) * free, smoothstep(1.25, 1.4, r)[..., None]
             tint = linear(52, 54, 58) + rim * (linear(88, 116, 148) - linear(52, 54, 58))
         else:
-            mark = window.box(u, v, *half, 0.1) * free
+            mark = window.box(u, v, half[0], half[1], 0.1) * free
         mark = mark * (window.view(c.top) < 0.6)
         height = generator.uniform(0.3, 0.9)
         if c.solids:
@@ -221,7 +199,7 @@ def clutter(
         np.maximum(top, (mark > 0.5) * np.float32(height), out=top)
 
 
-def street(c: Canvas, points: NDArray, half: float, fine: NDArray, soft: NDArray, taken: NDArray[np.bool_]) -> None:
+def street(c: Canvas, points: Values, half: float, fine: Values, soft: Values, taken: NDArray[np.bool_]) -> None:
     """Add an asphalt street with kerbs, pavements and repairs, and mark it as taken."""
     offset, along = c.ribbon(points, half + 5.0)
     near = np.isfinite(offset)
@@ -254,24 +232,14 @@ def car(
     name: str, east: float, north: float, heading_deg: float, colour: tuple[int, int, int], material: str,
     temperature: float, bonnet: float,
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """Return the [[object]] tables of a car: body, cabin, bonnet.
-
-    Parameters
-    ----------
-    name : str
-    east, north : float
-        Centre [m].
-    heading_deg : float
-        Clockwise from north [deg].
-    colour : sequence of int
-        sRGB.
-    material : str
-    temperature, bonnet : float
-        Temperatures of the body and of the bonnet [K].
+    """Return the [[object]] tables of a car: body, cabin, bonnet. Centre [m], heading clockwise from north [deg], sRGB,
+    and the temperatures of body and bonnet [K].
     """
     s, c = np.sin(np.radians(heading_deg)), np.cos(np.radians(heading_deg))
 
-    def part(suffix, size, ahead, base, kelvin, tint):
+    def part(
+        suffix: str, size: list[float], ahead: float, base: float, kelvin: float, tint: Sequence[int]
+    ) -> dict[str, Any]:
         return {
             "name": name + suffix, "shape": "box", "size": size,
             "position": [round(float(east + ahead * s), 2), round(float(north + ahead * c), 2), base],

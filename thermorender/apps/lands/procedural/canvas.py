@@ -1,51 +1,37 @@
 """The canvas of a synthetic scene: height, material, colour and moisture per texel, and functions that paint them."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermorender.apps.lands.procedural.light import linear
-from thermorender.apps.lands.procedural.noise import fractal_noise, smooth_noise, smoothstep, stream
+from thermorender.apps.lands.procedural.noise import Values, fractal_noise, smooth_noise, smoothstep, stream
 
 if TYPE_CHECKING:
     from thermorender.apps.lands.procedural.solids import Solids
 
 
 class Canvas:
-    """A square scene under construction; a layout paints it from the ground up.
-
-    Attributes
-    ----------
-    east, north : (1, N) and (N, 1) float32
-        Texel centres relative to the scene's centre [m]; row 0 in the north.
-    ground, top, relief : (N, N) float32
-        Bare ground, height of objects on it, and small relief that is lit but not in the surface model [m].
-    albedo : (N, N, 3) float32
-        Linear colour of a level surface in full sun.
-    material : (N, N) uint8
-        Class value; `names` maps it to a material.
-    wetness : (N, N) float32
-        Added moisture, 0…1.
-    solids : Solids or None
-        Record of what is placed on the ground, in three dimensions; None: it is painted only.
-    """
+    """A square scene under construction; a layout paints it from the ground up."""
 
     def __init__(self, seed: int, size_m: float, texel_m: float) -> None:
         self.seed, self.size, self.texel = seed, size_m, texel_m
         self.n = round(size_m / texel_m)
         self.shape = (self.n, self.n)
         line = ((np.arange(self.n) + 0.5) * texel_m - 0.5 * size_m).astype(np.float32)
+        # Texel centres relative to the scene's centre [m]; row 0 in the north.
         self.east, self.north = line[None, :], -line[:, None]
+        # Bare ground, height of objects on it, and small relief that is lit but not in the surface model [m].
         self.ground = np.zeros(self.shape, np.float32)
-        self.top = np.zeros(self.shape, np.float32)
+        self.top: Values = np.zeros(self.shape, np.float32)
         self.relief = np.zeros(self.shape, np.float32)
-        self.albedo = np.zeros((*self.shape, 3), np.float32)
-        self.material = np.zeros(self.shape, np.uint8)
-        self.wetness = np.zeros(self.shape, np.float32)
-        self.names: dict[int, str] = {}
-        self.solids: Solids | None = None
+        self.albedo = np.zeros((*self.shape, 3), np.float32)  # Linear colour of a level surface in full sun
+        self.material = np.zeros(self.shape, np.uint8)  # Class value
+        self.wetness = np.zeros(self.shape, np.float32)  # Added moisture, 0…1
+        self.names: dict[int, str] = {}  # Material of each class value
+        self.solids: Solids | None = None  # What is placed on the ground, in three dimensions; None: painted only
 
     @property
     def surface(self) -> NDArray[np.float32]:
@@ -76,7 +62,7 @@ class Canvas:
         """Return the scene's single-octave noise of that name, (N, N) float32."""
         return smooth_noise(self.stream(name), self.shape, self.texel, wavelength_m)
 
-    def texels(self, east: ArrayLike, north: ArrayLike) -> tuple[NDArray, NDArray]:
+    def texels(self, east: Any, north: Any) -> tuple[Any, Any]:
         """Return (row, column) of a position [m] as floats, texel centres at integers."""
         return (0.5 * self.size - north) / self.texel - 0.5, (east + 0.5 * self.size) / self.texel - 0.5
 
@@ -90,16 +76,9 @@ class Canvas:
         row, column = self.texels(east, north)
         return float(self.ground[int(np.clip(row, 0, self.n - 1)), int(np.clip(column, 0, self.n - 1))])
 
-    def paint(self, cover: NDArray, colour: NDArray, material: str | None = None) -> None:
-        """Blend a colour over the canvas by `cover`, (N, N) in 0…1; above one half it also sets the material.
-
-        Parameters
-        ----------
-        cover : (N, N) float32
-        colour : (3,) or (N, N, 3) float32
-            Linear.
-        material : str, optional
-            Material of the covered texels; None keeps it.
+    def paint(self, cover: Values, colour: Values, material: str | None = None) -> None:
+        """Blend a linear colour, (3,) or (N, N, 3), over the canvas by `cover`, (N, N) in 0…1; above one half it also
+        sets the material.
         """
         for channel in range(3):
             target = self.albedo[..., channel]
@@ -107,7 +86,7 @@ class Canvas:
         if material is not None:
             self.material[cover > 0.5] = self.value(material)
 
-    def tint(self, factor: NDArray) -> None:
+    def tint(self, factor: Values) -> None:
         """Multiply the colour by an (N, N) or (N, N, 3) factor."""
         self.albedo *= factor[..., None] if factor.ndim == 2 else factor
 
@@ -120,22 +99,9 @@ class Canvas:
             clip(np.floor(left)), clip(np.ceil(right) + 1)
         )
 
-    def ribbon(self, points: NDArray, reach_m: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return (offset, along) of a polyline, two (N, N) float32 [m].
-
-        Parameters
-        ----------
-        points : (K, 2) array
-            East, north [m].
-        reach_m : float
-            Largest distance from the line.
-
-        Returns
-        -------
-        offset : (N, N)
-            Signed distance, positive to the right of the direction of travel; inf beyond reach.
-        along : (N, N)
-            Length along the line.
+    def ribbon(self, points: Values, reach_m: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return (offset, along) of a polyline of points (K, 2) east and north, two (N, N) float32 [m]. Offset is
+        positive to the right of the direction of travel, and inf beyond `reach_m`.
         """
         offset = np.full(self.shape, np.inf, np.float32)
         along = np.zeros(self.shape, np.float32)
@@ -158,23 +124,12 @@ class Canvas:
         return offset, along
 
     def stamp(
-        self, crown: NDArray, tone: NDArray, east: float, north: float, height_m: float, colour: NDArray, material: int,
+        self, crown: Values, tone: Values, east: float, north: float, height_m: float, colour: Values, material: int,
         beneath: float = 0.35,
     ) -> None:  # fmt: skip
-        """Place a tree or shrub on the canvas; it is visible where it is higher than the existing surface.
-
-        Parameters
-        ----------
-        crown, tone : (h, w) float32
-            Height as a fraction of `height_m`, 0 outside the crown, and factor on the colour.
-        east, north, height_m : float
-            Centre and height [m].
-        colour : (3,)
-            Linear.
-        material : int
-            Class value.
-        beneath : float
-            Crown parts below this fraction of the height are not drawn.
+        """Place a tree or shrub on the canvas; it is visible where it is higher than the existing surface. `crown`, (h,
+        w), is its height as a share of `height_m`, drawn where above `beneath`, and `tone` a factor on the linear
+        colour.
         """
         row, column = self.texels(east, north)
         r0, c0 = round(row) - crown.shape[0] // 2, round(column) - crown.shape[1] // 2
@@ -205,20 +160,9 @@ def spline(points: ArrayLike, spacing_m: float = 2.0) -> NDArray[np.float64]:
     return np.vstack([*pieces, p[-2:-1]])
 
 
-def ruts(c: Canvas, points: NDArray, gauge: float, width: float, strength: float, name: str) -> NDArray[np.float32]:
-    """Return the marks of a pair of wheels along a line, (N, N) float32 in 0…1.
-
-    Parameters
-    ----------
-    c : Canvas
-    points : (K, 2) array
-        Path of the vehicle, east and north [m].
-    gauge, width : float
-        Distance of the wheels and half width of a mark [m].
-    strength : float
-        Full strength of the marks, 0…1.
-    name : str
-        Name of the noise that interrupts them.
+def ruts(c: Canvas, points: Values, gauge: float, width: float, strength: float, name: str) -> NDArray[np.float32]:
+    """Return the marks of a pair of wheels along points (K, 2) east and north [m], (N, N) float32 in 0…1. The noise
+    `name` interrupts them; gauge and half width of a mark are in metres.
     """
     offset, along = c.ribbon(points, 3.0)
     near = np.isfinite(offset)
@@ -231,18 +175,8 @@ def ruts(c: Canvas, points: NDArray, gauge: float, width: float, strength: float
 def crowns(
     generator: np.random.Generator, texel_m: float, radius_m: float, form: str, count: int = 24
 ) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-    """Return a list of (crown, tone) pairs for `Canvas.stamp`, each (h, w) float32.
-
-    Parameters
-    ----------
-    generator : numpy.random.Generator
-    texel_m, radius_m : float
-        Side of a texel and mean crown radius [m].
-    form : str
-        "pine" (clumps of needles on a flat dome), "spruce" (a cone with whorled branches) or "broad" (many
-        leafy lobes).
-    count : int
-        Number of different crowns.
+    """Return `count` (crown, tone) pairs for `Canvas.stamp`, each (h, w) float32. Forms are "pine" (clumps on a flat
+    dome), "spruce" (a cone with whorled branches) and "broad" (many leafy lobes).
     """
     made = []
     for _ in range(count):
@@ -288,20 +222,10 @@ def crowns(
 
 
 def scatter(
-    generator: np.random.Generator, canvas: Canvas, spacing_m: float, density: NDArray, jitter: float = 0.42
+    generator: np.random.Generator, canvas: Canvas, spacing_m: float, density: Values, jitter: float = 0.42
 ) -> NDArray[np.float64]:
-    """Return jittered grid positions, kept with the local density, (K, 2) [m] east, north.
-
-    Parameters
-    ----------
-    generator : numpy.random.Generator
-    canvas : Canvas
-    spacing_m : float
-        Mean spacing of neighbours [m].
-    density : (N, N) float32
-        Probability that a position is kept, 0…1.
-    jitter : float
-        Largest shift as a fraction of the spacing.
+    """Return positions on a jittered grid, kept with the probability `density` (N, N), as (K, 2) east and north [m].
+    The largest shift is `jitter` of the spacing.
     """
     count = int(np.ceil(canvas.size * 1.05 / spacing_m)) + 2
     j, i = np.mgrid[:count, :count].astype(np.float64)
@@ -318,20 +242,10 @@ def scatter(
 
 
 def planted_rows(
-    g: np.random.Generator, c: Canvas, between: float, along: float, bearing: float, density: NDArray
+    g: np.random.Generator, c: Canvas, between: float, along: float, bearing: float, density: Values
 ) -> NDArray[np.float64]:
-    """Return positions in planted rows, (K, 2) [m] east, north.
-
-    Parameters
-    ----------
-    g : numpy.random.Generator
-    c : Canvas
-    between, along : float
-        Spacing of rows and of trees in a row [m].
-    bearing : float
-        Rotation of the rows [rad].
-    density : (N, N) float32
-        Probability of a tree, 0…1.
+    """Return positions in planted rows, kept with the probability `density` (N, N), as (K, 2) east and north [m].
+    `between` and `along` are spacings [m]; `bearing` turns the rows [rad].
     """
     count_a, count_b = int(1.5 * c.size / between), int(1.5 * c.size / along)
     a, b = np.meshgrid(np.arange(count_a) - count_a / 2, np.arange(count_b) - count_b / 2)
@@ -346,25 +260,18 @@ def planted_rows(
 
 
 def plant(
-    generator: np.random.Generator, canvas: Canvas, positions: NDArray,
-    library: Sequence[tuple[NDArray, NDArray]], height_m: float, colours: Sequence[tuple[int, int, int]], material: str,
+    generator: np.random.Generator, canvas: Canvas, positions: Values,
+    library: Sequence[tuple[Values, Values]], height_m: float, colours: Sequence[tuple[int, int, int]], material: str,
     spread: float = 0.14, beneath: float = 0.35,
 ) -> None:  # fmt: skip
-    """Place a tree or shrub at each of the (K, 2) positions, with crowns drawn from the library.
-
-    Parameters
-    ----------
-    height_m : float
-        Median height [m]; individuals vary by `spread` (log-normal).
-    colours : sequence of (3,)
-        sRGB 0…255 colours to mix.
-    material : str
+    """Place a tree or shrub at each of the (K, 2) positions, with crowns of the library and a mix of sRGB colours.
+    Heights are log-normal about `height_m` by `spread`.
     """
     value = canvas.value(material)
     palette = np.array([linear(*c) for c in colours])
     for east, north in positions:
-        crown, tone = library[generator.integers(len(library))]
-        turn = generator.integers(8)
+        crown, tone = library[int(generator.integers(len(library)))]
+        turn = int(generator.integers(8))
         crown, tone = np.rot90(crown, turn % 4), np.rot90(tone, turn % 4)
         if turn > 3:
             crown, tone = crown.T, tone.T

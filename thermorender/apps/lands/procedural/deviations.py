@@ -28,17 +28,13 @@ _STRENGTH = 0.25
 
 
 def deviations_of(canvas: Canvas, again: int = 0) -> Deviations:
-    """Tint the canvas by the visible part of moisture, and return its Deviations.
+    """Tint the canvas by the visible part of moisture, and return its Deviations. With `again` above 0 they are another
+    draw for the same photograph: the visible part of moisture stays.
 
-    With `again` above 0 the Deviations are another draw consistent with the same photograph: the visible part
-    of moisture stays, and the rest is drawn again.
-
-    Notes
-    -----
-    Standard deviation of each field's part in the factors' logarithms: wetness 0.55 moisture (48 m) and 0.30 cover
-    (9 m); exchange 0.20 cover and 0.09 roughness (texels); inertia 0.18 moisture and −0.13 cover; reflectance −0.14
-    cover, 0.07 roughness and, of soils, −0.15 moisture. Chosen: at a clear noon they cause 0.6 to 1.1 K (mean absolute)
-    that neither tables nor weather predict. Painted moisture (hollows, shores) adds to the table's.
+    Standard deviation of each field's part in the factors' logarithms: wetness 0.55 moisture (48 m) and 0.30 cover (9
+    m); exchange 0.20 cover and 0.09 roughness (texels); inertia 0.18 moisture and −0.13 cover; reflectance −0.14 cover,
+    0.07 roughness and, of soils, −0.15 moisture. Chosen: at a clear noon they cause 0.6 to 1.1 K (mean absolute) that
+    neither tables nor weather predict. Painted moisture (hollows, shores) adds to the table's.
     """
     c = canvas
     g = c.stream("hidden")

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from thermorender.apps.lands.procedural.canvas import Canvas, crowns, plant, planted_rows, ruts, scatter, spline
 from thermorender.apps.lands.procedural.light import linear
-from thermorender.apps.lands.procedural.noise import smoothstep
+from thermorender.apps.lands.procedural.noise import Values, smoothstep
 from thermorender.scene.spec import WeatherSpec
 
 LATITUDE_DEG = 52.2
@@ -69,7 +69,7 @@ def heath(canvas: Canvas) -> tuple[list[dict[str, Any]], dict[str, NDArray[np.fl
     return _objects(c, track), _flight(c)
 
 
-def _moor(c):
+def _moor(c: Canvas) -> None:
     """Paint heather, grass and moss in patches, with raised cushions."""
     patch = c.fractal("patch", 34.0, 7, 0.62)
     clump = c.grain("clump", 2.4) + 0.7 * c.grain("clump small", 1.1)
@@ -88,15 +88,14 @@ def _moor(c):
     c.top += heather * np.clip(0.25 + 0.1 * clump, 0.0, 0.6)
 
 
-def _sand(c, track, pines, south):
+def _sand(c: Canvas, track: Values, pines: Values, south: Values) -> Values:
     """Paint open sand in blow-outs and along the track; return its coverage."""
     offset, _ = c.ribbon(track, 30.0)
     near = np.where(np.isfinite(offset), 1.5 * np.exp(-((offset / 9.0) ** 2)), 0.0)
     at_marker = 1.9 * np.exp(-((c.east - MARKER[0]) ** 2 + (c.north - MARKER[1]) ** 2) / 13.0**2)
     dug = c.fractal("sand", 62.0, 7, 0.6) + near + at_marker - 1.45
     field = dug + 0.35 * c.fractal("tufts", 2.2, 3, 0.7)
-    field = np.where(pines > -4.0, field - 1.5, field)
-    cover = smoothstep(-0.12, 0.22, field)
+    cover = smoothstep(-0.12, 0.22, np.where(pines > -4.0, field - 1.5, field))
     ripple = c.grain("ripple", 1.0) * 0.35 + c.grain("sand fine", 0.5) * 0.4 + c.fractal("sand hue", 14.0, 5, 0.6)
     colour = linear(208, 188, 150) * np.exp(0.085 * ripple)[..., None]
     c.relief *= 1.0 - 0.85 * cover
@@ -109,7 +108,7 @@ def _sand(c, track, pines, south):
     return cover
 
 
-def _pool(c):
+def _pool(c: Canvas) -> None:
     """Paint a small boggy pool with a green fringe."""
     g = c.stream("pool")
     east, north = g.uniform(-0.25, -0.15) * c.size, g.uniform(-0.10, -0.02) * c.size
@@ -129,7 +128,7 @@ def _pool(c):
     c.paint(water, deep * np.exp(0.06 * c.fractal("film", 6.0, 4))[..., None], "water")
 
 
-def _fields(c, south, edge):
+def _fields(c: Canvas, south: Values, edge: Values) -> None:
     """Paint stubble, ploughed soil and young winter cereal south of the road, separated by grass strips."""
     half = 0.5 * c.size
     within = smoothstep(11.0, 12.5, south + 0.12 * edge)
@@ -184,7 +183,7 @@ def _fields(c, south, edge):
             c.wetness += 0.22 * fresh * cover
 
 
-def _road(c, offset, along):
+def _road(c: Canvas, offset: Values, along: Values) -> None:
     """Paint an asphalt road with worn lanes, patches, broken lines and gravel edges."""
     near = np.isfinite(offset)
     d = np.where(near, np.abs(offset), 99.0) + 0.10 * c.fractal("road edge", 3.0, 4)
@@ -210,7 +209,7 @@ def _road(c, offset, along):
     c.paint(np.clip(white * (0.68 + 0.18 * rough), 0, 0.85), linear(222, 220, 212))
 
 
-def _tracks(c, track, sand):
+def _tracks(c: Canvas, track: Values, sand: Values) -> None:
     """Paint the sandy track, its fork, wheel marks on the open sand, and footpaths."""
     g, s = c.stream("tracks"), c.size
     fine = c.grain("track fine", 0.6)
@@ -240,12 +239,12 @@ def _tracks(c, track, sand):
         a = start[index % 2] + g.uniform(-2, 2, 2)
         heading = g.uniform(0.0, 2 * np.pi)
         length = g.uniform(9.0, 24.0)
-        points = [a]
+        marks = [a]
         for _ in range(5):
             heading += g.normal(0.0, 0.75)
-            points.append(points[-1] + length * 0.55 * np.array([np.cos(heading), np.sin(heading)]))
-        points.append(a + g.uniform(-3, 3, 2))
-        rut = ruts(c, spline(points), 1.65, 0.45, 0.95, f"marks {index}")
+            marks.append(marks[-1] + length * 0.55 * np.array([np.cos(heading), np.sin(heading)]))
+        marks.append(a + g.uniform(-3, 3, 2))
+        rut = ruts(c, spline(marks), 1.65, 0.45, 0.95, f"marks {index}")
         on_sand = rut * sand
         c.tint(1.0 - 0.36 * on_sand)
         c.relief -= 0.06 * on_sand
@@ -262,7 +261,7 @@ def _tracks(c, track, sand):
         c.paint(cover, pale * 0.9, "sand_quartz")
 
 
-def _trees(c, pines, south, track, sand):
+def _trees(c: Canvas, pines: Values, south: Values, track: Values, sand: Values) -> None:
     """Plant pine forest with a plantation, birches on its edge, single shrubs on the heath, and trees by the road."""
     g = c.stream("trees")
     offset, _ = c.ribbon(track, 8.0)
@@ -303,7 +302,7 @@ def _trees(c, pines, south, track, sand):
     )  # fmt: skip
 
 
-def _clearing(c):
+def _clearing(c: Canvas) -> None:
     """Paint level, bare sand around the marker, so that nothing hides it."""
     r = np.hypot(c.east - MARKER[0], c.north - MARKER[1]) + 0.5 * c.fractal("clearing", 5.0, 4)
     bare = smoothstep(4.6, 3.0, r)
@@ -314,7 +313,7 @@ def _clearing(c):
     c.paint(bare, linear(200, 181, 145) * np.exp(0.08 * scuff)[..., None], "sand_quartz")
 
 
-def _objects(c, track):
+def _objects(c: Canvas, track: Values) -> list[dict[str, Any]]:
     """Return the heated marker, and a recovery car parked on the track."""
     marker = {
         "name": "marker", "shape": "disc", "size": [2.0, 2.0, 0.1], "position": [*MARKER, 0.05], "temperature": 330.0,
@@ -330,7 +329,7 @@ def _objects(c, track):
     return [marker, car, cabin]
 
 
-def _flight(c):
+def _flight(c: Canvas) -> dict[str, NDArray[np.float64]]:
     """Return the approach: 120 m above the marker's ground, from 45° oblique to straight down."""
     height = 120.0
     time = np.arange(0.0, 11.01, 0.5)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.apps.lands.procedural.light import linear
+from thermorender.apps.lands.procedural.noise import Values
 from thermorender.apps.lands.solids.facades import WALLS, facade
 from thermorender.apps.lands.solids.quads import Quads
 
@@ -48,7 +49,7 @@ def house(
     material, tint = WALLS[draw.integers(len(WALLS))]
     if wall_m < _SHED_M:
         material, tint = "wood", (150, 126, 98)
-    paint = {"value": look.value, "draw": draw, "material": material, "colour": linear(*tint)}
+    paint: dict[str, Any] = {"value": look.value, "draw": draw, "material": material, "colour": linear(*tint)}
     paint["colour"] = paint["colour"] * np.exp(draw.normal(0.0, 0.08))
     if pitch_deg is None:
         _flat_roof(quads, at, look, half, wall_m, paint)
@@ -148,7 +149,7 @@ def panels(quads: Quads, at: Place, look: Look, half: tuple[float, float], slope
         corners.append((*at.position(u, v), float(slope @ (u, v, 1.0)) + 0.12))
     cells, frame, glass = look.colour, linear(96, 104, 122), look.value("glass")
 
-    def paint(s: NDArray, t: NDArray) -> tuple[NDArray, int]:
+    def paint(s: Values, t: Values) -> tuple[Values, int]:
         pitch = np.mod(s * 2.0 * half[0], 1.06) < 0.11
         rows = np.mod(t * 2.0, 1.0) < 0.08
         return np.where((pitch | rows)[..., None], frame, cells), glass
@@ -165,7 +166,7 @@ def _tiles(look: Look) -> Any:
     """A pitched roof: courses, moss and weathering."""
     number, dull = look.value(look.material), look.draw.normal(0.0, 0.08)
 
-    def paint(s: NDArray, t: NDArray) -> tuple[NDArray, int]:
+    def paint(s: Values, t: Values) -> tuple[Values, int]:
         course = 0.05 * np.cos(2.0 * np.pi * np.arange(len(s))[:, None] / 4.0)
         grain = 0.07 * look.draw.standard_normal(s.shape)
         return look.colour * np.exp(dull + course + grain)[..., None], number
@@ -177,7 +178,7 @@ def _felt(look: Look) -> Any:
     """A flat roof: sheets and stains."""
     number, dull = look.value(look.material), look.draw.normal(0.0, 0.2)
 
-    def paint(s: NDArray, t: NDArray) -> tuple[NDArray, int]:
+    def paint(s: Values, t: Values) -> tuple[Values, int]:
         seam = 0.1 * (np.arange(s.shape[1]) % 12 == 0)
         return look.colour * np.exp(dull + 0.08 * look.draw.standard_normal(s.shape) - seam)[..., None], number
 
@@ -188,7 +189,7 @@ def _bars(look: Look) -> Any:
     """Panes of a greenhouse between bars."""
     number, bar = look.value(look.material), linear(206, 210, 208)
 
-    def paint(s: NDArray, t: NDArray) -> tuple[NDArray, int]:
+    def paint(s: Values, t: Values) -> tuple[Values, int]:
         across = (np.arange(s.shape[1]) % 20 < 1) | np.zeros(s.shape, bool)
         tone = look.colour * np.exp(0.15 * look.draw.standard_normal(s.shape))[..., None]
         return np.where(across[..., None], bar, tone), number

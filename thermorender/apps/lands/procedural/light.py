@@ -1,5 +1,7 @@
 """Sunlight on a surface model, and the orthophoto of the lit surface."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,7 +15,7 @@ _SUN_SHARE = np.array([0.82, 0.795, 0.755], np.float32)
 _SKY_SHARE = 1.0 - _SUN_SHARE
 
 
-def _shifted(field, east_texels, north_texels):
+def _shifted(field: NDArray[np.float32], east_texels: float, north_texels: float) -> Any:
     """Return the field sampled at a constant offset; edges are repeated."""
     import cv2
 
@@ -25,23 +27,11 @@ def _shifted(field, east_texels, north_texels):
 def sun_visibility(
     surface: NDArray[np.float32], texel_m: float, azimuth_deg: float, elevation_deg: float, penumbra_m: float = 0.12
 ) -> NDArray[np.float32]:
-    """Return the visible fraction of the sun's disc from each texel, (H, W) float32, 0 in cast shadow.
+    """Return the visible fraction of the sun's disc from each texel of a surface of heights [m], (H, W) float32, 0 in
+    cast shadow. Shadows soften over `penumbra_m` of height.
 
-    Parameters
-    ----------
-    surface : (H, W) float32
-        Surface heights [m], row 0 in the north.
-    texel_m : float
-        Side of a texel [m].
-    azimuth_deg, elevation_deg : float
-        Sun position [deg].
-    penumbra_m : float
-        Height range over which light passes into shadow [m].
-
-    Notes
-    -----
-    A texel is in shadow where the surface towards the sun rises above the ray. The highest such ray,
-    M(x) = max_s h(x + s d) − s tan(elevation), is computed by doubling the searched range at each step.
+    A texel is in shadow where the surface towards the sun rises above the ray. The highest such ray, M(x) = max_s h(x +
+    s d) − s tan(elevation), is computed by doubling the searched range at each step.
     """
     if elevation_deg <= LOWEST_DEG:
         return np.zeros_like(surface)
@@ -61,10 +51,8 @@ def sky_view(
 ) -> NDArray[np.float32]:
     """Return the sky view factor of a level element at each texel, (H, W) float32 in 0…1.
 
-    Notes
-    -----
-    Mean over azimuths of cos²(horizon elevation): Dozier & Frew, IEEE TGRS 28 (1990) 963, eq. 7b for a
-    level surface; horizons are searched at distances that double.
+    Mean over azimuths of cos²(horizon elevation): Dozier & Frew, IEEE TGRS 28 (1990) 963, eq. 7b for a level surface;
+    horizons are searched at distances that double.
     """
     total = np.zeros_like(surface)
     for index in range(azimuths):
@@ -112,22 +100,9 @@ def photograph(
     albedo: NDArray[np.float32], visible: NDArray[np.float32], cosine: NDArray[np.float32], view: NDArray[np.float32],
     elevation_deg: float, seed: int, blur_texels: float = 0.55, noise: float = 1.1, cloud: float = 0.0,
 ) -> NDArray[np.uint8]:  # fmt: skip
-    """Return the orthophoto of a lit surface, (H, W, 3) uint8 sRGB.
-
-    Parameters
-    ----------
-    albedo : (H, W, 3) float32
-        Linear colour of a level surface in full sun.
-    visible, cosine, view : (H, W) float32
-        Sun visibility, cosine of incidence, sky view factor.
-    elevation_deg : float
-        Sun elevation [deg].
-    seed : int
-        Seed of the sensor noise.
-    blur_texels, noise : float
-        Lens blur (Gaussian σ) [texels] and sensor noise [8-bit steps].
-    cloud : float
-        Cloud fraction, 0…1: clouds scatter the sunlight, and the exposure compensates for their absorption.
+    """Return the orthophoto of a lit surface, (H, W, 3) uint8 sRGB, with lens blur (Gaussian σ in texels) and sensor
+    noise [8-bit steps]. The albedo is linear; `visible`, `cosine` and `view` are sun visibility, cosine of incidence
+    and sky view factor, (H, W). Clouds scatter sunlight, and the exposure compensates for their absorption.
     """
     import cv2
 
@@ -141,8 +116,8 @@ def photograph(
     for channel in range(3):
         light = _SUN_SHARE[channel] * direct + _SKY_SHARE[channel] * ambient
         value = _developed(albedo[..., channel] * light * drift, channel)
-        value = cv2.GaussianBlur(value, (0, 0), blur_texels)
-        value = 255.0 * srgb.encoded(value) + np.float32(noise) * grain
+        blurred = np.asarray(cv2.GaussianBlur(value, (0, 0), blur_texels), np.float32)
+        value = 255.0 * srgb.encoded(blurred) + np.float32(noise) * grain
         picture[..., channel] = np.clip(value + 0.5, 0, 255).astype(np.uint8)
     return picture
 
@@ -170,15 +145,8 @@ def exposed(
     albedo: NDArray[np.float32], cosine: NDArray[np.float32], view: NDArray[np.float32], elevation_deg: float,
     cloud: float = 0.0,
 ) -> NDArray[np.float32]:  # fmt: skip
-    """Return the linear light on a picture of lit texels, (T, 3) float32, without blur and noise.
-
-    Parameters
-    ----------
-    albedo : (T, 3) float32
-    cosine, view : (T,) float32
-        Cosine of incidence, 0 in shadow, and sky view factor.
-    elevation_deg, cloud
-        As of `photograph`.
+    """Return the linear light on a picture of T lit texels, (T, 3) float32, without blur and noise. `cosine`, (T,), is
+    0 in shadow, and `view` the sky view factor.
     """
     direct, ambient = _light(1.0, cosine, view, elevation_deg, cloud)
     parts = [_SUN_SHARE[k] * direct + _SKY_SHARE[k] * ambient for k in range(3)]

@@ -1,22 +1,18 @@
 """Seeded random streams, and fractal noise in the plane without a visible lattice."""
 
 import zlib
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+# Of texels, (N, N), or of positions, (K, 2).
+Values = NDArray[Any]
+
 
 def stream(seed: int, name: str) -> np.random.Generator:
-    """Return a generator that depends on (seed, name) only.
-
-    With one stream per feature, changing a feature does not affect the others.
-
-    Parameters
-    ----------
-    seed : int
-        0 … 2⁶⁴−1.
-    name : str
-        Purpose of the numbers.
+    """Return a generator that depends on the seed, 0 … 2⁶⁴−1, and the name of a purpose only. With one stream per
+    feature, changing a feature does not affect the others.
     """
     return np.random.Generator(np.random.Philox(key=np.array([int(seed), zlib.crc32(name.encode())], np.uint64)))
 
@@ -28,14 +24,6 @@ def smooth_noise(
 
     Normal deviates on a lattice of `wavelength_m` / 2, rotated by a random angle to hide its axes, and interpolated
     cubically. Below two texels the noise is white.
-
-    Parameters
-    ----------
-    generator : numpy.random.Generator
-    shape : tuple of int
-        (H, W).
-    texel_m, wavelength_m : float
-        Side of a texel and scale of the noise [m].
     """
     import cv2
 
@@ -62,21 +50,8 @@ def fractal_noise(
     generator: np.random.Generator, shape: tuple[int, int], texel_m: float, wavelength_m: float, octaves: int = 5,
     gain: float = 0.5,
 ) -> NDArray[np.float32]:  # fmt: skip
-    """Return a sum of octaves, (H, W) float32, mean about 0, standard deviation about 1.
-
-    Parameters
-    ----------
-    generator : numpy.random.Generator
-    shape : tuple of int
-        (H, W).
-    texel_m : float
-        Side of a texel [m].
-    wavelength_m : float
-        Scale of the longest octave [m]; each further one halves it, down to the texel.
-    octaves : int
-        Largest number of octaves.
-    gain : float
-        Amplitude of an octave relative to the one before.
+    """Return a sum of octaves, (H, W) float32, mean about 0, standard deviation about 1. The longest is `wavelength_m`;
+    each further one halves it, down to the texel, with `gain` times the amplitude.
     """
     total = np.zeros(shape, np.float32)
     power = 0.0
@@ -114,7 +89,7 @@ def ridged_noise(
     return total / np.float32(weight)
 
 
-def warp(field: NDArray, offset_x: NDArray, offset_y: NDArray) -> NDArray:
+def warp(field: Values, offset_x: Values, offset_y: Values) -> Values:
     """Return the (H, W) field sampled at positions shifted by the (H, W) offsets [texels]; edges are repeated."""
     import cv2
 
@@ -124,7 +99,7 @@ def warp(field: NDArray, offset_x: NDArray, offset_y: NDArray) -> NDArray:
     return cv2.remap(field, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
-def smoothstep(low: float, high: float, value: NDArray | float) -> NDArray:
+def smoothstep(low: float, high: float, value: Values | float) -> Values:
     """Return the cubic step that is 0 below `low` and 1 above `high`, in the value's shape."""
     t = np.clip((value - low) / (high - low), 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)

@@ -36,7 +36,7 @@ from thermorender.scene.spec import WeatherSpec
 class Kind(NamedTuple):
     """A kind of landscape: layout, default size and spacings [m], place, weather, title, flight heights [m]."""
 
-    layout: Callable
+    layout: Callable[[Canvas], tuple[list[dict[str, Any]], dict[str, NDArray[np.float64]]]]
     size_m: float
     texel_m: float
     post_m: float
@@ -99,16 +99,8 @@ class SyntheticScene:
 
 
 def weather_of(kind: str, weather_seed: int | None = None, **given: Any) -> WeatherSpec:
-    """Return the WeatherSpec of a kind's default day, or one drawn from a seed, with the given values replaced.
-
-    Parameters
-    ----------
-    kind : str
-        One of `KINDS`; the land's altitude makes a drawn weather colder.
-    weather_seed : int, optional
-        Seed of `synthetic.weather.drawn_weather`.
-    **given
-        Keys of a declared day's WeatherSpec; None keeps a value. `time` is parsed by `thermorender.units.instant`.
+    """Return the WeatherSpec of a kind's default day, or one drawn from a seed, with the given keys replaced; None
+    keeps a value. The land's altitude makes a drawn weather colder.
     """
     known = _kind(kind)
     if weather_seed is not None:
@@ -124,27 +116,9 @@ def make(
     kind: str, seed: int = 0, size_m: float | None = None, texel_m: float | None = None, post_m: float | None = None,
     time: str | np.datetime64 | None = None, weather: WeatherSpec | None = None, again: int = 0,
 ) -> SyntheticScene:  # fmt: skip
-    """Return a procedural scene; equal arguments give equal scenes.
+    """Return a procedural scene; equal arguments give equal scenes. `texel_m` and `post_m` divide `size_m`, and post_m
+    ≥ texel_m; with `again` above 0 the deviations are another draw for the same photograph.
 
-    Parameters
-    ----------
-    kind : str
-        One of `KINDS`.
-    seed : int
-        0 … 2⁶⁴−1, for the landscape.
-    size_m : float, optional
-        Side of the square extent [m]; default: the kind's.
-    texel_m, post_m : float, optional
-        Side of an orthophoto texel and of an elevation cell [m]; both divide the size, and post_m ≥ texel_m.
-    time : str or datetime64, optional
-        Instant of the scene, UTC or with a zone; default: the weather's.
-    weather : WeatherSpec, optional
-        A declared day; default: the kind's, a clear early afternoon in September.
-    again : int
-        Above 0: another draw of the deviations for the same photograph.
-
-    Notes
-    -----
     Land, materials and hidden fields depend on kind and seed only. The weather adds snow, changes the objects'
     temperatures and lights the orthophoto, which is taken at noon if the sun is below 10°; clouds soften shadows.
     """
@@ -194,6 +168,7 @@ def painted(
     objects, flight = known.layout(canvas)
     if canvas.solids:
         canvas.solids.uncover()
+    assert weather.air_low_c is not None  # `conditions` has refused a day without it
     lay_snow(canvas, weather.snow_depth_m or 0.0, weather.air_low_c)
     deviations = deviations_of(canvas, again)
     return Painted(canvas, follows(objects, now, usual), flight, deviations, kind, seed, size, texel, post, weather)
@@ -209,7 +184,7 @@ def scene_of(made: Painted) -> SyntheticScene:
     cosine = incidence(normals(surface + canvas.relief, texel, steepest=1.3), *sun)
     view = sky_view(surface, texel, reach_m=max(40.0, 0.25 * size))
     visible = sun_visibility(surface, texel, *sun)
-    picture = photograph(canvas.albedo, visible, cosine, view, sun[1], seed, cloud=weather.cloud)
+    picture = photograph(canvas.albedo, visible, cosine, view, sun[1], seed, cloud=weather.cloud or 0.0)
     elevation = posts(surface, size, post)
     altitude = float(np.round(np.median(elevation)))
     return SyntheticScene(
@@ -222,21 +197,21 @@ def scene_of(made: Painted) -> SyntheticScene:
     )  # fmt: skip
 
 
-def _kind(name):
+def _kind(name: str) -> Kind:
     """Return the Kind of a name; refuse an unknown one."""
     if name not in KINDS:
         raise ThermorenderError(f"kind={name!r} is not a synthetic scene; choose one of {', '.join(KINDS)}")
     return KINDS[name]
 
 
-def _air_and_sun(weather, latitude, altitude):
+def _air_and_sun(weather: WeatherSpec, latitude: float, altitude: float) -> tuple[float, float]:
     """Return (air temperature [K], sunlight on level ground [W m⁻²]) of a WeatherSpec at its instant."""
     found = conditions(weather, latitude, altitude)
-    height = np.sin(np.radians(position_at(weather.time, latitude, LONGITUDE_DEG)[1]))
+    height = float(np.sin(np.radians(position_at(weather.time, latitude, LONGITUDE_DEG)[1])))
     return float(found.air_k), float(found.direct_w_m2 * max(height, 0.0) + found.diffuse_w_m2)
 
 
-def _check(seed, size, texel, post):
+def _check(seed: int, size: float, texel: float, post: float) -> None:
     """Refuse a seed or sizes out of range, or sizes that do not divide each other."""
     _check_seed("seed", seed)
     for name, value in (("size_m", size), ("texel_m", texel), ("post_m", post)):
@@ -256,12 +231,12 @@ def _check(seed, size, texel, post):
         )
 
 
-def _check_seed(name, seed):
+def _check_seed(name: str, seed: int) -> None:
     if not 0 <= seed < 2**64 or int(seed) != seed:
         raise ThermorenderError(f"{name}={seed!r} must be a whole number of at least 0 and less than 2⁶⁴")
 
 
-def posts(surface, size, post):
+def posts(surface: NDArray[np.float32], size: float, post: float) -> NDArray[np.float32]:
     """Return the surface averaged over elevation cells, (P, P) float32 [m], on steps of 1/64 m."""
     import cv2
 
@@ -272,7 +247,7 @@ def posts(surface, size, post):
     return (np.round((cells.astype(np.float64) + mean) * 64.0) / 64.0).astype(np.float32)
 
 
-def _corner(latitude, longitude, size):
+def _corner(latitude: float, longitude: float, size: float) -> tuple[float, float]:
     """Return (easting, northing) [m] of the north-west corner of an extent centred on a whole metre."""
     from rasterio.warp import transform
 
@@ -280,7 +255,9 @@ def _corner(latitude, longitude, size):
     return round(east) - 0.5 * size, round(north) + 0.5 * size
 
 
-def _flight_table(flight, elevation, size, post):
+def _flight_table(
+    flight: dict[str, NDArray[np.float64]], elevation: NDArray[np.float32], size: float, post: float
+) -> dict[str, NDArray[np.float64]]:
     """Return the flight's columns, with heights above the surface model."""
     import cv2
 

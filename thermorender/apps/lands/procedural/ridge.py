@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from thermorender.apps.lands.procedural.canvas import Canvas, crowns, plant, scatter, spline
 from thermorender.apps.lands.procedural.light import linear
-from thermorender.apps.lands.procedural.noise import fractal_noise, ridged_noise, smoothstep, warp
+from thermorender.apps.lands.procedural.noise import Values, fractal_noise, ridged_noise, smoothstep, warp
 from thermorender.scene.spec import WeatherSpec
 
 LATITUDE_DEG = 49.2
@@ -43,14 +43,14 @@ def ridge(canvas: Canvas) -> tuple[list[dict[str, Any]], dict[str, NDArray[np.fl
     return _objects(c, slope, lake), _flight(c)
 
 
-def _smooth(field, sigma):
+def _smooth(field: Values, sigma: float) -> Values:
     """Return the field smoothed by a Gaussian of `sigma` texels."""
     import cv2
 
     return cv2.GaussianBlur(field, (0, 0), max(sigma, 0.5))
 
 
-def _mountain(c):
+def _mountain(c: Canvas) -> tuple[Values, Values]:
     """Return (heights, logarithm of drainage area), (N, N) float32: noise eroded by running water."""
     import cv2
 
@@ -59,7 +59,7 @@ def _mountain(c):
     wide = 1.4  # The eroded area is larger than the picture, so that its base level is not visible.
     finest = int(np.clip(wide * c.size / 7.0, 128, 320))
     tilt, phase = g.uniform(0.10, 0.30), g.uniform(0.0, 6.3)
-    field = None
+    field: Values | None = None
     for cells, rounds in ((64, 24), (128, 16), (finest, 9)):
         spacing = wide * c.size / cells
         line = wide * ((np.arange(cells) + 0.5) / cells - 0.5)
@@ -70,9 +70,10 @@ def _mountain(c):
             field = relief * np.exp(-(np.abs(away / 0.30) ** 1.4)) * (1.0 + 0.16 * np.sin(7.0 * x + 2.0 * phase))
             field += 0.07 * relief * fractal_noise(g, (cells, cells), 1.0, 16.0, 5)
         else:
-            field = cv2.resize(field.astype(np.float32), (cells, cells), interpolation=cv2.INTER_CUBIC)
-            field = field + 0.012 * relief * fractal_noise(g, (cells, cells), 1.0, 9.0, 4)
+            finer = cv2.resize(field.astype(np.float32), (cells, cells), interpolation=cv2.INTER_CUBIC)
+            field = finer + 0.012 * relief * fractal_noise(g, (cells, cells), 1.0, 9.0, 4)
         field, area = _carve(np.asarray(field, np.float64), spacing, rounds)
+    assert field is not None
     side = round(wide * c.n)
     low = (side - c.n) // 2
     crop = (slice(low, low + c.n), slice(low, low + c.n))
@@ -91,7 +92,7 @@ def _mountain(c):
     return ground + np.float32(_FOOT_M), drainage
 
 
-def _basin(c):
+def _basin(c: Canvas) -> NDArray[np.bool_]:
     """Excavate a basin in the southern flank; return the lake's mask."""
     g, s = c.stream("basin"), c.size
     flat = _smooth(c.ground, 0.05 * s / c.texel)
@@ -112,7 +113,7 @@ def _basin(c):
     return lake
 
 
-def _carve(height, spacing, rounds):
+def _carve(height: NDArray[np.float64], spacing: float, rounds: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return (heights, drainage area) after `rounds` of stream-power erosion, two (M, M) float64.
 
     The north and south edges are the base level. Implicit in time after Braun & Willett, Geomorphology
@@ -143,7 +144,7 @@ def _carve(height, spacing, rounds):
     return height, np.array(area).reshape(side, side)
 
 
-def _receivers(height, spacing):
+def _receivers(height: NDArray[np.float64], spacing: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return (index of the steepest lower neighbour or of the cell itself, distance to it), (M, M)."""
     side = height.shape[0]
     padded = np.pad(height, 1, constant_values=np.inf)
@@ -161,7 +162,7 @@ def _receivers(height, spacing):
     return receiver, distance
 
 
-def _flood(height):
+def _flood(height: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return heights without depressions: every cell drains to the north or south edge."""
     side = height.shape[0]
     flat = height.ravel().tolist()
@@ -184,7 +185,7 @@ def _flood(height):
     return np.array(flat).reshape(side, side)
 
 
-def _alp(c, height, slope):
+def _alp(c: Canvas, height: Values, slope: Values) -> None:
     """Paint alpine grass: green in hollows, tawny on slopes, with stones and terraces."""
     fine, tuft = c.grain("fine", 2.0), c.grain("tuft", 5.0)
     hue = c.fractal("hue", 90.0, 7, 0.62)
@@ -199,7 +200,7 @@ def _alp(c, height, slope):
     c.relief += 0.18 * tuft + 0.10 * fine
 
 
-def _rock(c, height, slope, drainage):
+def _rock(c: Canvas, height: Values, slope: Values, drainage: Values) -> None:
     """Paint granite walls with joints and lichen, limestone bands, and scree below them."""
     rough = c.fractal("rock", 60.0, 7, 0.65)
     fine, block = c.grain("rock fine", 2.0), c.grain("block", 6.0)
@@ -226,7 +227,7 @@ def _rock(c, height, slope, drainage):
     c.paint(0.8 * runnel * smoothstep(-0.4, 0.4, block + 0.3), gravel, "granite")
 
 
-def _snow(c, height, slope, drainage, rise):
+def _snow(c: Canvas, height: Values, slope: Values, drainage: Values, rise: Values) -> None:
     """Paint old snow in shaded gullies and hollows, and along the crest."""
     top = max(float(height.max()), 1.0)
     patch = c.fractal("snow", 70.0, 6, 0.55)
@@ -248,7 +249,7 @@ def _snow(c, height, slope, drainage, rise):
     c.wetness *= 1.0 - cover
 
 
-def _water(c, lake, drainage):
+def _water(c: Canvas, lake: NDArray[np.bool_], drainage: Values) -> None:
     """Paint the lake with its shallows, and the brook that feeds it."""
     import cv2
 
@@ -271,7 +272,7 @@ def _water(c, lake, drainage):
     c.paint(mask, tone * ripple, "water")
 
 
-def _trail(c):
+def _trail(c: Canvas) -> None:
     """Paint a footpath that winds from the lake to the crest."""
     s = c.size
     offset, _ = c.ribbon(
@@ -296,7 +297,7 @@ def _trail(c):
     c.paint(0.75 * smoothstep(1.5, 0.6, d) * dry, linear(180, 168, 144))
 
 
-def _wood(c, height, slope, lake):
+def _wood(c: Canvas, height: Values, slope: Values, lake: NDArray[np.bool_]) -> None:
     """Plant spruces at the foot, thinning upwards into dwarf pine and single trees."""
     g = c.stream("wood")
     top = max(float(height.max()), 1.0)
@@ -322,7 +323,7 @@ def _wood(c, height, slope, lake):
         plant(g, c, scatter(g, c, spacing, density), trees, height_m, dark, "conifer", 0.2, 0.06)
 
 
-def _objects(c, slope, lake):
+def _objects(c: Canvas, slope: Values, lake: NDArray[np.bool_]) -> list[dict[str, Any]]:
     """Return a hut and a signal fire on the flattest dry ground near the lake."""
     fit = _smooth(slope + 9.0 * lake + 3.0 * (c.top > 0.5), 10.0 / c.texel)
     fit = fit + 0.7 * np.hypot(c.east + 0.10 * c.size, c.north + 0.2 * c.size) / c.size
@@ -341,7 +342,7 @@ def _objects(c, slope, lake):
     return [hut, fire]
 
 
-def _flight(c):
+def _flight(c: Canvas) -> dict[str, NDArray[np.float64]]:
     """Return the glide: descending along the sunny flank, always at least 100 m above the ground."""
     time = np.arange(0.0, 11.01, 0.5)
     speed = min(28.0, 0.5 * c.size / 11.0)

@@ -18,8 +18,8 @@ from thermorender.units import utc_text
 TEMPERATURE_STEP_K = 0.02
 _TEMPERATURE_BASE_K = 200.0
 # Without loss, by codecs that rasterio's wheels and QGIS read. LERC takes a seventh less of temperatures than DEFLATE.
-_PACKED = {"compress": "zstd", "zstd_level": 22}
-_TEMPERATURES = {"compress": "lerc_zstd", "zstd_level": 22, "max_z_error": 0}
+_PACKED: dict[str, Any] = {"compress": "zstd", "zstd_level": 22}
+_TEMPERATURES: dict[str, Any] = {"compress": "lerc_zstd", "zstd_level": 22, "max_z_error": 0}
 # Small rasters are one block, which needs no padding; those above this side are cut into blocks of `_BLOCK` [pixels].
 _ONE_BLOCK, _BLOCK = 2048, 512
 
@@ -28,7 +28,7 @@ def write_declared(scene: SyntheticScene, folder: Path) -> None:
     """Write a SyntheticScene into a folder, with its temperature to be solved by the heat balance."""
     texel = scene.texel_m
     picture = np.ascontiguousarray(scene.orthophoto.transpose(2, 0, 1))
-    jpeg = {"compress": "jpeg", "photometric": "ycbcr", "jpeg_quality": 86}
+    jpeg: dict[str, Any] = {"compress": "jpeg", "photometric": "ycbcr", "jpeg_quality": 86}
     _raster(scene, folder / "elevation.tif", scene.elevation[None], scene.post_m, predictor=3, **_PACKED)
     _raster(scene, folder / "classes.tif", scene.classes[None], texel, **_PACKED)
     _raster(scene, folder / "orthophoto.tif", picture, texel, **jpeg)
@@ -36,14 +36,8 @@ def write_declared(scene: SyntheticScene, folder: Path) -> None:
     write_text(folder / "flight.csv", flight_csv(scene.flight))
 
 
-def write_temperature(scene: SyntheticScene, folder: Path, temperature: NDArray, every: int) -> None:
-    """Add the true temperature (N, N) [K] to a scene's folder as its temperature source.
-
-    Parameters
-    ----------
-    every : int
-        Texels per side of a stored texel, which is their mean.
-    """
+def write_temperature(scene: SyntheticScene, folder: Path, temperature: NDArray[Any], every: int) -> None:
+    """Add the true temperature (N, N) [K] to a scene's folder as its source, averaged over `every` texels a side."""
     side = len(temperature) // every
     mean = temperature.astype(np.float64).reshape(side, every, side, every).mean(axis=(1, 3))
     counts = np.clip(np.round((mean - _TEMPERATURE_BASE_K) / TEMPERATURE_STEP_K), 0, 65535).astype(np.uint16)
@@ -61,12 +55,15 @@ def refuse_every(scene: SyntheticScene, every: int) -> None:
         )
 
 
-def _block(side):
+def _block(side: int) -> int:
     """Side of the blocks of a raster [pixels]; TIFF takes multiples of 16."""
     return -(-side // 16) * 16 if side <= _ONE_BLOCK else _BLOCK
 
 
-def _raster(scene, path, bands, texel_m, scale=None, **options):
+def _raster(
+    scene: SyntheticScene, path: Path, bands: NDArray[Any], texel_m: float,
+    scale: tuple[float, float] | None = None, **options: Any,
+) -> None:  # fmt: skip
     """Write (bands, h, w) as a GeoTIFF whose upper left corner is the scene's."""
     import rasterio
 
@@ -108,14 +105,14 @@ def scene_toml(scene: SyntheticScene, known: bool = True, other: Mapping[str, An
     )
 
 
-def _rounded(value):
+def _rounded(value: Any) -> Any:
     """Return a float, or floats in lists, rounded to three decimals; other values unchanged."""
     if isinstance(value, (list, tuple)):
         return [_rounded(item) for item in value]
     return round(value, 3) if isinstance(value, float) else value
 
 
-def flight_csv(flight: Mapping[str, NDArray]) -> str:
+def flight_csv(flight: Mapping[str, NDArray[Any]]) -> str:
     """Return the CSV text of a flight."""
     rows = zip(*flight.values(), strict=True)
     body = "".join(",".join(f"{value:.3f}" for value in row) + "\n" for row in rows)

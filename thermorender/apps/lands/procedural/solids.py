@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from thermorender.apps.lands.procedural import house_shapes
 from thermorender.apps.lands.procedural.light import linear
+from thermorender.apps.lands.procedural.noise import Values
 from thermorender.apps.lands.solids.plants import DENSITY, DENSITY_CONIFER, DENSITY_HEDGE, Plants, edge_of
 from thermorender.apps.lands.solids.quads import Quads
 from thermorender.errors import ThermorenderError
@@ -33,26 +34,12 @@ _BARK = (104, 88, 72)
 
 
 class Solids:
-    """The solids of a canvas.
-
-    Parameters
-    ----------
-    canvas : Canvas
-        Its ground is read when a solid is recorded.
-
-    Attributes
-    ----------
-    quads : Quads
-        Buildings, fences and other boxes.
-    plants : Plants
-    covered : (N, N) bool
-        Texels under a solid.
-    """
+    """The solids of a canvas, whose ground is read when a solid is recorded."""
 
     def __init__(self, canvas: "Canvas") -> None:
         self.canvas = canvas
         self.quads, self.plants = Quads(_TEXEL_M), Plants()
-        self.covered = np.zeros(canvas.shape, bool)
+        self.covered = np.zeros(canvas.shape, bool)  # Texels under a solid
         self._kept = {name: np.zeros_like(getattr(canvas, name)) for name in _FIELDS}
         self._draw, self._leaf = canvas.stream("solids"), canvas.stream("leaves")
 
@@ -106,7 +93,7 @@ class Solids:
 
     def box(
         self, window: "Window", mask: NDArray[np.bool_], u: float, v: float, half: tuple[float, float], height_m: float,
-        colour: NDArray, material: str,
+        colour: Values, material: str,
     ) -> None:  # fmt: skip
         """Record a box on the ground."""
         if not mask.any():
@@ -117,7 +104,7 @@ class Solids:
             window.position, u, v, *half, low - 0.2, low + height_m, lambda s, t: (colour * np.exp(tone), number)
         )
 
-    def hedge(self, window: "Window", mask: NDArray[np.bool_], height_m: NDArray, colour: NDArray) -> None:
+    def hedge(self, window: "Window", mask: NDArray[np.bool_], height_m: Values, colour: Values) -> None:
         """Record a hedge; height [m] and linear colour are those of the (n,) texels of the mask."""
         if not mask.any():
             return
@@ -129,7 +116,7 @@ class Solids:
         self.plants.fill(self._leaf, column, c.texel, _HEDGE_EDGE_M, DENSITY_HEDGE, colour, c.value("broadleaf"))
 
     def tree(
-        self, crown: NDArray, tone: NDArray, east: float, north: float, height_m: float, colour: NDArray, material: int,
+        self, crown: Values, tone: Values, east: float, north: float, height_m: float, colour: Values, material: int,
         beneath: float,
     ) -> None:  # fmt: skip
         """Record a tree or shrub with the arguments of `Canvas.stamp`."""

@@ -4,26 +4,27 @@ The survey is a scene of rasters: the highest surface under each texel, with its
 So the same world exists twice, and the draped one can be judged against the other.
 """
 
-from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.apps.lands.procedural.light import exposed
+from thermorender import Scene, load_scene
+from thermorender.apps.lands.procedural.light import exposed, normals
 from thermorender.apps.lands.procedural.noise import stream
-from thermorender.apps.lands.procedural.procedural_scene import SyntheticScene, posts
+from thermorender.apps.lands.procedural.procedural_scene import SyntheticScene, painted, posts, scene_of
 from thermorender.apps.lands.procedural.scene_files import flight_csv, scene_toml, write_declared, write_temperature
 from thermorender.apps.lands.procedural.truth import drawn
-from thermorender.apps.lands.procedural.world import World
 from thermorender.apps.lands.solids.plants import write_leaf_tables
-from thermorender.apps.lands.solids.skin import MESH, Skin, write_kelvin, write_skins
+from thermorender.apps.lands.solids.textured_mesh import MESH, TexturedMesh, write_kelvin, write_meshes
+from thermorender.errors import ThermorenderError
 from thermorender.files import atomic_folder
 from thermorender.formats import write_text
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
+from thermorender.progress import Progress
 from thermorender.render.daylight import daylight
 from thermorender.render.from_above import from_above
 from thermorender.render.geometry import Geometry
@@ -31,9 +32,8 @@ from thermorender.render.heat.simulation import solved
 from thermorender.render.variant import activate
 from thermorender.scene.deviations import Deviations
 from thermorender.scene.ground import Ground
-from thermorender.scene.load import load_scene
 from thermorender.scene.raster import Grid, lon_lat
-from thermorender.scene.scene import Scene
+from thermorender.scene.spec import WeatherSpec
 from thermorender.scene.surface import Surface
 from thermorender.units import ZERO_CELSIUS_K
 
@@ -41,45 +41,91 @@ from thermorender.units import ZERO_CELSIUS_K
 SURVEY = "survey"
 # Positions in a texel at which the survey looks, in texels from its middle; the first gives the material.
 _LOOKS = ((0.0, 0.0), (-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))
+GROUND, BUILDINGS, PLANTS = "ground", "buildings", "plants"
+# Distance of the ground's posts [m]: walls and crowns are not in it, so that it is smooth.
+_POST_M = 1.0
 
 
-def write(
-    world: World, directory: str | Path, overwrite: bool = False, progress: Callable[[str, float], None] | None = None
-) -> Path:
-    """Write a World as a scene with its true temperatures, and its survey as a scene in `survey`; return the folder.
+@dataclass(frozen=True, eq=False)
+class World:
+    """A procedural scene in three dimensions, unlit."""
 
-    Parameters
-    ----------
-    world : World
-        From `thermorender.apps.lands.procedural.world.make_world`.
-    directory : path
-        Folder to create.
-    overwrite : bool
-        Replace a folder that is not empty.
-    progress : callable, optional
-        Called with (task, fraction done).
-    """
-    scene, frame, skins = world.scene, _frame(world.scene), _on_frame(world)
-    heights = Ground(skins), Ground(skins[:1])  # type: ignore[arg-type]
+    scene: SyntheticScene  # Of the bare ground: its elevation, classes, deviations and weather
+    meshes: tuple[TexturedMesh, ...]  # The ground first; coloured by albedo. Heights are above the ellipsoid.
+    ground_normal: NDArray[np.float32]  # (3, N, N) float32 normals of the ground's texels with their small relief
+
+
+def make_world(
+    kind: str, seed: int = 0, size_m: float | None = None, texel_m: float | None = None, post_m: float | None = None,
+    time: str | np.datetime64 | None = None, weather: WeatherSpec | None = None, again: int = 0,
+) -> World:  # fmt: skip
+    """Return a procedural scene in three dimensions; arguments, layout and seeds are those of `make`."""
+    if weather is not None and weather.snow_depth_m:
+        raise ThermorenderError(
+            f"snow_depth_m={weather.snow_depth_m:g}: snow on walls and crowns is not modelled; give 0, or leave "
+            "three_d out"
+        )
+    made = painted(kind, seed, size_m, texel_m, post_m, time, weather, again, solid=True)
+    canvas, solids = made.canvas, made.canvas.solids
+    assert solids is not None
+    normal = np.stack(normals(canvas.surface + canvas.relief, made.texel, steepest=1.3))
+    meshes = [_ground(made.canvas.surface, canvas.albedo, canvas.material, made.size)]
+    if len(solids.quads):
+        meshes.append(solids.quads.mesh(BUILDINGS))
+    if solids.plants.faces:
+        meshes.append(solids.plants.mesh(PLANTS))
+    return World(scene_of(made), (meshes[0], *(_within(mesh, 0.5 * made.size) for mesh in meshes[1:])), normal)
+
+
+def _within(mesh: TexturedMesh, half: float) -> TexturedMesh:
+    """A TexturedMesh without the faces beyond the ground's edge."""
+    inside = (np.abs(mesh.vertices[mesh.faces].mean(axis=1)[:, :2]) <= half).all(axis=1)
+    return replace(mesh, faces=mesh.faces[inside], uv=mesh.uv[inside])
+
+
+def _ground(
+    surface: NDArray[np.float32], albedo: NDArray[np.float32], material: NDArray[np.uint8], size: float
+) -> TexturedMesh:
+    """The ground as a TexturedMesh of cells of about 1 m, whose corners have the mean heights around them."""
+    import cv2
+
+    count = max(2, round(size / _POST_M))
+    cells = cv2.resize(surface - surface.mean(), (count, count), interpolation=cv2.INTER_AREA)
+    around = np.pad(cells, 1, "edge").astype(np.float64)
+    post = 0.25 * (around[:-1, :-1] + around[:-1, 1:] + around[1:, :-1] + around[1:, 1:]) + float(surface.mean())
+    line = np.arange(count + 1) / count
+    u, v = np.meshgrid(line, line)
+    vertices = np.stack([(u - 0.5) * size, (0.5 - v) * size, post], axis=-1).reshape(-1, 3)
+    index = np.arange((count + 1) ** 2).reshape(count + 1, count + 1)
+    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]))
+    faces = np.concatenate([np.stack([a, c, d], axis=-1), np.stack([a, d, b], axis=-1)])
+    uv = np.stack([u.ravel(), v.ravel()], axis=-1)[faces].astype(np.float32)
+    return TexturedMesh(GROUND, vertices, faces, uv, bytes_from_linear(np.clip(albedo, 0.0, 1.0)), material)
+
+
+def write(world: World, directory: str | Path, overwrite: bool = False, progress: Progress | None = None) -> Path:
+    """Write a World as a scene with its true temperatures, and its survey as a scene in `survey`; return the folder."""
+    scene, frame, meshes = world.scene, _frame(world.scene), _on_frame(world)
+    heights = Ground(meshes), Ground(meshes[:1])  # type: ignore[arg-type]
     scene = replace(scene, objects=tuple(_standing(item, heights) for item in scene.objects))
     flight = scene.flight
     up = flight["above_ground_m"] + heights[1](flight["east_m"], flight["north_m"])
     flight = {("up_m" if key == "above_ground_m" else key): value for key, value in flight.items()} | {"up_m": up}
     with atomic_folder(directory, overwrite) as draft:
         write_leaf_tables(draft)
-        tables = _declare(draft, scene, frame, skins, known=False)
+        tables = _declare(draft, scene, frame, meshes, known=False)
         loaded = load_scene(draft)
         geometry = Geometry(activate(), loaded.surfaces)
         # Objects are those of the survey too: neither they nor their shadows are in its rasters.
         terrain = Geometry(activate(), loaded.surfaces[: loaded.terrain_count])
-        skins = _lit(loaded, terrain, skins, world)
+        meshes = _lit(loaded, terrain, meshes, world)
         kelvin = _true_kelvin(loaded, geometry, scene, progress)
-        for table, skin in zip(tables, skins, strict=True):
-            table["temperature"] = f"{skin.name}_kelvin.tif"
-            write_kelvin(draft / table["temperature"], kelvin[skin.name])
-        _declare(draft, scene, frame, skins, known=True)
+        for table, mesh in zip(tables, meshes, strict=True):
+            table["temperature"] = f"{mesh.name}_kelvin.tif"
+            write_kelvin(draft / table["temperature"], kelvin[mesh.name])
+        _declare(draft, scene, frame, meshes, known=True)
         write_text(draft / "flight.csv", flight_csv(flight))
-        colour = _by_surface(loaded, {skin.name: skin.colour.reshape(-1, 3) for skin in skins})
+        colour = _by_surface(loaded, {mesh.name: mesh.colour.reshape(-1, 3) for mesh in meshes})
         warm = _by_surface(loaded, {name: values.ravel() for name, values in kelvin.items()})
         (draft / SURVEY).mkdir()
         write_survey(world.scene, frame, terrain, draft / SURVEY, loaded, colour, warm)
@@ -108,10 +154,10 @@ def _grid(scene: SyntheticScene) -> Grid:
     return Grid(CRS.from_epsg(scene.epsg), transform, side, side)
 
 
-def _on_frame(world: World) -> list[Skin]:
-    """The skins with heights above the local frame's origin."""
+def _on_frame(world: World) -> list[TexturedMesh]:
+    """The meshes with heights above the local frame's origin."""
     down = np.array([0.0, 0.0, _frame(world.scene).height_m])
-    return [replace(skin, vertices=skin.vertices - down) for skin in world.skins]
+    return [replace(mesh, vertices=mesh.vertices - down) for mesh in world.meshes]
 
 
 def _standing(item: dict[str, Any], heights: tuple[Ground, Ground]) -> dict[str, Any]:
@@ -122,12 +168,13 @@ def _standing(item: dict[str, Any], heights: tuple[Ground, Ground]) -> dict[str,
 
 
 def _declare(
-    folder: Path, scene: SyntheticScene, frame: LocalFrame, skins: list[Skin], known: bool
+    folder: Path, scene: SyntheticScene, frame: LocalFrame, meshes: list[TexturedMesh], known: bool
 ) -> list[dict[str, Any]]:
     """Write mesh, classes and scene.toml; return the [[surface]] tables."""
-    tables = write_skins(folder, skins)
+    tables = write_meshes(folder, meshes)
     if known:
         tables = [{**table, "temperature": f"{table['name']}_kelvin.tif"} for table in tables]
+    assert scene.weather.air_high_c is not None
     air = {"source": "constant", "value": round(scene.weather.air_high_c + ZERO_CELSIUS_K, 2)}
     solid = {
         "terrain": {"mesh": MESH}, "temperature": air if known else {"source": "balance"}, "frame": _place(frame),
@@ -143,7 +190,7 @@ def _name(surface: Surface) -> str:
 
 
 def _by_surface(loaded: Scene, values: dict[str, NDArray[Any]]) -> NDArray[Any]:
-    """Values of skins, by name, one after another in the order of the scene's terrain."""
+    """Values of meshes, by name, one after another in the order of the scene's terrain."""
     return np.concatenate([values[_name(surface)] for surface in loaded.surfaces[: loaded.terrain_count]])
 
 
@@ -155,27 +202,28 @@ def _split(loaded: Scene, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
     return {_name(s): part.reshape(*s.material.shape, *part.shape[1:]) for s, part in zip(terrain, parts, strict=True)}
 
 
-def _lit(loaded: Scene, geometry: Geometry, skins: list[Skin], world: World) -> list[Skin]:
-    """The skins with the colours of a photograph: lit by sun and sky, exposed as the orthophoto of a 2.5-D scene."""
+def _lit(loaded: Scene, geometry: Geometry, meshes: list[TexturedMesh], world: World) -> list[TexturedMesh]:
+    """The meshes with the colours of a photograph: lit by sun and sky, exposed as the orthophoto of a 2.5-D scene."""
     scene = world.scene
-    bare = {skin.name: np.full((skin.classes.size, 3), np.nan, np.float32) for skin in skins}
-    bare[skins[0].name] = np.moveaxis(world.ground_normal, 0, -1).reshape(-1, 3)
+    bare = {mesh.name: np.full((mesh.classes.size, 3), np.nan, np.float32) for mesh in meshes}
+    bare[meshes[0].name] = np.moveaxis(world.ground_normal, 0, -1).reshape(-1, 3)
     light = daylight(geometry, loaded.terrain_count, scene.sun, _by_surface(loaded, bare))
-    albedo = linear_from_bytes(_by_surface(loaded, {skin.name: skin.colour.reshape(-1, 3) for skin in skins}))
+    albedo = linear_from_bytes(_by_surface(loaded, {mesh.name: mesh.colour.reshape(-1, 3) for mesh in meshes}))
     shot = exposed(albedo, light.cosine, light.sky, scene.sun[1], scene.weather.cloud or 0.0)
     lit = _split(loaded, np.where(light.shown[:, None], bytes_from_linear(shot), bytes_from_linear(albedo)))
-    return [replace(skin, colour=lit[skin.name]) for skin in skins]
+    return [replace(mesh, colour=lit[mesh.name]) for mesh in meshes]
 
 
 def _true_kelvin(
-    loaded: Scene, geometry: Geometry, scene: SyntheticScene, progress: Callable[[str, float], None] | None
+    loaded: Scene, geometry: Geometry, scene: SyntheticScene, progress: Progress | None
 ) -> dict[str, NDArray[np.float32]]:
-    """{skin: (h, w) [K]}: the true temperatures, from drawn properties as in 2.5-D."""
+    """{mesh: (h, w) [K]}: the true temperatures, from drawn properties as in 2.5-D."""
+    assert loaded.time is not None
     true, exchange = drawn(loaded, scene.kind, scene.seed)
     sizes = {_name(surface): surface.material.size for surface in loaded.surfaces[: loaded.terrain_count]}
     fields = {}
     for name, values in vars(scene.deviations).items():
-        own = {skin: np.ones(size, np.float32) for skin, size in sizes.items()} | {"ground": np.ravel(values)}
+        own = {mesh: np.ones(size, np.float32) for mesh, size in sizes.items()} | {"ground": np.ravel(values)}
         fields[name] = _by_surface(loaded, own)
     fields["exchange"] = np.float32(exchange) * fields["exchange"]
     found = solved(true, [loaded.time], geometry, progress, Deviations(**fields))[0]
@@ -187,12 +235,8 @@ def write_survey(
     scene: SyntheticScene, frame: LocalFrame, geometry: Geometry, folder: Path, loaded: Scene,
     colour: NDArray[np.uint8], kelvin: NDArray[np.floating],
 ) -> None:  # fmt: skip
-    """Write what a survey from above sees as a scene of rasters, with its true temperatures.
-
-    Parameters
-    ----------
-    colour, kelvin : (T, 3) and (T,)
-        Of the terrain's texels.
+    """Write what a survey from above sees as a scene of rasters, from colours (T, 3) and temperatures (T,) [K] of the
+    terrain's texels.
     """
     grid, light = _grid(scene), linear_from_bytes(colour)
     numbers = {material.name: number for number, material in enumerate(loaded.materials)}
@@ -210,7 +254,8 @@ def write_survey(
         # Map and ground differ by the map's scale: at the edge the outermost ray may miss.
         missed = texel < 0
         if missed.any():
-            near = np.clip(place[missed, :2], *(side * (0.5 * scene.size_m - 0.01) for side in (-1.0, 1.0)))
+            edge = 0.5 * scene.size_m - 0.01
+            near = np.clip(place[missed, :2], -edge, edge)
             up[missed], texel[missed] = from_above(geometry, near[:, 0], near[:, 1])
         if number == 0:
             classes = value[material[texel]]

@@ -6,20 +6,20 @@ also has hidden moisture, cover and roughness. All draws belong to the landscape
 the same ground.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender import Scene, load_scene
 from thermorender.apps.lands.procedural.noise import stream
 from thermorender.apps.lands.procedural.procedural_scene import SyntheticScene
 from thermorender.apps.lands.procedural.scene_files import refuse_every, write_declared, write_temperature
 from thermorender.files import atomic_folder
 from thermorender.materials.shifted import strayed
-from thermorender.scene.load import load_scene
-from thermorender.scene.scene import Scene
+from thermorender.materials.thermal import Thermal
+from thermorender.progress import Progress
 
 # Standard deviation of the logarithm of the heat transfer coefficient. Chosen, within the spread of the laws collected
 # by Palyvos, Appl. Therm. Eng. 28 (2008) 801, doi:10.1016/j.applthermaleng.2007.12.005.
@@ -30,26 +30,13 @@ INSIDE_SPREAD_K = 2.0
 
 def write(
     scene: SyntheticScene, directory: str | Path, overwrite: bool = False, temperature_every: int = 2,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Path:  # fmt: skip
-    """Write a procedural scene: rasters with its true temperature, scene.toml and flight.csv; return the folder.
+    """Write a procedural scene: rasters with its true temperature, scene.toml and flight.csv; return the folder. A
+    stored temperature is the mean of `temperature_every` texels a side.
 
-    The folder is written under a temporary name and then renamed, so it is never incomplete. The scene file uses the
-    truth (`source = "raster"`) and holds the weather of its solution, so that `source = "balance"` predicts the same
-    scene from tables.
-
-    Parameters
-    ----------
-    scene : SyntheticScene
-        From `synthetic.procedural_scene.make`.
-    directory : path
-        Folder to create.
-    overwrite : bool
-        Replace a folder that is not empty.
-    temperature_every : int
-        Orthophoto texels per side of a stored temperature texel, which is their mean.
-    progress : callable, optional
-        Called with (task, fraction done).
+    The scene file uses the truth (`source = "raster"`) and holds the weather of its solution, so that `source =
+    "balance"` predicts the same scene from tables.
     """
     refuse_every(scene, temperature_every)
     with atomic_folder(directory, overwrite) as draft:
@@ -59,19 +46,13 @@ def write(
     return Path(directory)
 
 
-def true_temperature(
-    loaded: Scene, scene: SyntheticScene, progress: Callable[[str, float], None] | None = None
-) -> NDArray[np.float32]:
-    """Return the true temperature of a scene's terrain at the scene's time, (H, W) float32 [K].
-
-    Parameters
-    ----------
-    loaded : Scene
-        Scene read from the declared files, with temperature.source="balance".
-    scene : SyntheticScene
+def true_temperature(loaded: Scene, scene: SyntheticScene, progress: Progress | None = None) -> NDArray[np.float32]:
+    """Return the true temperature of the terrain of a scene at its time, (H, W) float32 [K]; `loaded` is its files with
+    temperature.source="balance".
     """
     from thermorender.render.heat.simulation import solved
 
+    assert loaded.time is not None
     true, exchange = drawn(loaded, scene.kind, scene.seed)
     deviations = replace(scene.deviations, exchange=np.float32(exchange) * scene.deviations.exchange)
     return solved(true, [loaded.time], progress=progress, deviations=deviations)[0].surfaces[0].temperature
@@ -84,9 +65,10 @@ def drawn(scene: Scene, kind: str, seed: int, again: int = 0) -> tuple[Scene, fl
     shares at most 1, all within the limits of a table; solar absorptance is normal within 0.02…0.98; zero stays zero.
     A material beneath several others is drawn once.
     """
-    beneath, what = {}, f"{kind}{f' {again}' if again else ''}"
+    beneath: dict[str, Thermal] = {}
+    what = f"{kind}{f' {again}' if again else ''}"
 
-    def varied(name, thermal):
+    def varied(name: str, thermal: Thermal) -> Thermal:
         if name not in beneath:
             below = varied(thermal.beneath, thermal.below) if thermal.below else None
             beneath[name] = replace(strayed(thermal, stream(seed, f"truth of {what}: {name}")), below=below)
@@ -100,5 +82,6 @@ def drawn(scene: Scene, kind: str, seed: int, again: int = 0) -> tuple[Scene, fl
         materials.append(replace(material, thermal=thermal, solar_absorptance=float(absorptance)))
     law = stream(seed, f"truth of {what}")
     exchange = float(np.exp(law.normal(-0.5 * CONVECTION_SPREAD**2, CONVECTION_SPREAD)))
+    assert scene.spec.weather is not None
     inside_c = scene.spec.weather.inside_c + float(law.normal(0.0, INSIDE_SPREAD_K))
     return scene.with_weather(inside_c=inside_c).with_surfaces(materials=materials), exchange

@@ -1,5 +1,6 @@
 """Village: houses and gardens along a street, with sheds, a greenhouse, a pond, trees and parked cars."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from thermorender.apps.lands.procedural.buildings import (
 )
 from thermorender.apps.lands.procedural.canvas import Canvas, crowns, plant, scatter, spline
 from thermorender.apps.lands.procedural.light import linear
-from thermorender.apps.lands.procedural.noise import smoothstep
+from thermorender.apps.lands.procedural.noise import Values, smoothstep
 from thermorender.scene.spec import WeatherSpec
 
 LATITUDE_DEG = 51.9
@@ -30,6 +31,9 @@ WEATHER = WeatherSpec(
     cloud=0.0,
     snow_depth_m=0.0,
 )
+# Positions (east, north) [m] of trees, conifers and shrubs.
+_Position = tuple[float, float]
+_Plants = tuple[list[_Position], list[_Position], list[_Position]]
 _LAWNS = [(118, 132, 74), (108, 126, 66), (136, 140, 86), (126, 132, 82)]
 _CARS = [
     ((188, 190, 194), "paint_metallic", 301.0),
@@ -68,18 +72,19 @@ def village(canvas: Canvas) -> tuple[list[dict[str, Any]], dict[str, NDArray[np.
     pond = (right - 0.16 * s, (0.16 + roads.uniform(-0.01, 0.06)) * s)
     taken |= np.hypot(c.east - pond[0], c.north - pond[1]) < 19.0
     g = c.stream("plots")
-    trees, conifers, shrubs, objects = [], [], [], []
+    plants: _Plants = ([], [], [])
+    objects: list[dict[str, Any]] = []
     _greenhouse(c, g, fine, taken, at)
     for points, set_back in ((main, 15.5), (north, 14.0), (south, 14.0)):
         for side in (1.0, -1.0):
-            _plots(c, g, points, set_back, side, fine, soft, taken, (trees, conifers, shrubs), objects)
+            _plots(c, g, points, set_back, side, fine, soft, taken, plants, objects)
     _pond(c, pond)
     _parked(c, g, main, objects)
-    _green(c, taken, (trees, conifers, shrubs))
+    _green(c, taken, plants)
     return objects, _flight(c, main)
 
 
-def _land(c, fine, soft):
+def _land(c: Canvas, fine: Values, soft: Values) -> None:
     """Paint meadow everywhere, a stubble field and a ploughed field beyond the gardens."""
     s = c.size
     growth = c.fractal("growth", 45.0, 7, 0.6)
@@ -122,7 +127,10 @@ def _land(c, fine, soft):
             c.wetness += 0.15 * cover * smoothstep(-0.5, 1.0, growth)
 
 
-def _plots(c, g, points, set_back, side, fine, soft, taken, plants, objects):
+def _plots(
+    c: Canvas, g: np.random.Generator, points: Values, set_back: float, side: float, fine: Values, soft: Values,
+    taken: NDArray[np.bool_], plants: _Plants, objects: list[dict[str, Any]],
+) -> None:  # fmt: skip
     """Lay out houses and gardens along one side of a street wherever there is room."""
     leg = np.hypot(*np.diff(points, axis=0).T)
     length = np.concatenate([[0.0], np.cumsum(leg)])
@@ -150,7 +158,10 @@ def _plots(c, g, points, set_back, side, fine, soft, taken, plants, objects):
         window.view(taken)[plot] = True
 
 
-def _garden(window, g, width, depth, set_back, fine, soft, free):
+def _garden(
+    window: Window, g: np.random.Generator, width: float, depth: float, set_back: float, fine: Values, soft: Values,
+    free: NDArray[np.bool_],
+) -> None:  # fmt: skip
     """Paint lawn, drive, terrace, beds and hedges of a plot."""
     c = window.canvas
     near = 5.0
@@ -214,7 +225,9 @@ def _garden(window, g, width, depth, set_back, fine, soft, free):
         window.view(c.material)[hedge] = c.value("broadleaf")
 
 
-def _house(window, g, width, set_back, fine, objects):
+def _house(
+    window: Window, g: np.random.Generator, width: float, set_back: float, fine: Values, objects: list[dict[str, Any]]
+) -> None:
     """Build a house with its wing or garage, chimney, panels, shed, and a car on the drive."""
     c = window.canvas
     half_u, half_v = min(0.5 * width - 5.2, g.uniform(5.0, 6.6)), g.uniform(4.0, 4.9)
@@ -262,7 +275,10 @@ def _house(window, g, width, set_back, fine, objects):
                 break
 
 
-def _planting(window, g, width, depth, set_back, plants, free):
+def _planting(
+    window: Window, g: np.random.Generator, width: float, depth: float, set_back: float, plants: _Plants,
+    free: NDArray[np.bool_],
+) -> None:  # fmt: skip
     """Choose positions of the garden's trees and shrubs."""
     trees, conifers, shrubs = plants
     c = window.canvas
@@ -277,7 +293,9 @@ def _planting(window, g, width, depth, set_back, plants, free):
         (shrubs if kind < 0.45 or v < set_back else trees if kind < 0.85 else conifers).append(window.position(u, v))
 
 
-def _greenhouse(c, g, fine, taken, at):
+def _greenhouse(
+    c: Canvas, g: np.random.Generator, fine: Values, taken: NDArray[np.bool_], at: Callable[[float], _Position]
+) -> None:
     """Build a nursery with greenhouses and a flat-roofed hall south-east of the crossing."""
     s = c.size
     x, y = at(0.23 * s)
@@ -297,7 +315,7 @@ def _greenhouse(c, g, fine, taken, at):
     window.view(taken)[lane > 0.5] = True
 
 
-def _pond(c, centre):
+def _pond(c: Canvas, centre: tuple[float, float]) -> None:
     """Paint the village pond: reeds, muddy rim, dark water."""
     wobble = 1.5 * c.fractal("pond", 18.0, 5, 0.5)
     r = np.hypot((c.east - centre[0]) / 1.35, c.north - centre[1]) + wobble
@@ -316,7 +334,7 @@ def _pond(c, centre):
     c.paint(water, (tone + 0.5 * weed * (linear(92, 110, 56) - tone)) * np.exp(0.05 * grain)[..., None], "water")
 
 
-def _parked(c, g, main, objects):
+def _parked(c: Canvas, g: np.random.Generator, main: Values, objects: list[dict[str, Any]]) -> None:
     """Park cars at the kerb of the main street, one of them with a warm bonnet."""
     course = np.degrees(np.arctan2(np.gradient(main[:, 0]), np.gradient(main[:, 1])))
     for index, east in enumerate(np.array([-0.24, -0.09, 0.02, 0.19]) * c.size + g.normal(0, 3.0, 4)):
@@ -325,13 +343,13 @@ def _parked(c, g, main, objects):
         right = np.radians(course[k] + 90.0)
         p = main[k] + side * 2.05 * np.array([np.sin(right), np.cos(right)])
         colour, material, temperature = _CARS[g.integers(len(_CARS))]
-        if c.inside(*p, 4.0):
+        if c.inside(p[0], p[1], 4.0):
             heading = course[k] + (180.0 if side < 0 else 0.0)
             bonnet = temperature + (22.0 if index == 1 else 2.0)
-            objects += car(f"car_{len(objects) // 4}", *p, heading, colour, material, temperature, bonnet)
+            objects += car(f"car_{len(objects) // 4}", p[0], p[1], heading, colour, material, temperature, bonnet)
 
 
-def _green(c, taken, plants):
+def _green(c: Canvas, taken: NDArray[np.bool_], plants: _Plants) -> None:
     """Plant the gardens' trees, a copse and an orchard on free land, and shrubs by the pond."""
     g = c.stream("green")
     trees, conifers, shrubs = (np.array(p).reshape(-1, 2) for p in plants)
@@ -352,7 +370,7 @@ def _green(c, taken, plants):
     plant(g, c, scatter(g, c, 3.4, 0.5 * strip), small, 5.5, leaf, "broadleaf", 0.35)
 
 
-def _flight(c, main):
+def _flight(c: Canvas, main: Values) -> dict[str, NDArray[np.float64]]:
     """Return the flight: 80 m above the main street, along it, looking ahead and down."""
     time = np.arange(0.0, 11.01, 0.5)
     speed = min(10.0, 0.5 * c.size / 11.0)

@@ -32,23 +32,15 @@ _STRAYS_K = 4.5, 3.0
 
 
 def drawn_weather(seed: int, altitude_m: float = _LOWLAND_M) -> WeatherSpec:
-    """Return a WeatherSpec drawn from a seed: date, hour, season with snow, cloud, wind and air.
+    """Return a WeatherSpec drawn from a seed: date, hour, season with snow, cloud, wind and air; colder by 6.5 K per km
+    of altitude.
 
-    Parameters
-    ----------
-    seed : int
-        0 … 2⁶⁴−1, independent of the landscape's seed.
-    altitude_m : float
-        Altitude of the land [m]; air is colder by 6.5 K per km.
-
-    Notes
-    -----
     A climate of central Europe, 48–54° N: any minute of 2001–2020, so half of the instants are at night. Daily means
     deviate from the season by ± 3 K in summer and ± 4.5 K in winter. Cloud follows Beta(0.6, 0.5): mostly clear or
     overcast. The daily range is 6 K in January and 13 K in July under a clear sky, a third of that under clouds.
     Relative humidity at the lowest air temperature is 0.75…0.98. Wind at 10 m follows Weibull's distribution, shape 2,
-    scale 4 m/s, clipped to 0.5…12 m/s. Snow of 5 mm to 0.5 m, log-uniform, has probability 0.7 below a mean of 0 °C
-    and 0.25 up to 3 °C. Indoor air is 20 °C.
+    scale 4 m/s, clipped to 0.5…12 m/s. Snow of 5 mm to 0.5 m, log-uniform, has probability 0.7 below a mean of 0 °C and
+    0.25 up to 3 °C. Indoor air is 20 °C.
     """
     g = stream(seed, "weather")
     day = int(g.integers(0, 7305))
@@ -93,21 +85,14 @@ def atmosphere(weather: WeatherSpec, found: Conditions, altitude_m: float) -> At
 
 
 def sky_temperature(weather: WeatherSpec, found: Conditions, altitude_m: float) -> float:
-    """Return the temperature [K] of a blackbody with the sky's radiance in the shipped camera's band.
+    """Return the temperature [K] of a blackbody with the sky's radiance in the shipped camera's band: a flux-weighted
+    mean over the hemisphere.
 
-    Parameters
-    ----------
-    weather : WeatherSpec
-    found : Conditions
-        Conditions at its instant.
-    altitude_m : float
-
-    Notes
-    -----
-    Flux-weighted mean over the hemisphere under the air of `atmosphere`. The heat balance uses the broadband long-wave
-    sky, which is 20 K warmer under a clear sky, because the band is in the atmospheric window.
+    The heat balance uses the broadband long-wave sky, which is 20 K warmer under a clear sky, because the band is in
+    the atmospheric window.
     """
     air = declared_air(atmosphere(weather, found, altitude_m), defaults.BAND_UM, "synthetic scene")
+    assert air is not None
     return air.sky_temperature(altitude_m)
 
 
@@ -124,15 +109,9 @@ def sun_of_photograph(time: np.datetime64, latitude_deg: float) -> tuple[float, 
 def follows(
     items: Sequence[dict[str, Any]], found: tuple[float, float], usual: tuple[float, float]
 ) -> list[dict[str, Any]]:
-    """Return [[object]] tables with temperatures adapted to the weather.
-
-    The excess over air temperature scales with sunlight on level ground; heated objects keep their temperature.
-
-    Parameters
-    ----------
-    items : list of dict
-        Tables for the usual weather; the additional key `heated` marks objects with another heat source.
-    found, usual : (air temperature [K], sunlight on level ground [W m⁻²])
+    """Return [[object]] tables with temperatures adapted from the `usual` (air temperature [K], sunlight on level
+    ground [W m⁻²]) to those `found`. The excess over air scales with sunlight; objects with the key `heated` keep their
+    temperature.
     """
     made = []
     for item in items:

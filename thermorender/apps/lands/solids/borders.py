@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.apps.lands.solids.found import Outline, area_of, even_odd
+from thermorender.apps.lands.solids.detection import Outline, area_of, even_odd
 
 # Corners this near to another building's corner or side are moved onto it [m].
 _SNAP_M = 0.3

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender import Material
 from thermorender.apps.lands.solids.quads import Paint
-from thermorender.materials.material import Material
 from thermorender.physics.srgb import linear_from_bytes
 
 # Material and sRGB colour of walls.
@@ -46,17 +46,8 @@ class Wall:
 def wall_of(
     tags: Mapping[str, str], by_kind: Mapping[str, str], usual: str, library: Mapping[str, Material]
 ) -> tuple[Wall, tuple[str, ...]]:
-    """Return (Wall, tags without a match such as "building:material=reed") of a building.
-
-    Parameters
-    ----------
-    tags : mapping
-        Of the building: `material` names one of the library; else OpenStreetMap's tags.
-    by_kind : mapping
-        {value of the tag `building`: material}, used where the building declares none itself.
-    usual : str
-        Material of all others.
-    library : mapping
+    """Return (Wall, tags without a match such as "building:material=reed") of a building. A tag `material` names one of
+    the library; else OpenStreetMap's tags count, then `by_kind` by the tag `building`, then `usual`.
     """
     unmatched = []
     material = by_kind.get(tags.get("building", ""), usual)
@@ -92,26 +83,9 @@ def facade(
     high_m: float, below_m: float = 0.0, door: bool = False, storeys_m: float | None = None,
     part: tuple[float, float] = (0.0, 1.0),
 ) -> Paint:  # fmt: skip
-    """Return the Paint of a façade.
-
-    Parameters
-    ----------
-    value : callable
-        Class number of a material.
-    draw : numpy.random.Generator
-    material : str
-        Of the wall; boards of wood have no windows.
-    colour : (3,)
-        Linear.
-    wide_m, high_m : float
-        Width, and height above the ground [m]; 0 for a gable without windows.
-    below_m : float
-        Depth below the ground [m].
-    door : bool
-    storeys_m : float, optional
-        Height that is divided into storeys [m]; default: `high_m`.
-    part : (2,) float
-        Beginning and end of the picture, as shares of the width.
+    """Return the Paint of a façade of storeys with windows; boards of wood, and gables, whose height is 0, have none.
+    Lengths are in metres, `part` the beginning and end of the picture as shares of the width, and `value` numbers
+    materials.
     """
     pane, frame, leaf = (linear_from_bytes(np.array(each, np.uint8)) for each in (_PANE, _FRAME, _LEAF))
     storeys = 0 if material == DOOR else int((high_m if storeys_m is None else storeys_m) / _STOREY_M + 0.15)

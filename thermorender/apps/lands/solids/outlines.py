@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.apps.lands.solids.borders import THIN
+from thermorender.apps.lands.solids.detection import Outline, Ring, area_of, even_odd, outlines_of
 from thermorender.apps.lands.solids.facades import COLOURS, MATERIALS
-from thermorender.apps.lands.solids.found import Outline, Ring, area_of, even_odd, outlines_of
 from thermorender.errors import ThermorenderError
 from thermorender.scene.mapped_cover import counted, tagged, underground
 from thermorender.scene.patch import pixels_of, read_features
@@ -191,6 +191,6 @@ def outlines_in_classes(path: Path, number: int, grid: Grid) -> list[Outline]:
         held = np.unique(classes[np.isfinite(classes)]).astype(int).tolist()
         raise ThermorenderError(
             f"{path} has no building of class {number} on {grid.name}; it holds the classes {held[:20]}, so give the "
-            "one of buildings as --building-class, or a raster of this area"
+            "one of buildings as building_class, or a raster of this area"
         )
     return found

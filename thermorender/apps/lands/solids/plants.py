@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.apps.lands.solids.skin import Skin
+from thermorender.apps.lands.solids.textured_mesh import TexturedMesh
 from thermorender.formats import write_text
 from thermorender.materials.library import load_library
 from thermorender.materials.thermal import table_text
@@ -98,20 +98,8 @@ class Plants:
         self, generator: np.random.Generator, column: NDArray[np.float64], cell_m: float, edge_m: float,
         density: float, colour: NDArray[np.floating], material: int,
     ) -> None:  # fmt: skip
-        """Fill a volume of upright columns with clusters of leaves.
-
-        Parameters
-        ----------
-        column : (C, 4) float64
-            East, north, lower and upper end of each column [m].
-        cell_m : float
-            Side of a column [m].
-        edge_m, density : float
-            Edge of a cluster [m], and one side of leaves per volume [m²/m³].
-        colour : (C, 3)
-            Linear, of the leaves in a column.
-        material : int
-            Class number.
+        """Fill columns (C, 4), east, north, lower and upper end [m], with clusters of leaves of linear colours (C, 3).
+        `density` is one side of leaves per volume [m²/m³].
         """
         depth = np.maximum(column[:, 3] - column[:, 2], 0.0)
         volume = float(depth.sum()) * cell_m**2
@@ -151,8 +139,8 @@ class Plants:
         self._parts.append((vertices, faces, np.asarray(colour, np.float32), number))
         self.faces += len(faces)
 
-    def skin(self, name: str) -> Skin:
-        """Return all plants as one Skin."""
+    def mesh(self, name: str) -> TexturedMesh:
+        """Return all plants as one TexturedMesh."""
         first = np.cumsum([0, *(len(part[0]) for part in self._parts)])
         faces = np.concatenate([part[1] + start for part, start in zip(self._parts, first, strict=False)])
         uv, (rows, columns) = one_texel_each(len(faces))
@@ -160,7 +148,7 @@ class Plants:
         colour[: len(faces)] = np.concatenate([part[2] for part in self._parts])
         classes[: len(faces)] = np.concatenate([part[3] for part in self._parts])
         classes[len(faces) :] = classes[len(faces) - 1]
-        return Skin(
+        return TexturedMesh(
             name, np.concatenate([part[0] for part in self._parts]), faces, uv,
             bytes_from_linear(colour).reshape(rows, columns, 3), classes.reshape(rows, columns),
         )  # fmt: skip

@@ -1,11 +1,11 @@
-"""Plane quadrilaterals with pictures of their own, collected into one skin: walls, roofs, boxes."""
+"""Plane quadrilaterals with pictures of their own, collected into one mesh: walls, roofs, boxes."""
 
 from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from thermorender.apps.lands.solids.skin import Skin
+from thermorender.apps.lands.solids.textured_mesh import TexturedMesh
 from thermorender.physics.srgb import bytes_from_linear
 
 # Called with (s, t), each (h, w) from 0 to 1 along the first and the last edge; returns linear colour (h, w, 3) or
@@ -14,14 +14,8 @@ Paint = Callable[[NDArray[np.float64], NDArray[np.float64]], tuple[ArrayLike, Ar
 
 
 class Quads:
-    """Quadrilaterals under construction.
-
-    Parameters
-    ----------
-    texel_m : float
-        Side of a texel [m].
-    edge_m : float
-        Longest edge of a triangle [m]: light is constant over a triangle.
+    """Quadrilaterals under construction, with texels of `texel_m`; triangles have edges up to `edge_m`, as light is
+    constant over one.
     """
 
     def __init__(self, texel_m: float, edge_m: float = 1.0) -> None:
@@ -63,8 +57,8 @@ class Quads:
         for (e0, n0), (e1, n1) in zip(plan, [*plan[1:], plan[0]], strict=True):
             self.add([(e0, n0, low), (e1, n1, low), (e1, n1, high), (e0, n0, high)], paint)
 
-    def skin(self, name: str) -> Skin:
-        """Return all quadrilaterals as one Skin, their pictures side by side in one texture."""
+    def mesh(self, name: str) -> TexturedMesh:
+        """Return all quadrilaterals as one TexturedMesh, their pictures side by side in one texture."""
         sizes = np.array([each.shape for each in self._classes]) + 2
         places, (height, width) = _packed(sizes)
         colour = np.zeros((height, width, 3), np.uint8)
@@ -84,7 +78,7 @@ class Quads:
             uv.append(np.stack([across / width, down / height], axis=-1)[triangle])
             count += len(point)
         joined = np.concatenate(uv).astype(np.float32)
-        return Skin(name, np.concatenate(vertices), np.concatenate(faces), joined, colour, classes)
+        return TexturedMesh(name, np.concatenate(vertices), np.concatenate(faces), joined, colour, classes)
 
 
 def _sides(corner: NDArray[np.float64]) -> tuple[float, float]:

@@ -40,19 +40,7 @@ _MOST_VEHICLES, _MOST_IMAGES, _MOST_BYTES, _MOST_CONNECTIONS = 64, 16, 1 << 20, 
 
 
 class Bridge(LocalListener):
-    """Answers AirSim's calls with frames of a server.
-
-    Parameters
-    ----------
-    port : int
-        To listen on; 0 chooses a free one.
-    link_port, token, link_host : int, str, str
-        Of the server.
-
-    Attributes
-    ----------
-    port : int
-    """
+    """Answers AirSim's calls with frames of a server; port 0 chooses a free one."""
 
     def __init__(self, port: int, link_port: int, token: str, link_host: str = HOST) -> None:
         _ = _msgpack()
@@ -70,7 +58,7 @@ class Bridge(LocalListener):
                     finally:
                         bridge._room.release()
 
-        super().__init__(socketserver.ThreadingTCPServer, Handler, port, "AirSim's calls", "--airsim")
+        super().__init__(socketserver.ThreadingTCPServer, Handler, port, "AirSim's calls")
 
     def pose(self, vehicle: str) -> NDArray[np.float64]:
         """Return x, y, z [m] and quaternion w, x, y, z of a vehicle, (7,)."""
@@ -117,13 +105,7 @@ class Bridge(LocalListener):
 
 
 class Calls:
-    """The calls of one connection, with its sessions of the link.
-
-    Parameters
-    ----------
-    bridge : Bridge
-    client : thermorender.apps.link.Client
-    """
+    """The calls of one connection, with its sessions of the link."""
 
     def __init__(self, bridge: Bridge, client: Client) -> None:
         self.bridge, self.client = bridge, client

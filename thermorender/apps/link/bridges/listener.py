@@ -10,36 +10,15 @@ HOST = "127.0.0.1"
 
 
 class LocalListener:
-    """A server on 127.0.0.1 in a thread of its own.
+    """A server on 127.0.0.1 in a thread of its own; port 0 chooses a free one. `what` names it in messages."""
 
-    Parameters
-    ----------
-    kind : type
-        Of socketserver.TCPServer with threads.
-    handler : type
-        Of socketserver.BaseRequestHandler, made for each connection.
-    port : int
-        To listen on; 0 chooses a free one.
-    what, option : str
-        What it is for, and the option that gives the port, for messages.
-
-    Attributes
-    ----------
-    port : int
-
-    Raises
-    ------
-    ThermorenderError
-        The port cannot be listened on.
-    """
-
-    def __init__(self, kind: type[Any], handler: type[Any], port: int, what: str, option: str) -> None:
+    def __init__(self, kind: type[Any], handler: type[Any], port: int, what: str) -> None:
         listener = type("Listener", (kind,), {"allow_reuse_address": True, "daemon_threads": True})
         try:
             self._listener: socketserver.TCPServer = listener((HOST, port), handler)
         except OSError as error:
             raise ThermorenderError(
-                f"port {port} for {what} cannot be listened on ({error.strerror or error}); give another {option}, or "
+                f"port {port} for {what} cannot be listened on ({error.strerror or error}); give another port, or "
                 "stop the program that uses it"
             ) from None
         self.port = int(self._listener.server_address[1])

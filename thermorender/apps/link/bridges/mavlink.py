@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from thermorender import Frame
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.frame import Frame
 from thermorender.units import ZERO_CELSIUS_K
 
 SYSTEM, COMPONENT = 1, 100
@@ -22,31 +22,24 @@ _HEARTBEAT_S = 1.0
 
 
 class ThermalRange:
-    """Sends the range of each frame that a server answers.
-
-    Parameters
-    ----------
-    address : str
-        udpout:HOST:PORT, as other programs of MAVLink name it.
-    """
+    """Sends the range of each frame that a server answers to an address such as udpout:HOST:PORT."""
 
     def __init__(self, address: str) -> None:
         found = re.fullmatch(r"udpout:([^:\s]+):(\d{1,5})", address)
         if found is None or not 0 < int(found[2]) < 65536:
             raise ThermorenderError(
-                f"--mavlink {shortened(repr(address))} is not allowed; give udpout:HOST:PORT, e.g. "
-                "udpout:127.0.0.1:14550"
+                f"mavlink={shortened(repr(address))} is not allowed; give udpout:HOST:PORT, e.g. udpout:127.0.0.1:14550"
             )
         try:
             from pymavlink.dialects.v20 import common
         except ImportError:
             raise ThermorenderError(
-                "--mavlink needs pymavlink, which is not installed; run `pip install 'thermorender[mavlink]'`"
+                "mavlink needs pymavlink, which is not installed; run `pip install 'thermorender[mavlink]'`"
             ) from None
         try:
             self._to = socket.gethostbyname(found[1]), int(found[2])
         except OSError:
-            raise ThermorenderError(f"--mavlink: host {found[1]!r} is not known; give its address") from None
+            raise ThermorenderError(f"mavlink: host {found[1]!r} is not known; give its address") from None
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._common, self._beat_s = common, -np.inf
         self._mavlink: Any = common.MAVLink(self, srcSystem=SYSTEM, srcComponent=COMPONENT)

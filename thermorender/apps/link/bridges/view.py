@@ -26,18 +26,7 @@ _MOST_VIEWERS, _LEAST_S, _REPEAT_S, _TIMEOUT_S, _QUALITY = 8, 0.03, 2.0, 10.0, 8
 
 
 class View(LocalListener):
-    """Shows frames to viewers; without a viewer nothing is encoded.
-
-    Parameters
-    ----------
-    port : int
-        To listen on; 0 chooses a free one.
-
-    Attributes
-    ----------
-    address : str
-        For a browser, VLC, ffplay, or OpenCV. With live.mp4 in place of live.mjpg it is H.264.
-    """
+    """Shows frames to viewers; without a viewer nothing is encoded."""
 
     def __init__(self, port: int) -> None:
         self._token = secrets.token_urlsafe(24)
@@ -54,7 +43,8 @@ class View(LocalListener):
             def log_message(self, *_: Any) -> None:
                 """Write nothing: the path holds the token."""
 
-        super().__init__(ThreadingHTTPServer, Handler, port, "the live view", "--view")
+        super().__init__(ThreadingHTTPServer, Handler, port, "the live view")
+        # For a browser, VLC, ffplay or OpenCV; with live.mp4 in place of live.mjpg it is H.264.
         self.address = f"http://{HOST}:{self.port}/{self._token}/live.mjpg"
 
     def stop(self) -> None:

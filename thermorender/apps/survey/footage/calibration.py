@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender import defaults
+from thermorender import Camera, defaults, load_camera
 from thermorender.apps.survey.footage.edge_width import edge_widths, sharpest, width_through
 from thermorender.apps.survey.footage.field_statistics import Field, vignetting
 from thermorender.apps.survey.footage.noise_statistics import FLAT, Noise, Spectra, noise_of
@@ -24,7 +24,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.files import atomic, check_output_file
 from thermorender.physics.planck import band_radiance_derivative
 from thermorender.schema import read_toml, toml_line, toml_value
-from thermorender.sensor.camera import Camera, load_camera, model_path
+from thermorender.sensor.camera import model_path
 from thermorender.sensor.flir_jpeg import read_flir_jpeg
 from thermorender.sensor.noise import NETD_REFERENCE_K
 from thermorender.sensor.optics import relative_illumination
@@ -40,7 +40,6 @@ _MOST_LEVELS = 20000
 # Keys of the base camera on which the measured values depend.
 _OPTICS = ("f_number", "netd_f_number", "lens_transmittance", "band_um", "focal_length_mm", "pixel_pitch_um",
            "illumination_exponent", "vignetting", "frame_rate_hz", "gain", "sigma_t_mk")  # fmt: skip
-_COMMENT = {"initial_indent": "# ", "subsequent_indent": "# "}
 # Ratio to the base camera's noise above which low gain is likely: low gain has about four times that of high gain.
 _LOW_GAIN = 2.5
 # Largest useful uncertainty of vignetting, and how far above its range a camera may read [K].
@@ -58,13 +57,22 @@ class Estimate:
     @property
     def rounded(self) -> float | list[float]:
         """The value, or list of values, to four digits, as in a camera file."""
-        values = [float(f"{value:.4g}") for value in np.atleast_1d(self.value)]
-        return values if isinstance(self.value, tuple) else values[0]
+        return [_rounded(value) for value in self.value] if isinstance(self.value, tuple) else _rounded(self.value)
+
+    @property
+    def number(self) -> float:
+        """The value of a key that has one."""
+        assert not isinstance(self.value, tuple)
+        return self.value
 
     @property
     def text(self) -> str:
         """`rounded` as TOML."""
         return toml_value(self.rounded)
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.4g}")
 
 
 def frame_files(paths: Iterable[str | PathLike[str]]) -> list[Path]:
@@ -87,18 +95,8 @@ def fit_camera(
     paths: Iterable[str | PathLike[str]], base: str | PathLike[str] = defaults.CAMERA,
     scale: tuple[float, float] | None = None, progress: Callable[[float], object] | None = None,
 ) -> dict[str, Estimate]:  # fmt: skip
-    """Return estimates of a camera's properties from its frames, {key of a camera file: Estimate}.
-
-    Parameters
-    ----------
-    paths : sequence of paths
-        Frames, or folders of them: 16-bit TIFFs, or radiometric JPEGs.
-    base : str or path
-        Camera model with the optics of the real one.
-    scale : (2,) floats, optional
-        (kelvin per count, kelvin of count 0) of TIFFs that do not declare it.
-    progress : callable, optional
-        Called with the share done.
+    """Return estimates of a camera's properties from its frames, {key of a camera file: Estimate}. Frames are 16-bit
+    TIFFs or radiometric JPEGs; `scale` is (kelvin per count, kelvin of count 0) of TIFFs that declare none.
     """
     camera, files = load_camera(base, "base camera"), frame_files(paths)
     shape = camera.height, camera.width
@@ -108,13 +106,13 @@ def fit_camera(
     _refuse_unfit(files, noise, spectra, step_k)
     found = _rims_key(spectra, noise, camera) if len(files) > 1 else {}
     rims = found.get("vignetting")
-    if rims and abs(rims.value - camera.vignetting) > 3.0 * rims.uncertainty:
+    if rims and abs(rims.number - camera.vignetting) > 3.0 * rims.uncertainty:
         # The noise was estimated with the illumination of the base camera.
-        camera = replace(camera, vignetting=rims.rounded)
+        camera = replace(camera, vignetting=_rounded(rims.number))
         spectra.gain = 1.0 / relative_illumination(camera).astype(np.float64)
         noise = noise_of(spectra)
     found |= _field_keys(field, noise, camera, scene_k, step_k)
-    sigma_t = found["sigma_t_mk"].value if "sigma_t_mk" in found else camera.sigma_t_mk
+    sigma_t = found["sigma_t_mk"].number if "sigma_t_mk" in found else camera.sigma_t_mk
     found = _noise_keys(noise, camera, scene_k, step_k, len(files), sigma_t) | found
     everywhere = noise.pixel[0] * np.sqrt((spectra.gain**2).mean())
     blur = _blur_key(kept, np.hypot(everywhere, noise.fixed_pixel[0] if noise.fixed_pixel else 0.0), camera)
@@ -126,7 +124,10 @@ def _gathered(
     progress: Callable[[float], object] | None,
 ) -> tuple[list[NDArray[Any]], list[float], list[float], list[tuple[float, float]]]:  # fmt: skip
     """Add frames to `spectra` and `field`; (some of the frames, steps [K], means [K], saturated shares [%])."""
-    kept, steps, means, tails = [], [], [], []
+    kept: list[NDArray[Any]] = []
+    steps: list[float] = []
+    means: list[float] = []
+    tails: list[tuple[float, float]] = []
     every = max(len(files) // _EDGE_FRAMES, 1)
     for number, path in enumerate(files):
         image, saturated = read_frame(path, scale)
@@ -140,7 +141,7 @@ def _gathered(
         spectra.add(image, cut_off)
         field.add(np.where(np.isfinite(image), image, np.nanmean(image)), cut_off)
         steps.append(_step(image))
-        means.append(np.nanmean(image[~cut_off]))
+        means.append(float(np.nanmean(image[~cut_off])))
         tails += saturated
         if number % every == 0:
             kept.append(image)
@@ -178,10 +179,11 @@ def write_camera(path: str | PathLike[str], base: str | PathLike[str], estimates
     check_output_file(path, (".toml",))
     text = model_path(base).read_text(encoding="utf-8")
     notes = ["Fitted to footage, where a key says so.", *not_measured(base, estimates)]
-    text = "".join(f"{line}\n" for each in notes for line in textwrap.wrap(each, 118, **_COMMENT)) + text
+    wrapped = (line for each in notes for line in textwrap.wrap(each, 116))
+    text = "".join(f"# {line}\n" for line in wrapped) + text
     for key, estimate in estimates.items():
         line = toml_line(key, estimate.rounded, f"fitted, ± {estimate.uncertainty:.2g}: {estimate.how}")
-        text, replaced = re.subn(rf"(?m)^{key}\s*=.*$", lambda _, line=line: line, text)
+        text, replaced = re.subn(rf"(?m)^{key}\s*=.*$", lambda _, line=line: line, text)  # type: ignore[misc]
         if not replaced:
             text = f"{text.rstrip()}\n{line}\n"
     with atomic(path) as part:
@@ -190,24 +192,18 @@ def write_camera(path: str | PathLike[str], base: str | PathLike[str], estimates
 
 
 def noise_scale(camera: Camera, scene_k: float) -> float:
-    """Return the ratio of the noise at the centre of frames to the noise in a camera file.
-
-    Parameters
-    ----------
-    camera : Camera
-    scene_k : float
-        Apparent temperature of the scene [K].
-
-    Notes
-    -----
-    dL/dT at 300 K over that at the scene's temperature, times (4F² + 1) / ((4F₀² + 1) τ) of the lens.
+    """Return the ratio of the noise at the centre of frames of a scene [K] to the noise in a camera file: dL/dT at 300
+    K over that at the scene's temperature, times (4F² + 1) / ((4F₀² + 1) τ) of the lens.
     """
     slope = band_radiance_derivative(np.array([NETD_REFERENCE_K, scene_k]), *camera.band_um)
     lens = (4.0 * camera.f_number**2 + 1.0) / (4.0 * camera.netd_f_number**2 + 1.0) / camera.lens_transmittance
     return float(slope[0] / slope[1] * lens)
 
 
-def _noise_keys(noise, camera, scene_k, step_k, frames, sigma_t_mk):
+def _noise_keys(
+    noise: Noise, camera: Camera, scene_k: float, step_k: float, frames: int, sigma_t_mk: float
+) -> dict[str, Estimate]:
+    """Estimates of the noise of pixels, rows and columns, as keys of a camera file."""
     scale = noise_scale(camera, scene_k)
     # Quantisation is not noise of the detector; it adds step²/12 if the noise spans a step.
     pixel = np.sqrt(max(noise.pixel[0] ** 2 - step_k**2 / 12.0, 0.0))
@@ -235,23 +231,26 @@ def _noise_keys(noise, camera, scene_k, step_k, frames, sigma_t_mk):
         "sigma_tv_mk": Estimate(row, noise.row[1] / scale * 1e3, f"rows, new in each frame{lines}"),
         "sigma_th_mk": Estimate(column, noise.column[1] / scale * 1e3, f"columns, new in each frame{lines}"),
     }
-    for key, (value, uncertainty), what in (
+    for key, uncertain, what in (
         ("sigma_v_mk", noise.fixed_row, "rows"),
         ("sigma_h_mk", noise.fixed_column, "columns"),
         ("sigma_vh_mk", noise.fixed_pixel, "single pixels"),
     ):
+        assert uncertain is not None  # of several frames
+        value, uncertainty = uncertain
         how = f"{what}, the same in all {frames} frames{unseen}"
         found[key] = Estimate(value / scale * 1e3, uncertainty / scale * 1e3, how)
     return found
 
 
-def _rims_key(spectra, noise, camera):
+def _rims_key(spectra: Spectra, noise: Noise, camera: Camera) -> dict[str, Estimate]:
     """{vignetting: Estimate} from the growth of noise towards the corners; empty if uncertain by more than a tenth."""
     light, half = (relative_illumination(replace(camera, vignetting=value)).astype(float) for value in (0.0, 0.5))
     rims = 2.0 * (1.0 - half / light)
     if noise.static:
         found = vignetting(spectra.changes, FLAT if noise.lively else 1.0, light, rims, 0.0)
     else:
+        assert noise.fixed_pixel is not None  # of several frames
         found = vignetting(spectra.blocks, FLAT, light, rims, noise.fixed_pixel[0] ** 2)
     if found is None or found[1] > _WORST_VIGNETTING:
         return {}
@@ -259,16 +258,19 @@ def _rims_key(spectra, noise, camera):
     return {"vignetting": Estimate(*found, how)}
 
 
-def _field_keys(field, noise, camera, scene_k, step_k):
+def _field_keys(field: Field, noise: Noise, camera: Camera, scene_k: float, step_k: float) -> dict[str, Estimate]:
     """Estimates from the whole image: the drift of the scale of a static camera, or the shading of a moving one."""
-    found = {}
+    found: dict[str, Estimate] = {}
     replaced = field.replaced(np.sqrt(max(noise.pixel[0] ** 2 - step_k**2 / 12.0, 0.0)), step_k)
     if replaced:
         share, uncertainty = replaced
         found["bad_pixels"] = Estimate(min(share, 0.05), uncertainty, "pixels that are the mean of their neighbours")
     if noise.static:
-        parts = zip((noise.pixel, noise.row, noise.column), (np.prod(field.shape), *field.shape), strict=True)
-        drift = field.wander(camera.frame_rate_hz, np.linalg.norm([sigma / np.sqrt(n) for (sigma, _), n in parts]))
+        parts = zip(
+            (noise.pixel, noise.row, noise.column), (field.shape[0] * field.shape[1], *field.shape), strict=True
+        )
+        known_k = float(np.linalg.norm([sigma / np.sqrt(n) for (sigma, _), n in parts]))
+        drift = field.wander(camera.frame_rate_hz, known_k)
         # At the centre of frames, where noise of the detector is amplified least.
         scale = 1e3 / noise_scale(camera, scene_k) * float(np.median(relative_illumination(camera)))
         at = f"noise in the levels of frames, {camera.frame_rate_hz:g} a second as for the base camera"
@@ -313,7 +315,7 @@ def _cut_off(image: NDArray[Any]) -> NDArray[np.bool_]:
     return found
 
 
-def _blur_key(images, noise_k, camera):
+def _blur_key(images: Sequence[NDArray[Any]], noise_k: float, camera: Camera) -> dict[str, Estimate]:
     """{blur_sigma_px: Estimate} from the sharpest edges; empty if there are too few."""
     from scipy.optimize import brentq
 
@@ -323,11 +325,11 @@ def _blur_key(images, noise_k, camera):
         return {}
     width, uncertainty = found
 
-    def excess(sigma, wanted):
+    def excess(sigma: float, wanted: float) -> float:
         model = replace(camera, blur_sigma_px=sigma)
         return width_through(lambda frequency: otf(model, frequency) * np.sinc(frequency)) - wanted
 
-    def sigma_of(wanted):
+    def sigma_of(wanted: float) -> float:
         if excess(0.0, wanted) >= 0.0:
             return 0.0
         return brentq(excess, 0.0, 5.0, args=(wanted,), xtol=1e-3) if excess(5.0, wanted) > 0.0 else 5.0
@@ -351,7 +353,7 @@ def read_frame(path: Path, scale: tuple[float, float] | None) -> tuple[NDArray[n
     return picture.temperature(ThermographySettings()), tails
 
 
-def _display_key(tails):
+def _display_key(tails: NDArray[Any]) -> dict[str, Estimate]:
     """{agc_tails_percent: Estimate} from the colour scales in radiometric JPEGs; empty without any."""
     if not len(tails):
         return {}
@@ -360,7 +362,7 @@ def _display_key(tails):
     return {"agc_tails_percent": Estimate(middle, spread, f"outside the colour scale of {len(tails)} pictures")}
 
 
-def _step(image):
+def _step(image: NDArray[Any]) -> float:
     """The step between neighbouring values in a frame [K]; 0 if the values do not come from a converter."""
     values = np.unique(image[np.isfinite(image)])
     return float(np.median(np.diff(values))) if 1 < values.size < _MOST_LEVELS else 0.0

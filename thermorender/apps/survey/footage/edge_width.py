@@ -19,16 +19,9 @@ _MODEL_PX = 0.02
 
 
 def edge_widths(image: NDArray[np.float64], noise: float) -> NDArray[np.float64]:
-    """Return the widths of the straight steps in an image and their uncertainties, (n, 2) [px].
+    """Return the widths of the straight steps in an image with white noise of standard deviation `noise`, and their
+    uncertainties, (n, 2) [px].
 
-    Parameters
-    ----------
-    image : (H, W) float64
-    noise : float
-        Standard deviation of its white noise, in the image's unit.
-
-    Notes
-    -----
     Width is the σ of the Gaussian that blurs a step: a + b erf(u / √2 σ) + plane, with u the distance from a line.
     """
     fits = (_fitted(image[i - _HALF : i + _HALF + 1, j - _HALF : j + _HALF + 1], noise, angle)
@@ -53,28 +46,24 @@ def sharpest(widths: NDArray[np.float64]) -> tuple[float, float] | None:
     better = widths[np.argsort(widths[:, 1])[: max(len(widths) // 2, 8)]]
     better = better[np.argsort(better[:, 0])]
     fifth = better[: max(len(better) // 5, 3)]
-    error = float(np.median(better[:, 1]))
-    return float(np.median(fifth[:, 0])) + 1.28 * error, float(np.linalg.norm([error, np.std(fifth[:, 0]), _MODEL_PX]))
+    error, spread = float(np.median(better[:, 1])), float(np.std(fifth[:, 0]))
+    return float(np.median(fifth[:, 0])) + 1.28 * error, float(np.linalg.norm([error, spread, _MODEL_PX]))
 
 
 def width_through(transfer: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> float:
-    """Return the width that `edge_widths` finds for a sharp step behind a transfer function [px].
-
-    Parameters
-    ----------
-    transfer : callable
-        Frequencies [cycles per pixel] → transfer function, real, including the pixel aperture.
+    """Return the width that `edge_widths` finds for a sharp step behind a transfer function [px]; it is real, of
+    frequencies [cycles per pixel], and includes the pixel aperture.
     """
     from scipy.optimize import least_squares
     from scipy.special import erf
 
-    frequency = (np.arange(4000) + 0.5) * 1e-3
+    frequency: NDArray[np.float64] = np.asarray((np.arange(4000) + 0.5) * 1e-3, np.float64)
     value = transfer(frequency)
     # A step is the integral of its line spread: 2/π ∫ T sin(2πfu) / 2f df.
     position = np.linspace(-_HALF, _HALF, 101)
     edge = 2.0 * (np.sin(2.0 * np.pi * position[:, None] * frequency) / (np.pi * frequency)) @ (value * 1e-3)
 
-    def misfit(p):
+    def misfit(p: NDArray[np.float64]) -> NDArray[np.float64]:
         return p[1] * erf(position / (np.sqrt(2.0) * p[0])) + p[2] * position - edge
 
     return float(least_squares(misfit, (0.5, 1.0, 0.0), bounds=([0.01, 0.5, -1.0], [6.0, 2.0, 1.0])).x[0])
@@ -95,14 +84,14 @@ def _steep_edges(image: NDArray[np.float64], noise: float) -> Iterator[tuple[int
     score[:border] = score[-border:] = 0.0
     score[:, :border] = score[:, -border:] = 0.0
     for _ in range(_MOST_PER_FRAME):
-        i, j = np.unravel_index(score.argmax(), score.shape)
+        i, j = (int(index) for index in np.unravel_index(score.argmax(), score.shape))
         if score[i, j] <= 0.0:
             return
-        yield i, j, np.arctan2(down[i, j], right[i, j])
+        yield i, j, float(np.arctan2(down[i, j], right[i, j]))
         score[i - _HALF : i + _HALF + 1, j - _HALF : j + _HALF + 1] = 0.0
 
 
-def _fitted(patch, noise, angle):
+def _fitted(patch: NDArray[np.float64], noise: float, angle: float) -> tuple[float, float, float, float]:
     """(σ, its uncertainty, reduced χ², offset of the edge) of a blurred step in a patch [px]."""
     from scipy.optimize import least_squares
     from scipy.special import erf
@@ -111,7 +100,7 @@ def _fitted(patch, noise, angle):
     round_patch = x * x + y * y <= (_HALF + 0.5) ** 2
     y, x, value = y[round_patch], x[round_patch], patch[round_patch]
 
-    def left(p):
+    def left(p: NDArray[np.float64]) -> NDArray[np.float64]:
         u = x * np.cos(p[0]) + y * np.sin(p[0]) - p[1]
         basis = np.stack([np.ones(x.size), erf(u / (np.sqrt(2.0) * np.exp(p[2]))), x, y], axis=-1)
         # Heights and plane are linear, so they are solved for exactly.

@@ -21,15 +21,13 @@ _FALSE_ALARM = 0.1
 
 
 class Field:
-    """Sums over frames of one size, gathered frame by frame.
-
-    Parameters
-    ----------
-    shape : (H, W)
-    """
+    """Sums over frames of one size, gathered frame by frame."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
-        self.shape, self._waves, self._levels, self._first = shape, [], [], None
+        self.shape = shape
+        self._waves: list[NDArray[np.float64]] = []
+        self._levels: list[float] = []
+        self._first: NDArray[np.float64] | None = None
         self._sum, self._square, self._cut_off = np.zeros(shape), np.zeros(shape), np.zeros(shape, bool)
 
     def add(self, image: NDArray[np.float64], cut_off: NDArray[np.bool_]) -> None:
@@ -39,9 +37,10 @@ class Field:
         self._cut_off |= cut_off
         down, right = (half_waves(n) for n in self.shape)
         self._waves.append(down @ image @ right.T / image.size)
-        self._first = image if self._first is None else self._first
+        if self._first is None:
+            self._first = image
         # The median, since a change in a part of the scene leaves most blocks unchanged.
-        self._levels.append(np.median(block_means(image - self._first)))
+        self._levels.append(float(np.median(block_means(image - self._first))))
         beside = image - (9.0 * uniform_filter(image, 3) - image) / 8.0
         self._sum += beside
         self._square += beside**2
@@ -61,19 +60,11 @@ class Field:
         return sigma_of((mean**2 - error).sum(), np.sqrt((4.0 * mean**2 * error + 2.0 * error**2).sum()))
 
     def replaced(self, noise_k: float, step_k: float) -> tuple[float, float] | None:
-        """Return (share of the pixels that are the mean of their neighbours, uncertainty); None for few frames.
+        """Return (share of the pixels that are the mean of their neighbours, uncertainty); None if few frames do not
+        separate them without a false alarm.
 
-        Parameters
-        ----------
-        noise_k : float
-            Temporal noise of single pixels at the image centre [K].
-        step_k : float
-            Step from one value of the frames to the next [K].
-
-        Notes
-        -----
         The difference of a pixel from the mean of its eight neighbours has 9/8 of the noise's variance or more; that of
-        a replaced pixel is rounding. The result is None if n frames do not separate them without a false alarm.
+        a replaced pixel is rounding, by steps of `step_k` [K].
         """
         from scipy.ndimage import binary_dilation
         from scipy.stats import chi2
@@ -92,19 +83,9 @@ class Field:
         return count / variance.size, np.sqrt(max(count, 1)) / variance.size
 
     def wander(self, rate_hz: float, known_k: float) -> tuple[tuple[float, float], ...] | None:
-        """Return ((noise of whole frames, uncertainty), (1/f noise of the scale per octave, uncertainty)) [K].
+        """Return ((noise of whole frames, uncertainty), (1/f noise of the scale per octave, uncertainty)) [K] of a
+        static camera; None for few frames. `known_k` is what pixels, rows and columns add to a frame's mean [K].
 
-        For a static camera; None for few frames.
-
-        Parameters
-        ----------
-        rate_hz : float
-            Frames per second.
-        known_k : float
-            Contribution of the noise of pixels, rows and columns to the mean of a frame [K].
-
-        Notes
-        -----
         Maximum likelihood of the levels of up to 600 frames, with the covariance of `sensor.wander.covariance` plus
         white noise. Along the eigenvectors of the former, orthogonal to the mean, the two variances add. A span of k
         ticks has about k draws of the drift, however many frames, so its variance is uncertain by √(2/k) at least. The
@@ -123,7 +104,7 @@ class Field:
         unit = max(square.mean(), 1e-18)
         known = 2.0 / 3.0 * np.pi * known_k**2 / unit + 1e-9
 
-        def unlikeliness(p):
+        def unlikeliness(p: NDArray[np.float64]) -> float:
             variance = p[0] + p[1] * each + known
             return 0.5 * float((np.log(variance) + square / unit / variance).sum())
 
@@ -140,26 +121,11 @@ def vignetting(
     blocks: NDArray[np.float64], share: float, illumination: NDArray[np.float64], rims: NDArray[np.float64],
     fixed: float,
 ) -> tuple[float, float] | None:  # fmt: skip
-    """Return (loss of light at the corner by the rims of the lens as a share, uncertainty), from the growth of noise.
+    """Return (loss of light at the corner by the rims of the lens as a share, uncertainty), from the growth of noise
+    towards the corner; None if a ring around the centre has fewer than four flat blocks.
 
-    None if a ring around the centre has fewer than four blocks within the range.
-
-    Parameters
-    ----------
-    blocks : (n, 2) array
-        `noise_statistics.block_powers` of all frames, or of the changes between them [K²].
-    share : float
-        Share of the blocks of a ring that are flat enough to use.
-    illumination : (H, W) array
-        Illumination relative to the centre, without rims.
-    rims : (H, W) array
-        Loss of light at each pixel for a `vignetting` of 1.
-    fixed : float
-        Power that does not grow as the light decreases [K²].
-
-    Notes
-    -----
-    Least squares of a / (light (1 − v·rims))² + fixed to the mean powers of six rings.
+    Least squares of a / (light (1 − v·rims))² + fixed to the mean powers of six rings. `blocks` are `block_powers` (n,
+    2) [K²], of which `share` are flat enough; `illumination` and `rims` are (H, W).
     """
     from scipy.optimize import minimize_scalar
 
@@ -176,10 +142,10 @@ def vignetting(
         error[number] = blocks[own, 1].std() / np.sqrt(len(own))
         chosen.append(own)
 
-    def misfit(value):
+    def misfit(value: float) -> float:
         gain = np.array([np.mean(1.0 / (light[own] * (1.0 - value * dark[own])) ** 2) for own in chosen])
         middle = (power * gain / error**2).sum() / (gain**2 / error**2).sum()
-        return (((power - middle * gain) / error) ** 2).sum()
+        return float((((power - middle * gain) / error) ** 2).sum())
 
     value = float(minimize_scalar(misfit, bounds=(0.0, 0.9), method="bounded", options={"xatol": 1e-4}).x)
     # The misfit grows by one within an uncertainty; its curvature is that of a parabola over a hundredth.

@@ -17,9 +17,10 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender import Camera
 from thermorender.errors import ThermorenderError
 from thermorender.formats import finite_json, read_text
-from thermorender.sensor.camera import MOST_PIXELS, Camera, edge_directions
+from thermorender.sensor.camera import MOST_PIXELS, edge_directions
 
 Floats = NDArray[np.float64]
 # The largest difference between a lens and its Brown model [px], and the largest that goes without a note.
@@ -62,7 +63,7 @@ class Lens:
         if self.distortion is None:
             raise ThermorenderError(
                 f"{self.source} states a focal length of {self.focal_px:.1f} pixels without the distortion; give "
-                "cameras.json of the same project with --lens, or the camera that took the frames with --camera"
+                "cameras.json of the same project as lens, or the camera that took the frames"
             )
         if self.width * camera.height != self.height * camera.width:
             raise ThermorenderError(
@@ -151,22 +152,7 @@ def opensfm_lens(camera: Mapping[str, Any], source: str) -> Lens:
 
 
 def _metashape(path: Path) -> Lens:
-    written = read_text(path, "XML")
-    try:
-        root = ElementTree.fromstring(written)
-    except (ElementTree.ParseError, ValueError) as error:
-        raise ThermorenderError(f"{path} is not XML: {error}; give Metashape's calibration") from None
-    if root.tag != "calibration" or root.find("f") is None:
-        raise ThermorenderError(
-            f"{path} is not a camera calibration of Metashape with a focal length f; save one in Metashape's Camera "
-            "Calibration as Agisoft camera calibration"
-        )
-    stated = {each.tag: each.text for each in root}
-    kind = (stated.get("projection") or "").strip()
-    unknown = [name for name in stated if name not in {"projection", "width", "height", "f", "date", *_METASHAPE}]
-    if kind not in ("frame", "fisheye") or unknown:
-        what = f"{unknown[0]!r}" if unknown else f"projection={kind!r}"
-        raise ThermorenderError(f"{path}: {what} is not read; save the calibration of a frame or fisheye camera")
+    kind, stated = _calibration(path)
     source = str(path)
     width, height = (_count(stated.get(name), name, source) for name in ("width", "height"))
     focal = _value(stated["f"], "f", source)
@@ -184,6 +170,27 @@ def _metashape(path: Path) -> Lens:
         return np.stack([cx + (focal + b1) * x + b2 * y, cy + focal * y], axis=-1)
 
     return _fitted(model, (width, height), source)
+
+
+def _calibration(path: Path) -> tuple[str, dict[str, str | None]]:
+    """(projection, {tag: text}) of Metashape's calibration of a frame or fisheye camera."""
+    written = read_text(path, "XML")
+    try:
+        root = ElementTree.fromstring(written)
+    except (ElementTree.ParseError, ValueError) as error:
+        raise ThermorenderError(f"{path} is not XML: {error}; give Metashape's calibration") from None
+    if root.tag != "calibration" or root.find("f") is None:
+        raise ThermorenderError(
+            f"{path} is not a camera calibration of Metashape with a focal length f; save one in Metashape's Camera "
+            "Calibration as Agisoft camera calibration"
+        )
+    stated = {each.tag: each.text for each in root}
+    kind = (stated.get("projection") or "").strip()
+    unknown = [name for name in stated if name not in {"projection", "width", "height", "f", "date", *_METASHAPE}]
+    if kind not in ("frame", "fisheye") or unknown:
+        what = f"{unknown[0]!r}" if unknown else f"projection={kind!r}"
+        raise ThermorenderError(f"{path}: {what} is not read; save the calibration of a frame or fisheye camera")
+    return kind, stated
 
 
 def _brown(slope: Floats, terms: tuple[float, ...], k4: float = 0.0) -> Floats:

@@ -6,6 +6,7 @@ moving camera averages out. Noise of whole rows and columns appears in a spectru
 surroundings.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 
+Floats = NDArray[np.float64]
 # Side of the blocks in which flat parts are searched [px], and the share of blocks that count as flat.
 _BLOCK, FLAT = 32, 0.1
 # Bands of frequencies that decide whether a block is flat, and that give its noise [cycles per pixel]. They are
@@ -38,37 +40,27 @@ _HANN_LINE, _HANN_ALIKE = 2.0 / 3.0, 3.8
 
 
 class Spectra:
-    """Power spectra of frames of one size, gathered frame by frame.
-
-    Parameters
-    ----------
-    shape : (H, W)
-    gain : (H, W) array, optional
-        Amplification of each pixel's noise by the flat-field correction; None: 1 everywhere.
-
-    Attributes
-    ----------
-    shape : (H, W)
-    count : int
-        Frames gathered.
-    image : (H, W) float64
-        Mean frame.
-    lost : (n,) bool
-        Blocks that are cut off at an end of the range in any frame.
+    """Power spectra of frames of one size, gathered frame by frame; `gain`, (H, W), is how the flat-field correction
+    amplifies the noise of each pixel.
     """
 
-    def __init__(self, shape: tuple[int, int], gain: NDArray[np.float64] | None = None) -> None:
-        self.shape, self.count, self._blocks, self._changes, self._last = shape, 0, [], [], None
+    def __init__(self, shape: tuple[int, int], gain: Floats | None = None) -> None:
+        self.shape, self.count = shape, 0
+        self._blocks: list[Floats] = []
+        self._changes: list[Floats] = []
+        self._last: Floats | None = None
         self.gain = np.ones(shape) if gain is None else gain
+        # Blocks that are cut off at an end of the range in any frame.
         self.lost = np.zeros((shape[0] // _BLOCK) * (shape[1] // _BLOCK), bool)
-        self._image, self._power, self._sum = np.zeros(shape), 0.0, 0.0
+        self._image, self._power = np.zeros(shape), np.zeros((shape[0], shape[1] // 2 + 1))
+        self._sum = np.zeros(self._power.shape, complex)
         if min(shape) < 3 * _BLOCK:
             raise ThermorenderError(
                 f"frames of {shape[1]}×{shape[0]} pixels are too small to read noise from; give some of at least "
                 f"{3 * _BLOCK}×{3 * _BLOCK}"
             )
 
-    def add(self, image: NDArray[np.float64], cut_off: NDArray[np.bool_] | None = None) -> None:
+    def add(self, image: Floats, cut_off: NDArray[np.bool_] | None = None) -> None:
         """Add a frame, (H, W) [K]; NaN is replaced by the frame's mean.
 
         `cut_off`, (H, W) bool, marks pixels at an end of their range: blocks with such pixels are not flat.
@@ -95,29 +87,27 @@ class Spectra:
         self._last = image
 
     @property
-    def image(self) -> NDArray[np.float64]:
+    def image(self) -> Floats:
         """Mean frame, (H, W) [K]."""
         return self._image / self.count
 
     @property
-    def total(self) -> NDArray[np.float64]:
+    def total(self) -> Floats:
         """Mean power of a frame, (H, W//2+1) [K²]; white noise of variance σ² has σ² at every frequency."""
-        return self._power / self.count
+        return np.asarray(self._power / self.count)
 
     @property
-    def fixed(self) -> NDArray[np.float64] | None:
-        """Mean power of the part common to all frames, (H, W//2+1) [K²], unbiased; None for a single frame."""
-        if self.count == 1:
-            return None
-        return (np.abs(self._sum) ** 2 - self._power) / (self.count * (self.count - 1))
+    def fixed(self) -> Floats:
+        """Mean power of the part common to all frames, (H, W//2+1) [K²], unbiased; needs two frames."""
+        return np.asarray((np.abs(self._sum) ** 2 - self._power) / (self.count * (self.count - 1)))
 
     @property
-    def blocks(self) -> NDArray[np.float64]:
+    def blocks(self) -> Floats:
         """Powers of texture and of the finest detail in each block of each frame, (n, 2) [K²]."""
         return np.concatenate(self._blocks)
 
     @property
-    def changes(self) -> NDArray[np.float64]:
+    def changes(self) -> Floats:
         """The same powers of the change from each frame to the next, over √2, (n, 2) [K²]; needs two frames."""
         return np.concatenate(self._changes)
 
@@ -133,9 +123,10 @@ class Spectra:
         spread = 1.48 * np.median(np.abs(power - middle))
         return (1 + np.flatnonzero(power > np.maximum(_ANOTHER * middle, middle + _APART * spread))).tolist()
 
-    def frequencies(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def frequencies(self) -> tuple[Floats, Floats]:
         """Return the frequencies (H, 1) down and (1, W//2+1) to the right [cycles per pixel]."""
-        return np.fft.fftfreq(self.shape[0])[:, None], np.fft.rfftfreq(self.shape[1])[None]
+        down, right = np.fft.fftfreq(self.shape[0])[:, None], np.fft.rfftfreq(self.shape[1])[None]
+        return down.astype(np.float64), right.astype(np.float64)
 
     def off_axis(self, band: tuple[float, float]) -> NDArray[np.bool_]:
         """Return which frequencies are in a band (low, high) and off both axes, (H, W//2+1) bool."""
@@ -163,16 +154,13 @@ class Noise:
 
 
 def noise_of(spectra: Spectra) -> Noise:
-    """Return the Noise of Spectra.
+    """Return the Noise of Spectra. Blocks that are cut off at an end of the range are ignored.
 
-    Notes
-    -----
     For a moving camera, the noise of single pixels is that of the flattest tenth of blocks, less the fixed part; it is
     too high if no part of the images is flat. For a static camera, it is the difference between frames, and the fixed
-    part comes from the flattest blocks of the mean frame. If the difference has more power in coarse detail than in
-    the finest, the scene changes; then the tenth of blocks with the least coarse change gives the noise. Blocks that
-    are cut off at an end of the range are ignored. Rows and columns in the scene (fields, roofs) count as temporal row
-    and column noise of a moving camera.
+    part comes from the flattest blocks of the mean frame. If the difference has more power in coarse detail than in the
+    finest, the scene changes; then the tenth of blocks with the least coarse change gives the noise. Rows and columns
+    in the scene (fields, roofs) count as noise of a moving camera.
     """
     window = _window(spectra.shape) ** 2
     seen_gain = float((window * spectra.gain**2).sum() / window.sum())
@@ -184,7 +172,8 @@ def noise_of(spectra: Spectra) -> Noise:
             "nine tenths of the frames are cut off at an end of the camera's range; give frames within it"
         )
     if spectra.count == 1:
-        return Noise(sigma_of(*_flat_power(blocks, gains, 0.0)), *(sigma_of(*line) for line in lines))
+        row, column = (sigma_of(*line) for line in lines)
+        return Noise(sigma_of(*_flat_power(blocks, gains, 0.0)), row, column)
     fine, coarse = (spectra.off_axis(band) for band in (_FINE, _TEXTURE))
     fixed_lines = _lines(spectra, spectra.fixed, None)
     changing = [
@@ -197,7 +186,7 @@ def noise_of(spectra: Spectra) -> Noise:
     if static:
         changing_power = spectra.total - spectra.fixed
         temporal = float(changing_power[fine].mean()) / seen_gain
-        temporal_error = temporal / np.sqrt(alone * (spectra.count - 1))
+        temporal_error = float(temporal / np.sqrt(alone * (spectra.count - 1)))
         coarse_error = temporal / np.sqrt(coarse.sum() / _HANN_ALIKE * (spectra.count - 1))
         coarsely = float(changing_power[coarse].mean()) / seen_gain
         lively = coarsely > _LIVELY * temporal + 5.0 * np.hypot(coarse_error, temporal_error)
@@ -206,30 +195,26 @@ def noise_of(spectra: Spectra) -> Noise:
             temporal, temporal_error = _flat_power(spectra.changes, gains, 0.0)
         rest = temporal / spectra.count * block_means(spectra.gain**2)
         power = np.where(spectra.lost[:, None], np.inf, block_powers(spectra.image))
-        fixed, fixed_error = _flat_power(power, np.ones(len(power)), rest)
+        constant, constant_error = _flat_power(power, np.ones(len(power)), rest)
     else:
-        fixed = float(spectra.fixed[fine].mean())
+        constant = float(spectra.fixed[fine].mean())
         # Uncertainty of the product of frames, and of the pattern as one sample of many.
         pairs = spectra.count * (spectra.count - 1)
-        fixed_error = np.hypot(spectra.total[fine].mean() / np.sqrt(alone * pairs), fixed / np.sqrt(alone))
-        temporal, temporal_error = _flat_power(blocks, gains, fixed)
-        temporal_error = np.hypot(temporal_error, fixed_error)
+        constant_error = float(np.hypot(spectra.total[fine].mean() / np.sqrt(alone * pairs), constant / np.sqrt(alone)))
+        temporal, temporal_error = _flat_power(blocks, gains, constant)
+        temporal_error = float(np.hypot(temporal_error, constant_error))
     if temporal_error > _INSEPARABLE * max(temporal, 0.0) > 0.0:
         raise ThermorenderError(
             "no part of the frames is flat or constant, so noise cannot be separated from the scene; give frames with "
             "some sky, water or uniform ground"
         )
-    return Noise(
-        sigma_of(temporal, temporal_error),
-        *(sigma_of(*line) for line in changing),
-        sigma_of(fixed, fixed_error),
-        *(sigma_of(*line) for line in fixed_lines),
-        static=static,
-        lively=bool(lively),
-    )
+    row, column = (sigma_of(*line) for line in changing)
+    fixed_row, fixed_column = (sigma_of(*line) for line in fixed_lines)
+    pixel, fixed_pixel = sigma_of(temporal, temporal_error), sigma_of(constant, constant_error)
+    return Noise(pixel, row, column, fixed_pixel, fixed_row, fixed_column, static, bool(lively))
 
 
-def block_powers(image: NDArray[np.float64]) -> NDArray[np.float64]:
+def block_powers(image: Floats) -> Floats:
     """Return the powers of texture and of the finest detail in each block of an image, (n, 2) [K²]."""
     blocks = _cut(image)
     blocks = blocks - blocks.mean(axis=(1, 2), keepdims=True)
@@ -243,36 +228,37 @@ def block_powers(image: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([power[:, band].mean(axis=1) for band in bands], axis=-1)
 
 
-def block_means(image: NDArray[np.float64]) -> NDArray[np.float64]:
+def block_means(image: Floats) -> Floats:
     """Return the mean of each block of an image, (n,), in the order of `block_powers`."""
     return _cut(image).mean(axis=(1, 2))
 
 
-def _cut(image):
+def _cut(image: Floats) -> Floats:
     """Blocks (n, side, side) of an image, row by row."""
     height, width = (n // _BLOCK for n in image.shape)
     blocks = image[: height * _BLOCK, : width * _BLOCK].reshape(height, _BLOCK, width, _BLOCK)
     return blocks.transpose(0, 2, 1, 3).reshape(-1, _BLOCK, _BLOCK)
 
 
-def _window(shape):
+def _window(shape: Sequence[int]) -> Floats:
     """Hann's window (H, W), without its zero ends."""
-    return np.outer(*(np.hanning(n + 2)[1:-1] for n in shape))
+    down, right = (np.hanning(n + 2)[1:-1] for n in shape)
+    return np.outer(down, right)
 
 
-def _spectrum(image):
+def _spectrum(image: Floats) -> NDArray[np.complex128]:
     """Spectrum (…, H, W//2+1) with Hann's window, scaled to preserve the variance of white noise."""
     window = _window(image.shape[-2:])
-    return np.fft.rfft2(image * window) / np.sqrt((window**2).sum())
+    return np.asarray(np.fft.rfft2(image * window) / np.sqrt((window**2).sum()))
 
 
-def _flat_power(blocks, gains, other):
+def _flat_power(blocks: Floats, gains: Floats, other: Floats | float) -> tuple[float, float]:
     """(power of the finest detail in flat blocks, its uncertainty) [K²], over the gain and less other power."""
     fine, whole = np.broadcast_to(blocks[:, 1] - other, gains.shape), np.isfinite(blocks[:, 0])
     blocks, gains, fine = blocks[whole], gains[whole], fine[whole]
     order = np.argsort(blocks[:, 0] / gains)
 
-    def flattest(share):
+    def flattest(share: float) -> tuple[float, float]:
         chosen = order[: max(int(share * len(order)), 4)]
         spread = fine[chosen].std() / np.sqrt(len(chosen))
         return fine[chosen].mean() / gains[chosen].mean(), spread / gains[chosen].mean()
@@ -285,7 +271,7 @@ def _flat_power(blocks, gains, other):
     return power, float(np.linalg.norm([error, change, _LEAK * max(texture, 0.0)]))
 
 
-def _lines(spectra, power, count):
+def _lines(spectra: Spectra, power: Floats, count: int | None) -> list[tuple[float, float]]:
     """((variance of row noise, its uncertainty), the same for columns) [K²] from the excess power on the two axes.
 
     With a number of frames, medians of the powers are used, since scenes have rows and columns at some frequencies and
@@ -313,11 +299,11 @@ def _lines(spectra, power, count):
     return found
 
 
-def _gamma_median(count):
+def _gamma_median(count: int) -> float:
     """Median over mean of the average of `count` exponentially distributed powers."""
     from scipy.special import gammaincinv
 
-    return gammaincinv(count, 0.5) / count
+    return float(gammaincinv(count, 0.5)) / count
 
 
 def sigma_of(variance: float, error: float) -> tuple[float, float]:

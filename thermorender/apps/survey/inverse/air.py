@@ -7,14 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
+from thermorender import Atmosphere, Camera
 from thermorender.apps.survey.inverse.frames import Survey
 from thermorender.apps.survey.inverse.linear import RANGE_K
-from thermorender.atmosphere.model import Atmosphere
 from thermorender.render.air import altitude
-from thermorender.sensor.camera import Camera
 
 if TYPE_CHECKING:
-    from thermorender.render.renderer import Renderer
+    from thermorender import Renderer
 
 Floats = NDArray[np.float64]
 # Temperature at which emissivities are averaged over the band [K].
@@ -26,12 +25,9 @@ _LENGTHS, _TEMPERATURES = 8, 24
 
 
 def without_air(survey: Survey, camera: Camera, renderer: "Renderer") -> Survey:
-    """Return a Survey whose frames show apparent temperatures at the ground, with a note that says so.
+    """Return a Survey whose frames show apparent temperatures at the ground, with a note that says so. Frames that
+    removed the air by their own settings stay as they are; without air in the scene, all do.
 
-    Frames that removed the air by their own settings stay as they are; without air in the scene, all do.
-
-    Notes
-    -----
     Ground of the scene's mean emissivity ε under its sky E leaves L_n(T) = ε B_n(T) + (1−ε) E_n/π in spectral node n,
     and τ_n L_n(T) + P_n arrive. T is solved at each pixel's range from the measured pose, and replaced by the apparent
     temperature of Σ L_n(T). An error of 1 m in a range of 100 m changes 1 % of the correction.

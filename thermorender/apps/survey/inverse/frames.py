@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from thermorender import Scene
 from thermorender.apps.survey.footage.lens_files import Lens
 from thermorender.apps.survey.inverse.linear import RANGE_K
 from thermorender.errors import ThermorenderError
-from thermorender.scene.scene import Scene
 from thermorender.sensor.flir_jpeg import read_flir_jpeg
 from thermorender.sensor.radiometric_files import FLIR_JPEG, SUFFIXES, check_upright, read_temperature
 from thermorender.sensor.radiometry import ThermographySettings
@@ -144,32 +144,12 @@ def read_frames(
     ThermorenderError
         A file that cannot be read, frames of different sizes, a frame without pose, or a scene without a place.
     """
-    notes = []
-    if places is None:
-        own = {path.stem: tagged_place(path) for path in files}
-    else:
-        own = dict(places)
-        missing = [path.name for path in files if path.stem not in own]
-        if missing:
-            notes.append(f"{len(missing)} frames have no pose and are left out: {', '.join(missing[:5])}")
-        files = [path for path in files if path.stem in own]
-        if not files:
-            raise ThermorenderError(
-                f"no frame has a pose in the file of poses: it names {', '.join(sorted(own)[:3])}, and the frames are "
-                f"{', '.join(missing[:3])}; write the frames' names, with the same capitals, into the file"
-            )
-    images: list[NDArray[np.float32]] = []
+    files, own, notes = _with_places(files, places)
+    images: dict[Path, NDArray[np.float32]] = {}
     settings: list[ThermographySettings] = []
     invalid, digests, copies = 0, dict[bytes, Path](), dict[Path, Path]()
     for path in files:
-        check_upright(path)
-        if path.suffix.lower() in FLIR_JPEG:
-            picture = read_flir_jpeg(path)
-            settings.append(picture.thermography)
-            # The scene has emissivities, so that of a setting for all surfaces is not removed as well.
-            read = picture.temperature(replace(picture.thermography, emissivity=1.0))
-        else:
-            read = read_temperature(path, scale)
+        read = _read_kelvin(path, scale, settings)
         kelvin, outside = _known(path, read)
         # Even frames, such as of a closed shutter, are alike without being copies.
         even = np.nanmin(kelvin) == np.nanmax(kelvin)
@@ -177,13 +157,56 @@ def read_frames(
         if kept != path:
             copies[path] = kept
             continue
-        images.append(kelvin)
+        images[path] = kelvin
         invalid += outside
-        if images[0].shape != images[-1].shape:
+        first = images[files[0]]
+        if first.shape != kelvin.shape:
             raise ThermorenderError(
-                f"{path} has {images[-1].shape[1]}×{images[-1].shape[0]} pixels and {files[0]} "
-                f"{images[0].shape[1]}×{images[0].shape[0]}; give frames of one camera"
+                f"{path} has {kelvin.shape[1]}×{kelvin.shape[0]} pixels and {files[0]} "
+                f"{first.shape[1]}×{first.shape[0]}; give frames of one camera"
             )
+    notes += _notes_on(invalid, settings, copies)
+    chosen = [own[path.stem] for path in images]
+    poses, said = poses_of(chosen, scene, above_ground_m)
+    names = tuple(path.stem for path in images)
+    times = tuple(place.time or tagged_time(path) for path, place in zip(images, chosen, strict=True))
+    removed = tuple(path.suffix.lower() in FLIR_JPEG for path in images)
+    return Survey(names, times, np.stack([*images.values()]), poses, (*notes, *said), _common_lens(chosen), removed)
+
+
+def _with_places(
+    files: Sequence[Path], places: Mapping[str, Place] | None
+) -> tuple[Sequence[Path], dict[str, Place], list[str]]:
+    """(frames that have a Place, the Places by name, notes on the others)."""
+    if places is None:
+        return files, {path.stem: tagged_place(path) for path in files}, []
+    own = dict(places)
+    missing = [path.name for path in files if path.stem not in own]
+    notes = []
+    if missing:
+        notes.append(f"{len(missing)} frames have no pose and are left out: {', '.join(missing[:5])}")
+    if len(missing) == len(files):
+        raise ThermorenderError(
+            f"no frame has a pose in the file of poses: it names {', '.join(sorted(own)[:3])}, and the frames are "
+            f"{', '.join(missing[:3])}; write the frames' names, with the same capitals, into the file"
+        )
+    return [path for path in files if path.stem in own], own, notes
+
+
+def _read_kelvin(path: Path, scale: tuple[float, float] | None, settings: list[ThermographySettings]) -> Floats:
+    """Apparent temperatures (H, W) [K] of a file; appends the settings of a radiometric JPEG to `settings`."""
+    check_upright(path)
+    if path.suffix.lower() not in FLIR_JPEG:
+        return read_temperature(path, scale)
+    picture = read_flir_jpeg(path)
+    settings.append(picture.thermography)
+    # The scene has emissivities, so that of a setting for all surfaces is not removed as well.
+    return picture.temperature(replace(picture.thermography, emissivity=1.0))
+
+
+def _notes_on(invalid: int, settings: Sequence[ThermographySettings], copies: Mapping[Path, Path]) -> list[str]:
+    """Sentences on pixels without temperature, on settings that were used, and on copies left out."""
+    notes = []
     if invalid:
         low, high = RANGE_K
         notes.append(f"{invalid} pixels outside {low:g}–{high:g} K are left out")
@@ -195,13 +218,7 @@ def read_frames(
             f"{len(copies)} frames are copies of others, pixel by pixel, and are left out: {shown}; check that the "
             "pose of the one that is kept is that of the picture"
         )
-    files = [path for path in files if path not in copies]
-    chosen = [own[path.stem] for path in files]
-    poses, said = poses_of(chosen, scene, above_ground_m)
-    names = tuple(path.stem for path in files)
-    times = tuple(place.time or tagged_time(path) for path, place in zip(files, chosen, strict=True))
-    removed = tuple(path.suffix.lower() in FLIR_JPEG for path in files)
-    return Survey(names, times, np.stack(images), poses, (*notes, *said), _common_lens(chosen), removed)
+    return notes
 
 
 def _said(settings: Sequence[ThermographySettings]) -> str:
@@ -235,7 +252,7 @@ def _known(path: Path, kelvin: Floats) -> tuple[NDArray[np.float32], int]:
         raise ThermorenderError(
             f"{path} has no temperature; leave it out" if not given.any() else
             f"{path} holds {np.median(kelvin[given]):.6g} K in the median, outside {RANGE_K[0]:g}–{RANGE_K[1]:g} K; "
-            "correct the unit in the file, or --scale, or leave the frame out"
+            "correct the unit in the file, or scale, or leave the frame out"
         )  # fmt: skip
     return np.where(known, kelvin, np.nan).astype(np.float32), int((given & ~known).sum())
 
@@ -248,13 +265,26 @@ def poses_of(places: Sequence[Place], scene: Scene, above_ground_m: float | None
     ThermorenderError
         Latitudes without a place of the scene, or heights above a terrain that is not there.
     """
-    frame, notes = scene.frame, []
+    position = _positions(places, scene)
+    ground = np.asarray(scene.ground(position[:, 0], position[:, 1]), np.float64)
+    notes = _raise_heights(position, ground, places, scene, above_ground_m)
+    _check_heights(position, ground)
+    turn = enu_from_ned_at(position, scene.frame) * Rotation.concatenate([place.rotation for place in places])
+    poses = np.tile(np.eye(4), (len(places), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = turn.as_matrix(), position
+    return poses, notes
+
+
+def _positions(places: Sequence[Place], scene: Scene) -> Floats:
+    """East, north, up (N, 3) [m] of places; up is 0 where the height counts from the terrain."""
+    frame = scene.frame
     if frame is None and any(place.geodetic for place in places):
         raise ThermorenderError(
             f"{scene.where}: poses in latitude and longitude need a place of the scene; add [frame] to it"
         )
-    position = np.empty((len(places), 3))
+    position = np.zeros((len(places), 3))
     for row, place in zip(position, places, strict=True):
+        ellipsoidal = place.height_of == "alt_ellipsoid_m"
         if place.geodetic:
             assert frame is not None
             if not (abs(place.horizontal[0]) <= 90.0 and abs(place.horizontal[1]) <= 360.0):
@@ -262,25 +292,31 @@ def poses_of(places: Sequence[Place], scene: Scene, above_ground_m: float | None
                     f"latitude {place.horizontal[0]:g}, longitude {place.horizontal[1]:g} is not a place; give degrees "
                     "in this order, or east_m and north_m"
                 )
-            row[:] = frame.enu_from_geodetic(*place.horizontal, frame.height_m)
-            if place.height_of == "alt_ellipsoid_m":
-                row[:] = frame.enu_from_geodetic(*place.horizontal, place.height_m)
+            row[:] = frame.enu_from_geodetic(*place.horizontal, place.height_m if ellipsoidal else frame.height_m)
         else:
             row[:2] = place.horizontal
         if place.height_of == "up_m":
             row[2] = place.height_m
-        elif place.height_of == "alt_ellipsoid_m" and not place.geodetic:
+        elif ellipsoidal and not place.geodetic:
             row[2] = place.height_m - (0.0 if frame is None else frame.height_m)
-    ground = np.asarray(scene.ground(position[:, 0], position[:, 1]), np.float64)
+    return position
+
+
+def _raise_heights(
+    position: Floats, ground: Floats, places: Sequence[Place], scene: Scene, above_ground_m: float | None
+) -> list[str]:
+    """Set the heights of positions (N, 3) that count from the terrain (N,), and shift all; return notes on it."""
     kinds = {place.height_of for place in places}
     if len(kinds) > 1:
         raise ThermorenderError(f"heights of the frames count from {' and '.join(sorted(kinds))}; give one kind")
     kind, height = kinds.pop(), np.array([place.height_m for place in places])
-    if kind == "above_ground_m" or above_ground_m is not None or kind == "above_takeoff_m":
-        needed = ground if kind == "above_ground_m" else ground[:1]
-        _check_inside(position, needed, scene)
+    if kind == "above_ground_m":
+        _check_inside(position, ground, scene)
+    elif above_ground_m is not None or kind == "above_takeoff_m":
+        _check_inside(position, ground[:1], scene)
     if above_ground_m is not None and not 0.0 < above_ground_m < np.inf:
-        raise ThermorenderError(f"--above-ground={above_ground_m!r} is not allowed; give metres, above 0")
+        raise ThermorenderError(f"above_ground_m={above_ground_m!r} is not allowed; give metres, above 0")
+    notes = []
     if kind == "above_ground_m":
         position[:, 2] = ground + height
     elif kind == "above_takeoff_m":
@@ -294,6 +330,11 @@ def poses_of(places: Sequence[Place], scene: Scene, above_ground_m: float | None
         notes.append(
             f"all heights are shifted by {rounded:+.1f} m, so that the first frame is {above_ground_m:g} m high"
         )
+    return notes
+
+
+def _check_heights(position: Floats, ground: Floats) -> None:
+    """Refuse positions (N, 3) that are not finite, or not above the terrain (N,) where it is known."""
     if not np.isfinite(position).all():
         raise ThermorenderError("a frame's position is not finite; give numbers")
     above = position[:, 2] - ground
@@ -301,18 +342,14 @@ def poses_of(places: Sequence[Place], scene: Scene, above_ground_m: float | None
     if over.any() and above[over].max() < 1.0:
         raise ThermorenderError(
             f"the frames are up to {above[over].max():.0f} m above the terrain, so their heights count from elsewhere; "
-            "state the height of the first frame with --above-ground"
+            "state the height of the first frame as above_ground"
         )
     if (above[over] < 0.0).any():
         number = int(np.flatnonzero(over & (above < 0.0))[0])
         raise ThermorenderError(
-            f"frame {number + 1} of {len(places)} is {-above[number]:.0f} m below the terrain and others are above; "
+            f"frame {number + 1} of {len(position)} is {-above[number]:.0f} m below the terrain and others are above; "
             "correct its height, or leave the frame out"
         )
-    turn = enu_from_ned_at(position, frame) * Rotation.concatenate([place.rotation for place in places])
-    poses = np.tile(np.eye(4), (len(places), 1, 1))
-    poses[:, :3, :3], poses[:, :3, 3] = turn.as_matrix(), position
-    return poses, notes
 
 
 def _check_inside(position: Floats, ground: Floats, scene: Scene) -> None:
@@ -344,7 +381,7 @@ def tagged_place(path: Path) -> Place:
             if not xmp and 700 in exif:
                 xmp = exif[700]
     except (OSError, SyntaxError, ValueError) as error:
-        raise ThermorenderError(f"the tags of {path} cannot be read: {error}; give the poses with --poses") from None
+        raise ThermorenderError(f"the tags of {path} cannot be read: {error}; give the poses in a file") from None
     stated = xmp_values(xmp if isinstance(xmp, str) else bytes(xmp).decode("utf-8", "replace"))
     where = _horizontal(path, gps, stated)
     angles = [stated.get(f"Gimbal{name}Degree") for name in ("Yaw", "Pitch", "Roll")]
@@ -353,14 +390,14 @@ def tagged_place(path: Path) -> Place:
     missing = [name for name, lacks in (("position", where is None), (gimbal, bool(absent))) if lacks]
     if where is None or missing:
         raise ThermorenderError(
-            f"{path} states no {' and no '.join(missing)} in its EXIF and XMP tags; give the poses with --poses"
+            f"{path} states no {' and no '.join(missing)} in its EXIF and XMP tags; give the poses in a file"
         )
     height, kind = _height(path, gps, stated)
     if height is None:
         sea = ", only one above sea level," if 6 in gps else ""
         raise ThermorenderError(
             f"{path} states no height above the take-off or the ellipsoid{sea} in its EXIF and XMP tags; give the "
-            "poses with --poses"
+            "poses in a file"
         )
     numbers = [_number(path, name, value) for name, value in zip(("yaw", "pitch", "roll"), angles, strict=True)]
     return Place(where, True, height, kind, camera_rotation(*numbers), time)
@@ -399,7 +436,9 @@ def _number(path: Path, name: str, value: Any) -> float:
     except (TypeError, ValueError, ZeroDivisionError):
         found = float("nan")
     if not np.isfinite(found):
-        raise ThermorenderError(f"{path} states {name}={value!r} in its tags, which is not a number; give --poses")
+        raise ThermorenderError(
+            f"{path} states {name}={value!r} in its tags, which is not a number; give the poses in a file"
+        )
     return found
 
 
@@ -413,7 +452,7 @@ def _horizontal(path: Path, gps: Mapping[int, Any], stated: Mapping[str, str]) -
     elif datum and not _DATUM.match(datum.upper()):
         fault = f"positions in the datum {datum!r}, not WGS 84"
     if found is not None and fault:
-        raise ThermorenderError(f"{path} states {fault}; give the poses with --poses")
+        raise ThermorenderError(f"{path} states {fault}; give the poses in a file")
     return found
 
 
@@ -424,7 +463,7 @@ def _stated(path: Path, gps: Mapping[int, Any], stated: Mapping[str, str]) -> tu
             side = str(gps.get(key, "")).strip("\0 ").upper()[:1]
             if side not in (positive, negative) or not side:
                 raise ThermorenderError(
-                    f"{path} states a GPS position without {positive} or {negative}; give the poses with --poses"
+                    f"{path} states a GPS position without {positive} or {negative}; give the poses in a file"
                 )
             signs.append(1.0 if side == positive else -1.0)
         latitude, longitude = (_degrees(path, gps[key]) for key in (2, 4))

@@ -17,7 +17,7 @@ from thermorender.physics.band import RadianceTable, emitted_radiance
 from thermorender.physics.surface import reflected_radiance
 
 if TYPE_CHECKING:
-    from thermorender.render.renderer import Renderer
+    from thermorender import Renderer
 
 Floats = NDArray[np.float64]
 
@@ -56,18 +56,9 @@ def light_of(renderer: "Renderer", lattice: Lattice, linear: LinearKelvin) -> Li
 def kinetic_of(
     apparent: Floats, light: Light, renderer: "Renderer", linear: LinearKelvin
 ) -> tuple[Floats, Floats, NDArray[np.bool_]]:  # fmt: skip
-    """Return (kinetic temperature (h, w) [K], its change with linear kelvin (h, w), trusted (h, w) bool).
+    """Return (kinetic temperature [K], its change with linear kelvin, trusted), each (h, w), of the radiance that
+    leaves each texel in linear kelvin, NaN where unknown.
 
-    Parameters
-    ----------
-    apparent : (h, w) array
-        Linear kelvin of the radiance that leaves each texel; NaN where unknown.
-    light : Light
-    renderer : Renderer
-    linear : LinearKelvin
-
-    Notes
-    -----
     A texel is not trusted if its emissivity is below 0.5, if it reflects by angle as water and glass do, or if the
     equation has no solution. Its kinetic temperature is that of the scene.
     """

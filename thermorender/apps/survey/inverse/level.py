@@ -20,7 +20,7 @@ from thermorender.trajectory.tables import rows_of
 from thermorender.units import kelvin
 
 if TYPE_CHECKING:
-    from thermorender.render.renderer import Renderer
+    from thermorender import Renderer
 
 Floats = NDArray[np.float64]
 _COLUMNS = ("name", "east_m", "north_m", "radius_m", "kelvin", "std_k")
@@ -71,20 +71,8 @@ def shift_of(
     references: list[Reference], values: Floats, std: Floats, seen: NDArray[np.bool_], light: Light,
     renderer: "Renderer", lattice: Lattice, linear: LinearKelvin,
 ) -> tuple[float, float, list[tuple[str, float]]]:  # fmt: skip
-    """Return (shift of the level [linear kelvin], its standard deviation, [(name, residual after it), …]).
-
-    Parameters
-    ----------
-    references : list of Reference
-    values, std : (h, w) arrays
-        The map and its standard deviations, without the level.
-    seen : (h, w) bool
-    light, renderer, lattice, linear
-        Of the map.
-
-    Notes
-    -----
-    References that differ by more than their standard deviations widen that of the level by Birge's ratio.
+    """Return (shift of the map's level [linear kelvin], its standard deviation, [(name, residual after it), …]).
+    References that differ by more than their standard deviations widen it by Birge's ratio.
     """
     position = _positions(renderer, lattice)
     misses, variances = [], []

@@ -81,15 +81,10 @@ def links(seen: Footprint, precision: Floats) -> Floats:
 
 
 class Stencil:
-    """A symmetric matrix that links each texel of a map (h, w) with itself and its eight neighbours.
-
-    Attributes
-    ----------
-    link : (5, h, w) float64
-        Of each texel with itself, and with those to the right, below, below right and below left.
-    """
+    """A symmetric matrix that links each texel of a map (h, w) with itself and its eight neighbours."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
+        # Links of each texel with itself, and with those to the right, below, below right and below left.
         self.link = np.zeros((5, *shape))
 
     def __call__(self, x: Floats) -> Floats:
@@ -181,18 +176,8 @@ class Sums(NamedTuple):
 
     @classmethod
     def of(cls, seen: Footprint, residual: Floats, precision: Floats, own: Floats, common: Floats) -> "Sums":
-        """Return the Sums of a frame.
-
-        Parameters
-        ----------
-        seen : Footprint
-            Of its N pixels.
-        residual : (N,) array
-            Measured minus predicted.
-        precision : (N,) array
-            1 over the variance of each pixel.
-        own, common : (P, N) and (V, N) arrays
-            Change of the prediction with the frame's parameters and with the common ones.
+        """Return the Sums of a frame of N pixels: residuals (measured minus predicted), precisions (1 / variance), and
+        changes of the prediction with the frame's parameters (P, N) and the common ones (V, N).
         """
         count = len(own)
         columns = np.concatenate([own, common])
@@ -214,14 +199,8 @@ class Sums(NamedTuple):
 
 
 class Normal:
-    """The normal equations H x = g of a least-squares problem with a prior.
-
-    Parameters
-    ----------
-    prior : Prior
-    frame_precision : (P,) array
-        1 over the prior variance of a frame's parameters.
-    common_precision : (V,) array
+    """The normal equations H x = g of a least-squares problem with a prior; precisions (P,) and (V,) are 1 over the
+    prior variances of a frame's parameters and the common ones.
     """
 
     def __init__(self, prior: Prior, frame_precision: Floats, common_precision: Floats) -> None:

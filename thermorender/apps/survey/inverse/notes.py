@@ -45,20 +45,8 @@ def notes_of(
     survey: Survey, blind: Sequence[int], state: State, spread: Spread, settings: Settings, pixel_m: float,
     level: Level, time: np.datetime64 | None = None,
 ) -> list[str]:  # fmt: skip
-    """Return sentences for the user.
-
-    Parameters
-    ----------
-    survey : Survey
-    blind : sequence of int
-        Numbers of the frames that show nothing of the terrain.
-    state, spread, settings
-        Of the solution.
-    pixel_m : float
-        Side of a pixel on the ground [m]; 0 if no frame shows it.
-    level : Level
-    time : datetime64, optional
-        Of the scene's weather, UTC.
+    """Return sentences for the user on a solution. `blind` are numbers of frames without terrain, and `pixel_m` is the
+    side of a pixel on the ground [m], 0 if no frame shows it.
     """
     return [
         *_coverage(survey, blind, spread), *_misfits(survey, state, spread, settings),
@@ -126,8 +114,8 @@ def _common_move(survey: Survey, state: State, settings: Settings) -> list[str]:
         return []
     return [
         f"the frames moved together by {east:+.2f} m east, {north:+.2f} m north and {up:+.2f} m up, more than "
-        "twice --pose-error: their heights, the scene's place or the focal length of the camera is wrong, or the "
-        "frames are too few to hold their poses, which --pose-error 0,0 keeps"
+        "twice pose_error: their heights, the scene's place or the focal length of the camera is wrong, or the "
+        "frames are too few to hold their poses, which pose_error=0,0 keeps"
     ]
 
 
@@ -136,7 +124,7 @@ def _texels(settings: Settings, pixel_m: float) -> list[str]:
         return []
     return [
         f"texels of {settings.texel_m:.3g} m are smaller than a pixel on the ground, {pixel_m:.3g} m, which amplifies "
-        f"the noise; give --texel-m {1.5 * pixel_m:.2g} for a map with less noise"
+        f"the noise; give texel_m={1.5 * pixel_m:.2g} for a map with less noise"
     ]
 
 

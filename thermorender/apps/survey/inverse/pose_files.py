@@ -29,13 +29,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from thermorender import Scene
 from thermorender.apps.survey.footage.lens_files import Lens, opensfm_lens
 from thermorender.apps.survey.inverse.frames import HEIGHTS, Place, camera_rotation
 from thermorender.errors import ThermorenderError
 from thermorender.formats import finite_json, read_text
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene.georeference import pose_from_map
-from thermorender.scene.scene import Scene
 from thermorender.trajectory.rotations import ENU_FROM_NED, rotation_from_angles
 from thermorender.trajectory.tables import rows_of
 
@@ -97,25 +97,14 @@ def _own(path: Path) -> dict[str, Place]:
 
 
 def _metashape(path: Path, text: str, scene: Scene) -> dict[str, Place]:
-    from rasterio.crs import CRS
-    from rasterio.errors import CRSError
-
     first, _, rest = text.partition("\n")
     lines = rest.splitlines()
-    head = next((line[1:].split(",") for line in lines if line.startswith("#Label")), None)
-    try:
-        # The code at the end is that of the whole system; Metashape's own wording of some projections is not read.
-        code = re.search(r'AUTHORITY\["EPSG","(\d+)"\]\]\s*$', first)
-        crs = CRS.from_epsg(int(code[1])) if code else CRS.from_wkt(first[len(_METASHAPE) :].strip())
-    except CRSError:
+    crs = _system(path, first)
+    head = next((line[1:].split(",") for line in lines if line.startswith("#Label")), [])
+    names = next((kind for kind in _METASHAPE_COLUMNS if all(name in head for name in kind)), None)
+    if names is None:
         raise ThermorenderError(
-            f"{path}: its coordinate system cannot be read; export it in one with an EPSG code"
-        ) from None
-    _check_system(path, crs)
-    names = next((kind for kind in _METASHAPE_COLUMNS if head and all(name in head for name in kind)), None)
-    if names is None or head is None:
-        raise ThermorenderError(
-            f"{path} has the columns {', '.join(head or ()) or 'none'}, not a label with positions and the angles yaw, "
+            f"{path} has the columns {', '.join(head) or 'none'}, not a label with positions and the angles yaw, "
             "pitch, roll or omega, phi, kappa; set those angles in Metashape's reference settings, and export "
             "separated by commas"
         )
@@ -135,6 +124,23 @@ def _metashape(path: Path, text: str, scene: Scene) -> dict[str, Place]:
             nadir = Rotation.from_matrix(_BODY_FROM_NADIR)
             found[name] = replace(found[name], rotation=rotation_from_angles(*angles) * nadir)
     return found
+
+
+def _system(path: Path, line: str) -> Any:
+    """The coordinate system that Metashape's first line states, in metres above the ellipsoid."""
+    from rasterio.crs import CRS
+    from rasterio.errors import CRSError
+
+    try:
+        # The code at the end is that of the whole system; Metashape's own wording of some projections is not read.
+        code = re.search(r'AUTHORITY\["EPSG","(\d+)"\]\]\s*$', line)
+        crs = CRS.from_epsg(int(code[1])) if code else CRS.from_wkt(line[len(_METASHAPE) :].strip())
+    except CRSError:
+        raise ThermorenderError(
+            f"{path}: its coordinate system cannot be read; export it in one with an EPSG code"
+        ) from None
+    _check_system(path, crs)
+    return crs
 
 
 def _turned(angles_deg: Sequence[float]) -> Rotation:

@@ -54,22 +54,8 @@ def slopes(values: Floats) -> tuple[Floats, Floats]:
 def registered(
     viewer: Viewer, values: Floats, image: Image, pose: Floats, measured: Floats, error: PoseError, search: bool = True
 ) -> Floats:  # fmt: skip
-    """Return the pose of a frame that fits it best to a map.
-
-    Parameters
-    ----------
-    viewer : Viewer
-        Of a camera with the image's pixels.
-    values : (h, w) array
-        The map.
-    image : (H, W) array
-        In units of the map; NaN where unknown.
-    pose : (4, 4) array
-        To begin with.
-    measured : (4, 4) array
-        The pose that `error` belongs to.
-    search : bool
-        Whether to begin with a search over shifts and coarse steps, or with finer ones.
+    """Return the pose (4, 4) that fits an image (H, W) best to a map, from `pose` on, within the error of the measured
+    one. With `search` it begins with shifts and coarse steps.
     """
     if search:
         pose = _searched(viewer, values, image, pose, error)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender import files, formats
+from thermorender import Camera, Scene, files, formats
 from thermorender.apps.survey.inverse import level
 from thermorender.apps.survey.inverse.air import without_air
 from thermorender.apps.survey.inverse.frames import Survey
@@ -30,11 +30,9 @@ from thermorender.apps.survey.inverse.weights import (
     window_of,
 )
 from thermorender.errors import ThermorenderError
-from thermorender.scene.scene import Scene
-from thermorender.sensor.camera import Camera
 
 if TYPE_CHECKING:
-    from thermorender.render.renderer import Renderer
+    from thermorender import Renderer
 
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], object]
@@ -126,7 +124,7 @@ def reconstruct(
     ThermorenderError
         Frames of another size than the camera's, terrain that no frame shows, or a folder of another reconstruction.
     """
-    from thermorender.render.renderer import Renderer
+    from thermorender import Renderer
 
     settings = settings or Settings()
     camera = camera or scene.camera
@@ -134,7 +132,7 @@ def reconstruct(
     if (camera.height, camera.width) != (height, width):
         raise ThermorenderError(
             f"frames have {width}×{height} pixels, and camera {camera.name} {camera.width}×{camera.height}; give the "
-            "camera that took them with --camera"
+            "camera that took them"
         )
     renderer = Renderer(scene.with_camera(camera), quality="fast", progress=progress)
     survey = without_air(survey, camera, renderer)

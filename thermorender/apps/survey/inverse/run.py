@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from thermorender import files
+from thermorender import files, load_camera, load_scene
 from thermorender.apps.survey.footage.lens_files import read_lens
 from thermorender.apps.survey.inverse import products
 from thermorender.apps.survey.inverse.frames import frame_files, read_frames
@@ -13,8 +13,6 @@ from thermorender.apps.survey.inverse.pose_files import read_poses
 from thermorender.apps.survey.inverse.poses import PoseError
 from thermorender.apps.survey.inverse.reconstruct import Progress, reconstruct
 from thermorender.apps.survey.inverse.solve import Settings
-from thermorender.scene.load import load_scene
-from thermorender.sensor.camera import load_camera
 
 
 @dataclass(frozen=True)
@@ -40,7 +38,7 @@ def run(inputs: Inputs, folder: Path, progress: Progress | None = None) -> dict[
     The folder keeps the state of each round, so a stopped run continues.
     """
     scene = load_scene(inputs.scene)
-    camera = scene.camera if inputs.camera is None else load_camera(inputs.camera, "--camera")
+    camera = scene.camera if inputs.camera is None else load_camera(inputs.camera, "camera")
     places = None if inputs.poses is None else read_poses(inputs.poses, scene)
     survey = read_frames(frame_files(inputs.frames), places, scene, inputs.scale, inputs.above_ground_m)
     lens = survey.lens if inputs.lens is None else read_lens(inputs.lens)

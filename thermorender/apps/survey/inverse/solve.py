@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender import Camera
 from thermorender.apps.survey.inverse.normal import Normal, Prior, Sums, Unknowns, footprint
 from thermorender.apps.survey.inverse.poses import PoseError, deviation, explained, registered, slopes
 from thermorender.apps.survey.inverse.spread import Drawn, Draws, Spread, error_of_curvature, spread_of
@@ -30,10 +31,9 @@ from thermorender.apps.survey.inverse.weights import (
     texel_means,
 )
 from thermorender.render.light.exchange import threads
-from thermorender.sensor.camera import Camera
 
 if TYPE_CHECKING:
-    from thermorender.render.renderer import Renderer
+    from thermorender import Renderer
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -94,21 +94,8 @@ class State:
 
 
 class Problem:
-    """Frames over a scene, and what is assumed of them.
-
-    Parameters
-    ----------
-    renderer : Renderer
-        Of the scene.
-    camera : Camera
-    images : (F, H, W) float32
-        Linear kelvin; NaN where a pixel is not valid.
-    poses : (F, 4, 4) array
-        As measured.
-    lattice : Lattice
-    prior : Prior
-        Of the map, in linear kelvin.
-    settings : Settings
+    """Frames over a scene, (F, H, W) float32 in linear kelvin with NaN where not valid, their measured poses (F, 4, 4),
+    and the prior.
     """
 
     def __init__(
@@ -255,8 +242,10 @@ class Problem:
             given = residual, precision, columns, self.vignetting[:, sight.pixel]
             seen = footprint(sight)
             drawn = draws.of_frame(number, seen, sight.pixel, *given) if draws is not None else None
-            pixels, tilt = (sight, residual, precision), _tilt(plane, residual, precision)
-            return _Summed(Sums.of(seen, *given), drawn, tilt, spread, _alike(state.pattern.shape, *pixels), pixels)
+            pixels, tilt = (sight, residual, precision), tilt_of(plane, residual, precision)
+            return _Summed(
+                Sums.of(seen, *given), drawn, tilt, spread, correlated_pixels(state.pattern.shape, *pixels), pixels
+            )
 
         spreads, alike, found = list[float](), list[float](), list[Floats]()
         for number, (sums, drawn, tilt, spread, alike_px, pixels) in enumerate(_ahead(summed, len(self.images))):
@@ -328,15 +317,6 @@ class Common:
     Before the step, map and pattern would both take what either of them explains, and alternate without an end where
     the frames stand on a grid. Places on the map are kept for that, because casting rays takes long: 6 bytes a pixel,
     with places to 1/65535 of the map's longer side.
-
-    Parameters
-    ----------
-    frames, pixels : int
-        Numbers of both.
-    longest : int
-        Longer side of the map [texels].
-    noise_k, pattern_k : float
-        Least standard deviation of a pixel, and that of the pattern before the frames [K].
     """
 
     def __init__(self, frames: int, pixels: int, longest: int, noise_k: float, pattern_k: float) -> None:
@@ -373,7 +353,7 @@ class Common:
         return (self._pull - taking) / self._total
 
 
-def _tilt(plane: Floats, residual: Floats, precision: Floats) -> Floats:
+def tilt_of(plane: Floats, residual: Floats, precision: Floats) -> Floats:
     """(tilts to the right and down, their weights), (2, 2), of residuals (N,) by the columns 1, right, down.
 
     A frame of which only a strip shows the terrain knows little of its tilt.
@@ -384,7 +364,7 @@ def _tilt(plane: Floats, residual: Floats, precision: Floats) -> Floats:
     return np.array([found[1:], np.maximum(known, 0.0)])
 
 
-def _alike(shape: tuple[int, int], sight: Sight, residual: Floats, precision: Floats) -> float:
+def correlated_pixels(shape: tuple[int, int], sight: Sight, residual: Floats, precision: Floats) -> float:
     """Neighbouring pixels that have one error in common, 1 … `_SQUARE_PX`²: by means over squares of residuals (N,)."""
     if not residual.size:
         return 1.0

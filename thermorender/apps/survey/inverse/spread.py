@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.optimize import nnls
 
+from thermorender import Camera
 from thermorender.apps.survey.inverse.normal import Footprint, Normal, Prior, Sums, Unknowns
 from thermorender.apps.survey.inverse.poses import slopes
 from thermorender.apps.survey.inverse.weights import sharpened, texel_line, texel_means
 from thermorender.render.light.exchange import threads
-from thermorender.sensor.camera import Camera
 from thermorender.sensor.psf import otf
 
 Floats = NDArray[np.float64]
@@ -73,17 +73,7 @@ class Drawn(NamedTuple):
 
 class Draws:
     """Right-hand sides of the normal equations by random noise, of which the solutions have the covariance H⁻¹.
-
-    Parameters
-    ----------
-    prior : Prior
-    common : int
-        Number of common parameters.
-    offset_precision : float
-        1 over the prior variance of a frame's offset.
-    pattern_k : (H·W,) array
-        Standard deviation of the fixed pattern that is left, which all frames share.
-    seed : int
+    `pattern_k`, (H·W,), is the standard deviation of the fixed pattern that is left, which all frames share.
     """
 
     def __init__(self, prior: Prior, common: int, offset_precision: float, pattern_k: Floats, seed: int = 0) -> None:
@@ -159,27 +149,9 @@ class Draws:
 def spread_of(
     normal: Normal, draws: Draws, means: Floats, reach: float, terms: int, side: float, noise_k: float, share: float
 ) -> Spread:  # fmt: skip
-    """Return the Spread of a solution.
-
-    Parameters
-    ----------
-    normal : Normal
-    draws : Draws
-        Of the same frames.
-    means : (h, w) array
-        Of the map over its texels [K].
-    reach, terms : float, int
-        As of `weights.sharpened`, over all rounds: removing the blur raises the noise of fine structure.
-    side : float
-        Of a texel, in texels of the scene.
-    noise_k : float
-        Standard deviation of a pixel's noise.
-    share : float
-        From `error_of_curvature`.
-
-    Notes
-    -----
-    The level is the mean of the texels that the frames show.
+    """Return the Spread of a solution with means (h, w) [K]; the level is the mean of the texels that the frames show.
+    `reach` and `terms` are those of `weights.sharpened` over all rounds, as removing the blur raises the noise of fine
+    structure; `side` is that of a texel in texels of the scene.
     """
     seen = draws.views > 0
     variance = np.zeros(seen.shape)
@@ -252,16 +224,8 @@ def _fitted(difference: Floats, terms: Floats) -> Floats:
 
 
 def error_of_edges(means: Floats, variance: Floats, share: float) -> Floats:
-    """Return the square of the error that edges within texels make, (h, w) [K²].
-
-    Parameters
-    ----------
-    means : (h, w) array
-        The map's means over the texels [K].
-    variance : (h, w) array
-        Of their noise, of which second differences along rows and columns have twelve times as much [K²].
-    share : float
-        From `error_of_curvature`.
+    """Return the square of the error that edges within texels make, (h, w) [K²], from the map's means [K] and the
+    variance of their noise, of which second differences have twelve times as much.
     """
     padded = np.pad(means, 1, mode="edge")
     down = padded[2:, 1:-1] - 2.0 * means + padded[:-2, 1:-1]
@@ -270,20 +234,10 @@ def error_of_edges(means: Floats, variance: Floats, share: float) -> Floats:
 
 
 def error_of_curvature(camera: Camera, pixel: float, side: float) -> float:
-    """Return the square of the error of edges over the square of the second differences of the map, in the mean.
+    """Return the mean square error of edges over the square of the second differences of the map. `pixel` and `side`
+    are those of a pixel [texels] and of a texel [texels of the scene]; texels no larger than the scene's have no such
+    error.
 
-    Parameters
-    ----------
-    camera : Camera
-        Its lens and pixels blur the edge.
-    pixel : float
-        Side of a pixel on the map [texels]; 0 if no frame shows it.
-    side : float
-        Of a texel, in texels of the scene, as of `weights.texel_means`. The scene is bilinear between the middles of
-        its texels, so a map of the same or smaller texels has no such error.
-
-    Notes
-    -----
     Many frames sample the map without gaps. The map is then the projection of the edge, blurred by a pixel, on bilinear
     maps that are blurred alike. Both squares are summed along a line across the edge, and over its places in a texel.
     """

@@ -14,14 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender import Camera, Scene
 from thermorender.errors import ThermorenderError
 from thermorender.scene.raster import Grid
-from thermorender.scene.scene import Scene
-from thermorender.sensor.camera import Camera
 from thermorender.sensor.psf import blur_of, blurred, otf
 
 if TYPE_CHECKING:
-    from thermorender.render.renderer import Renderer
+    from thermorender import Renderer
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -108,7 +107,7 @@ def _shift(columns: float, rows: float) -> object:
     return Affine.translation(columns, rows)
 
 
-def _means(first: int, count: int, side: float, most: int):  # type: ignore[no-untyped-def]
+def _means(first: int, count: int, side: float, most: int) -> Any:
     """The sparse matrix (count, most) of means over stretches of `side` texels."""
     from scipy.sparse import csr_matrix
 
@@ -200,14 +199,7 @@ class Sight:
 
 
 class Viewer:
-    """The forward model of one camera over one scene: `sight` casts a frame's rays.
-
-    Parameters
-    ----------
-    renderer : Renderer
-    camera : Camera
-    lattice : Lattice
-    """
+    """The forward model of one camera over one scene: `sight` casts a frame's rays."""
 
     def __init__(self, renderer: "Renderer", camera: Camera, lattice: Lattice) -> None:
         self.renderer, self.camera, self.lattice = renderer, camera, lattice
@@ -367,15 +359,8 @@ def texel_line(side: float) -> Floats:
 
 
 def sharpened(step: Floats, reach: float, terms: int) -> Floats:
-    """Return a step of the map, which the matrix finds without blur, after the first terms of the blur's inverse.
-
-    Parameters
-    ----------
-    step : (h, w) array
-    reach : float
-        Distance of the outer taps of a pixel [texels].
-    terms : int
-        Of 1 + (1 − B) + (1 − B)² + …, with B the blur of a pixel. A transfer b leaves (1 − b)^terms.
+    """Return a step of the map (h, w), found without blur, after the first `terms` of 1 + (1 − B) + (1 − B)² + …, with
+    B the blur of a pixel whose outer taps are `reach` texels away. A transfer b leaves (1 − b)^terms.
     """
     total, rest = step.copy(), step
     for _ in range(terms - 1):

@@ -74,9 +74,9 @@ def ground_below(
 ) -> NDArray[np.float64]:
     """Return the heights of the ground below a surface model, (h, w) [m]; NaN where that has none.
 
-    Morphological openings with growing windows remove what is narrower than the window. The gaps are filled by linear
-    interpolation. Openings also remove the edge of a terrace. A part of it becomes ground again if it is smooth, is not
-    `green`, (h, w), and has a drop on less than `_FREE_SHARE` of its border.
+    Morphological openings with growing windows remove what is narrower than the window, and interpolation fills the
+    gaps. Openings also remove the edge of a terrace. A part of it becomes ground again if it is smooth, is not `green`,
+    (h, w), and has a drop on less than `_FREE_SHARE` of its border.
     """
     from scipy.ndimage import grey_opening
 
@@ -120,12 +120,11 @@ def _terraces(
 def check_levels(
     ground: NDArray[np.float64], height: NDArray[np.float64], post_m: float, declared: bool = False
 ) -> None:
-    """Refuse a terrain model and a surface model, (h, w) [m] each, whose heights count from different levels.
+    """Refuse a terrain model and a surface model, (h, w) [m] each, whose heights count from different levels. If both
+    files have `declared` the same level, only a surface below the ground is refused.
 
-    The surface model is everywhere above the terrain model if their levels differ, but also in a wood without a gap.
     The lowest posts show the difference: the surface model is smooth above open ground, and rough above crowns. A
-    smooth closed crop looks like open ground. An offset above a wood without a gap is not detected. If both files have
-    `declared` the same level, they are refused only where the surface is below the ground.
+    smooth closed crop looks like open ground, and an offset above a wood without a gap is not detected.
     """
     from scipy.ndimage import uniform_filter
 
@@ -148,13 +147,13 @@ def check_levels(
     if below:
         raise ThermorenderError(
             f"the surface model is {where}, so both count from different levels; convert one of them, or leave "
-            "--ground out"
+            "ground out"
         )
     if smooth:
         raise ThermorenderError(
             f"the surface model is {where}, and smooth there: both count from different levels, or a closed crop "
             "covers everything; convert one of them, declare the vertical CRS of both, or, above a crop, leave "
-            "--ground out, so that its surface is the ground"
+            "ground out, so that its surface is the ground"
         )
 
 

@@ -1,4 +1,4 @@
-"""Skins: textured triangle meshes with class numbers, and their files in a scene's folder."""
+"""Textured triangle meshes with class numbers, and their files in a scene's folder."""
 
 import json
 import struct
@@ -23,7 +23,7 @@ _GLTF, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
 
 
 @dataclass(frozen=True, eq=False)
-class Skin:
+class TexturedMesh:
     """A triangle mesh with a texture."""
 
     name: str  # Name of its material in the mesh's file
@@ -34,12 +34,12 @@ class Skin:
     classes: NDArray[np.uint8]  # (h, w) uint8 class number of each texel; 0 for none
 
 
-def write_mesh(path: Path, skins: Sequence[Skin]) -> None:
-    """Write skins as one GLB file, each a node and a material of its name with an embedded PNG texture."""
+def write_mesh(path: Path, meshes: Sequence[TexturedMesh]) -> None:
+    """Write meshes as one GLB file, each a node and a material of its name with an embedded PNG texture."""
     tree: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "thermorender"}, "scene": 0,
-        "scenes": [{"nodes": list(range(len(skins)))}],
-        "nodes": [{"name": skin.name, "mesh": k} for k, skin in enumerate(skins)],
+        "scenes": [{"nodes": list(range(len(meshes)))}],
+        "nodes": [{"name": mesh.name, "mesh": k} for k, mesh in enumerate(meshes)],
         "meshes": [], "materials": [], "textures": [], "images": [], "accessors": [], "bufferViews": [],
     }  # fmt: skip
     parts: list[bytes] = []
@@ -59,17 +59,17 @@ def write_mesh(path: Path, skins: Sequence[Skin]) -> None:
         tree["accessors"].append(made)
         return len(tree["accessors"]) - 1
 
-    for number, skin in enumerate(skins):
-        position, uv, index = _unique_corners(skin)
+    for number, mesh in enumerate(meshes):
+        position, uv, index = _unique_corners(mesh)
         attributes = {"POSITION": accessor(position, "VEC3", _FLOAT, True), "TEXCOORD_0": accessor(uv, "VEC2", _FLOAT)}
         faces = accessor(index, "SCALAR", _UINT32)
         tree["meshes"].append(
-            {"name": skin.name, "primitives": [{"attributes": attributes, "indices": faces, "material": number}]}
+            {"name": mesh.name, "primitives": [{"attributes": attributes, "indices": faces, "material": number}]}
         )
         coat = {"baseColorTexture": {"index": number}, "metallicFactor": 0.0}
-        tree["materials"].append({"name": skin.name, "pbrMetallicRoughness": coat})
+        tree["materials"].append({"name": mesh.name, "pbrMetallicRoughness": coat})
         tree["textures"].append({"source": number})
-        tree["images"].append({"bufferView": view(encoded_image(".png", skin.colour)), "mimeType": "image/png"})
+        tree["images"].append({"bufferView": view(encoded_image(".png", mesh.colour)), "mimeType": "image/png"})
     tree["buffers"] = [{"byteLength": sum(map(len, parts))}]
     text = json.dumps(tree).encode()
     text += b" " * (-len(text) % 4)
@@ -80,12 +80,12 @@ def write_mesh(path: Path, skins: Sequence[Skin]) -> None:
         part.write_bytes(head + chunks + body)
 
 
-def _unique_corners(skin: Skin) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint32]]:
+def _unique_corners(mesh: TexturedMesh) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint32]]:
     """(position (n, 3), map coordinates (n, 2), index (3 F,)) with each pair of them once; y up."""
-    corner = np.zeros(3 * len(skin.faces), dtype=[("vertex", np.int64), ("u", np.float32), ("v", np.float32)])
-    corner["vertex"], (corner["u"], corner["v"]) = skin.faces.ravel(), skin.uv.reshape(-1, 2).T
+    corner = np.zeros(3 * len(mesh.faces), dtype=[("vertex", np.int64), ("u", np.float32), ("v", np.float32)])
+    corner["vertex"], (corner["u"], corner["v"]) = mesh.faces.ravel(), mesh.uv.reshape(-1, 2).T
     found, index = np.unique(corner, return_inverse=True)
-    east, north, up = skin.vertices[found["vertex"]].T
+    east, north, up = mesh.vertices[found["vertex"]].T
     position = np.column_stack([east, up, -north]).astype(np.float32)
     return position, np.column_stack([found["u"], found["v"]]), index.astype(np.uint32)
 
@@ -109,12 +109,14 @@ def write_kelvin(path: Path, kelvin: NDArray[Any]) -> None:
             file.scales, file.offsets, file.units = (STEP_K,), (BASE_K,), ("K",)
 
 
-def write_skins(folder: Path, skins: Sequence[Skin], mesh: Sequence[Skin] | None = None) -> list[dict[str, Any]]:
-    """Write a mesh and the class rasters of skins into a scene's folder; return the [[surface]] tables of the skins.
+def write_meshes(
+    folder: Path, meshes: Sequence[TexturedMesh], all_meshes: Sequence[TexturedMesh] | None = None
+) -> list[dict[str, Any]]:
+    """Write a mesh and the class rasters of meshes into a scene's folder; return the [[surface]] tables of the meshes.
 
-    The mesh consists of the same skins, or of those that `mesh` names, some of which have no classes.
+    The file holds the same meshes, or `all_meshes`, some of which have no classes.
     """
-    write_mesh(folder / MESH, skins if mesh is None else mesh)
-    for skin in skins:
-        write_image(folder / f"{skin.name}_classes.png", skin.classes)
-    return [{"name": skin.name, "classes": f"{skin.name}_classes.png"} for skin in skins]
+    write_mesh(folder / MESH, meshes if all_meshes is None else all_meshes)
+    for mesh in meshes:
+        write_image(folder / f"{mesh.name}_classes.png", mesh.classes)
+    return [{"name": mesh.name, "classes": f"{mesh.name}_classes.png"} for mesh in meshes]

@@ -1,8 +1,8 @@
-"""Kinds of trees of a surface model: each tree is a copy of a typical one of about its size.
+"""TreeTypes of trees of a surface model: each tree is a copy of a typical one of about its size.
 
 A wood of 10⁵ trees with leaves of their own has 10⁸ triangles. As copies it has those of a few typical trees, and a
 place, heading and scale for each tree. Leaves scale with the crown, so a copy at scale s has 1/s of the leaf area per
-volume. Kinds therefore differ in size and slenderness, and scales are near 1.
+volume. TreeTypes therefore differ in size and slenderness, and scales are near 1.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.apps.lands.solids import found
+from thermorender.apps.lands.solids import detection
 from thermorender.apps.lands.solids.plants import DENSITY, Plants, edge_of
-from thermorender.apps.lands.solids.skin import Skin, write_mesh
+from thermorender.apps.lands.solids.textured_mesh import TexturedMesh, write_mesh
 from thermorender.errors import ThermorenderError
 from thermorender.formats import write_text
 from thermorender.physics.srgb import linear_from_bytes
@@ -24,7 +24,7 @@ from thermorender.physics.srgb import linear_from_bytes
 MOST_TREES = 100_000
 # Materials of leaves and trunks.
 LEAVES, BARK = "broadleaf", "bark"
-# Most kinds of trees; kinds whose trees differ less than this (standard deviation of the logarithm) are not divided.
+# Most types of trees; types whose trees differ less than this (standard deviation of the logarithm) are not divided.
 _KINDS, _ALIKE = 16, 0.05
 _BARK_COLOUR = (104, 88, 72)
 # How far trunks go into the ground [m].
@@ -35,15 +35,15 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Kind:
+class TreeType:
     """A typical tree, and its copies."""
 
     # By material: leaves, unless the crown is too small for any, and trunk. The foot is the origin.
-    parts: dict[str, Skin]
+    parts: dict[str, TexturedMesh]
     places: Floats  # (n, 4) float64 east, north [m], heading [°] and scale of each copy
 
 
-def columns_of(tree: found.Tree, height: Floats, bare: Floats, post_m: float) -> tuple[Floats, Floats]:
+def columns_of(tree: detection.Tree, height: Floats, bare: Floats, post_m: float) -> tuple[Floats, Floats]:
     """Return the lower and the upper end of a crown above the ground at the posts of a tree, (n,) each [m]."""
     row, column = tree.posts.T
     radius = radius_of(tree, post_m)
@@ -53,7 +53,7 @@ def columns_of(tree: found.Tree, height: Floats, bare: Floats, post_m: float) ->
     return low, top
 
 
-def radius_of(tree: found.Tree, post_m: float) -> float:
+def radius_of(tree: detection.Tree, post_m: float) -> float:
     """Return the radius of a circle as large as a tree's crown in the plan [m]."""
     return float(np.sqrt(len(tree.posts) / np.pi)) * post_m
 
@@ -65,22 +65,12 @@ def add_trunk(plants: Plants, foot: Sequence[float], height_m: float, number: in
                  linear_from_bytes(np.array(_BARK_COLOUR, np.uint8)), number)  # fmt: skip
 
 
-def kinds_of(
-    trees: Sequence[found.Tree], height: Floats, bare: Floats, at: Callable[..., Floats], draw: np.random.Generator,
+def tree_types_of(
+    trees: Sequence[detection.Tree], height: Floats, bare: Floats, at: Callable[..., Floats], draw: np.random.Generator,
     post_m: float, number: Mapping[str, int], colours: Callable[[NDArray[np.int64]], NDArray[np.float32]],
-) -> tuple[Kind, ...]:  # fmt: skip
-    """Return the Kinds of trees.
-
-    Parameters
-    ----------
-    height, bare : (h, w) float64
-        Surface model and ground [m].
-    at : callable
-        Returns points (n, 3) of columns and rows of the grid at heights.
-    number : mapping
-        Class numbers by material.
-    colours : callable
-        Returns the linear colour of crowns at posts (n, 2).
+) -> tuple[TreeType, ...]:  # fmt: skip
+    """Return the TreeTypes of trees over a surface model and ground, (h, w) [m]. `at` places columns, rows and heights
+    in metres, `number` maps materials to classes, and `colours` gives linear colours of posts (n, 2).
     """
     if len(trees) > MOST_TREES:
         raise ThermorenderError(
@@ -97,11 +87,11 @@ def kinds_of(
         # Of the same volume in the mean: two lengths across and one upwards.
         scale = np.exp((size[own] - size[typical]) @ [2.0 / 3.0, 1.0 / 3.0])
         parts = _parts(trees[typical], height, bare, at, draw, post_m, number, colours)
-        made.append(Kind(parts, np.column_stack([east[own], north[own], yaw[own], scale])))
+        made.append(TreeType(parts, np.column_stack([east[own], north[own], yaw[own], scale])))
     return tuple(made)
 
 
-def _middle(tree: found.Tree) -> NDArray[np.int64]:
+def _middle(tree: detection.Tree) -> NDArray[np.int64]:
     """The post of a tree (row, column) nearest to the middle of its crown: the foot of its copy.
 
     The highest post may be far from the middle, and copies are turned about their feet.
@@ -130,10 +120,10 @@ def _alike(size: Floats) -> list[NDArray[np.int64]]:
 
 
 def _parts(
-    tree: found.Tree, height: Floats, bare: Floats, at: Callable[..., Floats], draw: np.random.Generator,
+    tree: detection.Tree, height: Floats, bare: Floats, at: Callable[..., Floats], draw: np.random.Generator,
     post_m: float, number: Mapping[str, int], colours: Callable[[NDArray[np.int64]], NDArray[np.float32]],
-) -> dict[str, Skin]:  # fmt: skip
-    """Skins of a tree that stands at the origin, on level ground."""
+) -> dict[str, TexturedMesh]:  # fmt: skip
+    """Meshes of a tree that stands at the origin, on level ground."""
     crown, trunk = Plants(), Plants()
     low, top = columns_of(tree, height, bare, post_m)
     row, column = np.vstack([tree.posts, _middle(tree)]).T
@@ -141,23 +131,23 @@ def _parts(
     columns = np.column_stack([plan[:-1] - plan[-1], low, top])
     crown.fill(draw, columns, post_m, edge_of(radius_of(tree, post_m)), DENSITY, colours(tree.posts), number[LEAVES])
     add_trunk(trunk, (0.0, 0.0, 0.0), tree.height_m, number[BARK])
-    return {name: plants.skin(name) for name, plants in ((LEAVES, crown), (BARK, trunk)) if plants.faces}
+    return {name: plants.mesh(name) for name, plants in ((LEAVES, crown), (BARK, trunk)) if plants.faces}
 
 
-def write_kinds(folder: Path, kinds: Sequence[Kind]) -> list[dict[str, Any]]:
-    """Write meshes and tables of kinds into a scene's folder; return the [[object]] tables of scene.toml."""
-    if kinds:
+def write_tree_types(folder: Path, types: Sequence[TreeType]) -> list[dict[str, Any]]:
+    """Write meshes and tables of tree types into a scene's folder; return the [[object]] tables of scene.toml."""
+    if types:
         (folder / _FOLDER).mkdir()
     tables = []
-    for count, kind in enumerate(kinds, 1):
+    for count, each in enumerate(types, 1):
         places = f"{_FOLDER}/{count}.csv"
-        rows = "".join("{:.3f},{:.3f},{:.1f},{:.4f}\n".format(*row) for row in kind.places.tolist())
+        rows = "".join("{:.3f},{:.3f},{:.1f},{:.4f}\n".format(*row) for row in each.places.tolist())
         write_text(folder / places, "east_m,north_m,yaw_deg,scale\n" + rows)
-        for material, skin in kind.parts.items():
-            mesh = f"{_FOLDER}/{count}_{material}.glb"
-            write_mesh(folder / mesh, [skin])
+        for material, mesh in each.parts.items():
+            file = f"{_FOLDER}/{count}_{material}.glb"
+            write_mesh(folder / file, [mesh])
             tables.append({
-                "name": f"{material}_{count}", "file": mesh, "instances": places, "position": [0.0, 0.0, 0.0],
+                "name": f"{material}_{count}", "file": file, "instances": places, "position": [0.0, 0.0, 0.0],
                 "temperature": "balance", "material": material,
             })  # fmt: skip
     return tables

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.apps.lands.solids.found import LEAST_M, Outline, even_odd, outlines_of
+from thermorender.apps.lands.solids.detection import LEAST_M, Outline, even_odd, outlines_of
 
 # Neighbouring posts with a steeper slope between them are not of one roof: 60°.
 _STEEP = np.tan(np.radians(60.0))
@@ -58,19 +58,12 @@ def _inside(outline: Outline, first: NDArray[np.int64], shape: tuple[int, ...]) 
 def cut_at_steps(
     outlines: Sequence[Outline], height: NDArray[np.float64], ground: NDArray[np.float64], post_m: float
 ) -> tuple[list[Outline], NDArray[np.float64]]:
-    """Return (outlines followed by their parts, heights without the posts that would be in the wrong part's roof).
+    """Return (outlines followed by their parts, heights without the posts that would be in the wrong part's roof) of a
+    surface model and its ground, (h, w) [m].
 
     The largest part of a building keeps the outline; the others name it as their `whole`, from large to small. Borders
     of parts have straight sides, and so enclose some posts of the next part, most of all where a part tapers in the
     plan. A step that falls below the slope of `_STEEP` at one end does not separate its roofs, which are one part.
-
-    Parameters
-    ----------
-    outlines : sequence of Outline
-    height, ground : (h, w) float64
-        Surface model and the ground below [m].
-    post_m : float
-        Distance of posts [m].
     """
     parts: list[Outline] = []
     clear = height.copy()

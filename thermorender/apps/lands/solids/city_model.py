@@ -1,4 +1,4 @@
-"""Skins of a user's surface model: ground, roofs as the model has them, walls below their edges, and porous trees.
+"""Meshes of a user's surface model: ground, roofs as the model has them, walls below their edges, and porous trees.
 
 Walls, trunks and the places of leaves are inferred: no survey from above sees them.
 """
@@ -11,16 +11,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.apps.lands.solids import found
+from thermorender import Material
+from thermorender.apps.lands.solids import detection
 from thermorender.apps.lands.solids.borders import OPEN, Loop, borders
 from thermorender.apps.lands.solids.facades import COLOURS, DOOR, GLASS, MATERIALS, Wall, facade, wall_of
-from thermorender.apps.lands.solids.kinds import BARK, LEAVES, Kind, add_trunk, columns_of, kinds_of, radius_of
 from thermorender.apps.lands.solids.plants import DENSITY, Plants, edge_of
 from thermorender.apps.lands.solids.quads import Quads
-from thermorender.apps.lands.solids.skin import Skin
-from thermorender.apps.lands.solids.steps import cut_at_steps, without_courtyards
+from thermorender.apps.lands.solids.roof_steps import cut_at_steps, without_courtyards
+from thermorender.apps.lands.solids.textured_mesh import TexturedMesh
+from thermorender.apps.lands.solids.tree_types import (
+    BARK,
+    LEAVES,
+    TreeType,
+    add_trunk,
+    columns_of,
+    radius_of,
+    tree_types_of,
+)
 from thermorender.errors import ThermorenderError
-from thermorender.materials.material import Material
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.physics.srgb import linear_from_bytes
 from thermorender.scene import terrain
@@ -49,10 +57,10 @@ _LEAF_COLOUR = (72, 96, 48)
 
 
 @dataclass(frozen=True, eq=False)
-class Imported:
-    """Skins with their class names, and what was found."""
+class CityModel:
+    """Meshes with their class names, and what was found."""
 
-    skins: tuple[Skin, ...]
+    meshes: tuple[TexturedMesh, ...]
     classes: dict[int, str]
     frame: LocalFrame
     buildings: int
@@ -60,7 +68,9 @@ class Imported:
     trees: int
     stated_walls: int  # Buildings whose outlines declare the material or colour of their walls
     unmatched: dict[str, int]  # Declared materials and colours without a match, with their counts
-    kinds: tuple[Kind, ...] = ()  # Trees as copies of typical ones; empty where their leaves are among the skins
+    tree_types: tuple[
+        TreeType, ...
+    ] = ()  # Trees as copies of typical ones; empty where their leaves are among the meshes
     notes: tuple[str, ...] = ()  # On the files it was made from, one sentence each
 
 
@@ -87,59 +97,37 @@ class _Local:
         return place
 
 
-def imported(
+def city_model(
     height: NDArray[np.float64], grid: Grid, post_m: float, ground: NDArray[np.float64] | None,
-    known: Sequence[found.Outline] | None, picture: tuple[NDArray[np.uint8], NDArray[np.bool_], Grid] | None,
+    known: Sequence[detection.Outline] | None, picture: tuple[NDArray[np.uint8], NDArray[np.bool_], Grid] | None,
     ground_colour: Sequence[int], walls: Walls, library: Mapping[str, Material], seed: int = 0,
     copies: bool = False,
-) -> Imported:  # fmt: skip
-    """Return the Imported world of a surface model.
-
-    Parameters
-    ----------
-    height : (h, w) float64
-        Surface model [m above the ellipsoid], NaN where missing.
-    grid : Grid
-    post_m : float
-        Distance of posts [m].
-    ground : (h, w) float64, optional
-        Terrain model on the same grid; found by a filter otherwise.
-    known : sequence of Outline, optional
-        Outlines of buildings; found by height otherwise.
-    picture : (rgb, valid, Grid), optional
-        Orthophoto.
-    ground_colour : (3,)
-        sRGB of the ground without an orthophoto.
-    walls : Walls
-        Materials of walls that the outlines do not declare.
-    library : dict of str to Material
-        For materials of walls, and colours of walls and roofs.
-    seed : int
-        Of the leaves.
-    copies : bool
-        Whether trees are copies of typical ones.
+) -> CityModel:  # fmt: skip
+    """Return the CityModel of a surface model (h, w) [m above the ellipsoid], NaN where missing. Without `ground`, a
+    terrain model on the same grid, or `known` outlines of buildings, both are found from heights; `picture` is an
+    orthophoto (rgb, valid, Grid), and `ground_colour` sRGB without one.
     """
     if known is None and post_m > _FINE_M:
         raise ThermorenderError(
             f"the surface model has posts {post_m:.3g} m apart, and buildings are found by height in posts of "
-            f"{_FINE_M} m or less; give a finer model (or more --max-vertices, if they thin it), or the buildings' "
-            "outlines as --known"
+            f"{_FINE_M} m or less; give a finer model (or more max_vertices, if they thin it), or the buildings' "
+            "outlines as known"
         )
-    green = found.is_green(*picture, grid) if picture else None
-    bare = (found.ground_below(height, post_m, green) if ground is None
-            else found.ground_given(ground, height, post_m, green))  # fmt: skip
-    outlines = (found.outlines_by_height(height, bare, post_m, green) if known is None
+    green = detection.is_green(*picture, grid) if picture else None
+    bare = (detection.ground_below(height, post_m, green) if ground is None
+            else detection.ground_given(ground, height, post_m, green))  # fmt: skip
+    outlines = (detection.outlines_by_height(height, bare, post_m, green) if known is None
                 else without_courtyards(known, height, bare, post_m))  # fmt: skip
-    body = found.inside(outlines, grid)
+    body = detection.inside(outlines, grid)
     frame = terrain.frame_of(bare, grid)
     at, draw = _Local(grid, frame), np.random.default_rng(seed)
     texels = picture[2] if picture else grid
     tree_cells = _dilated(body, max(1, round(1.0 / post_m)))
-    crowns = found.trees_in(height - bare, tree_cells, post_m)
+    crowns = detection.trees_in(height - bare, tree_cells, post_m)
     trees = [tree for tree in crowns if tree.height_m <= _TALLEST_M]
     notes = (f"{len(crowns) - len(trees)} peaks more than {_TALLEST_M:.0f} m above the ground are not trees: left out",)
-    covered = np.isfinite(height) & (height - bare > found.LEAST_M)
-    skins = [_ground(bare, grid, frame, texels, picture, covered, ground_colour)]
+    covered = np.isfinite(height) & (height - bare > detection.LEAST_M)
+    meshes = [_ground(bare, grid, frame, texels, picture, covered, ground_colour)]
     high = [each for each in outlines if _stands(each, height, bare, post_m)]
     flat = len(outlines) - len(high)
     high, level = cut_at_steps(high, height, bare, post_m)
@@ -150,31 +138,31 @@ def imported(
     names = {1: walls.usual, 2: GLASS, 3: DOOR, 4: LEAVES, 5: BARK}
     stated, unmatched = _all_walls(quads, high, built, walls, names, library, draw)
     if roofs.faces:
-        skins.append(roofs.skin(picture, library[ROOF].colour))
+        meshes.append(roofs.mesh(picture, library[ROOF].colour))
     if len(quads):
-        skins.append(quads.skin(WALLS))
-    typical: tuple[Kind, ...] = ()
+        meshes.append(quads.mesh(WALLS))
+    typical: tuple[TreeType, ...] = ()
     if trees:
         of_trees = trees, height, bare, at, draw, post_m, _numbers(names), _colours(picture, grid)
         if copies:
-            typical = kinds_of(*of_trees)
+            typical = tree_types_of(*of_trees)
         else:
-            skins.append(_plants(*of_trees))
+            meshes.append(_plants(*of_trees))
     buildings = len({high[k].building for k in built})
-    return Imported(tuple(skins), names, frame, buildings, flat, len(trees), stated, unmatched, typical,
+    return CityModel(tuple(meshes), names, frame, buildings, flat, len(trees), stated, unmatched, typical,
                     notes if len(trees) < len(crowns) else ())  # fmt: skip
 
 
 def _all_walls(
-    quads: Quads, high: Sequence[found.Outline], built: Mapping[int, "_Raised"], walls: Walls, names: dict[int, str],
-    library: Mapping[str, Material], draw: np.random.Generator,
+    quads: Quads, high: Sequence[detection.Outline], built: Mapping[int, "_Raised"], walls: Walls,
+    names: dict[int, str], library: Mapping[str, Material], draw: np.random.Generator,
 ) -> tuple[int, dict[str, int]]:  # fmt: skip
     """Add the walls of all buildings, and their materials to `names`; return `stated_walls` and `unmatched`.
 
     Parts of a building that declare no other walls have one colour, and count once.
     """
-    unmatched: dict[tuple[found.Outline, str], str] = {}
-    tints: dict[tuple[found.Outline, Wall], NDArray[Any]] = {}
+    unmatched: dict[tuple[detection.Outline, str], str] = {}
+    tints: dict[tuple[detection.Outline, Wall], NDArray[Any]] = {}
     stated = set()
     tops = {index: body.top_by_place() for index, body in built.items()}
     for index, raised in built.items():
@@ -194,7 +182,7 @@ def _all_walls(
             _walls(quads, loop, base, top, tops, paint)
     counts = Counter(unmatched.values())
     kinds = {each.tags.get("building") for each in high}
-    counts.update({f"building={kind} of --wall": 0 for kind in walls.by_kind if kind not in kinds})
+    counts.update({f"building={kind} of wall": 0 for kind in walls.by_kind if kind not in kinds})
     return len(stated), dict(counts)
 
 
@@ -237,7 +225,7 @@ def _ground(
     bare: NDArray[np.float64], grid: Grid, frame: LocalFrame, texels: Grid,
     picture: tuple[NDArray[np.uint8], NDArray[np.bool_], Grid] | None, covered: NDArray[np.bool_],
     plain: Sequence[int],
-) -> Skin:  # fmt: skip
+) -> TexturedMesh:  # fmt: skip
     """The terrain below all objects; what they hide has the colour of the nearest open ground."""
     from thermorender.scene.raster import onto
 
@@ -247,7 +235,7 @@ def _ground(
     if picture is not None:
         open_ground = picture[1] & (onto(covered.astype(np.float32), grid, texels, "nearest") != 1.0)
         colour = fill(picture[0], nearest_valid(open_ground)) if open_ground.any() else picture[0]
-    return Skin(GROUND, vertices, faces.astype(np.int64), uv, colour, np.zeros(shape, np.uint8))
+    return TexturedMesh(GROUND, vertices, faces.astype(np.int64), uv, colour, np.zeros(shape, np.uint8))
 
 
 class _Roofs:
@@ -265,14 +253,16 @@ class _Roofs:
         self._parts.append((point, faces, np.clip(uv, 0.0, 1.0)))
         self.faces += len(faces)
 
-    def skin(self, picture: tuple[NDArray[np.uint8], NDArray[np.bool_], Grid] | None, plain: Sequence[int]) -> Skin:
-        """Return all roofs as one Skin, with the orthophoto or a plain colour."""
+    def mesh(
+        self, picture: tuple[NDArray[np.uint8], NDArray[np.bool_], Grid] | None, plain: Sequence[int]
+    ) -> TexturedMesh:
+        """Return all roofs as one TexturedMesh, with the orthophoto or a plain colour."""
         shape = self.texels.height, self.texels.width
         colour = np.broadcast_to(np.array(plain, np.uint8), (*shape, 3)) if picture is None else picture[0]
         first = np.cumsum([0, *(len(part[0]) for part in self._parts)])
         faces = np.concatenate([part[1] + start for part, start in zip(self._parts, first, strict=False)])
         uv = np.concatenate([part[2] for part in self._parts])[faces].astype(np.float32)
-        return Skin(ROOFS, np.concatenate([part[0] for part in self._parts]), faces, uv, colour,
+        return TexturedMesh(ROOFS, np.concatenate([part[0] for part in self._parts]), faces, uv, colour,
                     np.zeros(shape, np.uint8))  # fmt: skip
 
 
@@ -299,15 +289,15 @@ def _place(point: NDArray[np.float64]) -> tuple[float, float]:
     return float(point[0]), float(point[1])
 
 
-def _stands(outline: found.Outline, height: NDArray[np.float64], bare: NDArray[np.float64], post_m: float) -> bool:
+def _stands(outline: detection.Outline, height: NDArray[np.float64], bare: NDArray[np.float64], post_m: float) -> bool:
     """Whether enough of an outline is high; a tree over a building that is gone, or underground, is not."""
     _, inside, roof = _posts_inside(outline.rings, height, bare)
-    least = _LEAST_HIGH if inside.sum() * post_m**2 >= found.LEAST_AREA_M2 else 0.0
+    least = _LEAST_HIGH if inside.sum() * post_m**2 >= detection.LEAST_AREA_M2 else 0.0
     return bool(roof.sum() > least * inside.sum())
 
 
 def _posts_inside(
-    rings: Sequence[found.Ring], height: NDArray[np.float64], bare: NDArray[np.float64]
+    rings: Sequence[detection.Ring], height: NDArray[np.float64], bare: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.bool_]]:
     """(posts (n, 2) as (column, row) around rings, which are inside and known, which of these are of a roof)."""
     rows, columns = height.shape
@@ -317,8 +307,8 @@ def _posts_inside(
                               np.arange(max(low[1], 0), min(high[1], rows)))  # fmt: skip
     post = np.column_stack([column.ravel(), row.ravel()])
     level, ground = height[post[:, 1], post[:, 0]], bare[post[:, 1], post[:, 0]]
-    inside = found.even_odd(post + 0.5, rings) & np.isfinite(level)
-    return post, inside, inside & (level - ground > found.LEAST_M)
+    inside = detection.even_odd(post + 0.5, rings) & np.isfinite(level)
+    return post, inside, inside & (level - ground > detection.LEAST_M)
 
 
 def _raised(
@@ -347,7 +337,7 @@ def _raised(
     pixel = np.concatenate([edge, middle[inner]])
     point = at(pixel[:, 0], pixel[:, 1], np.concatenate([top, level[inner]]))
     triangle = Delaunay(pixel, qhull_options="QJ").simplices.astype(np.int64)
-    triangle = triangle[found.even_odd(pixel[triangle].mean(axis=1), rings)]
+    triangle = triangle[detection.even_odd(pixel[triangle].mean(axis=1), rings)]
     across = np.cross(point[triangle[:, 1]] - point[triangle[:, 0]], point[triangle[:, 2]] - point[triangle[:, 0]])
     triangle[across[:, 2] < 0.0] = triangle[across[:, 2] < 0.0][:, ::-1]
     # Three points of one side of the outline are a triangle in its wall.
@@ -359,7 +349,7 @@ def _nearest_post(
     edge: NDArray[np.float64], height: NDArray[np.float64], bare: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """The post of a roof that is nearest to a border, as `_posts_inside` returns posts."""
-    row, column = np.nonzero(np.isfinite(height) & (height - bare > found.LEAST_M))
+    row, column = np.nonzero(np.isfinite(height) & (height - bare > detection.LEAST_M))
     k = int(np.argmin(((np.column_stack([column, row]) + 0.5 - edge.mean(axis=0)) ** 2).sum(axis=1)))
     return np.array([[column[k], row[k]]]), np.array([True])
 
@@ -415,10 +405,10 @@ def _step(
 
 
 def _plants(
-    trees: Sequence[found.Tree], height: NDArray[np.float64], bare: NDArray[np.float64], at: _Local,
+    trees: Sequence[detection.Tree], height: NDArray[np.float64], bare: NDArray[np.float64], at: _Local,
     draw: np.random.Generator, post_m: float, number: dict[str, int],
     colours: Callable[[NDArray[np.int64]], NDArray[np.float32]],
-) -> Skin:  # fmt: skip
+) -> TexturedMesh:  # fmt: skip
     """All trees: leaves below the surface model within each crown, and a trunk below each top."""
     plants = Plants()
     for tree in trees:
@@ -430,4 +420,4 @@ def _plants(
         plants.fill(draw, columns, post_m, edge_m, DENSITY, colours(tree.posts), number[LEAVES])
         k = int(np.argmax((row == tree.top[0]) & (column == tree.top[1])))
         add_trunk(plants, plan[k], tree.height_m, number[BARK])
-    return plants.skin(PLANTS)
+    return plants.mesh(PLANTS)
