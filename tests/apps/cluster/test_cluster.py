@@ -115,7 +115,7 @@ def test_blocks_begin_at_multiples_of_their_length():
 @pytest.mark.parametrize(("arguments", "wrong"), [
     (("--block", "5"), "--block has no effect without --cluster"),
     (("--cluster", "local:2", "--frames", "0:5"), "--frames and --cluster both divide the flight"),
-    (("--frames", "5:5"), "--frames='5:5' is not allowed; give FIRST:STOP"),
+    (("--frames", "5:5"), "frames='5:5' is not allowed; give FIRST:STOP"),
     (("--frames", "0:5", "--resume"), "--frames needs no --resume"),
     (("--cluster", "local:2", "--preview"), "--preview writes no frames; leave --cluster and --frames out"),
     (("--cluster", "here"), "cluster='here' is not allowed"),
