@@ -1,18 +1,11 @@
 """Shared fixtures and options: measured data, the list of allowed skips, and one core per worker."""
 
-import atexit
-import functools
 import os
-import shutil
-import signal
-import sys
-import tarfile
-import tempfile
-from pathlib import Path
 
 import pytest
-import typer
+from fixtures import _cache, _commands_built_once, call, call_module, run  # noqa: F401
 from hypothesis import HealthCheck, settings
+from support import allowed_skips
 
 
 def _take_one_core():
@@ -41,105 +34,6 @@ for name, count in (("default", 15), ("slow", 60)):
         suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
     )  # fmt: skip
 settings.load_profile("default")
-
-
-def slow(*cases):
-    """Return cases of a parametrised test, each a value or a tuple of values, marked as slow."""
-    return [pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.slow) for case in cases]
-
-
-HERE = Path(__file__).resolve().parent
-# Data that may be redistributed is in tests/data; the rest is looked for here.
-DATA = Path(os.environ.get("THERMORENDER_DATA", HERE.parents[1] / "shared" / "data"))
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _cache(tmp_path_factory):
-    """Keep the tests' traced light out of the user's own cache."""
-    before = os.environ.get("THERMORENDER_CACHE")
-    os.environ["THERMORENDER_CACHE"] = str(tmp_path_factory.mktemp("cache"))
-    yield
-    os.environ.pop("THERMORENDER_CACHE")
-    if before is not None:
-        os.environ["THERMORENDER_CACHE"] = before
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _commands_built_once():
-    """Build each command line once per process instead of at each call."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(typer.main, "get_command", functools.cache(typer.main.get_command))
-        yield
-
-
-@pytest.fixture
-def call(monkeypatch, capfd):
-    """Run the command line in this process; return (status, output, errors)."""
-    from thermorender.cli.app import main
-
-    # The command line installs a signal handler for the whole process.
-    ending = signal.getsignal(signal.SIGTERM)
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["thermorender", *map(str, arguments)])
-        capfd.readouterr()
-        with pytest.raises(SystemExit) as exit:
-            main()
-        return exit.value.code, *capfd.readouterr()
-
-    yield run
-    signal.signal(signal.SIGTERM, ending)
-
-
-@pytest.fixture
-def call_module(monkeypatch, capfd):
-    """Run `python -m MODULE` in this process; return (status, output, errors)."""
-    from importlib import import_module
-
-    from validation.command import run_command
-
-    def run(module, *arguments):
-        monkeypatch.setattr(sys, "argv", [module, *map(str, arguments)])
-        capfd.readouterr()
-        with pytest.raises(SystemExit) as exit:
-            run_command(import_module(f"{module}.__main__").main)
-        return exit.value.code, *capfd.readouterr()
-
-    return run
-
-
-@pytest.fixture
-def run(call):
-    """Run `thermorender materials …`; return (status, output, errors)."""
-    return lambda *arguments: call("materials", *arguments)
-
-
-def shared_data(path):
-    """Path of a file or folder of the real data sets, or a skip that says where it was looked for."""
-    for folder in (HERE / "data", _unpacked(), DATA):
-        if (folder / path).exists():
-            return folder / path
-    pytest.skip(f"real data not present: {DATA / path} (set THERMORENDER_DATA to the folder that holds it)")
-
-
-@functools.cache
-def _unpacked():
-    """Temporary folder with the contents of `data/**/NAME.tar.xz`, each as `**/NAME/`."""
-    folder = Path(tempfile.mkdtemp(prefix="thermorender-tests-"))
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    for archive in (HERE / "data").rglob("*.tar.xz"):
-        with tarfile.open(archive) as tar:
-            tar.extractall(folder / archive.relative_to(HERE / "data").with_suffix("").with_suffix(""), filter="data")
-    return folder
-
-
-# --- which tests may be skipped ---------------------------------------------------------------------------
-
-
-def allowed_skips(path=HERE / "allowed_skips.txt"):
-    """{"file.py::test": reason} of the tests that may be skipped."""
-    lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
-    return dict(line.split(": ", 1) for line in lines if line and not line.startswith("#"))
 
 
 def pytest_addoption(parser):

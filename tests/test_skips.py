@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from conftest import HERE, allowed_skips
+from support import HERE, allowed_skips
 
 
 def test_the_list_names_existing_tests_with_reasons():

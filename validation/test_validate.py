@@ -6,7 +6,7 @@ from importlib import import_module
 
 import numpy as np
 import pytest
-from conftest import slow
+from support import slow
 from typer.testing import CliRunner
 
 import thermorender as tr

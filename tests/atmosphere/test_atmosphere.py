@@ -12,8 +12,8 @@ from pathlib import Path
 import air_by_steps
 import numpy as np
 import pytest
-from conftest import shared_data
 from scipy import integrate, special
+from support import shared_data
 
 from thermorender.atmosphere import absorbers, modtran
 from thermorender.atmosphere import profile as weather

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 import thermorender as tr
 from scenes import write_terrain
+from thermorender import defaults
 from thermorender.cli import app as cli
 from thermorender.cli import doctor
 from thermorender.errors import ThermorenderError
@@ -202,7 +203,7 @@ def test_demo_on_a_tiny_scene(tmp_path, monkeypatch):
     (folder / "flight.csv").write_text(
         "time_s,east_m,north_m,above_ground_m,gimbal_pitch_deg\n0,0,0,20,-90\n0.5,1,0,20,-90\n"
     )
-    monkeypatch.setattr(cli.defaults, "SCENE", str(folder))
+    monkeypatch.setattr(defaults, "SCENE", str(folder))
     done = CliRunner().invoke(cli.app, ["demo", "-o", str(tmp_path / "demo")], catch_exceptions=False)
     assert done.exit_code == 0 and "report.html" in done.output, done.output
     assert (tmp_path / "demo" / "flight" / "flight.mp4").stat().st_size > 1000

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import shared_data
+from support import shared_data
 
 from thermorender.apps.material_tables.from_samples import from_samples, read_selection
 from thermorender.apps.material_tables.samples import read_ecostress, read_sample

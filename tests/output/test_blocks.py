@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import slow
+from support import slow
 
 import thermorender as tr
 from scenes import coarse, write_terrain

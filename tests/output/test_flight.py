@@ -9,7 +9,7 @@ import mitsuba
 import numpy as np
 import pytest
 import trimesh
-from conftest import slow
+from support import slow
 
 import thermorender as tr
 from scenes import coarse, write_mesh, write_terrain

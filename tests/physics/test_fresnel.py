@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from conftest import shared_data
+from support import shared_data
 
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library

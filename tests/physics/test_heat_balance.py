@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from conftest import slow
 from scipy.optimize import fsolve
 from scipy.special import erf, erfc
+from support import slow
 
 from thermorender.physics import balance, exchange, moisture
 from thermorender.physics.conduction import LAYERS, Slab, ladder, layered

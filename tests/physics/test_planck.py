@@ -5,7 +5,7 @@ import csv
 import mpmath
 import numpy as np
 import pytest
-from conftest import shared_data
+from support import shared_data
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics import planck

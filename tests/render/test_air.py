@@ -6,7 +6,7 @@ import air_by_steps
 import numpy as np
 import pytest
 import trimesh
-from conftest import shared_data, slow
+from support import shared_data, slow
 
 import thermorender as tr
 from scenes import write_mesh

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import slow
+from support import slow
 
 import thermorender as tr
 from scenes import write_terrain

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import shared_data
 from scipy.spatial.transform import Rotation
+from support import shared_data
 
 import thermorender as tr
 from thermorender.apps.lands.import_terrain import import_terrain

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from conftest import slow
 from path_tracer import PathTracer
+from support import slow
 
 import thermorender as tr
 from scenes import narrow, write_mesh, write_terrain

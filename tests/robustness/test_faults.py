@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import slow
+from support import slow
 
 from tests.robustness import cases, crash_targets, faults
 from tests.robustness import run as stability

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import slow
 from link_support import TOKEN, Stills, connected, read, serving, settled
+from support import slow
 
 import thermorender as tr
 from scenes import coarse, write_terrain

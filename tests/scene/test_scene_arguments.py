@@ -5,7 +5,7 @@ import pickle
 
 import numpy as np
 import pytest
-from conftest import slow
+from support import slow
 from test_scene_edits import CAMERA, MARKER, frame_of
 
 import thermorender as tr

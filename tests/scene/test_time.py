@@ -339,7 +339,7 @@ def test_a_scene_without_an_hour_refuses_one(tmp_path, call):
         assert status == 2 and "needs temperature.source='balance'" in errors, (verb, errors)
         assert not (tmp_path / verb).exists()
         status, _, errors = call(verb, folder, "--time", "2018-07-28T14:30", *output)
-        assert status == 2 and "--time=2018-07-28T14:30 has no zone" in errors
+        assert status == 2 and "time=2018-07-28T14:30 has no zone" in errors
 
 
 def test_the_sun_position_follows_the_instant(tmp_path):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import slow
+from support import slow
 
 from scenes import plane_depth
 from thermorender.physics.planck import band_radiance, band_radiance_derivative

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import shared_data
+from support import shared_data
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, brightness_temperature

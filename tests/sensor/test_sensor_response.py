@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import slow
+from support import slow
 
 from scenes import plane_depth
 from thermorender.errors import ThermorenderError

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from conftest import shared_data
 from scipy.spatial.transform import Rotation
+from support import shared_data
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import shared_data
+from support import shared_data
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics import humidity, moisture, sky, sun

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from conftest import shared_data, slow
+from support import shared_data, slow
 
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library

@@ -7,7 +7,7 @@ from contextlib import nullcontext
 
 import numpy as np
 import pytest
-from lands import flight, structured, uniform_map
+from compare_lands import flight, structured, uniform_map
 from test_evaluation import linear_map, make_dataset
 from typer.testing import CliRunner
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from lands import BAND, view
+from compare_lands import BAND, view
 from scipy.ndimage import gaussian_filter, shift
 
 from thermorender.apps.compare import (

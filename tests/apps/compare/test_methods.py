@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from lands import errors, flight, frames_of, structured, uniform_map
+from compare_lands import errors, flight, frames_of, structured, uniform_map
 
 import thermorender as tr
 from scenes import WEATHER, write_terrain

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from lands import BAND, black, errors, flight, structured
+from compare_lands import BAND, black, errors, flight, structured
 
 import thermorender as tr
 from scenes import WEATHER, write_terrain

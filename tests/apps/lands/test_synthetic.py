@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
-from conftest import slow
+from support import slow
 from typer.testing import CliRunner
 
 from thermorender.apps.lands.procedural import truth as procedural_truth

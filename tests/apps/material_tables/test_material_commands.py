@@ -5,7 +5,7 @@ import struct
 
 import numpy as np
 import pytest
-from conftest import shared_data
+from support import shared_data
 
 from thermorender.apps.material_tables.check import check
 from thermorender.apps.material_tables.compare import apparent_temperature

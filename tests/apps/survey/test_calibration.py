@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import shared_data, slow
+from support import shared_data, slow
 from typer.testing import CliRunner
 
 from thermorender.apps.survey.footage import calibration

@@ -8,7 +8,7 @@ from math import comb, isclose
 
 import numpy as np
 import pytest
-from conftest import shared_data
+from support import shared_data
 
 from thermorender.apps.lands.procedural.procedural_scene import make
 from thermorender.apps.training import audit as audits

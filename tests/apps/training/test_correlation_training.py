@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import shared_data
+from support import shared_data
 
 from thermorender.apps.training.correlation_training import _equations, _Table, fit_correlation
 from thermorender.apps.training.task import Example, Task

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from conftest import slow
 from safetensors.torch import load_file
+from support import slow
 from training_support import SMALL, example, examples, kelvin, picture, task_of, write
 
 from thermorender.apps.training.map_training import train_map

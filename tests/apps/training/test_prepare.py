@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from conftest import shared_data
+from support import shared_data
 from training_support import TRUE, pair
 
 from thermorender.apps.training import bounds, pictures

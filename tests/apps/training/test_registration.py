@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import shared_data
+from support import shared_data
 from training_support import TRUE, land, pair, position
 
 from thermorender.apps.training.registration import alignment, levels

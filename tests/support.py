@@ -1,0 +1,45 @@
+"""What test files import: where data are, cases marked as slow, and the list of allowed skips."""
+
+import atexit
+import functools
+import os
+import shutil
+import tarfile
+import tempfile
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).resolve().parent
+# Data that may be redistributed is in tests/data; the rest is looked for here.
+DATA = Path(os.environ.get("THERMORENDER_DATA", HERE.parents[1] / "shared" / "data"))
+
+
+def slow(*cases):
+    """Return cases of a parametrised test, each a value or a tuple of values, marked as slow."""
+    return [pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.slow) for case in cases]
+
+
+def shared_data(path):
+    """Path of a file or folder of the real data sets, or a skip that says where it was looked for."""
+    for folder in (HERE / "data", _unpacked(), DATA):
+        if (folder / path).exists():
+            return folder / path
+    pytest.skip(f"real data not present: {DATA / path} (set THERMORENDER_DATA to the folder that holds it)")
+
+
+@functools.cache
+def _unpacked():
+    """Temporary folder with the contents of `data/**/NAME.tar.xz`, each as `**/NAME/`."""
+    folder = Path(tempfile.mkdtemp(prefix="thermorender-tests-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    for archive in (HERE / "data").rglob("*.tar.xz"):
+        with tarfile.open(archive) as tar:
+            tar.extractall(folder / archive.relative_to(HERE / "data").with_suffix("").with_suffix(""), filter="data")
+    return folder
+
+
+def allowed_skips(path=HERE / "allowed_skips.txt"):
+    """{"file.py::test": reason} of the tests that may be skipped."""
+    lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
+    return dict(line.split(": ", 1) for line in lines if line and not line.startswith("#"))

@@ -1,0 +1,3 @@
+"""The studies' tests use the fixtures of the other tests."""
+
+from fixtures import _cache, _commands_built_once, call, call_module, run  # noqa: F401
