@@ -79,10 +79,8 @@ def join(folder: Path, flight: "Flight") -> None:
 
 def write_block(flight: "Flight", folder: Path, first: int, stop: int) -> dict[str, Any]:
     """Render frames and write their files and record into a folder with `flight.json`; return the times and bytes.
-
     Keys: warm_up_s, frames_s and moving_s, the time for warm-up, for frames, and for putting them in place; bytes
-    written.
-    """
+    written."""
     name, digest = f"{first:09d}-{stop:09d}", settings_digest(flight.settings)
     # Two processes may render the same block, if one of them was believed to be lost.
     place = folder / FOLDER / f"{name}.{secrets.token_hex(4)}"
@@ -162,10 +160,8 @@ def uncovered(kept: dict[int, Block], done: int, total: int) -> list[range]:
 
 
 def gaps(flight: "Flight", folder: Path, verify: bool = False) -> Iterator[range]:
-    """Yield the ranges of frames to render here, in order; take over the finished blocks between them.
-
-    The sensor is in its state before the range; its frames are written when the next range is asked for.
-    """
+    """Yield the ranges of frames to render here, in order; take over the finished blocks between them. The sensor is in
+    its state before the range; its frames are written when the next range is asked for."""
     total, kept, after = len(flight.times), finished_blocks(folder, flight.settings, verify), None
     while (done := len(flight.terrain)) < total:
         if done in kept:

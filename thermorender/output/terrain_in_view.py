@@ -14,11 +14,9 @@ _SIDE = 7
 
 
 def shows_terrain(scene: Scene, poses: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return whether each of N poses (N, 4, 4) can show the scene's terrain, (N,).
-
-    A frame shows terrain if a corner of its faces is in the picture, or if a direction of the picture meets the median
-    height of the terrain above it. What hides terrain is not considered.
-    """
+    """Return whether each of N poses (N, 4, 4) can show the scene's terrain, (N,). A frame shows terrain if a corner of
+    its faces is in the picture, or if a direction of the picture meets the median height of the terrain above it. What
+    hides terrain is not considered."""
     camera = scene.camera
     side = np.linspace(0.0, 1.0, _SIDE)
     pixel = np.stack(np.meshgrid(side * camera.width, side * camera.height), axis=-1).reshape(-1, 2)

@@ -1,8 +1,7 @@
-"""A baked scene: a scene whose light between surfaces is solved and stored in its texels, ready for any view.
+"""A baked scene: light between surfaces is solved and stored in the texels, ready for any view.
 
-It is an immutable value of NumPy arrays. It can be sent to another process, and solved again after an edit of
-temperature, material, sky or air, with the rays between its faces traced once. Arrays are uploaded to the device when
-first needed, in each process.
+It is an immutable value of NumPy arrays, which can be sent to another process. After an edit of temperature, material,
+sky or air it is solved again without tracing rays. Each process uploads the arrays to the device at first use.
 """
 
 from collections.abc import Callable
@@ -137,11 +136,11 @@ def bake(
     start: LoadedLight | None = None,
     solved: SolvedLight | None = None,
 ) -> BakedScene:
-    """Return the BakedScene of a scene, whose Geometry is given where it exists already.
+    """Return the BakedScene of a scene, with its Geometry where that exists already.
 
-    Rays between faces are those of `like`, with the same surfaces, if their number per face is the same. The solution
-    begins from `start`, of similar light, which saves time and changes it within its error bound. `solved` is the light
-    where it is known. `progress` is called with (what, share done).
+    Rays are reused from `like`, of the same surfaces, if their number per face is the same. The solution begins from
+    `start`, of similar light, and differs from a cold start within its error bound. `solved` is the light where it is
+    known. `progress` is called with (what, share done).
     """
     known = None
     if like is not None:

@@ -111,11 +111,9 @@ def _texels(
 
 
 def _tables(baked: BakedScene) -> _Tables:
-    """(temperatures (G,) [K], what materials emit there (M, G, n) [W m⁻² sr⁻¹], share of light reflected (M, N, n)).
-
-    A node of the air, of which there are n, is a few points of the spectrum; without air one node holds the whole band.
-    The light between surfaces has N nodes of its own, and within each of them the spectrum of a blackbody.
-    """
+    """(temperatures (G,) [K], what materials emit there (M, G, n) [W m⁻² sr⁻¹], share of light reflected (M, N, n)). A
+    node of the air, of which there are n, is a few points of the spectrum; without air one node holds the whole band.
+    The light between surfaces has N nodes of its own, and within each of them the spectrum of a blackbody."""
     spectrum, points = baked.plan.spectrum, baked.plan.spectrum.points
     grid = np.linspace(baked.plan.coldest, baked.plan.warmest + 1e-3, _STEPS)
     of_air = np.equal.outer(points.node, np.arange(points.node.max() + 1)).astype(np.float64)

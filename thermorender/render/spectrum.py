@@ -135,10 +135,8 @@ class Spectrum:
 
     def of(self, other: "Spectrum") -> Floats:
         """Return a matrix (N', N) that turns radiance of another spectrum's nodes into that of these, approximately.
-
         The light of each node is spread over its points as a blackbody's is. Between bands or airs of other points,
-        that of all nodes together is.
-        """
+        that of all nodes together is."""
         label = other.label if len(other.label) == len(self.label) else np.zeros(len(self.label), int)
         black = self.points.planck(REFERENCE_K)
         shares = np.zeros((int(label.max()) + 1, self.nodes))
@@ -148,10 +146,8 @@ class Spectrum:
     def emitted(
         self, emissivity: Emissivity, coldest: float, warmest: float, band_um: tuple[float, float]
     ) -> tuple[Floats, Floats]:
-        """Return (temperatures (G,) [K], channels (G, K) [W m⁻² sr⁻¹]) emitted by a material, for interpolation.
-
-        As `RadianceTable.of`, with the same error; `emissivity` is a function of wavelength [µm].
-        """
+        """Return (temperatures (G,) [K], channels (G, K) [W m⁻² sr⁻¹]) emitted by a material, for interpolation. As
+        `RadianceTable.of`, with the same error; `emissivity` is a function of wavelength [µm]."""
         air = self.points.air
         if air is None:
             table = RadianceTable.of(emissivity, coldest, warmest, *band_um)
@@ -192,11 +188,8 @@ class Envelope:
         return [*self.ground, *own, *skies, self.surroundings_temperature]
 
     def sources(self, points: Points) -> tuple[Floats, Floats, Floats]:
-        """Return emission at the points: (outside (n, Q), ground (2, Q), objects (t, Q)).
-
-        Outside is sky and surroundings; the others are blackbodies at the terrain's extremes and at each object's
-        temperature.
-        """
+        """Return emission at the points: (outside (n, Q), ground (2, Q), objects (t, Q)). Outside is sky and
+        surroundings; the others are blackbodies at the terrain's extremes and at each object's temperature."""
         ground = _black(points, self.ground)
         objects = _black(points, [temperature for _, temperature in self.objects]) if self.objects else ground[:0]
         background = _black(points, [self.surroundings_temperature])
@@ -208,12 +201,10 @@ class Envelope:
         return np.concatenate([points.spread(sky), background]), ground, objects
 
     def light(self, emissivity: Floats, outside: Floats, ground: Floats, objects: Floats) -> Floats:
-        """Return spectra that can fall on a surface of this scene, (n, X), from sources at points or at nodes.
-
-        They are: the outside; any material of the ground at its extremes, reflecting the outside or ground at its
-        extremes; and objects, reflecting the outside. Reflected light of objects is left out: an object fills a small
-        solid angle.
-        """
+        """Return spectra that can fall on a surface of this scene, (n, X), from sources at points or at nodes. They
+        are: the outside; any material of the ground at its extremes, reflecting the outside or ground at its extremes;
+        and objects, reflecting the outside. Reflected light of objects is left out: an object fills a small solid
+        angle."""
         others = np.concatenate([ground, outside])
         light = [outside]
         for own in emissivity:
@@ -270,11 +261,9 @@ def make_spectrum(materials: Sequence[Material], envelope: Envelope, tolerance_m
 def kept_spectrum(
     spectrum: Spectrum, before: Sequence[Material], materials: Sequence[Material], envelope: Envelope
 ) -> Spectrum | None:
-    """Return the Spectrum of other materials with the nodes and channels of `spectrum`, whatever their error.
-
-    Band and air are the same. Materials with the emissivity of one in `before`, which `spectrum` was made for, reflect
-    as they did. None with mixtures.
-    """
+    """Return the Spectrum of other materials with the nodes and channels of `spectrum`, whatever their error. Band and
+    air are the same. Materials with the emissivity of one in `before`, which `spectrum` was made for, reflect as they
+    did. None with mixtures."""
     if any(isinstance(material, Mixture) for material in (*before, *materials)):
         return None
     points, paths, channels_mk = spectrum.points, envelope.paths(), 0.0
@@ -308,10 +297,8 @@ def spectra_at(points: Points, materials: Sequence[Material]) -> Floats:
 
 
 def with_nodes(spectrum: Spectrum, materials: Sequence[Material], count: int) -> Spectrum:
-    """Return a Spectrum with about `count` nodes, equal parts of its points by wavelength, whatever their error.
-
-    This serves to measure the time that nodes take; `make_spectrum` uses as few as suffice.
-    """
+    """Return a Spectrum with about `count` nodes, equal parts of its points by wavelength, whatever their error. This
+    serves to measure the time that nodes take; `make_spectrum` uses as few as suffice."""
     points = spectrum.points
     label = np.arange(len(points.node)) * min(count, len(points.node)) // len(points.node)
     emissivity, reflected, share = _means(points, spectra_at(points, materials), spectrum.basis, label)
@@ -319,10 +306,8 @@ def with_nodes(spectrum: Spectrum, materials: Sequence[Material], count: int) ->
 
 
 def _pure(materials: Sequence[Material]) -> tuple[list[Material], Floats]:
-    """(The P materials that these are mixed of, share of each in every material (M, P)).
-
-    All that a mixture emits and reflects is the mean of its parts, and its error at most the largest of theirs.
-    """
+    """(The P materials that these are mixed of, share of each in every material (M, P)). All that a mixture emits and
+    reflects is the mean of its parts, and its error at most the largest of theirs."""
     pure = list(dict.fromkeys(part for material in materials for part, _ in spectra_of(material)))
     shares = np.zeros((len(materials), len(pure)))
     for row, material in zip(shares, materials, strict=True):
@@ -338,10 +323,8 @@ def _mixed(spectrum: Spectrum, shares: Floats) -> Spectrum:
 
 
 class _Case:
-    """A scene's envelope at the points: its light, its reflections, and the radiance of a millikelvin.
-
-    Materials of `spectra` reflect, and those of `glowing` emit: all of a scene, or a part of them.
-    """
+    """A scene's envelope at the points: its light, its reflections, and the radiance of a millikelvin. Materials of
+    `spectra` reflect, and those of `glowing` emit: all of a scene, or a part of them."""
 
     def __init__(
         self, points: Points, spectra: Floats, envelope: Envelope, passed: Floats, glowing: Floats | None = None
@@ -381,10 +364,8 @@ class _Case:
         self, label: NDArray[np.integer], basis: Floats, solver: Floats, channels_mk: float,
         wanted: Floats | None = None, known: Floats | None = None,
     ) -> Spectrum:  # fmt: skip
-        """Return the Spectrum of nodes, where `wanted` is given with a fit to these reflections and its error.
-
-        `known` is what the materials reflect in place of a fit.
-        """
+        """Return the Spectrum of nodes, where `wanted` is given with a fit to these reflections and its error. `known`
+        is what the materials reflect in place of a fit."""
         emissivity, reflected, share = _means(self.points, self.spectra, basis, label)
         nodes_mk = 0.0
         if wanted is not None:
@@ -442,10 +423,8 @@ def _worst_mk(case: _Case, shown: Floats, basis: Floats, solver: Floats) -> floa
 
 
 def _kelvin(radiance: Floats, band_um: tuple[float, float]) -> Floats:
-    """d(brightness temperature)/d(band radiance) [K W⁻¹ m² sr], that of 300 K for what is colder.
-
-    A budget is in mK at 300 K. A texel close to 100 K has a hundredth of that radiance per millikelvin.
-    """
+    """d(brightness temperature)/d(band radiance) [K W⁻¹ m² sr], that of 300 K for what is colder. A budget is in mK at
+    300 K. A texel close to 100 K has a hundredth of that radiance per millikelvin."""
     coldest = 1.0 / band_radiance_derivative(REFERENCE_K, *band_um)
     return np.minimum(kelvin_per_radiance(radiance, *band_um), coldest)
 

@@ -21,9 +21,7 @@ def solved_at(
     progress: "Progress | None" = None,
 ) -> list[Scene]:
     """Return the scene with its temperatures solved for each of some instants, by the source in its temperature state.
-
-    Parameters and errors are those of `heat.simulation.solved`, `heat.moved.moved` and `heat.relief.mapped`.
-    """
+    Parameters and errors are those of `heat.simulation.solved`, `heat.moved.moved` and `heat.relief.mapped`."""
     # Imported here, as other scenes do not need them.
     source = scene.temperature_state.source
     if isinstance(source, Conditional):

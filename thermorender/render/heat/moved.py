@@ -83,21 +83,10 @@ class MovedMap:
 def moved(
     scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None
 ) -> list[MovedMap]:
-    """Return a scene whose map gives temperatures of one instant, moved to each of some instants of its weather.
+    """Return a scene whose map gives temperatures of one instant, moved to each of some instants (UTC) of its weather.
 
-    Parameters
-    ----------
-    scene : Scene
-        With [weather] and a map trained at a known instant: temperatures of source Moved.
-    times : sequence of datetime64
-        UTC, inside the weather.
-    geometry, progress
-        As of `heat.simulation.solved`.
-
-    Notes
-    -----
-    Takes one simulation of the balance and one per property under each of the two weathers, and 12 bytes of memory per
-    texel and instant.
+    It takes one simulation of the balance and one per property under each of the two weathers, and 12 bytes per texel
+    and instant. `geometry` and `progress` are as in `heat.simulation.solved`.
     """
     here, there = balances(scene)
     geometry = geometry or Geometry(activate(), scene.surfaces)
@@ -165,10 +154,8 @@ def expected(
 
 
 class Carried:
-    """Differences of a map's texels from the balance at the trained instant, to be moved to others.
-
-    `there` and `here` come from `balances`; `before` is the Expected at the trained instant.
-    """
+    """Differences of a map's texels from the balance at the trained instant, to be moved to others. `there` and `here`
+    come from `balances`; `before` is the Expected at the trained instant."""
 
     def __init__(self, scene: Scene, there: Scene, here: Scene, before: Expected) -> None:
         assert there.time is not None

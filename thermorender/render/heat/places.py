@@ -25,10 +25,8 @@ def texel_points(geometry: Geometry, texels: NDArray[np.integer], face: NDArray[
 
 
 def sun_cosine(geometry: Geometry, point: Jit, normal: Jit, towards: NDArray[np.float64]) -> Jit:
-    """Return the cosine of the sun's rays at points a little above the surface, 0 in shadow, Float.
-
-    `towards` is the direction to the sun, (3,).
-    """
+    """Return the cosine of the sun's rays at points a little above the surface, 0 in shadow, Float. `towards` is the
+    direction to the sun, (3,)."""
     mi = geometry.mi
     sun = mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards))
     cosine = dr.dot(normal, sun)

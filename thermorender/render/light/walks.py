@@ -2,7 +2,7 @@
 
 Walks start at the point itself, use the temperature and material of the texels that they meet, and end where light is
 absorbed or at the sky. They share with the solution the ray caster, the spectral nodes and the tables of the sky, but
-neither faces with constant light nor its rays. Their error is noise.
+neither faces with constant light nor its rays. Their error is Monte Carlo noise.
 """
 
 from collections.abc import Sequence
@@ -58,11 +58,9 @@ class Walks:
         self.share = number / number.sum()
 
     def incident(self, point: Jit, face: Jit, normal: Jit, walks: int) -> tuple[Floats, NDArray[np.uint32]]:
-        """Return (radiance that falls on points, node of each walk), both (n, walks); `walks` is a power of two.
-
-        The radiance [W m⁻² sr⁻¹] is that of the node over the node's `share`: its mean over many walks is the band's.
-        `point`, `face` and `normal` are of n points on surfaces.
-        """
+        """Return (radiance that falls on points, node of each walk), both (n, walks); `walks` is a power of two. The
+        radiance [W m⁻² sr⁻¹] is that of the node over the node's `share`: its mean over many walks is the band's.
+        `point`, `face` and `normal` are of n points on surfaces."""
         from scipy.stats import qmc
 
         mi, geometry = self._geometry.mi, self._geometry

@@ -83,11 +83,9 @@ class Climb:
         return cls(middle, (0.5 * dr.abs(across), 0.5 * dr.abs(along)))
 
     def parts(self, horizon: Jit) -> tuple[Jit, Jit, Jit]:
-        """Return (share of the cell above a horizon, mean height of that part over it, of the part below).
-
-        Heights are cosines of zenith angles minus the horizon's; in a cell on one side both are that of its middle. The
-        share is exact, the heights are those of a cell with sides along and across the horizon.
-        """
+        """Return (share of the cell above a horizon, mean height of that part over it, of the part below). Heights are
+        cosines of zenith angles minus the horizon's; in a cell on one side both are that of its middle. The share is
+        exact, the heights are those of a cell with sides along and across the horizon."""
         rise, (a, b) = self.middle - horizon, self.half
         reach, shorter = a + b, dr.minimum(a, b)
         longer, off = dr.maximum(a, b), dr.abs(rise)
@@ -102,11 +100,9 @@ class Climb:
 
 
 class Reading:
-    """Points at which the cells of rays are read: `few` where a cell holds about a texel or less, else `many`.
-
-    A cell is a `share` of a pixel. `judges` read single texels instead of squares, and cells larger than a face at the
-    hit only, since their surroundings may be hidden.
-    """
+    """Points at which the cells of rays are read: `few` where a cell holds about a texel or less, else `many`. A cell
+    is a `share` of a pixel. `judges` read single texels instead of squares, and cells larger than a face at the hit
+    only, since their surroundings may be hidden."""
 
     def __init__(self, mi: Mitsuba, few: int, many: int, share: float, judges: bool = False) -> None:
         self._mi, self._few, self._many, self._judges = mi, few, many, judges

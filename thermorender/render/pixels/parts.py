@@ -111,11 +111,9 @@ def _checked(pixels: ArrayLike, camera: Camera) -> NDArray[np.intp]:
 
 
 class _Rays:
-    """The rays through the middles of n pixels, and what they hit: arrays (n,), as of `Hit`.
-
-    `cosine` is that of the angle of view; `kind` and `kinetic` are material and temperature [K] of the texel. Of each
-    channel the share `weight` (n, K) arrives; air or background give `added` [W m⁻² sr⁻¹].
-    """
+    """The rays through the middles of n pixels, and what they hit: arrays (n,), as of `Hit`. `cosine` is that of the
+    angle of view; `kind` and `kinetic` are material and temperature [K] of the texel. Of each channel the share
+    `weight` (n, K) arrives; air or background give `added` [W m⁻² sr⁻¹]."""
 
     def __init__(self, view: View, pixels: NDArray[np.intp]) -> None:
         baked, rays = view.baked, view.rays
