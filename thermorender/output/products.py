@@ -125,11 +125,9 @@ def encoders(
     thermography: ThermographySettings | None = None,
     photograph: Callable[[Camera], NDArray[np.uint8]] | None = None, compression: str = defaults.EXR_COMPRESSION,
 ) -> dict[str, Encoder]:  # fmt: skip
-    """Return {product: function that returns the bytes of its file}, to be called in any thread.
-
-    Everything that needs the renderer is computed before this returns. `image` replaces `frame.display`; `thermography`
-    gives the reading in `radiometric` and the EXR; `photograph` maps a camera to the (H, W, 3) uint8 of `visible`.
-    """
+    """Return {product: function that returns the bytes of its file}, to be called in any thread. Everything that needs
+    the renderer is computed before this returns. `image` replaces `frame.display`; `thermography` gives the reading in
+    `radiometric` and the EXR; `photograph` maps a camera to the (H, W, 3) uint8 of `visible`."""
     extras = _Extras("truth" in products, "error" in products, image, thermography, photograph, compression)
     return {name: WRITERS[name][1](frame, extras) for name in products if name in WRITERS}
 

@@ -60,8 +60,8 @@ class Vacuum:
     def at_camera(
         self, hit: Hit, values: list[Jit], origin: Jit, direction: Jit, climb: Climb | None = None
     ) -> list[Jit]:
-        """Return the radiance at the camera, a list of Float; `values` are the channels at the points hit. With `climb`
-        rays that hit nothing show the mean over their cells."""
+        """Return the radiance at the camera, [Float], from the channels at the points hit; with `climb`, misses average
+        their cells."""
         outside = zip(self._sky, self._background, strict=True)
         if climb is None:
             behind = [dr.select(direction.z >= 0.0, sky, background) for sky, background in outside]
@@ -82,8 +82,8 @@ class SceneAir:
         self._last: tuple[bytes, AirView] | None = None
 
     def view(self, origin: Floats, box: Floats, clear: bool = False) -> "AirView":
-        """Return the AirView from a camera position `origin` (3,) [m] to surfaces in a `box` (2, 3) [m]. With `clear`,
-        paths to surfaces transmit all light and emit none. The last other view is kept."""
+        """Return the AirView from a camera position `origin` (3,) [m] to surfaces in a `box` (2, 3) [m]; the last one
+        is cached. With `clear`, paths to surfaces transmit all light and emit none."""
         if clear:
             return self._view(origin, box, clear)
         # Read and replaced as a whole: another thread may render another view meanwhile.
@@ -152,9 +152,7 @@ class PathGrid:
         self._numbers = [dr.opaque(mi.Float, float(number)) for number in frame]
 
     def corners(self, distance: Jit, end: Jit, valid: Jit) -> list[tuple[Jit, list[Jit]]]:
-        """Return [(weight, [number (Float), …]), …] of the grid points round paths of given length and altitude of the
-        end.
-        """
+        """Return [(weight, [Float]), …] of the grid points round paths, given by length and altitude of the end [m]."""
         mi = self._mi
         low, high, start, first, step, count, rows = self._numbers
         column = dr.clip((dr.log(distance) - first) * step, 0.0, count - 1.001)
@@ -225,12 +223,10 @@ def altitude(points: ArrayLike, altitude_m: float) -> Floats:
 
 
 def background(air: Atmosphere, camera_m: float, ground_m: float, temperature: float, position: Floats) -> Floats:
-    """Return the band radiance of rays that hit nothing, (2, n): below and above the horizon [W m⁻² sr⁻¹].
-
-    `camera_m` and `ground_m` are altitudes of the camera and of the black ground beyond the scene [m], `temperature` is
-    that ground's [K]. `position` (n,) is the square root of |cos zenith − cos horizon|: 0 at the horizon, 1 straight
-    down or up.
-    """
+    """Return the band radiance of rays that hit nothing, (2, n): below and above the horizon [W m⁻² sr⁻¹]. `camera_m`
+    and `ground_m` are altitudes of the camera and of the black ground beyond the scene [m], `temperature` is that
+    ground's [K]. `position` (n,) is the square root of |cos zenith − cos horizon|: 0 at the horizon, 1 straight down or
+    up."""
     horizon = float(horizon_cos_zenith(camera_m))
     rise = np.square(position)
     sky = air.sky_radiance(camera_m, horizon + rise * (1.0 - horizon)).sum(axis=-1)

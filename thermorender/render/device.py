@@ -26,8 +26,7 @@ from thermorender.scene.surface import Surface
 
 
 class DeviceScene:
-    """The arrays of a BakedLight on the device. `outgoing` is its radiance and `air` its medium, where they are there
-    already."""
+    """The arrays of a BakedLight on the device; `outgoing` and `air` are reused where they are given."""
 
     def __init__(
         self, baked: BakedLight, geometry: Geometry, outgoing: OutgoingRadiance | None = None,
@@ -101,8 +100,8 @@ class DeviceScene:
         return self.geometry.of_object(name, self._scene.terrain_count), np.eye(4)
 
     def face_errors(self, placements: Sequence[Placement]) -> list[Jit]:
-        """Return the squared error of the light on the faces of each layer, in the order of `layers`. Float [W² m⁻⁴
-        sr⁻²], from `BakedLight.face_error` and `DynamicObject.light`; None where light is left out."""
+        """Return the squared error of the light on the faces of each layer, [Float or None] [W² m⁻⁴ sr⁻²]; None without
+        light."""
         if self._face_error is None:
             return [None] * (1 + len(self.objects))
         *_, errors = self._lit(placements)

@@ -55,10 +55,11 @@ def placements(
     lit_s: float | None = None,
     lit_objects: Objects | None = None,
 ) -> tuple[Placement, ...]:
-    """Return the Placement of each dynamic object of a scene at a time on their tracks [s], in their order. `objects`
-    replaces values of the tracks: {name: {column of its track: value}}. `lit_s` is the time whose light they receive
-    and give [s]; near it this saves tracing the light, as costly as the rest of a frame. `lit_objects` is `objects` at
-    that time, by default the same."""
+    """Return the Placement of each dynamic object of a scene at a time on their tracks [s], in their order.
+
+    `objects` replaces values of the tracks: {name: {column of its track: value}}. At `lit_s` [s], with `lit_objects`,
+    the exchange of light is evaluated: times close to each other then trace it once, which costs as much as the rest of a frame.
+    """
     try:
         finite = np.isfinite(float(time_s))
     except (TypeError, ValueError):
@@ -108,8 +109,8 @@ class StaticLight:
 
 
 class DynamicObject:
-    """An object with a track, on the render side, with its `geometry` in its own frame. `tables` holds the scene's
-    directional materials; None where these are rendered as diffuse."""
+    """A dynamic object, with its `geometry` in its own frame. `tables` holds the scene's directional materials; with
+    None these are rendered as diffuse."""
 
     def __init__(
         self, mi: Mitsuba, tracked: TrackedObject, plan: Plan, materials: Sequence[Material],

@@ -127,8 +127,8 @@ class Geometry:
         return dr.select(copy, dr.gather(mi.UInt32, surface_of, number, copy), surface), dr.select(copy, own, face)
 
     def seen(self, ray: Jit) -> Hit:
-        """Return the Hit of a view's rays (an mi.Ray3f), without distances of 0. Embree returns distance 0 for a camera
-        on a surface and for a ray in the plane of any triangle. Only such rays are cast again, offset by `hair`."""
+        """Return the Hit of a view's rays (an mi.Ray3f). Embree returns distance 0 for a camera on a surface and for a
+        ray in the plane of a triangle; such rays are cast again, offset by `hair`."""
         hit = self.cast(ray, coherent=True)
         touches = hit.valid & (hit.distance <= 0.0)
         # Opaque: a literal would compile the kernel again for each scene.
@@ -183,8 +183,7 @@ class Geometry:
 
     def lattice(self, surface: Jit, active: Jit = True, level: Jit = None) -> tuple[Jit, ...]:
         """Return (first texel, rows, columns) of surfaces, Int32; with `level`, of their squares of 2^level texels a
-        side.
-        """
+        side."""
         index = surface if level is None else surface + level * self._surfaces
         return tuple(dr.gather(self.mi.Int32, values, index, active) for values in self._lattice)
 
@@ -273,8 +272,8 @@ class Geometry:
 
     @cached_property
     def face_of_texel(self) -> Jit:
-        """The face that covers each texel's centre, UInt32 over all texels; `face_count` where no face does. Rays are
-        cast down onto the triangles of the map. A face whose map has no area covers nothing."""
+        """The face that covers each texel's centre, UInt32; `face_count` where none does. Faces without area on the map
+        cover none."""
         mi = self.mi
         found = np.full(int(self.texel_start[-1]), self.face_count, dtype=np.uint32)
         for number, surface in enumerate(self.surfaces):
@@ -289,8 +288,8 @@ class Geometry:
         return mi.UInt32(aligned(found, np.uint32))
 
     def face_showing(self, surfaces: int) -> NDArray[np.uint32]:
-        """Return the face that shows each texel of the first `surfaces`, (T,), as `face_of_texel`. Here a face whose
-        map is a point shows the texel there, unless a larger one does."""
+        """Return the face that shows each texel of the first `surfaces`, (T,), as `face_of_texel`. A face whose map is
+        a point shows the texel there, unless a larger one does."""
         found = np.array(self.face_of_texel)[: int(self.texel_start[surfaces])]
         for number, surface in enumerate(self.surfaces[:surfaces]):
             rows, columns = surface.material.shape
@@ -372,8 +371,8 @@ def of_faces(
     surfaces: Sequence[Surface], job: Callable[[Surface, slice], NDArray[Any]], shape: tuple[int, ...],
     dtype: Any = np.float32,
 ) -> NDArray[Any]:  # fmt: skip
-    """Return `job(surface, faces)` of all faces, (F, *shape), computed for a million faces at a time. Jobs use float64
-    on all corners; for all faces at once that would dominate a scene's memory."""
+    """Return `job(surface, faces)` of all faces, (F, *shape), for a million faces at a time to limit the memory of
+    float64."""
     found = np.empty((sum(len(surface.faces) for surface in surfaces), *shape), dtype)
     first = 0
     for surface in surfaces:

@@ -44,12 +44,9 @@ def render(
     scene: Scene, pose: ArrayLike, samples: int = 64, depth: int = 8, seed: int = 0, device: str = "auto",
     integrator: str = "path", progress: Callable[[float], object] | None = None,
 ) -> Floats:  # fmt: skip
-    """Return band radiance by path tracing, (H, W) float64 [W m⁻² sr⁻¹].
-
-    `pose` is world_from_camera (4, 4), `samples` are paths per pixel, and `depth` is the longest path, in surfaces.
-    `integrator` is Mitsuba's "path", or "direct" with one reflection only. `device` is as in `variant.activate`;
-    `progress` is called with the share done.
-    """
+    """Return band radiance by path tracing, (H, W) float64 [W m⁻² sr⁻¹]. `pose` is world_from_camera (4, 4), `samples`
+    are paths per pixel, and `depth` is the longest path, in surfaces. `integrator` is Mitsuba's "path", or "direct"
+    with one reflection only. `device` is as in `variant.activate`; `progress` is called with the share done."""
     pose = checked_pose(pose)
     camera = scene.camera
     if scene.air is not None:
@@ -89,9 +86,8 @@ def frame(
 
 
 def squared_error(frame: NDArray[Any], first: NDArray[Any], second: NDArray[Any]) -> tuple[float, float]:
-    """Return (mean squared error, its standard error) of an image against two independent noisy references. mean((f −
-    a)(f − b)) is an unbiased estimate of mean((f − truth)²): the noise of a and b is independent, so it does not add up
-    as in mean((f − a)²)."""
+    """Return (mean squared error, its standard error) of an image f against independent noisy references a and b.
+    mean((f − a)(f − b)) is unbiased, as the noise of a and b is independent."""
     product = ((frame - first) * (frame - second)).ravel()
     product = product[np.isfinite(product)]
     return float(product.mean()), float(product.std(ddof=1) / np.sqrt(product.size))
@@ -189,8 +185,8 @@ def _register_lens(mi: Mitsuba, name: str, camera: Camera, pose: Floats, loaded:
 
 
 def _mesh(mi: Mitsuba, name: str, number: int, surface: Surface, pose: Floats, mirrors: NDArray[np.bool_]) -> Jit:
-    """A surface as a stock mesh with map coordinates, a two-sided material and an area emitter. `mirrors` is True for
-    directional materials, (M,) bool."""
+    """A surface as a stock mesh with map coordinates, a two-sided material and an area emitter; `mirrors` (M,) are
+    directional."""
     properties = mi.Properties()
     texture = {"type": name, "surface": number}
     diffuse = {"type": "diffuse", "reflectance": {**texture, "what": "reflectance"}}

@@ -1,7 +1,7 @@
 """The installed package against closed forms, in kelvin and in seconds: `thermorender doctor --self-test`.
 
 Planck's law and its inverse, an isothermal enclosure, a grey plate under a uniform sky, a spherical cavity with a hole,
-and the counts of every shipped camera. Rendered scenes are written to a temporary folder and loaded like any other.
+and the counts of every shipped camera.
 """
 
 import tempfile

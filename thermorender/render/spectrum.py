@@ -134,9 +134,8 @@ class Spectrum:
         return self.gathered(self.points.spread(radiance))
 
     def of(self, other: "Spectrum") -> Floats:
-        """Return a matrix (N', N) that turns radiance of another spectrum's nodes into that of these, approximately.
-        The light of each node is spread over its points as a blackbody's is. Between bands or airs of other points,
-        that of all nodes together is."""
+        """Return a matrix (N', N) that converts radiance at another spectrum's nodes to these, approximately. The light
+        of each node is spread as a blackbody's; between different points, the total is."""
         label = other.label if len(other.label) == len(self.label) else np.zeros(len(self.label), int)
         black = self.points.planck(REFERENCE_K)
         shares = np.zeros((int(label.max()) + 1, self.nodes))
@@ -189,7 +188,7 @@ class Envelope:
 
     def sources(self, points: Points) -> tuple[Floats, Floats, Floats]:
         """Return emission at the points: (outside (n, Q), ground (2, Q), objects (t, Q)). Outside is sky and
-        surroundings; the others are blackbodies at the terrain's extremes and at each object's temperature."""
+        surroundings; others are blackbodies at the ground's extreme and the objects' temperatures."""
         ground = _black(points, self.ground)
         objects = _black(points, [temperature for _, temperature in self.objects]) if self.objects else ground[:0]
         background = _black(points, [self.surroundings_temperature])
@@ -201,10 +200,9 @@ class Envelope:
         return np.concatenate([points.spread(sky), background]), ground, objects
 
     def light(self, emissivity: Floats, outside: Floats, ground: Floats, objects: Floats) -> Floats:
-        """Return spectra that can fall on a surface of this scene, (n, X), from sources at points or at nodes. They
-        are: the outside; any material of the ground at its extremes, reflecting the outside or ground at its extremes;
-        and objects, reflecting the outside. Reflected light of objects is left out: an object fills a small solid
-        angle."""
+        """Return spectra that can fall on a surface of this scene, (n, X), from sources at points or at nodes: the
+        outside; ground at its extremes, reflecting the outside or ground at its extremes; objects, reflecting the
+        outside. Light reflected from objects is left out, as an object fills a small solid angle."""
         others = np.concatenate([ground, outside])
         light = [outside]
         for own in emissivity:
@@ -230,11 +228,9 @@ class Envelope:
 
 def make_spectrum(materials: Sequence[Material], envelope: Envelope, tolerance_mk: float, reflects: bool) -> Spectrum:
     """Return the Spectrum of a scene, with errors up to `tolerance_mk` on the envelope; one node unless it `reflects`.
-
     A material's reflection of a node's light is not its mean reflectance in the node. It is a least-squares fit, over
     the envelope's light, to the reflection at the points, regularised towards the mean. This corrects most variation
-    within a node and needs a third of the nodes.
-    """
+    within a node and needs a third of the nodes."""
     points = Points.of(envelope.band_um, envelope.air)
     pure, shares = _pure(materials)
     spectra = spectra_at(points, pure)
@@ -261,9 +257,8 @@ def make_spectrum(materials: Sequence[Material], envelope: Envelope, tolerance_m
 def kept_spectrum(
     spectrum: Spectrum, before: Sequence[Material], materials: Sequence[Material], envelope: Envelope
 ) -> Spectrum | None:
-    """Return the Spectrum of other materials with the nodes and channels of `spectrum`, whatever their error. Band and
-    air are the same. Materials with the emissivity of one in `before`, which `spectrum` was made for, reflect as they
-    did. None with mixtures."""
+    """Return the Spectrum of other materials with the nodes and channels of `spectrum`, whatever their error; None for
+    mixtures. Materials with the emissivity of one in `before` reflect as it did."""
     if any(isinstance(material, Mixture) for material in (*before, *materials)):
         return None
     points, paths, channels_mk = spectrum.points, envelope.paths(), 0.0
@@ -297,8 +292,8 @@ def spectra_at(points: Points, materials: Sequence[Material]) -> Floats:
 
 
 def with_nodes(spectrum: Spectrum, materials: Sequence[Material], count: int) -> Spectrum:
-    """Return a Spectrum with about `count` nodes, equal parts of its points by wavelength, whatever their error. This
-    serves to measure the time that nodes take; `make_spectrum` uses as few as suffice."""
+    """Return a Spectrum with about `count` nodes, equal parts of its points by wavelength, to measure the time of
+    nodes."""
     points = spectrum.points
     label = np.arange(len(points.node)) * min(count, len(points.node)) // len(points.node)
     emissivity, reflected, share = _means(points, spectra_at(points, materials), spectrum.basis, label)
@@ -306,8 +301,8 @@ def with_nodes(spectrum: Spectrum, materials: Sequence[Material], count: int) ->
 
 
 def _pure(materials: Sequence[Material]) -> tuple[list[Material], Floats]:
-    """(The P materials that these are mixed of, share of each in every material (M, P)). All that a mixture emits and
-    reflects is the mean of its parts, and its error at most the largest of theirs."""
+    """(the P materials that these are mixed of, fraction of each in every material (M, P)). A mixture emits and
+    reflects the mean of its parts, so its error is at most the largest of theirs."""
     pure = list(dict.fromkeys(part for material in materials for part, _ in spectra_of(material)))
     shares = np.zeros((len(materials), len(pure)))
     for row, material in zip(shares, materials, strict=True):
@@ -323,8 +318,8 @@ def _mixed(spectrum: Spectrum, shares: Floats) -> Spectrum:
 
 
 class _Case:
-    """A scene's envelope at the points: its light, its reflections, and the radiance of a millikelvin. Materials of
-    `spectra` reflect, and those of `glowing` emit: all of a scene, or a part of them."""
+    """A scene's envelope at the points: light, reflections, and radiance per mK; `spectra` reflect and `glowing`
+    emit."""
 
     def __init__(
         self, points: Points, spectra: Floats, envelope: Envelope, passed: Floats, glowing: Floats | None = None
@@ -364,8 +359,8 @@ class _Case:
         self, label: NDArray[np.integer], basis: Floats, solver: Floats, channels_mk: float,
         wanted: Floats | None = None, known: Floats | None = None,
     ) -> Spectrum:  # fmt: skip
-        """Return the Spectrum of nodes, where `wanted` is given with a fit to these reflections and its error. `known`
-        is what the materials reflect in place of a fit."""
+        """Return the Spectrum of nodes, with a fit to the reflections `wanted` where given; `known` replaces the
+        fit."""
         emissivity, reflected, share = _means(self.points, self.spectra, basis, label)
         nodes_mk = 0.0
         if wanted is not None:
@@ -423,8 +418,8 @@ def _worst_mk(case: _Case, shown: Floats, basis: Floats, solver: Floats) -> floa
 
 
 def _kelvin(radiance: Floats, band_um: tuple[float, float]) -> Floats:
-    """d(brightness temperature)/d(band radiance) [K W⁻¹ m² sr], that of 300 K for what is colder. A budget is in mK at
-    300 K. A texel close to 100 K has a hundredth of that radiance per millikelvin."""
+    """d(brightness temperature)/d(band radiance) [K W⁻¹ m² sr]; below 300 K that of 300 K, as budgets are in mK at 300
+    K."""
     coldest = 1.0 / band_radiance_derivative(REFERENCE_K, *band_um)
     return np.minimum(kelvin_per_radiance(radiance, *band_um), coldest)
 

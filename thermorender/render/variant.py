@@ -125,16 +125,15 @@ def activate(device: str = "auto") -> Any:
 
 
 def switch(mi: Any, variant: str) -> None:
-    """Activate a variant of Mitsuba. Mitsuba then recompiles its Python integrators (0.1 s; none is used here).
-    Dr.Jit's warning about repeated compilation is suppressed."""
+    """Activate a variant of Mitsuba, without Dr.Jit's warning about the repeated compilation of integrators (0.1 s)."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "The AST-transforming decorator", RuntimeWarning)
         mi.set_variant(variant)
 
 
 def active_device() -> dict[str, str]:
-    """Return the device that computes this process's frames: {"variant": name, "llvm" or "cuda": its version}. Other
-    compiler versions may round differently. The result is {} before a variant is active."""
+    """Return {"variant": name, "llvm" or "cuda": its version}, since other compilers may round differently; {} without
+    one."""
     mi = sys.modules.get("mitsuba")
     if mi is None or mi.variant() is None:
         return {}
@@ -146,8 +145,8 @@ def active_device() -> dict[str, str]:
 
 
 def works(variant: str) -> tuple[bool, str]:
-    """Return (True, "") or (False, reason) after casting one ray in a separate process. The process is separate because
-    a wrong LLVM library aborts the process that loads it."""
+    """Return (True, "") or (False, reason) after casting one ray in a separate process, which a wrong LLVM library
+    aborts."""
     environment = dict(os.environ)
     if variant.startswith("llvm"):
         llvm = usable_llvm()

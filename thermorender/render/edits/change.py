@@ -61,8 +61,8 @@ def comparable(one: Scene, other: Scene) -> bool:
 def change_of(
     baked: LoadedLight, prior: PriorLight, scene: Scene, plan: Plan, touched: Touched | None = None
 ) -> Change | None:  # fmt: skip
-    """Return the Change from a baked scene to an edited one; None where nodes or channels differ. `touched` is what
-    `touched_by` returns, where it is known."""
+    """Return the Change from a baked scene to an edited one; None where nodes or channels differ. `touched` is from
+    `touched_by`."""
     before, after = baked.plan.spectrum, plan.spectrum
     if not (np.array_equal(before.label, after.label) and np.array_equal(before.basis, after.basis)):
         return None

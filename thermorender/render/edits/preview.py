@@ -197,8 +197,7 @@ def _most(values: NDArray[Any]) -> NDArray[np.intp]:
 
 
 def _strongest(baked: LoadedLight, samples: Samples) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
-    """(largest reflectance of a point of each face at any node, (F,); faces that reflect most of what they receive).
-    They are kept with the baked scene."""
+    """(largest reflectance of each face at any node, (F,); faces that reflect most of what they receive), cached."""
     if baked.loaded.strongest is None:
         geometry, prior = baked.geometry, baked.prior
         mi = geometry.mi
@@ -216,9 +215,8 @@ def _strongest(baked: LoadedLight, samples: Samples) -> tuple[NDArray[np.float32
 
 
 class _ChangedTexels:
-    """The change of texels and faces, from the change of the light on faces. Texels differ in what they emit, and in
-    what they reflect of the light before and of its change: these depend on the pair of materials before and after the
-    edit. Pairs that occur are numbered."""
+    """The change of texels and faces, from the change of the light on faces. It depends on the pair of materials before
+    and after the edit; pairs that occur are numbered."""
 
     def __init__(
         self,

@@ -77,8 +77,8 @@ class Samples:
 
     @cached_property
     def others(self) -> tuple[Jit, Jit, Jit]:
-        """(first entry of each face (F + 1,), texel, weight): what a face shows of texels that other faces cover. The
-        texels are corners of its points, each once, and the weights of all corners of a face would sum to one."""
+        """(first entry of each face (F + 1,), texel, weight): texels of a face's points that other faces cover. Weights
+        of all texels of a face, covered by it or not, would sum to one."""
         mi, cover = self.geometry.mi, self.geometry.face_of_texel
         starts, texels, weights = [np.zeros(1, np.int64)], list[NDArray[Any]](), list[NDArray[Any]]()
         for first in range(0, self.geometry.face_count, _FACES_AT_ONCE):
@@ -111,8 +111,8 @@ class Samples:
         return texel, weight.astype(np.float64) / self.count
 
     def received(self, sent: NDArray[np.float32], faces: NDArray[np.intp], pool: Executor) -> NDArray[np.float32]:
-        """Return what faces receive from radiance that some faces (n,), ascending, send. Both are (k, F) float32 [W m⁻²
-        sr⁻¹]; `sent` is 0 for other faces."""
+        """Return what faces receive from radiance that some faces (n,), ascending, send, both (k, F) float32 [W m⁻²
+        sr⁻¹]."""
         from scipy.sparse import csc_array
 
         if not len(faces):
@@ -146,9 +146,8 @@ class Samples:
 
     @cached_property
     def _columns(self) -> tuple[NDArray[np.integer], NDArray[np.int32], NDArray[np.float32], NDArray[np.bool_]]:
-        """The transport by what is hit: (first entry of each face (F + 1,), then for each entry the face that sees it,
-        the number of that face's rays, and whether they are of its second half). An edit changes few faces: their
-        columns are read, and not all rays. Products need floating numbers."""
+        """The transport by columns: (first entry of each face (F + 1,), then for each entry the face that sees it, the
+        number of that face's rays, and whether they are of its second half)."""
         from scipy.sparse import csr_array
 
         transport, counted = self.transport, self.transport.counted
@@ -231,8 +230,8 @@ class Tables:
 
 
 class PriorLight:
-    """Texels and light before an edit, on the device. `kinds` and `kelvin` are material and temperature [K] of all
-    texels, `texels` their radiance as of `BakedLight`."""
+    """Texels and light before an edit, on the device: `kinds` are materials, `kelvin` temperatures [K], `texels`
+    radiance."""
 
     def __init__(
         self, samples: Samples, scene: Scene, kinds: Jit, kelvin: Jit, light: NDArray[np.float32], texels: list[Jit],

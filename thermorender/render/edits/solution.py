@@ -37,8 +37,7 @@ _FOR_ROUNDING = 0.5
 def solved_change(
     baked: LoadedLight, scene: Scene, tick: Callable[[], object]
 ) -> tuple[Plan, SolvedLight] | None:  # fmt: skip
-    """Return (Plan, SolvedLight) of an edited scene; None where all light has to be solved. `tick` is called every few
-    milliseconds; it may raise."""
+    """Return (Plan, SolvedLight) of an edited scene; None where all light has to be solved. `tick` may raise."""
     kept, old = baked.loaded.solution, baked.plan
     if kept is None or baked.incident is None or not comparable(baked.scene, scene) or _warmer(baked.scene, scene):
         return None

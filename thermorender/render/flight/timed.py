@@ -74,11 +74,9 @@ class TimedRenderer:
 
     def temperature_record(self, time_s: float) -> dict[str, Any]:
         """Return the entry of temperatures in a frame's record, {"temperature": {"time", "change_mk", "moved"}}; {}
-        without a heat balance.
-
-        "time" is their instant, UTC. "change_mk" is the root mean square change over the terrain's texels in the last
-        `STEP_S` [mK], None at the first instant. "moved" is the `moved_report` of a map moved to the instant.
-        """
+        without a heat balance. "time" is their instant, UTC. "change_mk" is the root mean square change over the
+        terrain's texels in the last `STEP_S` [mK], None at the first instant. "moved" is the `moved_report` of a map
+        moved to the instant."""
         scene = self.first.scene
         if not scene.temperature_state.weather_driven:
             return {}

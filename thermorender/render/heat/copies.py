@@ -58,9 +58,9 @@ class Copies:
     def take_means(
         self, instant: int, found: NDArray[Any], texels: NDArray[Any], face: NDArray[Any], kelvin: NDArray[Any]
     ) -> None:  # fmt: skip
-        """Replace the temperatures `found` of texels on copies, those of leaves, by the means of their patches. `face`
-        is that of each of `texels`, and `kelvin` are the temperatures of all faces [K]. Their difference is kept as the
-        scatter at an instant; of the parts of a mixture the largest."""
+        """Replace leaf temperatures `found` of texels on copies by the means of their patches, and keep the difference
+        as scatter. `face` is that of each of `texels`, `kelvin` the temperature of all faces [K]; mixtures keep the
+        largest scatter of their parts."""
         on = (face >= self.first) & (face < self.last)
         place, mean = texels[on] - self._texels[0], kelvin[face[on]]
         scatter = np.abs(found[texels[on]] - mean)

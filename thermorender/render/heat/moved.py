@@ -84,10 +84,8 @@ def moved(
     scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None
 ) -> list[MovedMap]:
     """Return a scene whose map gives temperatures of one instant, moved to each of some instants (UTC) of its weather.
-
     It takes one simulation of the balance and one per property under each of the two weathers, and 12 bytes per texel
-    and instant. `geometry` and `progress` are as in `heat.simulation.solved`.
-    """
+    and instant. `geometry` and `progress` are as in `heat.simulation.solved`."""
     here, there = balances(scene)
     geometry = geometry or Geometry(activate(), scene.surfaces)
     asked = sorted(set(times))

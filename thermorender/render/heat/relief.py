@@ -131,8 +131,8 @@ def _traced(
 
 
 def _past(weather: Weather, time: np.datetime64) -> "dict[np.datetime64, NDArray[np.float64]]":
-    """{instant: shares (len(MEMORY_H),) of it in the sunlight of the past}. An instant is the middle of a step of the
-    day, clipped to the weather before `time`, and represents that step."""
+    """{instant: its weights (len(MEMORY_H),) in past sunlight}: middles of the day's steps, clipped to the weather
+    before `time`."""
     step, day = np.timedelta64(round(_STEP_H * 3600.0), "s"), time.astype("M8[D]").astype("M8[s]")
     until = int((time - day) // step) + 1
     numbers = np.arange(until - round(_BACK * max(MEMORY_H) / _STEP_H) - 1, until + 1)
@@ -150,12 +150,10 @@ def mapped(
     scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None,
     material: bool = False,
 ) -> list[Scene]:  # fmt: skip
-    """Return a scene at some instants (UTC), with terrain temperatures by a learned map of relief, hour and weather.
-
-    A map of apparent temperatures refers to the sky of that instant: the scene's own, or that of its air. Where the map
+    """Return a scene at some instants (UTC), with terrain temperatures by a learned map of relief, hour and weather. A
+    map of apparent temperatures refers to the sky of that instant: the scene's own, or that of its air. Where the map
     reports failure, the air's temperature is used. `material` adds the input "material", numbers into the names of the
-    shipped library in their order, for privileged maps only. Other arguments are as in `reliefs`.
-    """
+    shipped library in their order, for privileged maps only. Other arguments are as in `reliefs`."""
     from thermorender.learned.temperature_map import Inputs
 
     source = scene.temperature_state.source

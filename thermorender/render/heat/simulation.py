@@ -63,12 +63,9 @@ def solved(
     deviations: Deviations | None = None,
 ) -> list[Scene]:  # fmt: skip
     """Return the scene with the temperatures of terrain and copies at each of some instants (UTC), from its heat
-    balance.
-
-    Objects keep the temperatures of the scene file, except copies whose temperature is "balance"; they cast shadows and
-    radiate. A mixed material emits the mean of its parts. `geometry` is reused where it exists, `progress` is called
-    with (what, share done), and `deviations` make a truth that differs from the material tables.
-    """
+    balance. Objects keep the temperatures of the scene file, except copies whose temperature is "balance"; they cast
+    shadows and radiate. A mixed material emits the mean of its parts. `geometry` is reused where it exists, `progress`
+    is called with (what, share done), and `deviations` make a truth that differs from the material tables."""
     asked = sorted(set(times))
     geometry = geometry or Geometry(activate(), scene.surfaces)
     report_progress = progress or (lambda what, share: None)
@@ -283,8 +280,8 @@ class _Simulation:
         self, texels: NDArray[np.integer], progress: Callable[[float], object]
     ) -> Iterator[NDArray[np.float32]]:
         """Yield surface temperatures of all faces and of some texels, (C,) float32 [K], at each instant requested.
-        Texels of one face and material share a column until four hours before the first instant, where no other
-        property differs; from then on each has its own sun."""
+        Equal texels of a face share a column until four hours before the first instant; from then on each has its own
+        sun."""
         mi, own = self.mi, None
         light: _Light | None = None
         self.arrives: Any = None

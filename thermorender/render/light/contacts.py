@@ -66,8 +66,8 @@ def _reversed(index: NDArray[np.integer]) -> NDArray[np.integer]:
 
 
 def solid(geometry: Geometry) -> NDArray[np.bool_] | None:
-    """Return the faces that have something solid behind them, (F,); None where nothing can cover anything. That is a
-    single connected part, such as a terrain without objects."""
+    """Return which faces have something solid behind them, (F,); None for a single connected part, such as a bare
+    terrain."""
     part = _parts(geometry.surfaces)
     count = int(part.max(initial=-1)) + 1
     if count < 2 and not geometry.has_copies:
@@ -83,8 +83,8 @@ def solid(geometry: Geometry) -> NDArray[np.bool_] | None:
 
 
 def _solid_parts(geometry: Geometry, part: NDArray[np.int64], count: int, stands: bool = True) -> NDArray[np.bool_]:
-    """Which of `count` parts of a geometry are solid, by the part of each face (F,), −1 for none. Below all faces of a
-    geometry that `stands` on its ground is nothing; below a body alone is air."""
+    """Which of `count` parts of a geometry are solid, by the part of each face (F,), −1 for none. Below a geometry that
+    `stands` on its ground is nothing; below a body alone is air."""
     # A lone triangle encloses nothing.
     size = np.bincount(part[part >= 0], minlength=count)
     order = np.random.Generator(np.random.Philox(_SEED)).permutation(np.flatnonzero(part >= 0)).astype(np.uint32)

@@ -44,8 +44,7 @@ def threads() -> ThreadPoolExecutor:
 
 
 def strong_reflectors(transport: Transport, reflectance: NDArray[np.floating], known: Strong | None = None) -> Strong:
-    """Return the faces that exchange light among themselves first, with what they see, as `Transport.among`.
-    `reflectance` is (F, N); `known` is returned where it has all of them."""
+    """Return the strong reflectors and what they see, as `Transport.among`; `known` where it has all of them."""
     strong = reflectance.max(axis=1) > _STRONG
     if known is not None and np.count_nonzero(strong) == np.count_nonzero(strong[known[0]]):
         return known
@@ -55,11 +54,9 @@ def strong_reflectors(transport: Transport, reflectance: NDArray[np.floating], k
 
 class Exchange:
     """Light between faces at some nodes; faces emit `emitted` [W m⁻² sr⁻¹] and reflect `reflectance`, both (F, N).
-
     `environment` is the light from beyond all faces, if any. The number of threads of `pool` does not change the
     result. `strong` of another Exchange is used where it has all strong reflectors of this one. `tick` is called every
-    few milliseconds; it may raise.
-    """
+    few milliseconds; it may raise."""
 
     def __init__(
         self, transport: Transport, pool: Executor, emitted: Floats, reflectance: NDArray[np.floating],
@@ -115,8 +112,8 @@ class Exchange:
         return float(np.abs(self.incident[part]).max()), float(np.abs(self.rest[part]).max())
 
     def settled(self, wanted: float) -> Callable[[slice], Floats]:
-        """Return what faces should send: their rests, those of strong reflectors after exchange among them. `wanted` is
-        the largest rest that may remain in the end. The result is as `send` takes it."""
+        """Return what faces should send, as `send` takes it: their rests, after exchange among strong reflectors.
+        `wanted` is the largest rest that may remain in the end."""
         faces, seen, mutual = self.strong
         if self._tick:
             self._tick()

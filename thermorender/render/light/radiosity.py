@@ -87,8 +87,8 @@ class Transport:
         return [slice(first, min(first + _FACES_AT_ONCE, count)) for first in range(0, count, _FACES_AT_ONCE)]
 
     def halves(self, part: slice) -> Any:
-        """Number of the rays of a part of n faces that hit each face, csr_array (2 n, F) of float64. Rows 2 i and 2 i +
-        1 are of the two halves of face i's rays."""
+        """Number of the rays of n faces that hit each face, csr_array (2 n, F) of float64; rows 2 i and 2 i + 1 are
+        halves."""
         from scipy.sparse import csr_array
 
         start = self.start[2 * part.start : 2 * part.stop + 1]
@@ -180,9 +180,7 @@ def sky_edges() -> Floats:
 
 
 def background_code(mi: Mitsuba, direction: Jit) -> Jit:
-    """Return the background seen by a ray that hits nothing: a bin of the sky, or SKY_BINS for the surroundings,
-    UInt32.
-    """
+    """Return the background of a ray that hits nothing, UInt32: a bin of the sky, or SKY_BINS for the surroundings."""
     position = mi.UInt32(dr.sqrt(dr.clip(direction.z, 0.0, 1.0)) * SKY_BINS)
     return dr.select(direction.z >= 0.0, dr.minimum(position, SKY_BINS - 1), SKY_BINS)
 
@@ -218,8 +216,8 @@ class FaceRays:
     def start_in_the_open(
         self, solids: NDArray[np.bool_] | None, faces: NDArray[np.integer]
     ) -> contacts.Contacts | None:
-        """Return the Contacts among some ascending faces, from whose open parts rays start from now on. `solids` are
-        those of `contacts.solid`."""
+        """Return the Contacts among ascending faces, in whose open parts rays start from now on; `solids` are from
+        `contacts.solid`."""
         found = contacts.covered(self._geometry, solids, faces, self._points)
         if found is not None:
             place = np.full(self._geometry.face_count, _OPEN, np.uint32)

@@ -104,8 +104,8 @@ def amplification(transport: Transport, reflectance: NDArray[np.floating]) -> fl
 def _reflected_noise(
     transport: Transport, pool: Executor, reflectance: Floats, light: Exchange, tick: Callable[[], object] | None
 ) -> Floats:
-    """`light.noise` and its own reflections, (F,). They are solved for all nodes together, with each face's mean
-    reflectance of the light that it receives."""
+    """`light.noise` and its reflections, (F,), for all nodes together, with each face's mean reflectance of its
+    light."""
     total = light.incident.sum(axis=1)
     mean = np.einsum("fn,fn->f", reflectance, light.incident) / np.where(total > 0.0, total, 1.0)
     error = Exchange(transport, pool, light.noise[:, None], mean[:, None], strong=light.strong, tick=tick)

@@ -30,8 +30,7 @@ def face_means(
     blocks: Sequence[slice], tick: Callable[[], object] = lambda: None,
 ) -> Iterator[tuple[Floats, Floats]]:  # fmt: skip
     """Yield, for each slice of nodes, mean emitted radiance and reflectance of each face, both (F, n) float64.
-    `material` and `temperature` are those of all texels, (T,) numbers and [K]. `tick` is called every few
-    milliseconds."""
+    `material` and `temperature` [K] are of all texels, (T,)."""
     mi, count, spectrum = geometry.mi, geometry.face_count, plan.spectrum
     grid = RadianceTable.grid(plan.coldest, plan.warmest)
     black = spectrum.black(grid).astype(np.float32)
@@ -70,8 +69,8 @@ def emitted(
     plan: Plan, materials: Sequence[Material], material: NDArray[np.uint8], temperature: NDArray[np.float32],
     tick: Callable[[], object] = lambda: None,
 ) -> list[NDArray[np.float32]]:  # fmt: skip
-    """Return the emission of each texel into each channel, a list of K arrays (T,) float32 [W m⁻² sr⁻¹]. `material` and
-    `temperature` are those of all texels, (T,) numbers and [K]. `tick` is called every few milliseconds."""
+    """Return the emission of each texel into each channel, K arrays (T,) float32 [W m⁻² sr⁻¹]. `material` and
+    `temperature` [K] are of all texels, (T,)."""
     found = [np.empty(len(material), dtype=np.float32) for _ in range(plan.spectrum.channels)]
     limits = float(temperature.min()), float(temperature.max())
     tables = [plan.spectrum.emitted(each.emissivity_at, *limits, plan.band_um) for each in materials]
@@ -95,12 +94,10 @@ def bake_channel(
     geometry: Geometry, covers: Jit, emitted: NDArray[np.float32], material: NDArray[np.uint8],
     light: NDArray[np.float32], tick: Callable[[], object] = lambda: None,
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:  # fmt: skip
-    """Return (radiance of each texel (T,), correction of each face (F,), remaining scatter (F,)), float32.
-
-    Radiance and correction are in W m⁻² sr⁻¹. The scatter is the mean square, in their unit squared, of deviations
-    within a face that a constant does not restore. `covers` is from `Geometry.face_of_texel`, `emitted` (T,) is in W
-    m⁻² sr⁻¹, `material` (T,) uint8, and `light` (F + 1, M) from `light`. `tick` is called every few milliseconds.
-    """
+    """Return (radiance of each texel (T,), correction of each face (F,), remaining scatter (F,)), float32. Radiance and
+    correction are in W m⁻² sr⁻¹. The scatter is the mean square, in their unit squared, of deviations within a face
+    that a constant does not restore. `covers` is from `Geometry.face_of_texel`, `emitted` (T,) is in W m⁻² sr⁻¹,
+    `material` (T,) uint8, and `light` (F + 1, M) from `light`. `tick` is called every few milliseconds."""
     mi, count, kinds = geometry.mi, geometry.face_count, light.shape[1]
     table = mi.Float(aligned(light))
     materials = mi.UInt8(aligned(material, np.uint8))
@@ -126,9 +123,8 @@ def bake_channel(
 
 
 def light(incident: NDArray[np.float32], reflected: Floats) -> NDArray[np.float32]:
-    """Return the radiance that each material reflects on each face, (F + 1, M) float32 [W m⁻² sr⁻¹]. `incident` (F, N)
-    is the radiance of each face at each node, `reflected` (M, N) the reflectances. The last row is the mean, for texels
-    without a face, which only blend into their neighbours."""
+    """Return the radiance that each material reflects on each face, (F + 1, M) float32 [W m⁻² sr⁻¹], from incident
+    radiance (F, N) and reflectance (M, N). The last row is the mean, for texels without a face."""
     found = np.empty((len(incident) + 1, len(reflected)), np.float32)
     np.matmul(incident, reflected.T.astype(np.float32), out=found[:-1])
     found[-1] = found[:-1].mean(axis=0, dtype=np.float64)

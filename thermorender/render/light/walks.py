@@ -58,9 +58,8 @@ class Walks:
         self.share = number / number.sum()
 
     def incident(self, point: Jit, face: Jit, normal: Jit, walks: int) -> tuple[Floats, NDArray[np.uint32]]:
-        """Return (radiance that falls on points, node of each walk), both (n, walks); `walks` is a power of two. The
-        radiance [W m⁻² sr⁻¹] is that of the node over the node's `share`: its mean over many walks is the band's.
-        `point`, `face` and `normal` are of n points on surfaces."""
+        """Return (radiance that falls on n points, node of each walk), both (n, walks); `walks` is a power of two. The
+        radiance is the node's over the node's `share`, so its mean over many walks is the band's [W m⁻² sr⁻¹]."""
         from scipy.stats import qmc
 
         mi, geometry = self._geometry.mi, self._geometry

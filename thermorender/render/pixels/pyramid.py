@@ -22,8 +22,8 @@ def sizes(rows: int, columns: int) -> list[tuple[int, int]]:
 
 
 def squares(values: NDArray[np.float32], covered: NDArray[np.bool_] | None = None) -> Iterator[NDArray[np.float32]]:
-    """Yield the means over squares of 2, 4, 8 … texels a side of an image (rows, columns, C), as arrays like it. Only
-    the texels in `covered`, (rows, columns) bool, count; all where None."""
+    """Yield the means over squares of 2, 4, 8 … texels a side of an image (rows, columns, C), of its `covered` texels
+    only."""
     weight = None if covered is None else np.where(covered, np.float32(1.0), np.float32(_UNCOVERED))[..., None]
     while values.shape[:2] != (1, 1):
         if weight is None:

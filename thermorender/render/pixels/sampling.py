@@ -103,7 +103,7 @@ class CameraRays:
 
     def crossed(self, up: Floats, horizon: float) -> NDArray[np.int64]:
         """Return the flat numbers of the pixels that a horizon crosses, and of a few next to them. `up` (3,) is the
-        vertical in camera axes; directions on the horizon have the cosine `horizon` with it."""
+        vertical in camera axes; `horizon` is the cosine of its zenith angle."""
         x, y, side = self._middles
 
         def rise(*at: Any) -> NDArray[Any]:
@@ -158,9 +158,11 @@ class CameraRays:
         shift: Floats | None = None,
     ) -> "Footprint":  # fmt: skip
         """Return the Footprints of rays first … last − 1 of the pixels at `position` in the order, side by side per
-        pixel. The pixel, or its part in the Rectangles `within`, is divided into `last` cells; each ray has the cell
-        that contains it. `shift` (n, 2) moves the rays of each pixel cyclically within their cells, in sides of a
-        cell."""
+        pixel.
+
+        The pixel, or its part in the Rectangles `within`, is divided into `last` cells; each ray has the cell that
+        contains it. `shift` (n, 2) moves the rays of each pixel cyclically within their cells, in sides of a cell.
+        """
         mi = self._mi
         # Opaque: literals would compile the kernel again for each stage.
         count, start = dr.opaque(mi.UInt32, last - first), dr.opaque(mi.UInt32, first)

@@ -16,8 +16,7 @@ from thermorender.scene.scene import Scene
 
 
 class Mirror:
-    """Data of the directional texels of one layer. `material` holds the number of each texel's material, (T,); `black`
-    (n, K) comes from `black_of`."""
+    """Data of the directional texels of one layer: `material` (T,) of all texels, `black` (n, K) from `black_of`."""
 
     def __init__(self, mi: Mitsuba, tables: "DeviceTables", material: NDArray[np.integer], black: Floats) -> None:
         self.tables = tables
@@ -71,9 +70,8 @@ class DeviceTables:
         ]
 
     def through_air(self, light: list[Jit], distance: Jit, up: Jit, valid: Jit) -> list[Jit]:
-        """Return light, [Float] by channel, behind the path from its source to the mirror: length [m], cosine of
-        zenith.
-        """
+        """Return channels of light, [Float], behind the path from its source to the mirror: length [m], cosine of
+        zenith."""
         if self._path is None:
             return light
         total = [self._mi.Float(0.0) for _ in light]

@@ -44,9 +44,9 @@ def correction(
     layers: Sequence[Layer], depth: int, origin: Jit, direction: Jit, distance: Jit, number: Jit, face: Jit, texel: Jit,
     row: Jit,
 ) -> tuple[list[Jit], Jit]:  # fmt: skip
-    """Return (channels to add, [Float], distance [m] from a mirror to the point seen in it) for rays of a view. Rays
-    are in the frame of the first layer. They hit a face of layer `number` at `distance` [m]; texel and row are from
-    `met`. After `depth` reflections by mirrors the next one is taken as diffuse."""
+    """Return (channels to add, [Float], distance [m] from a mirror to the point seen in it) for rays in the first
+    layer's frame. They hit a face of layer `number` at `distance` [m]; texel and row are from `met`. Mirrors after
+    `depth` reflections are diffuse."""
     mirror = next(layer.outgoing.mirror for layer in layers if layer.outgoing.mirror)
     nothing = tuple(type(distance)(0.0) for _ in range(mirror.black.count + 1))
     # A branch: packets whose rays hit no mirror skip this.
@@ -63,9 +63,8 @@ def _reflected(
     layers: Sequence[Layer], depth: int, eye: Jit, view: Jit, distance: Jit, number: Jit, face: Jit, texel: Jit,
     row: Jit,
 ) -> tuple[Jit, ...]:  # fmt: skip
-    """As `correction`, in one tuple, for rays in the first layer's frame that hit mirror `row` (from 1 on) of layer
-    `number`.
-    """
+    """As `correction`, in one tuple, for rays in the first layer's frame that hit mirror `row` ≥ 1 of layer
+    `number`."""
     first = layers[0]
     mi, total = first.geometry.mi, list[Jit]()
     # Masked gathers return 0 for all layers but the one hit, so the sum selects its values.
@@ -120,8 +119,8 @@ def _seen(layers: Sequence[Layer], depth: int, origin: Jit, direction: Jit) -> t
 
 
 def last_steps(layers: Sequence[Layer], *ray: Jit) -> list[Jit]:
-    """Return the band radiance that one more reflection would add to a frame, and a second one, [Float] [W m⁻² sr⁻¹].
-    `ray` has the arguments of `correction` after the depth."""
+    """Return the band radiance that one more reflection would add, and a second one, [Float] [W m⁻² sr⁻¹]. `ray` holds
+    the arguments of `correction` after the depth."""
     tables = next(layer.outgoing.mirror.tables for layer in layers if layer.outgoing.mirror)
     first, *others = (correction(layers, depth, *ray)[0] for depth in (DEPTH, DEPTH + 1, DEPTH + 2))
     found = []
