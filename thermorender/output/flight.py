@@ -1,10 +1,10 @@
-"""A flight: timed poses to frames on disk, in an order that can be stopped anywhere and resumed.
+"""A flight: timed poses to frames on disk, which can be stopped at any time and resumed.
 
 A frame is finished when `frames.jsonl` has its line. The line is appended after the files are on disk under their final
 names, with their sizes and checksums and a checksum of the line. `flight.json` holds everything that the bytes depend
 on, so that a resume with other settings is refused, and at the end the number of frames without terrain. Two files hold
 the state of the sensor's pixels in turn until the flight is done; if it is lost, a resume renders the frames before
-again. Temperatures of a heat balance follow the flight's time; see `thermorender.render.flight.timed`.
+again.
 """
 
 import os
@@ -215,8 +215,8 @@ class Flight:
         self._encoded, self._kind = 0, "first frame"
 
     def __getstate__(self) -> dict[str, Any]:
-        """The flight as a worker needs it, before its first frame. Temperatures that do not change need no further
-        solution of the light; the error budget needs its rays."""
+        """The flight as a worker needs it, before its first frame. Arrays for further solutions of the light are
+        dropped where temperatures are constant; the error budget needs its rays."""
         from thermorender.render.renderer import Renderer
 
         renderer = self.renderer

@@ -21,7 +21,7 @@ class Prepared:
 
     line: dict[str, Any]  # The frame's line in `frames.jsonl`
     parts: dict[Path, Path]  # {path: temporary file}
-    image: NDArray[np.uint8] | None = None  # (H, W) or the display image, for the video
+    image: NDArray[np.uint8] | None = None  # (H, W) or (H, W, 3) display image, for the video
 
     def discard(self) -> None:
         """Remove the temporary files."""
@@ -34,10 +34,10 @@ def prepare(
     encoders: Mapping[Path, Callable[[], bytes]], state: tuple[Path, Callable[[], bytes]],
     image: NDArray[np.uint8] | None = None,
 ) -> Prepared:  # fmt: skip
-    """Write the files of a frame, {path: returns the bytes}, under temporary names in a folder. `place` identifies the
-    folder at the start of the flight; `line` returns the frame's line in `frames.jsonl` without its files. `state`,
-    (path, returns the bytes), is the sensor's, which is not in the line: a resume can do without it, so it is not
-    waited for on the disk. `image` is as in Prepared."""
+    """Write the files of a frame, {path: returns the bytes}, under temporary names in a folder, identified by `place`.
+    `line` returns the frame's line in `frames.jsonl` without its files. `state` (path, returns the bytes) is the
+    sensor's. It is not in the line and not synced to the disk, as a resume can do without it. `image` is as in
+    Prepared."""
     frame, known = Prepared({}, {}), {}
     try:
         refuse_moved(folder, place)

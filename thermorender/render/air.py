@@ -82,8 +82,8 @@ class SceneAir:
         self._last: tuple[bytes, AirView] | None = None
 
     def view(self, origin: Floats, box: Floats, clear: bool = False) -> "AirView":
-        """Return the AirView from a camera position `origin` (3,) [m] to surfaces in a `box` (2, 3) [m]; the last one
-        is cached. With `clear`, paths to surfaces transmit all light and emit none."""
+        """Return the AirView from `origin` (3,) [m] to a `box` (2, 3) [m], cached; with `clear`, paths to surfaces have
+        no air."""
         if clear:
             return self._view(origin, box, clear)
         # Read and replaced as a whole: another thread may render another view meanwhile.
@@ -170,9 +170,8 @@ class PathGrid:
 
 
 class AirView:
-    """The air seen from one camera position. `grid` holds the weights of the channels and the path radiance, K + 1
-    numbers; `base` is the altitude of the local origin [m], `background` (2, n) is from `background`, `horizon` the
-    cosine of its zenith angle."""
+    """The air seen from one camera position: `grid` of the channels' weights and the path radiance, `base` altitude of
+    the local origin [m], `background` (2, n), `horizon` cosine of its zenith angle."""
 
     def __init__(self, mi: Mitsuba, grid: PathGrid, base: float, background: Floats, horizon: float) -> None:
         self._mi, self._grid, self._base = mi, grid, dr.opaque(mi.Float, float(base))
@@ -223,10 +222,9 @@ def altitude(points: ArrayLike, altitude_m: float) -> Floats:
 
 
 def background(air: Atmosphere, camera_m: float, ground_m: float, temperature: float, position: Floats) -> Floats:
-    """Return the band radiance of rays that hit nothing, (2, n): below and above the horizon [W m⁻² sr⁻¹]. `camera_m`
-    and `ground_m` are altitudes of the camera and of the black ground beyond the scene [m], `temperature` is that
-    ground's [K]. `position` (n,) is the square root of |cos zenith − cos horizon|: 0 at the horizon, 1 straight down or
-    up."""
+    """Return the band radiance of rays that hit nothing, (2, n): below and above the horizon [W m⁻² sr⁻¹]. `ground_m`
+    [m] and `temperature` [K] are of the black ground beyond the scene. `position` (n,) is the square root of |cos
+    zenith − cos horizon|."""
     horizon = float(horizon_cos_zenith(camera_m))
     rise = np.square(position)
     sky = air.sky_radiance(camera_m, horizon + rise * (1.0 - horizon)).sum(axis=-1)

@@ -17,9 +17,8 @@ _OWN_PAGES = 1 << 25
 
 def aligned(values: ArrayLike, kind: Any = np.float32) -> NDArray[Any]:
     """Return an array, flat, of a dtype and aligned to 64 bytes; it is copied only where necessary. Dr.Jit uses NumPy's
-    memory in place, and recompiles a kernel when the alignment differs, even between processes with a shared kernel
-    cache. All arrays that kernels read pass through here; arrays that only Embree reads do not, as a copy would double
-    their memory."""
+    memory in place, and recompiles a kernel when the alignment differs. All arrays that kernels read pass through
+    here."""
     source = np.asarray(values)
     fits = source.ctypes.data % 64 == 0 or source.nbytes >= _OWN_PAGES
     if fits and source.dtype == kind and source.flags.c_contiguous:

@@ -136,10 +136,9 @@ def bake(
     start: LoadedLight | None = None,
     solved: SolvedLight | None = None,
 ) -> BakedScene:
-    """Return the BakedScene of a scene, with its Geometry where that exists already. Rays are reused from `like`, of
-    the same surfaces, if their number per face is the same. The solution begins from `start`, of similar light, and
-    differs from a cold start within its error bound. `solved` is the light where it is known. `progress` is called with
-    (what, share done)."""
+    """Return the BakedScene of a scene. Rays are reused from `like`, of the same surfaces, if their number per face is
+    the same. The solution begins from `start`, of similar light, within its error bound. `solved` is the light where it
+    is known."""
     known = None
     if like is not None:
         refuse_other_surfaces(like.scene.surfaces, scene.surfaces)

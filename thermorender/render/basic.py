@@ -111,8 +111,8 @@ def _texels(
 
 
 def _tables(baked: BakedScene) -> _Tables:
-    """(temperatures (G,) [K], emission (M, G, n) [W m⁻² sr⁻¹], reflectance (M, N, n)) of M materials, at n nodes of the
-    air and N nodes of the light between surfaces. Within a node light has the spectrum of a blackbody."""
+    """(temperatures (G,) [K], emission (M, G, n) [W m⁻² sr⁻¹], reflectance (M, N, n)) of M materials, n nodes of air, N
+    of light."""
     spectrum, points = baked.plan.spectrum, baked.plan.spectrum.points
     grid = np.linspace(baked.plan.coldest, baked.plan.warmest + 1e-3, _STEPS)
     of_air = np.equal.outer(points.node, np.arange(points.node.max() + 1)).astype(np.float64)

@@ -113,8 +113,8 @@ class DeviceScene:
         return [self._mi.Float(aligned(whole)), *(self._mi.Float(aligned(own)) for _, own, _ in errors)]
 
     def medium(self, pose: Floats, placements: Sequence[Placement], through_air: bool = True) -> Vacuum | AirView:
-        """Return the medium between a camera at `pose` and the surfaces: vacuum or air. Without `through_air` paths to
-        surfaces are clear, but the background is still seen through the air."""
+        """Return the medium of a camera at `pose`; without `through_air` only the background is seen through the
+        air."""
         if isinstance(self.air, Vacuum):
             return self.air
         moved = [item.box(placement.pose) for item, placement in zip(self.objects, placements, strict=True)]
@@ -126,7 +126,7 @@ class DeviceScene:
         self, placements: Sequence[Placement]
     ) -> tuple[OutgoingRadiance, list[OutgoingRadiance], list[tuple[NDArray[np.int64], Floats, Floats]]]:
         """(OutgoingRadiance of the static scene, [of each object], [(faces, squared error of the object, of these
-        faces)]), with the objects' light on the static scene and the scene's light on them."""
+        faces)])."""
         if not self.objects:
             return self._outgoing, [], []
         lit = [each.lit or each for each in placements]

@@ -55,11 +55,9 @@ def placements(
     lit_s: float | None = None,
     lit_objects: Objects | None = None,
 ) -> tuple[Placement, ...]:
-    """Return the Placement of each dynamic object of a scene at a time on their tracks [s], in their order.
-
-    `objects` replaces values of the tracks: {name: {column of its track: value}}. At `lit_s` [s], with `lit_objects`,
-    the exchange of light is evaluated: times close to each other then trace it once, which costs as much as the rest of a frame.
-    """
+    """Return the Placement of each dynamic object of a scene at a time on their tracks [s], in their order. `objects`
+    replaces values of the tracks: {name: {column of its track: value}}. With `lit_s` [s] objects exchange the light of
+    that time, with `lit_objects`. Frames close in time then trace it once, which saves half their cost."""
     try:
         finite = np.isfinite(float(time_s))
     except (TypeError, ValueError):
@@ -109,8 +107,8 @@ class StaticLight:
 
 
 class DynamicObject:
-    """A dynamic object, with its `geometry` in its own frame. `tables` holds the scene's directional materials; with
-    None these are rendered as diffuse."""
+    """A dynamic object with its `geometry` in its own frame; `tables` of directional materials, None if these are
+    diffuse."""
 
     def __init__(
         self, mi: Mitsuba, tracked: TrackedObject, plan: Plan, materials: Sequence[Material],

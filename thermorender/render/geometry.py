@@ -288,8 +288,8 @@ class Geometry:
         return mi.UInt32(aligned(found, np.uint32))
 
     def face_showing(self, surfaces: int) -> NDArray[np.uint32]:
-        """Return the face that shows each texel of the first `surfaces`, (T,), as `face_of_texel`. A face whose map is
-        a point shows the texel there, unless a larger one does."""
+        """Return the face that shows each texel of the first `surfaces`, (T,), as `face_of_texel`, or a face whose map
+        is a point."""
         found = np.array(self.face_of_texel)[: int(self.texel_start[surfaces])]
         for number, surface in enumerate(self.surfaces[:surfaces]):
             rows, columns = surface.material.shape
@@ -404,8 +404,8 @@ def _mapped_area(surface: Surface, part: slice) -> Floats:
 
 
 def _map_records(surface: Surface, part: slice) -> Floats:
-    """Affine maps (F, 8) from points to texels: gradient and offset of the column, then of the row. The gradient is
-    parallel to the face's plane; it is 0 for faces without area or with a constant map."""
+    """Affine maps (F, 8) from points to texels: gradient (0 without area or map) and offset of the column, then of the
+    row."""
     corner = surface.vertices[surface.faces[part]]
     texel = surface.uv[part].astype(np.float64) * surface.material.shape[::-1]
     edge = corner[:, 1:] - corner[:, :1]

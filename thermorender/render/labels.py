@@ -72,8 +72,8 @@ def _hits(geometry: Geometry, view: Floats, across: Jit, along: Jit) -> NDArray[
 
 
 def imaged(camera: Camera, slope: Floats) -> Floats:
-    """Return image coordinates, (n, 2), of slopes (n, 2). Beyond the image's corners the distortion is held constant,
-    as its polynomial may fold back into the image."""
+    """Return image coordinates, (n, 2), of slopes (n, 2); the distortion is constant beyond the corners, as it may fold
+    back."""
     inner = slope * np.minimum(1.0, _reach(camera) / np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-12))
     ahead = np.column_stack([inner, np.ones(len(inner))])
     return camera.project(ahead) + (slope - inner) * camera.focal_length_px

@@ -1,10 +1,10 @@
 """The reference engine: stock Mitsuba path tracing of the same scene, to measure the renderer's error.
 
 It uses a spectral variant, a `specfilm` with the camera's band as its response, a stock path integrator, stock diffuse
-surfaces and area emitters. Three small plugins are our own: a texture (Planck radiance of a temperature map times its
-material's emissivity, or the reflectance), surfaces that are diffuse at some texels and mirrors at others, and a sensor
-for cameras of any lens, whose rays start anywhere in a pixel. It shares no transport, bake, plan or node with the
-renderer. Wavelengths are sampled at random, so its error is noise that falls with the square root of the samples.
+surfaces and area emitters. Three plugins are our own: a texture (Planck radiance of a temperature map times emissivity,
+or the reflectance), surfaces that are diffuse at some texels and mirrors at others, and a sensor for any lens. It
+shares no transport, bake, plan or node with the renderer. Wavelengths are sampled at random, so its error is Monte
+Carlo noise.
 """
 
 import itertools
@@ -44,9 +44,9 @@ def render(
     scene: Scene, pose: ArrayLike, samples: int = 64, depth: int = 8, seed: int = 0, device: str = "auto",
     integrator: str = "path", progress: Callable[[float], object] | None = None,
 ) -> Floats:  # fmt: skip
-    """Return band radiance by path tracing, (H, W) float64 [W m⁻² sr⁻¹]. `pose` is world_from_camera (4, 4), `samples`
-    are paths per pixel, and `depth` is the longest path, in surfaces. `integrator` is Mitsuba's "path", or "direct"
-    with one reflection only. `device` is as in `variant.activate`; `progress` is called with the share done."""
+    """Return band radiance by path tracing, (H, W) float64 [W m⁻² sr⁻¹], from `pose` (4, 4) world_from_camera with
+    `samples` paths per pixel of up to `depth` surfaces. `integrator` is Mitsuba's "path", or "direct" with one
+    reflection only."""
     pose = checked_pose(pose)
     camera = scene.camera
     if scene.air is not None:
@@ -146,8 +146,8 @@ def mitsuba_scene(mi: Mitsuba, scene: Scene, pose: Floats, integrator: str, dept
 
 
 def _register_lens(mi: Mitsuba, name: str, camera: Camera, pose: Floats, loaded: SimpleNamespace) -> None:
-    """Register the sensor: a camera's rays through its distortion and principal point, exact at the pixels' corners.
-    Between corners directions are bilinear: within a pixel a lens is linear to 3e-4 of a pixel, up to k1 = −0.26."""
+    """Register the sensor: a camera's rays through its distortion and principal point, exact at the pixels' corners and
+    bilinear between them: within a pixel a lens is linear to 3e-4 of a pixel, up to k1 = −0.26."""
     width, height = camera.width, camera.height
     place = np.stack(np.meshgrid(np.arange(width + 1.0), np.arange(height + 1.0)), axis=-1)
     loaded.slopes = mi.Float(aligned(camera.directions(place)))

@@ -68,8 +68,7 @@ class Check:
 
 
 def run(progress: Callable[[str, float], object] | None = None, device: str = "auto") -> list[Check]:
-    """Return the Checks of the installed package; `progress` is called with (what, share done), `device` is as in
-    `variant.activate`."""
+    """Return the Checks of the installed package; `progress` is called with (what, share done)."""
     parts = (("Planck's law", _planck()), ("counts", _counts()), ("rendered scenes", _rendered(device)))
     found: list[Check] = []
     for number, (what, checks) in enumerate(parts):

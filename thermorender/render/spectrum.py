@@ -2,10 +2,9 @@
 
 *Points* are a fine quadrature of the camera's band; with air, every wavelength occurs once for each absorption term of
 its sub-band. *Nodes* are sets of points, not necessarily neighbours, at which light between surfaces is solved. Within
-a node every material has nearly the same reflectance, its light nearly the same colour and the air nearly the same
-transmittance. Ward's clustering (1963, doi:10.1080/01621459.1963.10500845) finds them. *Channels* are stored in texels:
-without air the band radiance; with air a few sums over the spectrum whose weighted sum is the radiance behind any path.
-They are the principal components of all spectra of the scene behind all paths.
+a node reflectances, the light's colour and the air's transmittance are nearly constant. Ward's clustering (1963,
+doi:10.1080/01621459.1963.10500845) finds them. *Channels* are stored in texels: without air the band radiance; with air
+the principal components of all spectra of the scene behind all paths, whose weighted sum is the radiance.
 
 Emission is integrated over all points and needs no nodes. Reflection couples the reflectance of one surface with the
 spectrum of its surroundings. Its nodes are as few as keep the error below the tolerance for the light in the scene's
@@ -145,8 +144,8 @@ class Spectrum:
     def emitted(
         self, emissivity: Emissivity, coldest: float, warmest: float, band_um: tuple[float, float]
     ) -> tuple[Floats, Floats]:
-        """Return (temperatures (G,) [K], channels (G, K) [W m⁻² sr⁻¹]) emitted by a material, for interpolation. As
-        `RadianceTable.of`, with the same error; `emissivity` is a function of wavelength [µm]."""
+        """Return (temperatures (G,) [K], channels (G, K) [W m⁻² sr⁻¹]) of a material, to interpolate as in
+        `RadianceTable.of`."""
         air = self.points.air
         if air is None:
             table = RadianceTable.of(emissivity, coldest, warmest, *band_um)
@@ -258,7 +257,7 @@ def kept_spectrum(
     spectrum: Spectrum, before: Sequence[Material], materials: Sequence[Material], envelope: Envelope
 ) -> Spectrum | None:
     """Return the Spectrum of other materials with the nodes and channels of `spectrum`, whatever their error; None for
-    mixtures. Materials with the emissivity of one in `before` reflect as it did."""
+    mixtures."""
     if any(isinstance(material, Mixture) for material in (*before, *materials)):
         return None
     points, paths, channels_mk = spectrum.points, envelope.paths(), 0.0

@@ -1,8 +1,7 @@
 """The Mitsuba variant of this process, and the system libraries that it needs: libatomic, and LLVM on the CPU.
 
 Dr.Jit compiles its CPU kernels through an LLVM shared library found at run time. Versions below 16 are unusable: 14 is
-refused, 15 aborts the process during code generation. The library is therefore chosen here, by the version in its file
-name, before Dr.Jit searches for one.
+refused, 15 aborts the process during code generation. The library is therefore chosen by its file name beforehand.
 """
 
 import ctypes.util
@@ -88,8 +87,7 @@ def usable_llvm() -> tuple[Path, int | None] | None:
 
 
 def activate(device: str = "auto") -> Any:
-    """Choose and activate the Mitsuba variant for `device` and return the mitsuba module. "auto" uses the GPU if Dr.Jit
-    finds one, else the CPU; "cpu" and "cuda" force one."""
+    """Activate the Mitsuba variant for `device` and return the module; "auto" uses the GPU if Dr.Jit finds one."""
     if device not in ("auto", *DEVICES):
         raise ThermorenderError(f"device={device!r} is unknown; give one of auto, {', '.join(DEVICES)}")
     llvm = usable_llvm()

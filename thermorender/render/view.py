@@ -55,8 +55,8 @@ class View:
         return same and one.geometry is two.geometry and one.plan.sampling.samples == two.plan.sampling.samples
 
     def truth(self, sampling: SampledImage | None) -> dict[str, NDArray[Any]]:
-        """Return the ground truth, as `Frame.truth` without the sensor's flags. With the SampledImage of the image
-        rendered last, its rays are reused."""
+        """Return the ground truth, as `Frame.truth` without the sensor's flags, from the rays of a SampledImage
+        rendered last."""
         last = self.rays.last_hits
         middles = last[1] if last and sampling and last[0] is sampling.hit else None
         return truth.truth(self.baked, self.rays, self.pose, self.placements, middles)

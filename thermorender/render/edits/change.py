@@ -81,8 +81,7 @@ def change_of(
 def touched_by(
     baked: LoadedLight, prior: PriorLight, scene: Scene, differ: NDArray[np.bool_] | None = None
 ) -> Touched | None:  # fmt: skip
-    """Return what an edit changes, without the light; None where it has too many pairs of materials. `differ` is as of
-    `Touched`, by default by the emissivities of the materials."""
+    """Return what an edit changes, without light; None for too many pairs of materials. `differ` is as of `Touched`."""
     mi = baked.geometry.mi
     material, temperature = flat(scene.surfaces, "material"), flat(scene.surfaces, "temperature")
     kinds, kelvin = prior.kinds, prior.kelvin

@@ -77,8 +77,7 @@ class Samples:
 
     @cached_property
     def others(self) -> tuple[Jit, Jit, Jit]:
-        """(first entry of each face (F + 1,), texel, weight): texels of a face's points that other faces cover. Weights
-        of all texels of a face, covered by it or not, would sum to one."""
+        """(first entry of each face (F + 1,), texel, weight): texels of a face's points that other faces cover."""
         mi, cover = self.geometry.mi, self.geometry.face_of_texel
         starts, texels, weights = [np.zeros(1, np.int64)], list[NDArray[Any]](), list[NDArray[Any]]()
         for first in range(0, self.geometry.face_count, _FACES_AT_ONCE):

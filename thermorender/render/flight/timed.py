@@ -1,7 +1,7 @@
 """Renderers of one scene at the instants of a flight or of a day, as its temperatures follow the weather.
 
-The heat balance is solved once for many instants. For each instant the light is solved again without tracing rays.
-Memory is bounded. A renderer depends only on its instant, not on earlier requests.
+The heat balance is solved once for many instants, and the light of each is solved without tracing rays. Memory is
+bounded. A renderer depends only on its instant, not on earlier requests.
 """
 
 from collections.abc import Iterator, Sequence

@@ -1,8 +1,7 @@
 """Sunlight on the patches of instanced bodies, such as crowns, and its scatter within a patch.
 
-A patch has one temperature, that of its mean sunlight. Its leaves differ: some are in the sun and some in shade. A
-second column of each patch stands for a leaf with one standard deviation more sunlight and less sky than the mean. The
-difference of their temperatures estimates the scatter within the patch.
+A patch has one temperature, that of its mean sunlight. A second column of each patch stands for a leaf with one
+standard deviation more sunlight and less sky. The difference of their temperatures estimates the scatter.
 """
 
 from collections.abc import Callable
@@ -72,8 +71,8 @@ class Copies:
         return np.split(self._scatter[instant], self._texels[1:-1] - self._texels[0])
 
     def on(self, face: Jit, more: Jit, cosine: Jit, at_s: float) -> Jit:
-        """Return the cosines of the sun's rays on columns at a time [s], 0 in shadow. Columns on copies get the mean of
-        their patch, those with `more` a standard deviation above it; the others keep their `cosine`."""
+        """Return the cosines of the sun's rays on columns at a time [s], 0 in shadow: on copies the mean of the patch,
+        with `more` one standard deviation above it."""
         mi, first = self._geometry.mi, dr.opaque(self._geometry.mi.UInt32, self.first)
         here = face >= first
         place = at_s / _STEP_S

@@ -56,14 +56,10 @@ def relief(
 def reliefs(
     scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None
 ) -> "dict[np.datetime64, Planes]":
-    """Return {time: {name of `NAMES`: (h, w) float32}} of the texels of a scene's raster terrain.
-
-    The planes are the components of the unit normal; height above the mean around [m]; cosine-weighted sky view, one
-    value per face; and sunlight, direct with shadow plus diffuse by sky view [W m⁻²], now and as weighted means over
-    the past. The past begins with the weather; if that begins at the instant, the means are the present value. Planes
-    do not depend on the other instants, but instants close to each other share most rays. `geometry` is reused where it
-    exists; `progress` is called with (what, share done).
-    """
+    """Return {time: {name of `NAMES`: (h, w) float32}} of the texels of a scene's raster terrain. The planes are the
+    unit normal; height above the mean around [m]; cosine-weighted sky view per face; and sunlight, direct with shadow
+    plus diffuse by sky view [W m⁻²], now and as weighted means over the past. Without earlier weather the means are the
+    present value. Planes do not depend on the other instants, but close instants share rays."""
     geometry = geometry or Geometry(activate(), scene.surfaces)
     asked = (*times, scene.weather_digest())
     kept, found = _LAST.get(geometry, (None, None))
@@ -151,9 +147,8 @@ def mapped(
     material: bool = False,
 ) -> list[Scene]:  # fmt: skip
     """Return a scene at some instants (UTC), with terrain temperatures by a learned map of relief, hour and weather. A
-    map of apparent temperatures refers to the sky of that instant: the scene's own, or that of its air. Where the map
-    reports failure, the air's temperature is used. `material` adds the input "material", numbers into the names of the
-    shipped library in their order, for privileged maps only. Other arguments are as in `reliefs`."""
+    map of apparent temperatures refers to the sky of that instant. Where the map reports failure, the air's temperature
+    is used. `material` adds the input "material", numbers into the shipped library, for privileged maps only."""
     from thermorender.learned.temperature_map import Inputs
 
     source = scene.temperature_state.source

@@ -2,12 +2,11 @@
 surroundings.
 
 Every texel is a column: its material on the layers beneath, at its position on the mesh. At both stages of every step a
-shadow ray from each texel tests for the sun. The rest of its hemisphere is sampled by the rays that also solve the
-scene's light. They bring reflected sunlight and the long-wave radiation of the surroundings. That light is one value
-per face, solved every half hour between columns at the middles of the faces.
+shadow ray from each texel tests for the sun. Reflected sunlight and the long-wave radiation of the surroundings use the
+rays of the scene's light. They are one value per face, solved every half hour between columns at the faces' middles.
 
 A simulation begins two days before the first instant requested, from settled columns in the open. Texels are simulated
-in blocks, each together with all faces, so that memory stays bounded for any texture size.
+in blocks, each together with all faces, which bounds memory.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -63,9 +62,11 @@ def solved(
     deviations: Deviations | None = None,
 ) -> list[Scene]:  # fmt: skip
     """Return the scene with the temperatures of terrain and copies at each of some instants (UTC), from its heat
-    balance. Objects keep the temperatures of the scene file, except copies whose temperature is "balance"; they cast
-    shadows and radiate. A mixed material emits the mean of its parts. `geometry` is reused where it exists, `progress`
-    is called with (what, share done), and `deviations` make a truth that differs from the material tables."""
+    balance.
+
+    Other objects keep the temperatures of the scene file, cast shadows and radiate. `deviations` make a truth that
+    differs from the material tables. `progress` is called with (what, share done).
+    """
     asked = sorted(set(times))
     geometry = geometry or Geometry(activate(), scene.surfaces)
     report_progress = progress or (lambda what, share: None)
@@ -190,8 +191,7 @@ class _Simulation:
     def run(
         self, materials: dict[int, Material], wanted: NDArray[np.bool_], progress: Callable[[float], object]
     ) -> NDArray[np.float32]:
-        """Return the temperature of all texels at each instant requested, (n, T) float32 [K]; 0 where not `wanted`.
-        `materials` maps each number on the terrain to its Material."""
+        """Return the temperature of all texels at each instant requested, (n, T) float32 [K]; 0 where not `wanted`."""
         self.row = np.zeros(256, dtype=np.uint32)
         self.row[list(materials)] = np.arange(len(materials))
         weather, snow = self.weather, float(self.weather.at(self.asked[0]).snow_m)
@@ -365,8 +365,8 @@ class _Simulation:
         )
 
     def _light(self, at_s: float, seen_k: Jit, columns: _Columns) -> "_Light":
-        """The _Light between the faces from `at_s` on. It starts from the light of other faces in the call before, so
-        each call adds one reflection, and in time all are included."""
+        """The _Light between the faces from `at_s` on; each call adds one reflection to the light of the call
+        before."""
         mi = self.mi
         middle = min(self._instant(at_s + 0.5 * _LIGHT_S), self.weather.time[-1])
         found, towards = self.weather.at(middle), self._sun(middle)

@@ -37,8 +37,8 @@ _STALE_S = 3600.0
 def traced(
     geometry: Geometry, rays: int, progress: Callable[[float], object] | None = None, seed: int = 0
 ) -> tuple[radiosity.Transport, str | None]:
-    """Return (Transport of a scene, reason why the disk cache could not be used or None), as `radiosity.trace`, but
-    from disk where possible. Scenes of fewer than WORTH_RAYS rays are always traced."""
+    """Return (Transport as of `radiosity.trace`, reason why the cache was not used or None); under WORTH_RAYS it is not
+    used."""
     if geometry.face_count * rays < WORTH_RAYS:
         return radiosity.trace(geometry, rays, progress, seed), None
     name = key(geometry, rays, seed)
@@ -85,8 +85,8 @@ def load(name: str) -> radiosity.Transport | None:
 
 
 def store(name: str, transport: radiosity.Transport, limit: int | None = None) -> str | None:
-    """Store a Transport under `name`; return None, or why that failed. The least recently used files beyond `limit`
-    bytes in total, LIMIT where None, are removed."""
+    """Store a Transport under `name`, within `limit` bytes of all files, LIMIT where None; return None, or why that
+    failed."""
     limit = LIMIT if limit is None else limit
     arrays = {field.name: np.asarray(getattr(transport, field.name)) for field in fields(transport)}
     size = sum(values.nbytes for values in arrays.values())

@@ -1,9 +1,8 @@
 """Contacts: faces that a body covers in part, where objects stand on the ground, touch, or intersect.
 
-Light is constant over a face, and a camera sees only the uncovered part. Points in the covered part are inside a body
-or below the ground, and receive other light. Rays of a partly covered face therefore start in its uncovered part. A
-fully covered face uses the rays of the nearest partly covered one: it is invisible, but texels blend into their
-neighbours.
+Light is constant over a face, and a camera sees only the uncovered part. Rays of a partly covered face therefore start
+in its uncovered part. A fully covered face is invisible, but texels blend into their neighbours: it uses the rays of
+the nearest partly covered one.
 
 A point is covered if a ray from it first hits the back of a solid surface. A surface is solid if diffuse random walks
 from its back do not reach the open air. Sheets, leaves and the walls of open cavities are not solid. A house without a
@@ -104,8 +103,7 @@ def _solid_parts(geometry: Geometry, part: NDArray[np.int64], count: int, stands
 def covered(
     geometry: Geometry, solids: NDArray[np.bool_] | None, faces: NDArray[np.integer], points_of: PointsOf
 ) -> Contacts | None:
-    """Return the Contacts among some ascending `faces`; None where all of these are open. `solids` are those of
-    `solid`, and `points_of` gives the points of faces."""
+    """Return the Contacts among ascending `faces`, None where all are open; `points_of` gives the points of faces."""
     if solids is None or not len(faces):
         return None
     found = np.asarray(faces, np.uint32)

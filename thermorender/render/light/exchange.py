@@ -53,10 +53,9 @@ def strong_reflectors(transport: Transport, reflectance: NDArray[np.floating], k
 
 
 class Exchange:
-    """Light between faces at some nodes; faces emit `emitted` [W m⁻² sr⁻¹] and reflect `reflectance`, both (F, N).
-    `environment` is the light from beyond all faces, if any. The number of threads of `pool` does not change the
-    result. `strong` of another Exchange is used where it has all strong reflectors of this one. `tick` is called every
-    few milliseconds; it may raise."""
+    """Light between faces at some nodes; faces emit `emitted` [W m⁻² sr⁻¹] and reflect `reflectance`, both (F, N). The
+    number of threads of `pool` does not change the result. `strong` of another Exchange is reused where it has all
+    strong reflectors of this one. `tick` is called every few milliseconds; it may raise."""
 
     def __init__(
         self, transport: Transport, pool: Executor, emitted: Floats, reflectance: NDArray[np.floating],
@@ -112,8 +111,8 @@ class Exchange:
         return float(np.abs(self.incident[part]).max()), float(np.abs(self.rest[part]).max())
 
     def settled(self, wanted: float) -> Callable[[slice], Floats]:
-        """Return what faces should send, as `send` takes it: their rests, after exchange among strong reflectors.
-        `wanted` is the largest rest that may remain in the end."""
+        """Return what faces should send so that at most `wanted` is left: rests, after exchange among strong
+        reflectors."""
         faces, seen, mutual = self.strong
         if self._tick:
             self._tick()
@@ -130,8 +129,8 @@ class Exchange:
         return sent.__getitem__
 
     def send(self, sent: Callable[[slice], Floats], basis: Floats | None = None) -> None:
-        """Send the principal components of radiance, or its components in an orthonormal `basis` (n, N). `sent` returns
-        the radiance of a part of the faces, (n, N) [W m⁻² sr⁻¹]."""
+        """Send radiance, (n, N) for a part of the faces, in its principal components or an orthonormal `basis` [W m⁻²
+        sr⁻¹]."""
         if basis is None:
             basis = self._components(sent)
         # The share of each ray.

@@ -1,7 +1,7 @@
-"""GMRES for the light between surfaces that reflect much: systems x = K ρ x + source, one per spectral node.
+"""GMRES for the light between strong reflectors: systems x = K ρ x + source, one per spectral node.
 
-Plain iteration converges like ρⁿ and takes thousands of bounces in a cavity of reflective walls. The minimal residual
-over the same bounces (Saad & Schultz 1986, doi:10.1137/0907058) takes about eight.
+Fixed-point iteration converges like ρⁿ and takes thousands of bounces in a cavity of reflective walls. The minimal
+residual over the same bounces (Saad & Schultz 1986, doi:10.1137/0907058) takes about eight.
 """
 
 from typing import Any

@@ -1,7 +1,7 @@
 """Rays from instanced bodies, such as crowns: a patch sends them from points of its triangles.
 
-Points are drawn by area among those from which a ray leaves the body. The light of a patch is then that of what is seen
-from outside: a leaf that a camera sees also receives more of the sky than one within the crown.
+Points are drawn by area among those from which a ray leaves the body. The light of a patch is then that of the leaves
+seen from outside, which also receive more of the sky than those within the crown.
 """
 
 from collections.abc import Callable
@@ -119,13 +119,10 @@ def _drawn(weight: Floats, random: np.random.Generator) -> NDArray[np.intp]:
 
 
 def within(geometry: Geometry, openness: Openness, sky: Floats, reflected: NDArray[np.floating]) -> Floats:
-    """Return an estimate of the scatter of reflected light within the patches of copies, (F,); 0 for other faces.
-
-    `sky` (F,) is the fraction of sky in each face's hemisphere; `reflected` (F,) is its light, and the result has its
-    unit. Within a patch the sky fraction differs between triangles, by what the body itself hides. Light changes with
-    it as from patch to patch, by a regression line through all patches of a surface. Triangles are weighted by their
-    area seen from above.
-    """
+    """Return an estimate of the scatter of reflected light within the patches of copies, (F,); 0 for other faces. `sky`
+    (F,) is each face's sky fraction, `reflected` (F,) its light, in the unit of the result. The scatter is that of the
+    sky fraction between triangles, weighted by area seen from above, times the slope of light against sky fraction over
+    the patches of a surface."""
     found = np.zeros(geometry.face_count)
     for number, surface in enumerate(geometry.surfaces):
         body = surface.instances

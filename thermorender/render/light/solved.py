@@ -76,9 +76,8 @@ def solve_scene(
     scene: Scene, plan: Plan, geometry: Geometry, known: radiosity.Transport,
     texel: tuple[NDArray[np.uint8], NDArray[np.float32]], guess: Floats | None, tick: Callable[[], object],
 ) -> SolvedLight:  # fmt: skip
-    """Return the SolvedLight of a scene with known Transport, solved in blocks of nodes. `texel` holds material and
-    temperature [K] of all texels, (T,) each. `guess` (F, N) is an incident radiance close to the solution. `tick` is
-    called every few milliseconds."""
+    """Return the SolvedLight of a scene with known Transport, in blocks of nodes. `texel` holds materials and
+    temperatures [K], (T,) each; `guess` (F, N) is an incident radiance close to the solution."""
     spectrum = plan.spectrum
     around = environment.of_scene(scene, plan, geometry, known.touching)
     tolerance, shares = tolerance_of(plan), black_share(plan)

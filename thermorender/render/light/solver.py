@@ -53,9 +53,9 @@ def solve(
     K and ρ have no negative entries, and no row of K has a sum above 1. Hence ‖δ‖∞ ≤ ‖J − s‖∞ / (1 − max K ρ), where
     the largest ρ may stand for max K ρ. The bound includes the rounding error, one unit per term of a row.
 
-    The two halves of the rays see the radiosity J as x₁ and x₂. If they were independent, (x₁ − x₂) / 2 would have the
-    variance of their mean's error. As Sobol points they fill each other's gaps, so it is 1.0 to 1.4 times too large in
-    open scenes. The error is itself reflected: δ = K ρ δ + (x₁ − x₂) / 2 to first order, which matters in cavities.
+    The two halves of the rays see the radiosity J as x₁ and x₂. For independent halves (x₁ − x₂) / 2 has the variance
+    of their mean's error; for Sobol points it is 1.0 to 1.4 times too large in open scenes. The error is itself
+    reflected: δ = K ρ δ + (x₁ − x₂) / 2 to first order, which matters in cavities.
     """
     with threads() as pool:
         amplified = amplification(transport, reflectance)
@@ -86,8 +86,7 @@ def rounding(transport: Transport) -> float:
 
 
 def amplification(transport: Transport, reflectance: NDArray[np.floating]) -> float:
-    """Return a bound of light over its sources, 1 / (1 − the largest fraction that is passed on). `reflectance` (F, N)
-    is that of each face at each node."""
+    """Return a bound of light over its sources, 1 / (1 − the largest fraction passed on), from `reflectance` (F, N)."""
     reflected = float(reflectance.max(initial=0.0))
     if reflected > _MUCH_REFLECTED:
         top = reflectance.max(axis=1) / (2.0 * transport.rays)

@@ -1,9 +1,8 @@
 """Emitted and reflected light baked into one radiance per texel and one correction per face.
 
-Light between surfaces is solved per face; materials and temperatures are given per texel. Each texel takes the light of
-the face that covers it. Where a face is seen through texels of other faces (a wall narrower than a texel, an object of
-one texel), a constant per face restores its mean. A pixel then needs one texture and one number per face, whatever the
-number of spectral nodes. The remaining scatter within faces is returned as an error.
+Each texel takes the light of the face that covers it. Where a face is seen through texels of other faces (a wall
+narrower than a texel, an object of one texel), a constant per face restores its mean. A pixel then needs one texture
+and one number per face, whatever the number of spectral nodes. The remaining scatter within faces is an error.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -94,10 +93,11 @@ def bake_channel(
     geometry: Geometry, covers: Jit, emitted: NDArray[np.float32], material: NDArray[np.uint8],
     light: NDArray[np.float32], tick: Callable[[], object] = lambda: None,
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:  # fmt: skip
-    """Return (radiance of each texel (T,), correction of each face (F,), remaining scatter (F,)), float32. Radiance and
-    correction are in W m⁻² sr⁻¹. The scatter is the mean square, in their unit squared, of deviations within a face
-    that a constant does not restore. `covers` is from `Geometry.face_of_texel`, `emitted` (T,) is in W m⁻² sr⁻¹,
-    `material` (T,) uint8, and `light` (F + 1, M) from `light`. `tick` is called every few milliseconds."""
+    """Return (radiance of each texel (T,), correction of each face (F,), remaining scatter (F,)), float32.
+
+    Radiance and correction are in W m⁻² sr⁻¹; the scatter is the mean square deviation within a face that a constant
+    does not restore. `covers` is `Geometry.face_of_texel`, `light` (F + 1, M) from `light`.
+    """
     mi, count, kinds = geometry.mi, geometry.face_count, light.shape[1]
     table = mi.Float(aligned(light))
     materials = mi.UInt8(aligned(material, np.uint8))
@@ -177,9 +177,8 @@ def pattern(geometry: Geometry) -> list[tuple[float, float]]:
 
 
 def _low_discrepancy(count: int, dimensions: int) -> Floats:
-    """Return (count, dimensions) points in 0…1: the Kronecker sequence of the generalised golden ratio (Roberts 2018,
-    "The unreasonable effectiveness of quasirandom sequences"). Unlike Sobol points it is even for any number of
-    points."""
+    """Return (count, dimensions) points in 0…1, even for any count: the Kronecker sequence of the generalised golden
+    ratio (Roberts 2018, "The unreasonable effectiveness of quasirandom sequences")."""
     ratio = 2.0
     for _ in range(60):
         ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))

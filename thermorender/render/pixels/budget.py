@@ -114,8 +114,7 @@ def _everywhere(baked: LoadedLight) -> dict[str, float]:
 def _light(
     baked: LoadedLight, rays: CameraRays, pose: Floats, placements: Sequence[Placement], every: int
 ) -> tuple[Floats, Floats]:
-    """Errors of every n-th pixel, in the order of `rays` [mK], NaN where nothing is hit: of the light on the surface,
-    and of limiting the number of mirror reflections."""
+    """Errors of every n-th pixel [mK], NaN where nothing is hit: of the light, and of limiting mirror reflections."""
     device, mi = baked.device, baked.device.geometry.mi
     numbers, judged = _one_of(every, len(rays.order)), _one_of(_PIXELS, len(rays.order))
     slope = rays.slopes(0.5, 0.5, mi.UInt32(aligned(numbers, np.uint32)))
@@ -170,10 +169,10 @@ def _unexplained(
     baked: LoadedLight, rays: CameraRays, layer: Layer, pixels: NDArray[np.uint32], judged: NDArray[np.bool_],
     face: NDArray[np.uint32], shares: Floats, explained: Floats,
 ) -> Floats:  # fmt: skip
-    """Mean square error of the light on static surfaces beyond the `explained` one, (n,) [(W m⁻² sr⁻¹)²]. `pixels` are
-    numbers of rays (n,) that hit `face`, with reflectances `shares` there. Of those that are `judged` some are drawn:
-    half evenly, a quarter each in proportion to the explained error and to the square of the reflectance. Faces beside
-    something solid are assessed apart from others."""
+    """Mean square error of the light on static surfaces beyond the `explained` one, (n,) [(W m⁻² sr⁻¹)²]. Rays `pixels`
+    (n,) hit `face`, with reflectances `shares`. Half of the `judged` ones are drawn evenly, a quarter each in
+    proportion to the explained error and to the square of the reflectance; faces beside something solid are a stratum
+    of their own."""
     found = np.zeros(len(pixels))
     assert baked.transport is not None
     beside = np.isin(face, baked.transport.touching)

@@ -225,9 +225,8 @@ class Tracer:
         within: Rectangles | None = None, stages: Sequence[NDArray[Any]] | None = None, copies: bool = False,
     ) -> list[Refined]:  # fmt: skip
         """Replace pixels of an image (channels, H W) by the mean of more rays until their error is below `edge_limit`.
-        `unseen` (n,) is the contrast that each of the `pixels` may contain although no ray shows it. With Rectangles
-        `within` the rays go to these parts; the rest of the pixel is weighted by its area. `stages` gives the pixels of
-        each stage instead of the limit."""
+        `unseen` (n,) is the contrast that no ray may have shown. Rays go to the Rectangles `within`, weighted by area.
+        `stages` gives the pixels of each stage instead of the limit."""
         refined: list[Refined] = []
         total: Any = 0.0
         low: Any = np.inf

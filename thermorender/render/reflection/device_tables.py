@@ -43,10 +43,9 @@ class DeviceTables:
         self._environment = Channels(mi, tables.environment.reshape(-1, self.count))
 
     def reflected(self, kind: Jit, cosine: Jit, black: list[Jit], seen: list[Jit], valid: Jit, up: Jit) -> list[Jit]:
-        """Return the light that materials reflect into each channel, minus that of a blackbody, [Float]. `kind` is the
-        row in the tables, `cosine` that of the angle of view, `black` and `seen` the channels of the blackbody and of
-        the incident light. Where `valid` is False the light comes from the environment, at a cosine of zenith angle
-        `up`."""
+        """Return the light that materials reflect into each channel minus that of a blackbody, [Float]. `kind` is the
+        row in the tables, `cosine` of the angle of view. Where not `valid`, light comes from the environment at a
+        cosine of zenith angle `up`."""
         mi, count, lines = self._mi, self.count, self._directions
         own, other = ([*light, bent(self.band(light))] for light in (black, seen))
         light = [dr.select(valid, a, 0.0) - b for a, b in zip(other, own, strict=True)]
@@ -98,8 +97,8 @@ class DeviceTables:
 def black_of(
     plan: Plan, number: NDArray[np.uint8], material: NDArray[np.integer], temperature: NDArray[np.floating]
 ) -> Floats:
-    """Return channels (n, K) of blackbodies at the temperatures of the directional texels, in order [W m⁻² sr⁻¹].
-    `number` is that of `ReflectanceTables`, (M,)."""
+    """Return channels (n, K) of blackbodies at the directional texels' temperatures [W m⁻² sr⁻¹]; `number` (M,) is of
+    the tables."""
     warm = temperature[number[material] > 0]
     grid, table = plan.spectrum.emitted(np.ones_like, float(warm.min()), float(warm.max()), plan.band_um)
     return np.stack([np.interp(warm, grid, channel) for channel in table.T], axis=1)

@@ -119,8 +119,8 @@ def _seen(layers: Sequence[Layer], depth: int, origin: Jit, direction: Jit) -> t
 
 
 def last_steps(layers: Sequence[Layer], *ray: Jit) -> list[Jit]:
-    """Return the band radiance that one more reflection would add, and a second one, [Float] [W m⁻² sr⁻¹]. `ray` holds
-    the arguments of `correction` after the depth."""
+    """Return the band radiance of one more reflection, and of a second one, [Float] [W m⁻² sr⁻¹]; `ray` as of
+    `correction`."""
     tables = next(layer.outgoing.mirror.tables for layer in layers if layer.outgoing.mirror)
     first, *others = (correction(layers, depth, *ray)[0] for depth in (DEPTH, DEPTH + 1, DEPTH + 2))
     found = []
