@@ -82,7 +82,7 @@ class BakedScene(LoadedLight):
         return bake(scene, plan, like=exact, progress=progress, start=exact)
 
     def ready_for_edits(self) -> None:
-        """Make what previews of edits begin from, which the first preview does otherwise.
+        """Precompute what previews of edits need, which the first preview does otherwise.
 
         It takes seconds once for all edits of a geometry, and 0.1 s for each solution.
         """
@@ -91,13 +91,12 @@ class BakedScene(LoadedLight):
     def preview_for(self, scene: Scene, progress: Progress | None = None) -> "BakedScene":
         """Return a preview of an edited scene: its change to first order, with an estimate of its error.
 
-        An edit of materials or temperatures is shown at once: the change of the light that changed surfaces send to
-        others, and of what these reflect, without further reflections. `errors_mk` has an estimate from above of its
-        difference from `solved_for`: "preview" on any surface, and "preview_rms" over all. Other edits, and scenes with
-        mirrors or with objects on tracks, are solved as by `solved_for`, and have no such error.
+        An edit of materials or temperatures changes the light of the edited surfaces, and its first reflection by
+        others; further reflections of the change are left out. `errors_mk` has an estimate from above of its difference
+        from `solved_for`: "preview" on any surface, and "preview_rms" over all. Other edits, and scenes with mirrors or
+        with objects on tracks, are solved as by `solved_for`, and have no such error.
 
-        A preview of a preview begins from it where most of the work is done there already; the estimate then covers
-        both. Its solution begins from the solution that it was made of.
+        A preview of a preview may begin from it; the estimate then covers both.
 
         Parameters
         ----------

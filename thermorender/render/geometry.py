@@ -1,8 +1,8 @@
 """A scene's meshes on the render side: the ray caster, and flat per-face and per-texel arrays for its kernels.
 
-All surfaces share one numbering of faces and one of texels. A hit then needs two gathers: the face's record and the
-texels around the point. The record is the affine map from a point of the face's plane to its position on the texel map.
-It also defines the plane, so points near a hit need no ray.
+All surfaces share one numbering of faces and one of texels. A hit needs two gathers: the face's record and the texels
+around the point. The record is the affine map from a point of the face's plane to its position on the texel map. It
+also defines the plane, so points near a hit need no ray.
 """
 
 from collections.abc import Callable, Iterator, Sequence

@@ -1,5 +1,4 @@
-"""A first-order preview of an edit: changed texels in the known light, and one bounce of the change of what they emit
-and reflect.
+"""A first-order preview of an edit: changed texels in the known light, and one bounce of the change of their radiosity.
 
 With K the form factors and ρ the reflectance, the incident light x on the faces changes by δ = K d + K ρ δ. Here d is
 the change of the radiosity of changed faces in the light known before. A preview shows K d, in the few spectral
@@ -7,9 +6,8 @@ components that d has, and leaves out K ρ δ, the further reflections.
 
 The error is estimated from the second bounce, K ρ |K d|, and from the components left out. They are computed on the
 faces that reflect most of what they receive, on those that change, and on faces drawn by their area. Where at most a
-fraction q of reflected light is passed on, later bounces add a factor of 1 / (1 − q).
-
-A preview of a preview may begin from it. The estimate then sums what both left out.
+fraction q of reflected light is passed on, later bounces add a factor of 1 / (1 − q). For a preview of a preview the
+estimate sums what both left out.
 """
 
 from concurrent.futures import Executor
@@ -62,7 +60,7 @@ def preview(baked: LoadedLight, scene: Scene) -> LoadedLight | None:
 
 
 def prepare(baked: LoadedLight) -> None:
-    """Make what all previews of a BakedScene begin from, and keep it there."""
+    """Precompute and cache what all previews of a BakedScene need."""
     if (baked.incident is not None and baked.faces is not None) or baked.loaded.solved:
         samples = baked.prior.samples
         samples.prepare()
@@ -190,7 +188,7 @@ def _errors(baked: LoadedLight, samples: Samples, change: Change, left_out: Left
 
 
 def _most(values: NDArray[Any]) -> NDArray[np.intp]:
-    """Places of the `_JUDGED` largest values."""
+    """Indices of the `_JUDGED` largest values."""
     return (
         np.argpartition(values, len(values) - _JUDGED)[-_JUDGED:] if len(values) > _JUDGED else np.arange(len(values))
     )

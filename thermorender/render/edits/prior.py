@@ -102,7 +102,7 @@ class Samples:
         )
 
     def around(self, face: int) -> tuple[NDArray[np.uint32], Floats]:
-        """Return (texels, weights) of which a face's points are made; the weights sum to one."""
+        """Return (texels, weights) over which the points of each face average; the weights sum to one."""
         mi = self.geometry.mi
         point = dr.arange(mi.UInt32, self.count)
         found = self.corners(dr.full(mi.UInt32, face, self.count), point)
@@ -157,11 +157,11 @@ class Samples:
         return found.indptr.astype(np.int64), found.indices, np.abs(found.data).astype(np.float32), found.data < 0
 
     def prepare(self) -> None:
-        """Sort rays by what they hit, and texels by their faces: it takes longest, once for all edits of a geometry."""
+        """Sort rays by the faces they hit, and texels by their faces, once for all edits of a geometry."""
         _ = self._columns, self.others
 
     def rays_on(self, faces: NDArray[np.intp]) -> int:
-        """Return the number of pairs of faces that see each other, with one of `faces` as the one that is seen."""
+        """Return the number of pairs of faces that see each other, where the face seen is one of `faces`."""
         start = self._columns[0]
         return int((start[faces + 1] - start[faces]).sum())
 

@@ -300,7 +300,7 @@ class LiveFrames:
         return pose_within(self._path, time_s)
 
     def _forget(self, time_s: float) -> None:
-        """Drop what the sensor will not look back to."""
+        """Drop samples older than the sensor's memory."""
         camera = self._renderer.scene.camera
         oldest = time_s - MEMORY * camera.time_constant_s - 1.0 / self.rate_hz - _MARGIN_S
         path = self._path

@@ -1,8 +1,7 @@
 """Terrain inputs of learned maps that a photograph lacks: slope, aspect, height, sky view, and sunlight with shadow.
 
-Maps with these inputs are valid for more than one hour and for other relief; see
-`learned.temperature_map.Inputs.terrain`. Shadow rays from every texel sample the sun at the instant and over the hours
-before, as the ground stores absorbed sunlight.
+Shadow rays from every texel sample the sun at the instant and over the hours before, as the ground stores absorbed
+sunlight. See `learned.temperature_map.Inputs.terrain`.
 """
 
 from collections.abc import Callable, Sequence

@@ -62,11 +62,8 @@ def solved(
     deviations: Deviations | None = None,
 ) -> list[Scene]:  # fmt: skip
     """Return the scene with the temperatures of terrain and copies at each of some instants (UTC), from its heat
-    balance.
-
-    Other objects keep the temperatures of the scene file, cast shadows and radiate. `deviations` make a truth that
-    differs from the material tables. `progress` is called with (what, share done).
-    """
+    balance. Other objects keep the temperatures of the scene file, cast shadows and radiate. `deviations` make a truth
+    that differs from the material tables. `progress` is called with (what, share done)."""
     asked = sorted(set(times))
     geometry = geometry or Geometry(activate(), scene.surfaces)
     report_progress = progress or (lambda what, share: None)

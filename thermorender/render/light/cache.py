@@ -1,8 +1,8 @@
 """Traced light kept on disk, so that a scene is traced once and not once per process.
 
-A file's name is a hash of everything its content depends on. A file is written whole or not at all. Its checksum
-reveals damage, and damaged light is traced again. Only files with such names in the cache's folder for light are ever
-removed. The cache affects speed only: without a usable folder the caller receives the reason to display.
+A file's name is a hash of everything its content depends on. A file is written whole or not at all, and its checksum
+reveals damage. Only files with such names in the cache's folder are ever removed. The cache affects speed only: without
+a usable folder the caller receives the reason to display.
 """
 
 import hashlib

@@ -185,7 +185,7 @@ def _open(geometry: Geometry, back: Jit, point: Jit, normal: Jit) -> NDArray[np.
 
 
 def _in_air(geometry: Geometry, faces: NDArray[np.uint32], stands: bool) -> Floats:
-    """Number of the walks from the backs of faces that come into the open air, (n,); see `_solid_parts`."""
+    """Number of the walks from the backs of faces that reach the open air, (n,); see `_solid_parts`."""
     mi = geometry.mi
     whole = frames(_corners(geometry, faces))
     corner, edge_u, edge_v, normal = (mi.Float(aligned(whole[:, k])) for k in range(4))

@@ -80,11 +80,11 @@ class Exchange:
 
     @cached_property
     def strong(self) -> Strong:
-        """Those that exchange light among themselves first, found when needed."""
+        """The strong reflectors, which exchange light among themselves first; computed when needed."""
         return strong_reflectors(self._transport, self._reflectance, self._known_strong)
 
     def _measure(self, receive: Callable[[slice], tuple[float, float]]) -> None:
-        """Let all parts of the faces receive light, and note the largest values."""
+        """Let all parts of the faces receive light, and update `brightest` and `largest`."""
         # The largest incident radiance and the largest rest [W m⁻² sr⁻¹].
         self.brightest, self.largest = map(max, zip(*self._each(receive, self._parts), strict=True))
 

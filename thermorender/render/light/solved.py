@@ -24,7 +24,7 @@ Steps = tuple[NDArray[np.int8], Floats]
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """What the solution of an edit begins from, beside the incident radiance."""
+    """Start of the solution of an edit, beside the incident radiance."""
 
     rest: NDArray[np.int8]  # (F, N) int8 light that faces have not sent, in units of `step`
     step: Floats  # (N,) float64 of each node [W m⁻² sr⁻¹]

@@ -73,7 +73,7 @@ def solve(
 
 
 def unsettled(bound: float, tolerance: float) -> ThermorenderError:
-    """Return the error of light that does not converge to a tolerance."""
+    """Return the ThermorenderError of light that does not converge to a tolerance."""
     return ThermorenderError(
         f"the light between surfaces does not converge: {bound:.3g} W m⁻² sr⁻¹ remain where "
         f"{tolerance:.3g} are allowed; give a larger tolerance"

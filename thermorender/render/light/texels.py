@@ -93,11 +93,9 @@ def bake_channel(
     geometry: Geometry, covers: Jit, emitted: NDArray[np.float32], material: NDArray[np.uint8],
     light: NDArray[np.float32], tick: Callable[[], object] = lambda: None,
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:  # fmt: skip
-    """Return (radiance of each texel (T,), correction of each face (F,), remaining scatter (F,)), float32.
-
-    Radiance and correction are in W m⁻² sr⁻¹; the scatter is the mean square deviation within a face that a constant
-    does not restore. `covers` is `Geometry.face_of_texel`, `light` (F + 1, M) from `light`.
-    """
+    """Return (radiance of each texel (T,), correction of each face (F,), remaining scatter (F,)), float32. Radiance and
+    correction are in W m⁻² sr⁻¹; the scatter is the mean square deviation within a face that a constant does not
+    restore. `covers` is `Geometry.face_of_texel`, `light` (F + 1, M) from `light`."""
     mi, count, kinds = geometry.mi, geometry.face_count, light.shape[1]
     table = mi.Float(aligned(light))
     materials = mi.UInt8(aligned(material, np.uint8))

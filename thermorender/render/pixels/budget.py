@@ -1,8 +1,8 @@
 """The error budget of a frame: estimated errors of its radiance by cause, in mK at 300 K.
 
 The sampling error of a pixel is first predicted from the image. Some pixels are then rendered again with more rays, and
-the prediction is scaled to the errors measured there. It is thus valid at any distance, for any texture and relief, but
-not for details that no ray has hit and no neighbour indicates.
+the prediction is scaled to the errors measured there. Details that no ray has hit and no neighbour indicates are not
+included.
 
 The error of the light includes that of its rays, from the difference of their halves, and that of baking. Halves have
 the same bias, so the light in some pixels is computed again by random walks. A difference beyond the rays' error is

@@ -1,8 +1,8 @@
 """Where the radiance of single pixels comes from: emission, reflected sky, sun and surroundings, and the air.
 
 A pixel is represented by the ray through its middle. The texels and the face that it hits hold the sum of emission and
-reflected light (`thermorender.render.light.texels`); here the light on the faces is split by its origin. The parts add
-up to the radiance of the ray to the rounding of float32. A mirror image is split by what its second ray hits.
+reflected light (`thermorender.render.light.texels`); here the light on the faces is split by its origin, to the
+rounding of float32. A mirror image is split by what its second ray hits.
 """
 
 from dataclasses import dataclass

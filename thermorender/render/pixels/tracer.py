@@ -1,9 +1,9 @@
 """From a pose to radiance: rays are cast, radiance at their hits is read, passed through the air, and averaged in
 pixels.
 
-Texels and faces hold the radiance that surfaces send to the camera (`thermorender.render.light.texels`). A frame
-therefore only casts rays, reads these values and sums. Band radiance is averaged over a pixel's rays, never
-temperature. Pixels that show an edge get more rays, in stages, until their error is small enough.
+Texels and faces hold the radiance that surfaces send to the camera (`thermorender.render.light.texels`). Band radiance
+is averaged over a pixel's rays, never temperature. Pixels that show an edge get more rays, in stages, until their error
+is small enough.
 """
 
 from collections.abc import Callable, Sequence
