@@ -1,10 +1,10 @@
-"""Blocks of a flight's frames: rendered in any order, also by other machines, and taken over into the flight in order.
+"""Blocks of a flight's frames: rendered in any order, also by other machines, and merged into the flight in order.
 
-A block begins with a sensor at rest that is brought to its state by a warm-up; see `FlightFrames.warm_up`. Its frames
-are rendered in a folder of their own, then moved into the flight's. The block's record, written last, holds the lines
-of the frames and checksums of the sensor's state before and after them. A block is taken over only if the state before
-it is that after the frame before, to the bit. Otherwise its frames are rendered again from that state. So the bytes of
-a flight never depend on how it was divided.
+A block begins with a sensor at rest, followed by a warm-up; see `FlightFrames.warm_up`. Its frames are rendered in a
+folder of their own, then moved into the flight's. The block's record, written last, holds the lines of the frames and
+checksums of the sensor's state before and after them. A block is merged only if the state before it is that after the
+frame before, to the bit. Otherwise its frames are rendered again from that state. So the bytes of a flight never depend
+on how it was divided.
 """
 
 import json
@@ -78,11 +78,8 @@ def join(folder: Path, flight: "Flight") -> None:
 
 
 def write_block(flight: "Flight", folder: Path, first: int, stop: int) -> dict[str, Any]:
-    """Render frames and write their files and record into a folder with `flight.json`; return the times and bytes.
-
-    Keys: warm_up_s, frames_s and moving_s, the time for warm-up, for frames, and for putting them in place; bytes
-    written.
-    """
+    """Render frames and write their files and record into a folder with `flight.json`; return {warm_up_s, frames_s,
+    moving_s: times of warm-up, frames and moving files; bytes: number written}."""
     name, digest = f"{first:09d}-{stop:09d}", settings_digest(flight.settings)
     # Two processes may render the same block, if one of them was believed to be lost.
     place = folder / FOLDER / f"{name}.{secrets.token_hex(4)}"
@@ -162,10 +159,8 @@ def uncovered(kept: dict[int, Block], done: int, total: int) -> list[range]:
 
 
 def gaps(flight: "Flight", folder: Path, verify: bool = False) -> Iterator[range]:
-    """Yield the ranges of frames to render here, in order; take over the finished blocks between them.
-
-    The sensor is in its state before the range; its frames are written when the next range is asked for.
-    """
+    """Yield the ranges of frames to render here, in order, and merge the finished blocks between them. The sensor is in
+    its state before the range; its frames are written when the next range is asked for."""
     total, kept, after = len(flight.times), finished_blocks(folder, flight.settings, verify), None
     while (done := len(flight.terrain)) < total:
         if done in kept:

@@ -1,10 +1,10 @@
-"""A flight: timed poses to frames on disk, in an order that can be stopped anywhere and resumed.
+"""A flight: timed poses to frames on disk, which can be stopped at any time and resumed.
 
 A frame is finished when `frames.jsonl` has its line. The line is appended after the files are on disk under their final
 names, with their sizes and checksums and a checksum of the line. `flight.json` holds everything that the bytes depend
 on, so that a resume with other settings is refused, and at the end the number of frames without terrain. Two files hold
 the state of the sensor's pixels in turn until the flight is done; if it is lost, a resume renders the frames before
-again. Temperatures of a heat balance follow the flight's time; see `thermorender.render.flight.timed`.
+again.
 """
 
 import os
@@ -180,20 +180,7 @@ def _bar(given: Callable[[int, int], object] | None) -> Iterator[Callable[[int, 
 
 
 class Flight:
-    """A flight while it is rendered: frames in order, each with the sensor's state after the one before.
-
-    Attributes
-    ----------
-    times : (N,) float64
-        Of the frames [s].
-    prospect : Prospect
-    settings : dict
-        Of `flight.json`; a flight is continued with the same.
-    terrain : list of bool
-        Whether each finished frame shows terrain.
-    agc : array or None
-        State of the display's gain control after the frame before.
-    """
+    """A flight while it is rendered: frames in order, each with the sensor's state after the one before."""
 
     def __init__(
         self, renderer: "Renderer", trajectory: Trajectory, options: FlightOptions,
@@ -208,26 +195,28 @@ class Flight:
         self.flown = FlightFrames(
             renderer, trajectory, options.rate_hz, options.start_s, options.stop_s, heat_progress, self.audit
         )
+        # (N,) float64: of the frames [s].
         self.times = self.flown.times
         if "mcap" in self.products:
             check_mcap(float(self.times[0]), self.flown.timed.time(float(self.times[0])) is not None)
         self.prospect = prospect or prospect_of(renderer, trajectory, self.times, self.flown.rate_hz)
+        # Those of `flight.json`; a flight is continued with the same.
         self.settings = self._settings(trajectory)
+        # Whether each finished frame shows terrain.
         self.terrain: list[bool] = []
         # Frames on the contact sheet.
         self.sheet = chosen(len(self.times), SHEET).tolist() if "report" in self.products else []
         self.pictured: dict[int, Pictured] = {}
         # Of the frames written now: seconds, and {product: bytes}.
         self._spent: list[tuple[float, dict[str, int]]] = []
+        # State of the display's gain control after the frame before.
         self.agc: _Memory = None
         # Frames in the video; name of the frames in a profile.
         self._encoded, self._kind = 0, "first frame"
 
     def __getstate__(self) -> dict[str, Any]:
-        """The flight as a worker needs it, before its first frame.
-
-        Temperatures that do not change need no further solution of the light; the error budget needs its rays.
-        """
+        """The flight as a worker needs it, before its first frame. Arrays for further solutions of the light are
+        dropped where temperatures are constant; the error budget needs its rays."""
         from thermorender.render.renderer import Renderer
 
         renderer = self.renderer

@@ -21,7 +21,7 @@ class Prepared:
 
     line: dict[str, Any]  # The frame's line in `frames.jsonl`
     parts: dict[Path, Path]  # {path: temporary file}
-    image: NDArray[np.uint8] | None = None  # (H, W) or the display image, for the video
+    image: NDArray[np.uint8] | None = None  # (H, W) or (H, W, 3) display image, for the video
 
     def discard(self) -> None:
         """Remove the temporary files."""
@@ -34,12 +34,10 @@ def prepare(
     encoders: Mapping[Path, Callable[[], bytes]], state: tuple[Path, Callable[[], bytes]],
     image: NDArray[np.uint8] | None = None,
 ) -> Prepared:  # fmt: skip
-    """Write the files of a frame, {path: returns the bytes}, under temporary names in a folder.
-
-    `place` identifies the folder at the start of the flight; `line` returns the frame's line in `frames.jsonl` without
-    its files. `state`, (path, returns the bytes), is the sensor's, which is not in the line: a resume can do without
-    it, so it is not waited for on the disk. `image` is as in Prepared.
-    """
+    """Write the files of a frame, {path: returns the bytes}, under temporary names in a folder, identified by `place`.
+    `line` returns the frame's line in `frames.jsonl` without its files. `state` (path, returns the bytes) is the
+    sensor's. It is not in the line and not synced to the disk, as a resume can do without it. `image` is as in
+    Prepared."""
     frame, known = Prepared({}, {}), {}
     try:
         refuse_moved(folder, place)
@@ -64,10 +62,8 @@ def prepare(
 
 @phase("writer: names and lines")
 def put_in_place(folder: Path, place: os.stat_result, described: Callable[[], dict[str, Any]], frame: Prepared) -> None:
-    """Give the files of a frame their names, then append its line to `frames.jsonl`.
-
-    The first frame also writes `flight.json`, the value of `described`: an error before it leaves no files.
-    """
+    """Give the files of a frame their names, then append its line to `frames.jsonl`. The first frame also writes
+    `flight.json`, the value of `described`: an error before it leaves no files."""
     refuse_moved(folder, place)
     if not (folder / "flight.json").exists():
         formats.write_json(folder / "flight.json", described())

@@ -52,10 +52,8 @@ _TYPES = {
 
 
 def check_mcap(first_s: float, absolute: bool) -> None:
-    """Refuse what cannot be written, before a flight: a missing library, or a first frame before 0 [s].
-
-    `absolute`: the flight has a date, which the file then gives.
-    """
+    """Refuse, before a flight, what cannot be written: a missing library, or a first frame before 0 [s]. `absolute`:
+    the flight has a date, which the file then gives."""
     _ = _library()
     if first_s < 0.0 and not absolute:
         raise ThermorenderError(

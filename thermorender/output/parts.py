@@ -17,10 +17,8 @@ def fly_part(
     renderer: "Renderer", trajectory: "Trajectory", folder: str | PathLike[str], options: FlightOptions, first: int,
     stop: int,
 ) -> dict[str, Any]:  # fmt: skip
-    """Render the frames from `first` up to `stop`, or the end, as a block; do nothing if it is finished.
-
-    A flight into the folder with `resume` takes over the blocks.
-    """
+    """Render the frames from `first` up to `stop`, or the end, as a block; do nothing if it is finished. A flight into
+    the folder with `resume` takes over the blocks."""
     flight = Flight(renderer, trajectory, options, None)
     flight.sheet = []
     frames = len(flight.times)

@@ -19,10 +19,8 @@ def photograph(
     camera: Camera | None = None,
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:  # fmt: skip
     """Return (image (H, W, 3) uint8 sRGB, covered (H, W) bool) of a camera for visible light, by default the scene's.
-
     `time_s` and `objects` are as in `Renderer.frame`. Where no surface is visible the image has the sky, by the clouds
-    of the scene or its weather; `covered` is where the orthophoto is known.
-    """
+    of the scene or its weather; `covered` is where the orthophoto is known."""
     image, covered = renderer.visible(pose, camera, time_s, objects)
     return with_sky(image, renderer.sky(pose, camera, time_s, objects), pose, camera or renderer.scene.camera,
                     cloud_of(renderer.scene)), covered  # fmt: skip
@@ -58,10 +56,9 @@ def sky_of(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 def sky_colour(sine: ArrayLike, cloud: float = 0.0) -> NDArray[np.float32]:
     """Return the linear sRGB colour of the daytime sky, (..., 3) float32, by the sine of elevation and cloud fraction.
-
     Blue overhead and white towards the horizon, where the air path is long; grey under clouds, three times as bright at
-    the zenith as at the horizon (Moon & Spencer, 1942, the CIE overcast sky). Clouds are uniform. Colours are chosen.
-    """
+    the zenith as at the horizon (Moon & Spencer, 1942, the CIE overcast sky). Clouds are uniform. Colours are
+    chosen."""
     high = np.clip(np.asarray(sine, np.float32), 0.0, 1.0)[..., None]
     zenith, horizon, grey = (
         decoded(np.array(colour, np.float32) / 255.0) for colour in ((92, 138, 200), (206, 219, 232), (214, 216, 220))

@@ -87,11 +87,9 @@ def check(
     products: Iterable[str], thermography: ThermographySettings | None = None, camera: Camera | None = None,
     flight: bool = False,
 ) -> tuple[str, ...]:  # fmt: skip
-    """Return the products as a tuple, after refusing unknown names and combinations without effect.
-
-    If `camera` has a visible camera beside it, the product "visible" is two images: registered, and by that camera.
-    "report" and "mcap" are products of a `flight` only.
-    """
+    """Return the products as a tuple, after refusing unknown names and combinations without effect. If `camera` has a
+    visible camera beside it, the product "visible" is two images: registered, and by that camera. "report" and "mcap"
+    are products of a `flight` only."""
     products = tuple(products)
     if "visible" in products and camera is not None and camera.visible_camera is not None:
         products = tuple(dict.fromkeys((*products, "visible-camera")))
@@ -127,12 +125,9 @@ def encoders(
     thermography: ThermographySettings | None = None,
     photograph: Callable[[Camera], NDArray[np.uint8]] | None = None, compression: str = defaults.EXR_COMPRESSION,
 ) -> dict[str, Encoder]:  # fmt: skip
-    """Return {product: function that returns the bytes of its file}, to be called in any thread.
-
-    Everything that needs the renderer is computed before this returns. `image` is for `display` in place of
-    `frame.display`; `thermography` gives the reading in `radiometric` and the EXR; `photograph` maps a camera to the
-    (H, W, 3) uint8 of `visible`.
-    """
+    """Return {product: function that returns the bytes of its file}, to be called in any thread. Everything that needs
+    the renderer is computed before this returns. `image` replaces `frame.display`; `thermography` gives the reading in
+    `radiometric` and the EXR; `photograph` maps a camera to the (H, W, 3) uint8 of `visible`."""
     extras = _Extras("truth" in products, "error" in products, image, thermography, photograph, compression)
     return {name: WRITERS[name][1](frame, extras) for name in products if name in WRITERS}
 

@@ -20,11 +20,9 @@ _DIGESTED = {
 
 
 def finished(folder: Path, settings: dict[str, Any], products: Sequence[str], resume: bool, verify: bool) -> list[bool]:
-    """Return for each finished frame whether it shows terrain; drop the lines of other frames from `frames.jsonl`.
-
-    The `settings` are those of `flight.json`, which must be the same to resume; without `resume` the folder must not
-    hold a flight. `verify` compares files by checksum, not by size only.
-    """
+    """Return for each finished frame whether it shows terrain; drop the lines of other frames from `frames.jsonl`. To
+    resume, `settings` must equal those of `flight.json`; otherwise the folder must hold no flight. `verify` compares
+    checksums of files, not only sizes."""
     described, lines = folder / "flight.json", folder / "frames.jsonl"
     if not resume:
         refuse_used(folder)

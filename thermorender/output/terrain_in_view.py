@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from thermorender.scene.scene import Scene
 
-# Frames that are looked at, spread over a flight.
+# Frames that are tested, spread over a flight.
 _FRAMES = 200
 # Corners of each surface.
 _CORNERS = 2048
@@ -14,11 +14,8 @@ _SIDE = 7
 
 
 def shows_terrain(scene: Scene, poses: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return whether each of N poses (N, 4, 4) can show the scene's terrain, (N,).
-
-    A frame shows terrain if a corner of its faces is in the picture, or if a direction of the picture meets the median
-    height of the terrain above it. What hides terrain is not considered.
-    """
+    """Return whether each of N poses (N, 4, 4) can show the scene's terrain, (N,), without occlusion: a corner of its
+    faces is in the picture, or a direction of the picture meets the terrain's median height above it."""
     camera = scene.camera
     side = np.linspace(0.0, 1.0, _SIDE)
     pixel = np.stack(np.meshgrid(side * camera.width, side * camera.height), axis=-1).reshape(-1, 2)

@@ -19,11 +19,9 @@ from thermorender.formats import decoded
 
 
 class VideoWriter:
-    """Writes 8-bit images, (H, W) grey or (H, W, 3) RGB, as an H.264 MP4, in the order in which they are given.
-
-    The file gets its name when the block ends; an error in the block leaves nothing behind. An encoder that ends too
-    early, killed or on a full disk, is reported at the end of the block.
-    """
+    """Writes 8-bit images, (H, W) grey or (H, W, 3) RGB, as an H.264 MP4, in the order in which they are given. The
+    file gets its name when the block ends; an error leaves no file. The end of the block reports an encoder that
+    failed."""
 
     def __init__(self, path: str | PathLike[str], rate_hz: float) -> None:
         self._path, self._rate, self._shape = Path(path), rate_hz, tuple[int, ...]()

@@ -16,13 +16,10 @@ MOST = WORKERS + 1
 
 
 class OrderedWriter(Generic[T]):
-    """Prepares jobs in threads and finishes them in the order in which they were put.
-
-    `finish` gets the result of each job, in order, in a thread; then `report`, in the thread of the caller, before the
-    next job is finished. An error of a job is raised by `put` or `drain` when its turn comes; nothing is finished after
-    it, and `discard` gets the results of the jobs that are not finished. Leaving the block without error finishes all
-    jobs.
-    """
+    """Prepares jobs in threads and finishes them in the order in which they were put. `finish` gets the result of each
+    job, in order, in a thread; then `report`, in the caller's thread, before the next job is finished. `put` or `drain`
+    raises an error of a job when its turn comes. Nothing is finished after it, and `discard` gets the results of the
+    unfinished jobs. Leaving the block without error finishes all jobs."""
 
     def __init__(
         self, finish: Callable[[T], object], report: Callable[[T], object], discard: Callable[[T], object]

@@ -1,1 +1,1 @@
-"""From a scene and a pose to radiance: baked surfaces, light, heat, tracing, and the reference that judges them."""
+"""From a scene and a pose to radiance: baked surfaces, light, heat, tracing, and the reference engine."""

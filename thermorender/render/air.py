@@ -1,9 +1,9 @@
-"""The medium between a camera position and the surfaces: the scene's air, or vacuum.
+"""The medium between camera and surfaces: the scene's air, or vacuum.
 
 A path from a given camera is determined by its length and the altitude of its end. For each camera position the air is
 computed on a small grid of both, as wide as the scene requires: the weights of the texels' channels and the path
 radiance. Rays interpolate in this grid. Rays that hit nothing look up sky and surroundings by zenith angle; where the
-horizon crosses a ray's cell, both count by their shares of it.
+horizon crosses a ray's cell, both are averaged by area.
 """
 
 from collections.abc import Callable
@@ -60,10 +60,8 @@ class Vacuum:
     def at_camera(
         self, hit: Hit, values: list[Jit], origin: Jit, direction: Jit, climb: Climb | None = None
     ) -> list[Jit]:
-        """Return the radiance at the camera, a list of Float; `values` are the channels at the points hit.
-
-        With `climb` rays that hit nothing show the mean over their cells.
-        """
+        """Return the radiance at the camera, [Float], from the channels at the points hit; with `climb`, misses average
+        their cells."""
         outside = zip(self._sky, self._background, strict=True)
         if climb is None:
             behind = [dr.select(direction.z >= 0.0, sky, background) for sky, background in outside]
@@ -84,10 +82,8 @@ class SceneAir:
         self._last: tuple[bytes, AirView] | None = None
 
     def view(self, origin: Floats, box: Floats, clear: bool = False) -> "AirView":
-        """Return the AirView from a camera position `origin` (3,) [m] to surfaces in a `box` (2, 3) [m].
-
-        With `clear`, paths to surfaces transmit all light and emit none. The last other view is kept.
-        """
+        """Return the AirView from `origin` (3,) [m] to a `box` (2, 3) [m], cached; with `clear`, paths to surfaces have
+        no air."""
         if clear:
             return self._view(origin, box, clear)
         # Read and replaced as a whole: another thread may render another view meanwhile.
@@ -132,17 +128,9 @@ class SceneAir:
 
 
 class PathGrid:
-    """Numbers of the paths from one altitude, by path length and altitude of the end.
-
-    Parameters
-    ----------
-    from_m : float
-        Altitude of the start above sea level [m].
-    limits, lengths : (2,) floats
-        Lowest and highest altitude of the end, shortest and longest path [m].
-    cells : callable
-        Returns (..., C) numbers from (transmittances, path radiances) of paths, each (..., n).
-    """
+    """Weights and path radiance of the paths from altitude `from_m` [m], by path length and altitude of the end.
+    `limits` are the lowest and highest end [m], `lengths` the shortest and longest path [m]. `cells` returns (..., C)
+    numbers from (transmittances, path radiances), each (..., n)."""
 
     def __init__(
         self, mi: Mitsuba, air: Atmosphere, from_m: float, limits: tuple[float, float], lengths: tuple[float, float],
@@ -164,9 +152,7 @@ class PathGrid:
         self._numbers = [dr.opaque(mi.Float, float(number)) for number in frame]
 
     def corners(self, distance: Jit, end: Jit, valid: Jit) -> list[tuple[Jit, list[Jit]]]:
-        """Return [(weight, [number (Float), …]), …] of the grid points round paths of given length and altitude of the
-        end.
-        """
+        """Return [(weight, [Float]), …] of the grid points round paths, given by length and altitude of the end [m]."""
         mi = self._mi
         low, high, start, first, step, count, rows = self._numbers
         column = dr.clip((dr.log(distance) - first) * step, 0.0, count - 1.001)
@@ -184,11 +170,8 @@ class PathGrid:
 
 
 class AirView:
-    """The air seen from one camera position.
-
-    `grid` holds the weights of the channels and the path radiance, K + 1 numbers; `base` is the altitude of the local
-    frame's origin [m], `background` (2, n) from the function of that name, `horizon` the cosine of its zenith angle.
-    """
+    """The air seen from one camera position: `grid` of the channels' weights and the path radiance, `base` altitude of
+    the local origin [m], `background` (2, n), `horizon` cosine of its zenith angle."""
 
     def __init__(self, mi: Mitsuba, grid: PathGrid, base: float, background: Floats, horizon: float) -> None:
         self._mi, self._grid, self._base = mi, grid, dr.opaque(mi.Float, float(base))
@@ -239,12 +222,9 @@ def altitude(points: ArrayLike, altitude_m: float) -> Floats:
 
 
 def background(air: Atmosphere, camera_m: float, ground_m: float, temperature: float, position: Floats) -> Floats:
-    """Return the band radiance of rays that hit nothing, (2, n): below and above the horizon [W m⁻² sr⁻¹].
-
-    `camera_m`, `ground_m` and `temperature` are altitudes of the camera and of the black ground beyond the scene [m],
-    and its temperature [K]. `position` (n,) is the square root of the distance of the zenith angle's cosine from the
-    horizon's: 0 at the horizon, 1 straight down or up.
-    """
+    """Return the band radiance of rays that hit nothing, (2, n): below and above the horizon [W m⁻² sr⁻¹]. `ground_m`
+    [m] and `temperature` [K] are of the black ground beyond the scene. `position` (n,) is the square root of |cos
+    zenith − cos horizon|."""
     horizon = float(horizon_cos_zenith(camera_m))
     rise = np.square(position)
     sky = air.sky_radiance(camera_m, horizon + rise * (1.0 - horizon)).sum(axis=-1)

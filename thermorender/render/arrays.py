@@ -16,12 +16,9 @@ _OWN_PAGES = 1 << 25
 
 
 def aligned(values: ArrayLike, kind: Any = np.float32) -> NDArray[Any]:
-    """Return an array, flat, of a dtype and aligned to 64 bytes; it is copied only where necessary.
-
-    Dr.Jit uses NumPy's memory in place and compiles a kernel again when the alignment differs, even between processes
-    with a shared kernel cache. All arrays that kernels read pass through here; arrays that only Embree reads do not.
-    Large arrays have pages of their own, so their alignment is always the same, and a copy would double their memory.
-    """
+    """Return an array, flat, of a dtype and aligned to 64 bytes; it is copied only where necessary. Dr.Jit uses NumPy's
+    memory in place, and recompiles a kernel when the alignment differs. All arrays that kernels read pass through
+    here."""
     source = np.asarray(values)
     fits = source.ctypes.data % 64 == 0 or source.nbytes >= _OWN_PAGES
     if fits and source.dtype == kind and source.flags.c_contiguous:

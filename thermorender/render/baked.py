@@ -1,8 +1,7 @@
-"""A baked scene: a scene whose light between surfaces is solved and stored in its texels, ready for any view.
+"""A baked scene: light between surfaces is solved and stored in the texels, ready for any view.
 
-It is an immutable value of NumPy arrays. It can be sent to another process, and solved again after an edit of
-temperature, material, sky or air, with the rays between its faces traced once. Arrays are uploaded to the device when
-first needed, in each process.
+It is an immutable value of NumPy arrays, which can be sent to another process. After an edit of temperature, material,
+sky or air it is solved again without tracing rays. Each process uploads the arrays to the device at first use.
 """
 
 from collections.abc import Callable
@@ -83,7 +82,7 @@ class BakedScene(LoadedLight):
         return bake(scene, plan, like=exact, progress=progress, start=exact)
 
     def ready_for_edits(self) -> None:
-        """Make what previews of edits begin from, which the first preview does otherwise.
+        """Precompute what previews of edits need, which the first preview does otherwise.
 
         It takes seconds once for all edits of a geometry, and 0.1 s for each solution.
         """
@@ -92,13 +91,12 @@ class BakedScene(LoadedLight):
     def preview_for(self, scene: Scene, progress: Progress | None = None) -> "BakedScene":
         """Return a preview of an edited scene: its change to first order, with an estimate of its error.
 
-        An edit of materials or temperatures is shown at once: the change of the light that changed surfaces send to
-        others, and of what these reflect, without further reflections. `errors_mk` has an estimate from above of its
-        difference from `solved_for`: "preview" on any surface, and "preview_rms" over all. Other edits, and scenes with
-        mirrors or with objects on tracks, are solved as by `solved_for`, and have no such error.
+        An edit of materials or temperatures changes the light of the edited surfaces, and its first reflection by
+        others; further reflections of the change are left out. `errors_mk` has an estimate from above of its difference
+        from `solved_for`: "preview" on any surface, and "preview_rms" over all. Other edits, and scenes with mirrors or
+        with objects on tracks, are solved as by `solved_for`, and have no such error.
 
-        A preview of a preview begins from it where most of the work is done there already; the estimate then covers
-        both. Its solution begins from the solution that it was made of.
+        A preview of a preview may begin from it; the estimate then covers both.
 
         Parameters
         ----------
@@ -137,12 +135,9 @@ def bake(
     start: LoadedLight | None = None,
     solved: SolvedLight | None = None,
 ) -> BakedScene:
-    """Return the BakedScene of a scene, whose Geometry is given where it exists already.
-
-    Rays between faces are those of `like`, with the same surfaces, if their number per face is the same. The solution
-    begins from `start`, of similar light, which saves time and changes it within its error bound. `solved` is the light
-    where it is known. `progress` is called with (what, share done).
-    """
+    """Return the BakedScene of a scene. Rays are reused from `like`, of the same surfaces, if their number per face is
+    the same. The solution begins from `start`, of similar light, within its error bound. `solved` is the light where it
+    is known."""
     known = None
     if like is not None:
         refuse_other_surfaces(like.scene.surfaces, scene.surfaces)

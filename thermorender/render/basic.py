@@ -1,12 +1,12 @@
 """A frame in plain lines: rays, texels, Planck's law, reflected light, air. Read this file first.
 
 `basic_frame` renders what `Renderer.frame` renders, node by node, with NumPy and Mitsuba's ray caster alone. It takes
-the light between surfaces from a BakedScene. The renderer gets the same picture faster and with fewer errors:
+the light between surfaces from a BakedScene. The renderer is faster and more accurate:
 
-- it sums the spectrum once, into channels of texels (`spectrum`, `light.texels`), so that a frame only reads and adds;
+- it sums the spectrum once, into channels of texels (`spectrum`, `light.texels`);
 - it reads texture over the footprint of each ray (`pixels.footprint`), and casts more rays at edges (`pixels.tracer`);
 - it interpolates the air between a few paths (`air`), and corrects what the nodes leave out (`spectrum.make_spectrum`);
-- it adds moving objects (`dynamic`), mirrors (`reflection.mirrors`) and copies of bodies (`pixels.shapes`).
+- it adds moving objects (`dynamic`), mirrors (`reflection.mirrors`) and instanced bodies (`pixels.shapes`).
 """
 
 from collections.abc import Iterator
@@ -111,11 +111,8 @@ def _texels(
 
 
 def _tables(baked: BakedScene) -> _Tables:
-    """(temperatures (G,) [K], what materials emit there (M, G, n) [W m⁻² sr⁻¹], share of light reflected (M, N, n)).
-
-    A node of the air, of which there are n, is a few points of the spectrum; without air one node holds the whole band.
-    The light between surfaces has N nodes of its own, and within each of them the spectrum of a blackbody.
-    """
+    """(temperatures (G,) [K], emission (M, G, n) [W m⁻² sr⁻¹], reflectance (M, N, n)) of M materials, n nodes of air, N
+    of light."""
     spectrum, points = baked.plan.spectrum, baked.plan.spectrum.points
     grid = np.linspace(baked.plan.coldest, baked.plan.warmest + 1e-3, _STEPS)
     of_air = np.equal.outer(points.node, np.arange(points.node.max() + 1)).astype(np.float64)

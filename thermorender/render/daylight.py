@@ -26,15 +26,8 @@ class Daylight(NamedTuple):
 def daylight(
     geometry: Geometry, surfaces: int, sun: tuple[float, float], normal: NDArray[np.float32] | None = None
 ) -> Daylight:
-    """Return the Daylight on the texels of the first `surfaces` of a geometry.
-
-    Parameters
-    ----------
-    sun : (2,) float
-        Azimuth and elevation [deg].
-    normal : (T, 3) float32, optional
-        Normals of the texels, NaN for those of their faces.
-    """
+    """Return the Daylight on the texels of the first `surfaces` of a geometry. `sun` is azimuth and elevation [deg];
+    `normal` (T, 3) are normals of the texels, NaN for those of their faces."""
     mi, face = geometry.mi, geometry.face_showing(surfaces)
     shown = face < geometry.face_count
     cosine, sky = np.zeros(len(face), np.float32), np.zeros(len(face), np.float32)

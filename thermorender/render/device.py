@@ -26,10 +26,7 @@ from thermorender.scene.surface import Surface
 
 
 class DeviceScene:
-    """The arrays of a BakedLight on the device.
-
-    `outgoing` is its radiance and `air` its medium, where they are there already.
-    """
+    """The arrays of a BakedLight on the device; `outgoing` and `air` are reused where they are given."""
 
     def __init__(
         self, baked: BakedLight, geometry: Geometry, outgoing: OutgoingRadiance | None = None,
@@ -103,10 +100,8 @@ class DeviceScene:
         return self.geometry.of_object(name, self._scene.terrain_count), np.eye(4)
 
     def face_errors(self, placements: Sequence[Placement]) -> list[Jit]:
-        """Return the squared error of the light on the faces of each layer, in the order of `layers`.
-
-        Float [W² m⁻⁴ sr⁻²], from `BakedLight.face_error` and `DynamicObject.light`; None where light is left out.
-        """
+        """Return the squared error of the light on the faces of each layer, [Float or None] [W² m⁻⁴ sr⁻²]; None without
+        light."""
         if self._face_error is None:
             return [None] * (1 + len(self.objects))
         *_, errors = self._lit(placements)
@@ -118,10 +113,8 @@ class DeviceScene:
         return [self._mi.Float(aligned(whole)), *(self._mi.Float(aligned(own)) for _, own, _ in errors)]
 
     def medium(self, pose: Floats, placements: Sequence[Placement], through_air: bool = True) -> Vacuum | AirView:
-        """Return the medium between a camera at `pose` and the surfaces: vacuum or air.
-
-        Without `through_air` paths to surfaces are clear, but the background is still seen through the air.
-        """
+        """Return the medium of a camera at `pose`; without `through_air` only the background is seen through the
+        air."""
         if isinstance(self.air, Vacuum):
             return self.air
         moved = [item.box(placement.pose) for item, placement in zip(self.objects, placements, strict=True)]
@@ -133,10 +126,7 @@ class DeviceScene:
         self, placements: Sequence[Placement]
     ) -> tuple[OutgoingRadiance, list[OutgoingRadiance], list[tuple[NDArray[np.int64], Floats, Floats]]]:
         """(OutgoingRadiance of the static scene, [of each object], [(faces, squared error of the object, of these
-        faces)]).
-
-        It includes the objects' light on the static scene and the scene's light on them.
-        """
+        faces)])."""
         if not self.objects:
             return self._outgoing, [], []
         lit = [each.lit or each for each in placements]

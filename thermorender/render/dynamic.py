@@ -1,8 +1,8 @@
 """Light on and from a dynamic object, for one pose and temperature at a time, without baking the scene again.
 
-The scene is solved without the object. Rays from the object's faces show the light it receives. By reciprocity the same
-rays show the light that the static scene receives from it, and the light it hides from there. One bounce each way is
-traced. Light that passes twice between object and ground is left out, as is light between two dynamic objects: both are
+The scene is solved without the object. Rays from the object's faces sample the light it receives. By reciprocity the
+same rays give the light that the static scene receives from the object, and the light that it blocks. One bounce each
+way is traced. Interreflection between object and ground, and light between two dynamic objects, are left out: both are
 weaker by the product of two reflectances.
 """
 
@@ -55,12 +55,9 @@ def placements(
     lit_s: float | None = None,
     lit_objects: Objects | None = None,
 ) -> tuple[Placement, ...]:
-    """Return the Placement of each dynamic object of a scene at a time on their tracks [s], in their order.
-
-    `objects` replaces values of the tracks: {name: {column of its track: value}}. `lit_s` is the time whose light they
-    receive and give [s]; near it this saves tracing the light, as costly as the rest of a frame. `lit_objects` is
-    `objects` at that time, by default the same.
-    """
+    """Return the Placement of each dynamic object of a scene at a time on their tracks [s], in their order. `objects`
+    replaces values of the tracks: {name: {column of its track: value}}. With `lit_s` [s] objects exchange the light of
+    that time, with `lit_objects`. Frames close in time then trace it once, which saves half their cost."""
     try:
         finite = np.isfinite(float(time_s))
     except (TypeError, ValueError):
@@ -110,10 +107,8 @@ class StaticLight:
 
 
 class DynamicObject:
-    """An object with a track, on the render side, with its `geometry` in its own frame.
-
-    `tables` holds the scene's directional materials; None where these are rendered as diffuse.
-    """
+    """A dynamic object with its `geometry` in its own frame; `tables` of directional materials, None if these are
+    diffuse."""
 
     def __init__(
         self, mi: Mitsuba, tracked: TrackedObject, plan: Plan, materials: Sequence[Material],
@@ -130,19 +125,12 @@ class DynamicObject:
         self._tables = tables if tables and tables.number[self._material] else None
 
     def light(self, placement: Placement, geometry: Geometry, static: StaticLight | None) -> _Exchange:
-        """Return (light reflected by each own face, (faces, light added to them), squared errors) at a Placement.
+        """Return (own (F, K), (faces (n,), added (n, K)), (own_square (F,), square (n,))) at a Placement.
 
+        `own` is the light that each own face reflects in each channel; `added` is the change of the light that `faces`
+        of the static scene reflect [W m⁻² sr⁻¹]. The squares are their squared standard errors due to the number of
+        rays, in the band [W² m⁻⁴ sr⁻²]. They assume independent rays, so for Sobol points they are rather too large.
         `geometry` is the static scene's; `static` is None where reflection is left out.
-
-        Returns
-        -------
-        own : (F, K)
-            In each channel [W m⁻² sr⁻¹].
-        faces, added : (n,) int64, (n, K) float32
-            Faces of the static scene, and the change of their reflected light in each channel [W m⁻² sr⁻¹].
-        own_square : (F,), square : (n,)
-            Squared standard errors of these due to the number of rays, in the band [W² m⁻⁴ sr⁻²]. They assume
-            independent rays; for the evenly spread Sobol rays they are too large rather than too small.
         """
         if static is None:
             channels = self._plan.spectrum.channels

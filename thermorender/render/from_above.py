@@ -12,10 +12,8 @@ _AT_ONCE = 1 << 22
 def from_above(
     geometry: Geometry, east: NDArray[np.floating], north: NDArray[np.floating]
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Return (height [m], flat number of the texel) of the highest surface at positions, in their shape.
-
-    Heights are local, NaN where there is no surface; the texel is then −1.
-    """
+    """Return (height [m], flat number of the texel) of the highest surface at positions, in their shape; NaN and −1 for
+    none."""
     mi = geometry.mi
     top = max(float(surface.vertices[:, 2].max()) for surface in geometry.surfaces) + 1.0
     height, texel = np.full(east.size, np.nan, np.float32), np.full(east.size, -1, np.int64)

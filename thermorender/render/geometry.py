@@ -1,8 +1,8 @@
 """A scene's meshes on the render side: the ray caster, and flat per-face and per-texel arrays for its kernels.
 
-All surfaces share one numbering of faces and one of texels. A hit then needs two gathers: the face's record and the
-texels around the point. The record is the affine map from a point of the face's plane to its position on the texel map.
-It also defines the plane, so points near a hit need no ray.
+All surfaces share one numbering of faces and one of texels. A hit needs two gathers: the face's record and the texels
+around the point. The record is the affine map from a point of the face's plane to its position on the texel map. It
+also defines the plane, so points near a hit need no ray.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -38,45 +38,24 @@ class Hit:
 
 
 class Geometry:
-    """Ray caster and flat arrays of a scene's surfaces.
-
-    Parameters
-    ----------
-    mi : module
-        Mitsuba with a variant active.
-
-    Attributes
-    ----------
-    face_count : int
-        Over all surfaces.
-    face_start, texel_start : (S + 1,) int64
-        First face and texel of each surface in the flat numbering.
-    area, share : (F,) float64
-        Area of each face [m²], and its share of the total area.
-    reach : float
-        Largest vertex coordinate along any axis [m].
-    hair : float
-        Smallest offset used between points [m]: 64 float32 steps at `reach`.
-    records : (8 F,) mi.Float
-        For each face, gradient and offset of the texel map's column, then of its row.
-    openness : dict of int to leaves.Open
-        What `light.leaves` has traced of the bodies of copies, by the number of the surface.
-    levels : int
-        Levels of the texels' averages over squares, see `averaged`; 1 where every surface has a single texel.
-    """
+    """Ray caster and flat arrays of a scene's surfaces; `mi` is Mitsuba with a variant active."""
 
     def __init__(self, mi: Mitsuba, surfaces: Sequence[Surface]) -> None:
         self.mi = mi
         self.surfaces = surfaces
+        # (S + 1,) int64: first face and first texel of each surface in the flat numbering.
         self.face_start = np.cumsum([0] + [len(surface.faces) for surface in surfaces])
         self.texel_start = np.cumsum([0] + [surface.material.size for surface in surfaces])
         self.face_count = int(self.face_start[-1])
+        # (F,) float64: area of each face [m²], and below its share of the total area.
         self.area = 0.5 * np.linalg.norm(of_faces(surfaces, _across, (3,), np.float64), axis=1)
         for first, surface in zip(self.face_start, surfaces, strict=False):
             if surface.instances is not None:
                 self.area[first : first + len(surface.faces)] = surface.instances.area
         self.share = self.area / max(self.area.sum(), 1e-300)
+        # Largest vertex coordinate along any axis [m].
         self.reach = max(float(np.abs(surface.vertices).max()) for surface in surfaces)
+        # Smallest offset between points [m]: 64 float32 steps at `reach`.
         self.hair = 64.0 * 2.0**-24 * (1.0 + self.reach)
         meshes = {
             f"s{number}": shapes.mesh(mi, f"s{number}", surface.vertices, surface.faces)
@@ -97,15 +76,18 @@ class Geometry:
         self._face_start = mi.UInt32(aligned(self.face_start[:-1], np.uint32))
         # The squares are stored level after level, and in each level surface after surface.
         sizes = [pyramid.sizes(*surface.material.shape) for surface in surfaces]
+        # Levels of the texels' averages over squares, see `averaged`; 1 where every surface has a single texel.
         self.levels = max(map(len, sizes))
         squares = np.array([size + [(1, 1)] * (self.levels - len(size)) for size in sizes], dtype=np.int64)
         squares = squares.transpose(1, 0, 2).reshape(-1, 2)
         start = np.concatenate([[0], np.cumsum(squares.prod(axis=1))])
         self._surfaces, self._boxes = len(surfaces), dict[int, Floats]()
         self._objects = dict[str, Geometry]()
+        # {number of a surface: leaves.Open}, what `light.leaves` has traced of the bodies of copies.
         self.openness = dict[int, Any]()
         parts = (start[:-1], squares[:, 0], squares[:, 1])
         self._lattice = tuple(mi.Int32(aligned(part, np.int32)) for part in parts)
+        # (8 F,): for each face, gradient and offset of the texel map's column, then of its row.
         self.records = mi.Float(aligned(of_faces(surfaces, _map_records, (8,))))
 
     @property
@@ -145,11 +127,8 @@ class Geometry:
         return dr.select(copy, dr.gather(mi.UInt32, surface_of, number, copy), surface), dr.select(copy, own, face)
 
     def seen(self, ray: Jit) -> Hit:
-        """Return the Hit of a view's rays (an mi.Ray3f), without distances of 0.
-
-        Embree returns distance 0 for a camera on a surface and for a ray in the plane of any triangle. Only such rays
-        are cast again, offset by `hair`.
-        """
+        """Return the Hit of a view's rays (an mi.Ray3f). Embree returns distance 0 for a camera on a surface and for a
+        ray in the plane of a triangle; such rays are cast again, offset by `hair`."""
         hit = self.cast(ray, coherent=True)
         touches = hit.valid & (hit.distance <= 0.0)
         # Opaque: a literal would compile the kernel again for each scene.
@@ -204,8 +183,7 @@ class Geometry:
 
     def lattice(self, surface: Jit, active: Jit = True, level: Jit = None) -> tuple[Jit, ...]:
         """Return (first texel, rows, columns) of surfaces, Int32; with `level`, of their squares of 2^level texels a
-        side.
-        """
+        side."""
         index = surface if level is None else surface + level * self._surfaces
         return tuple(dr.gather(self.mi.Int32, values, index, active) for values in self._lattice)
 
@@ -294,10 +272,8 @@ class Geometry:
 
     @cached_property
     def face_of_texel(self) -> Jit:
-        """The face that covers each texel's centre, UInt32 over all texels; `face_count` where no face does.
-
-        Rays are cast down onto the triangles of the map. A face whose map has no area covers nothing.
-        """
+        """The face that covers each texel's centre, UInt32; `face_count` where none does. Faces without area on the map
+        cover none."""
         mi = self.mi
         found = np.full(int(self.texel_start[-1]), self.face_count, dtype=np.uint32)
         for number, surface in enumerate(self.surfaces):
@@ -312,10 +288,8 @@ class Geometry:
         return mi.UInt32(aligned(found, np.uint32))
 
     def face_showing(self, surfaces: int) -> NDArray[np.uint32]:
-        """Return the face that shows each texel of the first `surfaces`, (T,), as `face_of_texel`.
-
-        Here a face whose map is a point shows the texel there, unless a larger one does.
-        """
+        """Return the face that shows each texel of the first `surfaces`, (T,), as `face_of_texel`, or a face whose map
+        is a point."""
         found = np.array(self.face_of_texel)[: int(self.texel_start[surfaces])]
         for number, surface in enumerate(self.surfaces[:surfaces]):
             rows, columns = surface.material.shape
@@ -397,10 +371,8 @@ def of_faces(
     surfaces: Sequence[Surface], job: Callable[[Surface, slice], NDArray[Any]], shape: tuple[int, ...],
     dtype: Any = np.float32,
 ) -> NDArray[Any]:  # fmt: skip
-    """Return `job(surface, faces)` of all faces, (F, *shape), computed for a million faces at a time.
-
-    Jobs use float64 on all corners; for all faces at once that would dominate a scene's memory.
-    """
+    """Return `job(surface, faces)` of all faces, (F, *shape), for a million faces at a time to limit the memory of
+    float64."""
     found = np.empty((sum(len(surface.faces) for surface in surfaces), *shape), dtype)
     first = 0
     for surface in surfaces:
@@ -432,10 +404,8 @@ def _mapped_area(surface: Surface, part: slice) -> Floats:
 
 
 def _map_records(surface: Surface, part: slice) -> Floats:
-    """Affine maps (F, 8) from points to texels: gradient and offset of the column, then of the row.
-
-    The gradient is parallel to the face's plane; it is 0 for faces without area or with a constant map.
-    """
+    """Affine maps (F, 8) from points to texels: gradient (0 without area or map) and offset of the column, then of the
+    row."""
     corner = surface.vertices[surface.faces[part]]
     texel = surface.uv[part].astype(np.float64) * surface.material.shape[::-1]
     edge = corner[:, 1:] - corner[:, :1]

@@ -1,4 +1,4 @@
-"""Labels of objects: which one each pixel shows, and how much of each is hidden by others or cut off by the border.
+"""Labels of objects: which one each pixel shows, its occluded fraction, and its truncation by the border.
 
 The silhouette of an object is found by casting its own mesh alone, at its pose, over the part of the image that its
 vertices span.
@@ -28,10 +28,7 @@ _SIZES = 3.0
 def labels(
     baked: LoadedLight, rays: CameraRays, pose: Floats, placements: Sequence[Placement], seen: NDArray[np.uint32]
 ) -> dict[str, dict[str, Any]]:
-    """Return {object: {…}} of the objects whose extent meets the image, as `Frame.labels`.
-
-    `seen` is the truth's image of objects.
-    """
+    """Return the `Frame.labels` of objects whose extent meets the image; `seen` is the truth's image of objects."""
     found, camera = {}, rays.camera
     for number, name in enumerate(object_names(baked.scene), start=1):
         geometry, own_pose = baked.device.alone(name, placements)
@@ -75,10 +72,8 @@ def _hits(geometry: Geometry, view: Floats, across: Jit, along: Jit) -> NDArray[
 
 
 def imaged(camera: Camera, slope: Floats) -> Floats:
-    """Return image coordinates, (n, 2), of slopes (n, 2); farther out than the corners the lens adds no distortion.
-
-    Out there the polynomial of the distortion may fold back into the image.
-    """
+    """Return image coordinates, (n, 2), of slopes (n, 2); the distortion is constant beyond the corners, as it may fold
+    back."""
     inner = slope * np.minimum(1.0, _reach(camera) / np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-12))
     ahead = np.column_stack([inner, np.ones(len(inner))])
     return camera.project(ahead) + (slope - inner) * camera.focal_length_px
@@ -95,10 +90,8 @@ def _corners(camera: Camera) -> Floats:
 
 
 def _beyond(camera: Camera, geometry: Geometry, view: Floats, slope: Floats, in_front: bool) -> float | None:
-    """Share of an object's silhouette beyond the border of the image; None if no ray hits the object.
-
-    `slope` (n, 2) are those of its vertices in front of the camera. Shares are of the image without distortion.
-    """
+    """Fraction of an object's undistorted silhouette beyond the image's border, None if no ray hits it. `slope` (n, 2)
+    are those of its vertices in front of the camera."""
     corner = camera.directions(_corners(camera))
     middle, half = 0.5 * (corner.min(axis=0) + corner.max(axis=0)), 0.5 * np.ptp(corner, axis=0)
     low, high = middle - _SIZES * half, middle + _SIZES * half

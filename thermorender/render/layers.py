@@ -80,11 +80,8 @@ def first_hit(
     layers: Sequence[CasterView], rays: Callable[[CasterView], Jit], read: Callable[[LayerHit], list[Jit]],
     cast: Callable[[Geometry, Jit], Hit] = Geometry.seen, known: Hit | None = None,
 ) -> tuple[Hit, Jit, list[Jit]]:  # fmt: skip
-    """Return (nearest Hit of rays over all layers, number of its layer, values read there).
-
-    `rays` gives the rays in the frame of a layer, and `read` the values of their hits with it. Surfaces are numbered
-    over all layers. `known` is this Hit where the rays were cast before.
-    """
+    """Return (nearest Hit over all layers, number of its layer, values read there). `rays` returns the rays in a
+    layer's frame, `read` the values of hits. `known` is this Hit if already cast."""
     best: list[Jit] = []
     surfaces = 0
     for number, layer in enumerate(layers):

@@ -1,4 +1,4 @@
-"""Baked light in a process: its geometry, its arrays on the device, and what edits of it begin from."""
+"""Baked light in a process: its geometry, its arrays on the device, and the caches of its edits."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
@@ -19,7 +19,7 @@ from thermorender.render.variant import activate
 
 @dataclass(eq=False)
 class Loaded:
-    """What a process holds beside the arrays of a BakedLight; whatever is None is made when first used."""
+    """Caches of a BakedLight in a process; an entry that is None is computed at first use."""
 
     geometry: Geometry | None = None
     device: DeviceScene | None = None
@@ -37,7 +37,7 @@ class Loaded:
 
 @dataclass(frozen=True, eq=False)
 class LoadedLight(BakedLight):
-    """A BakedLight with what its process made of it, which is not pickled."""
+    """A BakedLight with its caches of this process, which are not pickled."""
 
     loaded: Loaded = field(default_factory=Loaded, repr=False)
 

@@ -14,19 +14,14 @@ def object_names(scene: Scene) -> tuple[str, ...]:
 
 
 def objects_of_surfaces(scene: Scene) -> NDArray[np.uint32]:
-    """Return the number of the object that each surface belongs to, those of moving objects last.
-
-    Objects count from 1 in the order of `object_names`; terrain is 0.
-    """
+    """Return the number of each surface's object, from 1 in the order of `object_names`; terrain is 0, moving objects
+    are last."""
     owner, number = _owners(scene), {name: k for k, name in enumerate(object_names(scene), start=1)}
     return np.array([0 if k < scene.terrain_count else number[name] for k, name in enumerate(owner)], np.uint32)
 
 
 def object_numbers(scene: Scene, valid: NDArray[np.bool_], texel: NDArray[Any]) -> NDArray[np.uint32]:
-    """Return the number of the object that each pixel shows, as `objects_of_surfaces`; 0 for none.
-
-    `valid` and `texel` are those of `thermorender.render.truth.pixel_middles`.
-    """
+    """Return the number of each pixel's object, 0 for none; `valid` and `texel` are from `truth.pixel_middles`."""
     moving = [surface for tracked in scene.tracked_objects for surface in tracked.surfaces]
     ends = np.cumsum([surface.material.size for surface in (*scene.surfaces, *moving)])
     surface = np.minimum(np.searchsorted(ends, texel, side="right"), len(ends) - 1)

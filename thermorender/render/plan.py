@@ -167,11 +167,8 @@ class Plan:
 
 
 def make_plan(scene: Scene, sampling: Sampling | None = None, kept: "tuple[Plan, Scene] | None" = None) -> Plan:
-    """Return the Plan of a scene; of standard quality without a Sampling.
-
-    After an edit of materials or temperatures `kept` is the Plan and the Scene before it. Spectral nodes and channels
-    then stay, whatever their error.
-    """
+    """Return the Plan of a scene; of standard quality without a Sampling. `kept` is (Plan, Scene) before an edit of
+    materials or temperatures, whose nodes and channels stay, whatever their error."""
     sampling = sampling or Sampling.of()
     scene.refuse_disagreement()
     scene.refuse_unsolved()

@@ -1,10 +1,10 @@
 """The reference engine: stock Mitsuba path tracing of the same scene, to measure the renderer's error.
 
 It uses a spectral variant, a `specfilm` with the camera's band as its response, a stock path integrator, stock diffuse
-surfaces and area emitters. Three small parts are our own: a texture (Planck radiance of a temperature map times its
-material's emissivity, or the reflectance), surfaces that are diffuse at some texels and mirrors at others, and a sensor
-for cameras of any lens, whose rays start anywhere in a pixel. It shares no transport, bake, plan or node with the
-renderer. Its wavelengths are sampled at random, so its error is noise that falls with the square root of the samples.
+surfaces and area emitters. Three plugins are our own: a texture (Planck radiance of a temperature map times emissivity,
+or the reflectance), surfaces that are diffuse at some texels and mirrors at others, and a sensor for any lens. It
+shares no transport, bake, plan or node with the renderer. Wavelengths are sampled at random, so its error is Monte
+Carlo noise.
 """
 
 import itertools
@@ -44,22 +44,9 @@ def render(
     scene: Scene, pose: ArrayLike, samples: int = 64, depth: int = 8, seed: int = 0, device: str = "auto",
     integrator: str = "path", progress: Callable[[float], object] | None = None,
 ) -> Floats:  # fmt: skip
-    """Return band radiance by path tracing, (H, W) float64 [W m⁻² sr⁻¹].
-
-    Parameters
-    ----------
-    pose : (4, 4) array
-        world_from_camera.
-    samples : int
-        Paths per pixel.
-    depth : int
-        Longest path, in surfaces.
-    device : {"auto", "cpu", "cuda"}
-    integrator : {"path", "direct"}
-        Mitsuba's; "direct" includes one reflection only.
-    progress : callable, optional
-        Called with the share done.
-    """
+    """Return band radiance by path tracing, (H, W) float64 [W m⁻² sr⁻¹], from `pose` (4, 4) world_from_camera with
+    `samples` paths per pixel of up to `depth` surfaces. `integrator` is Mitsuba's "path", or "direct" with one
+    reflection only."""
     pose = checked_pose(pose)
     camera = scene.camera
     if scene.air is not None:
@@ -99,11 +86,8 @@ def frame(
 
 
 def squared_error(frame: NDArray[Any], first: NDArray[Any], second: NDArray[Any]) -> tuple[float, float]:
-    """Return (mean squared error, its standard error) of an image against two independent noisy references.
-
-    mean((f − a)(f − b)) is an unbiased estimate of mean((f − truth)²): the noise of a and b is independent, so it does
-    not add up as in mean((f − a)²).
-    """
+    """Return (mean squared error, its standard error) of an image f against independent noisy references a and b.
+    mean((f − a)(f − b)) is unbiased, as the noise of a and b is independent."""
     product = ((frame - first) * (frame - second)).ravel()
     product = product[np.isfinite(product)]
     return float(product.mean()), float(product.std(ddof=1) / np.sqrt(product.size))
@@ -162,10 +146,8 @@ def mitsuba_scene(mi: Mitsuba, scene: Scene, pose: Floats, integrator: str, dept
 
 
 def _register_lens(mi: Mitsuba, name: str, camera: Camera, pose: Floats, loaded: SimpleNamespace) -> None:
-    """Register the sensor: a camera's rays through its distortion and principal point, exact at the pixels' corners.
-
-    Between corners directions are bilinear: within a pixel a lens is linear to 3e-4 of a pixel, up to k1 = −0.26.
-    """
+    """Register the sensor: a camera's rays through its distortion and principal point, exact at the pixels' corners and
+    bilinear between them: within a pixel a lens is linear to 3e-4 of a pixel, up to k1 = −0.26."""
     width, height = camera.width, camera.height
     place = np.stack(np.meshgrid(np.arange(width + 1.0), np.arange(height + 1.0)), axis=-1)
     loaded.slopes = mi.Float(aligned(camera.directions(place)))
@@ -203,10 +185,8 @@ def _register_lens(mi: Mitsuba, name: str, camera: Camera, pose: Floats, loaded:
 
 
 def _mesh(mi: Mitsuba, name: str, number: int, surface: Surface, pose: Floats, mirrors: NDArray[np.bool_]) -> Jit:
-    """A surface as a stock mesh with map coordinates, a two-sided material and an area emitter.
-
-    `mirrors` is True for directional materials, (M,) bool.
-    """
+    """A surface as a stock mesh with map coordinates, a two-sided material and an area emitter; `mirrors` (M,) are
+    directional."""
     properties = mi.Properties()
     texture = {"type": name, "surface": number}
     diffuse = {"type": "diffuse", "reflectance": {**texture, "what": "reflectance"}}

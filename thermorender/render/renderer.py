@@ -454,10 +454,8 @@ class _CamerasRays:
         self._mi, self._kept = mi, dict[Camera, CameraRays]()
 
     def of(self, camera: Camera) -> CameraRays:
-        """Return the rays of a camera.
-
-        Only the latest are kept: parts of an image around moving objects change with each frame.
-        """
+        """Return the rays of a camera; only the latest cameras are kept, as parts of an image change with each
+        frame."""
         kept = self._kept
         rays = kept.get(camera) or CameraRays(self._mi, camera)
         others = [one for one in kept.items() if one[0] != camera]

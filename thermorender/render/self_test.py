@@ -1,7 +1,7 @@
 """The installed package against closed forms, in kelvin and in seconds: `thermorender doctor --self-test`.
 
 Planck's law and its inverse, an isothermal enclosure, a grey plate under a uniform sky, a spherical cavity with a hole,
-and the counts of every shipped camera. Rendered scenes are written to a temporary folder and loaded like any other.
+and the counts of every shipped camera.
 """
 
 import tempfile
@@ -68,14 +68,7 @@ class Check:
 
 
 def run(progress: Callable[[str, float], object] | None = None, device: str = "auto") -> list[Check]:
-    """Return the Checks of the installed package.
-
-    Parameters
-    ----------
-    progress : callable, optional
-        Called with (what, share done).
-    device : {"auto", "cpu", "cuda"}
-    """
+    """Return the Checks of the installed package; `progress` is called with (what, share done)."""
     parts = (("Planck's law", _planck()), ("counts", _counts()), ("rendered scenes", _rendered(device)))
     found: list[Check] = []
     for number, (what, checks) in enumerate(parts):

@@ -2,10 +2,9 @@
 
 *Points* are a fine quadrature of the camera's band; with air, every wavelength occurs once for each absorption term of
 its sub-band. *Nodes* are sets of points, not necessarily neighbours, at which light between surfaces is solved. Within
-a node every material has nearly the same reflectance, its light nearly the same colour and the air nearly the same
-transmittance. Ward's clustering (1963, doi:10.1080/01621459.1963.10500845) finds them. *Channels* are stored in texels:
-without air the band radiance; with air a few sums over the spectrum whose weighted sum is the radiance behind any path.
-They are the principal components of all spectra of the scene behind all paths.
+a node reflectances, the light's colour and the air's transmittance are nearly constant. Ward's clustering (1963,
+doi:10.1080/01621459.1963.10500845) finds them. *Channels* are stored in texels: without air the band radiance; with air
+the principal components of all spectra of the scene behind all paths, whose weighted sum is the radiance.
 
 Emission is integrated over all points and needs no nodes. Reflection couples the reflectance of one surface with the
 spectrum of its surroundings. Its nodes are as few as keep the error below the tolerance for the light in the scene's
@@ -134,11 +133,8 @@ class Spectrum:
         return self.gathered(self.points.spread(radiance))
 
     def of(self, other: "Spectrum") -> Floats:
-        """Return a matrix (N', N) that turns radiance of another spectrum's nodes into that of these, approximately.
-
-        The light of each node is spread over its points as a blackbody's is. Between bands or airs of other points,
-        that of all nodes together is.
-        """
+        """Return a matrix (N', N) that converts radiance at another spectrum's nodes to these, approximately. The light
+        of each node is spread as a blackbody's; between different points, the total is."""
         label = other.label if len(other.label) == len(self.label) else np.zeros(len(self.label), int)
         black = self.points.planck(REFERENCE_K)
         shares = np.zeros((int(label.max()) + 1, self.nodes))
@@ -148,10 +144,8 @@ class Spectrum:
     def emitted(
         self, emissivity: Emissivity, coldest: float, warmest: float, band_um: tuple[float, float]
     ) -> tuple[Floats, Floats]:
-        """Return (temperatures (G,) [K], channels (G, K) [W m⁻² sr⁻¹]) emitted by a material, for interpolation.
-
-        As `RadianceTable.of`, with the same error; `emissivity` is a function of wavelength [µm].
-        """
+        """Return (temperatures (G,) [K], channels (G, K) [W m⁻² sr⁻¹]) of a material, to interpolate as in
+        `RadianceTable.of`."""
         air = self.points.air
         if air is None:
             table = RadianceTable.of(emissivity, coldest, warmest, *band_um)
@@ -192,11 +186,8 @@ class Envelope:
         return [*self.ground, *own, *skies, self.surroundings_temperature]
 
     def sources(self, points: Points) -> tuple[Floats, Floats, Floats]:
-        """Return emission at the points: (outside (n, Q), ground (2, Q), objects (t, Q)).
-
-        Outside is sky and surroundings; the others are blackbodies at the terrain's extremes and at each object's
-        temperature.
-        """
+        """Return emission at the points: (outside (n, Q), ground (2, Q), objects (t, Q)). Outside is sky and
+        surroundings; others are blackbodies at the ground's extreme and the objects' temperatures."""
         ground = _black(points, self.ground)
         objects = _black(points, [temperature for _, temperature in self.objects]) if self.objects else ground[:0]
         background = _black(points, [self.surroundings_temperature])
@@ -208,12 +199,9 @@ class Envelope:
         return np.concatenate([points.spread(sky), background]), ground, objects
 
     def light(self, emissivity: Floats, outside: Floats, ground: Floats, objects: Floats) -> Floats:
-        """Return spectra that can fall on a surface of this scene, (n, X), from sources at points or at nodes.
-
-        They are: the outside; any material of the ground at its extremes, reflecting the outside or ground at its
-        extremes; and objects, reflecting the outside. Reflected light of objects is left out: an object fills a small
-        solid angle.
-        """
+        """Return spectra that can fall on a surface of this scene, (n, X), from sources at points or at nodes: the
+        outside; ground at its extremes, reflecting the outside or ground at its extremes; objects, reflecting the
+        outside. Light reflected from objects is left out, as an object fills a small solid angle."""
         others = np.concatenate([ground, outside])
         light = [outside]
         for own in emissivity:
@@ -239,11 +227,9 @@ class Envelope:
 
 def make_spectrum(materials: Sequence[Material], envelope: Envelope, tolerance_mk: float, reflects: bool) -> Spectrum:
     """Return the Spectrum of a scene, with errors up to `tolerance_mk` on the envelope; one node unless it `reflects`.
-
     A material's reflection of a node's light is not its mean reflectance in the node. It is a least-squares fit, over
     the envelope's light, to the reflection at the points, regularised towards the mean. This corrects most variation
-    within a node and needs a third of the nodes.
-    """
+    within a node and needs a third of the nodes."""
     points = Points.of(envelope.band_um, envelope.air)
     pure, shares = _pure(materials)
     spectra = spectra_at(points, pure)
@@ -270,11 +256,8 @@ def make_spectrum(materials: Sequence[Material], envelope: Envelope, tolerance_m
 def kept_spectrum(
     spectrum: Spectrum, before: Sequence[Material], materials: Sequence[Material], envelope: Envelope
 ) -> Spectrum | None:
-    """Return the Spectrum of other materials with the nodes and channels of `spectrum`, whatever their error.
-
-    Band and air are the same. Materials with the emissivity of one in `before`, which `spectrum` was made for, reflect
-    as they did. None with mixtures.
-    """
+    """Return the Spectrum of other materials with the nodes and channels of `spectrum`, whatever their error; None for
+    mixtures."""
     if any(isinstance(material, Mixture) for material in (*before, *materials)):
         return None
     points, paths, channels_mk = spectrum.points, envelope.paths(), 0.0
@@ -308,10 +291,8 @@ def spectra_at(points: Points, materials: Sequence[Material]) -> Floats:
 
 
 def with_nodes(spectrum: Spectrum, materials: Sequence[Material], count: int) -> Spectrum:
-    """Return a Spectrum with about `count` nodes, equal parts of its points by wavelength, whatever their error.
-
-    This serves to measure the time that nodes take; `make_spectrum` uses as few as suffice.
-    """
+    """Return a Spectrum with about `count` nodes, equal parts of its points by wavelength, to measure the time of
+    nodes."""
     points = spectrum.points
     label = np.arange(len(points.node)) * min(count, len(points.node)) // len(points.node)
     emissivity, reflected, share = _means(points, spectra_at(points, materials), spectrum.basis, label)
@@ -319,10 +300,8 @@ def with_nodes(spectrum: Spectrum, materials: Sequence[Material], count: int) ->
 
 
 def _pure(materials: Sequence[Material]) -> tuple[list[Material], Floats]:
-    """(The P materials that these are mixed of, share of each in every material (M, P)).
-
-    All that a mixture emits and reflects is the mean of its parts, and its error at most the largest of theirs.
-    """
+    """(the P materials that these are mixed of, fraction of each in every material (M, P)). A mixture emits and
+    reflects the mean of its parts, so its error is at most the largest of theirs."""
     pure = list(dict.fromkeys(part for material in materials for part, _ in spectra_of(material)))
     shares = np.zeros((len(materials), len(pure)))
     for row, material in zip(shares, materials, strict=True):
@@ -338,10 +317,8 @@ def _mixed(spectrum: Spectrum, shares: Floats) -> Spectrum:
 
 
 class _Case:
-    """A scene's envelope at the points: its light, its reflections, and the radiance of a millikelvin.
-
-    Materials of `spectra` reflect, and those of `glowing` emit: all of a scene, or a part of them.
-    """
+    """A scene's envelope at the points: light, reflections, and radiance per mK; `spectra` reflect and `glowing`
+    emit."""
 
     def __init__(
         self, points: Points, spectra: Floats, envelope: Envelope, passed: Floats, glowing: Floats | None = None
@@ -381,10 +358,8 @@ class _Case:
         self, label: NDArray[np.integer], basis: Floats, solver: Floats, channels_mk: float,
         wanted: Floats | None = None, known: Floats | None = None,
     ) -> Spectrum:  # fmt: skip
-        """Return the Spectrum of nodes, where `wanted` is given with a fit to these reflections and its error.
-
-        `known` is what the materials reflect in place of a fit.
-        """
+        """Return the Spectrum of nodes, with a fit to the reflections `wanted` where given; `known` replaces the
+        fit."""
         emissivity, reflected, share = _means(self.points, self.spectra, basis, label)
         nodes_mk = 0.0
         if wanted is not None:
@@ -442,10 +417,8 @@ def _worst_mk(case: _Case, shown: Floats, basis: Floats, solver: Floats) -> floa
 
 
 def _kelvin(radiance: Floats, band_um: tuple[float, float]) -> Floats:
-    """d(brightness temperature)/d(band radiance) [K W⁻¹ m² sr], that of 300 K for what is colder.
-
-    A budget is in mK at 300 K. A texel close to 100 K has a hundredth of that radiance per millikelvin.
-    """
+    """d(brightness temperature)/d(band radiance) [K W⁻¹ m² sr]; below 300 K that of 300 K, as budgets are in mK at 300
+    K."""
     coldest = 1.0 / band_radiance_derivative(REFERENCE_K, *band_um)
     return np.minimum(kelvin_per_radiance(radiance, *band_um), coldest)
 

@@ -1,7 +1,6 @@
 """Ground truth: temperature, material, depth and position at the middle of each pixel, and where targets are.
 
-Truth describes the one surface that a pixel's middle shows. It is not a mean over the pixel: at an edge a mean of
-depths or materials would describe no surface.
+It is not a mean over the pixel: at an edge a mean of depths or materials would describe no surface.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,10 +34,8 @@ Image = NDArray[Any]
 def truth(
     baked: LoadedLight, rays: CameraRays, pose: Floats, placements: Sequence[Placement], middles: Hit | None = None
 ) -> dict[str, NDArray[Any]]:
-    """Return {name: image} of the ground truth at the pixels' middles, as `Frame.truth` has it.
-
-    `middles` are the hits of the rays through the middles, where they are known; see `CameraRays.last_hits`.
-    """
+    """Return the `Frame.truth` images at the pixels' middles; `middles` are their hits where known, see
+    `CameraRays.last_hits`."""
     scene, device, band_um = baked.scene, baked.device, rays.camera.band_um
     layers, placed = device.layers(pose, placements), (None, *placements)
     mi = layers[0].geometry.mi
@@ -79,11 +76,8 @@ def truth(
 
 
 def pixel_middles(layers: Sequence[CasterView], rays: CameraRays) -> tuple[Image, Image, Image, Image]:
-    """Return the surface points at the pixels' middles as images (H, W): valid, texel, up, depth.
-
-    They are whether a surface is hit; the texel's number over all surfaces of the layers; whether the ray points to the
-    horizon or above; and the depth along the optical axis [m], infinite where nothing is hit.
-    """
+    """Return images (H, W) at the pixels' middles: whether a surface is hit, its texel over all surfaces of the layers,
+    whether the ray points to the horizon or above, and depth along the axis [m], infinite for misses."""
     mi = layers[0].geometry.mi
     first = np.cumsum([0, *(int(layer.geometry.texel_start[-1]) for layer in layers)]).tolist()
 

@@ -1,8 +1,7 @@
 """The Mitsuba variant of this process, and the system libraries that it needs: libatomic, and LLVM on the CPU.
 
 Dr.Jit compiles its CPU kernels through an LLVM shared library found at run time. Versions below 16 are unusable: 14 is
-refused, 15 aborts the process during code generation. The library is therefore chosen here, by the version in its file
-name, before Dr.Jit searches for one.
+refused, 15 aborts the process during code generation. The library is therefore chosen by its file name beforehand.
 """
 
 import ctypes.util
@@ -88,13 +87,7 @@ def usable_llvm() -> tuple[Path, int | None] | None:
 
 
 def activate(device: str = "auto") -> Any:
-    """Choose and activate the Mitsuba variant for `device` and return the mitsuba module.
-
-    Parameters
-    ----------
-    device : {"auto", "cpu", "cuda"}
-        "auto" uses the GPU if Dr.Jit finds one, else the CPU.
-    """
+    """Activate the Mitsuba variant for `device` and return the module; "auto" uses the GPU if Dr.Jit finds one."""
     if device not in ("auto", *DEVICES):
         raise ThermorenderError(f"device={device!r} is unknown; give one of auto, {', '.join(DEVICES)}")
     llvm = usable_llvm()
@@ -130,21 +123,15 @@ def activate(device: str = "auto") -> Any:
 
 
 def switch(mi: Any, variant: str) -> None:
-    """Activate a variant of Mitsuba.
-
-    Mitsuba then recompiles its Python integrators (0.1 s; none is used here). Dr.Jit's warning about repeated
-    compilation is suppressed.
-    """
+    """Activate a variant of Mitsuba, without Dr.Jit's warning about the repeated compilation of integrators (0.1 s)."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "The AST-transforming decorator", RuntimeWarning)
         mi.set_variant(variant)
 
 
 def active_device() -> dict[str, str]:
-    """Return the device that computes this process's frames: {"variant": name, "llvm" or "cuda": its version}.
-
-    Other compiler versions may round differently. The result is {} before a variant is active.
-    """
+    """Return {"variant": name, "llvm" or "cuda": its version}, since other compilers may round differently; {} without
+    one."""
     mi = sys.modules.get("mitsuba")
     if mi is None or mi.variant() is None:
         return {}
@@ -156,10 +143,8 @@ def active_device() -> dict[str, str]:
 
 
 def works(variant: str) -> tuple[bool, str]:
-    """Return (True, "") or (False, reason) after casting one ray in a separate process.
-
-    The process is separate because a wrong LLVM library aborts the process that loads it.
-    """
+    """Return (True, "") or (False, reason) after casting one ray in a separate process, which a wrong LLVM library
+    aborts."""
     environment = dict(os.environ)
     if variant.startswith("llvm"):
         llvm = usable_llvm()

@@ -55,10 +55,8 @@ class View:
         return same and one.geometry is two.geometry and one.plan.sampling.samples == two.plan.sampling.samples
 
     def truth(self, sampling: SampledImage | None) -> dict[str, NDArray[Any]]:
-        """Return the ground truth, as `Frame.truth`, without the sensor's flags.
-
-        With the SampledImage of the image rendered last, its rays are used again.
-        """
+        """Return the ground truth, as `Frame.truth` without the sensor's flags, from the rays of a SampledImage
+        rendered last."""
         last = self.rays.last_hits
         middles = last[1] if last and sampling and last[0] is sampling.hit else None
         return truth.truth(self.baked, self.rays, self.pose, self.placements, middles)
@@ -87,9 +85,7 @@ class View:
 def parts_of(
     scene: Scene, geometry: Geometry, moving: Sequence[Geometry], placed: Sequence[Placement]
 ) -> list[tuple[Floats, Floats]]:
-    """Return the boxes that may be thinner than a pixel, as `slender.rectangles` takes them.
-
-    Terrain from an elevation raster is connected and left out.
-    """
+    """Return the boxes that may be thinner than a pixel, as `slender.rectangles` takes them; raster terrain is left
+    out."""
     first = scene.terrain_count if scene.spec.terrain.mesh is None else 0
     return [(geometry.boxes(first), np.eye(4)), *((g.boxes(), p.pose) for g, p in zip(moving, placed, strict=True))]

@@ -41,10 +41,8 @@ class Curve:
 
 
 def flight_map(renderer: "Renderer", seen: Prospect, marked: Mapping[str, Sequence[float] | Floats] = {}) -> Picture:
-    """Return a picture: the track over the orthophoto, footprints of evenly chosen frames, and marked points.
-
-    `marked` is {name: (east, north, …) [m]}.
-    """
+    """Return a picture: the track over the orthophoto, footprints of evenly chosen frames, and marked points. `marked`
+    is {name: (east, north, …) [m]}."""
     bounds = _bounds(renderer, seen)
     size = bounds[2:] - bounds[:2]
     across, down = _MAP_PX * size / size.max() / _DPI

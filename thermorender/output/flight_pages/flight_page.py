@@ -55,9 +55,7 @@ def write_page(
     folder: Path, renderer: "Renderer", settings: Mapping[str, Any], seen: Prospect, pictured: Mapping[int, Pictured]
 ) -> None:
     """Write `contact.png` and `index.html` of a finished flight from its settings and the records of its frames.
-
-    `pictured` is {number of a frame: Pictured} of the frames on the sheet.
-    """
+    `pictured` is {number of a frame: Pictured} of the frames on the sheet."""
     lines = [json.loads(line) for line in (folder / "frames.jsonl").read_text(encoding="utf-8").splitlines()]
     labels = [f"{index} · {lines[index]['time_s']:.2f} s" for index in pictured]
     title = f"{settings['scene']}, {settings['camera']}: {len(pictured)} of {len(lines)} frames"

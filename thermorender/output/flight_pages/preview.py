@@ -21,11 +21,9 @@ def preview(
     renderer: "Renderer", trajectory: Trajectory, options: FlightOptions,
     folder: str | PathLike[str] | None = None, outlook: Callable[[Prospect | Cost], object] | None = None,
 ) -> list[Path]:  # fmt: skip
-    """Write `preview.html` and `preview.png` of a flight into a folder, if given, and return their paths.
-
-    Two frames are rendered and written to a temporary folder, which measures time and space. `outlook` is as in
-    `thermorender.output.flight.fly`.
-    """
+    """Write `preview.html` and `preview.png` of a flight into a folder, if given, and return their paths. Two frames
+    are rendered and written to a temporary folder, which measures time and space. `outlook` is as in
+    `thermorender.output.flight.fly`."""
     report = outlook or (lambda part: None)
     rate_hz = renderer.scene.camera.frame_rate_hz if options.rate_hz is None else options.rate_hz
     times = trajectory.frame_times(rate_hz, options.start_s, options.stop_s)

@@ -1,7 +1,7 @@
 """What a flight will show, from the geometry alone: footprints on the ground, heights, ground resolution, motion.
 
-Rays of each frame, along lines from its middle to its border, meet the terrain and the static objects. Long flights
-are looked at in evenly chosen frames.
+Rays of each frame, along lines from its middle to its border, intersect the terrain and the static objects. Long
+flights are sampled at evenly spaced frames.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-# Frames that are looked at; points along each side of a frame, and rays between the middle and each of them.
+# Frames that are sampled; points along each side of a frame, and rays between the middle and each of them.
 MOST_FRAMES, _SIDE, _ALONG = 5000, 6, 5
 # Share of a frame's points whose motion is not larger, as in the record of the sensor [%].
 _MOTION = 98.0
@@ -31,11 +31,11 @@ class Prospect:
 
     frames: int  # Frames of the flight
     rate_hz: float
-    # index, time_s: (N,) numbers and times of the frames that are looked at
+    # index, time_s: (N,) numbers and times of the sampled frames
     index: NDArray[np.int64]
     time_s: Floats
     position: Floats  # (N, 3) float64 of the camera [m]
-    above_ground_m: Floats  # (N,) float64 naN off the terrain
+    above_ground_m: Floats  # (N,) float64, NaN off the terrain
     # (N, K, 2) float64 east and north on the ground, around the footprint, clockwise: of the rays to a point of the
     # frame's border, the outermost that meets a surface; NaN where none does [m]
     outline: Floats
@@ -49,7 +49,7 @@ class Prospect:
     motion_px: Floats
     texel_m: float
     time_constant_s: float
-    length_m: float  # Of the path over the ground between the frames that are looked at
+    length_m: float  # Of the path over the ground between the sampled frames
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures of `lines` as plain values, for the record of the flight."""

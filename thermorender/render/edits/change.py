@@ -61,10 +61,8 @@ def comparable(one: Scene, other: Scene) -> bool:
 def change_of(
     baked: LoadedLight, prior: PriorLight, scene: Scene, plan: Plan, touched: Touched | None = None
 ) -> Change | None:  # fmt: skip
-    """Return the Change from a baked scene to an edited one; None where nodes or channels differ.
-
-    `touched` is what `touched_by` returns, where it is known.
-    """
+    """Return the Change from a baked scene to an edited one; None where nodes or channels differ. `touched` is from
+    `touched_by`."""
     before, after = baked.plan.spectrum, plan.spectrum
     if not (np.array_equal(before.label, after.label) and np.array_equal(before.basis, after.basis)):
         return None
@@ -83,10 +81,7 @@ def change_of(
 def touched_by(
     baked: LoadedLight, prior: PriorLight, scene: Scene, differ: NDArray[np.bool_] | None = None
 ) -> Touched | None:  # fmt: skip
-    """Return what an edit changes, without the light; None where it has too many pairs of materials.
-
-    `differ` is as of `Touched`, by default by the emissivities of the materials.
-    """
+    """Return what an edit changes, without light; None for too many pairs of materials. `differ` is as of `Touched`."""
     mi = baked.geometry.mi
     material, temperature = flat(scene.surfaces, "material"), flat(scene.surfaces, "temperature")
     kinds, kelvin = prior.kinds, prior.kelvin

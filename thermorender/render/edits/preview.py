@@ -1,14 +1,13 @@
-"""A first-order preview of an edit: changed texels in the known light, and one bounce of the change of what they send.
+"""A first-order preview of an edit: changed texels in the known light, and one bounce of the change of their radiosity.
 
-With K the share of a face's hemisphere that shows each other face and ρ the reflectance, the light x on the faces
-changes by δ = K d + K ρ δ. Here d is the change of what changed faces send in the light known before. A preview shows
-K d, in the few spectral components that d has, and leaves out K ρ δ: light of the change that is reflected twice.
+With K the form factors and ρ the reflectance, the incident light x on the faces changes by δ = K d + K ρ δ. Here d is
+the change of the radiosity of changed faces in the light known before. A preview shows K d, in the few spectral
+components that d has, and leaves out K ρ δ, the further reflections.
 
-Its error is estimated from the light of the second bounce, K ρ |K d|, and of the components left out. They are computed
-on the faces that reflect most of what they receive, on those that change, and on faces drawn by their area. Where a
-share q of reflected light is passed on at most, later bounces add a factor of 1 / (1 − q).
-
-A preview of a preview may begin from it. Its light is then short of what both left out, which the estimate sums.
+The error is estimated from the second bounce, K ρ |K d|, and from the components left out. They are computed on the
+faces that reflect most of what they receive, on those that change, and on faces drawn by their area. Where at most a
+fraction q of reflected light is passed on, later bounces add a factor of 1 / (1 − q). For a preview of a preview the
+estimate sums what both left out.
 """
 
 from concurrent.futures import Executor
@@ -61,7 +60,7 @@ def preview(baked: LoadedLight, scene: Scene) -> LoadedLight | None:
 
 
 def prepare(baked: LoadedLight) -> None:
-    """Make what all previews of a BakedScene begin from, and keep it there."""
+    """Precompute and cache what all previews of a BakedScene need."""
     if (baked.incident is not None and baked.faces is not None) or baked.loaded.solved:
         samples = baked.prior.samples
         samples.prepare()
@@ -189,17 +188,14 @@ def _errors(baked: LoadedLight, samples: Samples, change: Change, left_out: Left
 
 
 def _most(values: NDArray[Any]) -> NDArray[np.intp]:
-    """Places of the `_JUDGED` largest values."""
+    """Indices of the `_JUDGED` largest values."""
     return (
         np.argpartition(values, len(values) - _JUDGED)[-_JUDGED:] if len(values) > _JUDGED else np.arange(len(values))
     )
 
 
 def _strongest(baked: LoadedLight, samples: Samples) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
-    """(largest reflectance of a point of each face at any node, (F,); faces that reflect most of what they receive).
-
-    They are kept with the baked scene.
-    """
+    """(largest reflectance of each face at any node, (F,); faces that reflect most of what they receive), cached."""
     if baked.loaded.strongest is None:
         geometry, prior = baked.geometry, baked.prior
         mi = geometry.mi
@@ -217,11 +213,8 @@ def _strongest(baked: LoadedLight, samples: Samples) -> tuple[NDArray[np.float32
 
 
 class _ChangedTexels:
-    """The change of texels and faces, from the change of the light on faces.
-
-    Texels differ in what they emit, and in what they reflect of the light before and of its change: these depend on the
-    pair of materials before and after the edit. Pairs that occur are numbered.
-    """
+    """The change of texels and faces, from the change of the light on faces. It depends on the pair of materials before
+    and after the edit; pairs that occur are numbered."""
 
     def __init__(
         self,

@@ -77,10 +77,7 @@ class Samples:
 
     @cached_property
     def others(self) -> tuple[Jit, Jit, Jit]:
-        """(first entry of each face (F + 1,), texel, weight): what a face shows of texels that other faces cover.
-
-        The texels are corners of its points, each once, and the weights of all corners of a face would sum to one.
-        """
+        """(first entry of each face (F + 1,), texel, weight): texels of a face's points that other faces cover."""
         mi, cover = self.geometry.mi, self.geometry.face_of_texel
         starts, texels, weights = [np.zeros(1, np.int64)], list[NDArray[Any]](), list[NDArray[Any]]()
         for first in range(0, self.geometry.face_count, _FACES_AT_ONCE):
@@ -105,7 +102,7 @@ class Samples:
         )
 
     def around(self, face: int) -> tuple[NDArray[np.uint32], Floats]:
-        """Return (texels, weights) of which a face's points are made; the weights sum to one."""
+        """Return (texels, weights) over which the points of each face average; the weights sum to one."""
         mi = self.geometry.mi
         point = dr.arange(mi.UInt32, self.count)
         found = self.corners(dr.full(mi.UInt32, face, self.count), point)
@@ -113,10 +110,8 @@ class Samples:
         return texel, weight.astype(np.float64) / self.count
 
     def received(self, sent: NDArray[np.float32], faces: NDArray[np.intp], pool: Executor) -> NDArray[np.float32]:
-        """Return what faces receive from radiance that some faces (n,), ascending, send.
-
-        Both are (k, F) float32 [W m⁻² sr⁻¹]; `sent` is 0 for other faces.
-        """
+        """Return what faces receive from radiance that some faces (n,), ascending, send, both (k, F) float32 [W m⁻²
+        sr⁻¹]."""
         from scipy.sparse import csc_array
 
         if not len(faces):
@@ -150,11 +145,8 @@ class Samples:
 
     @cached_property
     def _columns(self) -> tuple[NDArray[np.integer], NDArray[np.int32], NDArray[np.float32], NDArray[np.bool_]]:
-        """The transport by what is hit: (first entry of each face (F + 1,), then for each entry the face that sees it,
-        the number of that face's rays, and whether they are of its second half).
-
-        An edit changes few faces: their columns are read, and not all rays. Products need floating numbers.
-        """
+        """The transport by columns: (first entry of each face (F + 1,), then for each entry the face that sees it, the
+        number of that face's rays, and whether they are of its second half)."""
         from scipy.sparse import csr_array
 
         transport, counted = self.transport, self.transport.counted
@@ -165,19 +157,17 @@ class Samples:
         return found.indptr.astype(np.int64), found.indices, np.abs(found.data).astype(np.float32), found.data < 0
 
     def prepare(self) -> None:
-        """Sort rays by what they hit, and texels by their faces: it takes longest, once for all edits of a geometry."""
+        """Sort rays by the faces they hit, and texels by their faces, once for all edits of a geometry."""
         _ = self._columns, self.others
 
     def rays_on(self, faces: NDArray[np.intp]) -> int:
-        """Return the number of pairs of faces that see each other, with one of `faces` as the one that is seen."""
+        """Return the number of pairs of faces that see each other, where the face seen is one of `faces`."""
         start = self._columns[0]
         return int((start[faces + 1] - start[faces]).sum())
 
     def seen_on(self, faces: NDArray[np.intp], sent: Floats) -> tuple[NDArray[Any], Floats]:
-        """Return (faces that see some faces (m,), what they receive by each half of their rays, (m, 2, k)).
-
-        `sent` is the radiance that those faces send, (n, k) [W m⁻² sr⁻¹].
-        """
+        """Return (faces that see some faces (m,), what they receive by each half of their rays, (m, 2, k)). `sent` is
+        the radiance that those faces send, (n, k) [W m⁻² sr⁻¹]."""
         from scipy.sparse import csc_array
 
         start, seen_by, hits, second = self._columns
@@ -239,10 +229,8 @@ class Tables:
 
 
 class PriorLight:
-    """Texels and light before an edit, on the device.
-
-    `kinds` and `kelvin` are material and temperature [K] of all texels, `texels` their radiance as of `BakedLight`.
-    """
+    """Texels and light before an edit, on the device: `kinds` are materials, `kelvin` temperatures [K], `texels`
+    radiance."""
 
     def __init__(
         self, samples: Samples, scene: Scene, kinds: Jit, kelvin: Jit, light: NDArray[np.float32], texels: list[Jit],

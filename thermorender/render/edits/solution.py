@@ -1,7 +1,7 @@
 """The light of an edited scene from that of the scene before: only the change is solved, to the same error bound.
 
-The light x on the faces is known, with a rest of light that faces have not sent (`thermorender.render.light.exchange`).
-An edit adds to that rest what changed faces send more or less in the light x. Rounds of exchange send it on until its
+The light x on the faces is known, with residual light that is not sent yet (`thermorender.render.light.exchange`). An
+edit adds to that residual the change of what faces send in the light x. Rounds of exchange distribute it until its
 bound is as small as that of any solution.
 """
 
@@ -37,10 +37,7 @@ _FOR_ROUNDING = 0.5
 def solved_change(
     baked: LoadedLight, scene: Scene, tick: Callable[[], object]
 ) -> tuple[Plan, SolvedLight] | None:  # fmt: skip
-    """Return (Plan, SolvedLight) of an edited scene; None where all light has to be solved.
-
-    `tick` is called every few milliseconds; it may raise.
-    """
+    """Return (Plan, SolvedLight) of an edited scene; None where all light has to be solved. `tick` may raise."""
     kept, old = baked.loaded.solution, baked.plan
     if kept is None or baked.incident is None or not comparable(baked.scene, scene) or _warmer(baked.scene, scene):
         return None

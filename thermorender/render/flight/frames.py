@@ -162,20 +162,9 @@ def exposure_of(
     timed: TimedRenderer, pose_at: Callable[[float], NDArray[np.float64]], interval_s: float, movers: Sequence[Mover],
     objects_at: Callable[[float], "Objects"] = lambda time_s: {},
 ) -> Exposure:  # fmt: skip
-    """Return the sensor of a flight, as it is before the first frame.
-
-    Parameters
-    ----------
-    timed : TimedRenderer
-    pose_at : callable
-        Time [s] → (4, 4) world_from_camera.
-    interval_s : float
-        From one frame to the next [s].
-    movers : sequence of Mover
-        From `movers_of`.
-    objects_at : callable
-        Time [s] → values of dynamic objects to use instead of their tracks'.
-    """
+    """Return the sensor of a flight, as it is before the first frame. `pose_at` maps time [s] to world_from_camera (4,
+    4), `interval_s` is the frame interval [s], `movers` are from `movers_of`, and `objects_at` maps time [s] to values
+    of dynamic objects that replace those of their tracks."""
     first = timed.first
     return Exposure(
         sensor_of(first.scene.camera, first.seed),
@@ -192,16 +181,8 @@ def exposure_of(
 def movers_of(
     scene: Scene, objects_at: Callable[[float], "Objects"], times_s: Mapping[str, NDArray[np.float64]]
 ) -> list[Mover]:
-    """Return the dynamic objects of a scene as Movers of the sensor.
-
-    Parameters
-    ----------
-    scene : Scene
-    objects_at : callable
-        As of `exposure_of`.
-    times_s : dict
-        {object: (n,) rising times between which the values of `objects_at` are linear [s]}.
-    """
+    """Return the dynamic objects of a scene as Movers of the sensor. `objects_at` is as in `exposure_of`; `times_s` is
+    {object: (n,) rising times between which its values are linear [s]}."""
     return [
         _mover(tracked, scene, objects_at, np.union1d(tracked.time_s, times_s.get(tracked.name, [])))
         for tracked in scene.tracked_objects

@@ -1,8 +1,7 @@
 """The frames of a flight whose path is known only up to now, as a simulator gives it step by step.
 
-A frame is the one that `FlightFrames` takes of the whole path, to the same bytes, if the path reaches
-`LiveFrames.ahead_s` beyond the frame's time. Beyond its last sample the path stands still, as at the end of a flight.
-Only the part of the path that the sensor remembers is kept.
+A frame equals that of `FlightFrames` to the byte if the path reaches `LiveFrames.ahead_s` beyond its time. Beyond its
+last sample the path stands still. Only the part that the sensor's memory needs is kept.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,7 +25,7 @@ from thermorender.units import utc_text
 if TYPE_CHECKING:
     from thermorender.render.renderer import Renderer
 
-# Kept of a path before the time that the sensor remembers [s].
+# Part of a path kept from before the sensor's memory [s].
 _MARGIN_S = 0.1
 # Most samples of a path, and values of an object, that are kept.
 MOST_SAMPLES = 65_536
@@ -91,7 +90,7 @@ class LiveFrames:
         camera = renderer.scene.camera
         self.half_readout_s = self.ahead_s = float(row_delays(camera, 1.0 / self.rate_hz)[-1])
         if renderer.scene.tracked_objects:
-            # The sensor remembers so long, and the part that an object changes is searched as far ahead.
+            # Length of the sensor's memory; the part that an object changes is searched as far ahead.
             self.ahead_s = 3.0 * self.half_readout_s + MEMORY * camera.time_constant_s
 
     def __repr__(self) -> str:
@@ -301,7 +300,7 @@ class LiveFrames:
         return pose_within(self._path, time_s)
 
     def _forget(self, time_s: float) -> None:
-        """Drop what the sensor will not look back to."""
+        """Drop samples older than the sensor's memory."""
         camera = self._renderer.scene.camera
         oldest = time_s - MEMORY * camera.time_constant_s - 1.0 / self.rate_hz - _MARGIN_S
         path = self._path

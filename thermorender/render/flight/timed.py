@@ -1,7 +1,7 @@
 """Renderers of one scene at the instants of a flight or of a day, as its temperatures follow the weather.
 
-The heat balance is solved once for many instants. For each instant the light is solved again without tracing rays. The
-memory in use is bounded, and a renderer depends only on its instant, not on earlier requests.
+The heat balance is solved once for many instants, and the light of each is solved without tracing rays. Memory is
+bounded. A renderer depends only on its instant, not on earlier requests.
 """
 
 from collections.abc import Iterator, Sequence
@@ -37,26 +37,9 @@ def solved_in_parts(
 
 
 class TimedRenderer:
-    """The renderer of each instant of a flight.
-
-    Parameters
-    ----------
-    renderer : Renderer
-        Of the flight's first instant, the time of its scene.
-    first_s, last_s : float
-        Times of the whole trajectory [s], even if only a part is flown.
-    progress : callable, optional
-        Called with (what, share done) while a heat balance is solved.
-
-    Attributes
-    ----------
-    first : Renderer
-
-    Raises
-    ------
-    ThermorenderError
-        Weather that ends before the flight.
-    """
+    """The renderer of each instant of a flight; `renderer`, kept as `first`, is that of the first instant. `first_s`
+    and `last_s` are the times of the whole trajectory [s], even if only a part is flown. `progress` is called with
+    (what, share done) while a heat balance is solved."""
 
     def __init__(self, renderer: "Renderer", first_s: float, last_s: float, progress: "Progress | None" = None) -> None:
         self.first, self._first_s, self._progress = renderer, first_s, progress
@@ -90,15 +73,10 @@ class TimedRenderer:
         return start.astype("datetime64[ms]") + np.timedelta64(round(1e3 * (time_s - self._first_s)), "ms")
 
     def temperature_record(self, time_s: float) -> dict[str, Any]:
-        """Return the entry of temperatures in a frame's record; {} without a heat balance.
-
-        Returns
-        -------
-        dict
-            {"temperature": {"time": their instant, UTC; "change_mk": root mean square change over the terrain's texels
-            since `STEP_S` before, None at the flight's first instant [mK]; "moved": the temperature state's
-            `moved_report` for a map moved to the instant}}
-        """
+        """Return the entry of temperatures in a frame's record, {"temperature": {"time", "change_mk", "moved"}}; {}
+        without a heat balance. "time" is their instant, UTC. "change_mk" is the root mean square change over the
+        terrain's texels in the last `STEP_S` [mK], None at the first instant. "moved" is the `moved_report` of a map
+        moved to the instant."""
         scene = self.first.scene
         if not scene.temperature_state.weather_driven:
             return {}

@@ -1,7 +1,7 @@
 """Hour and weather in numbers, as input of learned maps.
 
 Besides the station's measurements they include results of the heat balance: how much warmer than the air a few typical
-materials are there, level in the open and in shade. A few numbers thus hold the ground's memory of the past hours.
+materials are, level in the open and in shade. They describe the heat stored in the ground over the past hours.
 """
 
 from dataclasses import replace
@@ -23,16 +23,10 @@ _HOUR, _DAY = np.timedelta64(3600, "s"), np.timedelta64(86400, "s")
 
 
 def conditions(weather: Weather, time: np.datetime64, inside_c: float = 20.0) -> dict[str, float]:
-    """Return {name: float} of an instant (datetime64, UTC) of a Weather.
-
-    Returns
-    -------
-    dict
-        air_k, vapour_pa, wind_m_s, direct_w_m2, diffuse_w_m2, longwave_w_m2, snow_m at the instant; air_day_k, the
-        air's mean over the day before minus its present temperature; rain_day_mm; sun_elevation_deg; solar_hour; day,
-        of the year; and for each of `TYPICAL` materials open_NAME and shade_NAME: its temperature above the air's [K],
-        level in the open, or without direct sun for a day.
-    """
+    """Return {name: float} of an instant (datetime64, UTC) of a Weather. Most names carry their unit. air_day_k is the
+    air's mean over the day before minus its present temperature; day is that of the year. For each of `TYPICAL`
+    materials, open_NAME and shade_NAME are its temperature above the air's [K], level in the open, or without direct
+    sun for a day."""
     now = weather.at(time)
     elevation = float(weather.sun(time)[1])
     before = max(time - _DAY, weather.time[0])

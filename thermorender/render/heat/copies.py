@@ -1,8 +1,7 @@
-"""Sunlight on the patches of copies of bodies, such as crowns, and how it varies within a patch.
+"""Sunlight on the patches of instanced bodies, such as crowns, and its scatter within a patch.
 
-A patch has one temperature, that of its mean sunlight. Its leaves differ: some are in the sun and some in shade. A
-second column of each patch stands for a leaf with more sunlight and less sky than the mean by one standard deviation
-each. The difference of their temperatures is an estimate of the scatter within the patch.
+A patch has one temperature, that of its mean sunlight. A second column of each patch stands for a leaf with one
+standard deviation more sunlight and less sky. The difference of their temperatures estimates the scatter.
 """
 
 from collections.abc import Callable
@@ -30,22 +29,9 @@ _Pair = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 
 class Copies:
-    """The patches of copies, whose temperatures are solved.
-
-    Attributes
-    ----------
-    first, last : int
-        Numbers of their first face, and of the face after their last.
-
-    Parameters
-    ----------
-    surfaces : range
-        Numbers of their surfaces, the last ones that are solved.
-    instants : int
-        Number of instants for which temperatures are requested.
-    towards : callable
-        Returns the direction to the sun, (3,), at a time [s].
-    """
+    """The patches of copies, whose temperatures are solved at a number of `instants`. `surfaces` are the numbers of
+    their surfaces, the last ones that are solved; `towards` returns the direction to the sun, (3,), at a time [s].
+    Their faces are `first` to `last` − 1."""
 
     def __init__(
         self, geometry: Geometry, surfaces: range, instants: int, towards: Callable[[float], Floats]
@@ -71,11 +57,9 @@ class Copies:
     def take_means(
         self, instant: int, found: NDArray[Any], texels: NDArray[Any], face: NDArray[Any], kelvin: NDArray[Any]
     ) -> None:  # fmt: skip
-        """Replace the temperatures `found` of texels on copies, those of leaves, by the means of their patches.
-
-        `face` is that of each of `texels`, and `kelvin` are the temperatures of all faces [K]. Their difference is kept
-        as the scatter at an instant; of the parts of a mixture the largest.
-        """
+        """Replace leaf temperatures `found` of texels on copies by the means of their patches, and keep the difference
+        as scatter. `face` is that of each of `texels`, `kelvin` the temperature of all faces [K]; mixtures keep the
+        largest scatter of their parts."""
         on = (face >= self.first) & (face < self.last)
         place, mean = texels[on] - self._texels[0], kelvin[face[on]]
         scatter = np.abs(found[texels[on]] - mean)
@@ -87,11 +71,8 @@ class Copies:
         return np.split(self._scatter[instant], self._texels[1:-1] - self._texels[0])
 
     def on(self, face: Jit, more: Jit, cosine: Jit, at_s: float) -> Jit:
-        """Return the cosines of the sun's rays on columns at a time [s], 0 in shadow.
-
-        Columns on copies get the mean of their patch, those with `more` a standard deviation above it; the others keep
-        their `cosine`.
-        """
+        """Return the cosines of the sun's rays on columns at a time [s], 0 in shadow: on copies the mean of the patch,
+        with `more` one standard deviation above it."""
         mi, first = self._geometry.mi, dr.opaque(self._geometry.mi.UInt32, self.first)
         here = face >= first
         place = at_s / _STEP_S

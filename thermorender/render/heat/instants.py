@@ -20,10 +20,8 @@ def solved_at(
     geometry: "Geometry | None" = None,
     progress: "Progress | None" = None,
 ) -> list[Scene]:
-    """Return the scene with its temperatures solved for each of some instants, by the source in its temperature state.
-
-    Parameters and errors are those of `heat.simulation.solved`, `heat.moved.moved` and `heat.relief.mapped`.
-    """
+    """Return the scene with its temperatures solved at each of some instants, by `heat.simulation.solved`,
+    `heat.moved.moved` or `heat.relief.mapped`, as the source of its temperature state."""
     # Imported here, as other scenes do not need them.
     source = scene.temperature_state.source
     if isinstance(source, Conditional):

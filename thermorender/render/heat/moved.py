@@ -4,28 +4,26 @@ At the trained instant t₀ a texel of the map differs from its heat balance by 
 difference at t is modelled as a Gaussian process over instants and weathers with three independent parts:
 
 - deviations of the material from its table: Σₖ Sₖ(t) pₖ, with pₖ ~ N(0, 1) for each property of
-  `materials.shifted.PROPERTIES` in units of its standard deviation, and Sₖ(t) [K] the effect of such a change in a
-  simulation of the balance. S includes recently absorbed sunlight, shadow, wind, and the column's memory of them: an
-  asphalt whose absorptance makes it too warm by day is hardly too warm at night, while one whose inertia makes it too
-  warm by day is then too cold.
+  `materials.shifted.PROPERTIES` in units of its standard deviation, and Sₖ(t) [K] its effect in a simulation of the
+  balance. S includes recently absorbed sunlight, shadow, wind, and the column's memory of them: too high an absorptance
+  hardly warms an asphalt at night, while too high an inertia warms it by night and cools it by day.
 - errors of the balance that these properties do not explain, of variance w²;
 - the map's own error, of variance e², which the truth does not share.
 
 w is correlated between t₀ and t by ρ = exp(−½ Σ (Δ/reach)²) over hour of day, day, sunshine, air temperature and wind
-(`REACH`); the reaches are chosen, not measured. The map's error is treated as a property of the surface, but only over
-a quarter of these reaches, ρ¹⁶. The result thus equals the map at t₀ and changes continuously into the linear estimate
-of least variance (kriging; Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, eq. 2.25). With C = Σ
-Sₖ(t) Sₖ(t₀), D = Σ Sₖ(t₀)² and A = Σ Sₖ(t)², for each texel
+(`REACH`, chosen, not measured). The map's error is correlated over a quarter of these reaches, ρ¹⁶. The result thus
+equals the map at t₀ and changes continuously into the linear estimate of least variance (kriging; Rasmussen & Williams,
+Gaussian Processes for Machine Learning, 2006, eq. 2.25). With C = Σ Sₖ(t) Sₖ(t₀), D = Σ Sₖ(t₀)² and A = Σ Sₖ(t)², for
+each texel
 
     T(t) = T_balance(t) + g d,    g = (C + ρ w² + ρ¹⁶ e²) / (D + w² + e²),
 
 whose error against the truth has the variance g² (D + w² + e²) − 2 g (C + ρ w²) + A + w²: e² at t₀, and without a map
-(g = 0) the balance's own, A + w². Where the differences of a material's texels are larger than this model predicts, its
-properties and the map are equally suspect: C, D, A and e² grow by a common ratio, from the median of d².
+(g = 0) the balance's own, A + w². Where the differences of a material's texels exceed this model, C, D, A and e² are
+scaled by a common ratio, from the median of d².
 
 The balance is used alone, and the texel is UNMOVED, where the map had no own temperature, where snow lay or melted at
-only one of the instants, or where rain had fallen before only one of them. Snow stays at or below its melting point,
-even where the map is warmer.
+only one of the instants, or where rain had fallen before only one of them. Snow never exceeds its melting point.
 """
 
 from collections.abc import Callable, Sequence
@@ -83,22 +81,9 @@ class MovedMap:
 def moved(
     scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None
 ) -> list[MovedMap]:
-    """Return a scene whose map gives temperatures of one instant, moved to each of some instants of its weather.
-
-    Parameters
-    ----------
-    scene : Scene
-        With [weather] and a map trained at a known instant: temperatures of source Moved.
-    times : sequence of datetime64
-        UTC, inside the weather.
-    geometry, progress
-        As of `heat.simulation.solved`.
-
-    Notes
-    -----
-    Takes one simulation of the balance and one per property under each of the two weathers, and 12 bytes of memory per
-    texel and instant.
-    """
+    """Return a scene whose map gives temperatures of one instant, moved to each of some instants (UTC) of its weather.
+    It takes one simulation of the balance and one per property under each of the two weathers, and 12 bytes per texel
+    and instant."""
     here, there = balances(scene)
     geometry = geometry or Geometry(activate(), scene.surfaces)
     asked = sorted(set(times))
@@ -165,10 +150,8 @@ def expected(
 
 
 class Carried:
-    """Differences of a map's texels from the balance at the trained instant, to be moved to others.
-
-    `there` and `here` come from `balances`; `before` is the Expected at the trained instant.
-    """
+    """Differences of a map's texels from the balance at the trained instant; `there` and `here` come from
+    `balances`."""
 
     def __init__(self, scene: Scene, there: Scene, here: Scene, before: Expected) -> None:
         assert there.time is not None

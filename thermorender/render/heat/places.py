@@ -10,9 +10,7 @@ from thermorender.scene.surface import Surface
 
 
 def texel_points(geometry: Geometry, texels: NDArray[np.integer], face: NDArray[np.integer]) -> NDArray[np.float32]:
-    """Return the middles of `texels` in space, (n, 3) float32 [m]: ascending numbers over all surfaces; `face` covers
-    each.
-    """
+    """Return the middles of `texels`, flat and ascending, on the faces `face` that cover them, (n, 3) float32 [m]."""
     spot = np.empty((len(texels), 3), dtype=np.float32)
     for number, surface in enumerate(geometry.surfaces):
         first, last = geometry.texel_start[number : number + 2]
@@ -25,10 +23,8 @@ def texel_points(geometry: Geometry, texels: NDArray[np.integer], face: NDArray[
 
 
 def sun_cosine(geometry: Geometry, point: Jit, normal: Jit, towards: NDArray[np.float64]) -> Jit:
-    """Return the cosine of the sun's rays at points a little above the surface, 0 in shadow, Float.
-
-    `towards` is the direction to the sun, (3,).
-    """
+    """Return the cosine of the sun's rays at points above the surface, Float, 0 in shadow; `towards` (3,) points to the
+    sun."""
     mi = geometry.mi
     sun = mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards))
     cosine = dr.dot(normal, sun)

@@ -1,8 +1,7 @@
 """Terrain inputs of learned maps that a photograph lacks: slope, aspect, height, sky view, and sunlight with shadow.
 
-Learned maps with these inputs work at more than one hour and on other relief; see
-`learned.temperature_map.Inputs.terrain`. Rays from every texel test for the sun, now and over the hours before, as the
-ground stores the sunlight absorbed.
+Shadow rays from every texel sample the sun at the instant and over the hours before, as the ground stores absorbed
+sunlight. See `learned.temperature_map.Inputs.terrain`.
 """
 
 from collections.abc import Callable, Sequence
@@ -56,27 +55,10 @@ def relief(
 def reliefs(
     scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None
 ) -> "dict[np.datetime64, Planes]":
-    """Return {time: {name of `NAMES`: (h, w) float32}} of the texels of a scene's terrain.
-
-    Parameters
-    ----------
-    scene : Scene
-        With a raster terrain, whose texels are a map of the ground, and [weather].
-    times : sequence of datetime64
-        UTC. Instants close to each other share most rays.
-    geometry : Geometry, optional
-        Of the scene's surfaces, where it exists already.
-    progress : callable, optional
-        Called with (what, share done).
-
-    Returns
-    -------
-    dict
-        Components of the unit normal; height above the mean around [m]; share of the hemisphere that is sky, cosine
-        weighted, one value per face; sunlight on the surface, direct with shadow plus diffuse by sky view [W m⁻²], now
-        and as weighted means over the past. The past begins with the weather; if that begins at the instant, the means
-        are the present value. The planes of an instant do not depend on the other instants.
-    """
+    """Return {time: {name of `NAMES`: (h, w) float32}} of the texels of a scene's raster terrain. The planes are the
+    unit normal; height above the mean around [m]; cosine-weighted sky view per face; and sunlight, direct with shadow
+    plus diffuse by sky view [W m⁻²], now and as weighted means over the past. Without earlier weather the means are the
+    present value. Planes do not depend on the other instants, but close instants share rays."""
     geometry = geometry or Geometry(activate(), scene.surfaces)
     asked = (*times, scene.weather_digest())
     kept, found = _LAST.get(geometry, (None, None))
@@ -144,10 +126,8 @@ def _traced(
 
 
 def _past(weather: Weather, time: np.datetime64) -> "dict[np.datetime64, NDArray[np.float64]]":
-    """{instant: shares (len(MEMORY_H),) of it in the sunlight of the past}.
-
-    An instant is the middle of a step of the day, clipped to the weather before `time`, and represents that step.
-    """
+    """{instant: its weights (len(MEMORY_H),) in past sunlight}: middles of the day's steps, clipped to the weather
+    before `time`."""
     step, day = np.timedelta64(round(_STEP_H * 3600.0), "s"), time.astype("M8[D]").astype("M8[s]")
     until = int((time - day) // step) + 1
     numbers = np.arange(until - round(_BACK * max(MEMORY_H) / _STEP_H) - 1, until + 1)
@@ -165,26 +145,9 @@ def mapped(
     scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None,
     material: bool = False,
 ) -> list[Scene]:  # fmt: skip
-    """Return a scene with its terrain's temperatures by a learned map that takes relief, hour and weather as input.
-
-    Parameters
-    ----------
-    scene : Scene
-        With temperatures of source Conditional.
-    times : sequence of datetime64
-        UTC, inside the weather.
-    geometry, progress
-        As of `reliefs`.
-    material : bool
-        Adds the input "material", numbers into the names of the shipped library in their order: for privileged
-        maps only.
-
-    Returns
-    -------
-    list of Scene
-        One per instant. A map of apparent temperatures refers to the sky of that instant: the scene's own, or that of
-        its air. Where the map reports failure, the air's temperature is used.
-    """
+    """Return a scene at some instants (UTC), with terrain temperatures by a learned map of relief, hour and weather. A
+    map of apparent temperatures refers to the sky of that instant. Where the map reports failure, the air's temperature
+    is used. `material` adds the input "material", numbers into the shipped library, for privileged maps only."""
     from thermorender.learned.temperature_map import Inputs
 
     source = scene.temperature_state.source

@@ -2,12 +2,11 @@
 surroundings.
 
 Every texel is a column: its material on the layers beneath, at its position on the mesh. At both stages of every step a
-ray from each texel tests for the sun. The part of its hemisphere that is not sky is covered by the rays that also solve
-the scene's light; they bring reflected sunlight and the long-wave radiation of the surroundings. That light is one
-value per face. It is solved every half hour, between columns at the middles of the faces.
+shadow ray from each texel tests for the sun. Reflected sunlight and the long-wave radiation of the surroundings use the
+rays of the scene's light. They are one value per face, solved every half hour between columns at the faces' middles.
 
-A simulation begins two days before the first instant requested, from columns in the open that have settled by then.
-Texels are simulated in blocks, each together with all faces, so that memory stays bounded for any texture size.
+A simulation begins two days before the first instant requested, from settled columns in the open. Texels are simulated
+in blocks, each together with all faces, which bounds memory.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -62,26 +61,9 @@ def solved(
     scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None,
     deviations: Deviations | None = None,
 ) -> list[Scene]:  # fmt: skip
-    """Return the scene with the temperatures of terrain and copies at each of some instants, from its heat balance.
-
-    Parameters
-    ----------
-    scene : Scene
-        With weather and source "balance".
-    times : sequence of datetime64
-        UTC, inside the weather.
-    geometry : Geometry, optional
-        Of the scene's surfaces, where it exists already.
-    progress : callable, optional
-        Called with (what, share done).
-    deviations : Deviations, optional
-        Deviations of the texels from their materials' properties, for a truth that differs from the tables.
-
-    Notes
-    -----
-    Objects keep the temperatures of the scene file, except copies whose temperature is "balance"; they cast shadows and
-    radiate. A mixed material emits the mean of its parts.
-    """
+    """Return the scene with the temperatures of terrain and copies at each of some instants (UTC), from its heat
+    balance. Other objects keep the temperatures of the scene file, cast shadows and radiate. `deviations` make a truth
+    that differs from the material tables. `progress` is called with (what, share done)."""
     asked = sorted(set(times))
     geometry = geometry or Geometry(activate(), scene.surfaces)
     report_progress = progress or (lambda what, share: None)
@@ -206,10 +188,7 @@ class _Simulation:
     def run(
         self, materials: dict[int, Material], wanted: NDArray[np.bool_], progress: Callable[[float], object]
     ) -> NDArray[np.float32]:
-        """Return the temperature of all texels at each instant requested, (n, T) float32 [K]; 0 where not `wanted`.
-
-        `materials` maps each number on the terrain to its Material.
-        """
+        """Return the temperature of all texels at each instant requested, (n, T) float32 [K]; 0 where not `wanted`."""
         self.row = np.zeros(256, dtype=np.uint32)
         self.row[list(materials)] = np.arange(len(materials))
         weather, snow = self.weather, float(self.weather.at(self.asked[0]).snow_m)
@@ -298,10 +277,8 @@ class _Simulation:
         self, texels: NDArray[np.integer], progress: Callable[[float], object]
     ) -> Iterator[NDArray[np.float32]]:
         """Yield surface temperatures of all faces and of some texels, (C,) float32 [K], at each instant requested.
-
-        Texels of one face and material share a column until four hours before the first instant, where no other
-        property differs; from then on each has its own sun.
-        """
+        Equal texels of a face share a column until four hours before the first instant; from then on each has its own
+        sun."""
         mi, own = self.mi, None
         light: _Light | None = None
         self.arrives: Any = None
@@ -385,11 +362,8 @@ class _Simulation:
         )
 
     def _light(self, at_s: float, seen_k: Jit, columns: _Columns) -> "_Light":
-        """The _Light between the faces from `at_s` on.
-
-        The first guess is the light that arrived from other faces before. Each call adds one more reflection, so in
-        time all reflections are included.
-        """
+        """The _Light between the faces from `at_s` on; each call adds one reflection to the light of the call
+        before."""
         mi = self.mi
         middle = min(self._instant(at_s + 0.5 * _LIGHT_S), self.weather.time[-1])
         found, towards = self.weather.at(middle), self._sun(middle)
@@ -424,15 +398,15 @@ class _Simulation:
 
 @dataclass(frozen=True, eq=False)
 class _Light:
-    """Light on the terrain's faces, Dr.Jit arrays (F,), valid until a time [s].
+    """Light on the terrain's faces, Dr.Jit arrays (F,)."""
 
-    They are the share of the sky, reflected sunlight per sunlight on level ground, and long-wave radiation of the
-    surroundings [W m⁻²].
-    """
-
+    # Valid until this time [s].
     until: float
+    # Fraction of the hemisphere that is sky.
     sky: Any
+    # Reflected sunlight per sunlight on level ground.
     reflected: Any
+    # Long-wave radiation of the surroundings [W m⁻²].
     surroundings: Any
 
 

@@ -17,10 +17,7 @@ class Library:
 
 
 def steps_to(start: np.datetime64, asked: Sequence[np.datetime64]) -> list[tuple[float, float]]:
-    """Return [(beginning, length)] of the steps [s] from `start` to the last instant requested.
-
-    A step ends at every instant.
-    """
+    """Return [(beginning, length)] of the steps [s] from `start` to the last instant; a step ends at every instant."""
     ends = [float((at - start) / np.timedelta64(1, "s")) for at in asked]
     steps, at = [], 0.0
     for end in ends:

@@ -13,12 +13,9 @@ _LENGTHS = 24
 
 
 def left_out(scene: Scene, transport: Transport, reflectance: Floats) -> Floats:
-    """Return an estimate from above of the change of light reflected between faces due to air, (F,) [W m⁻² sr⁻¹].
-
-    `reflectance` is the mean over the band of each face, (F,). Over each distance between the middles of two faces, the
-    air changes blackbody radiance at the coldest and at the warmest temperature of a surface. The larger change is used
-    for all light of its faces.
-    """
+    """Return an estimate from above of the change of light reflected between faces due to air, (F,) [W m⁻² sr⁻¹]. It is
+    the larger change of blackbody radiance at a surface's coldest or warmest temperature over each distance between
+    faces, reflected with band means `reflectance` (F,)."""
     assert scene.air is not None
     length = np.geomspace(1.0, farthest(scene), _LENGTHS)
     low = scene.altitude_m + min(float(surface.vertices[:, 2].min()) for surface in scene.surfaces)

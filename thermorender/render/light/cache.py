@@ -1,9 +1,8 @@
 """Traced light kept on disk, so that a scene is traced once and not once per process.
 
-A file's name is a hash of everything its content depends on, so an edited scene has another name. A file is written
-whole or not at all. Its checksum reveals damage, and damaged light is traced again. Only files with such names in the
-cache's folder for light are ever removed. The cache affects speed only: without a usable folder everything works, and
-the caller receives the reason to display.
+A file's name is a hash of everything its content depends on. A file is written whole or not at all, and its checksum
+reveals damage. Only files with such names in the cache's folder are ever removed. The cache affects speed only: without
+a usable folder the caller receives the reason to display.
 """
 
 import hashlib
@@ -38,11 +37,8 @@ _STALE_S = 3600.0
 def traced(
     geometry: Geometry, rays: int, progress: Callable[[float], object] | None = None, seed: int = 0
 ) -> tuple[radiosity.Transport, str | None]:
-    """Return (Transport of a scene, reason why the disk cache could not be used or None).
-
-    As `radiosity.trace`, but read from disk if the same scene was traced before. Scenes of fewer than WORTH_RAYS rays
-    are always traced.
-    """
+    """Return (Transport as of `radiosity.trace`, reason why the cache was not used or None); under WORTH_RAYS it is not
+    used."""
     if geometry.face_count * rays < WORTH_RAYS:
         return radiosity.trace(geometry, rays, progress, seed), None
     name = key(geometry, rays, seed)
@@ -89,10 +85,8 @@ def load(name: str) -> radiosity.Transport | None:
 
 
 def store(name: str, transport: radiosity.Transport, limit: int | None = None) -> str | None:
-    """Store a Transport under `name`; return None, or the reason why that was not possible.
-
-    All files together take at most `limit` bytes, LIMIT where None; the least recently used are removed.
-    """
+    """Store a Transport under `name`, within `limit` bytes of all files, LIMIT where None; return None, or why that
+    failed."""
     limit = LIMIT if limit is None else limit
     arrays = {field.name: np.asarray(getattr(transport, field.name)) for field in fields(transport)}
     size = sum(values.nbytes for values in arrays.values())

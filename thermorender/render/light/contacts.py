@@ -1,9 +1,8 @@
 """Contacts: faces that a body covers in part, where objects stand on the ground, touch, or intersect.
 
-Light is constant over a face, and a camera sees only the uncovered part. Points in the covered part are inside a body
-or below the ground, and receive other light. Rays of a partly covered face therefore start in its uncovered part. A
-fully covered face uses the rays of the nearest partly covered one: it is invisible, but texels blend into their
-neighbours.
+Light is constant over a face, and a camera sees only the uncovered part. Rays of a partly covered face therefore start
+in its uncovered part. A fully covered face is invisible, but texels blend into their neighbours: it uses the rays of
+the nearest partly covered one.
 
 A point is covered if a ray from it first hits the back of a solid surface. A surface is solid if diffuse random walks
 from its back do not reach the open air. Sheets, leaves and the walls of open cavities are not solid. A house without a
@@ -66,10 +65,8 @@ def _reversed(index: NDArray[np.integer]) -> NDArray[np.integer]:
 
 
 def solid(geometry: Geometry) -> NDArray[np.bool_] | None:
-    """Return the faces that have something solid behind them, (F,); None where nothing can cover anything.
-
-    That is a single connected part, such as a terrain without objects.
-    """
+    """Return which faces have something solid behind them, (F,); None for a single connected part, such as a bare
+    terrain."""
     part = _parts(geometry.surfaces)
     count = int(part.max(initial=-1)) + 1
     if count < 2 and not geometry.has_copies:
@@ -85,10 +82,8 @@ def solid(geometry: Geometry) -> NDArray[np.bool_] | None:
 
 
 def _solid_parts(geometry: Geometry, part: NDArray[np.int64], count: int, stands: bool = True) -> NDArray[np.bool_]:
-    """Which of `count` parts of a geometry are solid, by the part of each face (F,), −1 for none.
-
-    Below all faces of a geometry that `stands` on its ground is nothing; below a body alone is air.
-    """
+    """Which of `count` parts of a geometry are solid, by the part of each face (F,), −1 for none. Below a geometry that
+    `stands` on its ground is nothing; below a body alone is air."""
     # A lone triangle encloses nothing.
     size = np.bincount(part[part >= 0], minlength=count)
     order = np.random.Generator(np.random.Philox(_SEED)).permutation(np.flatnonzero(part >= 0)).astype(np.uint32)
@@ -108,10 +103,7 @@ def _solid_parts(geometry: Geometry, part: NDArray[np.int64], count: int, stands
 def covered(
     geometry: Geometry, solids: NDArray[np.bool_] | None, faces: NDArray[np.integer], points_of: PointsOf
 ) -> Contacts | None:
-    """Return the Contacts among some ascending `faces`; None where all of these are open.
-
-    `solids` are those of `solid`, and `points_of` gives the points of faces.
-    """
+    """Return the Contacts among ascending `faces`, None where all are open; `points_of` gives the points of faces."""
     if solids is None or not len(faces):
         return None
     found = np.asarray(faces, np.uint32)
@@ -193,7 +185,7 @@ def _open(geometry: Geometry, back: Jit, point: Jit, normal: Jit) -> NDArray[np.
 
 
 def _in_air(geometry: Geometry, faces: NDArray[np.uint32], stands: bool) -> Floats:
-    """Number of the walks from the backs of faces that come into the open air, (n,); see `_solid_parts`."""
+    """Number of the walks from the backs of faces that reach the open air, (n,); see `_solid_parts`."""
     mi = geometry.mi
     whole = frames(_corners(geometry, faces))
     corner, edge_u, edge_v, normal = (mi.Float(aligned(whole[:, k])) for k in range(4))

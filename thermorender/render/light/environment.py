@@ -35,20 +35,16 @@ class Environment:
     direct: Floats | None = None  # (F, N) the sun's irradiance on each face over π, where included
 
     def light(self, up: Floats, down: Floats, part: slice | NDArray[np.integer] = _ALL) -> Floats:
-        """Return the radiance on a part of the faces, (n, N), whose rays see shares of sky (n, B) and background (n,).
-
-        Sunlight is excluded, so differences of shares are valid too.
-        """
+        """Return the radiance without sunlight on a part of the faces, (n, N), from fractions of sky (n, B) and
+        background (n,). It is linear, so differences of fractions are valid too."""
         total = down[:, None] * self.background
         for level, sky in zip(self.level[part].T, self.sky, strict=True):
             total += level[:, None] * (up @ sky)
         return total
 
     def received(self, transport: radiosity.Transport, part: slice) -> tuple[Floats, Floats]:
-        """Return the light that the rays of a part of the faces receive, (n, N) [W m⁻² sr⁻¹].
-
-        The second is half the difference of what the two halves of their rays receive.
-        """
+        """Return (light that the rays of some faces receive, half the difference of its two halves), (n, N) each [W m⁻²
+        sr⁻¹]."""
         up, down = transport.up[part].astype(np.int32), transport.down[part].astype(np.int32)
         rays = 2.0 * transport.rays
         whole = self.light((up[:, 0] + up[:, 1]) / rays, (down[:, 0] + down[:, 1]) / rays, part)
@@ -85,11 +81,9 @@ def of_scene(scene: Scene, plan: Plan, geometry: Geometry, touching: NDArray[np.
 
 
 def sky_bins(air: Atmosphere, at_m: float) -> Floats:
-    """Return the sky's mean radiance over each bin of zenith angle, (B, n) [W m⁻² sr⁻¹].
-
-    The weights are halfway between those of a wall (solid angle) and of level ground (cosine). Light on either, and on
-    slopes, is then within 30 mK of a blackbody of 280 K.
-    """
+    """Return the sky's mean radiance over each bin of zenith angle, (B, n) [W m⁻² sr⁻¹]. The weights are halfway
+    between those of a wall (solid angle) and of level ground (cosine). Light on either, and on slopes, is then within
+    30 mK of a blackbody of 280 K."""
     edge = radiosity.sky_edges()
     half, middle = 0.5 * np.diff(edge)[:, None], 0.5 * (edge[1:] + edge[:-1])[:, None]
     cosine = middle + half * _NODE

@@ -1,13 +1,13 @@
-"""Exchange of light between faces in rounds, until hardly any light is left that faces have not sent yet.
+"""Progressive radiosity: light is exchanged between faces in rounds, until little unsent radiosity is left.
 
 The light x that faces receive from what they have sent, s, is x = K s + outside. A face that emits e and reflects ρ has
-a rest e + ρ x − s, which is not sent yet. A round sends any part d of the rests: x grows by K d and the rests by
-ρ K d − d. The relation holds whatever d is, so d may be a guess, and errors do not accumulate.
+the unsent rest e + ρ x − s. A round sends any part d of the rests: x grows by K d and the rests by ρ K d − d. The
+relation holds whatever d is, so d may be a guess, and errors do not accumulate.
 
-Two guesses make rounds few and cheap. Faces that reflect much exchange light among themselves first, by GMRES, and send
-what leaves them in the end; in a cavity these are all faces. The spectra of rests hardly differ from face to face, so a
-round sends their principal components only, and the remainder stays a rest. Where few faces have a rest worth sending,
-only they send, by the rays that hit them.
+Two guesses save rounds and time. Strong reflectors first exchange light among themselves, by GMRES, and send the
+result; in a cavity these are all faces. The spectra of rests hardly differ from face to face, so a round sends their
+principal components only, and the remainder stays a rest. Where few faces have a significant rest, only they send, by
+the rays that hit them.
 """
 
 import os
@@ -44,10 +44,7 @@ def threads() -> ThreadPoolExecutor:
 
 
 def strong_reflectors(transport: Transport, reflectance: NDArray[np.floating], known: Strong | None = None) -> Strong:
-    """Return the faces that exchange light among themselves first, with what they see, as `Transport.among`.
-
-    `reflectance` is (F, N); `known` is returned where it has all of them.
-    """
+    """Return the strong reflectors and what they see, as `Transport.among`; `known` where it has all of them."""
     strong = reflectance.max(axis=1) > _STRONG
     if known is not None and np.count_nonzero(strong) == np.count_nonzero(strong[known[0]]):
         return known
@@ -56,34 +53,9 @@ def strong_reflectors(transport: Transport, reflectance: NDArray[np.floating], k
 
 
 class Exchange:
-    """Light between faces at some nodes.
-
-    Parameters
-    ----------
-    transport : Transport
-    pool : Executor
-        Its number of threads does not change the result.
-    emitted, reflectance : (F, N)
-        Radiance that faces emit [W m⁻² sr⁻¹], and their reflectance.
-    environment : Environment or None
-        Light from beyond all faces, if any.
-    strong : optional
-        That of another Exchange, used where it has all strong reflectors of this one.
-    tick : callable, optional
-        Called every few milliseconds, without arguments; it may raise.
-
-    Attributes
-    ----------
-    incident : (F, N)
-        Radiance that faces receive [W m⁻² sr⁻¹].
-    rest : (F, N)
-        Radiance that leaves them and is not sent yet [W m⁻² sr⁻¹].
-    noise : (F,)
-        Half the difference that the two halves of their rays make to the light they reflect, over all nodes
-        [W m⁻² sr⁻¹].
-    brightest, largest : float
-        The largest incident radiance and the largest rest [W m⁻² sr⁻¹].
-    """
+    """Light between faces at some nodes; faces emit `emitted` [W m⁻² sr⁻¹] and reflect `reflectance`, both (F, N). The
+    number of threads of `pool` does not change the result. `strong` of another Exchange is reused where it has all
+    strong reflectors of this one. `tick` is called every few milliseconds; it may raise."""
 
     def __init__(
         self, transport: Transport, pool: Executor, emitted: Floats, reflectance: NDArray[np.floating],
@@ -92,7 +64,10 @@ class Exchange:
     ) -> None:  # fmt: skip
         self._transport, self._pool, self._reflectance, self._tick = transport, pool, reflectance, tick
         self._parts, self._known_strong = transport.parts(), strong
+        # (F, N): radiance that faces receive, and radiance that leaves them and is not sent yet [W m⁻² sr⁻¹].
         self.incident, self.rest = np.zeros(emitted.shape), emitted.copy()
+        # (F,): half the difference that the two halves of the rays make to the reflected light, over all nodes [W m⁻²
+        # sr⁻¹].
         self.noise = np.zeros(len(emitted))
 
         def begin(part: slice) -> tuple[float, float]:
@@ -105,11 +80,12 @@ class Exchange:
 
     @cached_property
     def strong(self) -> Strong:
-        """Those that exchange light among themselves first, found when needed."""
+        """The strong reflectors, which exchange light among themselves first; computed when needed."""
         return strong_reflectors(self._transport, self._reflectance, self._known_strong)
 
     def _measure(self, receive: Callable[[slice], tuple[float, float]]) -> None:
-        """Let all parts of the faces receive light, and note the largest values."""
+        """Let all parts of the faces receive light, and update `brightest` and `largest`."""
+        # The largest incident radiance and the largest rest [W m⁻² sr⁻¹].
         self.brightest, self.largest = map(max, zip(*self._each(receive, self._parts), strict=True))
 
     def _each(self, job: Callable[[Any], _T], items: Iterable[Any]) -> list[_T]:
@@ -135,10 +111,8 @@ class Exchange:
         return float(np.abs(self.incident[part]).max()), float(np.abs(self.rest[part]).max())
 
     def settled(self, wanted: float) -> Callable[[slice], Floats]:
-        """Return what faces should send: their rests, those of strong reflectors after exchange among them.
-
-        `wanted` is the largest rest that may remain in the end. The result is as `send` takes it.
-        """
+        """Return what faces should send so that at most `wanted` is left: rests, after exchange among strong
+        reflectors."""
         faces, seen, mutual = self.strong
         if self._tick:
             self._tick()
@@ -155,10 +129,8 @@ class Exchange:
         return sent.__getitem__
 
     def send(self, sent: Callable[[slice], Floats], basis: Floats | None = None) -> None:
-        """Send the principal components of radiance, or its components in an orthonormal `basis` (n, N).
-
-        `sent` returns the radiance of a part of the faces, (n, N) [W m⁻² sr⁻¹].
-        """
+        """Send radiance, (n, N) for a part of the faces, in its principal components or an orthonormal `basis` [W m⁻²
+        sr⁻¹]."""
         if basis is None:
             basis = self._components(sent)
         # The share of each ray.
@@ -186,11 +158,8 @@ class Exchange:
         return np.flatnonzero(np.logical_or.reduce(over.T))
 
     def send_few(self, faces: NDArray[np.intp], seen_on: SeenOn) -> None:
-        """Send the rests of some faces (n,), ascending.
-
-        `seen_on` takes the faces and the radiance that they send, (n, k). It returns the faces that receive it (m,),
-        and what these receive by each half of their rays, (m, 2, k).
-        """
+        """Send the rests of some faces (n,), ascending. `seen_on` maps the faces and the radiance that they send, (n,
+        k), to the faces that receive it (m,), and what these receive by each half of their rays, (m, 2, k)."""
         sent = self.rest[faces]
         basis = _axes(sent.T @ sent, _FEW_LEFT_OUT)
         shares = sent @ basis.T

@@ -1,7 +1,7 @@
-"""GMRES for the light between surfaces that reflect much: systems x = K ρ x + source, one per spectral node.
+"""GMRES for the light between strong reflectors: systems x = K ρ x + source, one per spectral node.
 
-Plain iteration converges like ρⁿ and takes thousands of bounces in a cavity of reflective walls. The minimal residual
-over the same bounces (Saad & Schultz 1986, doi:10.1137/0907058) takes about eight.
+Fixed-point iteration converges like ρⁿ and takes thousands of bounces in a cavity of reflective walls. The minimal
+residual over the same bounces (Saad & Schultz 1986, doi:10.1137/0907058) takes about eight.
 """
 
 from typing import Any
@@ -18,10 +18,9 @@ def gmres(operator: Any, rho: Floats, source: Floats, wanted: Floats) -> Floats:
     """Return x with |source − x + K ρ x| ≤ wanted (N,) for every face, or the closest after STEPS steps.
 
     `operator` is K, a sparse array (F, F); `rho` and `source` are reflectance and right-hand side, (F, N), a system per
-    node. Every node has its own Krylov space, but all take their steps together, so K is read once per step. A common
-    space would converge as slowly as the worst of all reflectances. `scipy.sparse.linalg.gmres` solves one system at a
-    time, so it would read K for every node and step. It also limits the root mean square, while here the largest
-    residual counts.
+    node. Every node has its own Krylov space, as a common one would converge like the worst reflectance. All nodes step
+    together, so K is read once per step. `scipy.sparse.linalg.gmres` would read it for every node, and it limits the
+    root mean square, not the largest residual.
     """
     count, nodes = source.shape
     size = _norm(source)

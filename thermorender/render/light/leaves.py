@@ -1,7 +1,7 @@
-"""Rays from the copies of bodies, such as crowns: a patch sends them from points of its triangles.
+"""Rays from instanced bodies, such as crowns: a patch sends them from points of its triangles.
 
-Points are drawn by area among those from which a ray leaves the body. The light of a patch is then that of what is seen
-from outside: a leaf that a camera sees also receives more of the sky than one within the crown.
+Points are drawn by area among those from which a ray leaves the body. The light of a patch is then that of the leaves
+seen from outside, which also receive more of the sky than those within the crown.
 """
 
 from collections.abc import Callable
@@ -40,18 +40,7 @@ Openness = Callable[[Geometry], Open]
 
 
 class Leaves:
-    """Points of patches, and the places of their copies.
-
-    Attributes
-    ----------
-    frames : (n, 4, 3) float64
-        Of the points that represent the patches, as `geometry.frames` but without extent, in the frame of their body.
-
-    Parameters
-    ----------
-    openness : callable
-        As `radiosity.openness`.
-    """
+    """Points of patches, and the places of their copies; `openness` is as `radiosity.openness`."""
 
     def __init__(self, geometry: Geometry, openness: Openness) -> None:
         self._mi = mi = geometry.mi
@@ -81,6 +70,8 @@ class Leaves:
                 made[:, 0], made[:, 3] = opened.point[own[triangle], ray], normal[own[triangle]]
                 found.append(made)
                 count += _DRAWN
+        # (n, 4, 3) float64: points that represent the patches, in the body's frame, as `geometry.frames` without
+        # extent.
         self.frames = np.concatenate(found)
         self._first, self._count = (mi.UInt32(aligned(values, np.uint32)) for values in (first, drawn))
         self._turn, self._shift = mi.Float(aligned(turn)), mi.Float(aligned(shift))
@@ -128,23 +119,10 @@ def _drawn(weight: Floats, random: np.random.Generator) -> NDArray[np.intp]:
 
 
 def within(geometry: Geometry, openness: Openness, sky: Floats, reflected: NDArray[np.floating]) -> Floats:
-    """Return an estimate of the scatter of reflected light within the patches of copies, (F,); 0 for other faces.
-
-    Parameters
-    ----------
-    openness : callable
-        As of `Leaves`.
-    sky : (F,)
-        Share of each face's hemisphere that is sky.
-    reflected : (F,)
-        Light that each face reflects; the result has its unit.
-
-    Notes
-    -----
-    The share of sky differs within a patch from triangle to triangle, by what the body itself hides. Light changes with
-    it as from patch to patch, by a straight line through all patches of a surface. Triangles count as a view from above
-    sees them.
-    """
+    """Return an estimate of the scatter of reflected light within the patches of copies, (F,); 0 for other faces. `sky`
+    (F,) is each face's sky fraction, `reflected` (F,) its light, in the unit of the result. The scatter is that of the
+    sky fraction between triangles, weighted by area seen from above, times the slope of light against sky fraction over
+    the patches of a surface."""
     found = np.zeros(geometry.face_count)
     for number, surface in enumerate(geometry.surfaces):
         body = surface.instances
@@ -171,11 +149,8 @@ def emitted(geometry: Geometry, scene: Scene, plan: Plan) -> Floats:
 
 
 def within_body(geometry: Geometry, number: int, openness: Openness) -> Floats:
-    """Return the spread of the share of sky over the triangles of each patch of a body alone, (patches,).
-
-    It is the root mean square deviation of triangles that a view from above sees, from the mean of those from which
-    rays start.
-    """
+    """Return the spread of the sky fraction over the triangles of each patch of a single body, (patches,): the root
+    mean square deviation of triangles seen from above, from the mean of those from which rays start."""
     body = geometry.surfaces[number].instances
     assert body is not None
     opened = open_points(geometry, number, openness)

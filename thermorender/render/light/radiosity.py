@@ -1,18 +1,16 @@
 """Diffuse light between surfaces and from the sky, solved once per scene.
 
-For each face a fixed set of cosine-distributed rays is traced once. Hits form a sparse transport operator K (share of a
-face's hemisphere that sees each other face); misses see the sky, or the surroundings below the horizon. Per spectral
-node the mean incident radiance x of every face then satisfies the linear system
+For each face a fixed set of cosine-distributed rays is traced once. Hits form a sparse matrix K of form factors; misses
+see the sky, or the surroundings below the horizon. Per spectral node the mean incident radiance x of every face
+satisfies
 
     x = K (e + ρ x) + outside,
 
-with e and ρ the faces' mean emitted radiance and reflectance. Rounds of exchange solve it in a time that hardly depends
-on ρ, and the light that they leave bounds the error: see `solver.solve`.
+with e and ρ the faces' mean emitted radiance and reflectance; see `solver.solve`.
 
-The rays of a face are the points of Sobol' (1967, doi:10.1016/0041-5553(67)90144-9) in four dimensions, two of
-direction and two of position, with digits shifted at random for each face (Owen 2003, doi:10.1145/945511.945518). They
-are split into two halves, whose difference estimates the Monte Carlo error of their mean, rather too large than too
-small: see `solver.solve`. Normals are those of the flat faces.
+The rays of a face are Sobol' points (1967, doi:10.1016/0041-5553(67)90144-9) in four dimensions, two of direction and
+two of position, with a random digital shift per face (Owen 2003, doi:10.1145/945511.945518). They are split into two
+halves, whose difference estimates the Monte Carlo error. Normals are those of the flat faces.
 """
 
 from collections.abc import Callable
@@ -89,10 +87,8 @@ class Transport:
         return [slice(first, min(first + _FACES_AT_ONCE, count)) for first in range(0, count, _FACES_AT_ONCE)]
 
     def halves(self, part: slice) -> Any:
-        """Number of the rays of a part of n faces that hit each face, csr_array (2 n, F) of float64.
-
-        Rows 2 i and 2 i + 1 are of the two halves of face i's rays.
-        """
+        """Number of the rays of n faces that hit each face, csr_array (2 n, F) of float64; rows 2 i and 2 i + 1 are
+        halves."""
         from scipy.sparse import csr_array
 
         start = self.start[2 * part.start : 2 * part.stop + 1]
@@ -110,17 +106,9 @@ class Transport:
 
 
 def trace(geometry: Geometry, rays: int, progress: Callable[[float], object] | None = None, seed: int = 0) -> Transport:
-    """Return the Transport of a scene.
-
-    Parameters
-    ----------
-    rays : int
-        Rays per face, 1…65536; odd numbers are rounded up, for two equal halves. Powers of two spread most evenly.
-    progress : callable, optional
-        Called with the share done, 0…1.
-    seed : int
-        0…2³²−1; another seed gives an independent estimate.
-    """
+    """Return the Transport of a scene. `rays` per face are 1…65536, odd numbers rounded up for two equal halves; powers
+    of two spread most evenly. `progress` is called with the share done, 0…1. Another `seed`, 0…2³²−1, gives an
+    independent estimate."""
     mi, count, half = geometry.mi, geometry.face_count, (rays + 1) // 2
     rays_of, solids = FaceRays(geometry, half), contacts.solid(geometry)
     back = None if solids is None else mi.UInt8(aligned(solids, np.uint8))
@@ -192,9 +180,7 @@ def sky_edges() -> Floats:
 
 
 def background_code(mi: Mitsuba, direction: Jit) -> Jit:
-    """Return the background seen by a ray that hits nothing: a bin of the sky, or SKY_BINS for the surroundings,
-    UInt32.
-    """
+    """Return the background of a ray that hits nothing, UInt32: a bin of the sky, or SKY_BINS for the surroundings."""
     position = mi.UInt32(dr.sqrt(dr.clip(direction.z, 0.0, 1.0)) * SKY_BINS)
     return dr.select(direction.z >= 0.0, dr.minimum(position, SKY_BINS - 1), SKY_BINS)
 
@@ -202,13 +188,10 @@ def background_code(mi: Mitsuba, direction: Jit) -> Jit:
 class FaceRays:
     """The cosine-distributed rays from faces, in two halves of `half` rays.
 
-    Notes
-    -----
     Cosine-distributed directions are even over the unit disk (Malley's method). The disk is divided here by level
-    chords: at angle θ, sin θ from the middle, a share 1/2 + (θ + sin θ cos θ) / π of the disk is below. A far horizon
-    then lies at the same share of all chords, whatever the slope, and Sobol points resolve it to 1 / n.
-
-    Rays of covered faces start at their open points, of which the third Sobol dimension chooses one.
+    chords: at angle θ, sin θ from the middle, a fraction 1/2 + (θ + sin θ cos θ) / π of the disk is below. A distant
+    horizon then cuts all chords at the same fraction, whatever the slope, and Sobol points resolve it to 1 / n. Rays of
+    covered faces start at their open points, of which the third Sobol dimension chooses one.
     """
 
     def __init__(self, geometry: Geometry, half: int) -> None:
@@ -233,10 +216,8 @@ class FaceRays:
     def start_in_the_open(
         self, solids: NDArray[np.bool_] | None, faces: NDArray[np.integer]
     ) -> contacts.Contacts | None:
-        """Return the Contacts among some ascending faces, from whose open parts rays start from now on.
-
-        `solids` are those of `contacts.solid`.
-        """
+        """Return the Contacts among ascending faces, in whose open parts rays start from now on; `solids` are from
+        `contacts.solid`."""
         found = contacts.covered(self._geometry, solids, faces, self._points)
         if found is not None:
             place = np.full(self._geometry.face_count, _OPEN, np.uint32)

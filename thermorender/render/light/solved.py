@@ -24,7 +24,7 @@ Steps = tuple[NDArray[np.int8], Floats]
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """What the solution of an edit begins from, beside the incident radiance."""
+    """Start of the solution of an edit, beside the incident radiance."""
 
     rest: NDArray[np.int8]  # (F, N) int8 light that faces have not sent, in units of `step`
     step: Floats  # (N,) float64 of each node [W m⁻² sr⁻¹]
@@ -76,17 +76,8 @@ def solve_scene(
     scene: Scene, plan: Plan, geometry: Geometry, known: radiosity.Transport,
     texel: tuple[NDArray[np.uint8], NDArray[np.float32]], guess: Floats | None, tick: Callable[[], object],
 ) -> SolvedLight:  # fmt: skip
-    """Return the SolvedLight of a scene with known Transport, solved in blocks of nodes.
-
-    Parameters
-    ----------
-    texel : (T,) and (T,) arrays
-        Material and temperature of all texels [K].
-    guess : (F, N), optional
-        An incident radiance close to the solution.
-    tick : callable
-        Called every few milliseconds, without arguments.
-    """
+    """Return the SolvedLight of a scene with known Transport, in blocks of nodes. `texel` holds materials and
+    temperatures [K], (T,) each; `guess` (F, N) is an incident radiance close to the solution."""
     spectrum = plan.spectrum
     around = environment.of_scene(scene, plan, geometry, known.touching)
     tolerance, shares = tolerance_of(plan), black_share(plan)

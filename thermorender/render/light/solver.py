@@ -44,30 +44,18 @@ def solve(
     transport: Transport, emitted: Floats, reflectance: Floats, environment: Environment, tolerance: float,
     start: NDArray[np.floating] | None = None, tick: Callable[[], object] | None = None,
 ) -> Solution:  # fmt: skip
-    """Return the Solution of the light between the faces.
+    """Return the Solution of the light between the faces, to the error bound `tolerance` at each node [W m⁻² sr⁻¹].
 
-    Parameters
-    ----------
-    emitted, reflectance : (F, N)
-        Mean emitted radiance [W m⁻² sr⁻¹] and reflectance of each face at each node.
-    environment : Environment
-        Light from sky, surroundings and sun.
-    tolerance : float
-        Error bound to reach at each node [W m⁻² sr⁻¹].
-    start : (F, N), optional
-        An incident radiance close to the solution, which saves time; zeros by default.
-    tick : callable, optional
-        Called every few milliseconds, without arguments; it may raise.
+    `emitted` [W m⁻² sr⁻¹] and `reflectance` are means of each face at each node, (F, N). `start` (F, N) is an incident
+    radiance close to the solution. `tick` is called every few milliseconds; it may raise.
 
-    Notes
-    -----
     With the light s sent so far (see `exchange`) and J = e + ρ x, an error δ of the light obeys δ = K ρ δ + K (J − s).
     K and ρ have no negative entries, and no row of K has a sum above 1. Hence ‖δ‖∞ ≤ ‖J − s‖∞ / (1 − max K ρ), where
     the largest ρ may stand for max K ρ. The bound includes the rounding error, one unit per term of a row.
 
-    The two halves of the rays see the radiosity J as x₁ and x₂. If they were independent, (x₁ − x₂) / 2 would have the
-    variance of their mean's error. But they fill each other's gaps, so it is 1.0 to 1.4 times too large in open scenes.
-    The error is itself light and is reflected: δ = K ρ δ + (x₁ − x₂) / 2 to first order, which matters in cavities.
+    The two halves of the rays see the radiosity J as x₁ and x₂. For independent halves (x₁ − x₂) / 2 has the variance
+    of their mean's error; for Sobol points it is 1.0 to 1.4 times too large in open scenes. The error is itself
+    reflected: δ = K ρ δ + (x₁ − x₂) / 2 to first order, which matters in cavities.
     """
     with threads() as pool:
         amplified = amplification(transport, reflectance)
@@ -85,7 +73,7 @@ def solve(
 
 
 def unsettled(bound: float, tolerance: float) -> ThermorenderError:
-    """Return the error of light that does not converge to a tolerance."""
+    """Return the ThermorenderError of light that does not converge to a tolerance."""
     return ThermorenderError(
         f"the light between surfaces does not converge: {bound:.3g} W m⁻² sr⁻¹ remain where "
         f"{tolerance:.3g} are allowed; give a larger tolerance"
@@ -98,10 +86,7 @@ def rounding(transport: Transport) -> float:
 
 
 def amplification(transport: Transport, reflectance: NDArray[np.floating]) -> float:
-    """Return by how much light may exceed its sources, from a bound of the share that is passed on.
-
-    `reflectance` (F, N) is that of each face at each node.
-    """
+    """Return a bound of light over its sources, 1 / (1 − the largest fraction passed on), from `reflectance` (F, N)."""
     reflected = float(reflectance.max(initial=0.0))
     if reflected > _MUCH_REFLECTED:
         top = reflectance.max(axis=1) / (2.0 * transport.rays)
@@ -118,10 +103,8 @@ def amplification(transport: Transport, reflectance: NDArray[np.floating]) -> fl
 def _reflected_noise(
     transport: Transport, pool: Executor, reflectance: Floats, light: Exchange, tick: Callable[[], object] | None
 ) -> Floats:
-    """`light.noise` and its own reflections, (F,).
-
-    They are solved for all nodes together, with each face's mean reflectance of the light that it receives.
-    """
+    """`light.noise` and its reflections, (F,), for all nodes together, with each face's mean reflectance of its
+    light."""
     total = light.incident.sum(axis=1)
     mean = np.einsum("fn,fn->f", reflectance, light.incident) / np.where(total > 0.0, total, 1.0)
     error = Exchange(transport, pool, light.noise[:, None], mean[:, None], strong=light.strong, tick=tick)

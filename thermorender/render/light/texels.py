@@ -1,9 +1,8 @@
 """Emitted and reflected light baked into one radiance per texel and one correction per face.
 
-Light between surfaces is solved per face; materials and temperatures are given per texel. Each texel takes the light of
-the face that covers it. Where a face is seen through texels of other faces (a wall narrower than a texel, an object of
-one texel), a constant per face restores its mean. A pixel then needs one texture and one number per face, whatever the
-number of spectral nodes. The remaining scatter within faces is returned as an error.
+Each texel takes the light of the face that covers it. Where a face is seen through texels of other faces (a wall
+narrower than a texel, an object of one texel), a constant per face restores its mean. A pixel then needs one texture
+and one number per face, whatever the number of spectral nodes. The remaining scatter within faces is an error.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -30,9 +29,7 @@ def face_means(
     blocks: Sequence[slice], tick: Callable[[], object] = lambda: None,
 ) -> Iterator[tuple[Floats, Floats]]:  # fmt: skip
     """Yield, for each slice of nodes, mean emitted radiance and reflectance of each face, both (F, n) float64.
-
-    `material` and `temperature` are those of all texels, (T,) numbers and [K]. `tick` is called every few milliseconds.
-    """
+    `material` and `temperature` [K] are of all texels, (T,)."""
     mi, count, spectrum = geometry.mi, geometry.face_count, plan.spectrum
     grid = RadianceTable.grid(plan.coldest, plan.warmest)
     black = spectrum.black(grid).astype(np.float32)
@@ -71,10 +68,8 @@ def emitted(
     plan: Plan, materials: Sequence[Material], material: NDArray[np.uint8], temperature: NDArray[np.float32],
     tick: Callable[[], object] = lambda: None,
 ) -> list[NDArray[np.float32]]:  # fmt: skip
-    """Return the emission of each texel into each channel, a list of K arrays (T,) float32 [W m⁻² sr⁻¹].
-
-    `material` and `temperature` are those of all texels, (T,) numbers and [K]. `tick` is called every few milliseconds.
-    """
+    """Return the emission of each texel into each channel, K arrays (T,) float32 [W m⁻² sr⁻¹]. `material` and
+    `temperature` [K] are of all texels, (T,)."""
     found = [np.empty(len(material), dtype=np.float32) for _ in range(plan.spectrum.channels)]
     limits = float(temperature.min()), float(temperature.max())
     tables = [plan.spectrum.emitted(each.emissivity_at, *limits, plan.band_um) for each in materials]
@@ -98,22 +93,9 @@ def bake_channel(
     geometry: Geometry, covers: Jit, emitted: NDArray[np.float32], material: NDArray[np.uint8],
     light: NDArray[np.float32], tick: Callable[[], object] = lambda: None,
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:  # fmt: skip
-    """Return (radiance of each texel (T,), correction of each face (F,), remaining scatter (F,)), float32.
-
-    Radiance and correction are in W m⁻² sr⁻¹. The scatter is the mean square, in their unit squared, of deviations
-    within a face that a constant does not restore.
-
-    Parameters
-    ----------
-    covers : UInt32
-        The face that covers each texel, from `Geometry.face_of_texel`.
-    emitted, material : (T,) float32 and uint8
-        Emitted band radiance [W m⁻² sr⁻¹] and material of each texel.
-    light : (F + 1, M) float32
-        Band radiance that each material would reflect on each face, and in the mean, as of `light` [W m⁻² sr⁻¹].
-    tick : callable
-        Called every few milliseconds, without arguments.
-    """
+    """Return (radiance of each texel (T,), correction of each face (F,), remaining scatter (F,)), float32. Radiance and
+    correction are in W m⁻² sr⁻¹; the scatter is the mean square deviation within a face that a constant does not
+    restore. `covers` is `Geometry.face_of_texel`, `light` (F + 1, M) from `light`."""
     mi, count, kinds = geometry.mi, geometry.face_count, light.shape[1]
     table = mi.Float(aligned(light))
     materials = mi.UInt8(aligned(material, np.uint8))
@@ -139,11 +121,8 @@ def bake_channel(
 
 
 def light(incident: NDArray[np.float32], reflected: Floats) -> NDArray[np.float32]:
-    """Return the radiance that each material reflects on each face, (F + 1, M) float32 [W m⁻² sr⁻¹].
-
-    It is computed from the `incident` radiance of each face at each node, (F, N), and the share reflected, (M, N). The
-    last row is the mean, for texels without a face, which only blend into their neighbours.
-    """
+    """Return the radiance that each material reflects on each face, (F + 1, M) float32 [W m⁻² sr⁻¹], from incident
+    radiance (F, N) and reflectance (M, N). The last row is the mean, for texels without a face."""
     found = np.empty((len(incident) + 1, len(reflected)), np.float32)
     np.matmul(incident, reflected.T.astype(np.float32), out=found[:-1])
     found[-1] = found[:-1].mean(axis=0, dtype=np.float64)
@@ -153,18 +132,10 @@ def light(incident: NDArray[np.float32], reflected: Floats) -> NDArray[np.float3
 def variation(geometry: Geometry, reflected: NDArray[Any], noise: Floats, samples: int = 2000, seed: int = 0) -> float:
     """Return the root mean square error of taking light as constant over a face, in the unit of `reflected`.
 
-    Parameters
-    ----------
-    reflected, noise : (F,)
-        Light that each face would reflect with the mean reflectance of all, and its Monte Carlo error.
-    samples : int
-        Vertices of each surface whose faces are compared with their neighbours.
-
-    Notes
-    -----
+    `reflected` and `noise` (F,) are the light of each face at the mean reflectance of all, and its Monte Carlo error.
     Over an equilateral triangle of side a, a gradient g leaves g a / √24 around the mean. Neighbours differ by g a / √6
     in the mean square over their three directions: half of that is the error. Light jumps at creases, so only
-    neighbours whose normals differ by less than 8° count.
+    neighbours whose normals differ by less than 8° count. `samples` vertices of each surface are drawn.
     """
     random = np.random.Generator(np.random.Philox(seed))
     total = weight = 0.0
@@ -204,11 +175,8 @@ def pattern(geometry: Geometry) -> list[tuple[float, float]]:
 
 
 def _low_discrepancy(count: int, dimensions: int) -> Floats:
-    """Return (count, dimensions) points in 0…1: the Kronecker sequence of the generalised golden ratio.
-
-    Roberts (2018), "The unreasonable effectiveness of quasirandom sequences". SciPy has no such sequence. Its Sobol
-    points are even for powers of two only, while here any number is needed.
-    """
+    """Return (count, dimensions) points in 0…1, even for any count: the Kronecker sequence of the generalised golden
+    ratio (Roberts 2018, "The unreasonable effectiveness of quasirandom sequences")."""
     ratio = 2.0
     for _ in range(60):
         ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))

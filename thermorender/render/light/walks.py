@@ -1,8 +1,8 @@
 """Light at single points by random walks: an independent check of the light that is solved between faces.
 
-Walks start at the point itself, use the temperature and material of the texels that they meet, and end where light is
-absorbed or at the sky. They share with the solution the ray caster, the spectral nodes and the tables of the sky, but
-neither faces with constant light nor its rays. Their error is noise.
+Walks use the temperature and material of the texels that they hit, and end where light is absorbed or at the sky. They
+share the ray caster, the spectral nodes and the tables of the sky with the solution, but neither its faces of constant
+light nor its rays. Their error is Monte Carlo noise.
 """
 
 from collections.abc import Sequence
@@ -58,11 +58,8 @@ class Walks:
         self.share = number / number.sum()
 
     def incident(self, point: Jit, face: Jit, normal: Jit, walks: int) -> tuple[Floats, NDArray[np.uint32]]:
-        """Return (radiance that falls on points, node of each walk), both (n, walks); `walks` is a power of two.
-
-        The radiance [W m⁻² sr⁻¹] is that of the node over the node's `share`: its mean over many walks is the band's.
-        `point`, `face` and `normal` are of n points on surfaces.
-        """
+        """Return (radiance that falls on n points, of a node over its `share` [W m⁻² sr⁻¹]; node of each walk), (n,
+        walks) each."""
         from scipy.stats import qmc
 
         mi, geometry = self._geometry.mi, self._geometry

@@ -1,12 +1,12 @@
 """The error budget of a frame: estimated errors of its radiance by cause, in mK at 300 K.
 
 The sampling error of a pixel is first predicted from the image. Some pixels are then rendered again with more rays, and
-the prediction is scaled to the errors measured there. It is thus valid at any distance, for any texture and relief, but
-not for details that no ray has hit and no neighbour indicates.
+the prediction is scaled to the errors measured there. Details that no ray has hit and no neighbour indicates are not
+included.
 
-The error of the light is first that of its rays, as their halves differ, and of baking it. Halves have the same bias,
-so the light in some pixels is computed again by random walks. Where it differs by more than the rays explain, the
-difference counts too.
+The error of the light includes that of its rays, from the difference of their halves, and that of baking. Halves have
+the same bias, so the light in some pixels is computed again by random walks. A difference beyond the rays' error is
+added.
 """
 
 from collections.abc import Mapping, Sequence
@@ -54,11 +54,9 @@ def budget_mk(
     baked: LoadedLight, tracer: Tracer, pose: Floats, placements: Sequence[Placement], radiance: NDArray[np.float32],
     sampling: SampledImage,
 ) -> dict[str, float]:  # fmt: skip
-    """Return {cause: estimated root mean square error [mK]} of a frame over the pixels that show a surface.
-
-    "image" is the total over all pixels; of those that show sky or surroundings only the sampling is in it.
-    "emissivity", which the total leaves out, is in it if the scene has a learned emissivity.
-    """
+    """Return {cause: estimated root mean square error [mK]} of a frame over the pixels that show a surface. "image" is
+    the total over all pixels; sky and surroundings add sampling only. "emissivity", of a learned map, is not in the
+    total."""
     errors, shown = sampling_error(baked.plan, tracer, radiance, sampling) / baked.plan.radiance_per_mk, sampling.shown
     parts = _everywhere(baked)
     light, mirrored = _light(baked, tracer.rays, pose, placements, _PIXELS)
@@ -89,11 +87,9 @@ def error_mk(
 
 
 def emissivity_mk(baked: LoadedLight, images: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
-    """Return the standard deviation of each pixel due to a learned emissivity, (H, W) [mK at 300 K]; NaN where none.
-
-    `images` are those of `Frame.truth`. The surface is taken to reflect the unobstructed sky without air before it,
-    which is an upper estimate: warmer surroundings and air both lower the effect of emissivity.
-    """
+    """Return the standard deviation of each pixel due to a learned emissivity, (H, W) [mK at 300 K]; NaN where none. It
+    is an upper estimate: the surface reflects the open sky, without air before it. `images` are those of
+    `Frame.truth`."""
     scene, band = baked.scene, baked.scene.camera.band_um
     known = np.isfinite(images["kinetic_temperature"])
     contrast = np.full(known.shape, np.nan)
@@ -118,10 +114,7 @@ def _everywhere(baked: LoadedLight) -> dict[str, float]:
 def _light(
     baked: LoadedLight, rays: CameraRays, pose: Floats, placements: Sequence[Placement], every: int
 ) -> tuple[Floats, Floats]:
-    """Errors of every n-th pixel, in the order of `rays` [mK]; NaN where nothing is hit.
-
-    They are the error of the light on the surface, and of limiting the number of mirror reflections.
-    """
+    """Errors of every n-th pixel [mK], NaN where nothing is hit: of the light, and of limiting mirror reflections."""
     device, mi = baked.device, baked.device.geometry.mi
     numbers, judged = _one_of(every, len(rays.order)), _one_of(_PIXELS, len(rays.order))
     slope = rays.slopes(0.5, 0.5, mi.UInt32(aligned(numbers, np.uint32)))
@@ -165,10 +158,8 @@ def _light(
 
 
 def _one_of(every: int, count: int) -> NDArray[np.uint32]:
-    """Numbers of rays, one of each `every` successive ones of `count`, drawn at random.
-
-    A regular choice would be a lattice in the image, which errors a pixel wide can miss.
-    """
+    """Numbers of rays, one of each `every` successive ones of `count`, at random: a lattice could miss errors a pixel
+    wide."""
     numbers = np.arange(0, count, every)
     numbers = numbers + np.random.Generator(np.random.Philox(0)).integers(0, every, len(numbers))
     return np.minimum(numbers, count - 1).astype(np.uint32)
@@ -178,12 +169,10 @@ def _unexplained(
     baked: LoadedLight, rays: CameraRays, layer: Layer, pixels: NDArray[np.uint32], judged: NDArray[np.bool_],
     face: NDArray[np.uint32], shares: Floats, explained: Floats,
 ) -> Floats:  # fmt: skip
-    """Mean square error of the light on static surfaces beyond the `explained` one, (n,) [(W m⁻² sr⁻¹)²].
-
-    `pixels` are numbers of rays (n,) that hit the surfaces on `face`, which reflect `shares` there. Some of those that
-    are `judged` are drawn: half evenly, a quarter each in proportion to the explained error and to the square of the
-    share reflected. Faces beside something solid are judged apart from others.
-    """
+    """Mean square error of the light on static surfaces beyond the `explained` one, (n,) [(W m⁻² sr⁻¹)²]. Rays `pixels`
+    (n,) hit `face`, with reflectances `shares`. Half of the `judged` ones are drawn evenly, a quarter each in
+    proportion to the explained error and to the square of the reflectance; faces beside something solid are a stratum
+    of their own."""
     found = np.zeros(len(pixels))
     assert baked.transport is not None
     beside = np.isin(face, baked.transport.touching)
@@ -207,11 +196,8 @@ def _unexplained(
 def _differences(
     baked: LoadedLight, rays: CameraRays, layer: Layer, pixels: NDArray[np.uint32]
 ) -> tuple[Floats, Floats]:
-    """Mean of what leaves the surfaces in pixels, less that of walks, by two independent estimates, (n,) each
-    [W m⁻² sr⁻¹].
-
-    `pixels` are numbers of rays. Each estimate has its own points in a pixel, and its own walks.
-    """
+    """Radiance that leaves the surfaces in pixels minus that of random walks, by two independent estimates, (n,) each
+    [W m⁻² sr⁻¹]. `pixels` are numbers of rays. Each estimate has its own points in a pixel, and its own walks."""
     from scipy.stats import qmc
 
     geometry, spectrum, texels, count = layer.geometry, baked.plan.spectrum, baked.device.texels[0], len(pixels)

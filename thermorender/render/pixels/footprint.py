@@ -1,9 +1,8 @@
 """A pixel's footprint on a texture: the cell of a ray projected onto the plane it hit, and the points where it is read.
 
 A cell is read at a few points, evenly spread over it, each in squares of texels about as large as its share of the cell
-(`thermorender.render.pixels.pyramid`). Together they give the mean over the cell from any distance, at the same cost
-for ten texels or ten thousand. The area of the footprint selects the size of the squares; at grazing angles the points
-cover its length.
+(`thermorender.render.pixels.pyramid`). This gives the mean over the cell from any distance at constant cost. The area
+of the footprint selects the size of the squares; at grazing angles the points cover its length.
 """
 
 from collections.abc import Callable, Sequence
@@ -83,11 +82,9 @@ class Climb:
         return cls(middle, (0.5 * dr.abs(across), 0.5 * dr.abs(along)))
 
     def parts(self, horizon: Jit) -> tuple[Jit, Jit, Jit]:
-        """Return (share of the cell above a horizon, mean height of that part over it, of the part below).
-
-        Heights are cosines of zenith angles minus the horizon's; in a cell on one side both are that of its middle. The
-        share is exact, the heights are those of a cell with sides along and across the horizon.
-        """
+        """Return (fraction of the cell above a horizon, mean height of that part above it, of the part below). Heights
+        are differences of cosines of zenith angles. The fraction is exact; heights are of a cell aligned with the
+        horizon."""
         rise, (a, b) = self.middle - horizon, self.half
         reach, shorter = a + b, dr.minimum(a, b)
         longer, off = dr.maximum(a, b), dr.abs(rise)
@@ -102,11 +99,9 @@ class Climb:
 
 
 class Reading:
-    """Points at which the cells of rays are read: `few` where a cell holds about a texel or less, else `many`.
-
-    A cell is a `share` of a pixel. `judges` read single texels instead of squares, and cells larger than a face at the
-    hit only, since their surroundings may be hidden.
-    """
+    """Points at which the cells of rays are read: `few` where a cell holds about a texel or less, else `many`. A cell
+    is a `share` of a pixel. `judges`, for the error budget, read single texels, and cells larger than a face only at
+    the hit."""
 
     def __init__(self, mi: Mitsuba, few: int, many: int, share: float, judges: bool = False) -> None:
         self._mi, self._few, self._many, self._judges = mi, few, many, judges

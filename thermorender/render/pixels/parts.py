@@ -1,9 +1,8 @@
 """Where the radiance of single pixels comes from: emission, reflected sky, sun and surroundings, and the air.
 
 A pixel is represented by the ray through its middle. The texels and the face that it hits hold the sum of emission and
-reflected light (`thermorender.render.light.texels`); here the light on the faces is split by its origin, and the same
-sums are made part by part. They add up to the radiance of the ray to the rounding of float32. The image of a mirror is
-split by what its second ray meets.
+reflected light (`thermorender.render.light.texels`); here the light on the faces is split by its origin, to the
+rounding of float32. A mirror image is split by what its second ray hits.
 """
 
 from dataclasses import dataclass
@@ -111,11 +110,9 @@ def _checked(pixels: ArrayLike, camera: Camera) -> NDArray[np.intp]:
 
 
 class _Rays:
-    """The rays through the middles of n pixels, and what they hit: arrays (n,), as of `Hit`.
-
-    `cosine` is that of the angle of view; `kind` and `kinetic` are material and temperature [K] of the texel. Of each
-    channel the share `weight` (n, K) arrives; air or background give `added` [W m⁻² sr⁻¹].
-    """
+    """Rays through the middles of n pixels, and what they hit, as of `Hit`: cosine of the angle of view, material and
+    temperature [K] of the texel, transmitted share `weight` (n, K) of channels, and air or background `added` [W m⁻²
+    sr⁻¹]."""
 
     def __init__(self, view: View, pixels: NDArray[np.intp]) -> None:
         baked, rays = view.baked, view.rays

@@ -1,7 +1,7 @@
-"""Means of texels over squares of 2, 4, 8 … texels a side, read by pixels that cover many texels.
+"""Means of radiance over squares of 2, 4, 8 … texels a side, a mipmap for pixels that cover many texels.
 
-Radiance is averaged, as a pixel does, never temperature. Only texels that a face covers count, so that the unused parts
-of a texture image do not bleed in. A square without covered texels has the plain mean.
+Only texels that a face covers count, so that unused parts of a texture do not bleed in. A square without covered texels
+has the plain mean.
 """
 
 from collections.abc import Iterator
@@ -22,10 +22,7 @@ def sizes(rows: int, columns: int) -> list[tuple[int, int]]:
 
 
 def squares(values: NDArray[np.float32], covered: NDArray[np.bool_] | None = None) -> Iterator[NDArray[np.float32]]:
-    """Yield the means over squares of 2, 4, 8 … texels a side of an image (rows, columns, C), as arrays like it.
-
-    Only the texels in `covered`, (rows, columns) bool, count; all where None.
-    """
+    """Yield the means over squares of 2, 4, 8 … texels a side of an image (rows, columns, C), of `covered` texels."""
     weight = None if covered is None else np.where(covered, np.float32(1.0), np.float32(_UNCOVERED))[..., None]
     while values.shape[:2] != (1, 1):
         if weight is None:

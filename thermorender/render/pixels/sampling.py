@@ -102,10 +102,8 @@ class CameraRays:
         return self._sloped(right, down, index)[0]
 
     def crossed(self, up: Floats, horizon: float) -> NDArray[np.int64]:
-        """Return the flat numbers of the pixels that a horizon crosses, and of a few next to them.
-
-        `up` (3,) is the vertical in camera axes; directions on the horizon have the cosine `horizon` with it.
-        """
+        """Return the flat numbers of pixels on and next to a horizon, at cosine `horizon` from the vertical `up` (3,)
+        in the camera."""
         x, y, side = self._middles
 
         def rise(*at: Any) -> NDArray[Any]:
@@ -159,12 +157,9 @@ class CameraRays:
         self, position: NDArray[np.integer], first: int, last: int, within: Rectangles | None = None,
         shift: Floats | None = None,
     ) -> "Footprint":  # fmt: skip
-        """Return the Footprints of rays first … last − 1 of the pixels at `position` in the order, side by side per
-        pixel.
-
-        The pixel, or its part in the Rectangles `within`, is divided into `last` cells; each ray has the cell that
-        contains it. `shift` (n, 2) moves the rays of each pixel cyclically within their cells, in sides of a cell.
-        """
+        """Return the Footprints of rays first … last − 1 of the pixels at `position`, side by side per pixel. The
+        pixel, or its part in `within`, is divided into `last` cells, one per ray; `shift` (n, 2) moves rays cyclically
+        within their cells."""
         mi = self._mi
         # Opaque: literals would compile the kernel again for each stage.
         count, start = dr.opaque(mi.UInt32, last - first), dr.opaque(mi.UInt32, first)
@@ -239,12 +234,10 @@ def _net() -> Floats:
 def edge_step(
     radiance: NDArray[np.float32], inverse_depth: NDArray[np.float32], surface: NDArray[np.float32] | None = None
 ) -> NDArray[np.float32]:
-    """Return the difference of radiance that an edge may cause within each pixel, (H, W) float32.
-
-    The inputs (H + 2 RING, W + 2 RING) float32 are images with their ring: radiance, 1/depth along the optical axis
-    [1/m] with 0 where nothing is hit, and the number of the surface seen. The result is the largest difference of a
-    pixel from any of its eight neighbours, times the confidence that it contains an edge.
-    """
+    """Return the difference of radiance that an edge may cause within each pixel, (H, W) float32: the largest
+    difference from its eight neighbours, times the confidence that it contains an edge. The inputs (H + 2 RING, W + 2
+    RING) float32 are images with their ring: radiance, 1/depth along the optical axis [1/m], 0 where nothing is hit,
+    and the number of the surface."""
     import cv2
 
     near = np.ones((3, 3), np.uint8)
@@ -284,18 +277,14 @@ def usual_step(error: float, count: int) -> float:
 
 
 def edge_estimate(step: NDArray[Any], count: int) -> NDArray[Any]:
-    """Return the error of the mean of `count` rays in a pixel whose step is one sharp edge.
-
-    Fitted on the hottest objects of heath and the parked cars of village: an estimate that other scenes may exceed.
-    """
+    """Return the error of the mean of `count` rays in a pixel whose step is one sharp edge. Fitted on the hottest
+    objects of heath and the parked cars of village: an estimate that other scenes may exceed."""
     return _SHARP_EDGE * count**-0.8 * step
 
 
 def texture_estimate(span: NDArray[Any], count: int) -> NDArray[Any]:
-    """Return the error of the mean of `count` taps in a pixel that differs by `span` from its neighbours.
-
-    Fitted on heath and ridge: an estimate that other textures may exceed.
-    """
+    """Return the error of the mean of `count` taps in a pixel that differs by `span` from its neighbours. Fitted on
+    heath and ridge: an estimate that other textures may exceed."""
     return _TEXTURE * count**-0.8 * span
 
 

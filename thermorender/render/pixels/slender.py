@@ -1,8 +1,8 @@
-"""Details thinner than a pixel: the pixels of a view that may show them, so that rays are cast there on purpose.
+"""Details thinner than a pixel: the pixels of a view that may show them, for importance sampling.
 
-A box is put round each connected part of a surface. In the image it is a band that may show in the pixels it crosses,
-and in each only within the rectangle that holds the band there. Rays spread over that rectangle count by its area, rays
-over the rest of the pixel by theirs. A spot of a thousandth of a pixel is then sampled as well as a wall.
+A box is put round each connected part of a surface. Its image is a band; each pixel that it crosses has a rectangle
+that contains the band there. Rays are stratified: those in the rectangle are weighted by its area, those outside by the
+rest of the pixel. A spot of a thousandth of a pixel is then sampled as well as a wall.
 """
 
 from collections.abc import Sequence
@@ -78,10 +78,8 @@ def boxes(surfaces: Sequence[Surface]) -> Floats:
 
 
 def connected(surface: Surface) -> tuple[Floats, NDArray[np.integer], NDArray[np.integer]]:
-    """Return (vertices (V, 3) without repetitions, faces (F, 3), connected part of each vertex (V,)) of a surface.
-
-    Parts separated only by an edge of the texture are connected.
-    """
+    """Return (unique vertices (V, 3), faces (F, 3), connected part of each vertex (V,)); edges of the texture
+    connect."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -93,10 +91,8 @@ def connected(surface: Surface) -> tuple[Floats, NDArray[np.integer], NDArray[np
 
 
 def rectangles(parts: Sequence[tuple[Floats, Floats]], pose: Floats, camera: Camera) -> Rectangles:
-    """Return the Rectangles of pixels that may show parts seen thinner than a pixel and a half.
-
-    `parts` holds boxes (n, 8, 3) from `boxes` with the pose of their frame, world_from_own (4, 4).
-    """
+    """Return the Rectangles of pixels that may show parts thinner than 1.5 pixels; `parts` are (boxes (n, 8, 3), pose
+    (4, 4))."""
     still = np.eye(4)
     placed = [corners if np.array_equal(own, still) else corners @ own[:3, :3].T + own[:3, 3] for corners, own in parts]
     corners = placed[0] if len(placed) == 1 else np.concatenate(placed)

@@ -1,9 +1,9 @@
 """From a pose to radiance: rays are cast, radiance at their hits is read, passed through the air, and averaged in
 pixels.
 
-Texels and faces hold the radiance that surfaces send to the camera (`thermorender.render.light.texels`). A frame
-therefore only casts rays, reads these values and sums. Band radiance is averaged over a pixel's rays, never
-temperature. Pixels that show an edge get more rays, in stages, until their error is small enough.
+Texels and faces hold the radiance that surfaces send to the camera (`thermorender.render.light.texels`). Band radiance
+is averaged over a pixel's rays, never temperature. Pixels that show an edge get more rays, in stages, until their error
+is small enough.
 """
 
 from collections.abc import Callable, Sequence
@@ -79,11 +79,9 @@ class SampledImage:
 
 
 class Tracer:
-    """Rays from one pose into the layers of a scene, the static one first, through a medium.
-
-    `slender` returns the Rectangles of pixels that may show details thinner than a pixel. With the `pose` (4, 4) of a
-    view without moving objects, an image from the same pose as the one before does not cast its first rays again.
-    """
+    """Rays from one pose through a medium into the layers of a scene, the static one first. `slender` returns the
+    Rectangles of details thinner than a pixel. With the `pose` (4, 4) of a view without moving objects, its first rays
+    are cast once."""
 
     def __init__(
         self, layers: Sequence[Layer], rays: CameraRays, medium: Vacuum | AirView, plan: Plan,
@@ -106,13 +104,10 @@ class Tracer:
     def image(
         self, edge_limit: float, like: SampledImage | None = None, copies_limit: float = 0.0
     ) -> tuple[NDArray[np.float32], SampledImage]:
-        """Return (image (channels, H, W) float32, SampledImage): the mean radiance over each pixel's rays.
-
-        `edge_limit` is the error, in the unit of the sum of the channels, above which a pixel that shows an edge gets
-        more rays; infinite: never. Where copies of a body show, `copies_limit` replaces a lower one: that of their
-        light, which more rays do not reduce. With `like`, how another image of this view was sampled, each pixel gets
-        the rays that it had there.
-        """
+        """Return (image (channels, H, W) float32, SampledImage): the mean radiance over each pixel's rays. `edge_limit`
+        is the error, in the unit of the sum of the channels, above which a pixel with an edge gets more rays; infinite:
+        never. Where copies of a body show, `copies_limit` replaces a lower one: the error of their light, which more
+        rays do not reduce. With `like`, each pixel gets the rays that it had in another image of this view."""
         search = edge_limit < np.inf
         targets, channels, hit = self._first_rays(search)
         # While the kernel runs: both depend on the pose alone.
@@ -141,10 +136,8 @@ class Tracer:
         return image, SampledImage(met, step, refined)
 
     def _first_rays(self, search: bool) -> tuple[list[Jit], int, Hit]:
-        """(channels and guides over the image with its ring, [Float]; number of channels; hits of the last rays).
-
-        The kernel that casts the plan's rays in every pixel runs when this returns.
-        """
+        """(channels and guides over the image with its ring, [Float]; number of channels; hits of the last rays);
+        evaluated."""
         mi, rays = self._mi, self.rays
         total: list[Jit] = []
         # Read and replaced as a whole: another thread may render another view meanwhile.
@@ -164,10 +157,8 @@ class Tracer:
         return targets, channels, hit
 
     def _guides(self, hit: Hit, cell: Footprint, search: bool) -> list[Jit]:
-        """Images that show the edges, [Float]: inverse depth [1/m]; in a search also surfaces, and whether of copies.
-
-        Inverse depth is 0 where nothing is hit.
-        """
+        """Images that show the edges, [Float]: inverse depth [1/m], 0 for misses; in a search also surfaces, and
+        whether of copies."""
         mi, (x, y) = self._mi, cell.slope
         near = dr.sqrt(1.0 + x * x + y * y) / (hit.distance + hit.mirrored)
         guides = [dr.select(hit.valid, dr.maximum(near, _ENDLESS), 0.0)]
@@ -186,11 +177,8 @@ class Tracer:
         self, image: NDArray[np.float32], step: NDArray[np.float32], copies: NDArray[np.bool_], thin: Rectangles,
         limits: tuple[float, float], like: SampledImage | None,
     ) -> list[Refined]:  # fmt: skip
-        """Refine pixels of an image (channels, H W) that show an edge: first those without copies, then those with.
-
-        `step` is from `edge_step`; `copies` (H W) tells the two apart, which have the errors `limits`. Pixels of `thin`
-        are left out.
-        """
+        """Refine pixels of an image (channels, H W) that show an edge, those without `copies` (H W) before those with.
+        Each group has its own error in `limits`. `step` is from `edge_step`; pixels of `thin` are left out."""
         refined: list[Refined] = []
         for number, limit in enumerate(limits if self._copies is not None else limits[:1]):
             on = (typical_edge_estimate(step, self._samples).ravel() > limit) & (copies == bool(number))
@@ -206,10 +194,8 @@ class Tracer:
         return refined
 
     def resampled(self, pixels: NDArray[np.integer], count: int, random: np.random.Generator) -> NDArray[Any]:
-        """Return (channels, n): the mean over `count` other rays of pixels by flat number, each read as a judge does.
-
-        Rays are at random offsets, so the error of the mean is independent of the image's.
-        """
+        """Return (channels, n): the mean over `count` independent random rays of pixels by flat number, for the error
+        budget."""
         shift = random.random((len(pixels), 2))
         _, values = self._shade(self.rays.finer(self.rays.position[pixels], 0, count, shift=shift), self._judge)
         return np.stack([np.array(dr.block_sum(value, count)) for value in values]) / count
@@ -239,11 +225,8 @@ class Tracer:
         within: Rectangles | None = None, stages: Sequence[NDArray[Any]] | None = None, copies: bool = False,
     ) -> list[Refined]:  # fmt: skip
         """Replace pixels of an image (channels, H W) by the mean of more rays until their error is below `edge_limit`.
-
-        `unseen` (n,) is the difference of radiance that each of the `pixels` may contain although no ray shows it. With
-        Rectangles `within` the rays go to these parts; the rest of the pixel counts by its area. `stages` gives the
-        pixels of each stage instead of the limit.
-        """
+        `unseen` (n,) is the contrast that no ray may have shown. Rays go to the Rectangles `within`, weighted by area.
+        `stages` gives the pixels of each stage instead of the limit."""
         refined: list[Refined] = []
         total: Any = 0.0
         low: Any = np.inf
@@ -305,11 +288,8 @@ class Tracer:
     def _shade(
         self, cell: Footprint, reading: Reading, split: bool = True, known: Hit | None = None
     ) -> tuple[Hit, list[Jit]]:
-        """Return (hits of the rays of cells, mean radiance over the cells as channels).
-
-        Unless `split`, cells that the horizon crosses show the side of their ray only. `known` are the hits in a scene
-        of a single layer, if they were cast before.
-        """
+        """Return (hits of the rays of cells, mean radiance over the cells as channels). Without `split`, cells that the
+        horizon crosses show the side of their ray only. `known` are the hits, if already cast."""
         layers, mi = self._layers, self._mi
         hit, number, (strong, texel, row, *total) = first_hit(
             layers,

@@ -16,10 +16,7 @@ from thermorender.scene.scene import Scene
 
 
 class Mirror:
-    """Data of the directional texels of one layer.
-
-    `material` holds the number of each texel's material, (T,); `black` (n, K) comes from `black_of`.
-    """
+    """Data of the directional texels of one layer: `material` (T,) of all texels, `black` (n, K) from `black_of`."""
 
     def __init__(self, mi: Mitsuba, tables: "DeviceTables", material: NDArray[np.integer], black: Floats) -> None:
         self.tables = tables
@@ -46,12 +43,9 @@ class DeviceTables:
         self._environment = Channels(mi, tables.environment.reshape(-1, self.count))
 
     def reflected(self, kind: Jit, cosine: Jit, black: list[Jit], seen: list[Jit], valid: Jit, up: Jit) -> list[Jit]:
-        """Return the light that materials reflect into each channel, minus that of a blackbody, [Float].
-
-        `kind` is the row in the tables, `cosine` that of the angle of view, `black` and `seen` the channels of the
-        blackbody and of the incident light. Where `valid` is False the light comes from the environment, at a cosine of
-        zenith angle `up`.
-        """
+        """Return the light that materials reflect into each channel minus that of a blackbody, [Float]. `kind` is the
+        row in the tables, `cosine` of the angle of view. Where not `valid`, light comes from the environment at a
+        cosine of zenith angle `up`."""
         mi, count, lines = self._mi, self.count, self._directions
         own, other = ([*light, bent(self.band(light))] for light in (black, seen))
         light = [dr.select(valid, a, 0.0) - b for a, b in zip(other, own, strict=True)]
@@ -75,9 +69,8 @@ class DeviceTables:
         ]
 
     def through_air(self, light: list[Jit], distance: Jit, up: Jit, valid: Jit) -> list[Jit]:
-        """Return light, [Float] by channel, behind the path from its source to the mirror: length [m], cosine of
-        zenith.
-        """
+        """Return channels of light, [Float], behind the path from its source to the mirror: length [m], cosine of
+        zenith."""
         if self._path is None:
             return light
         total = [self._mi.Float(0.0) for _ in light]
@@ -104,10 +97,8 @@ class DeviceTables:
 def black_of(
     plan: Plan, number: NDArray[np.uint8], material: NDArray[np.integer], temperature: NDArray[np.floating]
 ) -> Floats:
-    """Return channels (n, K) of blackbodies at the temperatures of the directional texels, in order [W m⁻² sr⁻¹].
-
-    `number` is that of `ReflectanceTables`, (M,).
-    """
+    """Return channels (n, K) of blackbodies at the directional texels' temperatures [W m⁻² sr⁻¹]; `number` (M,) is of
+    the tables."""
     warm = temperature[number[material] > 0]
     grid, table = plan.spectrum.emitted(np.ones_like, float(warm.min()), float(warm.max()), plan.band_um)
     return np.stack([np.interp(warm, grid, channel) for channel in table.T], axis=1)

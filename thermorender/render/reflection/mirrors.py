@@ -1,8 +1,7 @@
 """The mirror image on materials whose emissivity depends on the angle of view.
 
 The light between surfaces, and so the baked texels and faces, treats such a material as diffuse, with its hemispherical
-emissivity. To the camera it is a mirror: where a ray hits it, a second ray continues about the face's normal, and the
-texel shows
+emissivity. To the camera it is a mirror: a second ray is reflected about the face's normal, and the texel shows
 
     black − reflected(θ, black) + reflected(θ, seen),
 
@@ -11,10 +10,10 @@ isothermal enclosure the two are equal, and every wall looks black. A ray that h
 surroundings, tabulated by both angles with their spectra. The baked radiance of the texel is subtracted again, so other
 materials need no change.
 
-A mirror seen in a mirror is treated as a mirror too. A mirror seen in that one shows its baked, diffuse radiance; the
-error budget follows one more reflection to estimate the part left out. The mirror's normal is that of its flat face:
-roughness raises the emissivity at grazing angles but does not blur the image. Reflected light passes the air up to the
-mirror, from the mean altitude of the scene's mirrors. Glint of the sun is left out.
+A mirror seen in a mirror is a mirror too. The next one shows its baked, diffuse radiance; the error budget follows one
+more reflection to estimate the part left out. The normal is that of the flat face: roughness raises the emissivity at
+grazing angles but does not blur the image. Reflected light passes the air up to the mirror, from the mean altitude of
+the scene's mirrors. Glint of the sun is left out.
 """
 
 from collections.abc import Sequence
@@ -45,11 +44,9 @@ def correction(
     layers: Sequence[Layer], depth: int, origin: Jit, direction: Jit, distance: Jit, number: Jit, face: Jit, texel: Jit,
     row: Jit,
 ) -> tuple[list[Jit], Jit]:  # fmt: skip
-    """Return (channels to add, [Float], distance [m] from a mirror to the point seen in it) for rays of a view.
-
-    Rays are in the frame of the first layer. They hit a face of layer `number` at `distance` [m]; texel and row are
-    from `met`. After `depth` reflections by mirrors the next one is taken as diffuse.
-    """
+    """Return (channels to add, [Float], distance [m] from a mirror to the point seen in it) for rays in the first
+    layer's frame. They hit a face of layer `number` at `distance` [m]; texel and row are from `met`. Mirrors after
+    `depth` reflections are diffuse."""
     mirror = next(layer.outgoing.mirror for layer in layers if layer.outgoing.mirror)
     nothing = tuple(type(distance)(0.0) for _ in range(mirror.black.count + 1))
     # A branch: packets whose rays hit no mirror skip this.
@@ -66,9 +63,8 @@ def _reflected(
     layers: Sequence[Layer], depth: int, eye: Jit, view: Jit, distance: Jit, number: Jit, face: Jit, texel: Jit,
     row: Jit,
 ) -> tuple[Jit, ...]:  # fmt: skip
-    """As `correction`, in one tuple, for rays in the first layer's frame that hit mirror `row` (from 1 on) of layer
-    `number`.
-    """
+    """As `correction`, in one tuple, for rays in the first layer's frame that hit mirror `row` ≥ 1 of layer
+    `number`."""
     first = layers[0]
     mi, total = first.geometry.mi, list[Jit]()
     # Masked gathers return 0 for all layers but the one hit, so the sum selects its values.
@@ -123,10 +119,8 @@ def _seen(layers: Sequence[Layer], depth: int, origin: Jit, direction: Jit) -> t
 
 
 def last_steps(layers: Sequence[Layer], *ray: Jit) -> list[Jit]:
-    """Return the band radiance that one more reflection would add to a frame, and a second one, [Float] [W m⁻² sr⁻¹].
-
-    `ray` has the arguments of `correction` after the depth.
-    """
+    """Return the band radiance of one more reflection, and of a second one, [Float] [W m⁻² sr⁻¹]; `ray` as of
+    `correction`."""
     tables = next(layer.outgoing.mirror.tables for layer in layers if layer.outgoing.mirror)
     first, *others = (correction(layers, depth, *ray)[0] for depth in (DEPTH, DEPTH + 1, DEPTH + 2))
     found = []

@@ -55,12 +55,10 @@ def directional(materials: Sequence[Material]) -> list[int]:
 def make_tables(scene: Scene, spectrum: Spectrum, envelope: Envelope) -> ReflectanceTables | None:
     """Return the ReflectanceTables of a scene, or None where no texel is of a directional material.
 
-    Notes
-    -----
-    The reflection into a channel depends on spectra that the channels resolve only in part. `matrix` is a least-squares
-    fit in relative terms, over the envelope's light with and without air in front. Its terms are a constant, a share of
-    each channel, and a share of b ln b, which is as curved as the reflection of blackbodies of very different
-    temperatures. Differences cancel the constant; `environment` keeps it.
+    The channels resolve the spectra that determine reflection only in part. `matrix` is a least-squares fit in relative
+    terms, over the envelope's light with and without air in front. Its terms are a constant, a share of each channel,
+    and a share of b ln b, which is as curved as the reflection of blackbodies of very different temperatures.
+    Differences cancel the constant; `environment` keeps it.
     """
     points = spectrum.points
     seen = {number: texels for number in directional(scene.materials) if (texels := _texels(scene, number, envelope))}
