@@ -95,8 +95,7 @@ class Instances:
 
 
 def placed(surface: Surface, place: Mapping[str, Floats]) -> Surface:
-    """Return the Surface of instances of a body; `place` is {"position": (n, 3) [m], "yaw_deg": (n,), "scale": (n,)}.
-    """
+    """Return the Surface of copies of a body; `place` is {"position": (n, 3) [m], "yaw_deg": (n,), "scale": (n,)}."""
     body = Instances(surface.vertices, surface.faces, np.zeros(len(surface.faces), np.uint8), **place)
     patch = _patches(surface.vertices[surface.faces], body.face_area)
     body = replace(body, patch=patch)

@@ -1,7 +1,7 @@
-"""The scene file: `scene.toml` read into frozen dataclasses, every key checked.
+"""The scene file `scene.toml`, read into frozen dataclasses with every key checked.
 
-A key is a field of its table's dataclass; see `thermorender.schema`. File names are relative to the scene's folder.
-The files must be inside it, and so must the files that they name.
+A key is a field of its table's dataclass; see `thermorender.schema`. File names are relative to the scene's folder, and
+all files must be inside it.
 """
 
 import os
@@ -448,13 +448,7 @@ class SceneSpec:
 
 
 def read_scene(folder: Path | str) -> SceneSpec:
-    """Return the SceneSpec of a scene folder.
-
-    Parameters
-    ----------
-    folder : path
-        Folder holding `scene.toml` (or the path of that file itself).
-    """
+    """Return the SceneSpec of a scene folder or of the path of its `scene.toml`."""
     path = Path(folder)
     if path.name != "scene.toml":
         path = path / "scene.toml"

@@ -88,10 +88,7 @@ class TrackedObject:
     def world_from_own(
         self, values: Mapping[str, float], ground: Callable[[float, float], float]
     ) -> NDArray[np.float64]:
-        """Return (4, 4) from the object's own frame to the scene's, for values as by `at`.
-
-        `ground` is a callable (east, north) → height of the terrain [m].
-        """
+        """Return world_from_object (4, 4) for values as by `at`; `ground` maps (east, north) to terrain height [m]."""
         east, north = values["east_m"], values["north_m"]
         height = float(ground(east, north))
         if not np.isfinite(height):
@@ -112,7 +109,7 @@ def read_columns(
 ) -> tuple[dict[str, NDArray[np.float64]], list[int]]:
     """Return ({column: (n,)}, number of each row in the file) of a CSV with a header and finite numbers.
 
-    The file must have the columns `needed`, and `least` or more of `others`.
+    The file must have the columns `needed`, and at least `least` of `others`.
     """
     try:
         lines = list(csv.reader(io.StringIO(read_text(path, "CSV UTF-8"))))
