@@ -35,13 +35,7 @@ def name_of(given: str | PathLike[str] | Mapping[str, Any]) -> str:
 
 
 def read_features(given: str | PathLike[str] | Mapping[str, Any]) -> tuple[list[Any], Any]:
-    """Return (features, rasterio CRS) of a GeoJSON FeatureCollection; longitude and latitude without a "crs" member.
-
-    Parameters
-    ----------
-    given : path or dict
-        The file, or its contents.
-    """
+    """Return (features, rasterio CRS) of a GeoJSON FeatureCollection, a path or its contents; WGS 84 without "crs"."""
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
 

@@ -51,10 +51,7 @@ class Texels:
 
 
 def resolve(spec: TemperatureSpec, texels: Texels) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Return (temperature (h, w) float32 [K], flags (h, w) uint8) of a surface's texels.
-
-    `texels.report` receives notes for the user, such as the share of intensities outside 0…1.
-    """
+    """Return (temperature (h, w) float32 [K], flags (h, w) uint8) of a surface; notes go to `texels.report`."""
     temperature, flags = SOURCES[spec.source](spec, texels)
     return temperature.astype(np.float32), flags
 

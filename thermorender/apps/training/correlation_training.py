@@ -127,9 +127,9 @@ class _Table:
 
 
 def _equations(example: Example, size: int, table: _Table, less: float = 0.0) -> np.ndarray:
-    """AᵀA and AᵀI of a picture, (n + 2, n + 2) float64, columns being n colours (row, column, channel), 1 and I.
+    """Return AᵀA and AᵀI of a picture, (n + 2, n + 2) float64, upper triangle; `less` is subtracted from I.
 
-    `less` is subtracted from I. Only the upper triangle is filled.
+    The columns are n colours (row, column, channel), 1 and I.
     """
     ring, n = size // 2, 3 * size * size
     total = np.zeros((n + 2, n + 2))

@@ -1,8 +1,7 @@
-"""A few labelled polygons of one scene update an emissivity map.
+"""Adaptation of an emissivity map to one scene by a few labelled polygons.
 
-The last layer of the network is fitted again to the polygons' texels, held near its weights by a penalty. Whole
-polygons are left out in turn to choose the penalty and to calibrate the probabilities, because texels of one polygon
-look alike.
+The last layer is refitted with a penalty on the change of its weights. Whole polygons are left out in turn to choose
+the penalty and calibrate the probabilities, because texels of one polygon look alike.
 """
 
 from collections.abc import Callable, Sequence

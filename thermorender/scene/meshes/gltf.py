@@ -213,10 +213,7 @@ def _map(file: File, primitive: dict[str, Any], texture: Any, faces: NDArray[np.
 def _tinted(
     file: File, primitive: dict[str, Any], coat: Coat, faces: NDArray[np.int64], vertices: int
 ) -> tuple[Coat, NDArray[np.float32] | None]:
-    """(Coat times a colour by vertex that is the same everywhere, light of each face of several colours or None).
-
-    Section 3.9.2: the linear colour by vertex multiplies base colour and texture.
-    """
+    """Return (coat times a uniform vertex colour, light of each face where colours differ or None); section 3.9.2."""
     number = primitive["attributes"].get("COLOR_0")
     if number is None:
         return coat, None

@@ -1,9 +1,7 @@
-"""Weights of a trained network as coarse as the change of its output allows, so that its file is small.
+"""Quantisation of a network's weights, as coarse as the change of its output allows.
 
-With equal steps everywhere the tensors that the output hardly depends on would take as many bits as those that decide
-it. So each tensor's share of the error is measured, and steps are chosen that make the file smallest for a given error:
-there each weight contributes equal error (reverse water-filling: Cover & Thomas, Elements of Information Theory,
-10.3.3).
+Each tensor's share of the error is measured. Steps minimise the file for a given error, with equal error from each
+weight (reverse water-filling: Cover & Thomas, Elements of Information Theory, 10.3.3).
 """
 
 from collections.abc import Callable, Sequence
@@ -25,10 +23,7 @@ State = dict[str, np.ndarray]
 
 
 def coarse(network: Network, planes: Sequence[torch.Tensor], allowed: float) -> Network:
-    """Return a Network with steps as coarse as a mean absolute change of its encoded output allows.
-
-    The change is measured on planes, (n, channels, h, w) each.
-    """
+    """Return a quantised Network; its encoded output of planes (n, channels, h, w) changes by `allowed` on average."""
 
     def give(state: State) -> np.ndarray:
         net = replace(network, state=state).net

@@ -1,7 +1,6 @@
 """Square crops of the examples of a Task, in an order that depends on the seed only, and the Encoding for them.
 
-Each picture is cropped several times when it is read, and the crops of several pictures are shuffled. So reading costs
-little and consecutive crops differ. Crop number k is always the same, so a training can be resumed.
+Each read picture gives several crops, shuffled with those of others. Crop k is always the same, so training resumes.
 """
 
 import hashlib

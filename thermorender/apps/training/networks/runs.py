@@ -67,10 +67,7 @@ def read_settings(folder: PathLike) -> dict[str, Any]:
 
 
 def read_log(folder: PathLike) -> list[dict[str, Any]]:
-    """Return the epochs of a run's folder, a list of {crops, seconds, core_seconds, losses, validation_mae_k}.
-
-    Incomplete lines are skipped.
-    """
+    """Return the epochs of a run's folder, a list of {crops, seconds, core_seconds, losses, validation_mae_k}."""
     path = Path(folder) / LOG
     found = []
     for line in formats.read_text(path).splitlines() if path.is_file() else ():

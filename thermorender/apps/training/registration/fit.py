@@ -1,8 +1,7 @@
 """Calibration of a rig: the mapping from thermal to visible pictures, from the directions of their gradients.
 
-All frames of a rig share one mapping, so their correlations are summed before the maximum is searched. The first search
-covers scale, rotation and all shifts on small pictures; then all parameters are fitted together at finer and finer
-resolutions. Single frames are registered only to find outliers, which are left out.
+All frames share one mapping, so their correlations are summed. A search over scale, rotation and shift on small
+pictures precedes a fit of all parameters, coarse to fine. Single frames are registered only to reject outliers.
 """
 
 from collections.abc import Iterable, Sequence
