@@ -41,10 +41,9 @@ LABELS = ("kind", "view", "weather", "season")
 
 
 def edge_class(temperature: ArrayLike) -> NDArray[np.intp]:
-    """Return the number in `EDGES` of each pixel of a true picture [K], (H, W) int.
+    """Return the number in `EDGES` of each pixel of a true picture [K], (H, W) int; unknown pixels make no edge.
 
-    Gradients are central differences. A pixel is near an edge where its 5 × 5 neighbourhood has a strong gradient.
-    Unknown temperatures make no edge.
+    A pixel is near an edge if the central differences in its 5 × 5 neighbourhood contain a strong gradient.
     """
     import cv2
 

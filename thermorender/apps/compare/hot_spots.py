@@ -1,8 +1,7 @@
-"""A simple detector of hot spots, to judge whether a target's contrast is high enough in a camera picture.
+"""A matched filter for a small bright disc on a textured background: whether a camera picture shows a target.
 
-The response is the mean of a square of the target's size minus the mean of a ring around it, divided by the standard
-deviation of this difference over the picture: a matched filter for a small bright disc on a textured background.
-The detector uses neither temperatures nor the look of the target.
+The response is the mean of a square of the target's size minus that of a ring around it, over the standard deviation of
+this difference in the picture.
 """
 
 import numpy as np

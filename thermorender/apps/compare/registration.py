@@ -1,8 +1,4 @@
-"""Power spectrum of pictures, their shift against the reference, and temporal stability.
-
-A mean error does not show these. A translation that blurs has too little power at high frequencies. A badly registered
-one is shifted. One that is not stable makes the same ground warmer and colder as the camera moves.
-"""
+"""Power spectrum of pictures, their shift against the reference, and temporal stability, which a mean error misses."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -133,10 +129,7 @@ def mirrored(found: Transform, name: str) -> Transform:
 
 
 def _edges(image: NDArray[np.floating], known: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return the gradient's magnitude of a picture, (H, W) float32; 0 at unknown pixels and beside them.
-
-    It is limited, so that no single edge dominates.
-    """
+    """Return the clipped gradient magnitude of a picture, (H, W) float32; 0 at unknown pixels and beside them."""
     import cv2
 
     here = known & np.isfinite(image)
@@ -151,8 +144,7 @@ def _edges(image: NDArray[np.floating], known: NDArray[np.bool_]) -> NDArray[np.
 def same_edges(image: NDArray[np.floating], others: Sequence[NDArray[np.floating]], known: NDArray[np.bool_]) -> float:
     """Return how far the edges of a picture coincide with those of the best of other pictures of the same pose.
 
-    The value is the largest correlation of edges within 2 px, in standard deviations of those at other shifts. For a
-    picture of another pose, it is that of chance; for a map of the same pose, it is high whatever the map's contrast.
+    It is the largest correlation of edges within 2 px, in standard deviations of that at other shifts.
     """
     own = transform(_edges(image, known), known)
     found = []
@@ -225,8 +217,7 @@ class Appearance:
 def correlation(found: Transform, reference: Transform) -> tuple[NDArray[np.float64], float]:
     """Return (cross-correlation (2 n + 1, 2 n + 1) at shifts of −n…n pixels down and right, n ≤ 48, its scale).
 
-    It is taken after a high-pass filter, since broad structure hardly constrains the shift. The correlation coefficient
-    is the value divided by the scale.
+    Both pictures are high-pass filtered; the coefficient is the value over the scale.
     """
     from scipy import fft
 
@@ -245,8 +236,7 @@ def correlation(found: Transform, reference: Transform) -> tuple[NDArray[np.floa
 def peak(surface: NDArray[np.float64], scale: float) -> tuple[float, float, float, float] | None:
     """Return (right [px], down [px], correlation, correlation without a shift) of the largest absolute correlation.
 
-    A translation may invert the contrast. Parabolas through the peak and its neighbours give fractions of a pixel. None
-    if the peak is at the border of the shifts searched.
+    Parabolas through the peak give fractions of a pixel; None at the border of the search.
     """
     if not scale > 0.0:
         return None

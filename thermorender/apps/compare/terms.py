@@ -74,10 +74,10 @@ def terms_of(
     flat_read: NDArray[np.floating],
     solid_read: NDArray[np.floating],
 ) -> dict[str, NDArray[np.floating]]:
-    """Return {name of `NAMES`: (H, W) float32}, which add up to the difference of C and B after the sensor [K].
+    """Return {name of `NAMES`: (H, W) float32 [K]}, which add up to the difference of C and B after the sensor.
 
-    `pictures` are those of `Terms.pictures`; `flat` and `solid` are the apparent temperatures (H, W) of B and C [K],
-    `flat_read` and `solid_read` the same after the sensor.
+    `flat` and `solid` are apparent temperatures (H, W) of B and C [K], `flat_read` and `solid_read` those after the
+    sensor.
     """
     steps = [flat, *pictures, *([solid] if len(pictures) == 2 else []), solid]
     found = {name: after - before for name, before, after in zip(NAMES, steps, steps[1:], strict=False)}

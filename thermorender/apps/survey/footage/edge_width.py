@@ -1,7 +1,6 @@
 """The width of a sharp edge in a camera's images: the sharpest straight steps, each fitted as a blurred step.
 
-Some edges of a scene are soft, so the sharpest are the most informative. Thin lines, corners and texture look sharper
-than they are, so only patches that a single straight step explains to within the noise are used.
+Thin lines, corners and texture look sharper than they are, so patches must fit one straight step within the noise.
 """
 
 from collections.abc import Callable, Iterator
@@ -37,9 +36,9 @@ def edge_widths(image: NDArray[np.float64], noise: float) -> NDArray[np.float64]
 def sharpest(widths: NDArray[np.float64]) -> tuple[float, float] | None:
     """Return (width, uncertainty) [px] of the sharpest of many edges; None if there are fewer than eight.
 
-    The median of the sharpest fifth in the better half of the fits. This selection is biased: of equal edges, a tenth
-    looks sharper by more than 1.28 times the uncertainty, which is added back. The uncertainty combines that of one
-    edge, the spread of that fifth, and the error of the Gaussian model for other steps.
+    It is the median of the sharpest fifth in the better half of the fits. The selection is biased by 1.28 times the
+    uncertainty (a tenth of equal edges looks sharper than that), which is added back. The uncertainty combines that of
+    one edge, the spread of that fifth, and the error of the Gaussian model for other steps.
     """
     if len(widths) < 8:
         return None

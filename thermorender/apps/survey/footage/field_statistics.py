@@ -1,8 +1,7 @@
 """Properties of the whole image from a sequence of frames: shading, vignetting, replaced pixels, drift of the scale.
 
-If the camera moves, the scene averages out of the smooth part of the mean frame, which is then the camera's shading. If
-it is static, the common change of all pixels is the drift of the scale. Noise grows as the light decreases. A pixel
-that is the mean of its neighbours in each frame has no noise of its own.
+For a moving camera, the smooth part of the mean frame is the shading; for a static one, the common change of all pixels
+is the drift. Noise grows as the light decreases. A pixel that is the mean of its neighbours has no noise of its own.
 """
 
 import numpy as np

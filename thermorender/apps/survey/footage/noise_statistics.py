@@ -1,9 +1,8 @@
 """The noise of a camera from a sequence of its frames of an unknown scene.
 
-The lens passes no fine detail, so in flat parts of an image the highest frequencies are noise. The fixed pattern is
-the same on the detector in every frame: the mean product of the spectra of different frames, in which the scene of a
-moving camera averages out. Noise of whole rows and columns appears in a spectrum as two lines above their
-surroundings.
+The lens passes no fine detail, so in flat parts the highest frequencies are noise. The fixed pattern is the mean
+product of the spectra of different frames, in which a moving scene averages out. Noise of whole rows and columns is two
+lines in a spectrum above their surroundings.
 """
 
 from collections.abc import Sequence
@@ -154,13 +153,13 @@ class Noise:
 
 
 def noise_of(spectra: Spectra) -> Noise:
-    """Return the Noise of Spectra. Blocks that are cut off at an end of the range are ignored.
+    """Return the Noise of Spectra, without blocks that are cut off at an end of the range.
 
-    For a moving camera, the noise of single pixels is that of the flattest tenth of blocks, less the fixed part; it is
-    too high if no part of the images is flat. For a static camera, it is the difference between frames, and the fixed
-    part comes from the flattest blocks of the mean frame. If the difference has more power in coarse detail than in the
-    finest, the scene changes; then the tenth of blocks with the least coarse change gives the noise. Rows and columns
-    in the scene (fields, roofs) count as noise of a moving camera.
+    For a moving camera, pixel noise is that of the flattest tenth of blocks, less the fixed part: too high if no part
+    is flat; rows and columns in the scene (fields, roofs) count as noise. For a static camera, it is the difference
+    between frames, and the fixed part comes from the flattest blocks of the mean frame. If the difference has more
+    power in coarse than in the finest detail, the scene changes; then the tenth of blocks with the least coarse change
+    gives the noise.
     """
     window = _window(spectra.shape) ** 2
     seen_gain = float((window * spectra.gain**2).sum() / window.sum())

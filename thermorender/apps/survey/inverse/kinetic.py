@@ -1,7 +1,6 @@
 """Between apparent and kinetic temperature of the terrain's texels, with the scene's emissivity and reflected light.
 
-A texel emits by its own temperature and reflects sky and surroundings. The reflected radiance is that of the scene's
-light, solved with its own temperatures; it changes little with those of a reconstruction.
+The reflected radiance is that of the scene's own temperatures; it changes little with those of a reconstruction.
 """
 
 from dataclasses import dataclass
@@ -83,7 +82,7 @@ def kinetic_of(
 
 
 def apparent_of(kinetic_k: float, number: int, reflected: float, renderer: "Renderer", linear: LinearKelvin) -> float:
-    """Return linear kelvin of a texel of a material with a kinetic temperature [K] that reflects a radiance.
+    """Return linear kelvin of a texel with a kinetic temperature [K] that reflects a radiance.
 
     Water and glass, which reflect by angle, are taken as seen from above under the scene's sky.
     """

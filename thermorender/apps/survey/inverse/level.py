@@ -72,7 +72,8 @@ def shift_of(
     renderer: "Renderer", lattice: Lattice, linear: LinearKelvin,
 ) -> tuple[float, float, list[tuple[str, float]]]:  # fmt: skip
     """Return (shift of the map's level [linear kelvin], its standard deviation, [(name, residual after it), …]).
-    References that differ by more than their standard deviations widen it by Birge's ratio.
+
+    Birge's ratio widens the standard deviation of references that differ by more than their own.
     """
     position = _positions(renderer, lattice)
     misses, variances = [], []

@@ -1,10 +1,9 @@
 """The normal equations of all frames: a stencil of nine points on the map, blocks of each frame, and their solution.
 
-The unknowns are changes: of the texels, of each frame's own parameters (its offset, and its pose where that is free),
-of parameters common to all frames (the vignetting), and of the offsets of classes in the prior. A pixel of the matrix
-is bilinear between four texels, so a texel is linked to its eight neighbours only. By symmetry five numbers hold these
-links: 40 bytes a texel, however many frames there are. Residuals come from the exact forward model, with blur; the
-matrix without blur then only sets the path to the solution, as in deferred correction.
+The unknowns are changes of the texels, of each frame's offset and free pose, of the vignetting, and of the offsets of
+classes in the prior. A pixel of the matrix is bilinear between four texels, so a texel has eight neighbours: by
+symmetry five numbers, 40 bytes a texel. Residuals come from the exact forward model with blur; the matrix without blur
+only sets the path to the solution, as in deferred correction.
 """
 
 from collections.abc import Callable, Iterator
@@ -328,11 +327,10 @@ class Normal:
         return inverse, cho_factor(self._own - self._eliminated(inverse), lower=True)
 
     def _nearly_inverse(self, values: Floats, each: Each) -> Floats:
-        """The inverse, for a map (h, w), of the equations without parameters and with lumped links.
+        """Return the inverse, for a map (h, w), of the equations without parameters and with lumped links.
 
-        All links are positive, so the lumped matrix exceeds the linked one in the sense of quadratic forms, and what is
-        left of the parameters' matrix stays positive. For smooth maps both are the same, and smooth maps are what
-        offsets, poses and lens are hard to tell from.
+        The lumped matrix exceeds the linked one as a quadratic form, so the parameters' matrix stays positive. They
+        agree for smooth maps, which offsets, poses and lens are hard to separate from.
         """
         from scipy.linalg import cho_solve
 

@@ -1,13 +1,9 @@
 """The uncertainty of a reconstruction: standard deviation of each texel, without the common level.
 
-Draws of the noise and of the prior, solved like the frames, give the errors that the normal equations know, those of
-free poses and offsets among them. Poses and optics are never exact: the frames are therefore halved, each half is
-solved by itself, and the differences of the two maps scale the draws and give two further terms: the slope of the map
-times an error of the position, and what the residuals of a texel exceed the noise. All three factors come from the
-frames, without the truth. Structure within texels makes errors that are alike in all frames: residuals show it. An
-edge between texels of the scene makes a known error, in proportion to the second differences of the map, because a map
-that is bilinear between the middles of its texels cannot follow it. The larger of the two counts. The common level of
-all texels is removed, because no frame shows it.
+Draws of noise and prior, solved like the frames, give the errors within the normal equations. The difference between
+maps of both halves of the frames scales them and two further terms: map slope times position error, and residuals in
+excess of the noise. Structure within texels, equal in all frames, is taken from the residuals, or from the error of an
+edge by the second differences of the map; the larger counts. The truth is not used.
 """
 
 from dataclasses import dataclass

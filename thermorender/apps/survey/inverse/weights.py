@@ -261,7 +261,7 @@ class Viewer:
     def imaged(self, sight: Sight, values: Floats, taps: Floats, around: NDArray[np.floating]) -> Floats:
         """Return a map's values as the pixels of a Sight measure them, (N,): `Sight.seen`, blurred by the lens.
 
-        `around` (H, W) stands for what the map does not show, such as sky and objects; NaN there is the median.
+        `around` (H, W) is used outside the map, such as for sky and objects; NaN there is the median.
         """
         image = np.array(around, np.float32).ravel()
         if not np.isfinite(image).all():
