@@ -1,10 +1,9 @@
 """Features of a pixel for learned maps: its colour, the colour and texture around it, statistics of the whole picture.
 
-Colour is CIELAB (D65), nearly uniform to the eye. It is averaged over Gaussian windows, each twice as wide as the one
-before. Texture is the spread in these windows, the gradient of lightness and its coherence, which is high where there
-is one direction (furrows, roofs, roads). Medians, spreads and shares of dark and bright pixels of the whole picture
-indicate exposure, season and snow. Windows are counted in pixels, so pictures are first resampled to the map's ground
-sampling distance (`rows.at_texel`).
+Colour is CIELAB (D65), averaged over Gaussian windows, each twice as wide as the one before. Texture is the spread in
+these windows, the gradient of lightness and its coherence, high for one direction (furrows, roofs, roads). Medians,
+spreads and shares of dark and bright pixels of the picture indicate exposure, season and snow. Windows are counted in
+pixels, so pictures are first resampled to the map's ground sampling distance (`rows.at_texel`).
 """
 
 import numpy as np

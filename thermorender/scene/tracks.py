@@ -45,10 +45,7 @@ class TrackedObject:
         return self.item.name
 
     def at(self, time_s: float, **given: float) -> dict[str, float]:
-        """Return {column: value} at a time [s], linear between the track's rows and constant beyond its ends.
-
-        Values in `given`, of COLUMNS, are used instead.
-        """
+        """Return {column: value} at a time [s], linear between rows, constant beyond the ends, or as `given`."""
         for name, value in given.items():
             if name not in COLUMNS:
                 raise ThermorenderError(f"object {self.name!r} has no {name!r} to set; give {', '.join(COLUMNS)}")

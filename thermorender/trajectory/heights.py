@@ -1,8 +1,6 @@
 """Positions in the scene's frame from a log's coordinates and its height column.
 
-Heights declare their reference: local up, the ellipsoid, the geoid, the ground below each sample or the
-ground below the first one. Geodetic coordinates are converted through ECEF, which includes the Earth's curvature and
-the tilt of the vertical.
+Geodetic coordinates are converted through ECEF, which includes the Earth's curvature and the tilt of the vertical.
 """
 
 from dataclasses import replace

@@ -25,10 +25,7 @@ def band_emissivities(scene: Scene) -> NDArray[np.float64]:
 
 
 def of_scenes(own: Scene, true: Scene) -> dict[str, NDArray[np.float64]]:
-    """Return {material: (texels, Σ used emissivity, Σ true emissivity, all texels)} of the terrain of two Scenes.
-
-    Both scenes have the same texels. The names are those of the materials of `true`.
-    """
+    """Return {true material: (texels, Σ used emissivity, Σ true emissivity, all texels)}; the terrains share texels."""
     used, known = band_emissivities(own), band_emissivities(true)
     found: dict[str, NDArray[np.float64]] = {}
     total = 0

@@ -68,10 +68,7 @@ class Spent:
         self.unseen += more.unseen
 
     def summary(self, model: TemperatureMap) -> dict[str, Any]:
-        """Return {seconds_per_mpixel (median), peak_memory_mib, training_s (of the map's file), covered, unseen}.
-
-        The last two are None where the map does not predict them.
-        """
+        """Return {seconds_per_mpixel (median), peak_memory_mib, training_s, covered, unseen}; None where absent."""
         covered = unseen = None
         pixels, one, two, variances, squares = map(float, self.covered)
         if pixels:

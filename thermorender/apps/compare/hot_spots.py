@@ -12,10 +12,9 @@ _INNER, _OUTER = 2.0, 4.0
 
 
 def response(counts: ArrayLike, size_px: float) -> NDArray[np.float32]:
-    """Return the detector's response to camera counts (H, W), (H, W) float32, in its own standard deviations.
+    """Return the response (H, W) float32 to counts (H, W) for a target `size_px` wide, in standard deviations.
 
-    `size_px` is the width of the target. The standard deviation is 1.4826 times the median absolute deviation, which a
-    small target does not change.
+    The standard deviation is 1.4826 times the median absolute deviation, which a small target does not change.
     """
     import cv2
 

@@ -47,10 +47,7 @@ def _frequencies(side: int) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
 
 
 def transform(image: NDArray[np.floating], known: NDArray[np.bool_]) -> Transform:
-    """Return the Fourier transform of a picture's central square minus its mean, (N, N) complex64.
-
-    Unknown pixels of the picture (H, W) [K] are set to the mean.
-    """
+    """Return the Fourier transform of a picture's central square, (N, N) complex64, minus the mean, also if unknown."""
     from scipy import fft
 
     height, width = image.shape
@@ -62,10 +59,7 @@ def transform(image: NDArray[np.floating], known: NDArray[np.bool_]) -> Transfor
 
 
 def power(found: Transform) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (frequency [cycles/px], power [K² px²]) of a transform, averaged over rings.
-
-    The power is divided by the window's energy, so white noise of variance σ² has the density σ² at all frequencies.
-    """
+    """Return (frequency [cycles/px], power [K² px²]) averaged over rings; white noise of variance σ² has density σ²."""
     side = len(found)
     taper = window((side, side))[1]
     density = np.abs(found) ** 2 / (taper.astype(np.float64) ** 2).sum()
@@ -98,10 +92,10 @@ class Registration:
         return peak(surface, scale)
 
     def summary(self) -> dict[str, Any] | None:
-        """Return {"right_px", "down_px", "error_px", "correlation", "unshifted"}, or None without a peak.
+        """Return {"right_px", "down_px", "error_px", "correlation", "unshifted"} of the peak, or None without one.
 
-        The position of the peak of the summed correlations, its standard errors by the delete-a-group jackknife (None
-        for a single pose), the correlation at the peak, and the correlation without a shift.
+        Errors are by the delete-a-group jackknife, None for a single pose; "unshifted" is the correlation without a
+        shift.
         """
         if not self.poses:
             return None

@@ -39,9 +39,9 @@ def cache_off() -> Iterator[None]:
 
 
 def converged(renderer: Renderer, pose: ArrayLike, keywords: Mapping[str, Any]) -> NDArray[np.float64]:
-    """Return the band radiance of a renderer's scene with 256 rays per pixel, (H, W) [W m⁻² sr⁻¹].
+    """Return the band radiance with 256 rays per pixel, (H, W) [W m⁻² sr⁻¹], from the renderer's baked light.
 
-    The renderer's baked light between surfaces is reused; `keywords` are those that it was made with.
+    `keywords` are those that the renderer was made with.
     """
     camera = renderer.scene.camera
     settings = {"rays": renderer.plan.sampling.rays, **keywords}

@@ -44,7 +44,7 @@ def rows_by(error: ArrayLike, group: ArrayLike, size: int) -> Sums:
 
 
 def summary(total: ArrayLike) -> dict[str, Any]:
-    """Return {me_k, mae_k, sd_k, rmse_k, pixels, pixels_without_temperature} of a row; None where there are no pixels.
+    """Return {me_k, mae_k, sd_k, rmse_k, pixels, pixels_without_temperature} of a row, or None if it is empty.
 
     `sd_k` is the standard deviation about the mean error: rmse² = me² + sd².
     """

@@ -82,14 +82,13 @@ class Field:
         return count / variance.size, np.sqrt(max(count, 1)) / variance.size
 
     def wander(self, rate_hz: float, known_k: float) -> tuple[tuple[float, float], ...] | None:
-        """Return ((noise of whole frames, uncertainty), (1/f noise of the scale per octave, uncertainty)) [K] of a
-        static camera; None for few frames. `known_k` is what pixels, rows and columns add to a frame's mean [K].
+        """Return ((noise of frame means, uncertainty), (1/f noise of the scale per octave, uncertainty)) [K], or None.
 
+        The camera is static; `known_k` is what pixels, rows and columns add to a frame's mean [K]. None for few frames.
         Maximum likelihood of the levels of up to 600 frames, with the covariance of `sensor.wander.covariance` plus
-        white noise. Along the eigenvectors of the former, orthogonal to the mean, the two variances add. A span of k
-        ticks has about k draws of the drift, however many frames, so its variance is uncertain by √(2/k) at least. The
-        median over blocks of the difference from the first frame has 2π/3 of the mean's variance, apart from the noise
-        of the first frame.
+        white noise: along its eigenvectors, orthogonal to the mean, the variances add. A span of k ticks has about k
+        draws of the drift, so its variance is uncertain by √(2/k) at least. The median over blocks of the difference
+        from the first frame has 2π/3 of the mean's variance, apart from the noise of the first frame.
         """
         from scipy.optimize import minimize
 

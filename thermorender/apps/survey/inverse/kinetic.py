@@ -55,11 +55,10 @@ def light_of(renderer: "Renderer", lattice: Lattice, linear: LinearKelvin) -> Li
 def kinetic_of(
     apparent: Floats, light: Light, renderer: "Renderer", linear: LinearKelvin
 ) -> tuple[Floats, Floats, NDArray[np.bool_]]:  # fmt: skip
-    """Return (kinetic temperature [K], its change with linear kelvin, trusted), each (h, w), of the radiance that
-    leaves each texel in linear kelvin, NaN where unknown.
+    """Return (kinetic temperature [K], its change with linear kelvin, trusted), each (h, w); unknown input is NaN.
 
-    A texel is not trusted if its emissivity is below 0.5, if it reflects by angle as water and glass do, or if the
-    equation has no solution. Its kinetic temperature is that of the scene.
+    Not trusted are emissivities below 0.5, reflection by angle (water, glass), and equations without a solution; the
+    kinetic temperature is then the scene's.
     """
     scene = renderer.scene
     emitted = linear.radiance(apparent) - light.reflected

@@ -1,7 +1,6 @@
-"""The common level of map and offsets, which only something of known temperature can fix.
+"""The common level of map and offsets, fixed by places of known kinetic temperature such as water or a marker.
 
-References are places on the terrain: water, a marker, a station's ground. Their temperatures are kinetic; the scene's
-emissivity and reflected light make them comparable with the map.
+The scene's emissivity and reflected light make them comparable with the map.
 """
 
 from collections.abc import Callable, Sequence

@@ -343,10 +343,9 @@ class Normal:
     ) -> tuple[Unknowns, int]:  # fmt: skip
         """Return (x, steps) by preconditioned conjugate gradients, to a relative residual `tolerance`.
 
-        The parameters are eliminated: steps are made in the map alone. The preconditioner differs from the matrix only
-        in the links between texels, so the product with z = M⁻¹ r is r plus that difference times z. What converges
-        last is fine structure where pixels are few; offsets and poses are exact long before. `each` maps a function
-        over the halves of the frames, such as `Executor.map`, and does not change the result.
+        Parameters are eliminated, so steps are made in the map alone. The preconditioner differs from the matrix only
+        in the links between texels, so the product with z = M⁻¹ r is r plus that difference times z. `each` maps a
+        function over the halves of the frames, such as `Executor.map`, and does not change the result.
         """
         from scipy.linalg import cho_factor, cho_solve
 

@@ -145,9 +145,10 @@ class Draws:
 def spread_of(
     normal: Normal, draws: Draws, means: Floats, reach: float, terms: int, side: float, noise_k: float, share: float
 ) -> Spread:  # fmt: skip
-    """Return the Spread of a solution with means (h, w) [K]; the level is the mean of the texels that the frames show.
-    `reach` and `terms` are those of `weights.sharpened` over all rounds, as removing the blur raises the noise of fine
-    structure; `side` is that of a texel in texels of the scene.
+    """Return the Spread of a solution with means (h, w) [K]; their level is the mean of the texels in the frames.
+
+    `reach` and `terms` are those of `weights.sharpened` over all rounds, which raises the noise of fine structure;
+    `side` is a texel's side in texels of the scene.
     """
     seen = draws.views > 0
     variance = np.zeros(seen.shape)
@@ -230,12 +231,11 @@ def error_of_edges(means: Floats, variance: Floats, share: float) -> Floats:
 
 
 def error_of_curvature(camera: Camera, pixel: float, side: float) -> float:
-    """Return the mean square error of edges over the square of the second differences of the map. `pixel` and `side`
-    are those of a pixel [texels] and of a texel [texels of the scene]; texels no larger than the scene's have no such
-    error.
+    """Return the mean square error of edges over the squared second differences of the map.
 
-    Many frames sample the map without gaps. The map is then the projection of the edge, blurred by a pixel, on bilinear
-    maps that are blurred alike. Both squares are summed along a line across the edge, and over its places in a texel.
+    `pixel` and `side` are those of a pixel [texels] and of a texel [texels of the scene]; at a `side` of 1 or less it
+    is 0. The map is the projection of the edge, blurred by a pixel, on blurred bilinear maps. Both squares are summed
+    across the edge and over its places in a texel.
     """
     if pixel <= 0.0 or side < 1.0:
         return 0.0
