@@ -87,10 +87,9 @@ def features(rgb: np.ndarray, whole: np.ndarray) -> np.ndarray:
 
 
 def feature_planes(rgb: np.ndarray, whole: np.ndarray) -> list[np.ndarray]:
-    """Return the features of each pixel of a part of a picture, (h, w) float32 each, or () for those of the whole.
+    """Return the features of each pixel of a part of a picture, (h, w) float32, or () for those of the whole.
 
-    `rgb` is (h, w, 3) uint8 at the map's ground sampling distance, with edges repeated outwards. `whole` are statistics
-    of the picture that contains it, as by `whole_picture`.
+    `rgb` is (h, w, 3) uint8 at the map's ground sampling distance, with edges repeated; `whole` as by `whole_picture`.
     """
     # Centred, because the variance is a difference of squares in single precision.
     centre = np.array((50.0, 0.0, 0.0), np.float32)

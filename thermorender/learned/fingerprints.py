@@ -55,10 +55,7 @@ class Fingerprints:
 
 @dataclass(frozen=True)
 class Seen:
-    """A training picture that a picture shows: its number in the map's file, and the agreement.
-
-    The agreement is that of the bits, in standard deviations of chance agreement.
-    """
+    """A training picture that a picture shows: its number in the map's file, and the agreement [std of chance]."""
 
     index: int
     agreement: float

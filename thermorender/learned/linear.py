@@ -107,10 +107,7 @@ def names_of_columns(extra: ExtraInputs) -> list[str]:
 
 
 def columns(values: Mapping[str, Values], extra: ExtraInputs) -> Iterator[tuple[str, Values]]:
-    """Yield (name, array, or one number for all pixels) of each column.
-
-    `values` are, by pixel, "L", "a" and "b" of CIELAB, and the inputs in `extra`.
-    """
+    """Yield (name, array, or one number for all pixels) of each column of "L", "a", "b" (CIELAB) and `extra` inputs."""
     colours = list(zip(COLOURS[1:], _colours(values), strict=True))
     yield from colours
     for name, plane in grounds(values, extra):

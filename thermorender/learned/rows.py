@@ -25,7 +25,7 @@ CLASSES = "material"
 def at_texel(inputs: Inputs, texel_m: float | None) -> Inputs:
     """Return Inputs resampled to a ground sampling distance [m], or unchanged if theirs is the same or unknown.
 
-    Colours are averaged or interpolated; terrain planes, which may hold classes and NaN, keep the nearest value.
+    Colours are averaged or interpolated; terrain planes keep the nearest value.
     """
     import cv2
 

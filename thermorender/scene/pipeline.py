@@ -1,7 +1,4 @@
-"""Values computed from each other by functions whose parameters name their inputs.
-
-The signatures give the dependencies, so they decide what an edit recomputes.
-"""
+"""Values computed by functions whose parameters name their inputs, so signatures decide what an edit recomputes."""
 
 from collections.abc import Callable, Iterable, Mapping
 from inspect import signature

@@ -136,10 +136,7 @@ def _bisected(surface: Surface, large: NDArray[np.bool_]) -> tuple[Surface, NDAr
 
 @dataclass(frozen=True, eq=False)
 class _Extents:
-    """Bounds of each triangle along x, y and z, (3, F), and its longest edge, (F,) [m].
-
-    The rows are contiguous, because every object scans the whole terrain.
-    """
+    """Bounds of each triangle along x, y, z, (3, F) contiguous, and its longest edge, (F,) [m]."""
 
     low: _Floats
     high: _Floats

@@ -1,8 +1,8 @@
 """Read FLIR's radiometric JPEGs: the raw signal, the factory's constants and the settings stored with it.
 
-The container ("FFF") is split over the JPEG's APP1 segments. It has a directory of records: the raw image is record 1
-(16-bit values, plain or as PNG with swapped bytes), and the camera's block is record 0x20. The offsets of the fields
-come from the FLIR tables of ExifTool's documentation (https://exiftool.org/TagNames/FLIR.html).
+The container ("FFF"), split over APP1 segments, has a directory of records: the raw image is record 1 (16-bit values,
+plain or PNG with swapped bytes), the camera's block 0x20. Field offsets are from ExifTool's FLIR tables
+(https://exiftool.org/TagNames/FLIR.html).
 """
 
 import io

@@ -48,7 +48,7 @@ class Relief:
     def source_pixels(self, seen_from: Pose, wanted_from: Pose) -> tuple[Image, Image]:
         """Return the (column, row) (H, W) of a wanted view's pixels in another image, exact on a grid, linear between.
 
-        Both poses are near that of this Relief. Whole numbers are pixel centres; points out of view are far outside.
+        Both poses are near this Relief's. Pixel centres are whole numbers; points out of view are far outside.
         """
         import cv2
 

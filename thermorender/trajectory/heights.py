@@ -56,8 +56,8 @@ def local_positions(
 ) -> Floats:  # fmt: skip
     """Return the vehicle's positions at the log's rows, (N, 3) local east, north, up [m].
 
-    `horizontal` and `height` name its columns; `frame`, `ground` and `undulation` are as in `read_trajectory`.
-    `relative`: the flight will be anchored, so only changes of height matter.
+    `horizontal` and `height` name its columns; `frame`, `ground` and `undulation` are as in `read_trajectory`. With
+    `relative`, for an anchored flight, only changes of height matter.
     """
     value = log.values[height]
     where = log.where(height, 0)

@@ -73,8 +73,8 @@ def class_names(limits: Sequence[float], unit: str) -> list[str]:
 class PixelClasses:
     """Classes of the known pixels of a View with a reference, as flat numbers.
 
-    A pair has a single surface and classes by edges; a pose also has those of its scene's `objects`, of range and view
-    angle, and ground blocks between the terrain's lowest and highest east and north, `corners` (2, 2) [m].
+    A pair has classes by edges; a pose also by `objects`, range, view angle, and ground blocks between the lowest and
+    highest east and north, `corners` (2, 2) [m].
     """
 
     def __init__(self, view: View, objects: Sequence[str] = (), corners: ArrayLike | None = None) -> None:

@@ -401,7 +401,7 @@ def _data_url(kind: str, suffix: str, image: Any, options: Sequence[int]) -> str
 
 
 def picture(path: Path, view: View, guesses: Mapping[str, Image], share: float) -> None:
-    """Draw a pair: its visible and true picture, and below them each method's picture {label: (H, W) [K]} and error.
+    """Draw a pair: its visible and true picture, and each method's picture {label: (H, W) [K]} and error.
 
     `share` is the quantile of this pair in the first method's error.
     """

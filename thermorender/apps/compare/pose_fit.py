@@ -82,8 +82,8 @@ class PoseFit:
 def fit(pair: Pair, start: tuple[float, float] = (0.0, 0.0), least_share: float = 0.005) -> PoseFit | None:
     """Return the PoseFit of a Pair, None with too few pixels.
 
-    `start` is the first guess of the shift to the right and down [px], `least_share` the least share of the ground of a
-    material with columns.
+    `start` is the first guess of the shift right and down [px]; materials below `least_share` of the ground have no
+    columns.
     """
     picture = _Picture(pair, start)
     if picture.count < _FEWEST:

@@ -99,8 +99,5 @@ def optics_sigma_px(camera: Camera) -> float:
 
 
 def after_optics(image: ArrayLike, sigma_px: float) -> NDArray[np.float64]:
-    """Return an image (H, W) blurred with a Gaussian of `sigma_px`, mirrored at its borders.
-
-    The blur is exact: a kernel sampled at pixels would hardly blur for such a narrow Gaussian.
-    """
+    """Return an image (H, W) blurred with a Gaussian of `sigma_px`, exactly in frequency, mirrored at its borders."""
     return filtered(image, lambda frequency: gaussian_otf(frequency, sigma_px))

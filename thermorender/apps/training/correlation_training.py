@@ -153,10 +153,9 @@ def _equations(example: Example, size: int, table: _Table, less: float = 0.0) ->
 
 
 def _everywhere(rgb: np.ndarray, values: np.ndarray, size: int, table: _Table) -> np.ndarray:
-    """`_equations` of all neighbourhoods, with the intensity counted from the table's zero.
+    """Return `_equations` of all neighbourhoods, with the intensity counted from the table's zero.
 
-    The product of two picture rows is the same in every neighbourhood that holds them. So each row is multiplied by
-    itself and the next ones once, and the products are summed over the neighbourhoods.
+    Each product of two picture rows is computed once and summed over the neighbourhoods that hold them.
     """
     rows, columns = values.shape
     height, wide, n = len(rgb), 3 * size, 3 * size * size

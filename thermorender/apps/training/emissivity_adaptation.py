@@ -26,10 +26,9 @@ _NEW = -4.0
 def adapted(
     model: EmissivityMap, item: Labelled, name: str, emissivity: Callable[[str], float], seed: int = 0
 ) -> EmissivityMap:
-    """Return an EmissivityMap for the land of a Labelled, from a map for other land.
+    """Return an EmissivityMap for the land of a Labelled, from a map for other land; materials may be added.
 
-    Connected areas of one material are taken for one polygon. Materials that the map lacks are added. `emissivity`
-    returns the band emissivity of a material by name; the probabilities are calibrated for it.
+    A connected area of one material is a polygon. `emissivity` maps a material's name to its band emissivity.
     """
     import cv2
 

@@ -60,10 +60,7 @@ def train_on(
 
 
 def band_emissivity_of(folders: Sequence[str | Path] = ()) -> Callable[[str], float]:
-    """Return a function (material) → its emissivity at 300 K over what is measured of 7.5–13.5 µm.
-
-    Materials are those of the library and of the scenes' own tables.
-    """
+    """Return a function (material of library or scenes) → emissivity at 300 K over the measured part of 7.5–13.5 µm."""
     own = [Path(folder) / "materials" for folder in folders]
     library = material_tables.load_library()
     for folder in own:
@@ -93,8 +90,7 @@ def adapted_to(
 def labelled_scene(folder: str | Path, polygons: str | Path | Mapping[str, Any] | None = None) -> Labelled:
     """Return the Labelled of a scene: its orthophoto with labels from a GeoJSON, else from its class raster.
 
-    Polygons have a property "material" of the library, in WGS 84 or the "crs" member. Later polygons cover earlier
-    ones.
+    Polygons have a property "material", in WGS 84 or the "crs" member; later ones cover earlier ones.
     """
     spec = read_scene(folder)
     picture = orthophoto_of(spec)
@@ -155,10 +151,9 @@ def varied(seeds: Iterable[int], seed: int) -> Iterator[Labelled]:
 def read_polygons(
     given: str | Path | Mapping[str, Any], grid: Grid
 ) -> tuple[NDArray[np.uint8], dict[int, str], str]:  # fmt: skip
-    """Return (material number (h, w) uint8, {number: name}, unused polygons) of GeoJSON polygons on a Grid.
+    """Return (material number (h, w) uint8, {number: name}, notes) of GeoJSON polygons on a Grid; 0 outside.
 
-    0 is outside all polygons. The last is a sentence on polygons that label no texel, or ""; errors as
-    `labelled_scene`.
+    The notes are a sentence on polygons that label no texel, or "".
     """
     (features, crs), path = read_features(given), name_of(given)
     names: list[str] = []

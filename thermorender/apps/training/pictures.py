@@ -169,8 +169,8 @@ def keys_of(pairs: Sequence[Files]) -> dict[str, str]:
 def sequences_of(pairs: Sequence[Files], sequence: str | None = None, gap: int | None = None) -> dict[str, str]:
     """Return {name: sequence} of pairs sorted by name.
 
-    The group of the regular expression `sequence` is the sequence in a name; default: the name without its last digits.
-    A step of the last number in the names larger than `gap` starts a new sequence.
+    The sequence is the group of the regular expression `sequence`, by default the name without its last digits. A step
+    of the last number above `gap` starts a new one.
     """
     try:
         expression = re.compile(sequence) if sequence else None

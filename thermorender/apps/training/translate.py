@@ -166,10 +166,10 @@ def translate(
 
 
 def read_picture(path: files.PathLike) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return (sRGB (h, w, 3) uint8, where it is not empty (h, w) bool or None for everywhere) of a picture's file.
+    """Return (sRGB (h, w, 3) uint8, non-empty (h, w) bool or None for all) of a picture, rotated by its EXIF tag.
 
-    It is rotated by its EXIF orientation. Grey, palettes, CMYK (without its profile) and 16-bit colour become 8-bit
-    RGB. Raises UnreadableError for a file that is damaged, of another format, 16-bit grey, or too large.
+    Grey, palettes, CMYK (without its profile) and 16-bit colour become 8-bit RGB. UnreadableError: damaged, of another
+    format, 16-bit grey, or too large.
     """
     from PIL import Image, ImageOps
 

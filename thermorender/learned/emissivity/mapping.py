@@ -209,7 +209,7 @@ def map_materials(
 def _with_evidence(
     probabilities: np.ndarray, known: np.ndarray, here: tuple[slice, slice], evidence: Sequence[Evidence]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(probabilities (C, h, w), whether they are known (h, w)) of a tile, with evidence.
+    """Return (probabilities (C, h, w), known (h, w)) of a tile after evidence.
 
     Where evidence excludes materials of a texel unlike the training data, the others are equally probable.
     """

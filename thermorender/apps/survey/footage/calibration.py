@@ -342,7 +342,7 @@ def _blur_key(images: Sequence[NDArray[Any]], noise_k: float, camera: Camera) ->
 def read_frame(path: Path, scale: tuple[float, float] | None) -> tuple[NDArray[np.float64], list[tuple[float, float]]]:
     """Return the apparent temperatures of a file, (H, W) [K], and the shares of pixels that its display saturates.
 
-    The shares below and above the colour scale [%] are the only item of a list, which is empty if none is stored.
+    These are [(below, above) the colour scale [%]], or [] if no scale is stored.
     """
     if path.suffix.lower() not in FLIR_JPEG:
         return read_temperature(path, scale), []

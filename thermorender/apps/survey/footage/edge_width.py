@@ -18,8 +18,7 @@ _MODEL_PX = 0.02
 
 
 def edge_widths(image: NDArray[np.float64], noise: float) -> NDArray[np.float64]:
-    """Return the widths of the straight steps in an image with white noise of standard deviation `noise`, and their
-    uncertainties, (n, 2) [px].
+    """Return widths and uncertainties, (n, 2) [px], of straight steps in an image of white noise `noise`.
 
     Width is the σ of the Gaussian that blurs a step: a + b erf(u / √2 σ) + plane, with u the distance from a line.
     """
@@ -50,8 +49,9 @@ def sharpest(widths: NDArray[np.float64]) -> tuple[float, float] | None:
 
 
 def width_through(transfer: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> float:
-    """Return the width that `edge_widths` finds for a sharp step behind a transfer function [px]; it is real, of
-    frequencies [cycles per pixel], and includes the pixel aperture.
+    """Return the width that `edge_widths` finds for a sharp step behind a transfer function [px].
+
+    The function is real, of frequencies [cycles per pixel], and includes the pixel aperture.
     """
     from scipy.optimize import least_squares
     from scipy.special import erf

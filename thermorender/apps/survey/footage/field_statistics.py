@@ -59,8 +59,7 @@ class Field:
         return sigma_of((mean**2 - error).sum(), np.sqrt((4.0 * mean**2 * error + 2.0 * error**2).sum()))
 
     def replaced(self, noise_k: float, step_k: float) -> tuple[float, float] | None:
-        """Return (share of the pixels that are the mean of their neighbours, uncertainty); None if few frames do not
-        separate them without a false alarm.
+        """Return (share of pixels that are the mean of their neighbours, uncertainty); None for too few frames.
 
         The difference of a pixel from the mean of its eight neighbours has 9/8 of the noise's variance or more; that of
         a replaced pixel is rounding, by steps of `step_k` [K].
@@ -119,11 +118,11 @@ def vignetting(
     blocks: NDArray[np.float64], share: float, illumination: NDArray[np.float64], rims: NDArray[np.float64],
     fixed: float,
 ) -> tuple[float, float] | None:  # fmt: skip
-    """Return (loss of light at the corner by the rims of the lens as a share, uncertainty), from the growth of noise
-    towards the corner; None if a ring around the centre has fewer than four flat blocks.
+    """Return (share of light that the rims of the lens block at the corner, uncertainty), from the growth of noise.
 
-    Least squares of a / (light (1 − v·rims))² + fixed to the mean powers of six rings. `blocks` are `block_powers` (n,
-    2) [K²], of which `share` are flat enough; `illumination` and `rims` are (H, W).
+    Least squares of a / (light (1 − v·rims))² + fixed to the mean powers of six rings; None if a ring has fewer than
+    four flat blocks. `blocks` are `block_powers` (n, 2) [K²], of which `share` are flat enough; `illumination`, `rims`
+    (H, W).
     """
     from scipy.optimize import minimize_scalar
 

@@ -159,10 +159,10 @@ class Block(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """What a frame adds to the normal equations: sums over its N pixels.
+    """Sums over a frame's N pixels for the normal equations.
 
-    `links`, `pull` and `shared` are on the texels of the frame's window: Aᵀ W A as of `links`, Aᵀ W r, and Aᵀ W times
-    the columns of the common parameters. The other three belong to parameters: pulls (P,) and (V,), matrix (V, V).
+    `links`, `pull` and `shared` are on the texels of its window: Aᵀ W A, Aᵀ W r, and Aᵀ W times the columns of the
+    common parameters. The others belong to parameters: pulls (P,) and (V,), matrix (V, V).
     """
 
     block: Block
@@ -175,8 +175,10 @@ class Sums(NamedTuple):
 
     @classmethod
     def of(cls, seen: Footprint, residual: Floats, precision: Floats, own: Floats, common: Floats) -> "Sums":
-        """Return the Sums of a frame of N pixels: residuals (measured minus predicted), precisions (1 / variance), and
-        changes of the prediction with the frame's parameters (P, N) and the common ones (V, N).
+        """Return the Sums of a frame of N pixels.
+
+        Inputs are residuals (measured minus predicted), precisions (1 / variance), and changes of the prediction with
+        the frame's parameters (P, N) and the common ones (V, N).
         """
         count = len(own)
         columns = np.concatenate([own, common])
@@ -198,8 +200,9 @@ class Sums(NamedTuple):
 
 
 class Normal:
-    """The normal equations H x = g of a least-squares problem with a prior; precisions (P,) and (V,) are 1 over the
-    prior variances of a frame's parameters and the common ones.
+    """The normal equations H x = g of a least-squares problem with a prior.
+
+    Precisions (P,) and (V,) are 1 over the prior variances of a frame's parameters and the common ones.
     """
 
     def __init__(self, prior: Prior, frame_precision: Floats, common_precision: Floats) -> None:

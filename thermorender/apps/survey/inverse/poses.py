@@ -150,10 +150,7 @@ def _highpass(image: Floats) -> Floats:
 
 
 def _shift(predicted: Floats, image: Floats, most: int) -> Floats:
-    """(right, down) [px] of the image against the prediction, up to `most`, at the highest correlation.
-
-    Zero where even that is low, such as for a map without structure.
-    """
+    """Return (right, down) [px], up to `most`, of the image against the prediction; zero if the correlation is low."""
     from scipy.fft import irfft2, next_fast_len, rfft2
 
     size = tuple(next_fast_len(side + most, real=True) for side in image.shape)

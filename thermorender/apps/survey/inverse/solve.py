@@ -94,9 +94,7 @@ class State:
 
 
 class Problem:
-    """Frames over a scene, (F, H, W) float32 in linear kelvin with NaN where not valid, their measured poses (F, 4, 4),
-    and the prior.
-    """
+    """Frames, (F, H, W) float32 [linear kelvin], NaN where invalid, with measured poses (F, 4, 4), and the prior."""
 
     def __init__(
         self, renderer: "Renderer", camera: Camera, images: Image, poses: Floats, lattice: Lattice, prior: Prior,
@@ -266,7 +264,7 @@ class Problem:
         return normal, tilts, weights, float(np.median(spreads)), float(np.median(alike)), pattern
 
     def _measured(self, state: State, number: int, slope: Floats) -> tuple[Sight, Floats, Floats, float]:
-        """(pixels of a frame, their residuals, 1 over their variances, standard deviation of the residuals).
+        """Return (pixels, residuals, their precisions 1/σ², standard deviation of residuals) of a frame.
 
         `slope` (h, w) is that of the state's map.
         """
@@ -353,9 +351,9 @@ class Common:
 
 
 def tilt_of(plane: Floats, residual: Floats, precision: Floats) -> Floats:
-    """(tilts to the right and down, their weights), (2, 2), of residuals (N,) by the columns 1, right, down.
+    """Return (tilts to the right and down, their weights), (2, 2), of residuals (N,) by the columns 1, right, down.
 
-    A frame of which only a strip shows the terrain knows little of its tilt.
+    The weights are small if only a strip of the frame shows the terrain.
     """
     matrix = (plane * precision) @ plane.T
     found, *_ = np.linalg.lstsq(matrix, (plane * precision) @ residual, rcond=None)

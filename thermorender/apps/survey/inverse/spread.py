@@ -57,7 +57,7 @@ class Spread:
 class Drawn(NamedTuple):
     """Right-hand sides of a frame's draws: on its window (DRAWS, …), of its own and of the common parameters.
 
-    Then come the numbers of pixels on each texel and the sums of the squares of their residuals.
+    The last two are the number of pixels on each texel and the sum of their squared residuals.
     """
 
     maps: Floats
@@ -68,8 +68,9 @@ class Drawn(NamedTuple):
 
 
 class Draws:
-    """Right-hand sides of the normal equations by random noise, of which the solutions have the covariance H⁻¹.
-    `pattern_k`, (H·W,), is the standard deviation of the fixed pattern that is left, which all frames share.
+    """Random right-hand sides of the normal equations, whose solutions have the covariance H⁻¹.
+
+    `pattern_k`, (H·W,), is the standard deviation of the remaining fixed pattern, common to all frames [K].
     """
 
     def __init__(self, prior: Prior, common: int, offset_precision: float, pattern_k: Floats, seed: int = 0) -> None:
@@ -180,10 +181,7 @@ def _near(values: Floats, seen: NDArray[np.bool_], width: float) -> Floats:
 
 
 def _difference(draws: Draws, reach: float, terms: int, side: float) -> Floats:
-    """Half the difference of the maps of both halves, (h, w); NaN where one of them shows nothing.
-
-    Its square is in the mean that of the error of the map from all frames.
-    """
+    """Return half the difference of the maps of both halves, (h, w), with the map's error; NaN where one is empty."""
     prior = draws.halves[0].prior
     both = np.ones(prior.mean.shape, bool)
     step = np.zeros(prior.mean.shape)
@@ -221,8 +219,9 @@ def _fitted(difference: Floats, terms: Floats) -> Floats:
 
 
 def error_of_edges(means: Floats, variance: Floats, share: float) -> Floats:
-    """Return the square of the error that edges within texels make, (h, w) [K²], from the map's means [K] and the
-    variance of their noise, of which second differences have twelve times as much.
+    """Return the squared error by edges within texels, (h, w) [K²], from second differences of the means [K].
+
+    Twelve times the variance of their noise is subtracted.
     """
     padded = np.pad(means, 1, mode="edge")
     down = padded[2:, 1:-1] - 2.0 * means + padded[:-2, 1:-1]

@@ -41,8 +41,7 @@ def coarsest_steps(
 ) -> tuple[dict[str, float], float]:  # fmt: skip
     """Return ({name: step} of the large tensors of a network, shift of the whole output that they cause).
 
-    `give` returns the network's output with other weights. Steps are as coarse as its mean absolute change `allowed`
-    permits without the shift, which an offset can take off.
+    `give` returns the output for other weights. Without the shift, its mean absolute change is at most `allowed`.
     """
     whole, relative = give(state), _relative_steps(state, give, allowed)
 

@@ -89,10 +89,7 @@ def cut_log(folder: PathLike, crops: int) -> None:
 
 
 def write_samples(path: Path, shown: Sequence[tuple[Crop, np.ndarray, np.ndarray]]) -> None:
-    """Write a PNG with a row per (crop, true, translated) temperatures, (side, side) [K] each; NaN is shown black.
-
-    A row holds photograph, truth, translation and error.
-    """
+    """Write a PNG with a row of photograph, truth, translation and error for each (crop, true, translated) [K]."""
     rows = []
     for crop, true, found in shown:
         known = np.isfinite(true)

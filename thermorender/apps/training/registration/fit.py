@@ -44,8 +44,8 @@ def calibrate(
 ) -> Rig:
     """Return the Rig that fits all frames, each (name, function that reads its pictures, NaN where not measured).
 
-    The search starts from fields of view, horizontal and vertical, of the visible and of the thermal camera [deg]. With
-    `resized`, visible pictures may have been resized unequally along their sides, and the aspect is fitted too.
+    The search starts from the fields of view of both cameras, horizontal and vertical [deg]. `resized` also fits the
+    aspect of visible pictures.
     """
     report_progress = progress or (lambda task, fraction: None)
     pictures, shapes, reduced, start = read_frames(frames, fields_of_view, report_progress)
