@@ -26,10 +26,9 @@ def frame_of_first_sample(log: Log) -> LocalFrame:
 
 
 def geodetic_of_local(log: Log, radius_m: float = 6_371_000.0) -> Log:
-    """Return a log of local positions with the latitude and longitude that its origin gives them.
+    """Return a log of local positions with latitude and longitude, by PX4's azimuthal equidistant projection.
 
-    The inverse of the azimuthal equidistant projection on a sphere, by which PX4 makes local positions (its `geo`
-    library; J. P. Snyder, Map Projections: A Working Manual, 1987, eq. 20-14, 20-15, doi:10.3133/pp1395).
+    On a sphere: Snyder, Map Projections: A Working Manual, 1987, eq. 20-14, 20-15, doi:10.3133/pp1395.
     """
     assert log.origin is not None, "called for a log with an origin"
     values = dict(log.values)

@@ -1,7 +1,7 @@
 """Attitudes of vehicles and cameras as SciPy `Rotation`s: aviation angles, axis conventions and interpolation.
 
-There are three sets of axes. *Body* is FRD: x forward, y right, z down. *NED* is the local north, east, down
-at the vehicle's position. *Camera* is x right, y down, z forward (along the optical axis).
+*Body* axes are x forward, y right, z down (FRD); *NED* north, east, down at the vehicle; *camera* x right, y down, z
+forward along the optical axis.
 """
 
 import warnings
@@ -29,10 +29,7 @@ def rotation_from_angles(yaw_deg: ArrayLike, pitch_deg: ArrayLike, roll_deg: Arr
 
 
 def angles_from_rotation(rotation: Rotation) -> NDArray[np.float64]:
-    """Return (yaw, pitch, roll) [deg] of a rotation as of `rotation_from_angles`, (3,) or (N, 3).
-
-    At pitch ±90°, where one of the others is free, roll is 0.
-    """
+    """Return (yaw, pitch, roll) [deg], (3,) or (N, 3), as of `rotation_from_angles`; roll is 0 at pitch ±90°."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Gimbal lock detected", UserWarning)
         return rotation.as_euler("ZYX", degrees=True)

@@ -126,10 +126,10 @@ class Tally:
         return found_of
 
     def more_than(self, other: "Tally", seed: int) -> dict[str, Any] | None:
-        """Return the mean absolute error on ground minus that of another Tally, noise-free, as {"mae_k", "interval_95",
-        "own_mae_k", "other_mae_k"}; None if this one lacks a scene of the other.
+        """Return the mean absolute error on ground minus that of another Tally, noise-free; None if it lacks scenes.
 
-        The bootstrap draws the other's scenes, the same for both, or the poses of a single scene.
+        Keys: "mae_k", "interval_95", "own_mae_k", "other_mae_k". The bootstrap draws the other's scenes, the same for
+        both, or the poses of a single scene.
         """
         mine, theirs = ({scene: row for scene, row in each.of(RADIOMETRIC, "scene").items() if row[0]}
                         for each in (self, other))  # fmt: skip
