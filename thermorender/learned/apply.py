@@ -21,21 +21,10 @@ def kinetic_from_map(
 ) -> tuple[np.ndarray, np.ndarray, float]:  # fmt: skip
     """Return (temperature (h, w) float64 [K], trusted (h, w) bool, share of intensities outside 0…1).
 
-    The map gives *apparent* temperature under its training sky; that sky's reflection is removed per material.
-    `trusted` is False where emissivity is low, or the temperature does not exist or is far outside the trained range.
-    There `stand_in` replaces it.
-
-    Parameters
-    ----------
-    model : TemperatureMap
-    inputs : Inputs
-    material : (h, w) uint8
-        Index into `materials`.
-    materials : sequence of Material
-    sky_temperature : float, optional
-        Sky of this hour, for a map that takes hour and weather as input [K]; the map's training sky by default.
-    stand_in : float, optional
-        Temperature where the map is not trusted [K]; the material's own by default.
+    `material` (h, w) uint8 indexes `materials`. The map gives *apparent* temperature under its training sky, or under
+    `sky_temperature` [K] if it takes hour and weather as input; the reflection of that sky is removed per material.
+    Where emissivity is low, or the temperature does not exist or is far outside the trained range, `trusted` is False
+    and the temperature `stand_in` [K], by default the material's own.
     """
     sky = model.sky_temperature if sky_temperature is None else sky_temperature
     apparent = model.radiance(inputs)

@@ -1,10 +1,9 @@
 """Features of a pixel for learned maps: its colour, the colour and texture around it, statistics of the whole picture.
 
-Colour is CIELAB (D65), nearly uniform to the eye. It is averaged over Gaussian windows, each twice as wide as the one
-before. Texture is the spread in these windows, the gradient of lightness and its coherence, which is high where there
-is one direction (furrows, roofs, roads). Medians, spreads and shares of dark and bright pixels of the whole picture
-indicate exposure, season and snow. Windows are counted in pixels, so pictures are first resampled to the map's ground
-sampling distance (`rows.at_texel`).
+Colour is CIELAB (D65), averaged over Gaussian windows, each twice as wide as the one before. Texture is the spread in
+these windows, the gradient of lightness and its coherence, high for one direction (furrows, roofs, roads). Medians,
+spreads and shares of dark and bright pixels of the picture indicate exposure, season and snow. Windows are counted in
+pixels, so pictures are first resampled to the map's ground sampling distance (`rows.at_texel`).
 """
 
 import numpy as np
@@ -88,10 +87,9 @@ def features(rgb: np.ndarray, whole: np.ndarray) -> np.ndarray:
 
 
 def feature_planes(rgb: np.ndarray, whole: np.ndarray) -> list[np.ndarray]:
-    """Return the features of each pixel of a part of a picture, (h, w) float32 each, or () for those of the whole.
+    """Return the features of each pixel of a part of a picture, (h, w) float32, or () for those of the whole.
 
-    `rgb` is (h, w, 3) uint8 at the map's ground sampling distance, with edges repeated outwards. `whole` are statistics
-    of the picture that contains it, as by `whole_picture`.
+    `rgb` is (h, w, 3) uint8 at the map's ground sampling distance, with edges repeated; `whole` as by `whole_picture`.
     """
     # Centred, because the variance is a difference of squares in single precision.
     centre = np.array((50.0, 0.0, 0.0), np.float32)

@@ -1,10 +1,8 @@
 """Fingerprints of training pictures, by which copies and parts of them are found in other pictures.
 
-A fingerprint is a coarse grid over the whole picture with one bit per cell: whether the cell is brighter than its
-surroundings. It takes `BYTES` bytes and does not show the picture. A picture is compared with it at every position,
-mirrored and turned by multiples of 90°, at every scale at which it covers a fifth of the training picture or more. So
-copies are found after changes of brightness, compression and size, and parts of a picture as well as the whole.
-`validation.leaks` measures what is found and what is found by mistake.
+A fingerprint is a coarse grid of `BYTES` bytes with one bit per cell: whether it is brighter than its surroundings. A
+picture is compared at every position, mirrored and turned by multiples of 90°, at every scale at which it covers a
+fifth of the training picture or more. `validation.leaks` measures the rates of detections and false detections.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -57,10 +55,7 @@ class Fingerprints:
 
 @dataclass(frozen=True)
 class Seen:
-    """A training picture that a picture shows: its number in the map's file, and the agreement.
-
-    The agreement is that of the bits, in standard deviations of chance agreement.
-    """
+    """A training picture that a picture shows: its number in the map's file, and the agreement [std of chance]."""
 
     index: int
     agreement: float
@@ -79,15 +74,9 @@ def stored_numbers(count: int) -> list[int]:
 def search(
     known: Fingerprints, pictures: Iterable[NDArray[np.uint8]], progress: Callable[[int], object] | None = None
 ) -> list[Seen | None]:
-    """Return, for each picture, (h, w, 3) uint8, the training picture that it shows, or None.
+    """Return the training picture (Seen) that each picture, (h, w, 3) uint8, shows, or None.
 
-    Parameters
-    ----------
-    known : Fingerprints
-    pictures : iterable of array
-        Read in groups.
-    progress : callable, optional
-        Called with the number of pictures done.
+    `pictures` is read in groups; `progress` is called with the number of pictures done.
     """
     found: list[Seen | None] = []
     for group in _groups(pictures):
@@ -103,8 +92,7 @@ def search(
 def agreements(known: Fingerprints, pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.float32]:
     """Return the best agreement of each picture with each fingerprint, (pictures, known) float32.
 
-    It is the sum of the picture's differences where the bit is set minus the sum where it is not, over the standard
-    deviation of that for random bits.
+    It is the sum of differences at set bits minus that at others, over its standard deviation for random bits.
     """
     best = np.zeros((len(pictures), len(known)), np.float32)
     greys = [_grey(rgb) for rgb in pictures]

@@ -1,10 +1,9 @@
 """Kelvin above the air as a mixture of typical materials.
 
-The heat balance gives the temperatures of a few typical materials in the open and in shade (`conditions`). A texel's
-share of the open sunlight interpolates between them. These temperatures, sunlight, its history and the hidden part of
-the sky each have a coefficient that is quadratic in CIELAB, since colour indicates material. So the prediction follows
-the heat balance beyond the weather of the training. Relief and station data are additional columns. Where there is no
-terrain its columns are 0, and an indicator column is 1.
+The heat balance gives the temperatures of typical materials in the open and in shade (`conditions`), between which a
+texel's share of open sunlight interpolates. These, sunlight, its history and the hidden part of the sky each have a
+coefficient quadratic in CIELAB. So the prediction follows the heat balance beyond the weather of the training. Without
+terrain, the columns of relief are 0, and an indicator column is 1.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -108,10 +107,7 @@ def names_of_columns(extra: ExtraInputs) -> list[str]:
 
 
 def columns(values: Mapping[str, Values], extra: ExtraInputs) -> Iterator[tuple[str, Values]]:
-    """Yield (name, array, or one number for all pixels) of each column.
-
-    `values` are, by pixel, "L", "a" and "b" of CIELAB, and the inputs in `extra`.
-    """
+    """Yield (name, array, or one number for all pixels) of each column of "L", "a", "b" (CIELAB) and `extra` inputs."""
     colours = list(zip(COLOURS[1:], _colours(values), strict=True))
     yield from colours
     for name, plane in grounds(values, extra):
@@ -145,8 +141,7 @@ def _others(values: Mapping[str, Values], extra: ExtraInputs) -> Iterator[tuple[
 def grounds(values: Mapping[str, Values], extra: ExtraInputs) -> Iterator[tuple[str, np.ndarray]]:
     """Yield (name, plane) of the quantities that are multiplied by colour terms; 0 where there is no terrain.
 
-    First "as MATERIAL", kelvin above the air of each typical material in the conditions, in the pixel's sunlight; then
-    sunlight, its history, and the hidden part of the sky.
+    First "as MATERIAL", kelvin above the air of each typical material, then sunlight, its history, and hidden sky.
     """
     known = extra.conditions
     materials = [name[5:] for name in known if name.startswith("open_") and f"shade_{name[5:]}" in known]

@@ -1,7 +1,4 @@
-"""A palette: each cell of colour space has the mean intensity of the training pixels of that colour.
-
-Cells are cubes of CIELAB. Intensity is linear in band radiance, so these are means of radiance.
-"""
+"""A palette: each CIELAB cell has the mean intensity, linear in band radiance, of its training pixels."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,6 @@
 """Table rows for maps of single pixels, at the map's ground sampling distance.
 
-A row is a pixel. Its columns are its picture `features`, its relief, and hour and weather, which are the same for all
-pixels of a picture.
+Columns are a pixel's picture `features`, its relief, and hour and weather, which are the same for a whole picture.
 """
 
 from collections.abc import Iterator, Sequence
@@ -26,7 +25,7 @@ CLASSES = "material"
 def at_texel(inputs: Inputs, texel_m: float | None) -> Inputs:
     """Return Inputs resampled to a ground sampling distance [m], or unchanged if theirs is the same or unknown.
 
-    Colours are averaged or interpolated; terrain planes, which may hold classes and NaN, keep the nearest value.
+    Colours are averaged or interpolated; terrain planes keep the nearest value.
     """
     import cv2
 
@@ -103,8 +102,8 @@ class ExtraInputs:
     ) -> Iterator[tuple[tuple[slice, slice], list[np.ndarray]]]:
         """Yield ((rows, columns) slices, values of each column) of a picture at the map's texel, tile by tile.
 
-        The values of a column are (h, w) float32, or () if it is the same for all pixels of the picture. `window` is
-        (first row, end row, first column, end column) of the part to describe; the whole by default.
+        Values are (h, w) float32, or () for all pixels alike. `window` is (first row, end row, first column, end
+        column).
         """
         self.check(inputs)
         whole = whole_picture(inputs.rgb)

@@ -1,11 +1,10 @@
 """Boosted trees from a pixel's features to its temperature, stored as LightGBM's text.
 
-With relief, hour and weather as inputs they predict kelvin above the air, else intensity. A leaf predicts one number
-for all weather that reaches it. So with weather the trees learn the residual of a mixture of typical materials
-(`linear`), which varies less and does not grow with the sun.
+With relief, hour and weather they predict kelvin above the air, else intensity. With weather they learn the residual of
+a mixture of typical materials (`linear`), which does not grow with the sun as temperature does.
 
-The trees are evaluated here, with LightGBM's result to rounding: its own `predict` takes six times as long, and users
-who only apply a map do not need it. A text is parsed as data, so one from others can be wrong but does no harm.
+Evaluated here, to rounding as by LightGBM, they take a sixth of the time, without the dependency. The text is parsed as
+data and never executed.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -128,8 +127,7 @@ class _Tree:
 class _Forest:
     """The trees of a text, evaluated for many pixels at once.
 
-    Over a block of a picture, hour and weather are constant and other columns vary little. So most splits have one
-    outcome for the whole block and are skipped. The others are compared for all pixels at once.
+    Within a block of a picture most splits have one outcome and are skipped; the others are compared for all pixels.
     """
 
     def __init__(self, trees: list[_Tree]) -> None:
@@ -173,10 +171,7 @@ class _Block:
         self._most = [column.max() for column in columns]
 
     def leaves(self, tree: _Tree, node: int, values: list[float]) -> np.ndarray:
-        """Return the number of each pixel's leaf under a node: (n,) uint8, or () if it is the same for all.
-
-        The values of leaves are appended to `values`; a leaf's number is its place there.
-        """
+        """Return the number of each pixel's leaf under a node: (n,) uint8, or () for all alike; it indexes `values`."""
         while node >= 0:
             column, by_class = tree.columns[node], tree.kinds[node] & _BY_CLASS
             # NaN is in no range.

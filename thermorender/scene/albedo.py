@@ -1,8 +1,8 @@
-"""The stated broadband albedo of a terrain: it sets how much sunlight the bare materials absorb.
+"""Scaling of a terrain's solar absorptance to a stated broadband albedo.
 
-Station, satellite product or a calibrated orthophoto give the mean reflectance of the ground for sunlight. One common
-factor on the reflectance of the terrain's bare materials makes the mean over its area equal to it. Leaves, water and
-snow keep their tables, and so do materials of objects only.
+A station, a satellite product or a calibrated orthophoto gives the mean solar reflectance of the ground. One factor on
+the reflectance of the bare materials makes the area mean equal to it. Leaves, water, snow and object-only materials
+keep their tables.
 """
 
 from collections.abc import Sequence
@@ -32,8 +32,7 @@ _MOST = 0.95
 def shares(ground: Sequence[Surface], covers: Sequence[Any], count: int, mesh: bool) -> NDArray[np.float64]:
     """Return the share of each of `count` materials in the area of a terrain, (count,).
 
-    Texels with unknown materials do not count. The surfaces of a `mesh` have texels of different sizes: those that
-    faces use share the area of their surface evenly.
+    Texels of unknown material do not count. On a `mesh`, texels that faces use share the area of their surface evenly.
     """
     found = np.zeros(count)
     for surface, cover in zip(ground, covers, strict=True):
@@ -46,9 +45,9 @@ def shares(ground: Sequence[Surface], covers: Sequence[Any], count: int, mesh: b
 
 
 def with_albedo(materials: Sequence[Material], share: NDArray[np.float64], albedo: float, where: str) -> list[Material]:
-    """Return the materials, the bare ones with another solar absorptance, so that their mean reflectance is `albedo`.
+    """Return the materials with the bare ones scaled to the mean reflectance `albedo`.
 
-    `share` (N,) is the share of each in the terrain; materials without one keep their absorptance.
+    `share` (N,) is each one's area share.
     """
     from thermorender.scene import open_ground
 
@@ -94,10 +93,10 @@ def _brighter(material: Material, factor: float) -> Material:
 
 
 def notes(scene: "Scene") -> tuple[str, ...]:
-    """Return a sentence on the stated albedo of a scene, and on its uncertainty in kelvin; none without one.
+    """Return a sentence on the stated albedo and its uncertainty [K], or none.
 
-    The uncertainty is the change of the mean temperature of the bare materials, level in the open at the scene's time,
-    for a change of the albedo by its standard deviation.
+    The uncertainty is the change of the mean temperature of bare, level, open ground for one standard deviation of
+    albedo.
     """
     spec = scene.spec.weather
     if spec is None or spec.albedo is None or scene.time is None:

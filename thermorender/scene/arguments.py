@@ -55,9 +55,9 @@ def material_of(key: int | str, value: Any, library: Mapping[str, Material], edi
 
 
 def checked_spec(spec: _Spec, name: str, folder: Path, given: Iterable[str] = ()) -> _Spec:
-    """Return keys of a scene file that were made in code, each checked by its reader; messages begin with `name`.
+    """Return scene-file keys made in code, each checked by its reader.
 
-    Files may be in any folder. Keys in `given` come in another way and may be missing.
+    Keys in `given` are set elsewhere and may be missing.
     """
     where, found, read = Where(name, top=""), {}, {}
     for item in fields(spec):

@@ -21,9 +21,9 @@ _CELLS = 512
 
 
 def notes(surfaces: Sequence[Surface], terrain_count: int) -> tuple[str, ...]:
-    """Return a sentence for each pair of objects, or object and ground, with overlapping faces in one plane.
+    """Return a sentence for each pair of objects, or object and ground, with overlapping coplanar faces.
 
-    Faces must look the same way, so that a body may stand on the ground; copies of bodies are left out.
+    Only faces of the same orientation count, so a body may stand on the ground; instances are left out.
     """
     whole = [number for number, surface in enumerate(surfaces) if surface.instances is None]
     objects = [number for number in whole if number >= terrain_count]
@@ -60,10 +60,7 @@ def notes(surfaces: Sequence[Surface], terrain_count: int) -> tuple[str, ...]:
 
 
 def _near(surfaces: Sequence[Surface], objects: Sequence[int]) -> Callable[[Surface], NDArray[np.intp]]:
-    """A function that returns the faces of a ground that may lie on or below one of some objects.
-
-    Triangles beside objects are smaller than these, so that one of their corners is near.
-    """
+    """Return a function that selects the ground faces that may lie on or below one of the objects."""
     boxes = np.array([
         [surfaces[number].vertices[:, :2].min(axis=0), surfaces[number].vertices[:, :2].max(axis=0)]
         for number in objects

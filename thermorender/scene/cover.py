@@ -1,7 +1,4 @@
-"""Which material covers each texel and each object: the scene file's emissivity, materials that edits replace, bands.
-
-The Cover follows from the SceneFiles of a scene and its Covering, and from nothing else.
-"""
+"""The material of each texel and object: emissivity of the scene file, replacements by edits, and spectral bands."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -104,9 +101,9 @@ class MaterialList:
 
 
 def cover_of(files: SceneFiles, covering: Covering, snow: bool, where: str) -> Cover:
-    """Return the Cover of a scene; `snow` says whether a learned map may find snow.
+    """Return the Cover of a scene.
 
-    Where it may not, the report has `WHY` in place of the reason.
+    Without `snow` a learned map may not find snow; the report then gives `WHY` as the reason.
     """
     emissivity, objects, surfaces, replaced, painted, _ = covering
     no_snow = "" if snow else WHY

@@ -1,6 +1,6 @@
-"""Declarations of a scene: the scene file, the edits made to it, and values given in place of files.
+"""What a scene declares: the scene file, the edits, and values given in place of files.
 
-All other state follows from these by `thermorender.scene.stages`, so no edit can leave a part stale.
+`thermorender.scene.stages` derives all other state from these.
 """
 
 from collections.abc import Mapping

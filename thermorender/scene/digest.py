@@ -1,7 +1,6 @@
-"""Fingerprints of a scene and its weather: hashes of everything a frame depends on.
+"""Hashes of everything a frame depends on, for the resumption of flights and the reuse of cached light.
 
-Flights resume and cached light is reused by these, so their input changes only where a frame may change. The parameters
-of `digest` are what a frame depends on; `Scene.changes` compares scenes by them.
+The parameters of `digest` are what a frame depends on; `Scene.changes` compares scenes by them.
 """
 
 import hashlib

@@ -16,16 +16,8 @@ _STEP_M = 100.0
 def pose_from_map(frame: LocalFrame, crs: Any, pose: ArrayLike) -> NDArray[np.float64]:
     """Return a pose in map coordinates as world_from_camera in a local frame, (4, 4).
 
-    The rotation is corrected for the grid's convergence and for the Earth's curvature between frame and camera.
-
-    Parameters
-    ----------
-    frame : LocalFrame
-        The scene's.
-    crs : rasterio.crs.CRS
-        Projected CRS of the map, in metres.
-    pose : (4, 4) array
-        map_from_camera: position (easting, northing, ellipsoid height) and axes (east, north, up) of the grid.
+    `pose` (4, 4) is map_from_camera: easting, northing and ellipsoid height [m], axes east, north, up of the projected
+    `crs`. The rotation is corrected for grid convergence and for the Earth's curvature between `frame` and camera.
     """
     from rasterio.crs import CRS
     from rasterio.warp import transform

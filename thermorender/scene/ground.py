@@ -14,14 +14,9 @@ _FACES_AT_ONCE = 1 << 20
 
 
 class Ground:
-    """Callable (east, north) → local height of the terrain [m], NaN where there is none.
+    """Callable (east, north) → local height of the terrain `surfaces` [m], NaN where there is none.
 
-    The bins are made at the first call: most scenes of terrain alone never need them.
-
-    Parameters
-    ----------
-    surfaces : sequence of Surface
-        The terrain.
+    The bins are made at the first call.
     """
 
     def __init__(self, surfaces: Sequence[Surface]) -> None:

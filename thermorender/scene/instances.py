@@ -1,8 +1,7 @@
-"""Many copies of one body: its triangles once, and a place, heading and scale for each copy.
+"""Instances of one body: its triangles once, and a position, heading and scale for each copy.
 
-The rest of the package sees each copy as a few patches, by height and by the side that triangles face, with a texel
-each. A patch is a face of its surface: a triangle that spans the heights of the patch, which rays never meet. Rays meet
-the triangles of the body, and a hit belongs to the patch of its triangle.
+The rest of the package sees each copy as a few patches, by height and orientation, with one texel each. A patch is
+stored as a triangle that rays never meet; a hit on a triangle of the body belongs to the patch of that triangle.
 """
 
 from collections.abc import Mapping
@@ -96,10 +95,7 @@ class Instances:
 
 
 def placed(surface: Surface, place: Mapping[str, Floats]) -> Surface:
-    """Return the Surface of copies of a body that is given in its own frame.
-
-    `place` is {"position": (n, 3) [m], "yaw_deg": (n,), "scale": (n,)}.
-    """
+    """Return the Surface of copies of a body; `place` is {"position": (n, 3) [m], "yaw_deg": (n,), "scale": (n,)}."""
     body = Instances(surface.vertices, surface.faces, np.zeros(len(surface.faces), np.uint8), **place)
     patch = _patches(surface.vertices[surface.faces], body.face_area)
     body = replace(body, patch=patch)

@@ -91,14 +91,8 @@ def _allows(case: tuple[str, ...] | str, material: str) -> bool:
 def read_mapped_cover(path: Path, grid: Grid, texel_m: float) -> MappedCover:
     """Return the MappedCover of a GeoJSON of OpenStreetMap tags, or of polygons with a property "material".
 
-    Parameters
-    ----------
-    path : path
-        In longitude and latitude, or in the CRS of its "crs" member. Tags are properties, or in a property "tags".
-    grid : Grid
-        Texels of the picture.
-    texel_m : float
-        Their side on the ground [m].
+    Coordinates are longitude and latitude, or those of the "crs" member. `texel_m` is the side of a texel of `grid`
+    [m].
     """
     features, crs = read_features(path)
     left_out: Counter[str] = Counter()
@@ -170,7 +164,7 @@ def _burnt(
 
 
 def tagged(feature: Any, path: Path, number: int) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return (geometry, tags) of feature `number` of a file; {} for the geometry of one that has none.
+    """Return (geometry, tags) of feature `number` of a file; {} for a missing geometry.
 
     Tags are properties, a property "tags", or text in one of `_PACKED`, as GDAL and PostGIS write rarer tags.
     """

@@ -110,11 +110,9 @@ def learned_materials(
 ) -> tuple[list[NDArray[np.uint8]], list[Material], list[NDArray[np.bool_]], dict[str, Any]]:  # fmt: skip
     """Return (numbers (h, w) uint8, materials and mixes, unknown (h, w) bool, report) of a terrain's pictures.
 
-    Pictures share the materials and mixes; numbers and unknown have an array for each. A texel is unknown where the
-    fallback is used, the last of the materials, or where its emissivity's standard deviation is above
-    `source.most_std`. `no_snow` is the reason why no snow lies there, or "". The report has shares of texels with the
-    fallback and with a large standard deviation, mean confidence and standard deviation (left out if all have the
-    fallback), errors of the palette, the coarsest texel, and sentences on the context.
+    All pictures share the materials; numbers and unknown have an array for each. A texel is unknown where the fallback,
+    the last material, is used, or where its emissivity's standard deviation exceeds `source.most_std`. `no_snow` is the
+    reason why no snow lies there, or "".
     """
     assert source.fallback is not None
     model, notes = model_of(source, library, where, no_snow)
@@ -229,32 +227,13 @@ def write_map(
     folder: Path | str, output: Path | str, model: str = EMISSIVITY_MAP, fallback: str = FALLBACK_MATERIAL,
     confidence: float | None = None, without: Sequence[str] = (), progress: Callable[[float], None] | None = None,
 ) -> tuple[dict[str, Path], dict[str, float], tuple[str, ...]]:  # fmt: skip
-    """Write class, probability and confidence rasters and a picture.
+    """Write class, probability and confidence rasters and a picture of a scene's materials to the folder `output`.
 
-    Returns ({kind: path}, {class: share}, sentences on the context).
+    Returns ({kind: path}, {class: share}, sentences on the context). Texels below `confidence` are unknown and get the
+    material `fallback`; `without` names materials of the map that do not occur. `progress` takes the share done.
 
-    Parameters
-    ----------
-    folder : path
-        Scene folder.
-    output : path
-        Existing folder for the files.
-    model : str
-        Name or file of the emissivity map.
-    fallback : str
-        Material of unknown texels.
-    confidence : float, optional
-        A texel below it is unknown; by default as in scene files.
-    without : sequence of str
-        Materials of the map that do not occur in the scene.
-    progress : callable (share), optional
-        The scene's weather, heights and `emissivity.present`, `known` and `heights` apply as in rendering.
-
-    Notes
-    -----
-    `classes.tif` holds material numbers (0 no image, 255 unknown) with a colour table, for manual correction.
-    `emissivity.toml` is the table for a scene file that uses it. `probabilities.tif` has a band per material, in
-    1/255. `materials.png` shows orthophoto and classes side by side.
+    `classes.tif` holds material numbers (0 no image, 255 unknown) and `emissivity.toml` their table for a scene file.
+    `probabilities.tif` has one band per material, in 1/255; `materials.png` shows orthophoto and classes side by side.
     """
     import rasterio
     from rasterio.windows import Window

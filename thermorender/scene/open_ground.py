@@ -1,7 +1,6 @@
-"""Columns of ground from the thermal tables of materials, and their heat balance on level, open ground.
+"""Heat balance of level, open ground: one column of each material on its substrate.
 
-A column is one material on its substrate. Level, open ground is the site of a weather station, and the initial state of
-a terrain's simulation.
+Such ground is the site of a weather station and the initial state of a terrain's simulation.
 """
 
 from collections.abc import Callable, Sequence
@@ -77,8 +76,8 @@ def columns(
 ) -> Columns:  # fmt: skip
     """Return the Columns of materials that have thermal properties.
 
-    `snow_m` is the depth of a material that is snow [m], in place of its table's; 0: the table's. `station_roughness_m`
-    is of the land around the station; None: the station is on the material itself.
+    `snow_m` replaces the depth of snow in the table [m]; 0: the table's. `station_roughness_m` is that of the land
+    around the station; None: the station stands on the material itself.
     """
     made = [_column(material, weather, snow_m, station_roughness_m, layers) for material in materials]
     stacked: dict[str, Any] = {}
@@ -191,7 +190,7 @@ def bare(material: Material) -> bool:
 def broadband(material: Material) -> float:
     """Return the hemispherical emissivity over the measured part of 8–14 µm, weighted with Planck's law at 290 K.
 
-    Half of a surface's emission is outside its spectra; the same emissivity is assumed there.
+    It stands for the whole spectrum, though half of the emission lies outside this range.
     """
     low, high = material.valid_range_um
     band = max(low, 8.0), min(high, 14.0)
@@ -207,8 +206,8 @@ def forcing(
 ) -> Forcing:  # fmt: skip
     """Return the Forcing of level, open ground under Conditions of one instant.
 
-    `sun_sine` is of the sun's elevation, `inside_k` the air inside buildings [K], `shortwave` measured absorbed
-    sunlight [W m⁻²]; by default it is computed from the absorptance.
+    `sun_sine` is the sine of the solar elevation, `inside_k` the air inside buildings [K], `shortwave` measured
+    absorbed sunlight [W m⁻²]; by default it follows from the absorptance.
     """
     level = found.direct_w_m2 * np.maximum(sun_sine, 0.0) + found.diffuse_w_m2
     return Forcing(
@@ -229,10 +228,10 @@ def march(
     inside_k: float = INSIDE_K, step_s: float = STEP_S,
     shortwave: "Callable[[NDArray[np.datetime64]], NDArray[np.float64]] | None" = None,
 ) -> "tuple[State, list[NDArray[Any]]]":  # fmt: skip
-    """Return (State, [surface temperatures (M,) after each step]) of columns in the open, from start to stop.
+    """Return (State, [surface temperatures (M,) [K] after each step]) of open columns from `start` to `stop`.
 
-    Steps are `step_s` long, or slightly shorter to fill the time evenly. `shortwave` gives measured absorbed sunlight
-    [W m⁻²] at instants.
+    Steps are at most `step_s` long and fill the time evenly. `shortwave` is measured absorbed sunlight at instants [W
+    m⁻²].
     """
     span = float((stop - start) / np.timedelta64(1, "s"))
     count = max(1, int(np.ceil(span / step_s - 1e-9)))
@@ -257,10 +256,10 @@ def march(
 
 
 def settled(columns: Columns, weather: Weather, at: np.datetime64, inside_k: float = INSIDE_K) -> "tuple[State, float]":
-    """Return (State of columns in the open at an instant, change of its surfaces over the last repeated day [K]).
+    """Return (State of open columns at an instant, change of the surfaces over the last repeated day [K]).
 
-    The first day of the last two weeks of weather before `at` is repeated until two successive days differ by less than
-    0.1 K. Each day starts with the mean of the previous one at depth. From there the weather is simulated to `at`.
+    The first of the two weeks before `at` is repeated until two days differ by less than 0.1 K, each from the previous
+    one's mean at depth. From there the weather is simulated to `at`.
     """
     if at < weather.time[0]:
         raise ThermorenderError(f"{utc_text(at)} is before the weather, which begins at {utc_text(weather.time[0])}")
@@ -279,8 +278,8 @@ def settled(columns: Columns, weather: Weather, at: np.datetime64, inside_k: flo
 def settle(columns: Columns, mean_k: float, day: "Callable[[State], tuple[State, Any]]") -> "tuple[State, float]":
     """Return (State, change of its surfaces over the last day [K]) of columns after a repeated day.
 
-    All depths begin at `mean_k` [K]; snow starts frozen, and the ground below it at 0 °C. `day` simulates the day from
-    a State and returns the final State and the surface temperatures after each step.
+    All depths begin at `mean_k` [K]; snow starts frozen, with the ground below it at 0 °C. `day` maps a State to the
+    next State and the surface temperatures after each step.
     """
     count, ground = len(columns.absorptance), columns.ground
     snowy, depth = ground.melting > 0.5, columns.node_m.T

@@ -20,15 +20,8 @@ def read_colour(
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
     """Return (rgb (h, w, 3) uint8, valid (h, w) bool) of an orthophoto.
 
-    Parameters
-    ----------
-    path : path
-    bands : (3,) ints, optional
-        Numbers of the red, green and blue band, from 1; default: those that the file declares.
-    colour_range : (2,) floats, optional
-        Values that become 0 and 255; needed for other than 8 bits.
-    collar : int
-        A border within this many levels of black or white is empty.
+    `bands` are the numbers of red, green and blue, from 1, by default the declared ones. `colour_range` becomes 0 and
+    255 and is needed for other than 8 bits. A border within `collar` levels of black or white is empty.
     """
     with opened(path) as dataset:
         names = [each.name for each in dataset.colorinterp]

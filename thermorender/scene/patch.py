@@ -35,13 +35,7 @@ def name_of(given: str | PathLike[str] | Mapping[str, Any]) -> str:
 
 
 def read_features(given: str | PathLike[str] | Mapping[str, Any]) -> tuple[list[Any], Any]:
-    """Return (features, rasterio CRS) of a GeoJSON FeatureCollection; longitude and latitude without a "crs" member.
-
-    Parameters
-    ----------
-    given : path or dict
-        The file, or its contents.
-    """
+    """Return (features, rasterio CRS) of a GeoJSON FeatureCollection, a path or its contents; WGS 84 without "crs"."""
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
 
@@ -64,15 +58,9 @@ def read_features(given: str | PathLike[str] | Mapping[str, Any]) -> tuple[list[
 
 
 def areas(given: Any, place: Place, ground: Ground) -> list[tuple[Any, str | None]]:
-    """Return [(GeoJSON geometry in the CRS of the place, the property "material" or None)] of an area.
+    """Return [(GeoJSON geometry in the CRS of the place, property "material" or None)] of an area.
 
-    Parameters
-    ----------
-    given : path, dict or (N, 2) array
-        GeoJSON of polygons, a file or its contents; or corners of one polygon: local east and north [m].
-    place : Place
-    ground : Ground
-        Height of the corners.
+    `given` is GeoJSON of polygons, a file or its contents, or corners (N, 2) of one polygon: local east and north [m].
     """
     if not isinstance(given, (str, PathLike, Mapping)):
         return [(_of_corners(given, place, ground), None)]
@@ -126,9 +114,9 @@ def part_of(grid: Grid, low: ArrayLike, high: ArrayLike) -> tuple[slice, slice]:
 
 
 def texels_of(geometry: Any, crs: Any, grid: Grid, where: str) -> tuple[tuple[slice, slice], NDArray[np.bool_]]:
-    """Return (part of a grid, which of its texels have their middle in a polygon); the part is empty outside of it.
+    """Return (part of a grid, its texels (h, w) bool with centre in a polygon).
 
-    Holes without corners are skipped, and so are polygons without corners in a MultiPolygon.
+    Polygons and holes without corners are skipped.
     """
     try:
         polygons = [geometry["coordinates"]] if geometry["type"] == "Polygon" else list(geometry["coordinates"])
@@ -144,9 +132,9 @@ def texels_of(geometry: Any, crs: Any, grid: Grid, where: str) -> tuple[tuple[sl
 
 
 def burnt(polygons: Sequence[Any], part: tuple[slice, slice]) -> NDArray[np.bool_]:
-    """Return which texels of a part of a grid have their middle in polygons, each a ring (N, 2) or rings with holes.
+    """Return the texels (h, w) bool of a part of a grid whose centre is in a polygon.
 
-    Rings are (column, row) of the grid.
+    A polygon is a ring (N, 2) in (column, row) of the grid, or rings of which the later ones are holes.
     """
     from rasterio import Affine
     from rasterio.features import rasterize

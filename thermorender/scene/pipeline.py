@@ -1,7 +1,4 @@
-"""Values that functions make from each other; each function names its inputs by its parameters.
-
-What an edit changes follows from the signatures, so no list of dependencies is written by hand.
-"""
+"""Values computed by functions whose parameters name their inputs, so signatures decide what an edit recomputes."""
 
 from collections.abc import Callable, Iterable, Mapping
 from inspect import signature
@@ -14,11 +11,11 @@ class _Made(NamedTuple):
 
 
 class Pipeline:
-    """Stages: functions that return the value of their own name.
+    """Stages: functions that return the value of their own name, from inputs and other stages.
 
-    A parameter is an input or another stage. A parameter annotated as a callable without arguments arrives as a
-    function, and the stage depends on it only if it calls that function. Lazy stages run when first asked for, the
-    others at once, so that a value that cannot be made is refused by the edit that causes it.
+    A parameter annotated as a callable without arguments is evaluated on demand, and is a dependency only if called.
+    Lazy stages run when first asked for, the others at once, so that an edit with an invalid value is refused
+    immediately.
     """
 
     def __init__(self, stages: Iterable[Callable[..., Any]], lazy: Iterable[Callable[..., Any]] = ()) -> None:
@@ -33,10 +30,10 @@ class Pipeline:
 
 
 class Values:
-    """Inputs and what the stages of a pipeline made of them; a value never changes.
+    """Immutable inputs of a pipeline and the values of its stages.
 
-    `earlier` are values before some inputs changed. A stage whose inputs are the same keeps its value from there, and
-    so does one that makes an equal value again.
+    `earlier` are values before some inputs changed. A stage with the same inputs, or an equal result, keeps its old
+    value.
     """
 
     def __init__(

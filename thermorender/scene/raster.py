@@ -184,10 +184,7 @@ def _crs_free(error: Exception) -> str:
 
 
 def read_band(path: Path, missing: Sequence[float] = ()) -> NDArray[np.float64]:
-    """Return one band as float64 with NaN where the file has no data, (h, w); scale and offset tags applied.
-
-    Values of `missing`, before scale and offset, count as missing too.
-    """
+    """Return one band as float64, (h, w), scale and offset applied; NaN for no data and for raw values in `missing`."""
     with opened(path) as dataset:
         if dataset.count != 1:
             raise ThermorenderError(f"{path} has {dataset.count} bands where one is expected; extract the one to use")
@@ -214,14 +211,7 @@ def read_classes(path: Path) -> NDArray[np.int16]:
 
 
 def onto(values: NDArray[Any], source: Grid, target: Grid, resampling: str) -> NDArray[Any]:
-    """Return a raster on another grid, (h, w) or (h, w, c), with NaN (0 for integers) where it has no data.
-
-    Parameters
-    ----------
-    values : (h, w) or (h, w, c) array
-    source, target : Grid
-    resampling : {"nearest", "bilinear", "average", "max"}
-    """
+    """Return a raster (h, w) or (h, w, c) resampled to another grid, with NaN (0 for integers) where it has no data."""
     if source.same_as(target):
         return values
     from rasterio.warp import Resampling, reproject

@@ -1,7 +1,6 @@
-"""Finer triangles where light changes within them: beside objects, and where triangles are large.
+"""Finer triangles beside objects and where triangles are large, because light is constant over a triangle.
 
-Light between surfaces is constant over a triangle. Beside an object it changes within a fraction of the object's size;
-on a wall of a surface model it changes from foot to eaves.
+Light changes within a fraction of the size of an object beside it, and from foot to eaves of a wall.
 """
 
 from collections.abc import Sequence
@@ -35,10 +34,9 @@ _CUTS = {
 
 
 def refined(terrain: Sequence[Surface], objects: Sequence[Surface]) -> tuple[list[Surface], list[Surface]]:
-    """Return (terrain, objects): the surfaces with their triangles split on and beside objects.
+    """Return (terrain, objects) with the same shapes and smaller triangles.
 
-    No edge is longer than a 16th of the extent of the object that a triangle belongs to or is beside. The shapes do
-    not change.
+    No edge is longer than 1/16 of the extent of the object that a triangle belongs to or is beside.
     """
     around = [_around(item) for item in objects]
     quartered = [_quartered(surface, around) for surface in terrain]
@@ -55,10 +53,9 @@ def refined(terrain: Sequence[Surface], objects: Sequence[Surface]) -> tuple[lis
 
 
 def evened(surface: Surface) -> Surface:
-    """Return a surface whose largest triangles are halved along shared edges, which adds about a fifth more triangles.
+    """Return a surface whose largest triangles are bisected conformingly, which adds about a fifth more triangles.
 
-    The shape does not change, and no corner of a triangle lies within a neighbour's edge. A surface of few triangles,
-    such as a box, gets about a thousand; one of equal triangles stays as it is.
+    A surface of few triangles, such as a box, gets about a thousand; one of equal triangles stays as it is.
     """
     area = _area(surface, surface.faces)
     limit = _limit(area, max(_MORE, int(_MORE_SHARE * len(area))))
@@ -97,10 +94,7 @@ def _limit(area: _Floats, more: int) -> float:
 
 
 def _bisected(surface: Surface, large: NDArray[np.bool_]) -> tuple[Surface, NDArray[np.bool_]]:
-    """(surface with the longest edge of each `large` triangle halved, triangles that stay whole).
-
-    Every triangle with a halved edge is cut; the whole ones come first, in their order.
-    """
+    """Return (surface with the longest edge of each `large` triangle halved, uncut triangles); the uncut come first."""
     faces, vertices, count = surface.faces, surface.vertices, len(surface.vertices)
     touched = np.zeros(count, bool)
     touched[faces[large]] = True
@@ -142,10 +136,7 @@ def _bisected(surface: Surface, large: NDArray[np.bool_]) -> tuple[Surface, NDAr
 
 @dataclass(frozen=True, eq=False)
 class _Extents:
-    """Bounds of each triangle along x, y and z, (3, F), and its longest edge, (F,) [m].
-
-    The rows are contiguous: NumPy reduces an axis of length 3 slowly, and every object scans the whole terrain.
-    """
+    """Bounds of each triangle along x, y, z, (3, F) contiguous, and its longest edge, (F,) [m]."""
 
     low: _Floats
     high: _Floats
@@ -209,9 +200,9 @@ def _quartered(surface: Surface, around: Sequence[tuple[_Box, float]]) -> tuple[
 
 
 def _split(surface: Surface, limit: _Floats, longest: _Floats) -> Surface:
-    """A surface whose triangles, with edges of up to `longest` (F,), have none longer than `limit` (F,) [m].
+    """Return a surface without edges above `limit` (F,) [m]; `longest` (F,) are the present ones.
 
-    Triangles that need no cut come first, in their order.
+    Uncut triangles come first.
     """
     parts = np.ceil(np.where(np.isfinite(limit), longest / limit, 1.0) - 1e-9).astype(int).clip(1)
     whole = parts == 1

@@ -1,7 +1,7 @@
-"""The scene file: `scene.toml` read into frozen dataclasses, every key checked.
+"""The scene file `scene.toml`, read into frozen dataclasses with every key checked.
 
-A key is a field of its table's dataclass; see `thermorender.schema`. File names are relative to the scene's folder.
-The files must be inside it, and so must the files that they name.
+A key is a field of its table's dataclass; see `thermorender.schema`. File names are relative to the scene's folder, and
+all files must be inside it.
 """
 
 import os
@@ -135,16 +135,14 @@ def _needed(where: Where, values: Any, needs: Mapping[str, list[str]]) -> None:
 
 @dataclass(frozen=True)
 class TerrainSpec:
-    """Ground of the scene: an elevation raster with an orthophoto, or one textured mesh.
-
-    `fill` fills enclosed gaps in the heights from around and flags them in the truth mask; otherwise they are holes.
-    """
+    """Ground of the scene: an elevation raster with an orthophoto, or one textured mesh."""
 
     elevation: Path | None = key(raster_inside, None)
     mesh: Path | None = key(file_inside, None)
     orthophoto: Path | None = key(raster_inside, None)
     height_reference: str = key(choice("ellipsoid", "geoid"), "ellipsoid")
     geoid_undulation_m: float | None = key(number(), None)
+    # Fills enclosed gaps in the heights and flags them in the truth mask; otherwise they are holes.
     fill: bool = key(flag, False)
 
     def check(self, where: Where, given: Mapping[str, Any]) -> None:
@@ -158,22 +156,21 @@ class TerrainSpec:
 
 @dataclass(frozen=True)
 class TemperatureSpec:
-    """Where the kinetic temperature of each texel comes from.
-
-    `range_c` gives the temperatures of a learned map's intensities 0 and 1. With `brightness`, the orthophoto's
-    brightness sets the short-wave absorptance within a bare material for the heat balance. `trained` is the instant and
-    weather of a learned map's or raster's temperatures, in place of those in the map's file. `map_error_k` is one
-    standard deviation of their error. The heat balance uses both to move the temperatures to the time of [weather].
-    """
+    """Source of the kinetic temperature of each texel."""
 
     source: str = key(choice("constant", "raster", "material", "learned", "balance"))
     value: float | None = key(kelvin, None)
     raster: Path | None = key(raster_inside, None)
     model: str | None = key(temperature_map, None)
+    # Temperatures of a learned map's intensities 0 and 1 [°C].
     range_c: tuple[float, float] | None = key(number(-200.0, 3000.0, count=2, ordered=True), None)
     materials: dict[str, float] = key(mapping(kelvin), {})
+    # The orthophoto's brightness sets the short-wave absorptance within a bare material (heat balance).
     brightness: bool = key(flag, False)
+    # Instant and weather of a learned map or raster, in place of those in the map's file. With the error below, the
+    # heat balance moves the temperatures to the time of [weather].
     trained: "WeatherSpec | None" = key(lambda value, where: read(WeatherSpec, value, where), None)
+    # One standard deviation of the error of these temperatures [K].
     map_error_k: float | None = key(number(0.0, 50.0), None)
 
     def check(self, where: Where, given: Mapping[str, Any]) -> None:
@@ -195,12 +192,7 @@ class TemperatureSpec:
 
 @dataclass(frozen=True)
 class EmissivitySpec:
-    """Where the material of each texel comes from.
-
-    With a learned map, `known` is a GeoJSON of OpenStreetMap tags that restrict the materials inside its shapes. By
-    default, weather that excludes snow excludes its materials, except those of `present`, and `heights` above the
-    ground and slopes weigh the materials.
-    """
+    """Source of the material of each texel."""
 
     source: str = key(choice("constant", "material", "classes", "learned"))
     value: float | None = key(share, None)
@@ -212,8 +204,11 @@ class EmissivitySpec:
     confidence: float = key(share, DEFAULT_CONFIDENCE)
     most_std: float = key(share, DEFAULT_MOST_STD)
     without: tuple[str, ...] = key(texts, ())
+    # Snow materials that stay possible although the weather excludes snow.
     present: tuple[str, ...] = key(texts, ())
+    # GeoJSON of OpenStreetMap tags that restrict the materials inside its shapes, for a learned map.
     known: Path | None = key(file_inside, None)
+    # Whether heights above the ground and slopes weigh the materials of a learned map.
     heights: bool = key(flag, True)
 
     def check(self, where: Where, given: Mapping[str, Any]) -> None:
@@ -230,17 +225,16 @@ class EmissivitySpec:
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceSpec:
-    """Part of a mesh whose material or temperature is not that of [emissivity] or [temperature].
+    """Part of a mesh whose material or temperature is not that of [emissivity] or [temperature]."""
 
-    `name` is that of a node, group, material or texture in the mesh's file. `classes` is a raster of class numbers in
-    the pixels of the texture; [emissivity.classes] names their materials. `temperature` may be such a raster too.
-    An `inferred` part has a shape that nobody has seen, such as a wall below the roof of a survey from above.
-    """
-
+    # Of a node, group, material or texture in the mesh's file.
     name: str = key(text)
     material: str | None = key(text, None)
+    # Raster of class numbers in the pixels of the texture; [emissivity.classes] names their materials.
     classes: Path | None = key(raster_inside, None)
+    # Kelvin, or a raster in the pixels of the texture.
     temperature: "float | Path | None" = key(kelvin_or_raster, None)
+    # The shape is not measured, such as a wall below the roof of a survey from above.
     inferred: bool | None = key(flag, None)
 
     def check(self, where: Where, given: Mapping[str, Any]) -> None:
@@ -253,10 +247,7 @@ class SurfaceSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectSpec:
-    """A solid object in the scene: a primitive or a mesh file, with one material and temperature.
-
-    A `temperature` of None is solved by the heat balance of the scene, for copies only.
-    """
+    """A solid object in the scene: a primitive or a mesh file, with one material and temperature."""
 
     name: str = key(text)
     shape: str | None = key(choice("disc", "box", "sphere"), None)
@@ -264,6 +255,7 @@ class ObjectSpec:
     size: tuple[float, float, float] = key(number(0.0, FARTHEST_M, above=True, count=3, unit="m"), (1.0, 1.0, 1.0))
     position: tuple[float, float, float] = key(number(-FARTHEST_M, FARTHEST_M, count=3, unit="m"))
     yaw_deg: float = key(number(), 0.0)
+    # Kelvin; None, for instances only, is solved by the heat balance.
     temperature: float | None = key(kelvin_or_balance)
     material: str = key(text)
     colour: tuple[float, float, float] = key(number(0.0, 255.0, count=3, unit="(sRGB)"), (128.0, 128.0, 128.0))
@@ -448,13 +440,7 @@ class SceneSpec:
 
 
 def read_scene(folder: Path | str) -> SceneSpec:
-    """Return the SceneSpec of a scene folder.
-
-    Parameters
-    ----------
-    folder : path
-        Folder holding `scene.toml` (or the path of that file itself).
-    """
+    """Return the SceneSpec of a scene folder or of the path of its `scene.toml`."""
     path = Path(folder)
     if path.name != "scene.toml":
         path = path / "scene.toml"

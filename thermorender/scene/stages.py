@@ -1,7 +1,6 @@
 """The stages of a scene: functions that return the value of their own name, with their inputs as parameters.
 
-`PIPELINE` derives from the signatures what an edit makes again. Inputs are the fields of `Declared`; the key `x` of the
-scene file is `spec_x`.
+Inputs are the fields of `Declared`; the key `x` of the scene file is `spec_x`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -234,8 +233,8 @@ def sun(
 ) -> SunSpec | None:  # fmt: skip
     """Return the sun that shines on the scene, or None.
 
-    If temperatures follow the weather, its position is that at `time`, and it shines through air if its direct
-    irradiance is above 120 W m⁻²; until they are solved there is none. Otherwise it is the declared one.
+    If temperatures follow the weather, it is the sun's position at `time`, provided that its direct irradiance is above
+    120 W m⁻²; until they are solved there is none. Otherwise it is the declared one.
     """
     if not temperatures.state.weather_driven:
         return spec_sun

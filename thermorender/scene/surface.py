@@ -74,23 +74,14 @@ _Kelvin = TypeVar("_Kelvin", bound=ArrayLike)
 
 
 def open_share(missing: NDArray[np.bool_], on_ground: NDArray[np.bool_] | None) -> float:
-    """Return the share of the terrain's texels that a raster leaves open.
-
-    `missing` (h, w) are texels without a value, `on_ground` (h, w) those on the terrain; None if all of them are.
-    """
+    """Return the share of terrain texels (h, w) without a value; `on_ground` None means that all texels are terrain."""
     if on_ground is None:
         return float(missing.mean())
     return float((missing & on_ground).sum() / max(on_ground.sum(), 1))
 
 
 def scene_kelvin(name: str, temperature: _Kelvin, allow_zero: bool = False) -> _Kelvin:
-    """Return `temperature` unchanged [K] after refusing values that no surface or sky of a scene has.
-
-    Parameters
-    ----------
-    name, temperature, allow_zero
-        As in `thermorender.units.kelvin`.
-    """
+    """Return `temperature` [K] unchanged; refuses what no surface or sky has. Arguments as `units.kelvin`."""
     kelvin(name, temperature, allow_zero)
     highest = np.nanmax(np.asarray(temperature))
     if highest > HOTTEST_KELVIN:
@@ -102,13 +93,7 @@ def scene_kelvin(name: str, temperature: _Kelvin, allow_zero: bool = False) -> _
 
 
 def nearest_valid(valid: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Return the flat index of the nearest valid texel for every texel, (h, w) int.
-
-    Parameters
-    ----------
-    valid : (h, w) bool
-        At least one texel must be valid.
-    """
+    """Return the flat index of the nearest valid texel for every texel, (h, w) int; at least one must be valid."""
     from scipy.ndimage import distance_transform_edt
 
     rows, columns = distance_transform_edt(~valid, return_distances=False, return_indices=True)

@@ -51,19 +51,13 @@ class Texels:
 
 
 def resolve(spec: TemperatureSpec, texels: Texels) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Return (temperature (h, w) float32 [K], flags (h, w) uint8) of a surface's texels.
-
-    `texels.report` receives notes for the user, such as the share of intensities outside 0…1.
-    """
+    """Return (temperature (h, w) float32 [K], flags (h, w) uint8) of a surface; notes go to `texels.report`."""
     temperature, flags = SOURCES[spec.source](spec, texels)
     return temperature.astype(np.float32), flags
 
 
 def trained(spec: TemperatureSpec, model: "TemperatureMap | None" = None) -> WeatherSpec | None:
-    """Return the instant and weather that a source's temperatures are for; None if neither it nor its map states them.
-
-    `model` is the learned map of the source, if it has already been read.
-    """
+    """Return the instant and weather of a source's temperatures, from the source or its `model`; None if unstated."""
     if spec.trained or spec.source != "learned":
         return spec.trained
     stated = _map_of(spec, model).trained
@@ -71,10 +65,7 @@ def trained(spec: TemperatureSpec, model: "TemperatureMap | None" = None) -> Wea
 
 
 def map_error_k(spec: TemperatureSpec, model: "TemperatureMap | None" = None) -> float:
-    """Return one standard deviation of a map's error [K], as the source or the map states it, or `ASSUMED_ERROR_K`.
-
-    `model` is the learned map of the source, if it has already been read.
-    """
+    """Return one standard deviation of a map's error [K], from the source or its `model`, else `ASSUMED_ERROR_K`."""
     error = spec.map_error_k
     if error is None and spec.source == "learned":
         error = _map_of(spec, model).error_k
@@ -214,7 +205,7 @@ def from_map(
 ) -> tuple[_Kelvin, NDArray[np.uint8]]:  # fmt: skip
     """Return (temperature (h, w) [K], flags (h, w) uint8) of texels from a learned map, and add to their report.
 
-    `sky_temperature` and `stand_in` are as of `learned.apply.kinetic_from_map`.
+    `sky_temperature` and `stand_in` [K] are as of `learned.apply.kinetic_from_map`.
     """
     from thermorender.learned.apply import kinetic_from_map
 

@@ -1,7 +1,6 @@
 """The state of a scene's terrain temperatures: known, or pending until a renderer solves them for an instant.
 
-`Scene.temperature_state` is one of the two. Both name the source of temperatures that follow the weather, so that a
-solved scene can be solved again.
+Both states keep the source of temperatures that follow the weather, so a solved scene can be solved again.
 """
 
 from collections.abc import Mapping

@@ -41,9 +41,9 @@ def read_elevation(path: Path) -> tuple[NDArray[np.float64], Grid]:
 
 
 def doubtful_zeros(path: Path, height: NDArray[np.floating]) -> tuple[str, ...]:
-    """Return a sentence on heights of exactly 0 far below all others, where a raster declares no value of missing ones.
+    """Return a sentence on heights of exactly 0 far below all others in a raster without a no-data value.
 
-    Programs write 0 where they know nothing, and so it stands for the sea and for gaps.
+    Such zeros are gaps in some files and sea level in others.
     """
     with opened(path) as dataset:
         declared = dataset.nodata is not None
@@ -66,17 +66,9 @@ def _metres(path: Path) -> float:
 
 
 def metres_of_heights(path: Path, crs: Any, unit: str, declare: str) -> float:
-    """Return the metres in the unit of a file's heights.
+    """Return the metres in the unit of a file's heights, from the CRS or the file's own `unit` ("" if undeclared).
 
-    Parameters
-    ----------
-    path : path
-    crs : rasterio CRS
-        With a vertical part or without one.
-    unit : str
-        As the file declares it beside the CRS; empty if it does not.
-    declare : str
-        How to declare it, for messages.
+    `declare` says in messages how to declare it.
     """
     map_unit = crs.linear_units if crs.is_projected else "metre"
     crs = crs.to_dict(projjson=True)
@@ -104,10 +96,7 @@ def metres_of_heights(path: Path, crs: Any, unit: str, declare: str) -> float:
 
 
 def zero_of_heights(crs: Any) -> str | None:
-    """Return the name of what a CRS counts heights from: a vertical datum with a code, or "the ellipsoid".
-
-    None if it does not say so. Datums without a code have several names.
-    """
+    """Return the height reference of a CRS: a vertical datum with a code, "the ellipsoid", or None if unstated."""
     found = crs.to_dict(projjson=True)
     found = found.get("source_crs", found)
     for part in found.get("components", [found]):
@@ -120,10 +109,9 @@ def zero_of_heights(crs: Any) -> str | None:
 
 
 def filled(height: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return (heights (h, w) with islands filled, posts of the cells that this creates (h, w) bool).
+    """Return (heights (h, w) with enclosed gaps filled, posts of the new cells (h, w) bool); gaps at the edge stay.
 
-    An island is a group of missing posts enclosed by known ones; gaps at the raster's edge stay. Heights are linear
-    on the Delaunay triangles of the posts around the islands, so that slopes continue.
+    Filled heights are linear on the Delaunay triangles of the posts around the gaps.
     """
     from scipy.interpolate import LinearNDInterpolator
     from scipy.ndimage import binary_dilation, label
@@ -150,18 +138,10 @@ def frame_of(height: NDArray[np.float64], grid: Grid) -> LocalFrame:
 def mesh(
     height: NDArray[np.float64], grid: Grid, frame: LocalFrame, texels: Grid
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float32]]:
-    """Return (vertices (V, 3) [m], faces (F, 3), uv (F, 3, 2)) of an elevation raster.
+    """Return (vertices (V, 3) [m], faces (F, 3), uv (F, 3, 2)) of ellipsoid heights (h, w) [m], NaN where missing.
 
-    Posts are at pixel centres. Cells with a missing post are left out; the others are split along the diagonal from
-    the upper left to the lower right post.
-
-    Parameters
-    ----------
-    height : (h, w) float64
-        Ellipsoid heights [m], NaN where missing.
-    grid, texels : Grid
-        Pixel grids of the heights and of the texel map, in the same CRS.
-    frame : LocalFrame
+    Posts are pixel centres of `grid`; uv refer to the grid `texels` in the same CRS. Cells with a missing post are left
+    out, the others split from the upper left to the lower right post.
     """
     known = np.isfinite(height)
     whole = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]

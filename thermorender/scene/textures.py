@@ -113,7 +113,7 @@ def areas(surface: Surface) -> NDArray[np.float64]:
 
 
 def texel_size_m(surface: Surface) -> float:
-    """Return the side of a texel of a mesh [m]: root of the area of its faces over that of the texels they show.
+    """Return the texel side of a mesh [m]: root of the area of its faces over that of the texels they show.
 
     Where no face covers an area of the map, the faces share the texels evenly.
     """

@@ -45,10 +45,7 @@ class TrackedObject:
         return self.item.name
 
     def at(self, time_s: float, **given: float) -> dict[str, float]:
-        """Return {column: value} at a time [s], linear between the track's rows and constant beyond its ends.
-
-        Values in `given`, of COLUMNS, are used instead.
-        """
+        """Return {column: value} at a time [s], linear between rows, constant beyond the ends, or as `given`."""
         for name, value in given.items():
             if name not in COLUMNS:
                 raise ThermorenderError(f"object {self.name!r} has no {name!r} to set; give {', '.join(COLUMNS)}")
@@ -88,10 +85,7 @@ class TrackedObject:
     def world_from_own(
         self, values: Mapping[str, float], ground: Callable[[float, float], float]
     ) -> NDArray[np.float64]:
-        """Return (4, 4) from the object's own frame to the scene's, for values as by `at`.
-
-        `ground` is a callable (east, north) → height of the terrain [m].
-        """
+        """Return world_from_object (4, 4) for values as by `at`; `ground` maps (east, north) to terrain height [m]."""
         east, north = values["east_m"], values["north_m"]
         height = float(ground(east, north))
         if not np.isfinite(height):
@@ -112,7 +106,7 @@ def read_columns(
 ) -> tuple[dict[str, NDArray[np.float64]], list[int]]:
     """Return ({column: (n,)}, number of each row in the file) of a CSV with a header and finite numbers.
 
-    The file must have the columns `needed`, and `least` or more of `others`.
+    The file must have the columns `needed`, and at least `least` of `others`.
     """
     try:
         lines = list(csv.reader(io.StringIO(read_text(path, "CSV UTF-8"))))

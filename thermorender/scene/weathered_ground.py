@@ -1,7 +1,6 @@
-"""Ground as a weather leaves it: soil and low vegetation with the moisture of the past weeks, and under snow.
+"""Soil and low vegetation with the moisture of the past weeks and under snow, as the weather leaves them.
 
-A material whose table names a soil's texture takes part. Others, such as paving, roofs and trees, stay as their tables
-say, and so does all ground where the weather has no rain.
+Only materials whose table names a soil texture change; paving, roofs and trees stay as their tables say.
 """
 
 from collections.abc import Iterable, Sequence
@@ -62,15 +61,11 @@ def lying_snow(materials: Iterable[Material], weather: Weather, at: np.datetime6
 
 
 def in_weather(materials: Sequence[Material], weather: Weather, at: np.datetime64) -> list[Material]:
-    """Return materials, each with thermal properties and no mixture, as the weather before an instant leaves them.
+    """Return materials, without mixtures and snow, as the weather before an instant leaves them.
 
-    Snow apart; see `parted`.
-
-    Notes
-    -----
     Where rain is known, moisture begins at the table's `water_share` and follows `moisture.after_day` from the
     weather's first instant. Conductivity changes by Johansen's law from the table's value, heat capacity by that of
-    water. Leaves transpire by `season`, and where rain is not known, dry air tells of dry roots.
+    water. Leaves transpire by `season`; without rain data, dry air indicates dry roots.
     """
     found, days, now = [], None, None
     for material in materials:
@@ -90,9 +85,9 @@ def in_weather(materials: Sequence[Material], weather: Weather, at: np.datetime6
 def parts_in_weather(
     materials: Sequence[Material], weather: Weather, at: np.datetime64, higher_m: float = 0.0
 ) -> list[tuple[tuple[Material, float], ...]]:
-    """Return ((material, share), …) of each material at an instant: its parts by `in_weather`, under snow and not.
+    """Return ((material, share), …) of each material at an instant: its parts by `in_weather`, with and without snow.
 
-    `higher_m` is the height of the ground above that of the weather, whose air becomes cooler and thinner with it.
+    Air is cooler and thinner at `higher_m` [m] above the height of the weather.
     """
     weather = _lifted(weather, higher_m)
     pack = lying_snow(materials, weather, at)
@@ -118,10 +113,10 @@ def _lifted(weather: Weather, higher_m: float) -> Weather:
 def parted(
     material: Material, pack: Pack, always: bool = False
 ) -> tuple[tuple[Material, float], tuple[Material, float]]:
-    """Return ((ground under snow, its share), (what stands out, its share)), by `snow.covers`; below 1 % they are 0.
+    """Return ((ground under snow, share), (snow-free part, share)) by `snow.covers`; shares below 1 % are 0.
 
-    Only soil and low vegetation, which name a texture, lie under snow. Bare soil stands out as it is, leaves stand
-    above the snow. With `always` the first one is made whatever its share.
+    Only low vegetation and soil with a texture lie under snow; leaves stand above it. `always` makes the first part at
+    any share.
     """
     thermal, share = material.thermal, 0.0
     if thermal is None or not thermal.texture:

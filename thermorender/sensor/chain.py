@@ -1,12 +1,11 @@
 """The camera from end to end: a radiance image to counts, in physical order.
 
-`OPTICS` holds the stages before the pixel warms up and `READOUT` those after. Between them is the pixel's response
-(`thermorender.sensor.detector`), which links the frames of a sequence. A single frame is that of a camera at rest.
+`OPTICS` holds the stages before the pixel's response (`thermorender.sensor.detector`), `READOUT` those after. A single
+frame is that of a camera at rest.
 
-A flat-field correction makes the image of a uniform scene uniform. It divides each pixel's signal by its relative
-illumination and subtracts the emission of the case at the time of the last shutter. Noise arises before the
-correction, so it grows towards the corners as the light decreases; the residual of the correction does not. The shutter
-is behind the lens, so it does not correct what the lens adds. Effects without a key in the camera's file take no time.
+A flat-field correction divides the signal by its relative illumination and subtracts the emission of the case at the
+last shutter. Noise arises before it and so grows towards the corners; its residual does not. The shutter is behind the
+lens, so it does not correct what the lens adds. Effects without a key in the camera's file take no time.
 """
 
 from collections.abc import Callable, Sequence
@@ -55,7 +54,7 @@ def at_rest(camera: Camera, index: int = 0) -> Moment:
 
 
 def in_sequence(camera: Camera, index: int, elapsed_s: float) -> Moment:
-    """Return the Moment of a frame `elapsed_s` [s] after the camera was started with a flat-field correction.
+    """Return the Moment of a frame `elapsed_s` [s] after the start, at which the flat field was corrected.
 
     The case warms by `case_rise_k` exponentially. Corrections follow at fixed intervals and freeze the image.
     """

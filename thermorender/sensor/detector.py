@@ -1,8 +1,7 @@
 """The microbolometer pixel as a heat capacity: absorbed power, its exponential response, rows read one after another.
 
-C dΔT/dt = P − G ΔT has the time constant C/G. The signal is stored in watts of steady power, G ΔT, so neither C nor
-G is needed. Between two instants at which the power is known, it is linear in time. The response to that is exact, so
-no step is too long.
+C dΔT/dt = P − G ΔT has the time constant C/G. The signal is G ΔT, watts of steady power, so neither C nor G is needed.
+Power is linear between known instants, for which the response is exact.
 """
 
 from dataclasses import dataclass
@@ -44,8 +43,8 @@ def forgotten_s(camera: Camera) -> float:
     """Return the time after which pixels have forgotten an earlier state to the last bit [s].
 
     A difference falls as e⁻ᵗ/τ. After 53 ln 2 time constants it is below the last bit of a float64 signal. It then
-    changes a rounding with a probability that falls as fast, which ln(100 n) more bring to 1 % for all n pixels. Half a
-    count is reached earlier: 2¹⁴ counts fall below it after 15 ln 2 = 10.4 time constants.
+    changes a rounding with a probability that ln(100 n) more time constants bring to 1 % for all n pixels. Of 2¹⁴
+    counts, half a count is left after 15 ln 2 = 10.4 time constants.
     """
     return camera.time_constant_ms * 1e-3 * float(53.0 * np.log(2.0) + np.log(100.0 * camera.width * camera.height))
 

@@ -1,11 +1,11 @@
 """A sequence of images as a microbolometer takes them: pixels with a thermal memory, rows read one after another.
 
-Static view: if the image hardly moves within a time constant, one radiance image per frame is enough, together with
-the pixels' state after the frame before. Sub-pixel motion: that image is moved back along its path, to the ages that
-best represent the exponential past of each row. Fast motion: the power on the pixels is followed through close
-instants, linear in time between them, with the exact response. Only some of these instants are rendered: between two
-renders, both images are moved as the ground moves, and blended. Moving objects: the part of the image that they cross
-is followed through rendered instants, whatever the camera does (`thermorender.sensor.movers`).
+- Static view: one radiance image per frame, and the pixels' state after the frame before.
+- Sub-pixel motion: that image is moved back along its path, to the ages that best represent each row's exponential
+  past.
+- Fast motion: power is followed through close instants, with the exact response. Some of these are rendered; between
+  them, two images are moved as the ground moves, and blended.
+- Moving objects: the part of the image that they cross is followed through rendered instants (`sensor.movers`).
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -64,11 +64,11 @@ _GHOST_AGE = 4.0
 class Exposure:
     """The state of a flight's sensor from one frame to the next, `interval_s` [s] apart.
 
-    `radiance_at` (time [s], Camera, time [s] of the light on and from moving objects: the frame's own) returns band
-    radiance, (H, W) float32 [W m⁻² sr⁻¹], of the sensor's camera or a part of it; `pose_at` (time) returns
-    world_from_camera; `depth_at` (pose, Camera) the depth of the static scene along the axis at the pixel centres, (h,
-    w) [m], infinite where nothing is hit. `render_px` is the motion between two renders, between which images are moved
-    as the ground moves; 0 renders every instant. `lag_mk` is the estimated error allowed to the spacing of instants.
+    `radiance_at` (time [s], Camera, time [s] of the light on and from moving objects) returns band radiance, (H, W)
+    float32 [W m⁻² sr⁻¹], of the sensor's camera or a part of it. `pose_at` (time) returns world_from_camera. `depth_at`
+    (pose, Camera) is the depth of the static scene along the axis, (h, w) [m], infinite where nothing is hit.
+    `render_px` is the motion between two renders; 0 renders every instant. `lag_mk` is the estimated error allowed to
+    the spacing of instants.
     """
 
     pixels: PixelState | None
@@ -93,10 +93,10 @@ class Exposure:
         self.pixels, self.last_counts = None, None
 
     def read(self, index: int, time_s: float, radiance: Image) -> tuple[NDArray[np.uint16], dict[str, Any]]:
-        """Return (counts (H, W) uint16, how they were made) of frame `index` at `time_s`, the middle of its read-out.
+        """Return (counts (H, W) uint16, facts) of the next frame, `index`, at `time_s`, the middle of its read-out.
 
-        Frames come in order. `radiance` (H, W) is that at `time_s` [W m⁻² sr⁻¹]. `how` has the keys of `signal`, and
-        whether the image is frozen by a flat-field correction.
+        `radiance` (H, W) is that at `time_s` [W m⁻² sr⁻¹]. Facts are those of `signal`, and whether the image is
+        frozen.
         """
         moment = in_sequence(self.sensor.camera, index, index * self.interval_s)
         if moment.frozen and self.last_counts is not None:
@@ -260,8 +260,8 @@ class Exposure:
     ) -> tuple[int, float]:  # fmt: skip
         """Write the signal of a part of the image from separately rendered instants; return (instants, error_mk).
 
-        The error is an estimate, root mean square: the difference from the signal through half the instants between
-        bends, and at least the error of their spacing.
+        The rms error is estimated as the difference from the signal through half the instants, and at least that of
+        spacing.
         """
         camera, since_s = self.sensor.camera, self._since(time_s, before)
         here = part.rows, part.columns
@@ -343,10 +343,10 @@ class Exposure:
         return self.sensor.power(total, moment, blurred=True), error_mk
 
     def _fast(self, plan: Schedule, relief: Relief, image: Image, moment: Moment) -> tuple[Image, float]:
-        """(Signal (H, W) float32 [W] of each row at its own time from the frame's image, error of its lag [mK]).
+        """Return (signal (H, W) float32 [W] of each row at its own time, estimated rms error of its lag [mK]).
 
-        The error is root mean square over the sampled pixels: of the spacing of instants, by leaving out half of them,
-        and of the parts of the view that no image saw.
+        The error is that of the spacing, by leaving out half of the instants, and of parts of the view that no image
+        shows.
         """
         camera, times = self.sensor.camera, plan.times_s
         state = self.pixels if self.pixels is not None and self.pixels.time_s >= times[0] else None

@@ -1,8 +1,8 @@
 """Read FLIR's radiometric JPEGs: the raw signal, the factory's constants and the settings stored with it.
 
-The container ("FFF") is split over the JPEG's APP1 segments. It has a directory of records: the raw image is record 1
-(16-bit values, plain or as PNG with swapped bytes), and the camera's block is record 0x20. The offsets of the fields
-come from the FLIR tables of ExifTool's documentation (https://exiftool.org/TagNames/FLIR.html).
+The container ("FFF"), split over APP1 segments, has a directory of records: the raw image is record 1 (16-bit values,
+plain or PNG with swapped bytes), the camera's block 0x20. Field offsets are from ExifTool's FLIR tables
+(https://exiftool.org/TagNames/FLIR.html).
 """
 
 import io
@@ -70,10 +70,9 @@ def read_flir_jpeg(path: str | PathLike[str]) -> RadiometricJpeg:
 
 
 def dji_thermal(data: bytes) -> bool:
-    """Return whether a JPEG's bytes are a radiometric JPEG of DJI, whose signal is in segments APP3.
+    """Return whether a JPEG's bytes are DJI's radiometric JPEG (APP3), whose calibration is not public.
 
-    Source: GDAL's driver of JPEG reads that signal of H20T, M30T and M3T (pull request 12972); its calibration is not
-    public. Cameras of DJI with a FLIR core, such as the XT2, store FLIR's data instead.
+    Source: GDAL's JPEG driver (pull request 12972: H20T, M30T, M3T). DJI's cameras with a FLIR core store FLIR's data.
     """
     segments = list(_segments(data))
     signal = sum(len(segment) for marker, segment in segments if marker == 0xE3)

@@ -20,8 +20,8 @@ _ROUNDS = 2
 class Relief:
     """The depth of a view on a grid, linear in 1/depth between, from which the motion of its image follows.
 
-    `pose` is the view's world_from_camera; `depth` (h, w) is along the optical axis at the pixel centres of
-    `grid_camera(camera)`, infinite where nothing is hit [m].
+    `pose` is world_from_camera; `depth` (h, w) is along the optical axis at the pixel centres of `grid_camera(camera)`
+    [m].
     """
 
     def __init__(self, camera: Camera, pose: ArrayLike, depth: NDArray[np.floating[Any]]) -> None:
@@ -48,7 +48,7 @@ class Relief:
     def source_pixels(self, seen_from: Pose, wanted_from: Pose) -> tuple[Image, Image]:
         """Return the (column, row) (H, W) of a wanted view's pixels in another image, exact on a grid, linear between.
 
-        Both poses are near that of this Relief. Whole numbers are pixel centres; points out of view are far outside.
+        Both poses are near this Relief's. Pixel centres are whole numbers; points out of view are far outside.
         """
         import cv2
 
@@ -105,10 +105,9 @@ def _between(seen_from: Pose, wanted_from: Pose) -> tuple[NDArray[np.float64], N
 
 
 def moved(image: Image, column: Image, row: Image, coarsely: bool = False) -> Image:
-    """Return the values of an image (H, W) float32 at positions between its pixels, as from `source_pixels`.
+    """Return an image (H, W) float32 at positions between its pixels, cubic, or linear and faster if `coarsely`.
 
-    Cubic interpolation; `coarsely` linear, which blurs but is three times as fast. The nearest border pixel for
-    positions outside.
+    Positions outside get the nearest border pixel.
     """
     import cv2
 

@@ -1,8 +1,4 @@
-"""Moving or warming objects: the parts of an image that they change, and how fast.
-
-Motion of the camera moves the whole image, and one image largely predicts the next. An object on a track is followed
-separately in the part of the image that it crosses.
-"""
+"""Moving or warming objects: the parts of an image that they change, and how fast."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -59,10 +55,10 @@ def parts(
     camera: Camera, pose_at: Callable[[float], Pose], movers: Sequence[Mover], since_s: float, until_s: float,
     margin_px: int, moved_s: float = 0.0,
 ) -> list[Part]:  # fmt: skip
-    """Return the Parts of an image that objects change between two times [s]; none overlap.
+    """Return the disjoint Parts of an image that objects change between two times [s].
 
-    `pose_at` maps a time to world_from_camera. `margin_px` surrounds the objects' boxes; `moved_s` is the longest time
-    over which images are moved, which shifts objects to where poses so much earlier or later show them.
+    `pose_at` maps a time to world_from_camera, `margin_px` surrounds the objects' boxes, and `moved_s` is the longest
+    time over which images are moved.
     """
     made = (_part(camera, pose_at, mover, since_s, until_s, margin_px, moved_s) for mover in movers)
     found, apart = [part for part in made if part], list[Part]()

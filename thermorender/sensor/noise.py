@@ -1,8 +1,7 @@
-"""Noise of the detector by the three-dimensional model: each part is random along some of time, rows and columns.
+"""Noise of the detector by NVESD's three-dimensional model (D'Agostino and Webb 1991, doi:10.1117/12.45805).
 
-The parts are those of NVESD's model (D'Agostino and Webb 1991, doi:10.1117/12.45805). All are Gaussian and come from a
-counter-based generator. They depend only on the seed and on the number of the frame or of the flat-field correction.
-The same holds for the smooth fields of a camera.
+Each part is Gaussian and random along some of time, rows and columns. A counter-based generator makes it, and the
+smooth fields of a camera, a function of the seed and the number of the frame or flat-field correction only.
 """
 
 from functools import lru_cache
@@ -84,8 +83,7 @@ def residual_responsivity(camera: Camera, seed: int) -> Image:
 def smooth_field(shape: tuple[int, int], seed: int, stream: int) -> Image:
     """Return a smooth field, (H, W) float32, of mean 0 and root mean square 1; fixed by the seed.
 
-    Nine cosines of up to three half waves in total across and along the image. Their amplitudes are normal and decrease
-    with the number of half waves, like stray light from around a lens.
+    Nine cosines of up to three half waves in total, with normal amplitudes that decrease with the number of half waves.
     """
     halves = np.add.outer(np.arange(_WAVES + 1), np.arange(_WAVES + 1))
     drawn = normal(seed, 0, stream, halves.shape, np.float32(1.0)).astype(np.float64)

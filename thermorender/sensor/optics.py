@@ -33,9 +33,7 @@ def relative_illumination(camera: Camera) -> Image:
 def case_share(camera: Camera, illumination: Image) -> Image:
     """Return the share of each pixel's hemisphere that is lens and housing, in the shape of `illumination`.
 
-    1 − τ V cos⁴θ / (4 F² + 1): the hemisphere above a pixel is black except for the transmitted part of the lens's
-    cone. Times π B(T), at 300 K and f/1.25, this is seven times the signal of a scene of 300 K. Therefore cameras close
-    a shutter every few minutes.
+    1 − τ V cos⁴θ / (4 F² + 1). Times π B(T), at 300 K and f/1.25, this is seven times the signal of a scene of 300 K.
     """
     return 1.0 - np.asarray(illumination) * (camera.lens_transmittance / (4.0 * camera.f_number**2 + 1.0))
 

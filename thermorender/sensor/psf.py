@@ -1,8 +1,7 @@
 """The lens's blur: its optical transfer function, and the small kernel that applies it to an image of pixels.
 
-A rendered pixel is already the mean over the pixel's area, so the image contains the pixel aperture and the kernel
-only the lens. A real lens blurs before the pixels sample the image. Here detail finer than the pixels is aliased
-before it is blurred; the study `validation.sensor` measures this error.
+A rendered pixel already contains the pixel aperture. Detail finer than pixels is aliased before the blur, and not after
+it as in a camera; the study `validation.sensor` measures this error.
 """
 
 from collections.abc import Callable
@@ -131,9 +130,9 @@ def blurred(image: Image, blur: Blur | None) -> Image:
 
 
 def filtered(image: ArrayLike, transfer: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Return an image (H, W) float64 after a transfer function of frequency [cycles per pixel], exactly.
+    """Return an image (H, W) float64 after a transfer function of frequency [cycles/px], mirrored at its borders.
 
-    The cosine series of the image is multiplied, which mirrors it at its borders: the slow reference of `blurred`.
+    It is exact, by the cosine series: the slow reference of `blurred`.
     """
     from scipy.fft import dctn, idctn
 

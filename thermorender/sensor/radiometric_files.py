@@ -1,8 +1,7 @@
 """Files of temperature: 16-bit TIFFs linear in kelvin, written and read, and FLIR's radiometric JPEGs.
 
-Cameras write counts to a TIFF without the unit of a count: 0.04 K for a FLIR core in TLinear mode, a thousandth of a
-degree Celsius for others. The scale of a file is used if it is declared with its unit; otherwise the user has to give
-it.
+Cameras write TIFF counts without their unit: 0.04 K for a FLIR core in TLinear mode, 0.001 °C for others. The user has
+to give a scale that the file does not declare.
 """
 
 import struct
@@ -144,7 +143,7 @@ def sequence_hint(paths: Iterable[Path]) -> str:
 def likely_scales(counts: ArrayLike, signed: bool = True) -> list[str]:
     """Return the names of common scales by which counts are temperatures of a landscape.
 
-    Without a sign, counts are often intensities, so scales that common intensities fit too are left out.
+    Unsigned counts are often intensities, so scales that common intensities fit too are left out.
     """
     known = np.asarray(counts, np.float64)
     known = known[np.isfinite(known)]

@@ -70,10 +70,9 @@ def schedule(
     """Return the Schedule of a frame at `time_s` whose rows are read `delays` (H,) [s] later.
 
     `motion` is that of the image within a time constant [px], or during the read-out without one; power before
-    `since_s` does not matter. `lag_mk` is the estimated error allowed to the spacing of instants, `render_px` the
-    motion between two renders, 0 if every instant is rendered. In the integral of a curved function against e⁻ᵃ, the
-    errors of the trapezoids are balanced if their widths grow as e^(a/3): so do the spans between instants before the
-    first row is read, and those between renders.
+    `since_s` does not matter. `lag_mk` is the estimated error allowed to the spacing, `render_px` the motion between
+    two renders (0: all). Spans grow with age a as e^(a/3), which balances the errors of the trapezoids in an integral
+    against e⁻ᵃ.
     """
     span = time_constant_s or delays[-1] - delays[0]
     rows = time_s + delays

@@ -1,12 +1,10 @@
 """Drift between flat-field corrections: 1/f noise of single pixels and of the whole scale, blinking pixels.
 
-A correction removes the current value, so each drift is its value now less that at the last correction: zero right
-after it, and growing with time. The counter-based generator gives the values of any instant without those before.
-The pattern of thermal cameras drifts this way, by a power of time that is symmetric in time: doi:10.1117/12.2663353.
+Each drift is its value less that at the last correction, so zero right after it. The counter-based generator gives any
+instant without those before. Thermal cameras drift by such a power of time (doi:10.1117/12.2663353).
 
-1/f noise is a sum of octaves. Each octave holds a random value twice as long as the octave before (Voss's algorithm,
-in Gardner 1978, doi:10.1038/scientificamerican0478-16). The holds of different octaves end at different ticks, and
-the sum is linear between ticks.
+1/f noise is a sum of octaves, each of which holds a random value twice as long as the octave before (Voss's algorithm,
+in Gardner 1978, doi:10.1038/scientificamerican0478-16). The holds end at different ticks; the sum is linear between.
 """
 
 from collections.abc import Iterator
@@ -28,10 +26,10 @@ _BEFORE = 2**32
 
 
 def covariance(lag_s: ArrayLike) -> NDArray[np.float64]:
-    """Return the covariance of 1/f noise at two instants, in the shape of their distance [s], for octaves of unit size.
+    """Return the covariance of 1/f noise at two instants `lag_s` apart [s], for octaves of unit size.
 
-    Ticks k apart have Σ max(0, 1 − k/2ᵒ) over the octaves o. The mean over the positions of both instants between ticks
-    is its sum weighted with the cubic B-spline, the autocorrelation of linear interpolation.
+    Ticks k apart have Σ max(0, 1 − k/2ᵒ) over the octaves o, weighted with the cubic B-spline for positions between
+    ticks.
     """
     lag = np.abs(np.asarray(lag_s, np.float64)) / TICK_S
     first, total = np.floor(lag), np.zeros_like(lag)
@@ -80,8 +78,8 @@ class Wander:
     def blinking(self, corrected_s: float, time_s: float) -> Image:
         """Return the jump of each of `blinking_pixels` since a correction, (n,) float32 [W].
 
-        A random telegraph signal: one of two levels is drawn at the instants of a Poisson process. Every second draw
-        changes nothing, so a mean time s at a level takes 2/s draws, and the correlation falls as exp(−2t/s).
+        A random telegraph signal: one of two levels is drawn at the instants of a Poisson process, 2/s draws for a mean
+        time s at a level, and the correlation falls as exp(−2t/s).
         """
         jumped = self._level(time_s) - self._level(corrected_s)
         return jumped.astype(np.float32) * np.float32(noise.noise_power(self.camera, self.camera.blinking_mk))

@@ -1,8 +1,7 @@
 """What a state estimator reports about its own output: invalid rows and resets.
 
-A mapping names the columns. A row is dropped if a column of `valid` is 0, a log without any valid row is refused, and a
-column of `doubtful` that is not 0 is reported only. An estimator that corrects itself by a reset counts it and records
-the change. Positions continue from the start of the log: the change of a reset is subtracted from the rows after it.
+A row is dropped if a column of `valid` is 0, and reported if one of `doubtful` is not 0; a log without valid rows is
+refused. The change of a reset of position is subtracted from the rows after it, so positions continue from the start.
 Attitudes before a reset are turned by its change, because the later one is the corrected one.
 """
 
@@ -74,10 +73,7 @@ class Resets:
         }
 
     def undo(self, values: dict[str, Floats], time_s: Floats, table: Table) -> list[tuple[str, float, str]]:
-        """Take the resets out of `values`, in place; return a note for each counter that changes.
-
-        A note has the text before a time, the time [s] and the text after it, because the time's zero may change.
-        """
+        """Remove the resets from `values` in place; return a note (text, time [s], text) per counter that changes."""
         notes = []
         for each in self.counted:
             rows = np.flatnonzero(each.count)

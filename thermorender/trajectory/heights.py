@@ -1,8 +1,6 @@
 """Positions in the scene's frame from a log's coordinates and its height column.
 
-Heights declare their reference: local up, the ellipsoid, the geoid, the ground below each sample or the
-ground below the first one. Geodetic coordinates are converted through ECEF, which includes the Earth's curvature and
-the tilt of the vertical.
+Geodetic coordinates are converted through ECEF, which includes the Earth's curvature and the tilt of the vertical.
 """
 
 from dataclasses import replace
@@ -28,10 +26,9 @@ def frame_of_first_sample(log: Log) -> LocalFrame:
 
 
 def geodetic_of_local(log: Log, radius_m: float = 6_371_000.0) -> Log:
-    """Return a log of local positions with the latitude and longitude that its origin gives them.
+    """Return a log of local positions with latitude and longitude, by PX4's azimuthal equidistant projection.
 
-    The inverse of the azimuthal equidistant projection on a sphere, by which PX4 makes local positions (its `geo`
-    library; J. P. Snyder, Map Projections: A Working Manual, 1987, eq. 20-14, 20-15, doi:10.3133/pp1395).
+    On a sphere: Snyder, Map Projections: A Working Manual, 1987, eq. 20-14, 20-15, doi:10.3133/pp1395.
     """
     assert log.origin is not None, "called for a log with an origin"
     values = dict(log.values)
@@ -58,8 +55,8 @@ def local_positions(
 ) -> Floats:  # fmt: skip
     """Return the vehicle's positions at the log's rows, (N, 3) local east, north, up [m].
 
-    `horizontal` and `height` name its columns; `frame`, `ground` and `undulation` are as in `read_trajectory`.
-    `relative`: the flight will be anchored, so only changes of height matter.
+    `horizontal` and `height` name its columns; `frame`, `ground` and `undulation` are as in `read_trajectory`. With
+    `relative`, for an anchored flight, only changes of height matter.
     """
     value = log.values[height]
     where = log.where(height, 0)

@@ -57,10 +57,9 @@ class Log:
 def read_log(table: Table, mapping: Mapping, duplicates: str = "refuse") -> Log:
     """Return the `Log` of a table: all its mapped quantities, finite, at strictly increasing times.
 
-    Rows that the file itself marks as invalid are dropped, and the estimator's resets are taken out; see
-    `trajectory.estimates`. A row equal to the row before it is dropped, because some loggers write a record twice.
-    Other rows with equal times are refused, spread evenly within the last digit of the log's clock, or only the first
-    is kept, by `duplicates` "refuse", "spread" or "first".
+    Rows marked as invalid and equal successive rows are dropped, and resets are removed; see `trajectory.estimates`.
+    Other equal times are refused, spread within the last digit of the clock, or reduced to the first, by `duplicates`
+    "refuse", "spread" or "first".
     """
     if duplicates not in DUPLICATES:
         raise ThermorenderError(f"duplicates={duplicates!r} is unknown; give one of {', '.join(DUPLICATES)}")

@@ -1,7 +1,6 @@
-"""Column names of thermorender's flight logs, and mappings of other programs' columns to them.
+"""Column names of thermorender's flight logs, and mappings of other programs' columns to them (TOML, `formats/`).
 
-A mapping is a TOML file (`formats/`) that names the log's column for each of ours, the notation of time, and the
-axes of the quaternion.
+A mapping names the log's column for each of ours, the notation of time, and the axes of the quaternion.
 """
 
 from collections.abc import Iterable
@@ -64,8 +63,7 @@ class Quantity:
 class Reset:
     """The columns of an estimator's resets: a counter, and what the last reset changed.
 
-    With neither `shift` nor `turn`, a change of the counter is refused unless one of the files has the counter
-    `unless`.
+    Without `shift` and `turn`, a change of the counter is refused unless a file has the counter `unless`.
     """
 
     counter: str = key(text)

@@ -137,8 +137,7 @@ def of_vehicle(
 ) -> Trajectory:  # fmt: skip
     """Return the camera's Trajectory on a vehicle at positions (N, 3) [m] in the scene's frame.
 
-    `enu_from_body` is from the vehicle's FRD axes and `enu_from_optical` from the optical axis to the scene's;
-    `lever_arm_m` (3,) as in `read_trajectory`.
+    Rotations are from the vehicle's FRD axes and from the optical axis; `lever_arm_m` (3,) as in `read_trajectory`.
     """
     return Trajectory(
         time_s,

@@ -1,7 +1,7 @@
 """Attitudes of vehicles and cameras as SciPy `Rotation`s: aviation angles, axis conventions and interpolation.
 
-There are three sets of axes. *Body* is FRD: x forward, y right, z down. *NED* is the local north, east, down
-at the vehicle's position. *Camera* is x right, y down, z forward (along the optical axis).
+*Body* axes are x forward, y right, z down (FRD); *NED* north, east, down at the vehicle; *camera* x right, y down, z
+forward along the optical axis.
 """
 
 import warnings
@@ -21,19 +21,15 @@ BODY_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 def rotation_from_angles(yaw_deg: ArrayLike, pitch_deg: ArrayLike, roll_deg: ArrayLike) -> Rotation:
     """Return the rotation from body FRD axes to NED axes for aviation angles, scalars or (N,) [deg].
 
-    Yaw is the heading clockwise from north, pitch the nose above the horizon, roll the right side down: intrinsic
-    rotations in this order. At pitch ±90° only the sum or difference of yaw and roll counts: roll 180°, pitch −90°, yaw
-    −91° is the same attitude as roll 0°, pitch −90°, yaw 89°.
+    Intrinsic rotations: yaw clockwise from north, pitch nose up, roll right side down. At pitch ±90° only the sum or
+    difference of yaw and roll counts.
     """
     angles = np.stack(np.broadcast_arrays(*(np.asarray(a, np.float64) for a in (yaw_deg, pitch_deg, roll_deg))), -1)
     return Rotation.from_euler("ZYX", angles, degrees=True)
 
 
 def angles_from_rotation(rotation: Rotation) -> NDArray[np.float64]:
-    """Return (yaw, pitch, roll) [deg] of a rotation as of `rotation_from_angles`, (3,) or (N, 3).
-
-    At pitch ±90°, where one of the others is free, roll is 0.
-    """
+    """Return (yaw, pitch, roll) [deg], (3,) or (N, 3), as of `rotation_from_angles`; roll is 0 at pitch ±90°."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Gimbal lock detected", UserWarning)
         return rotation.as_euler("ZYX", degrees=True)
@@ -80,8 +76,7 @@ def ecef_from_ned(latitude_deg: ArrayLike, longitude_deg: ArrayLike) -> Rotation
 def slerp(time_s: NDArray[np.float64], rotation: Rotation) -> Callable[[ArrayLike], Rotation]:
     """Return the spherical linear interpolation of N attitudes at increasing `time_s`, a function of time [s].
 
-    A single attitude is constant. Interpolation follows the shorter of the two rotations: K. Shoemake, Animating
-    rotation with quaternion curves, SIGGRAPH 1985, doi:10.1145/325334.325242.
+    It follows the shorter rotation (K. Shoemake, SIGGRAPH 1985, doi:10.1145/325334.325242); one attitude is constant.
     """
     if len(time_s) == 1:
         return lambda at_s: rotation[np.zeros(np.shape(at_s), np.intp)]

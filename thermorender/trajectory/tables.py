@@ -1,6 +1,6 @@
 """Tables of flight logs: the columns of a file before a mapping gives them their meaning.
 
-Row numbers in messages are a spreadsheet's for CSV (the header is row 1), else they count the file's samples from 1.
+Row numbers are a spreadsheet's for CSV (the header is row 1), else they count samples from 1.
 """
 
 import csv

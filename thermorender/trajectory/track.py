@@ -51,9 +51,8 @@ def jumps(log: Log, position: Floats) -> str | None:
 def course_deg(log: Log, position: Floats) -> Floats:
     """Return the course over ground of positions (N, 3) at a log's samples, (N,) [deg from north, not wrapped].
 
-    The course is that of steps of at least 1 m, each at the middle of its time, and turns evenly between them,
-    clockwise positive. It is held before the first step, after the last one, and while the vehicle stands: in a step
-    that takes more than 4 s.
+    The course of steps of at least 1 m, at their middle times, is interpolated linearly, clockwise positive. It is held
+    before the first step, after the last one, and in a step of more than 4 s.
     """
     kept = [0]
     for k in range(1, len(position)):

@@ -1,8 +1,7 @@
 """Run time of a frame, run time of its ray casting alone, and the frame's sampling error in mK.
 
-The measurements alternate (rays, frame, frame with sensor, rays, …), so a busy machine slows all of them alike. Ratios
-are medians of the ratios of each turn. The sampling error is the difference from the same renderer with 256 rays per
-pixel, once as it is and once after the camera's optics.
+The measurements alternate (rays, frame, frame with sensor, rays, …), so other load slows all alike. Ratios are medians
+of the ratios of each turn. The reference of the sampling error has 256 rays per pixel, with and without the optics.
 """
 
 import time
@@ -42,14 +41,13 @@ def bench(
 ) -> dict[str, Any]:
     """Return the cost and the error of a frame for each scene, view and setting, as plain numbers.
 
-    `settings` are keywords of Renderer, each with its name in the result; `air` (standard atmosphere, and aerosol)
-    replaces the scenes' own. `repeats` is the number of turns of each measurement.
+    `settings` are keywords of Renderer by their name in the result; `air` (standard atmosphere, and aerosol) replaces
+    the scenes' own; `repeats` is the number of turns.
 
     The result holds machine, versions, repeats, and scenes: {name: {triangles, texels, pixels, optics_sigma_px,
     build_s, bake_s, peak_mib, settings: {label: {plan, views: {view: {rays_per_pixel, rays_ms, radiance_ms, frame_ms,
-    radiance_over_rays, frame_over_rays, frames_per_s, error_mk, optics_error_mk}}}}}}. rays_ms is the time of casting
-    all rays of the frame. Times are medians; ratios are (25, 50, 75) percentiles. peak_mib is the process's peak memory
-    from the first renderer to the last timed frame, None where unknown (not on Linux).
+    radiance_over_rays, frame_over_rays, frames_per_s, error_mk, optics_error_mk}}}}}}. Times are medians; ratios are
+    (25, 50, 75) percentiles. peak_mib is the process's peak memory up to then, None where unknown (not on Linux).
     """
     if repeats < 1:
         raise ThermorenderError(f"repeats={repeats} is not allowed; give 1 or more")

@@ -1,11 +1,9 @@
-"""Causes of a method's error: those that together explain it, each named only if it explains more than its rivals.
+"""Causes of a method's error: the set that best explains it, from the added fits of all poses.
 
-All poses' fits are added. A set of causes is scored by log(mean square residual) + p · number of causes; the best set
-wins. So a cause is in the set only if the square error that is left without it, after all others are fitted again, is
-larger by a factor of exp(p). Its size must also differ from zero significantly. Errors are correlated within a piece of
-ground, so the standard errors come from the scatter between pieces (Liang & Zeger 1986, doi:10.1093/biomet/73.1.13).
-
-The share and the significance level hold the rate of false accusations of `python -m validation.referee`.
+The score of a set is log(mean square residual) + p · number of causes; the lowest wins. So each cause must reduce the
+remaining square error by a factor of exp(p). Its size must also differ from zero significantly, with standard errors
+from the scatter between pieces of ground (Liang & Zeger 1986, doi:10.1093/biomet/73.1.13). `python -m
+validation.referee` calibrates both limits to the rate of false detections.
 """
 
 import zlib
@@ -280,10 +278,10 @@ class _Pooled:
         return large and sure and self._share(cause, chosen) >= self._causes.share
 
     def _rescaled(self, size: float, error: float, chosen: Sequence[Cause]) -> bool:
-        """Return whether the contrast is wrong by the regression of the reference on the picture, too.
+        """Return whether the regression of the reference on the picture also shows a wrong contrast.
 
-        A picture with errors of its own has a slope below 1 on the reference, however right its scale is. Its true gain
-        is between that slope and the inverse of the slope of the reference on the picture.
+        Errors of the picture lower its slope on the reference; its true gain is between that slope and the inverse of
+        the other.
         """
         matrix, right, square = self._totals[self._key(chosen)]
         others = self._columns([each for each in chosen if each[0] != "contrast"])
@@ -299,10 +297,9 @@ class _Pooled:
         return size > 0.0 or other < 1.0 - max(LEAST["contrast"], self._quantile() * wide)
 
     def _said(self, cause: Cause, chosen: Sequence[Cause]) -> Cause:
-        """Return the cause, or an offset on the material where its emissivity does not explain more than that.
+        """Return the cause, or an offset on the material unless its emissivity explains significantly more.
 
-        An emissivity changes warm ground more than cold ground, in a fixed proportion to its mean effect. Fitted beside
-        an offset on the same material, it must remain significant, and about the same.
+        An emissivity changes warm ground more than cold ground. Fitted beside an offset, it must remain about the same.
         """
         kind, name = cause
         if kind != "emissivity":
@@ -334,8 +331,7 @@ class Fitting:
     ) -> None:
         """Add the fit of a View to a method's Causes if this pose is fitted.
 
-        `image` (H, W) is the method's apparent temperature [K], `at` the shift of its picture, as `registration.peak`
-        returns it.
+        `image` (H, W) is the method's apparent temperature [K], `at` its shift as of `registration.peak`.
         """
         if view.index not in self._chosen or view.truth is None:
             return

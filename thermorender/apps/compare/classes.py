@@ -41,10 +41,9 @@ LABELS = ("kind", "view", "weather", "season")
 
 
 def edge_class(temperature: ArrayLike) -> NDArray[np.intp]:
-    """Return the number in `EDGES` of each pixel of a true picture [K], (H, W) int.
+    """Return the number in `EDGES` of each pixel of a true picture [K], (H, W) int; unknown pixels make no edge.
 
-    Gradients are central differences. A pixel is near an edge where its 5 × 5 neighbourhood has a strong gradient.
-    Unknown temperatures make no edge.
+    A pixel is near an edge if the central differences in its 5 × 5 neighbourhood contain a strong gradient.
     """
     import cv2
 
@@ -74,8 +73,8 @@ def class_names(limits: Sequence[float], unit: str) -> list[str]:
 class PixelClasses:
     """Classes of the known pixels of a View with a reference, as flat numbers.
 
-    A pair has a single surface and classes by edges; a pose also has those of its scene's `objects`, of range and view
-    angle, and ground blocks between the terrain's lowest and highest east and north, `corners` (2, 2) [m].
+    A pair has classes by edges; a pose also by `objects`, range, view angle, and ground blocks between the lowest and
+    highest east and north, `corners` (2, 2) [m].
     """
 
     def __init__(self, view: View, objects: Sequence[str] = (), corners: ArrayLike | None = None) -> None:

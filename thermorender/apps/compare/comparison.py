@@ -1,8 +1,7 @@
 """A comparison from start to end: scenes, their campaigns, methods, poses, and the files written.
 
-There are two passes. The first reads thermal frames of every scene, for the bounds and means of its campaign. The
-second takes the scenes one by one: it bakes the reference, renders the frames of each method, and scores every pose of
-all methods with the same sensor and the same noise.
+The first pass reads thermal frames of all scenes, for campaign bounds and means. The second bakes each scene's
+reference, renders the frames of each method, and scores all methods with the same sensor and noise.
 """
 
 import csv

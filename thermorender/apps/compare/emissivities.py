@@ -1,8 +1,7 @@
-"""Emissivity errors: what a change of a material's emissivity does to radiance and to apparent temperature.
+"""Effect of an emissivity error on radiance and on apparent temperature.
 
-A surface at temperature T under irradiance E emits and reflects ε B(T) + (1 − ε) E/π. An emissivity error Δε changes
-this by Δε (B(T) − E/π): much under a cold sky, nothing in an enclosure of the same temperature. Here E is the sky's
-irradiance alone, and there is no air.
+A surface at T under irradiance E emits and reflects ε B(T) + (1 − ε) E/π, so an error Δε changes this by Δε (B(T) −
+E/π). Here E is the sky's irradiance alone, and there is no air.
 """
 
 import numpy as np
@@ -26,10 +25,7 @@ def band_emissivities(scene: Scene) -> NDArray[np.float64]:
 
 
 def of_scenes(own: Scene, true: Scene) -> dict[str, NDArray[np.float64]]:
-    """Return {material: (texels, Σ used emissivity, Σ true emissivity, all texels)} of the terrain of two Scenes.
-
-    Both scenes have the same texels. The names are those of the materials of `true`.
-    """
+    """Return {true material: (texels, Σ used emissivity, Σ true emissivity, all texels)}; the terrains share texels."""
     used, known = band_emissivities(own), band_emissivities(true)
     found: dict[str, NDArray[np.float64]] = {}
     total = 0
@@ -50,9 +46,9 @@ def change_k(
     """Return the change of a method's apparent temperature by a unit of emissivity, (H, W) [K]; 0 outside known ground.
 
     `emissivity` (M,) holds the true ones of the view's materials, `image` (H, W) is the method's apparent temperature
-    [K]. Temperature is not linear in radiance. The change is therefore that of each material's best fit to the error of
-    radiance, divided by its Δε. B(T) − E/π is (L − E/π) / ε of the reference's radiance L. The kinetic temperature is
-    not used: it is that of one texel, where the radiance is interpolated between several.
+    [K]. The change is that of each material's best fit to the error of radiance, over its Δε, with B(T) − E/π = (L −
+    E/π) / ε of the reference radiance L. The texel's kinetic temperature would not match a radiance interpolated
+    between texels.
     """
     assert view.truth is not None
     here = view.ground & np.isfinite(image)

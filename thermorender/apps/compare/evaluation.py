@@ -1,15 +1,12 @@
 """Evaluation of learned maps on a data set, in kelvin: the comparison with measured frames as reference.
 
-The error of a pixel is the apparent temperature of a method minus the true one. Maps are evaluated as they are, never
-refitted. The sky is not ground: where the truth marks it, its errors are reported separately. Every method gets the
-same pairs; where a method lacks some, the result says how many pairs it has.
+The error is a method's apparent temperature minus the true one. Maps are not refitted. Sky pixels, where marked, are
+reported separately. All methods get the same pairs; missing ones are counted.
 
-The *floor* is the smallest error that a map can reach. It needs a data set with the same view rendered again with
-redrawn hidden state (moisture, roughness, material properties). Let T = f + a be the truth and T′ = f + b the redrawn
-one; f is the mean over all draws given the map's inputs, and a and b are independent draws of one distribution. The
-best prediction is f, with error a. For a Gaussian of standard deviation σ, a − b has √2 σ, so the mean of |T − T′| over
-√2 is the mean of |a|. For other distributions of mean zero, the mean of |T − T′| lies between the mean of |a| and twice
-that.
+The *floor* is the smallest error that a map can reach, from a view rendered again with redrawn hidden state (moisture,
+roughness, material properties). With T = f + a and T′ = f + b, where f is the mean given the inputs and a, b are
+independent draws, f is the best prediction and a its error. For a Gaussian, the mean of |a| is that of |T − T′| over
+√2; for other distributions of mean zero, it is between half of the latter and the whole.
 """
 
 import hashlib
@@ -71,10 +68,7 @@ class Spent:
         self.unseen += more.unseen
 
     def summary(self, model: TemperatureMap) -> dict[str, Any]:
-        """Return {seconds_per_mpixel (median), peak_memory_mib, training_s (of the map's file), covered, unseen}.
-
-        The last two are None where the map does not predict them.
-        """
+        """Return {seconds_per_mpixel (median), peak_memory_mib, training_s, covered, unseen}; None where absent."""
         covered = unseen = None
         pixels, one, two, variances, squares = map(float, self.covered)
         if pixels:
@@ -188,11 +182,11 @@ def evaluate(
 ) -> dict[str, Any]:
     """Evaluate learned maps (names or files) on a part of a data set; return the result, which is also written.
 
-    `folder` is new and is written whole or not at all: `evaluation.json`, `evaluation.md` and figures. `privileged` is
-    the file of a map that also takes the material as input, `foreign` {name: folder} other programs' pictures. `split`
-    {key: part} replaces the data set's own split. `limit` is the number of pairs to score, evenly spaced, and of
-    training pairs to read. `seed` is that of the bootstrap. `progress` is called with (step, share done), and
-    `spread` (do, units) → do(unit) of each, in order, scores the pairs.
+    The new `folder` is written whole or not at all: `evaluation.json`, `evaluation.md` and figures. `privileged` is the
+    file of a map that takes the material as input, `foreign` {name: folder} other programs' pictures. `split` {key:
+    part} replaces the data set's. `limit` is the number of pairs to score, evenly spaced, and of training pairs to
+    read; `seed` is the bootstrap's. `progress` takes (step, share done); `spread` (do, units) → do(unit) of each, in
+    order.
     """
     if not models:
         raise ThermorenderError("models is empty; give at least one learned map, by its name or file")

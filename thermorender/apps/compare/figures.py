@@ -89,9 +89,9 @@ def shown_photograph(view: View) -> NDArray[np.uint8]:
 
 
 def error_images(path: Path, view: View, seen: Mapping[str, Image], reference: str = "reference") -> None:
-    """Write the frames of a pose, {label: (H, W) kelvin}: on a common scale, on their own scale, and their errors.
+    """Write the frames of a pose, {label: (H, W) [K]}: on the reference's scale, on their own scale, and their errors.
 
-    The common scale is that of the reference. Without one, the first frame gives it, and there are no errors.
+    Without a reference, the first frame gives the common scale, and there are no errors.
     """
     from matplotlib import colormaps
 
@@ -384,8 +384,7 @@ class Pictures:
 def encoded(kelvin: NDArray[np.floating], known: NDArray[np.bool_]) -> str:
     """Return a picture at half its size as a data URL of a PNG that encodes kelvin.
 
-    Red and green are the high and low byte of the temperature in steps of 1/20 K, 0 for none; blue is 255 at scored
-    pixels.
+    Red and green are high and low byte in steps of 1/20 K, 0 for none; blue is 255 at scored pixels.
     """
     small = kelvin[::2, ::2]
     steps = np.where(np.isfinite(small), np.clip(np.rint(np.nan_to_num(small) * STEPS_PER_K), 0, 65535), 0).astype(
@@ -402,7 +401,7 @@ def _data_url(kind: str, suffix: str, image: Any, options: Sequence[int]) -> str
 
 
 def picture(path: Path, view: View, guesses: Mapping[str, Image], share: float) -> None:
-    """Draw a pair: its visible and true picture, and below them each method's picture {label: (H, W) [K]} and error.
+    """Draw a pair: its visible and true picture, and each method's picture {label: (H, W) [K]} and error.
 
     `share` is the quantile of this pair in the first method's error.
     """

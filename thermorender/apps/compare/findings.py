@@ -32,7 +32,7 @@ _GRAVE = ("leak", "circular", "empty")
 def of(summary: dict[str, Any]) -> list[Finding]:
     """Return [{"grave": bool, "method": label, "kind": word, "says": sentence}] of a comparison's summary.
 
-    Methods with true object temperatures are skipped: their errors on the ground are those of the method without.
+    Methods with true object temperatures are skipped, since their ground is that of the method without.
     """
     found = [each for label, own in summary["methods"].items() for each in of_method(label, own)]
     beaten = _beaten(summary)

@@ -18,10 +18,10 @@ PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 
 
 class Foreign:
-    """The pictures that another program made of the views, a path for each of them.
+    """Another program's pictures of the views, one path each.
 
-    A TIFF that declares its unit is used as it is. Other pictures have no scale: the affine fit that minimises their
-    squared error against the truth of the scored views converts them to kelvin, which favours them.
+    TIFFs that declare their unit are used as they are. Others are converted by the affine fit with least square error
+    against the truth, which favours them.
     """
 
     def __init__(self, name: str, folder: Path, paths: Sequence[Path], scaled: bool = True) -> None:
@@ -34,8 +34,8 @@ class Foreign:
     ) -> "Foreign":
         """Return the frames `pose_0000.tif` and so on of a scene's poses: TIFFs that declare their unit.
 
-        The frames of each of several scenes are in a folder with the scene's name. A missing frame, a wrong size and
-        implausible temperatures are refused.
+        Each of `several` scenes has a folder of its name. Missing frames, wrong sizes and implausible values are
+        refused.
         """
         _check_folder(name, folder, "a folder with pose_0000.tif and so on")
         own = folder / scene_name

@@ -1,7 +1,6 @@
-"""Rendered frames of the methods, rendered method by method and kept on disk until all are scored.
+"""Rendered frames of the methods, kept on disk until all are scored, because all lit scenes do not fit in memory.
 
-The lit scenes of all methods together do not fit in memory. An interrupted comparison continues with the first
-unfinished method.
+An interrupted comparison continues with the first unfinished method.
 """
 
 import hashlib
@@ -31,8 +30,7 @@ from thermorender.versions import versions
 def waiting(output: str | PathLike[str]) -> Iterator[Path]:
     """Give the folder beside an output that holds the frames until all are scored; the caller removes it then.
 
-    It is removed when the comparison is refused. It remains after a kill, a full disk or an interruption, so that the
-    same comparison can continue.
+    It is removed when the comparison is refused, and remains for the same comparison after an interruption.
     """
     output = Path(output).resolve()
     place = output.with_name(f".{output.name}.frames")
@@ -46,10 +44,9 @@ def waiting(output: str | PathLike[str]) -> Iterator[Path]:
 
 
 class Frames:
-    """The frames of one scene.
+    """The frames of one scene with true temperatures (`reference`) and with learned materials (`learned`).
 
-    `reference` is the scene at its true temperatures, `learned` the one with learned materials; `settings` is all else
-    that the frames depend on, identified by its `repr`.
+    The `repr` of `settings` identifies all else that the frames depend on.
     """
 
     def __init__(self, folder: Path, flight: Flight, reference: Scene, learned: Scene | None, settings: object):
@@ -70,11 +67,10 @@ class Frames:
         split: bool = False,
         report: Progress = lambda step, share: None,
     ) -> dict[str, Any]:
-        """Render the frames of a rendered Method that are missing, close its renderer, and return its facts.
+        """Render the missing frames of a Method, close its renderer, and return its facts.
 
-        These are the plain values of `describe`, which is called while its scene is in memory; "once_s", the time for
-        its temperatures and its light [s]; and "seconds", the time of each frame. `split` keeps the pictures of its
-        terms, too.
+        Facts are the plain values of `describe` (called while the scene is in memory); "once_s", the time for
+        temperatures and light [s]; and "seconds" per frame. `split` also keeps the pictures of the terms.
         """
         place = self._place(method)
         path = place / "facts.json"

@@ -1,8 +1,7 @@
-"""A simple detector of hot spots, to judge whether a target's contrast is high enough in a camera picture.
+"""A matched filter for a small bright disc on a textured background: whether a camera picture shows a target.
 
-The response is the mean of a square of the target's size minus the mean of a ring around it, divided by the standard
-deviation of this difference over the picture: a matched filter for a small bright disc on a textured background.
-The detector uses neither temperatures nor the look of the target.
+The response is the mean of a square of the target's size minus that of a ring around it, over the standard deviation of
+this difference in the picture.
 """
 
 import numpy as np
@@ -13,10 +12,9 @@ _INNER, _OUTER = 2.0, 4.0
 
 
 def response(counts: ArrayLike, size_px: float) -> NDArray[np.float32]:
-    """Return the detector's response to camera counts (H, W), (H, W) float32, in its own standard deviations.
+    """Return the response (H, W) float32 to counts (H, W) for a target `size_px` wide, in standard deviations.
 
-    `size_px` is the width of the target. The standard deviation is 1.4826 times the median absolute deviation, which a
-    small target does not change.
+    The standard deviation is 1.4826 times the median absolute deviation, which a small target does not change.
     """
     import cv2
 

@@ -1,16 +1,13 @@
 """The methods that are compared: each makes the apparent temperature of a View.
 
-By letter: *B*, a learned map applied to the photograph of the pose, as in the published 2D methods. *C*, the same map
-applied to the orthophoto, its apparent temperatures converted to kinetic ones, and that scene rendered: *C1* with true
-materials, *C2* with learned ones. *D*, one constant, and *E*, one temperature per material, both from thermal frames
-of other lands in the same hour and weather. *F*, the heat balance with table properties and the scene's weather. *P*,
-a privileged map: one that takes the true material as input. Frames of another program go under that program's name.
+*B* is a learned map applied to the photograph of the pose, as in the published 2D methods. *C* is the map applied to
+the orthophoto, converted to kinetic temperature and rendered: *C1* with true materials, *C2* with learned ones. *D*,
+one constant, and *E*, one temperature per material, come from thermal frames of other lands in the same hour and
+weather. *F* is the heat balance with table properties and the scene's weather. *P* is a privileged map, which takes the
+true material as input. Foreign frames go under their program's name. `knows` lists inputs beyond a photograph.
 
-B to P do not know the objects' true temperatures: these come from the map, by colour, or from the table of the
-material. `knows` lists what a method knows beyond a photograph.
-
-A map of intensities is used three times: with its own bounds, with bounds refitted to the campaign, and with a
-calibration from the campaign; the last two under the campaign's sky.
+B to P get object temperatures from the map, by colour, or from the material's table. A map of intensities is used with
+its own bounds, with bounds refitted to the campaign, and calibrated to it; the last two under the campaign's sky.
 
 A new method is a function of a `Given`, which yields its Methods or a sentence on why it is left out, and a line in
 `OF_MAPS` or `OF_SCENES`.
@@ -243,25 +240,9 @@ def rendered(
 ) -> list[Method]:
     """Return the C methods of a map in a scene: C1 with all bounds and once with true objects, C2 with the best bounds.
 
-    Parameters
-    ----------
-    scene : Scene
-    text : str
-        The map's name or file.
-    model : TemperatureMap
-    reference : Renderer
-        Renderer of the same surfaces.
-    campaign : Training, optional
-    true_materials : bool
-        Whether to include C1.
-    learned : Scene, optional
-        The scene with learned materials, for C2.
-    settings : dict, optional
-        Keywords of Renderer.
-
-    Notes
-    -----
-    A method renders nothing before its `renderer` is used.
+    `text` is the map's name or file, `model` the map, `reference` a Renderer of the same surfaces. `true_materials`
+    includes C1; `learned`, the scene with learned materials, includes C2. `settings` are keywords of Renderer. A method
+    renders nothing before its `renderer` is used.
     """
     if not isinstance(model.predictor, Remembered):
         model = replace(model, predictor=Remembered(model.predictor))
@@ -411,8 +392,7 @@ LETTERS = chosen_by_letter()
 def object_temperatures(scene: Scene, model: TemperatureMap, reference: Renderer) -> dict[str, float]:
     """Return {object: kelvin} that a map predicts from the objects' colours, or the material's where it is unreliable.
 
-    The map translates a uniform picture of the object's colour, as wide as networks need. A map with more inputs gets
-    those of the texel under the object.
+    The map translates a uniform picture of the colour, with the other inputs of the texel under the object.
     """
     if not scene.spec.objects:
         return {}

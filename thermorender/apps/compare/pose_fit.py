@@ -1,9 +1,8 @@
 """The fit of one pose: how offset, contrast, shift, blur and materials together explain a picture's difference.
 
-The model of a method's picture s is s = offset + mean + gain (t − mean), where t is the reference, moved and blurred,
-and `mean` the reference's mean over the ground. Gauss–Newton finds shift and blur; the rest is linear. Each material
-adds two columns: an offset on its pixels, and the change by its emissivity. The normal equations are kept by piece of
-ground, because errors of neighbouring pixels are correlated.
+The picture is s = offset + mean + gain (t − mean), with t the reference, moved and blurred, and `mean` its mean over
+the ground. Gauss–Newton finds shift and blur; the rest is linear. Each material adds an offset and an emissivity
+column. Normal equations are kept by piece of ground, because errors of neighbouring pixels are correlated.
 """
 
 from collections.abc import Sequence
@@ -83,8 +82,8 @@ class PoseFit:
 def fit(pair: Pair, start: tuple[float, float] = (0.0, 0.0), least_share: float = 0.005) -> PoseFit | None:
     """Return the PoseFit of a Pair, None with too few pixels.
 
-    `start` is the first guess of the shift to the right and down [px], `least_share` the least share of the ground of a
-    material with columns.
+    `start` is the first guess of the shift right and down [px]; materials below `least_share` of the ground have no
+    columns.
     """
     picture = _Picture(pair, start)
     if picture.count < _FEWEST:
@@ -149,10 +148,7 @@ class _Picture:
         return cells, order, np.append(first, self.count)
 
     def columns(self, at: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return (base columns (n, 5), residual of the best offset and gain (n,), weights (n,)) of a moved picture.
-
-        The weights are Huber's: a material with a large error does not move the shift.
-        """
+        """Return (base columns (n, 5), residual of offset and gain (n,), Huber weights (n,)) of a moved picture."""
         right, down, variance = at.tolist()
         whole = round(right), round(down)
         shown = moved(_rolled(self._truth, whole), right - whole[0], down - whole[1], variance)
@@ -240,8 +236,7 @@ class Moved(NamedTuple):
 def moved(image: NDArray[np.float32], right: float, down: float, variance: float) -> Moved:
     """Return a finite picture (H, W) moved by `right` and `down` [px], at most 3, after a blur of a variance [px²].
 
-    Shift and Gaussian blur are one separable filter: along each axis, a band-limited shift times a Gaussian. A negative
-    variance sharpens.
+    Each axis has one filter: a band-limited shift times a Gaussian. A negative variance sharpens.
     """
     across, across_d, across_v = _taps(right, variance)
     along, along_d, along_v = _taps(down, variance)

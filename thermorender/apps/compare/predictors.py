@@ -11,10 +11,9 @@ from thermorender.learned.temperature_map import Inputs
 
 
 class Remembered:
-    """A map's predictor that translates each picture once, for all bounds and materials.
+    """A map's predictor that keeps the last `most` predictions, all by default, for all bounds and materials.
 
-    It remembers the last `most` pictures, all by default. `spared_s` is the time saved by remembered predictions minus
-    the time for looking them up [s].
+    `spared_s` is the time saved minus that of the look-ups [s].
     """
 
     def __init__(self, predictor: Any, most: int | None = None) -> None:

@@ -93,10 +93,7 @@ class TrainingPictures:
 
 
 def circular(rendered: Scene, truth: Scene) -> str | None:
-    """Return a sentence if the reference's temperatures are a rendered method's own, else None.
-
-    Both Scenes have the same texels and solved temperatures.
-    """
+    """Return a sentence if the reference has a rendered method's own solved temperatures, else None."""
     apart, count = 0.0, 0
     for own, true in zip(rendered.surfaces[: rendered.terrain_count], truth.surfaces, strict=False):
         both = np.isfinite(own.temperature) & np.isfinite(true.temperature)

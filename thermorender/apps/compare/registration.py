@@ -1,8 +1,4 @@
-"""Power spectrum of pictures, their shift against the reference, and temporal stability.
-
-A mean error does not show these. A translation that blurs has too little power at high frequencies. A badly registered
-one is shifted. One that is not stable makes the same ground warmer and colder as the camera moves.
-"""
+"""Power spectrum of pictures, their shift against the reference, and temporal stability, which a mean error misses."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -51,10 +47,7 @@ def _frequencies(side: int) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
 
 
 def transform(image: NDArray[np.floating], known: NDArray[np.bool_]) -> Transform:
-    """Return the Fourier transform of a picture's central square minus its mean, (N, N) complex64.
-
-    Unknown pixels of the picture (H, W) [K] are set to the mean.
-    """
+    """Return the Fourier transform of a picture's central square, (N, N) complex64, minus the mean, also if unknown."""
     from scipy import fft
 
     height, width = image.shape
@@ -66,10 +59,7 @@ def transform(image: NDArray[np.floating], known: NDArray[np.bool_]) -> Transfor
 
 
 def power(found: Transform) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (frequency [cycles/px], power [K² px²]) of a transform, averaged over rings.
-
-    The power is divided by the window's energy, so white noise of variance σ² has the density σ² at all frequencies.
-    """
+    """Return (frequency [cycles/px], power [K² px²]) averaged over rings; white noise of variance σ² has density σ²."""
     side = len(found)
     taper = window((side, side))[1]
     density = np.abs(found) ** 2 / (taper.astype(np.float64) ** 2).sum()
@@ -102,10 +92,10 @@ class Registration:
         return peak(surface, scale)
 
     def summary(self) -> dict[str, Any] | None:
-        """Return {"right_px", "down_px", "error_px", "correlation", "unshifted"}, or None without a peak.
+        """Return {"right_px", "down_px", "error_px", "correlation", "unshifted"} of the peak, or None without one.
 
-        The position of the peak of the summed correlations, its standard errors by the delete-a-group jackknife (None
-        for a single pose), the correlation at the peak, and the correlation without a shift.
+        Errors are by the delete-a-group jackknife, None for a single pose; "unshifted" is the correlation without a
+        shift.
         """
         if not self.poses:
             return None
@@ -133,10 +123,7 @@ def mirrored(found: Transform, name: str) -> Transform:
 
 
 def _edges(image: NDArray[np.floating], known: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return the gradient's magnitude of a picture, (H, W) float32; 0 at unknown pixels and beside them.
-
-    It is limited, so that no single edge dominates.
-    """
+    """Return the clipped gradient magnitude of a picture, (H, W) float32; 0 at unknown pixels and beside them."""
     import cv2
 
     here = known & np.isfinite(image)
@@ -151,8 +138,7 @@ def _edges(image: NDArray[np.floating], known: NDArray[np.bool_]) -> NDArray[np.
 def same_edges(image: NDArray[np.floating], others: Sequence[NDArray[np.floating]], known: NDArray[np.bool_]) -> float:
     """Return how far the edges of a picture coincide with those of the best of other pictures of the same pose.
 
-    The value is the largest correlation of edges within 2 px, in standard deviations of those at other shifts. For a
-    picture of another pose, it is that of chance; for a map of the same pose, it is high whatever the map's contrast.
+    It is the largest correlation of edges within 2 px, in standard deviations of that at other shifts.
     """
     own = transform(_edges(image, known), known)
     found = []
@@ -225,8 +211,7 @@ class Appearance:
 def correlation(found: Transform, reference: Transform) -> tuple[NDArray[np.float64], float]:
     """Return (cross-correlation (2 n + 1, 2 n + 1) at shifts of −n…n pixels down and right, n ≤ 48, its scale).
 
-    It is taken after a high-pass filter, since broad structure hardly constrains the shift. The correlation coefficient
-    is the value divided by the scale.
+    Both pictures are high-pass filtered; the coefficient is the value over the scale.
     """
     from scipy import fft
 
@@ -245,8 +230,7 @@ def correlation(found: Transform, reference: Transform) -> tuple[NDArray[np.floa
 def peak(surface: NDArray[np.float64], scale: float) -> tuple[float, float, float, float] | None:
     """Return (right [px], down [px], correlation, correlation without a shift) of the largest absolute correlation.
 
-    A translation may invert the contrast. Parabolas through the peak and its neighbours give fractions of a pixel. None
-    if the peak is at the border of the shifts searched.
+    Parabolas through the peak give fractions of a pixel; None at the border of the search.
     """
     if not scale > 0.0:
         return None

@@ -1,7 +1,4 @@
-"""The report of a comparison: one HTML file with embedded pictures and sortable tables, and tables for the terminal.
-
-`report.html` holds the words of each section; the functions here fill in what depends on the results.
-"""
+"""The report of a comparison: one HTML file with embedded pictures and sortable tables, and tables for the terminal."""
 
 import json
 import re

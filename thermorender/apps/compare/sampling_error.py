@@ -39,9 +39,9 @@ def cache_off() -> Iterator[None]:
 
 
 def converged(renderer: Renderer, pose: ArrayLike, keywords: Mapping[str, Any]) -> NDArray[np.float64]:
-    """Return the band radiance of a renderer's scene with 256 rays per pixel, (H, W) [W m⁻² sr⁻¹].
+    """Return the band radiance with 256 rays per pixel, (H, W) [W m⁻² sr⁻¹], from the renderer's baked light.
 
-    The renderer's baked light between surfaces is reused; `keywords` are those that it was made with.
+    `keywords` are those that the renderer was made with.
     """
     camera = renderer.scene.camera
     settings = {"rays": renderer.plan.sampling.rays, **keywords}
@@ -57,10 +57,7 @@ def converged(renderer: Renderer, pose: ArrayLike, keywords: Mapping[str, Any]) 
 
 
 def _quarter(camera: Camera, right: int, lower: int) -> Camera:
-    """Return a quarter of a camera's image with 8 × 8 subpixels per pixel; width and height must be even.
-
-    The rays of the whole image would take more than a gigabyte.
-    """
+    """Return a quarter of a camera's image with 8 × 8 subpixels per pixel, to save memory; sides must be even."""
     width, height = (n // 2 * FINER for n in (camera.width, camera.height))
     across, along = camera.principal_offset_px
     return replace(
@@ -73,10 +70,7 @@ def _quarter(camera: Camera, right: int, lower: int) -> Camera:
 
 
 def rms_mk(image: ArrayLike, reference: NDArray[np.floating], camera: Camera, sigma_px: float = 0.0) -> float:
-    """Return the root mean square difference of two radiances (H, W) in apparent temperature [mK].
-
-    Both are first blurred by a Gaussian of standard deviation `sigma_px`.
-    """
+    """Return the rms difference of two radiances (H, W), blurred by `sigma_px`, in apparent temperature [mK]."""
     difference = np.asarray(image, np.float64) - reference
     if sigma_px:
         difference = after_optics(difference, sigma_px)
@@ -92,10 +86,9 @@ def mk_per_radiance(radiance: ArrayLike, band_um: tuple[float, float]) -> float:
 def optics_sigma_px(camera: Camera) -> float:
     """Return the standard deviation of the Gaussian that approximates diffraction in a camera's lens [px].
 
-    The Gaussian equals `lens_otf` at the detector's Nyquist frequency, 1/2 per pixel, at the middle of the band:
-    exp(−π² σ²/2) = MTF. At f/1.25, 10.5 µm and 17 µm pixels MTF = 0.521 and σ = 0.363 px. The images already contain
-    the pixel's own width, 1/√12 px; together they are as wide as a Gaussian of 0.464 px. A real lens blurs more and
-    hides more of the error.
+    It equals `lens_otf` at the detector's Nyquist frequency, 1/2 per pixel, in the middle of the band: exp(−π² σ²/2) =
+    MTF. At f/1.25, 10.5 µm and 17 µm pixels MTF = 0.521 and σ = 0.363 px; with the pixel's own 1/√12 px, 0.464 px. A
+    real lens blurs more and hides more of the error.
     """
     mtf = float(lens_otf(0.5 / camera.pixel_pitch_um, float(np.mean(camera.band_um)), camera.f_number))
     if mtf <= 0.0:
@@ -106,8 +99,5 @@ def optics_sigma_px(camera: Camera) -> float:
 
 
 def after_optics(image: ArrayLike, sigma_px: float) -> NDArray[np.float64]:
-    """Return an image (H, W) blurred with a Gaussian of `sigma_px`, mirrored at its borders.
-
-    The blur is exact: a kernel sampled at pixels would hardly blur for such a narrow Gaussian.
-    """
+    """Return an image (H, W) blurred with a Gaussian of `sigma_px`, exactly in frequency, mirrored at its borders."""
     return filtered(image, lambda frequency: gaussian_otf(frequency, sigma_px))

@@ -1,10 +1,9 @@
 """Errors of a method, summed over views: by view, scene, ground block and class, with structure and similarity.
 
-An error is the apparent temperature of a method minus that of the reference. Errors of pixels are correlated within a
-pose, within a piece of ground over all poses, and within an hour. The bootstrap therefore draws whole poses, whole
-blocks of ground (Künsch 1989, doi:10.1214/aos/1176347265), or whole scenes where there are several; the widest interval
-counts. For one scene the intervals hold for other poses over it; for several, for other lands, hours and weathers like
-these.
+An error is the apparent temperature of a method minus that of the reference. Errors are correlated within a pose, a
+piece of ground and an hour. The bootstrap therefore draws whole poses, whole blocks of ground (Künsch 1989,
+doi:10.1214/aos/1176347265), or whole scenes; the widest interval counts. It holds for other poses over the one scene,
+or, for several scenes, for other lands, hours and weathers like these.
 """
 
 from collections.abc import Sequence
@@ -40,10 +39,9 @@ class Gain:
             self.moments += [own @ own, own @ true, true @ true]
 
     def summary(self) -> dict[str, float] | None:
-        """Return {"gain", "correlation", "explained"}, or None where a temperature is constant.
+        """Return {"gain" (slope of s on t), "correlation", "explained"}, or None where a temperature is constant.
 
-        The gain is the least-squares slope of s on t. `explained` is the share of the square error about each pose's
-        mean that this slope explains.
+        `explained` is the share of the square error about each pose's mean that this slope explains.
         """
         own, both, true = self.moments
         if not own > 0.0 or not true > 0.0:
@@ -128,10 +126,10 @@ class Tally:
         return found_of
 
     def more_than(self, other: "Tally", seed: int) -> dict[str, Any] | None:
-        """Return the mean absolute error on ground minus that of another Tally, noise-free, as {"mae_k", "interval_95",
-        "own_mae_k", "other_mae_k"}; None if this one lacks a scene of the other.
+        """Return the mean absolute error on ground minus that of another Tally, noise-free; None if it lacks scenes.
 
-        The bootstrap draws the other's scenes, the same for both, or the poses of a single scene.
+        Keys: "mae_k", "interval_95", "own_mae_k", "other_mae_k". The bootstrap draws the other's scenes, the same for
+        both, or the poses of a single scene.
         """
         mine, theirs = ({scene: row for scene, row in each.of(RADIOMETRIC, "scene").items() if row[0]}
                         for each in (self, other))  # fmt: skip

@@ -1,7 +1,6 @@
 """Scores of the structure within pictures: correlation, slope, a control by a shift, PSNR and structural similarity.
 
-A mean absolute error over pictures of similar contrast is nearly blind to where things are. A map that reproduces
-structure correlates with the truth within each picture, and its error grows when the true picture is shifted.
+The mean absolute error hardly depends on where things are; correlation, and the error against shifted truth, do.
 """
 
 from typing import Any
@@ -132,9 +131,9 @@ class Similarity:
 
 
 def similarity(total: ArrayLike) -> dict[str, float | None]:
-    """Return {psnr_db, ssim} of a row: PSNR of the mean square over all pixels, mean SSIM over all windows.
+    """Return {psnr_db, ssim} of a row: from the mean square of all pixels, and the mean over windows.
 
-    None where nothing was compared; PSNR is also None for equal pictures, where it is infinite.
+    None where nothing was compared; PSNR also for equal pictures.
     """
     square, pixels, like, windows = np.asarray(total, np.float64)
     return {

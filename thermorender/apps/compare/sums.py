@@ -1,7 +1,6 @@
 """Errors in kelvin as running sums, their statistics, and bootstrap intervals of these and of their differences.
 
-A row of sums is (pixels, Σe, Σ|e|, Σe², pixels without temperature). Rows can be added: each picture is read once, and
-the statistics of any group of pictures follow from their rows.
+A row (pixels, Σe, Σ|e|, Σe², pixels without temperature) is additive, so a group's statistics follow from its rows.
 """
 
 from collections.abc import Mapping, Sequence
@@ -45,7 +44,7 @@ def rows_by(error: ArrayLike, group: ArrayLike, size: int) -> Sums:
 
 
 def summary(total: ArrayLike) -> dict[str, Any]:
-    """Return {me_k, mae_k, sd_k, rmse_k, pixels, pixels_without_temperature} of a row; None where there are no pixels.
+    """Return {me_k, mae_k, sd_k, rmse_k, pixels, pixels_without_temperature} of a row, or None if it is empty.
 
     `sd_k` is the standard deviation about the mean error: rmse² = me² + sd².
     """
@@ -63,10 +62,7 @@ def summary(total: ArrayLike) -> dict[str, Any]:
 
 
 def clusters(entries: Sequence[Entry]) -> tuple[NDArray[np.intp], str]:
-    """Return (number of each Entry's sequence, the clusters in words).
-
-    Errors of one drive, flight or landscape are correlated: drawing single pictures would make intervals too narrow.
-    """
+    """Return (number of each Entry's sequence, the clusters in words); errors within a sequence are correlated."""
     names, number = np.unique([entry.sequence for entry in entries], return_inverse=True)
     return number, f"{len(names)} sequence{'s' if len(names) != 1 else ''}"
 
@@ -95,9 +91,8 @@ def intervals(rows: ArrayLike, cluster: ArrayLike, seed: int = 0) -> dict[str, I
 def widest(drawn: Mapping[str, Sequence[Sums] | Sums], sd_k: float, seed: int) -> dict[str, Any]:
     """Return {interval_95: {me_k, mae_k}, drawn, effective_pixels}, the widest intervals of all units drawn.
 
-    `drawn` holds the rows of each unit of the bootstrap by the unit's name, `sd_k` is the standard deviation of single
-    pixels [K]. The effective number of pixels is (σ / standard error of the mean error)²: the number of independent
-    pixels with the same standard error.
+    `drawn` holds the rows of each unit by name, `sd_k` is the standard deviation of pixels [K]. The effective number is
+    that of independent pixels with the same standard error of the mean error: (σ / standard error)².
     """
     found: list[tuple[str, dict[str, Any]]] = []
     for what, units in drawn.items():
@@ -120,14 +115,10 @@ def differences(
 ) -> list[tuple[list[int], float | None, Interval | None]]:
     """Return the mean absolute error of each later group minus the first's: [(group, K or None, interval or None)].
 
-    `rows` (M, P, 5) are the sums of each map's errors on each picture. The numbers in `groups` are those of the maps of
-    a method: maps that differ only in their training seed, whose error is the mean of theirs. Pictures with the same
-    number in `cluster` (P,) are drawn together.
-
-    95 % intervals [K] by a percentile bootstrap of 1000 draws: of clusters, the same for both groups, and of the maps
-    in each group. The sample of n seeds scatters less about its own mean than about the true one, so deviations are
-    multiplied by √(n / (n − 1)). Even so, intervals of three seeds are too short, and a single map does not show how
-    seeds scatter. Only pictures for which every map has an error count; if there are none, the difference is None.
+    `rows` (M, P, 5) are error sums of each map and picture; `groups` lists maps that differ only in their training
+    seed. Only pictures scored by all maps count. 95 % intervals [K] are by percentile bootstrap of 1000 draws of
+    clusters (`cluster` (P,)) and of maps within groups. Deviations of n seeds are multiplied by √(n / (n − 1)) for the
+    scatter of their own mean. Even so, intervals of three seeds are too short, and one map shows no scatter of seeds.
     """
     rows = np.asarray(rows, np.float64)
     shared = (rows[..., 0] > 0).all(axis=0)

@@ -1,8 +1,7 @@
 """Targets in the frames of a method: contrast, position, and whether a simple detector finds them.
 
-A target may be warmer or colder than its surroundings, so responses of both signs count. The detector uses the
-method's own frame after the sensor, in standard deviations of that frame: in a frame with little other contrast,
-targets are easy to find.
+Responses of both signs count. The detector uses the method's own frame after the sensor, in standard deviations of that
+frame, so targets in frames of little contrast are easy to find.
 """
 
 from collections.abc import Sequence

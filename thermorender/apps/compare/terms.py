@@ -55,10 +55,7 @@ class Terms:
         self._seen, self._given = (np.concatenate(parts).astype(np.float32) for parts in (seen, given))
 
     def pictures(self, pose: ArrayLike, time_s: float) -> NDArray[np.float32]:
-        """Return the pictures between B and C of a pose, (2 or 3, H, W) float32 apparent temperature [K].
-
-        These are steps 2 and 3, and step 4 if the scene has air; without air, step 4 is the frame itself.
-        """
+        """Return steps 2, 3 and, with air, 4 between B and C of a pose, (2 or 3, H, W) float32 [K] apparent."""
         renderer = self._renderer
         at = (pose, time_s, self._method.objects)
         steps = [renderer.pictured(values, *at) for values in (self._seen, self._given)]
@@ -74,10 +71,10 @@ def terms_of(
     flat_read: NDArray[np.floating],
     solid_read: NDArray[np.floating],
 ) -> dict[str, NDArray[np.floating]]:
-    """Return {name of `NAMES`: (H, W) float32}, which add up to the difference of C and B after the sensor [K].
+    """Return {name of `NAMES`: (H, W) float32 [K]}, which add up to the difference of C and B after the sensor.
 
-    `pictures` are those of `Terms.pictures`; `flat` and `solid` are the apparent temperatures (H, W) of B and C [K],
-    `flat_read` and `solid_read` the same after the sensor.
+    `flat` and `solid` are apparent temperatures (H, W) of B and C [K], `flat_read` and `solid_read` those after the
+    sensor.
     """
     steps = [flat, *pictures, *([solid] if len(pictures) == 2 else []), solid]
     found = {name: after - before for name, before, after in zip(NAMES, steps, steps[1:], strict=False)}

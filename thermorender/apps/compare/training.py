@@ -1,11 +1,9 @@
 """What methods know of other thermal pictures: bounds, means, means per material, and calibrations of maps.
 
-It comes from the training part of a data set, or from the other lands of a campaign. A campaign is an hour, a weather
-and a camera. Its training part consists of the other lands in it, never of the scene under test. Bounds follow eq. 2 of
-"Generation of artificial infrared camera images for visual navigation simulation": 1.5 interquartile ranges beyond the
-quartiles of all values. They suit a map whose intensities follow the same rule within one campaign. A map that was
-trained in many campaigns predicts temperatures, and this rule reduces their contrast. A calibration is fair to both:
-the least-squares line from the map's intensities of the training photographs to the camera's radiances.
+The source is the training part of a data set, or the other lands of a campaign (one hour, weather and camera), never
+the scene under test. Bounds follow eq. 2 of "Generation of artificial infrared camera images for visual navigation
+simulation": 1.5 interquartile ranges beyond the quartiles. They suit maps trained within one campaign, but reduce the
+contrast of maps trained in many. A calibration, the least-squares line from intensities to radiances, suits both.
 """
 
 import hashlib
@@ -74,10 +72,7 @@ class TrainingPart:
 
 
 def lands_of(scenes: Sequence[Scene]) -> list[str]:
-    """Return the name of each Scene's land: a fingerprint of its relief, equal for equal reliefs.
-
-    A land is the same under any weather: a cover such as snow changes heights little compared with the relief.
-    """
+    """Return the name of each Scene's land: a fingerprint of its relief, which snow and weather hardly change."""
     known: list[tuple[str, NDArray[np.float64]]] = []
     names = []
     for scene in scenes:
@@ -112,10 +107,7 @@ def campaign_of(scene: Scene, land: str) -> str:
 def thermal_of(
     scene: Scene, land: str, views: Iterable[View], seed: int, models: Sequence[TemperatureMap] = ()
 ) -> Thermal:
-    """Return the Thermal of a scene from Views with a reference, after its sensor with noise of a seed.
-
-    `models` are the maps to calibrate, without extra inputs.
-    """
+    """Return the Thermal of a scene from Views with a reference, with sensor noise of a seed; calibrates `models`."""
     camera, histogram = scene.camera, Histogram()
     materials: dict[str, NDArray[np.float64]] = {}
     pairs: dict[str, NDArray[np.float64]] = {}

@@ -121,10 +121,10 @@ class Setup:
 
 
 class Trial:
-    """All methods of one scene at all of its poses.
+    """All methods of one scene at all of its poses; results are added to `totals`.
 
-    Its results are added to `totals`. `seed` is that of the sensor's noise, and frames are kept in the folder `arrays`.
-    `photographs` (H, W, 3) are evenly spaced ones, to search for in training pictures.
+    `seed` is that of the sensor's noise, `arrays` the folder of frames; `photographs` (H, W, 3) are searched for
+    training pictures.
     """
 
     def __init__(self, setup: Setup, totals: Totals, seed: int, arrays: Path | None) -> None:

@@ -1,8 +1,8 @@
-"""Audit of a split for leaks: what test pairs share with training pairs.
+"""Audit of a split for leakage: what test pairs share with training pairs.
 
-A score on test pairs measures new pictures only if training has not seen related ones. The audit counts five kinds of
-leak: a crop of the same picture; another picture of the same content; a neighbour in the same sequence; the same
-place; and the same kind of land at the same hour in the same weather. Thermal pictures and truth are not used.
+It counts five kinds of leak: a crop of the same picture; another picture of the same content; a neighbour in the same
+sequence; the same place; the same kind of land at the same hour in the same weather. Thermal pictures and truth are not
+used.
 """
 
 import math
@@ -125,16 +125,10 @@ KINDS = {
 
 
 def audit(dataset: Dataset, near_m: float = NEAR_M, progress: Progress | None = None) -> Audit:
-    """Return the Audit of a Dataset's parts train and test.
+    """Return the Audit of a Dataset's parts train and test; places coincide within `near_m` [m].
 
-    Parameters
-    ----------
-    dataset : Dataset
-        Reads each visible picture once: about 9 s and 60 MB per 1000 pictures of 256×256 pixels.
-    near_m : float
-        Distance within which places coincide [m].
-    progress : callable, optional
-        Called with (task, fraction done).
+    It reads each visible picture once: about 9 s and 60 MB per 1000 pictures of 256×256 pixels. `progress` takes (task,
+    fraction done).
     """
     report_progress = progress or (lambda task, fraction: None)
     test, train = dataset.of("test").entries, dataset.of("train").entries
@@ -204,7 +198,7 @@ def neighbours(test: Sequence[Entry], train: Sequence[Entry]) -> Leak:
 def places(test: Sequence[Entry], train: Sequence[Entry], near_m: float = NEAR_M, lands: bool = False) -> Leak:
     """Return the Leak of test Entries within `near_m` of a training Entry [m].
 
-    With `lands` each sequence is a separate land: all procedural worlds of a kind share one nominal place.
+    With `lands`, each sequence is a separate land, since all procedural worlds of a kind share one nominal place.
     """
     from scipy.spatial import cKDTree
 

@@ -1,8 +1,7 @@
-"""Bounds of a data set's thermal values: quartiles ± 1.5 interquartile ranges of their histogram.
+"""Bounds of a data set's thermal values: quartiles ± 1.5 interquartile ranges of their 16-bit histogram.
 
-They are the bounds of eq. 2 of Generation of artificial infrared camera images for visual navigation simulation, which
-maps values of unknown scale to intensity: 0 at Q1 − 1.5 (Q3 − Q1) and 1 at Q3 + 1.5 (Q3 − Q1). The histogram counts
-every 16-bit value, so the quartiles are exact.
+Eq. 2 of Generation of artificial infrared camera images for visual navigation simulation maps values of unknown scale
+to intensity: 0 at Q1 − 1.5 (Q3 − Q1) and 1 at Q3 + 1.5 (Q3 − Q1).
 """
 
 from dataclasses import dataclass
@@ -21,12 +20,7 @@ _VALUES = 65536
 
 
 class Histogram:
-    """Counts of each 16-bit value.
-
-    Attributes
-    ----------
-    counts : (65536,) int64
-    """
+    """Counts of each 16-bit value, `counts` (65536,) int64."""
 
     def __init__(self) -> None:
         self.counts = np.zeros(_VALUES, np.int64)
@@ -85,10 +79,7 @@ def bounds_of_dataset(dataset: Dataset, usable: NDArray[np.bool_]) -> Bounds:
 
 
 def figure(path: str | Path, histogram: Histogram, bounds: Bounds, scale: ThermalScale) -> None:
-    """Write a PNG of a histogram with its bounds and outliers, over its entire range and around the bounds.
-
-    The axis is in °C if the scale's unit is "kelvin".
-    """
+    """Write a PNG of a histogram with bounds and outliers: entire range, and around the bounds [°C or counts]."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -127,9 +127,9 @@ class _Table:
 
 
 def _equations(example: Example, size: int, table: _Table, less: float = 0.0) -> np.ndarray:
-    """AᵀA and AᵀI of a picture, (n + 2, n + 2) float64, columns being n colours (row, column, channel), 1 and I.
+    """Return AᵀA and AᵀI of a picture, (n + 2, n + 2) float64, upper triangle; `less` is subtracted from I.
 
-    `less` is subtracted from I. Only the upper triangle is filled.
+    The columns are n colours (row, column, channel), 1 and I.
     """
     ring, n = size // 2, 3 * size * size
     total = np.zeros((n + 2, n + 2))
@@ -153,10 +153,9 @@ def _equations(example: Example, size: int, table: _Table, less: float = 0.0) ->
 
 
 def _everywhere(rgb: np.ndarray, values: np.ndarray, size: int, table: _Table) -> np.ndarray:
-    """`_equations` of all neighbourhoods, with the intensity counted from the table's zero.
+    """Return `_equations` of all neighbourhoods, with the intensity counted from the table's zero.
 
-    The product of two picture rows is the same in every neighbourhood that holds them. So each row is multiplied by
-    itself and the next ones once, and the products are summed over the neighbourhoods.
+    Each product of two picture rows is computed once and summed over the neighbourhoods that hold them.
     """
     rows, columns = values.shape
     height, wide, n = len(rgb), 3 * size, 3 * size * size

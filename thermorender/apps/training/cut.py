@@ -1,7 +1,6 @@
 """Random crops of a pair of pictures, and random shifts of the thermal picture against the visible one.
 
-They depend on the seed and the pair's name only, so a data set can be resumed, and adding pairs does not change the
-others' crops.
+They depend on the seed and the pair's name only, so other pairs do not change them.
 """
 
 import zlib
@@ -31,10 +30,7 @@ class Cut:
 def moved(
     values: NDArray[np.uint8] | NDArray[np.uint16], valid: NDArray[np.bool_], name: str, cut: Cut
 ) -> tuple[np.ndarray, NDArray[np.bool_]]:
-    """Return a thermal picture and its mask, (H, W) each, shifted by the random vector of the pair of this name.
-
-    Pixels that the shift left without a value are not valid.
-    """
+    """Return a thermal picture and its mask, (H, W) each, shifted by the random vector of the pair `name`."""
     angle = _stream(cut.seed, name, "shift").uniform(0.0, 2.0 * np.pi)
     right, down = (round(cut.shift_px * each) for each in (np.cos(angle), np.sin(angle)))
     known = np.roll(valid, (down, right), axis=(0, 1))

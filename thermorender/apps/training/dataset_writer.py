@@ -41,10 +41,7 @@ def refuse_strange(folder: str | Path) -> None:
 
 
 class Writer:
-    """Writes a data set, shard by shard; complete shards stay, so that one with the same card can be resumed.
-
-    The card states properties of all pairs; `format`, `thermal` and `versions` are added.
-    """
+    """Writes a data set, shard by shard; one with the same card is resumed after its last complete shard."""
 
     def __init__(self, folder: str | Path, card: Mapping[str, Any], scale: ThermalScale, resume: bool = False) -> None:
         self.folder = files.make_folder(folder)
@@ -97,10 +94,7 @@ class Writer:
                 os.truncate(path, data.rfind(b"\n") + 1)
 
     def _remove_incomplete_shards(self) -> None:
-        """Remove the index lines whose shard is missing, truncated, or holds pairs that the index lacks.
-
-        A process killed while it appends a shard's lines leaves only the first of them.
-        """
+        """Remove the index lines whose shard is missing, truncated, or only partly indexed."""
         last: dict[str, tuple[int, str]] = {}
         for entry in read_dataset(self.folder).entries:
             end = max((offset + length for offset, length in entry.members.values()), default=0)
@@ -148,10 +142,7 @@ class Writer:
         return f"shards/{name}.tar" in self._known.values()
 
     def shard(self, name: str, pairs: Iterable[tuple[Entry, Mapping[str, bytes]]]) -> tuple[Entry, ...]:
-        """Write a shard of pairs with their files as by `packed`, then their lines of the index; return the Entries.
-
-        The shard's name has no suffix.
-        """
+        """Write a shard of pairs with their files as by `packed`, then their index lines; return the Entries."""
         entries, shard = [], f"shards/{name}.tar"
         if not is_shard(shard):
             raise ThermorenderError(f"{name!r} is not a name for a shard; give letters, digits, _ and -")

@@ -27,10 +27,7 @@ class Drawn:
 
 
 def drawn(task: Task, extra: ExtraInputs, most: int) -> Iterator[Drawn]:
-    """Yield the Drawn of each example of a Task: `most` pixels of each, or all if it has fewer.
-
-    They are drawn from a window placed at random around one of the picture's valid pixels.
-    """
+    """Yield the Drawn of each example of a Task: at most `most` pixels from a window around a random valid pixel."""
     generator = np.random.Generator(np.random.Philox(task.seed))
     empty = True
     for number, example in enumerate(task.examples):

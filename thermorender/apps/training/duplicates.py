@@ -1,11 +1,9 @@
 """Pictures of the same content, found through hash tables of local features and confirmed by registration.
 
-Every picture is reduced to a small grey one and described by ORB features (Rublee et al., ICCV 2011,
-doi:10.1109/ICCV.2011.6126544), each 256 comparisons of brightness. Features that agree in 16 consecutive comparisons
-vote for each other's pictures, which avoids comparing all pairs. The pictures with most votes are aligned by the
-similarity transform that most features agree on. They are duplicates if their fine structure then correlates. Matches
-survive changes of brightness, compression, shifts, crops, scale and rotation. Mirrored copies are found only by the
-sketch of the mirrored picture, and few crops of a fifth of the area: `learned.fingerprints` finds those.
+Small grey pictures are described by ORB features (Rublee et al., ICCV 2011, doi:10.1109/ICCV.2011.6126544) of 256 bits
+each. Features that agree in 16 consecutive bits vote for each other's pictures. The pictures with most votes are
+aligned by a similarity transform, and are duplicates if their fine structure correlates. Mirrored copies are found only
+by the sketch of the mirrored picture; crops of a fifth of the area often need `learned.fingerprints`.
 
 Of six procedural lands, at least five are found when halved, shrunk, turned, brightened, compressed or noisy, and none
 is taken for another. Road scenes far apart in time are not taken for each other.
@@ -72,14 +70,7 @@ def sketch(rgb: NDArray[np.uint8]) -> Sketch:
 def find(
     wanted: Sequence[Sketch], known: Sequence[Sketch], progress: Callable[[float], object] | None = None
 ) -> list[Match | None]:
-    """Return, for each of the Sketches `wanted`, the best Match among the Sketches `known`, or None.
-
-    Parameters
-    ----------
-    wanted, known : sequence of Sketch
-    progress : callable, optional
-        Called with the fraction done.
-    """
+    """Return the best Match of each Sketch in `wanted` among `known`, or None; `progress` takes the share done."""
     found: list[Match | None] = []
     tables = _Tables(known)
     for start in range(0, len(wanted), _TESTS_AT_ONCE):

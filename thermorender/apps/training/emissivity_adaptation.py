@@ -1,8 +1,7 @@
-"""A few labelled polygons of one scene update an emissivity map.
+"""Adaptation of an emissivity map to one scene by a few labelled polygons.
 
-The last layer of the network is fitted again to the polygons' texels, held near its weights by a penalty. Whole
-polygons are left out in turn to choose the penalty and to calibrate the probabilities, because texels of one polygon
-look alike.
+The last layer is refitted with a penalty on the change of its weights. Whole polygons are left out in turn to choose
+the penalty and calibrate the probabilities, because texels of one polygon look alike.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,10 +26,9 @@ _NEW = -4.0
 def adapted(
     model: EmissivityMap, item: Labelled, name: str, emissivity: Callable[[str], float], seed: int = 0
 ) -> EmissivityMap:
-    """Return an EmissivityMap for the land of a Labelled, from a map for other land.
+    """Return an EmissivityMap for the land of a Labelled, from a map for other land; materials may be added.
 
-    Connected areas of one material are taken for one polygon. Materials that the map lacks are added. `emissivity`
-    returns the band emissivity of a material by name; the probabilities are calibrated for it.
+    A connected area of one material is a polygon. `emissivity` maps a material's name to its band emissivity.
     """
     import cv2
 

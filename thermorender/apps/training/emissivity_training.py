@@ -1,9 +1,8 @@
 """Training of an emissivity map from orthophotos with known materials, fully or partly labelled.
 
-Each orthophoto is resampled to one ground sampling distance and optionally augmented. Texels are drawn with rare
-materials favoured, and scikit-learn's multilayer perceptron is fitted to their features. Distances between typical
-texels set the threshold of novelty. One block of ground in five is held out to measure the accuracy. The probabilities
-are calibrated on domains (kinds of landscape) that a network did not see, in turn.
+A multilayer perceptron of scikit-learn is fitted to features of texels, drawn with rare materials favoured. Distances
+between typical texels set the novelty threshold. One block of ground in five is held out for accuracy; probabilities
+are calibrated on kinds of landscape (domains) left out of training in turn.
 """
 
 import warnings
@@ -56,10 +55,9 @@ def train(
 ) -> tuple[EmissivityMap, np.ndarray]:  # fmt: skip
     """Return (EmissivityMap, confusion (C, C) int) trained on labelled orthophotos at a ground sampling distance [m].
 
-    `emissivity` returns the band emissivity of a material by name; the probabilities are calibrated for it. For maps of
-    other orthophotos, `augmentations` versions of each are added, with random exposure, white balance, contrast and
-    saturation. In the confusion, rows are the true material and columns the most probable one, counted over the
-    held-out ground.
+    `emissivity` maps a material's name to its band emissivity. `augmentations` versions of each orthophoto with random
+    exposure, white balance, contrast and saturation are added. Confusion has the true material in rows and the most
+    probable one in columns, over the held-out ground.
     """
     try:
         import sklearn  # noqa: F401
@@ -145,9 +143,9 @@ def _calibration(
     described: np.ndarray, truth: np.ndarray, domain: np.ndarray, held_out: np.ndarray, emissivity: np.ndarray,
     seed: int, report: Progress,
 ) -> tuple[float, float]:  # fmt: skip
-    """(softening, prior) of the posterior, fitted on domains that a network did not see; each domain counts the same.
+    """Return (softening, prior) fitted on domains that a network did not see, all of equal weight.
 
-    With one domain, it is fitted on the held-out blocks, whose ground resembles the ground of the training.
+    With one domain, it is fitted on the held-out blocks, which resemble the training.
     """
     generator = np.random.Generator(np.random.Philox(seed))
     domains = np.unique(domain)
@@ -184,12 +182,11 @@ def _quiet(what: str, share: float) -> None:
 def fitted_posterior(
     scores: Sequence[np.ndarray], truths: Sequence[np.ndarray], emissivity: np.ndarray
 ) -> tuple[float, float]:
-    """Return (softening, prior) with the largest likelihood of the emissivity of labels (N,) by scores (N, C).
+    """Return (softening, prior) of the largest likelihood of the emissivity of labels (N,) by scores (N, C).
 
-    The emissivity of a texel is taken as normal with the mean and standard deviation of the posterior over materials,
-    whose own are `emissivity` (C,). A material whose score is minus infinity was not known to that domain's network;
-    the prior alone covers it. The softening is 1…20, so that no network is made surer; the prior is 0.001…0.95. Domains
-    have equal weight.
+    A texel's emissivity is normal with mean and standard deviation of the posterior over materials of `emissivity`
+    (C,). A score of minus infinity marks a material unknown to that domain's network. Softening is 1…20, prior
+    0.001…0.95; domains have equal weight.
     """
     from scipy.optimize import minimize
 
@@ -286,10 +283,7 @@ def _described(
 
 
 def _augmented(rgb: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-    """An orthophoto as another camera, air and processing might show it.
-
-    Random resolution, haze, exposure, white balance, tone curve, saturation, sharpening and JPEG compression.
-    """
+    """Return an orthophoto with random resolution, haze, exposure, colour, sharpening and JPEG compression."""
     import cv2
 
     image: np.ndarray = rgb / np.float32(255.0)

@@ -26,10 +26,9 @@ _USUAL_COLOUR = 0.03
 
 
 def fit_linear(task: Task) -> Linear:
-    """Return the Linear trained on a Task.
+    """Return the Linear trained on a Task: least squares plus the option `penalty` times the squared coefficients.
 
-    It minimises the mean squared error plus λ, the option `penalty`, times the sum of the squared coefficients of
-    standardised columns. A column is standardised by its spread or its usual spread, the greater of the two.
+    Columns are standardised by their spread or their usual spread, the greater of the two.
     """
     penalty = float(task.options["penalty"])
     if not 0.0 <= penalty < np.inf:

@@ -1,7 +1,4 @@
-"""Inputs of a learned map from a pair of a data set.
-
-Training and evaluation both use this module, so that maps always get the same inputs.
-"""
+"""Inputs of a learned map from a pair of a data set, the same in training and evaluation."""
 
 from typing import Any
 
@@ -26,14 +23,8 @@ def ground_of(pair: Pair) -> NDArray[np.bool_]:
 def inputs_of(pair: Pair, card: dict[str, Any], material: bool = False) -> Inputs:
     """Return the Inputs of a Pair: its picture, ground sampling distance, relief, hour, weather and depth.
 
-    Parameters
-    ----------
-    pair : Pair
-    card : dict
-        Card of its data set; `card["terrain"]` names the truth planes that follow from the terrain alone.
-    material : bool
-        Add the plane "material": indices into `card["materials"]`, NaN for sky. For privileged maps only, as no
-        other map knows the true material.
+    `card` is its data set's; `card["terrain"]` names the truth planes that follow from terrain alone. `material` adds
+    the true material for privileged maps: indices into `card["materials"]`, NaN for sky.
     """
     names = [*card.get("terrain", ()), *(["material"] if material else ())]
     for name in names:

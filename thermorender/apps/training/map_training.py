@@ -38,13 +38,13 @@ def train_map(
 ) -> TemperatureMap:  # fmt: skip
     """Return the TemperatureMap of a method, trained on some parts of a Dataset.
 
-    `options` replace the method's defaults. `material` gives it the true material of each pixel: a privileged map.
-    `shift_px` moves each thermal picture by a random vector of this length, to train on misaligned pairs. A `share` of
-    the sequences is used, evenly spaced over the data set's order. `run` is the folder of a network's training.
+    `options` replace the method's defaults. `material` adds the true material of each pixel (a privileged map).
+    `shift_px` is the length of a random shift of each thermal picture [px]. `share` is that of the sequences, evenly
+    spaced. `run` is the folder of a network's training.
 
-    Intensity follows equation 2 of the published method: 0 and 1 are 1.5 interquartile ranges below and above the
-    quartiles of the training values, with 0 at 150 K or above. The published correlations were fitted on training and
-    validation. Saturated pixels are left out.
+    Intensity 0 and 1 are 1.5 interquartile ranges beyond the quartiles of the training values (equation 2 of the
+    published method), with 0 at 150 K or above; saturated pixels are left out. The published correlations were fitted
+    on training and validation.
     """
     how, report_progress = method(method_name), progress or (lambda task, fraction: None)
     options = checked_options(method_name, how.options, options or {})

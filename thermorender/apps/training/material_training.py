@@ -30,31 +30,13 @@ def train_on(
     texel_m: float | None = None, augmentations: int | None = None, seed: int = 0,
     progress: Progress | None = None,
 ) -> tuple[EmissivityMap, NDArray[np.int64]]:  # fmt: skip
-    """Return (EmissivityMap, confusion) trained on the given scenes; on procedural ones if there are none.
+    """Return (EmissivityMap, confusion (C, C) int64) trained on scene folders; on procedural scenes without any.
 
-    Parameters
-    ----------
-    folders : sequence of path
-        Scene folders; see `labelled_scene`.
-    polygons : path or dict, optional
-        GeoJSON, a file or its contents, that replaces the class raster of the single scene.
-    name : str
-        Name of the map.
-    texel_m : float, optional
-        Ground sampling distance of the training [m]; default: 0.5, or the coarsest orthophoto's.
-    augmentations : int, optional
-        Versions of each orthophoto with random exposure, balance, contrast and saturation; default: 0 for given scenes,
-        1 for procedural ones.
-    seed : int
-        The same seed gives the same map with the same versions of the libraries.
-    progress : callable, optional
-        Called with (what, share done).
-
-    Returns
-    -------
-    EmissivityMap
-    confusion : (C, C) int64
-        Texels of held-out ground by true material, in rows, and the most probable one.
+    `polygons` is GeoJSON, a path or its contents, in place of the class raster of a single scene. `texel_m` is the
+    ground sampling distance [m], by default 0.5 or the coarsest orthophoto's. `augmentations` of each orthophoto are by
+    default 0 for given scenes and 1 for procedural ones. `progress` takes (task, share done). Confusion counts held-out
+    texels by true material in rows and most probable one in columns. The same seed and library versions give the same
+    map.
     """
     from thermorender.scene.load import scene_folder
 
@@ -78,10 +60,7 @@ def train_on(
 
 
 def band_emissivity_of(folders: Sequence[str | Path] = ()) -> Callable[[str], float]:
-    """Return a function (material) → its emissivity at 300 K over what is measured of 7.5–13.5 µm.
-
-    Materials are those of the library and of the scenes' own tables.
-    """
+    """Return a function (material of library or scenes) → emissivity at 300 K over the measured part of 7.5–13.5 µm."""
     own = [Path(folder) / "materials" for folder in folders]
     library = material_tables.load_library()
     for folder in own:
@@ -109,10 +88,9 @@ def adapted_to(
 
 
 def labelled_scene(folder: str | Path, polygons: str | Path | Mapping[str, Any] | None = None) -> Labelled:
-    """Return the Labelled of a scene: its orthophoto, with labels from a GeoJSON, else its class raster.
+    """Return the Labelled of a scene: its orthophoto with labels from a GeoJSON, else from its class raster.
 
-    Polygons have a property "material" from the material library, in longitude and latitude or in the CRS of the "crs"
-    member. Later polygons cover earlier ones.
+    Polygons have a property "material", in WGS 84 or the "crs" member; later ones cover earlier ones.
     """
     spec = read_scene(folder)
     picture = orthophoto_of(spec)
@@ -173,10 +151,9 @@ def varied(seeds: Iterable[int], seed: int) -> Iterator[Labelled]:
 def read_polygons(
     given: str | Path | Mapping[str, Any], grid: Grid
 ) -> tuple[NDArray[np.uint8], dict[int, str], str]:  # fmt: skip
-    """Return (material number (h, w) uint8, {number: name}, unused polygons) of GeoJSON polygons on a Grid.
+    """Return (material number (h, w) uint8, {number: name}, notes) of GeoJSON polygons on a Grid; 0 outside.
 
-    0 is outside all polygons. The last is a sentence on polygons that label no texel, or ""; errors as
-    `labelled_scene`.
+    The notes are a sentence on polygons that label no texel, or "".
     """
     (features, crs), path = read_features(given), name_of(given)
     names: list[str] = []

@@ -35,8 +35,8 @@ def render_campaign_by(
 ) -> Dataset:  # fmt: skip
     """Render Worlds into a data set by the workers of a cluster; return the Dataset.
 
-    The folder must be on a disk that all workers share. Shards have the bytes of one machine; the lines of the index
-    come in the order in which worlds are finished.
+    All workers must share the folder's disk. Shards equal those of one machine; index lines are in the order of
+    completion.
     """
     # Without a world of its own, it makes the folder or refuses another data set.
     render_campaign(folder, of, hours, views, resume=resume, turn=(len(of), 1))

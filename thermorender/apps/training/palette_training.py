@@ -1,7 +1,4 @@
-"""Training of a Palette: means of cells, each shrunk towards that of the cell twice as wide around it.
-
-Wider cells follow each other up to the whole colour space; an unseen colour has the wider cell's value.
-"""
+"""Training of a Palette: means of colour cells, each shrunk towards that of the cell twice as wide around it."""
 
 from dataclasses import replace
 
@@ -15,8 +12,7 @@ from thermorender.learned.palette import Palette
 def fit_palette(task: Task) -> Palette:
     """Return the Palette trained on a Task.
 
-    Options: `cell`, a cell's side in CIELAB, and `shrinkage`, the number of pixels at which a cell's own mean counts as
-    much as the wider cell's.
+    Options: `cell`, side of a cell in CIELAB; `shrinkage`, pixels at which a cell's mean has half the weight.
     """
     empty, shrinkage = Palette.empty(float(task.options["cell"])), float(task.options["shrinkage"])
     if not 0.0 <= shrinkage < np.inf:
@@ -39,10 +35,7 @@ def fit_palette(task: Task) -> Palette:
 
 
 def _shrunk(total: np.ndarray, count: np.ndarray, shrinkage: float) -> np.ndarray:
-    """Mean of each cell, (n, n, n), from sums and numbers of its values, shrunk towards the wider cell's.
-
-    The weight of the cell's own mean is count / (count + shrinkage); n is a power of two, one cell or more has values.
-    """
+    """Return the mean of each cell, (n, n, n), of weight count / (count + shrinkage); the wider cell has the rest."""
     n = len(count)
     if n == 1:
         return total / count

@@ -56,7 +56,7 @@ def matched(
 ) -> tuple[list[Files], list[str]]:  # fmt: skip
     """Return the Files of two folders that share a name, sorted by name, and the names without a partner.
 
-    Patterns are of file names, such as *_rgb.png; the text that their wildcards match is the pair's name. `valid` is
+    `visible` and `thermal` are patterns such as *_rgb.png; what their wildcards match is the pair's name. `valid` is
     the pattern of masks in the visible folder, non-zero where both pictures show the same.
     """
     found = _named(visible_folder, visible, "visible"), _named(thermal_folder, thermal, "thermal")
@@ -91,8 +91,8 @@ def read_visible(path: str | Path) -> tuple[NDArray[np.uint8], bool]:
 def read_thermal(path: str | Path, scale: Sequence[float] | None = None, intensity: bool = False) -> Thermal:
     """Return the Thermal picture of a file.
 
-    `scale` is (kelvin per count, kelvin of count 0) of files that declare none. With `intensity`, 16 bits without a
-    scale are intensities, even where they look like temperatures.
+    `scale` is (kelvin per count, kelvin of count 0) where undeclared. `intensity` takes 16 bits without a scale as
+    intensities.
     """
     path = Path(path)
     if path.suffix.lower() in (".jpg", ".jpeg") and _radiometric(path):
@@ -169,8 +169,8 @@ def keys_of(pairs: Sequence[Files]) -> dict[str, str]:
 def sequences_of(pairs: Sequence[Files], sequence: str | None = None, gap: int | None = None) -> dict[str, str]:
     """Return {name: sequence} of pairs sorted by name.
 
-    The group of the regular expression `sequence` is the sequence in a name; default: the name without its last digits.
-    A step of the last number in the names larger than `gap` starts a new sequence.
+    The sequence is the group of the regular expression `sequence`, by default the name without its last digits. A step
+    of the last number above `gap` starts a new one.
     """
     try:
         expression = re.compile(sequence) if sequence else None

@@ -1,7 +1,4 @@
-"""Data sets from folders of real pictures: checked, registered, cropped, split, scaled and written.
-
-All pictures are read and checked before anything is written. Unusable ones are refused by name, or left out and listed.
-"""
+"""Data sets from folders of real pictures: checked, registered, cropped, split, scaled and written, in this order."""
 
 import hashlib
 from collections import Counter
@@ -68,14 +65,12 @@ def prepare(
 ) -> dict[str, Any]:  # fmt: skip
     """Write a data set from folders of pictures to `output`; return a report.
 
-    `registered` registers visible pictures to thermal ones; without it they must be aligned. `split` is a rule of
-    `splits.assign`, or a file. `texel_m` is the ground sampling distance of the thermal pictures [m]; `range_c` are the
-    temperatures assumed for intensity 0 and 1 of values of unknown scale [°C]. `skip_bad` leaves out unusable pairs
-    instead of refusing all.
+    `registered` registers visible pictures to thermal ones, which must be aligned otherwise. `split` is a rule of
+    `splits.assign` or a file. `texel_m` is the ground sampling distance [m]; `range_c` the temperatures assumed for
+    intensity 0 and 1 of values of unknown scale [°C]. `skip_bad` leaves out unusable pairs instead of refusing all.
 
-    The report has pairs, entries, parts {name: count}, sequences, left_out {name: reason}, grey (pairs whose visible
-    picture has no colour), bounds (of the training part, or of all parts if it is empty), rig, scale, audit (an Audit,
-    or None without training or test part).
+    The report has pairs, entries, parts {name: count}, sequences, left_out {name: reason}, grey (pairs without colour),
+    bounds (of the training part, else of all), rig, scale, audit (None without training or test part).
     """
     report_progress, cut, output = progress or (lambda task, fraction: None), cut or Cut(), Path(output)
     _check_settings(cut, texel_m, range_c)

@@ -1,12 +1,11 @@
 """A rendered campaign: pairs of visible and thermal pictures of procedural landscapes, with ground truth.
 
 A *world* is a landscape of one seed under the weather of another, at several hours of one day. Its true temperatures
-deviate from tables and station data (`lands.procedural.truth`), so a predictor knows as much as it would outdoors.
-Views are nadir, oblique, and forward with sky in the picture. The thermal picture is what the camera reads. Per pixel,
-a pair also holds the truth, the heat balance's prediction from table values, and the relief.
+deviate from tables and station data (`lands.procedural.truth`), as outdoors. Views are nadir, oblique, and forward with
+sky. The thermal picture is the camera's reading; a pair also holds the truth, the heat balance's prediction from table
+values, and the relief per pixel.
 
-Worlds of training, validation and test have different landscapes and different weathers. Each world is one shard, so
-a campaign can be interrupted anywhere and resumed.
+Parts have different landscapes and weathers. Each world is one shard, so a campaign can be resumed.
 """
 
 import tempfile
@@ -98,9 +97,8 @@ def render_campaign(
 ) -> Dataset:  # fmt: skip
     """Render Worlds into a data set; return the Dataset.
 
-    `hours` are instants of each world's day, evenly spaced over 24 h from an hour drawn from the weather's seed.
-    `views` are pairs per instant, 1…10. `turn` (k, n) is for several processes on one folder: every n-th world from
-    index k.
+    `hours` are instants of each world's day, evenly spaced from a random hour; `views` are pairs per instant, 1…10.
+    `turn` (k, n) renders every n-th world from index k, for n processes on one folder.
     """
     if not (1 <= hours <= 24 and 1 <= views <= MOST_VIEWS):
         raise ThermorenderError(f"hours={hours}, views={views} are not allowed; give 1…24 and 1…{MOST_VIEWS}")

@@ -1,7 +1,6 @@
 """Splits into training, validation and test parts: by whole sequences, by place, or by single crops.
 
-Pairs that belong together form a group, and whole groups go into parts. The number of pairs per part is as close to
-its share as the groups allow.
+Related pairs form a group, and whole groups are assigned to the nearest possible shares.
 """
 
 import csv
@@ -33,10 +32,9 @@ def assign(
 ) -> dict[str, str]:  # fmt: skip
     """Return {key: part} of Entries: whole groups, largest first, each into the part that lacks most pairs.
 
-    The rule says what stays together: a "sequence"; a "place", a cell of the map of side `cell_m` with everything
-    within `apart_m` of it [m]; or a single "crop", as published, so that crops of one picture go into several parts. A
-    part's name puts all pairs there. `shares` are those of training, validation and test; a part with a share above 0
-    gets one group or more. `seed` orders groups of equal size.
+    A group of `rule` is a "sequence"; a "place", a map cell of side `cell_m` with all within `apart_m` [m]; or a single
+    "crop", as published. A part's name puts all pairs there. `shares` are those of training, validation and test, with
+    one group or more for a share above 0; `seed` orders groups of equal size.
     """
     if rule in PARTS:
         return {entry.key: rule for entry in entries}
@@ -77,14 +75,7 @@ def assign(
 def read_split(path: str | Path) -> dict[str, str]:
     """Return {key: part} from a file.
 
-    Parameters
-    ----------
-    path : path
-        JSON {"train": [keys], "validation": [keys], "test": [keys]}, or CSV with the columns key and part.
-
-    Returns
-    -------
-    dict of str to str
+    It is JSON {"train": [keys], "validation": [keys], "test": [keys]}, or CSV with the columns key and part.
     """
     path = Path(path)
     form = 'JSON {"train": [keys], …} or CSV with the columns key,part'

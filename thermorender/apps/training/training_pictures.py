@@ -78,16 +78,9 @@ def search_in(
     model: TemperatureMap, names: Sequence[str], read: Callable[[int], NDArray[np.uint8] | None],
     progress: Callable[[float], object] | None = None,
 ) -> Search:  # fmt: skip
-    """Return the Search for a map's training pictures in named pictures.
+    """Return the Search for a map's training pictures in named pictures; `progress` takes the share done.
 
-    Parameters
-    ----------
-    model : TemperatureMap
-    names : sequence of str
-    read : callable
-        Number of a name → its picture, (h, w, 3) uint8, or None where it cannot be read.
-    progress : callable, optional
-        Called with the share done.
+    `read` maps the number of a name to its picture, (h, w, 3) uint8, or None where it cannot be read.
     """
     if model.fingerprints is None or not names:
         return Search(model, len(names))
@@ -113,10 +106,7 @@ def search_in(
 def search_in_files(
     model: TemperatureMap, paths: Sequence[PathLike], progress: Callable[[float], object] | None = None
 ) -> Search:
-    """Return the Search for a map's training pictures in pictures, the first frames of videos, or folders of them.
-
-    An unreadable file is stated, and not searched.
-    """
+    """Return the Search for training pictures in pictures, first frames of videos, or folders of them."""
     files = sources_of(paths)
 
     def read(number: int) -> NDArray[np.uint8] | None:

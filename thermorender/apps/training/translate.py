@@ -1,8 +1,7 @@
 """Translation of pictures and videos into apparent temperature by a learned map, from colour alone.
 
-Each picture gives a 16-bit TIFF of apparent temperature and an 8-bit picture; each video gives a video and optionally
-the same two files per frame. All 8-bit pictures share one scale, the range of the map. `translate.json` holds the
-settings, `translated.jsonl` the finished files.
+A picture gives a 16-bit TIFF of apparent temperature and an 8-bit picture on the scale of the map; a video gives a
+video, and optionally both files per frame. `translate.json` holds the settings, `translated.jsonl` the finished files.
 """
 
 import json
@@ -73,10 +72,7 @@ class Translation:
         return DisplaySettings("linear", self.palette)
 
     def counts(self, rgb: np.ndarray, known: np.ndarray | None = None) -> np.ndarray:
-        """Return apparent temperature of a picture, (h, w) uint16, `TLINEAR_STEP_K` kelvin a count; 0 where unknown.
-
-        `known` is (h, w) bool, where the picture is not empty; None for everywhere.
-        """
+        """Return apparent temperature, (h, w) uint16 of `TLINEAR_STEP_K` kelvin; 0 where not `known`, (h, w) bool."""
         height, width = rgb.shape[:2]
         predictor = self.model.predictor
         # Other predictors may use the whole picture.
@@ -126,8 +122,8 @@ def translate(
 ) -> dict[str, Any]:  # fmt: skip
     """Translate pictures and videos, or folders of them, into a folder; an unreadable one does not stop the others.
 
-    `frames` also writes those of videos. `resume` continues in a folder of the same settings and skips finished files.
-    Returns "done" and "passed over", numbers of files; "failed", {path: sentence}; "warning", a sentence or None.
+    `frames` also writes video frames; `resume` skips finished files of the same settings. Returns counts "done" and
+    "passed over", "failed" {path: sentence}, and "warning", a sentence or None.
     """
     report = progress or (lambda what, share: None)
     how = Translation(model, texel_m, palette)
@@ -170,10 +166,10 @@ def translate(
 
 
 def read_picture(path: files.PathLike) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return (sRGB (h, w, 3) uint8, where it is not empty (h, w) bool or None for everywhere) of a picture's file.
+    """Return (sRGB (h, w, 3) uint8, non-empty (h, w) bool or None for all) of a picture, rotated by its EXIF tag.
 
-    It is rotated by its EXIF orientation. Grey, palettes, CMYK (without its profile) and 16-bit colour become 8-bit
-    RGB. Raises UnreadableError for a file that is damaged, of another format, 16-bit grey, or too large.
+    Grey, palettes, CMYK (without its profile) and 16-bit colour become 8-bit RGB. UnreadableError: damaged, of another
+    format, 16-bit grey, or too large.
     """
     from PIL import Image, ImageOps
 

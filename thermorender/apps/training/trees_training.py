@@ -45,10 +45,9 @@ _CHUNK = 1 << 12
 
 
 def fit_trees(task: Task) -> Trees:
-    """Return the Trees trained on a Task.
+    """Return the Trees trained on a Task, with the same number of pixels from each example and least absolute error.
 
-    The same number of pixels is drawn from each example and the absolute error is minimised. Trees are added until the
-    error of the held-out runs stops falling. If air temperature is an input, they are added to a Linear.
+    Early stopping uses held-out runs. With air temperature as input, the trees are added to a Linear.
     """
     try:
         import lightgbm

@@ -1,8 +1,7 @@
 """Versions of labelled land for training an emissivity map: measured colours, other cover, and towns.
 
-A map that saw few landscapes takes their colours for the rule. Here each material gets the visible colour of a measured
-sample, roofs one each, and vegetation may give way to bare ground. Towns add what the landscapes lack: dense roofs,
-streets and yards. Colours are linear sRGB under D65, computed from reflectance spectra of the ECOSTRESS library
+Materials get the visible colour of a measured sample, roofs one each, and vegetation may give way to bare ground. Towns
+add dense roofs, streets and yards. Colours are linear sRGB under D65, from reflectance spectra of the ECOSTRESS library
 (Meerdink et al. 2019, doi:10.1016/j.rse.2019.05.015) and of SLUM (Kotthaus et al. 2014,
 doi:10.1016/j.isprsjprs.2014.05.005).
 """

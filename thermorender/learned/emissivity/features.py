@@ -1,7 +1,6 @@
-"""Features of a texel for the emissivity map: its colour, and the colour and texture around it.
+"""Features of a texel for the emissivity map: its colour, and the colour and texture around it, as in `features`.
 
-As in `features`, without statistics of the whole picture. Windows are counted in texels of the map's training grid, so
-an orthophoto is first resampled to its ground sampling distance.
+Windows are counted in texels of the training grid, to which an orthophoto is resampled first.
 """
 
 import numpy as np

@@ -1,11 +1,10 @@
 """RGB → emissivity: the likely materials of each texel of an orthophoto, from its colour and texture.
 
-A small fully connected network scores each material. The scores become calibrated probabilities: they are softened by
-a temperature (Guo et al. 2017, "On calibration of modern neural networks") and mixed with a uniform prior. Both numbers
-are fitted on landscapes that the network did not see. A texel's emissivity is the mean over all materials with these
-probabilities, and its uncertainty their standard deviation. Confidence is the largest probability, or 0 for texels
-unlike the training data. Texels below a threshold of confidence are *unknown*; the scene's fallback material replaces
-them. Emissivity itself is not learned: it comes from the material table.
+A small fully connected network scores each material. Probabilities are calibrated by a softening temperature (Guo et
+al. 2017, "On calibration of modern neural networks") and a uniform prior, both fitted on unseen landscapes. A texel's
+emissivity, from the material table, is the mean with these probabilities, its uncertainty the standard deviation.
+Confidence is the largest probability, or 0 for texels unlike the training data. Below a threshold, texels are *unknown*
+and get the scene's fallback material.
 """
 
 import json
@@ -105,10 +104,7 @@ class Mapped:
 
     @cached_property
     def index(self) -> np.ndarray:
-        """The three most probable materials, the most probable first, as indices into `EmissivityMap.materials`.
-
-        (h, w, 3) uint8.
-        """
+        """The three most probable materials, best first, (h, w, 3) uint8 indices of `EmissivityMap.materials`."""
         rest = self.probability.astype(np.int16)
         found = np.zeros((*rest.shape[:2], 3), np.uint8)
         for rank in range(min(rest.shape[2], 3)):
@@ -167,26 +163,11 @@ def map_materials(
     keep: Callable[[slice, slice, np.ndarray], object] | None = None, evidence: Sequence[Evidence] = (),
     name: str = "the picture",
 ) -> Mapped:  # fmt: skip
-    """Return the Mapped of an orthophoto.
+    """Return the Mapped of an orthophoto, (h, w, 3) uint8 sRGB of ground sampling distance `texel_m` [m].
 
-    Parameters
-    ----------
-    model : EmissivityMap
-    rgb : (h, w, 3) uint8
-        sRGB.
-    texel_m : float
-        Its ground sampling distance [m]; it is resampled to the model's, and the probabilities back.
-    progress : callable (share done), optional
-    keep : callable (rows, columns, probabilities (C, h', w')), optional
-        Called with each tile's probabilities.
-    evidence : sequence of Evidence
-        Each multiplies the probabilities, which are then scaled to a sum of one; all have the same materials.
-    name : str
-        Of the orthophoto, for messages.
-
-    Notes
-    -----
-    It works tile by tile, with about 0.4 GB besides the result for any size of orthophoto.
+    It is resampled to the model's, and the probabilities back, in tiles that need about 0.4 GB besides the result.
+    `keep` (rows, columns, probabilities (C, h', w')) is called for each tile, `progress` with the share done. Each
+    Evidence multiplies the probabilities, which are then normalised. `name` is the orthophoto's, for messages.
     """
     import cv2
 
@@ -228,7 +209,7 @@ def map_materials(
 def _with_evidence(
     probabilities: np.ndarray, known: np.ndarray, here: tuple[slice, slice], evidence: Sequence[Evidence]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(probabilities (C, h, w), whether they are known (h, w)) of a tile, with evidence.
+    """Return (probabilities (C, h, w), known (h, w)) of a tile after evidence.
 
     Where evidence excludes materials of a texel unlike the training data, the others are equally probable.
     """

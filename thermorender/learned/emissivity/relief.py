@@ -1,9 +1,8 @@
 """Heights above the ground and slopes as evidence on materials: roofs and trees stand above it, water lies level.
 
-A surface model is split into ground and what stands on it by a progressive morphological filter (Zhang et al. 2003,
-doi:10.1109/TGRS.2003.810682). Height above the ground and slope of the surface, in three classes each, are nine cases.
-`LIKELIHOOD` is the share of each case on ground, roofs, trees and water of procedural land; `validation.emissivity`
-computes it again. By Bayes' rule, the likelihood of a texel's case multiplies the probabilities of its materials.
+A progressive morphological filter (Zhang et al. 2003, doi:10.1109/TGRS.2003.810682) separates the ground. `LIKELIHOOD`
+is the share of nine cases (three classes each of height and slope) on ground, roofs, trees and water of procedural
+land, from `validation.emissivity`. By Bayes' rule it multiplies the probabilities of a texel's materials.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,1 @@
-"""Networks that translate photographs into thermal pictures: published ones, and one of this project.
-
-`recipes` lists them with their hyper-parameters; `predictor` applies a trained one.
-"""
+"""Networks that translate photographs into thermal pictures, listed by `recipes` and applied by `predictor`."""

@@ -1,29 +1,27 @@
-"""The networks by name, each with its hyper-parameters and their sources.
+"""The networks by name, each with its hyper-parameters and their sources; no network is imported here.
 
-Two studies are followed. FOK: Generation of Artificial Infrared Camera Images for Visual Navigation Simulation, which
-trained pix2pix and pix2pixHD with "default training settings": those of Isola et al. (arXiv:1611.07004) and Wang et al.
-(arXiv:1711.11585), Adam of 2e-4 and β 0.5, 0.999, the rate constant over the first half of the epochs and falling to 0
-over the second, as both papers' programs do; batch and epochs are its Table 2. DLR: Peinecke, Generating Simulated
-Infrared Sensor Images using Deep Learning Neural Networks, which names networks, losses, optimisers and epochs; what it
-leaves open (batch, rate, width) is Keras' default or is marked as chosen. CycleGAN: Zhu et al. (arXiv:1703.10593).
-`compact` and `compact+` are this project's, their numbers chosen on validation pairs.
+- FOK: Generation of Artificial Infrared Camera Images for Visual Navigation Simulation, which trained pix2pix and
+  pix2pixHD with "default training settings": those of Isola et al. (arXiv:1611.07004) and Wang et al.
+  (arXiv:1711.11585), Adam of 2e-4 and β 0.5, 0.999, the rate constant over the first half of the epochs and falling to
+  0 over the second, as in both papers' programs. Batch and epochs are its Table 2.
+- DLR: Peinecke, Generating Simulated Infrared Sensor Images using Deep Learning Neural Networks, which names networks,
+  losses, optimisers and epochs. Batch, rate and width are Keras' defaults or are marked as chosen.
+- CycleGAN: Zhu et al. (arXiv:1703.10593).
+- `compact` and `compact+`: this project's, their numbers chosen on validation pairs.
 
-DLR says of its final network both that it is the U-Net of its previous trial, which is the Keras U-Net, and that it
-follows Nhu's satellite-to-map program (github.com/anh-nn01/Satellite-Imagery-to-Map-Translation-using-Pix2Pix-GAN-
-framework). `unet-gan` is Nhu's: its page states a U-Net-256 with skip connections, batch 1, Adam of 2e-4 and β 0.5,
-0.999, and λ 100. Copies of its program, which agree with each other, add seven halvings, no biases, a constant rate,
-two steps of the generator after each of the discriminator, and an L1 that is summed instead of averaged. They apply
-the network of the last epoch with dropout and the statistics of each batch: `published=true`. They scale whole pictures
-to 256², flipped up and down at random; here squares are cut, flipped left and right. `unet-gan-keras` is the other
-reading, the Keras U-Net with pix2pix' losses and rates. Which figures belong to which: `validation/networks`.
+DLR's final network is, by its text, both its previous one, the Keras U-Net, and that of Nhu's program
+(github.com/anh-nn01/Satellite-Imagery-to-Map-Translation-using-Pix2Pix-GAN-framework). `unet-gan-keras` is the former
+with pix2pix' losses and rates. `unet-gan` is Nhu's: U-Net-256 with skip connections, batch 1, Adam of 2e-4 and β 0.5,
+0.999, λ 100. Copies of its program add seven halvings, no biases, a constant rate, two generator steps per
+discriminator step, and a summed L1. They apply the last epoch with dropout and batch statistics: `published=true`. They
+scale pictures to 256², flipped up and down; here squares are cut, flipped left and right. Results:
+`validation/networks`.
 
-DLR's 98 000 epochs of this network are probably steps of one pair. 98 000 epochs of 4000 pairs would be 392 million
-crops, more than a year at 10 crops a second; its figures show epochs 100, 9700, 15 000 and 98 000.
+DLR's 98 000 epochs are probably steps of one pair: as epochs of 4000 pairs they would take more than a year at 10 crops
+a second.
 
-pix2pixHD's default includes a perceptual loss by VGG-19 with ImageNet's weights. They are not shipped, so `pix2pixhd`
-trains without this loss unless the option `vgg` names their file.
-
-No network is imported here.
+`pix2pixhd` trains without its default perceptual loss (VGG-19, ImageNet), whose weights are not shipped, unless the
+option `vgg` names their file.
 """
 
 from collections.abc import Mapping

@@ -13,9 +13,9 @@ def stitched(
 ) -> np.ndarray:
     """Return a network's output, (out, h, w) float32, for planes (c, h, w) float32.
 
-    `apply` maps tiles (c, *sides) to (out, *sides). Sides are multiples of 16 pixels; a smaller picture is mirrored at
-    its edges. Neighbouring tiles overlap by `overlap` pixels or more. Of the overlap, `margin` pixels at each tile's
-    edge are not used, because the network lacks their surroundings; tiles are blended over the rest with a Hann window.
+    `apply` maps tiles (c, *sides) to (out, *sides), with sides multiples of 16 pixels; smaller pictures are mirrored at
+    their edges. Tiles overlap by `overlap` pixels or more; `margin` pixels at each edge are not used, the rest is
+    blended with a Hann window.
     """
     height, width = planes.shape[1:]
     lacking = [_length(n, side) - n for side, n in zip(sides, (height, width), strict=True)]

@@ -1,7 +1,7 @@
 """glTF 2.0 files (GLB and glTF), read into Pieces, one for each primitive of each node.
 
-Read here and not by trimesh, which hands over accessors raw: normalised and sparse values, and extensions that the file
-requires, are the reader's duty by the specification (Khronos, glTF 2.0, ISO/IEC 12113:2022).
+trimesh returns accessors raw. Normalised and sparse values and required extensions are the reader's duty (Khronos, glTF
+2.0, ISO/IEC 12113:2022), so they are read here.
 """
 
 from collections.abc import Iterator
@@ -26,10 +26,9 @@ _Floats = NDArray[np.float64]
 
 
 def read(path: Path, beside: Beside) -> list[Piece]:
-    """Return the Pieces of a glTF file, in metres and turned from y up to z up.
+    """Return the Pieces of the default scene of a glTF file, in metres and turned from y up to z up; no animation.
 
-    The default scene is read, without animation. Surfaces of constant transparency are opaque, as panes are in the
-    long-wave infrared; holes of a texture's transparency are refused.
+    Constant transparency is opaque, as panes are in the long-wave infrared; alpha textures are refused.
     """
     file = File(path, beside)
     pieces = []
@@ -214,10 +213,7 @@ def _map(file: File, primitive: dict[str, Any], texture: Any, faces: NDArray[np.
 def _tinted(
     file: File, primitive: dict[str, Any], coat: Coat, faces: NDArray[np.int64], vertices: int
 ) -> tuple[Coat, NDArray[np.float32] | None]:
-    """(Coat times a colour by vertex that is the same everywhere, light of each face of several colours or None).
-
-    Section 3.9.2: the linear colour by vertex multiplies base colour and texture.
-    """
+    """Return (coat times a uniform vertex colour, light of each face where colours differ or None); section 3.9.2."""
     number = primitive["attributes"].get("COLOR_0")
     if number is None:
         return coat, None

@@ -66,7 +66,7 @@ class File:
         """Return the values of an accessor, (count, components): integers as they are, all others as float64.
 
         Normalised integers are converted and sparse values put in (glTF 2.0, sections 3.6.2.3 and 3.11). `types` are
-        the allowed ones of SCALAR, VEC2, VEC3 and VEC4; messages call it `what`.
+        the allowed types; messages call the accessor `what`.
         """
         one = self.item("accessors", number)
         kind, count = one["componentType"], one["count"]

@@ -1,7 +1,6 @@
 """Meshes from files (OBJ, GLB, PLY, …) and primitives, as parts with map coordinates and a colour image.
 
-A mesh of several textures or materials becomes one part for each, and each part a surface of the scene with its own
-texels. An atlas would save no memory and would need its texels moved.
+Each texture or material becomes one part, and each part a surface of the scene with its own texels.
 """
 
 import io
@@ -53,8 +52,7 @@ class Part:
 def load(path: Path | str, folder: Path | None = None, named: Collection[str] = ()) -> list[Part]:
     """Return the Parts of a mesh file in its own coordinates, z up; the y-up axes of glTF are rotated.
 
-    Material libraries, textures and buffers that the file names must be inside `folder`, by default its own. `named`
-    are names that the pieces of one part must share or lack.
+    Files that it names must be inside `folder`, by default its own. `named` are names that keep pieces apart.
     """
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
@@ -121,10 +119,7 @@ def _plain(path: Path) -> list[Piece]:
 
 
 def _joined(pieces: Sequence[Piece], named: Collection[str]) -> list[tuple[Piece, tuple[tuple[str, ...], ...]]]:
-    """The pieces and what they are called, those with one image joined unless `named` tells them apart.
-
-    The texels of a surface take far more memory than its triangles.
-    """
+    """Return the pieces and their names; pieces of one image are joined unless `named` separates them."""
     groups: dict[Any, list[Piece]] = {}
     for number, piece in enumerate(pieces):
         coat = piece.coat
@@ -190,7 +185,7 @@ def _has_area(part: Part) -> bool:
 def primitive(shape: str, size: Sequence[float]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Return the vertices [m] and faces of a primitive with its base centred on the origin.
 
-    A disc is flat with diameter size[0]; a box or ellipsoid ("sphere") has the extents `size` along x, y, z [m].
+    A disc has the diameter size[0]; a box or ellipsoid ("sphere") has the extents `size` along x, y, z [m].
     """
     if shape == "disc":
         angle = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)

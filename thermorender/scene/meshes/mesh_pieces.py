@@ -93,10 +93,9 @@ def of_faces(linear: NDArray[Any], faces: NDArray[np.int64]) -> NDArray[np.float
 def triangles(
     lengths: NDArray[np.int64], index: NDArray[np.int64], vertices: NDArray[np.float64], path: Path
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return (corner (T, 3), polygon (T,)) of the triangles that polygons are split into, each from one of its corners.
+    """Return (corner (T, 3), polygon (T,)) of polygons split into fans; `corner` counts the entries of `index`.
 
-    `lengths` (P,) is the number of corners of each polygon, `index` (C,) the vertex of each corner, polygon after
-    polygon; `corner` counts these.
+    `lengths` (P,) is the number of corners of each polygon, `index` (C,) the vertex of each corner.
     """
     if index.size and not (index.min() >= 0 and index.max() < len(vertices)):
         raise ThermorenderError(

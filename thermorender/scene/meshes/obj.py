@@ -1,7 +1,6 @@
 """Wavefront OBJ files and their material libraries, read into Pieces, one for each material.
 
-Read here and not by trimesh, which shows a face grey without a word where its material is missing, and does not read
-the options of a texture.
+trimesh silently shows faces of a missing material grey and ignores texture options, so OBJ is read here.
 """
 
 import re
@@ -52,9 +51,8 @@ class _Content:
 def read(path: Path, beside: Beside, named: Collection[str] = ()) -> list[Piece]:
     """Return the Pieces of an OBJ file, one for each material, and for each object and group in `named`.
 
-    Map coordinates run up the image in the file. A texture is shown as it is: `Kd` beside it is left out, as is a
-    constant transparency, since panes are opaque in the long-wave infrared. A texture replaces colours by vertex, and
-    different colours by vertex replace `Kd`.
+    A texture replaces vertex colours and `Kd`; vertex colours replace `Kd`. Constant transparency is ignored, since
+    panes are opaque in the long-wave infrared. Map coordinates run up the image in the file.
     """
     content = _content(path)
     vertices, colour = _vertices(content.vertices, path)

@@ -1,7 +1,4 @@
-"""PLY files, read into Pieces, one for each texture.
-
-Read here and not by trimesh, which puts the last of several textures on all faces without a word.
-"""
+"""PLY files, read into Pieces, one for each texture; trimesh would put the last of several textures on all faces."""
 
 import re
 from dataclasses import dataclass, field
@@ -50,10 +47,10 @@ _Table = dict[str, "_Values | _List"]
 
 
 def read(path: Path, beside: Beside) -> list[Piece]:
-    """Return the Pieces of a PLY file.
+    """Return the Pieces of a PLY file: `comment TextureFile` names textures, the face property `texnumber` selects one.
 
-    `comment TextureFile` names textures and the face property `texnumber` chooses one. Map coordinates run up the
-    image; those of faces (`texcoord`) take precedence over those of vertices. A texture replaces colours by vertex.
+    Map coordinates of faces (`texcoord`) take precedence over those of vertices and run up the image. A texture
+    replaces vertex colours.
     """
     elements, textures, order, data = _header(path)
     tables = _Ascii(data, path).tables(elements) if order == "" else _Binary(data, order, path).tables(elements)
@@ -313,10 +310,7 @@ def _colour(
     tables: dict[str, _Table], elements: list[_Element], faces: NDArray[np.int64], polygon: NDArray[np.int64],
     path: Path,
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None]:  # fmt: skip
-    """((3,) sRGB, None), or (white, light of each triangle) for several colours; faces take precedence over vertices.
-
-    The file states sRGB, as scanners and mesh programs write it.
-    """
+    """Return ((3,) sRGB, None), or (white, light of each triangle); face colours, in sRGB, precede vertex colours."""
     kinds = {(element.name, name): kind for element in elements for name, kind, _ in element.properties}
     for element in ("face", "vertex"):
         for names in _COLOURS:

@@ -1,8 +1,7 @@
 """ArduPilot's dataflash logs (.bin): messages POS, ATT and MNT, and GPS where POS is not logged.
 
-Fields as in ArduPilot's list of log messages: POS is the estimator's position with its height above home, ATT
-roll, pitch and yaw, MNT the angles of a mount (YawE relative to the Earth). A GPS status of 3 is a fix in three
-dimensions.
+POS is the estimator's position with its height above home, ATT roll, pitch and yaw, MNT the angles of a mount (YawE
+relative to the Earth). A GPS status of 3 is a fix in three dimensions.
 """
 
 import contextlib

@@ -1,8 +1,7 @@
-"""Bags of ROS 2 (`.mcap`, `.db3`, or their folder): one topic of poses or of satellite fixes.
+"""Bags of ROS 2 (`.mcap`, `.db3`, or their folder): one topic, named after a `#`, as in `flight.mcap#/odom`.
 
-A topic follows the bag's name after a `#`: `flight.mcap#/odom`. Poses (geometry_msgs/PoseStamped,
-PoseWithCovarianceStamped, nav_msgs/Odometry) are in a frame of x east, y north and z up, and of a body of x forward, y
-left and z up, as REP 103 lays down. sensor_msgs/NavSatFix has altitudes above the WGS 84 ellipsoid, NaN without one,
+Poses (geometry_msgs/PoseStamped, PoseWithCovarianceStamped, nav_msgs/Odometry) have x east, y north, z up, and a body
+of x forward, y left, z up (REP 103). sensor_msgs/NavSatFix has altitudes above the WGS 84 ellipsoid, NaN without one,
 and a status below 0 without a fix.
 """
 

@@ -1,9 +1,8 @@
 """Subtitles that DJI aircraft write beside a video: position, height and angles of each cue.
 
-Two styles exist. Older aircraft write `GPS(longitude, latitude, satellites)` with `BAROMETER:`, `Hb:` or `H` above the
-take-off point; with a unit at the third number it is `GPS(latitude, longitude, altitude)`. `F.PRY` and `G.PRY` are
-pitch, roll and yaw of aircraft and gimbal. Newer ones write `[key: value]` pairs. `altitude` does not say what it
-is relative to, so it is used for its changes only.
+Older aircraft write `GPS(longitude, latitude, satellites)` with `BAROMETER:`, `Hb:` or `H` above take-off, or with a
+unit `GPS(latitude, longitude, altitude)`; `F.PRY` and `G.PRY` are pitch, roll and yaw of aircraft and gimbal. Newer
+ones write `[key: value]` pairs, whose `altitude` has no stated reference, so only its changes are used.
 """
 
 import re

@@ -1,7 +1,6 @@
-"""PX4 logs in ULog: the messages of position, attitude and gimbal.
+"""PX4 logs in ULog: VehicleLocalPosition, VehicleAttitude and GimbalDeviceAttitudeStatus by PX4's definitions.
 
-Fields as in PX4's definitions of VehicleLocalPosition, VehicleAttitude and GimbalDeviceAttitudeStatus. A gimbal's
-quaternion rotates its axes to north, east, down if one of its flags says so, else to axes with the vehicle's heading
+A gimbal's quaternion rotates its axes to north, east, down if a flag says so, else to axes with the vehicle's heading
 (MAVLink, GIMBAL_DEVICE_FLAGS).
 """
 

@@ -1,11 +1,10 @@
 """Tracks in GPX and KML: positions with date-times.
 
-A document type definition is refused, because entities in it can expand without limit; neither format needs one.
-GPX counts `ele` from mean sea level (GPX 1.1 schema). KML counts `absolute` altitudes from sea level, and ignores those
-of `clampToGround`, which is the default (OGC 07-147r2, KML 2.2): only their changes are used, so the flight needs an
-anchor. The angles of a track are heading, tilt and roll in degrees, clockwise around z (up), x (right) and y (forward)
-of a model (OGC 12-007r2, KML 2.3). Clockwise from above is what makes the heading that of a compass, so a positive tilt
-lowers the nose, and a positive roll lowers the left side. Missing angles are 0.
+Document type definitions are refused, because entities can expand without limit. GPX counts `ele` from mean sea level
+(GPX 1.1 schema). KML counts `absolute` altitudes from sea level, and ignores those of the default `clampToGround` (OGC
+07-147r2, KML 2.2): only their changes are used, with an anchor. The angles of a track are heading, tilt and roll [deg],
+clockwise around z (up), x (right) and y (forward) (OGC 12-007r2, KML 2.3). So a positive tilt lowers the nose, and a
+positive roll lowers the left side. Missing angles are 0.
 """
 
 from typing import Any

@@ -1,8 +1,7 @@
 """A camera file from the footage of a real camera: its noise, fixed pattern, blur and gain control.
 
-The frames hold the camera's temperatures. The optics of a base camera convert the measured values to the keys of a
-camera file; the other keys of the base camera are kept. NETD and the other noise keys are stated for a lossless lens at
-300 K, the blur for a lens of known diffraction.
+The optics of a base camera convert the frames' temperatures to camera keys; its other keys are kept. NETD and other
+noise keys are stated for a lossless lens at 300 K, the blur for a lens of known diffraction.
 """
 
 import re
@@ -95,8 +94,9 @@ def fit_camera(
     paths: Iterable[str | PathLike[str]], base: str | PathLike[str] = defaults.CAMERA,
     scale: tuple[float, float] | None = None, progress: Callable[[float], object] | None = None,
 ) -> dict[str, Estimate]:  # fmt: skip
-    """Return estimates of a camera's properties from its frames, {key of a camera file: Estimate}. Frames are 16-bit
-    TIFFs or radiometric JPEGs; `scale` is (kelvin per count, kelvin of count 0) of TIFFs that declare none.
+    """Return {key of a camera file: Estimate} from a camera's frames, 16-bit TIFFs or radiometric JPEGs.
+
+    `scale` is (kelvin per count, kelvin of count 0) of TIFFs that declare none.
     """
     camera, files = load_camera(base, "base camera"), frame_files(paths)
     shape = camera.height, camera.width
@@ -342,7 +342,7 @@ def _blur_key(images: Sequence[NDArray[Any]], noise_k: float, camera: Camera) ->
 def read_frame(path: Path, scale: tuple[float, float] | None) -> tuple[NDArray[np.float64], list[tuple[float, float]]]:
     """Return the apparent temperatures of a file, (H, W) [K], and the shares of pixels that its display saturates.
 
-    The shares below and above the colour scale [%] are the only item of a list, which is empty if none is stored.
+    These are [(below, above) the colour scale [%]], or [] if no scale is stored.
     """
     if path.suffix.lower() not in FLIR_JPEG:
         return read_temperature(path, scale), []

@@ -1,7 +1,6 @@
 """The width of a sharp edge in a camera's images: the sharpest straight steps, each fitted as a blurred step.
 
-Some edges of a scene are soft, so the sharpest are the most informative. Thin lines, corners and texture look sharper
-than they are, so only patches that a single straight step explains to within the noise are used.
+Thin lines, corners and texture look sharper than they are, so patches must fit one straight step within the noise.
 """
 
 from collections.abc import Callable, Iterator
@@ -19,8 +18,7 @@ _MODEL_PX = 0.02
 
 
 def edge_widths(image: NDArray[np.float64], noise: float) -> NDArray[np.float64]:
-    """Return the widths of the straight steps in an image with white noise of standard deviation `noise`, and their
-    uncertainties, (n, 2) [px].
+    """Return widths and uncertainties, (n, 2) [px], of straight steps in an image of white noise `noise`.
 
     Width is the σ of the Gaussian that blurs a step: a + b erf(u / √2 σ) + plane, with u the distance from a line.
     """
@@ -37,9 +35,9 @@ def edge_widths(image: NDArray[np.float64], noise: float) -> NDArray[np.float64]
 def sharpest(widths: NDArray[np.float64]) -> tuple[float, float] | None:
     """Return (width, uncertainty) [px] of the sharpest of many edges; None if there are fewer than eight.
 
-    The median of the sharpest fifth in the better half of the fits. This selection is biased: of equal edges, a tenth
-    looks sharper by more than 1.28 times the uncertainty, which is added back. The uncertainty combines that of one
-    edge, the spread of that fifth, and the error of the Gaussian model for other steps.
+    It is the median of the sharpest fifth in the better half of the fits. The selection is biased by 1.28 times the
+    uncertainty (a tenth of equal edges looks sharper than that), which is added back. The uncertainty combines that of
+    one edge, the spread of that fifth, and the error of the Gaussian model for other steps.
     """
     if len(widths) < 8:
         return None
@@ -51,8 +49,9 @@ def sharpest(widths: NDArray[np.float64]) -> tuple[float, float] | None:
 
 
 def width_through(transfer: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> float:
-    """Return the width that `edge_widths` finds for a sharp step behind a transfer function [px]; it is real, of
-    frequencies [cycles per pixel], and includes the pixel aperture.
+    """Return the width that `edge_widths` finds for a sharp step behind a transfer function [px].
+
+    The function is real, of frequencies [cycles per pixel], and includes the pixel aperture.
     """
     from scipy.optimize import least_squares
     from scipy.special import erf

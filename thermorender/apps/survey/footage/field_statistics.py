@@ -1,8 +1,7 @@
 """Properties of the whole image from a sequence of frames: shading, vignetting, replaced pixels, drift of the scale.
 
-If the camera moves, the scene averages out of the smooth part of the mean frame, which is then the camera's shading. If
-it is static, the common change of all pixels is the drift of the scale. Noise grows as the light decreases. A pixel
-that is the mean of its neighbours in each frame has no noise of its own.
+For a moving camera, the smooth part of the mean frame is the shading; for a static one, the common change of all pixels
+is the drift. Noise grows as the light decreases. A pixel that is the mean of its neighbours has no noise of its own.
 """
 
 import numpy as np
@@ -60,8 +59,7 @@ class Field:
         return sigma_of((mean**2 - error).sum(), np.sqrt((4.0 * mean**2 * error + 2.0 * error**2).sum()))
 
     def replaced(self, noise_k: float, step_k: float) -> tuple[float, float] | None:
-        """Return (share of the pixels that are the mean of their neighbours, uncertainty); None if few frames do not
-        separate them without a false alarm.
+        """Return (share of pixels that are the mean of their neighbours, uncertainty); None for too few frames.
 
         The difference of a pixel from the mean of its eight neighbours has 9/8 of the noise's variance or more; that of
         a replaced pixel is rounding, by steps of `step_k` [K].
@@ -83,14 +81,13 @@ class Field:
         return count / variance.size, np.sqrt(max(count, 1)) / variance.size
 
     def wander(self, rate_hz: float, known_k: float) -> tuple[tuple[float, float], ...] | None:
-        """Return ((noise of whole frames, uncertainty), (1/f noise of the scale per octave, uncertainty)) [K] of a
-        static camera; None for few frames. `known_k` is what pixels, rows and columns add to a frame's mean [K].
+        """Return ((noise of frame means, uncertainty), (1/f noise of the scale per octave, uncertainty)) [K], or None.
 
+        The camera is static; `known_k` is what pixels, rows and columns add to a frame's mean [K]. None for few frames.
         Maximum likelihood of the levels of up to 600 frames, with the covariance of `sensor.wander.covariance` plus
-        white noise. Along the eigenvectors of the former, orthogonal to the mean, the two variances add. A span of k
-        ticks has about k draws of the drift, however many frames, so its variance is uncertain by √(2/k) at least. The
-        median over blocks of the difference from the first frame has 2π/3 of the mean's variance, apart from the noise
-        of the first frame.
+        white noise: along its eigenvectors, orthogonal to the mean, the variances add. A span of k ticks has about k
+        draws of the drift, so its variance is uncertain by √(2/k) at least. The median over blocks of the difference
+        from the first frame has 2π/3 of the mean's variance, apart from the noise of the first frame.
         """
         from scipy.optimize import minimize
 
@@ -121,11 +118,11 @@ def vignetting(
     blocks: NDArray[np.float64], share: float, illumination: NDArray[np.float64], rims: NDArray[np.float64],
     fixed: float,
 ) -> tuple[float, float] | None:  # fmt: skip
-    """Return (loss of light at the corner by the rims of the lens as a share, uncertainty), from the growth of noise
-    towards the corner; None if a ring around the centre has fewer than four flat blocks.
+    """Return (share of light that the rims of the lens block at the corner, uncertainty), from the growth of noise.
 
-    Least squares of a / (light (1 − v·rims))² + fixed to the mean powers of six rings. `blocks` are `block_powers` (n,
-    2) [K²], of which `share` are flat enough; `illumination` and `rims` are (H, W).
+    Least squares of a / (light (1 − v·rims))² + fixed to the mean powers of six rings; None if a ring has fewer than
+    four flat blocks. `blocks` are `block_powers` (n, 2) [K²], of which `share` are flat enough; `illumination`, `rims`
+    (H, W).
     """
     from scipy.optimize import minimize_scalar
 

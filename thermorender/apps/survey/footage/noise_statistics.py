@@ -1,9 +1,8 @@
 """The noise of a camera from a sequence of its frames of an unknown scene.
 
-The lens passes no fine detail, so in flat parts of an image the highest frequencies are noise. The fixed pattern is
-the same on the detector in every frame: the mean product of the spectra of different frames, in which the scene of a
-moving camera averages out. Noise of whole rows and columns appears in a spectrum as two lines above their
-surroundings.
+The lens passes no fine detail, so in flat parts the highest frequencies are noise. The fixed pattern is the mean
+product of the spectra of different frames, in which a moving scene averages out. Noise of whole rows and columns is two
+lines in a spectrum above their surroundings.
 """
 
 from collections.abc import Sequence
@@ -40,9 +39,7 @@ _HANN_LINE, _HANN_ALIKE = 2.0 / 3.0, 3.8
 
 
 class Spectra:
-    """Power spectra of frames of one size, gathered frame by frame; `gain`, (H, W), is how the flat-field correction
-    amplifies the noise of each pixel.
-    """
+    """Power spectra of frames of one size; `gain`, (H, W), is each pixel's noise gain by the flat-field correction."""
 
     def __init__(self, shape: tuple[int, int], gain: Floats | None = None) -> None:
         self.shape, self.count = shape, 0
@@ -61,9 +58,9 @@ class Spectra:
             )
 
     def add(self, image: Floats, cut_off: NDArray[np.bool_] | None = None) -> None:
-        """Add a frame, (H, W) [K]; NaN is replaced by the frame's mean.
+        """Add a frame, (H, W) [K]; NaN is replaced by the mean.
 
-        `cut_off`, (H, W) bool, marks pixels at an end of their range: blocks with such pixels are not flat.
+        Blocks with `cut_off` pixels, (H, W) bool, are not flat.
         """
         if image.shape != self.shape:
             raise ThermorenderError(
@@ -112,9 +109,9 @@ class Spectra:
         return np.concatenate(self._changes)
 
     def corrected(self) -> list[int]:
-        """Return the numbers of the frames before which a flat-field correction changed the pattern.
+        """Return the frame numbers before which a flat-field correction changed the pattern of a static camera.
 
-        For a static camera, from the finest detail of most blocks; needs five frames.
+        It uses the finest detail of most blocks, and needs five frames.
         """
         if len(self._changes) < _FEWEST or self.lost.all():
             return []
@@ -154,13 +151,13 @@ class Noise:
 
 
 def noise_of(spectra: Spectra) -> Noise:
-    """Return the Noise of Spectra. Blocks that are cut off at an end of the range are ignored.
+    """Return the Noise of Spectra, without blocks that are cut off at an end of the range.
 
-    For a moving camera, the noise of single pixels is that of the flattest tenth of blocks, less the fixed part; it is
-    too high if no part of the images is flat. For a static camera, it is the difference between frames, and the fixed
-    part comes from the flattest blocks of the mean frame. If the difference has more power in coarse detail than in the
-    finest, the scene changes; then the tenth of blocks with the least coarse change gives the noise. Rows and columns
-    in the scene (fields, roofs) count as noise of a moving camera.
+    For a moving camera, pixel noise is that of the flattest tenth of blocks, less the fixed part: too high if no part
+    is flat; rows and columns in the scene (fields, roofs) count as noise. For a static camera, it is the difference
+    between frames, and the fixed part comes from the flattest blocks of the mean frame. If the difference has more
+    power in coarse than in the finest detail, the scene changes; then the tenth of blocks with the least coarse change
+    gives the noise.
     """
     window = _window(spectra.shape) ** 2
     seen_gain = float((window * spectra.gain**2).sum() / window.sum())
@@ -272,10 +269,10 @@ def _flat_power(blocks: Floats, gains: Floats, other: Floats | float) -> tuple[f
 
 
 def _lines(spectra: Spectra, power: Floats, count: int | None) -> list[tuple[float, float]]:
-    """((variance of row noise, its uncertainty), the same for columns) [K²] from the excess power on the two axes.
+    """Return ((variance of row noise, its uncertainty), the same for columns) [K²] from excess power on the two axes.
 
-    With a number of frames, medians of the powers are used, since scenes have rows and columns at some frequencies and
-    noise at all. Powers of mixed sign are averaged.
+    With `count` frames, medians reject the scene's own rows and columns, which are at some frequencies only. Powers of
+    mixed sign are averaged.
     """
     height, width = spectra.shape
     down, right = (np.abs(axis).ravel() for axis in spectra.frequencies())

@@ -25,8 +25,7 @@ _LENGTHS, _TEMPERATURES = 8, 24
 
 
 def without_air(survey: Survey, camera: Camera, renderer: "Renderer") -> Survey:
-    """Return a Survey whose frames show apparent temperatures at the ground, with a note that says so. Frames that
-    removed the air by their own settings stay as they are; without air in the scene, all do.
+    """Return a Survey of apparent temperatures at the ground; frames that removed the air stay as they are.
 
     Ground of the scene's mean emissivity ε under its sky E leaves L_n(T) = ε B_n(T) + (1−ε) E_n/π in spectral node n,
     and τ_n L_n(T) + P_n arrive. T is solved at each pixel's range from the measured pose, and replaced by the apparent

@@ -1,7 +1,6 @@
 """Between apparent and kinetic temperature of the terrain's texels, with the scene's emissivity and reflected light.
 
-A texel emits by its own temperature and reflects sky and surroundings. The reflected radiance is that of the scene's
-light, solved with its own temperatures; it changes little with those of a reconstruction.
+The reflected radiance is that of the scene's own temperatures; it changes little with those of a reconstruction.
 """
 
 from dataclasses import dataclass
@@ -56,11 +55,10 @@ def light_of(renderer: "Renderer", lattice: Lattice, linear: LinearKelvin) -> Li
 def kinetic_of(
     apparent: Floats, light: Light, renderer: "Renderer", linear: LinearKelvin
 ) -> tuple[Floats, Floats, NDArray[np.bool_]]:  # fmt: skip
-    """Return (kinetic temperature [K], its change with linear kelvin, trusted), each (h, w), of the radiance that
-    leaves each texel in linear kelvin, NaN where unknown.
+    """Return (kinetic temperature [K], its change with linear kelvin, trusted), each (h, w); unknown input is NaN.
 
-    A texel is not trusted if its emissivity is below 0.5, if it reflects by angle as water and glass do, or if the
-    equation has no solution. Its kinetic temperature is that of the scene.
+    Not trusted are emissivities below 0.5, reflection by angle (water, glass), and equations without a solution; the
+    kinetic temperature is then the scene's.
     """
     scene = renderer.scene
     emitted = linear.radiance(apparent) - light.reflected
@@ -83,7 +81,7 @@ def kinetic_of(
 
 
 def apparent_of(kinetic_k: float, number: int, reflected: float, renderer: "Renderer", linear: LinearKelvin) -> float:
-    """Return linear kelvin of a texel of a material with a kinetic temperature [K] that reflects a radiance.
+    """Return linear kelvin of a texel with a kinetic temperature [K] that reflects a radiance.
 
     Water and glass, which reflect by angle, are taken as seen from above under the scene's sky.
     """

@@ -1,7 +1,6 @@
-"""The common level of map and offsets, which only something of known temperature can fix.
+"""The common level of map and offsets, fixed by places of known kinetic temperature such as water or a marker.
 
-References are places on the terrain: water, a marker, a station's ground. Their temperatures are kinetic; the scene's
-emissivity and reflected light make them comparable with the map.
+The scene's emissivity and reflected light make them comparable with the map.
 """
 
 from collections.abc import Callable, Sequence
@@ -72,7 +71,8 @@ def shift_of(
     renderer: "Renderer", lattice: Lattice, linear: LinearKelvin,
 ) -> tuple[float, float, list[tuple[str, float]]]:  # fmt: skip
     """Return (shift of the map's level [linear kelvin], its standard deviation, [(name, residual after it), …]).
-    References that differ by more than their standard deviations widen it by Birge's ratio.
+
+    Birge's ratio widens the standard deviation of references that differ by more than their own.
     """
     position = _positions(renderer, lattice)
     misses, variances = [], []

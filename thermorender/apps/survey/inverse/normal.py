@@ -1,10 +1,9 @@
 """The normal equations of all frames: a stencil of nine points on the map, blocks of each frame, and their solution.
 
-The unknowns are changes: of the texels, of each frame's own parameters (its offset, and its pose where that is free),
-of parameters common to all frames (the vignetting), and of the offsets of classes in the prior. A pixel of the matrix
-is bilinear between four texels, so a texel is linked to its eight neighbours only. By symmetry five numbers hold these
-links: 40 bytes a texel, however many frames there are. Residuals come from the exact forward model, with blur; the
-matrix without blur then only sets the path to the solution, as in deferred correction.
+The unknowns are changes of the texels, of each frame's offset and free pose, of the vignetting, and of the offsets of
+classes in the prior. A pixel of the matrix is bilinear between four texels, so a texel has eight neighbours: by
+symmetry five numbers, 40 bytes a texel. Residuals come from the exact forward model with blur; the matrix without blur
+only sets the path to the solution, as in deferred correction.
 """
 
 from collections.abc import Callable, Iterator
@@ -160,10 +159,10 @@ class Block(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """What a frame adds to the normal equations: sums over its N pixels.
+    """Sums over a frame's N pixels for the normal equations.
 
-    `links`, `pull` and `shared` are on the texels of the frame's window: Aᵀ W A as of `links`, Aᵀ W r, and Aᵀ W times
-    the columns of the common parameters. The other three belong to parameters: pulls (P,) and (V,), matrix (V, V).
+    `links`, `pull` and `shared` are on the texels of its window: Aᵀ W A, Aᵀ W r, and Aᵀ W times the columns of the
+    common parameters. The others belong to parameters: pulls (P,) and (V,), matrix (V, V).
     """
 
     block: Block
@@ -176,8 +175,10 @@ class Sums(NamedTuple):
 
     @classmethod
     def of(cls, seen: Footprint, residual: Floats, precision: Floats, own: Floats, common: Floats) -> "Sums":
-        """Return the Sums of a frame of N pixels: residuals (measured minus predicted), precisions (1 / variance), and
-        changes of the prediction with the frame's parameters (P, N) and the common ones (V, N).
+        """Return the Sums of a frame of N pixels.
+
+        Inputs are residuals (measured minus predicted), precisions (1 / variance), and changes of the prediction with
+        the frame's parameters (P, N) and the common ones (V, N).
         """
         count = len(own)
         columns = np.concatenate([own, common])
@@ -199,8 +200,9 @@ class Sums(NamedTuple):
 
 
 class Normal:
-    """The normal equations H x = g of a least-squares problem with a prior; precisions (P,) and (V,) are 1 over the
-    prior variances of a frame's parameters and the common ones.
+    """The normal equations H x = g of a least-squares problem with a prior.
+
+    Precisions (P,) and (V,) are 1 over the prior variances of a frame's parameters and the common ones.
     """
 
     def __init__(self, prior: Prior, frame_precision: Floats, common_precision: Floats) -> None:
@@ -328,11 +330,10 @@ class Normal:
         return inverse, cho_factor(self._own - self._eliminated(inverse), lower=True)
 
     def _nearly_inverse(self, values: Floats, each: Each) -> Floats:
-        """The inverse, for a map (h, w), of the equations without parameters and with lumped links.
+        """Return the inverse, for a map (h, w), of the equations without parameters and with lumped links.
 
-        All links are positive, so the lumped matrix exceeds the linked one in the sense of quadratic forms, and what is
-        left of the parameters' matrix stays positive. For smooth maps both are the same, and smooth maps are what
-        offsets, poses and lens are hard to tell from.
+        The lumped matrix exceeds the linked one as a quadratic form, so the parameters' matrix stays positive. They
+        agree for smooth maps, which offsets, poses and lens are hard to separate from.
         """
         from scipy.linalg import cho_solve
 
@@ -345,10 +346,9 @@ class Normal:
     ) -> tuple[Unknowns, int]:  # fmt: skip
         """Return (x, steps) by preconditioned conjugate gradients, to a relative residual `tolerance`.
 
-        The parameters are eliminated: steps are made in the map alone. The preconditioner differs from the matrix only
-        in the links between texels, so the product with z = M⁻¹ r is r plus that difference times z. What converges
-        last is fine structure where pixels are few; offsets and poses are exact long before. `each` maps a function
-        over the halves of the frames, such as `Executor.map`, and does not change the result.
+        Parameters are eliminated, so steps are made in the map alone. The preconditioner differs from the matrix only
+        in the links between texels, so the product with z = M⁻¹ r is r plus that difference times z. `each` maps a
+        function over the halves of the frames, such as `Executor.map`, and does not change the result.
         """
         from scipy.linalg import cho_factor, cho_solve
 

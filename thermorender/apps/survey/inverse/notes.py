@@ -45,8 +45,9 @@ def notes_of(
     survey: Survey, blind: Sequence[int], state: State, spread: Spread, settings: Settings, pixel_m: float,
     level: Level, time: np.datetime64 | None = None,
 ) -> list[str]:  # fmt: skip
-    """Return sentences for the user on a solution. `blind` are numbers of frames without terrain, and `pixel_m` is the
-    side of a pixel on the ground [m], 0 if no frame shows it.
+    """Return sentences for the user on a solution.
+
+    `blind` are numbers of frames without terrain, `pixel_m` the side of a pixel on the ground [m], 0 without terrain.
     """
     return [
         *_coverage(survey, blind, spread), *_misfits(survey, state, spread, settings),

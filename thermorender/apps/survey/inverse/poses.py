@@ -1,9 +1,8 @@
 """Registration of single frames to a map: a search over shifts of the image, then Gauss–Newton steps, coarse to fine.
 
-The search turns the camera, because a turn and a shift of the camera hardly differ for a small field of view. The steps
-then divide the correction between position and angles by how well each of them is known. Contrast, level and tilt of
-the image are free: the map may be a prior whose contrast differs from that of the frames, and ground that changes
-between passes tilts them.
+The search turns the camera, since a turn hardly differs from a shift for a small field of view. The steps divide the
+correction between position and angles by their uncertainties. Contrast, level and tilt of the image are free, because
+prior and ground temperatures may differ from those of the frame.
 """
 
 from collections.abc import Sequence
@@ -54,8 +53,9 @@ def slopes(values: Floats) -> tuple[Floats, Floats]:
 def registered(
     viewer: Viewer, values: Floats, image: Image, pose: Floats, measured: Floats, error: PoseError, search: bool = True
 ) -> Floats:  # fmt: skip
-    """Return the pose (4, 4) that fits an image (H, W) best to a map, from `pose` on, within the error of the measured
-    one. With `search` it begins with shifts and coarse steps.
+    """Return the pose (4, 4) that fits an image (H, W) best to a map, within the error of the measured pose.
+
+    It starts at `pose`, with shifts and coarse steps if `search`.
     """
     if search:
         pose = _searched(viewer, values, image, pose, error)
@@ -74,8 +74,7 @@ def explained(
 ) -> Floats:  # fmt: skip
     """Return the combination of features (K, h, w), a map without level, that explains the images of frames best.
 
-    Each image has its own level, and all have the terms `lens` (V, H·W) in common. The features are smoothed by the
-    error of the poses for the fit: what is finer would seem to explain nothing.
+    Each image has its own level and shares the terms `lens` (V, H·W). Features are smoothed by the error of the poses.
     """
     import cv2
 
@@ -151,10 +150,7 @@ def _highpass(image: Floats) -> Floats:
 
 
 def _shift(predicted: Floats, image: Floats, most: int) -> Floats:
-    """(right, down) [px] of the image against the prediction, up to `most`, at the highest correlation.
-
-    Zero where even that is low, such as for a map without structure.
-    """
+    """Return (right, down) [px], up to `most`, of the image against the prediction; zero if the correlation is low."""
     from scipy.fft import irfft2, next_fast_len, rfft2
 
     size = tuple(next_fast_len(side + most, real=True) for side in image.shape)

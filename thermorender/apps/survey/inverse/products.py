@@ -1,7 +1,4 @@
-"""The files of a reconstruction: maps, poses, offsets, the camera's own errors, a record, a page and a scene.
-
-The page, `report.html`, has maps before and after, residuals, and what is unknown. The scene renders.
-"""
+"""The files of a reconstruction: maps, poses, offsets, the camera's own errors, a record, a page and a scene."""
 
 import csv
 import io
@@ -160,7 +157,7 @@ def _scene(found: Reconstruction, folder: Path) -> None:
 
 
 def files_of_scene(source: Path, tables: dict[str, Any]) -> set[Path]:
-    """Return the files of a scene's folder that its tables name, with those that these need, and its own materials.
+    """Return the files that a scene's tables name, those that these need, and the scene's own materials.
 
     A raster has files of the same stem beside it; a mesh names its libraries and textures.
     """

@@ -33,10 +33,7 @@ class Inputs:
 
 
 def run(inputs: Inputs, folder: Path, progress: Progress | None = None) -> dict[str, Any]:
-    """Write a reconstruction into a folder, and return its record.
-
-    The folder keeps the state of each round, so a stopped run continues.
-    """
+    """Write a reconstruction into a folder, with the state of each round to resume from, and return its record."""
     scene = load_scene(inputs.scene)
     camera = scene.camera if inputs.camera is None else load_camera(inputs.camera, "camera")
     places = None if inputs.poses is None else read_poses(inputs.poses, scene)

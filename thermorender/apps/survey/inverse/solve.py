@@ -94,9 +94,7 @@ class State:
 
 
 class Problem:
-    """Frames over a scene, (F, H, W) float32 in linear kelvin with NaN where not valid, their measured poses (F, 4, 4),
-    and the prior.
-    """
+    """Frames, (F, H, W) float32 [linear kelvin], NaN where invalid, with measured poses (F, 4, 4), and the prior."""
 
     def __init__(
         self, renderer: "Renderer", camera: Camera, images: Image, poses: Floats, lattice: Lattice, prior: Prior,
@@ -136,9 +134,9 @@ class Problem:
     def register(self, state: State, progress: Progress | None = None) -> State:
         """Return a State with each frame registered, by images of about 160 pixels a row.
 
-        At the start, frames are registered to what prior and orthophoto together explain of them: the prior may lack
-        the contrasts of that day. After a round they are registered to its map. A frame that has stayed behind, such as
-        an oblique one, would follow the others slowly in the joint solutions, where its residuals have little weight.
+        At first, the target is the part of the frames that prior and orthophoto explain, since the prior may lack the
+        day's contrasts; later it is the round's map. Badly registered frames have little weight in the joint solution
+        and would follow slowly.
         """
         if not self.free:
             return state
@@ -266,7 +264,7 @@ class Problem:
         return normal, tilts, weights, float(np.median(spreads)), float(np.median(alike)), pattern
 
     def _measured(self, state: State, number: int, slope: Floats) -> tuple[Sight, Floats, Floats, float]:
-        """(pixels of a frame, their residuals, 1 over their variances, standard deviation of the residuals).
+        """Return (pixels, residuals, their precisions 1/σ², standard deviation of residuals) of a frame.
 
         `slope` (h, w) is that of the state's map.
         """
@@ -312,11 +310,10 @@ class _Summed(NamedTuple):
 
 
 class Common:
-    """The part of the residuals that is common to all frames after a step of the map: that of the fixed pattern.
+    """The residuals that all frames share after a step of the map: the change of the fixed pattern.
 
-    Before the step, map and pattern would both take what either of them explains, and alternate without an end where
-    the frames stand on a grid. Places on the map are kept for that, because casting rays takes long: 6 bytes a pixel,
-    with places to 1/65535 of the map's longer side.
+    Without it, map and pattern would alternate where frames stand on a grid. Map positions are kept, at 6 bytes a
+    pixel, to 1/65535 of the map's longer side.
     """
 
     def __init__(self, frames: int, pixels: int, longest: int, noise_k: float, pattern_k: float) -> None:
@@ -339,8 +336,8 @@ class Common:
     def left(self, step: Floats, own: Floats, terms: Floats) -> Floats:
         """Return the common part (pixels,) after a step of the map, (h, w), and one of each frame, `own @ terms`.
 
-        `own` (F, K) are changes of what a frame shows besides the map, by the terms (K, pixels). Without them, the
-        pattern would take the opposite of what the map takes from them: 1 K where frames tilt.
+        `own` (F, K) are changes of the frames by the terms (K, pixels). Without them, the pattern would compensate the
+        map's change: by 1 K where frames tilt.
         """
 
         def taken(number: int) -> Floats:
@@ -354,9 +351,9 @@ class Common:
 
 
 def tilt_of(plane: Floats, residual: Floats, precision: Floats) -> Floats:
-    """(tilts to the right and down, their weights), (2, 2), of residuals (N,) by the columns 1, right, down.
+    """Return (tilts to the right and down, their weights), (2, 2), of residuals (N,) by the columns 1, right, down.
 
-    A frame of which only a strip shows the terrain knows little of its tilt.
+    The weights are small if only a strip of the frame shows the terrain.
     """
     matrix = (plane * precision) @ plane.T
     found, *_ = np.linalg.lstsq(matrix, (plane * precision) @ residual, rcond=None)

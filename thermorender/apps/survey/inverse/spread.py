@@ -1,13 +1,9 @@
 """The uncertainty of a reconstruction: standard deviation of each texel, without the common level.
 
-Draws of the noise and of the prior, solved like the frames, give the errors that the normal equations know, those of
-free poses and offsets among them. Poses and optics are never exact: the frames are therefore halved, each half is
-solved by itself, and the differences of the two maps scale the draws and give two further terms: the slope of the map
-times an error of the position, and what the residuals of a texel exceed the noise. All three factors come from the
-frames, without the truth. Structure within texels makes errors that are alike in all frames: residuals show it. An
-edge between texels of the scene makes a known error, in proportion to the second differences of the map, because a map
-that is bilinear between the middles of its texels cannot follow it. The larger of the two counts. The common level of
-all texels is removed, because no frame shows it.
+Draws of noise and prior, solved like the frames, give the errors within the normal equations. The difference between
+maps of both halves of the frames scales them and two further terms: map slope times position error, and residuals in
+excess of the noise. Structure within texels, equal in all frames, is taken from the residuals, or from the error of an
+edge by the second differences of the map; the larger counts. The truth is not used.
 """
 
 from dataclasses import dataclass
@@ -61,7 +57,7 @@ class Spread:
 class Drawn(NamedTuple):
     """Right-hand sides of a frame's draws: on its window (DRAWS, …), of its own and of the common parameters.
 
-    Then come the numbers of pixels on each texel and the sums of the squares of their residuals.
+    The last two are the number of pixels on each texel and the sum of their squared residuals.
     """
 
     maps: Floats
@@ -72,8 +68,9 @@ class Drawn(NamedTuple):
 
 
 class Draws:
-    """Right-hand sides of the normal equations by random noise, of which the solutions have the covariance H⁻¹.
-    `pattern_k`, (H·W,), is the standard deviation of the fixed pattern that is left, which all frames share.
+    """Random right-hand sides of the normal equations, whose solutions have the covariance H⁻¹.
+
+    `pattern_k`, (H·W,), is the standard deviation of the remaining fixed pattern, common to all frames [K].
     """
 
     def __init__(self, prior: Prior, common: int, offset_precision: float, pattern_k: Floats, seed: int = 0) -> None:
@@ -149,9 +146,10 @@ class Draws:
 def spread_of(
     normal: Normal, draws: Draws, means: Floats, reach: float, terms: int, side: float, noise_k: float, share: float
 ) -> Spread:  # fmt: skip
-    """Return the Spread of a solution with means (h, w) [K]; the level is the mean of the texels that the frames show.
-    `reach` and `terms` are those of `weights.sharpened` over all rounds, as removing the blur raises the noise of fine
-    structure; `side` is that of a texel in texels of the scene.
+    """Return the Spread of a solution with means (h, w) [K]; their level is the mean of the texels in the frames.
+
+    `reach` and `terms` are those of `weights.sharpened` over all rounds, which raises the noise of fine structure;
+    `side` is a texel's side in texels of the scene.
     """
     seen = draws.views > 0
     variance = np.zeros(seen.shape)
@@ -183,10 +181,7 @@ def _near(values: Floats, seen: NDArray[np.bool_], width: float) -> Floats:
 
 
 def _difference(draws: Draws, reach: float, terms: int, side: float) -> Floats:
-    """Half the difference of the maps of both halves, (h, w); NaN where one of them shows nothing.
-
-    Its square is in the mean that of the error of the map from all frames.
-    """
+    """Return half the difference of the maps of both halves, (h, w), with the map's error; NaN where one is empty."""
     prior = draws.halves[0].prior
     both = np.ones(prior.mean.shape, bool)
     step = np.zeros(prior.mean.shape)
@@ -224,8 +219,9 @@ def _fitted(difference: Floats, terms: Floats) -> Floats:
 
 
 def error_of_edges(means: Floats, variance: Floats, share: float) -> Floats:
-    """Return the square of the error that edges within texels make, (h, w) [K²], from the map's means [K] and the
-    variance of their noise, of which second differences have twelve times as much.
+    """Return the squared error by edges within texels, (h, w) [K²], from second differences of the means [K].
+
+    Twelve times the variance of their noise is subtracted.
     """
     padded = np.pad(means, 1, mode="edge")
     down = padded[2:, 1:-1] - 2.0 * means + padded[:-2, 1:-1]
@@ -234,12 +230,11 @@ def error_of_edges(means: Floats, variance: Floats, share: float) -> Floats:
 
 
 def error_of_curvature(camera: Camera, pixel: float, side: float) -> float:
-    """Return the mean square error of edges over the square of the second differences of the map. `pixel` and `side`
-    are those of a pixel [texels] and of a texel [texels of the scene]; texels no larger than the scene's have no such
-    error.
+    """Return the mean square error of edges over the squared second differences of the map.
 
-    Many frames sample the map without gaps. The map is then the projection of the edge, blurred by a pixel, on bilinear
-    maps that are blurred alike. Both squares are summed along a line across the edge, and over its places in a texel.
+    `pixel` and `side` are those of a pixel [texels] and of a texel [texels of the scene]; at a `side` of 1 or less it
+    is 0. The map is the projection of the edge, blurred by a pixel, on blurred bilinear maps. Both squares are summed
+    across the edge and over its places in a texel.
     """
     if pixel <= 0.0 or side < 1.0:
         return 0.0

@@ -134,10 +134,9 @@ def taps_of(side: int = 2) -> Floats:
 
 @lru_cache(maxsize=16)
 def reach_px(camera: Camera) -> float:
-    """Return the distance of three points in a row, with weights 1/6, 2/3, 1/6, that have a pixel's transfer [px].
+    """Return the spacing [px] of three taps 1/6, 2/3, 1/6 that have a pixel's transfer at half the Nyquist frequency.
 
-    The transfer is that of lens and pixel area at half the Nyquist frequency. Diffraction has no finite variance, so
-    one frequency stands for the width.
+    One frequency stands for the width, because diffraction has no finite variance.
     """
     transfer = float(otf(camera, np.array([_MATCHED]))[0]) * float(np.sinc(_MATCHED))
     return float(np.arccos(np.clip(3.0 * transfer - 2.0, -1.0, 1.0))) / (2.0 * np.pi * _MATCHED)
@@ -172,7 +171,7 @@ class Sight:
     ray: Singles  # (3, N) float32 from the camera to the points [m]
 
     def motion(self, right: Floats, down: Floats) -> Floats:
-        """Return the change of values on the map with the pose, (6, N): per metre, then per radian about the axes.
+        """Return the change of map values with the pose, (6, N): per metre, then per radian about the axes.
 
         `right` and `down` (N,) are their changes along the map's columns and rows.
         """
@@ -261,7 +260,7 @@ class Viewer:
     def imaged(self, sight: Sight, values: Floats, taps: Floats, around: NDArray[np.floating]) -> Floats:
         """Return a map's values as the pixels of a Sight measure them, (N,): `Sight.seen`, blurred by the lens.
 
-        `around` (H, W) stands for what the map does not show, such as sky and objects; NaN there is the median.
+        `around` (H, W) is used outside the map, such as for sky and objects; NaN there is the median.
         """
         image = np.array(around, np.float32).ravel()
         if not np.isfinite(image).all():
@@ -339,10 +338,10 @@ def moved(pose: Floats, step: Floats) -> Floats:
 
 
 def texel_means(values: Floats, side: float) -> Floats:
-    """Return the means (h, w) over the scene's texels in each texel of a map that is bilinear between its middles.
+    """Return the means (h, w) of a bilinear map over the scene's texels in each of its texels.
 
-    `side` is a texel's side in texels of the scene. For one texel of the scene the mean is the value in the middle; for
-    a number that is not whole, it is the integral over the texel.
+    `side` is a texel's side in texels of the scene: for 1, the mean is the value at the centre; for a fraction, the
+    integral over the texel.
     """
     from scipy.ndimage import convolve1d
 
@@ -359,8 +358,9 @@ def texel_line(side: float) -> Floats:
 
 
 def sharpened(step: Floats, reach: float, terms: int) -> Floats:
-    """Return a step of the map (h, w), found without blur, after the first `terms` of 1 + (1 − B) + (1 − B)² + …, with
-    B the blur of a pixel whose outer taps are `reach` texels away. A transfer b leaves (1 − b)^terms.
+    """Return a step of the map (h, w) after the first `terms` of the deconvolution 1 + (1 − B) + (1 − B)² + ….
+
+    B is the blur of a pixel with outer taps `reach` texels away. A transfer b leaves (1 − b)^terms.
     """
     total, rest = step.copy(), step
     for _ in range(terms - 1):
@@ -370,10 +370,7 @@ def sharpened(step: Floats, reach: float, terms: int) -> Floats:
 
 
 def softened(values: Floats, reach: float) -> Floats:
-    """Return a map (h, w) as pixels see it: with the blur of lens and pixel, of which the outer taps are `reach` away.
-
-    `reach` is in texels.
-    """
+    """Return a map (h, w) after the blur of lens and pixel, whose outer taps are `reach` [texels] away."""
     from scipy.ndimage import convolve1d
 
     whole = int(reach)

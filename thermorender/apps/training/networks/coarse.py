@@ -1,9 +1,7 @@
-"""Weights of a trained network as coarse as the change of its output allows, so that its file is small.
+"""Quantisation of a network's weights, as coarse as the change of its output allows.
 
-With equal steps everywhere the tensors that the output hardly depends on would take as many bits as those that decide
-it. So each tensor's share of the error is measured, and steps are chosen that make the file smallest for a given error:
-there each weight contributes equal error (reverse water-filling: Cover & Thomas, Elements of Information Theory,
-10.3.3).
+Each tensor's share of the error is measured. Steps minimise the file for a given error, with equal error from each
+weight (reverse water-filling: Cover & Thomas, Elements of Information Theory, 10.3.3).
 """
 
 from collections.abc import Callable, Sequence
@@ -25,10 +23,7 @@ State = dict[str, np.ndarray]
 
 
 def coarse(network: Network, planes: Sequence[torch.Tensor], allowed: float) -> Network:
-    """Return a Network with steps as coarse as a mean absolute change of its encoded output allows.
-
-    The change is measured on planes, (n, channels, h, w) each.
-    """
+    """Return a quantised Network; its encoded output of planes (n, channels, h, w) changes by `allowed` on average."""
 
     def give(state: State) -> np.ndarray:
         net = replace(network, state=state).net
@@ -46,8 +41,7 @@ def coarsest_steps(
 ) -> tuple[dict[str, float], float]:  # fmt: skip
     """Return ({name: step} of the large tensors of a network, shift of the whole output that they cause).
 
-    `give` returns the network's output with other weights. Steps are as coarse as its mean absolute change `allowed`
-    permits without the shift, which an offset can take off.
+    `give` returns the output for other weights. Without the shift, its mean absolute change is at most `allowed`.
     """
     whole, relative = give(state), _relative_steps(state, give, allowed)
 

@@ -1,7 +1,6 @@
 """Square crops of the examples of a Task, in an order that depends on the seed only, and the Encoding for them.
 
-Each picture is cropped several times when it is read, and the crops of several pictures are shuffled. So reading costs
-little and consecutive crops differ. Crop number k is always the same, so a training can be resumed.
+Each read picture gives several crops, shuffled with those of others. Crop k is always the same, so training resumes.
 """
 
 import hashlib
@@ -43,9 +42,9 @@ Read = tuple[Inputs, np.ndarray, np.ndarray]
 
 
 class Crops:
-    """The crops of a Task, of `side` pixels; their target is intensity, or with `above_air` kelvin above the air.
+    """The crops of a Task, of `side` pixels, cut from training crops enlarged to `jitter` pixels.
 
-    Training crops are enlarged to `jitter` pixels before a square of `side` is cut from them.
+    The target is intensity, or with `above_air` kelvin above the air.
     """
 
     def __init__(self, task: Task, side: int, above_air: bool, jitter: int | None = None) -> None:
@@ -177,8 +176,8 @@ def measured(
 ) -> Encoding:  # fmt: skip
     """Return the Encoding for the examples of Crops, with all their terrain planes and conditions as input.
 
-    `target` is (offset, scale); by default mean and standard deviation of the target, or 0 and its root mean square for
-    kelvin above the air. `base` is a linear predictor whose kelvin become a plane.
+    `target` is (offset, scale), by default mean and standard deviation, or 0 and rms for kelvin above the air. `base`
+    is a linear predictor whose kelvin become a plane.
     """
     first = ExtraInputs.of(crops.read(crops.train[0])[0])
     extra = ExtraInputs(tuple(name for name in first.terrain if name != CLASSES), first.conditions)

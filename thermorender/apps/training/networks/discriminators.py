@@ -19,9 +19,8 @@ _SLOPE = 0.2
 class PatchDiscriminator(nn.Module):
     """The 70×70 discriminator: for (n, channels, h, w) one number per place, above 0 where it looks real.
 
-    Channels are those of the picture and its translation together. A width of 64 is the published one, with 2.77
-    million parameters. pix2pix's successors use nn.InstanceNorm2d; pix2pixHD pads by 2. `biased` gives a bias to
-    convolutions without a batch norm behind them.
+    `channels` counts picture and translation together. Width 64 is published, with 2.77 million parameters. Successors
+    of pix2pix use nn.InstanceNorm2d; pix2pixHD pads by 2. `biased` adds a bias to convolutions without batch norm.
     """
 
     def __init__(

@@ -1,7 +1,6 @@
 """Training step of each family of networks.
 
-A learner holds its networks and optimisers by name, so that the code that saves, loads or moves them is the same for
-all families. Invalid pixels do not count: there a discriminator sees the generator's own output.
+A learner holds its networks and optimisers by name. At invalid pixels a discriminator sees the generator's own output.
 """
 
 from abc import ABC, abstractmethod
@@ -118,10 +117,10 @@ class Classes(Regression):
 
 
 class Adversarial(Learner):
-    """A generator, and a discriminator that sees both picture and translation: pix2pix.
+    """pix2pix: a generator, and a discriminator that sees both picture and translation.
 
-    The generator's loss is the cross-entropy of being judged real, plus `weight` times the mean absolute error. The
-    discriminator's loss is halved, which slows it down.
+    The generator's loss is the cross-entropy of being judged real plus `weight` times the mean absolute error; the
+    discriminator's loss is halved.
     """
 
     MOVED: ClassVar = {"net": ("net",), "discriminator": ("discriminator",)}
@@ -157,10 +156,7 @@ class Adversarial(Learner):
 
 
 class Summed(Adversarial):
-    """As Nhu's program: two steps of the generator for one of the discriminator, and the sum of absolute errors.
-
-    The sum over a square of 256² pixels outweighs the discriminator by far.
-    """
+    """As Nhu's program: two generator steps per discriminator step, and absolute errors summed over 256² pixels."""
 
     def step(self, batch: Batch) -> dict[str, torch.Tensor]:
         """Take a step of the discriminator, then two of the generator."""
@@ -216,10 +212,7 @@ def _squares(scales: list[list[torch.Tensor]], real: float) -> Any:
 
 
 class History(nn.Module):
-    """Buffer of a generator's last pictures; its discriminator sees one of them half of the time.
-
-    It is a part of the learner, so checkpoints include it.
-    """
+    """Buffer of a generator's last pictures, one of which replaces a discriminator's input half of the time."""
 
     SIZE = 50
     pictures: torch.Tensor
@@ -247,7 +240,7 @@ class History(nn.Module):
 
 
 class Cycle(Learner):
-    """Two generators, each the inverse of the other and with a discriminator: CycleGAN, which needs no pairs.
+    """CycleGAN: two inverse generators, each with a discriminator, trained without pairs.
 
     Photographs come from the first half of a batch, thermal pictures from the second half, which are other crops.
     """

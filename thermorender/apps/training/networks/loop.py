@@ -1,14 +1,7 @@
-"""The training loop of all networks.
+"""The training loop of all networks: an epoch is as many crops as there are training pictures.
 
-    for each step of the recipe's crops:
-        draw the next crops, encode them, take a step of the learner
-        after every epoch: validate, write sample pictures, a line of the log and a checkpoint
-
-An epoch is as many crops as there are training pictures. All random numbers depend on the seed and the step only, so a
-resumed training gives the same result as an uninterrupted one with the same number of threads. A training that explodes
-is stopped and returns its best state.
-
-`runs` describes the run's folder.
+All random numbers depend on the seed and the step only, so a resumed training gives the same result with the same
+number of threads. A diverging training is stopped and returns its best state. `runs` describes the run's folder.
 """
 
 import json

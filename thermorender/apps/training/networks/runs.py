@@ -67,10 +67,7 @@ def read_settings(folder: PathLike) -> dict[str, Any]:
 
 
 def read_log(folder: PathLike) -> list[dict[str, Any]]:
-    """Return the epochs of a run's folder, a list of {crops, seconds, core_seconds, losses, validation_mae_k}.
-
-    Incomplete lines are skipped.
-    """
+    """Return the epochs of a run's folder, a list of {crops, seconds, core_seconds, losses, validation_mae_k}."""
     path = Path(folder) / LOG
     found = []
     for line in formats.read_text(path).splitlines() if path.is_file() else ():
@@ -92,10 +89,7 @@ def cut_log(folder: PathLike, crops: int) -> None:
 
 
 def write_samples(path: Path, shown: Sequence[tuple[Crop, np.ndarray, np.ndarray]]) -> None:
-    """Write a PNG with a row per (crop, true, translated) temperatures, (side, side) [K] each; NaN is shown black.
-
-    A row holds photograph, truth, translation and error.
-    """
+    """Write a PNG with a row of photograph, truth, translation and error for each (crop, true, translated) [K]."""
     rows = []
     for crop, true, found in shown:
         known = np.isfinite(true)

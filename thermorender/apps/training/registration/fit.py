@@ -1,8 +1,7 @@
 """Calibration of a rig: the mapping from thermal to visible pictures, from the directions of their gradients.
 
-All frames of a rig share one mapping, so their correlations are summed before the maximum is searched. The first search
-covers scale, rotation and all shifts on small pictures; then all parameters are fitted together at finer and finer
-resolutions. Single frames are registered only to find outliers, which are left out.
+All frames share one mapping, so their correlations are summed. A search over scale, rotation and shift on small
+pictures precedes a fit of all parameters, coarse to fine. Single frames are registered only to reject outliers.
 """
 
 from collections.abc import Iterable, Sequence
@@ -45,8 +44,8 @@ def calibrate(
 ) -> Rig:
     """Return the Rig that fits all frames, each (name, function that reads its pictures, NaN where not measured).
 
-    The search starts from fields of view, horizontal and vertical, of the visible and of the thermal camera [deg]. With
-    `resized`, visible pictures may have been resized unequally along their sides, and the aspect is fitted too.
+    The search starts from the fields of view of both cameras, horizontal and vertical [deg]. `resized` also fits the
+    aspect of visible pictures.
     """
     report_progress = progress or (lambda task, fraction: None)
     pictures, shapes, reduced, start = read_frames(frames, fields_of_view, report_progress)

@@ -1,10 +1,8 @@
 """Directions of gradients, by which visible and thermal pictures are compared, and their correlation over all shifts.
 
-Warm surfaces may be bright or dark, so a gradient counts without its sign: a gradient g as a complex number becomes
-z = g² / (|g|² + η²), with η² the median of |g|². The square maps opposite directions to the same number; the
-denominator gives strong edges equal weight. This is the normalised gradient field of Haber and Modersitzki, Intensity
-gradient based registration and fusion of multi-modal images, MICCAI 2006, in a form whose correlation over all shifts
-is one Fourier transform.
+A complex gradient g becomes z = g² / (|g|² + η²), with η² the median of |g|²: the square removes the sign of the
+contrast. This is the normalised gradient field of Haber and Modersitzki, Intensity gradient based registration and
+fusion of multi-modal images, MICCAI 2006. Its correlation over all shifts is one Fourier transform.
 """
 
 from collections.abc import Sequence
@@ -29,8 +27,7 @@ def best_shift(
 ) -> tuple[float, NDArray[np.float64]]:
     """Return (pooled correlation, shift to the right and down from the canvas centre [px]) of the best shift.
 
-    Visible canvases are (h, w), with room for shifts of the thermal pictures, (H, W) in the same order; `inside` is
-    where the canvases hold a picture.
+    Visible canvases (h, w) have room for shifts of the thermal pictures (H, W); `inside` is where they hold a picture.
     """
     score = _correlations(visible, thermal, inside)
     row, column = np.unravel_index(score.argmax(), score.shape)
@@ -39,9 +36,9 @@ def best_shift(
 
 
 def _correlations(visible: Sequence[np.ndarray], thermal: Sequence[np.ndarray], inside: np.ndarray) -> np.ndarray:
-    """Pooled correlation for every position of the thermal corner in the canvas, (rows, columns); −1 outside.
+    """Return the pooled correlation of each position of the thermal corner in the canvas, (rows, columns); −1 outside.
 
-    Partial overlaps are weighted by the square root of the overlap, so that small ones do not win.
+    Partial overlaps are weighted by the square root of the overlap.
     """
     from scipy import fft
 

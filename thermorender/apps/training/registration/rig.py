@@ -61,10 +61,7 @@ class Rig:
     rejected: dict[str, str] = field(default_factory=dict)  # Reason for each frame that was left out
 
     def visible_from_thermal(self, column: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the visible positions (column, row) of thermal positions [px].
-
-        Positions are from the upper left corner; the centre of the first pixel is at ½.
-        """
+        """Return visible positions (column, row) of thermal ones [px]; the centre of the first pixel is at ½."""
         height, width = self.thermal_shape
         x, y = positions(
             parameters_of(self), column - width / 2.0, row - height / 2.0, half_diagonal(self.visible_shape)
@@ -127,10 +124,7 @@ def positions(
 def warped(
     visible: NDArray[np.uint8], rig: Rig, shape: tuple[int, int] | None = None
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """Return the visible picture on the thermal pixels: ((H, W, 3) uint8 sRGB, (H, W) bool where known).
-
-    `shape` is that of the result over the thermal field of view; default: the thermal picture's.
-    """
+    """Return the visible picture on thermal pixels of `shape`: ((H, W, 3) uint8 sRGB, (H, W) bool known)."""
     import cv2
 
     if tuple(visible.shape[:2]) != tuple(rig.visible_shape):

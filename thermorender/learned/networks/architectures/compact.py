@@ -1,9 +1,8 @@
 """A compact network: all convolutions at a quarter of the resolution and below, kelvin and their spread in one pass.
 
-Blocks of 4×4 pixels become channels without loss, a U-Net of residual blocks runs on the sixteen times fewer places,
-and its last channels become pixels again. With relief and weather as inputs, the output is added to a mixture of
-temperatures with shares per pixel: those of typical materials from the heat balance, and that of a linear base, with
-which training starts. There is no normalisation over the picture: a part cut at multiples of 16 pixels gives the same
+Blocks of 4×4 pixels become channels of a residual U-Net, and channels become pixels again. With relief and weather, the
+output is added to a mixture, with shares per pixel, of the heat balance's typical temperatures and a linear base, with
+which training starts. Without normalisation over the picture, a part cut at multiples of 16 pixels gives the same
 result as the whole, except within the reach of the convolutions.
 """
 
@@ -28,7 +27,7 @@ _LOG_SPREAD = (-6.0, 4.0)
 
 
 class Compact(nn.Module):
-    """The network, with `width` channels at a quarter of the resolution.
+    """The network, of `width` channels at a quarter of the resolution.
 
     The last `mixed` planes of the input are the temperatures to mix; training starts with the very last.
     """

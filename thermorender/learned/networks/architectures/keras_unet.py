@@ -23,9 +23,9 @@ MULTIPLE = 16
 
 
 class KerasUNet(nn.Module):
-    """The network, for pictures whose sides are multiples of 16 pixels; its output is linear.
+    """The network, for sides that are multiples of 16 pixels; its output is linear.
 
-    `width` is the number of channels of the outermost level, 32 as published: with 3 classes 2.06 million parameters.
+    `width` is the number of outermost channels, 32 as published: with 3 classes 2.06 million parameters.
     """
 
     def __init__(self, channels: int = 3, width: int = 32, out: int = 1) -> None:

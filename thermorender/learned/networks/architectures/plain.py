@@ -12,10 +12,7 @@ HALVINGS = 4
 
 
 class Autoencoder(nn.Module):
-    """A convolutional autoencoder, for pictures whose sides are multiples of 16 pixels; its output is linear.
-
-    `width` is the number of channels of the outermost level.
-    """
+    """A convolutional autoencoder of outer `width` for sides that are multiples of 16 pixels; its output is linear."""
 
     def __init__(self, channels: int = 3, width: int = 64) -> None:
         super().__init__()
