@@ -471,7 +471,7 @@ def test_integer_temperatures_follow_the_stated_scale_and_are_asked_about(tmp_pa
 
     kelvin = np.random.default_rng(0).uniform(278.0, 315.0, (40, 48))
     expected = integers(tmp_path / "a.tif", kelvin, step, zero, kind)
-    option = f"--scale={step:g},{zero:g} for counts of "
+    option = f"scale={step:g},{zero:g} for counts of "
     for reader in (pictures.read_thermal, read_temperature):
         with pytest.raises(ThermorenderError, match=option):
             reader(tmp_path / "a.tif")
