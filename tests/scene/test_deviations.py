@@ -8,6 +8,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.scene import open_ground
 from thermorender.scene.deviations import Deviations
 from thermorender.scene.load import load_scene
+from thermorender.scene.weathered_ground import in_weather
 
 AT = np.datetime64("2018-07-28T12:00:00")
 NAMES = ("reflectance", "wetness", "exchange", "inertia")
@@ -37,12 +38,13 @@ def test_deviations_match_columns_in_the_open(level):
     from thermorender.render.heat.simulation import solved
 
     names = [material.name for material in level.materials]
-    columns = open_ground.columns(level.materials, level.weather, station_roughness_m=open_ground.STATION_ROUGHNESS_M)
+    materials = in_weather(level.materials, level.weather, AT)
+    columns = open_ground.columns(materials, level.weather, station_roughness_m=open_ground.STATION_ROUGHNESS_M)
     start = AT - np.timedelta64(48, "h")
     begin, _ = open_ground.settled(columns, level.weather, start)
 
     def in_the_open(own):
-        return open_ground.march(own, level.weather, begin, start, AT)[0].surface_k
+        return open_ground.march(own, level.weather, begin, start, AT)[1][-1]
 
     def on_the_device(deviations):
         (terrain,) = solved(level, [AT], deviations=deviations)[0].surfaces
