@@ -28,7 +28,7 @@ CORE = {
 }
 # The applications, each a folder of `thermorender/apps`.
 APPS = {
-    "training": "pictures and renderings to data sets, data sets to maps",
+    "training": "pictures to data sets, data sets to maps",
     "compare": "maps and translations against the render",
     "lands": "scenes from a seed or from survey files",
     "survey": "from frames back to cameras and temperatures",
