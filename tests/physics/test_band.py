@@ -50,6 +50,15 @@ def test_table_and_inverse():
     assert np.isnan(table(200.0)) and np.isnan(table.inverse(1e6))
 
 
+@pytest.mark.filterwarnings("error")
+def test_table_from_0_kelvin_is_finite():
+    emissivity = load_library()["granite"].emissivity_at
+    table = RadianceTable.of(emissivity, 0.0, 296.0, *BAND)
+    assert np.isfinite(table.radiance).all() and (np.diff(table.radiance) >= 0.0).all()
+    assert table.radiance[0] == 0.0
+    assert abs(table(290.0) - emitted_radiance(emissivity, 290.0, *BAND)) < 0.1 * MILLIKELVIN
+
+
 def measured_in_band():
     ranges = ((material, material.valid_range_um) for material in load_library().values())
     materials = [material for material, (first, last) in ranges if first <= BAND[0] and last >= BAND[1]]

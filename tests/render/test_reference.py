@@ -82,7 +82,7 @@ def test_thin_leaves_hide_their_projected_area(tmp_path):
     share = pixels / (scene.camera.width * scene.camera.height)
     exact = ground + share * (leaf - ground)
     assert 0.05 < share < 0.3 and (corner > 0.0).all() and (corner < (80, 64)).all()
-    means = np.array([reference.render(scene, pose, samples=64, seed=seed).mean() for seed in range(5)])
+    means = np.array([reference.render(scene, pose, samples=256, seed=seed).mean() for seed in range(5)])
     error, noise = (means.mean() - exact) / MILLIKELVIN, means.std(ddof=1) / np.sqrt(5) / MILLIKELVIN
     print("reference", error, noise)
     assert abs(error) < 4.0 * noise < 15.0
@@ -117,7 +117,7 @@ def test_a_wall_reflects_the_same_horizon_from_any_height(tmp_path, height_m):
     # A telescope: the wall, seen from above, fills the picture.
     camera = replace(scene.camera, focal_length_mm=scene.camera.focal_length_mm * height_m / 8.0)
     scene = scene.with_camera(camera)
-    radiance = reference.render(scene, tr.pose(0, 0, height_m, pitch_deg=-90), samples=256)
+    radiance = reference.render(scene, tr.pose(0, 0, height_m, pitch_deg=-90), samples=1024)
     sky, around, own = band_radiance(np.array([220.0, scene.surroundings_temperature, 300.0]), *BAND)
     up = 0.5 * (1.0 + np.cos(tilt))
     exact = 0.2 * own + 0.8 * (up * sky + (1.0 - up) * around)

@@ -120,7 +120,7 @@ def traced(case, seed):
 
 def stock(case, seed):
     """Return the same by the reference engine."""
-    return reference.render(case.scene(), case.pose, 4 * case.samples, depth=16, seed=seed)
+    return reference.render(case.scene(), case.pose, 20 * case.samples, depth=16, seed=seed)
 
 
 def opinion(case, engine=traced):

@@ -152,7 +152,7 @@ def light():
     (surface,), spectrum = scene.surfaces, plan.spectrum
     geometry = Geometry(activate("cpu"), scene.surfaces)
     known = radiosity.trace(geometry, 64)
-    around = environment.of_scene(scene, plan, geometry)
+    around = environment.of_scene(scene, plan, geometry, known.touching)
     every = slice(0, spectrum.nodes)
     ((emitted, reflectance),) = texels.face_means(
         geometry, plan, surface.material.reshape(-1), surface.temperature.reshape(-1), [every]
@@ -289,7 +289,7 @@ def mirrors():
     """What a mirror of each of the directional materials adds to a channel, of drawn light and of the sky."""
     from thermorender.materials.library import load_library
     from thermorender.render.plan import make_plan
-    from thermorender.render.reflection.mirrors import DeviceTables
+    from thermorender.render.reflection.device_tables import DeviceTables
     from validation.made_scenes import terrain
 
     library = load_library()

@@ -107,8 +107,10 @@ def _blackbody(coldest: float, warmest: float, lower_um: float, upper_um: float)
     temperature = RadianceTable.grid(coldest, warmest)
     coarse = np.linspace(temperature[0], temperature[-1], 257)
     wavelength, weight = quadrature(lower_um, upper_um)
-    share = spectral_radiance(wavelength, coarse[:, None]) * weight
-    share /= band_radiance(coarse, lower_um, upper_um)[:, None]
+    black = band_radiance(coarse, lower_um, upper_um)
+    # Near 0 K the radiance is 0 in float64 and has no ratio: the coldest ratio that exists holds there.
+    coarse, black = coarse[black > 0.0], black[black > 0.0]
+    share = spectral_radiance(wavelength, coarse[:, None]) * weight / black[:, None]
     found = temperature, band_radiance(temperature, lower_um, upper_um), coarse, wavelength, share
     for values in found:
         values.setflags(write=False)

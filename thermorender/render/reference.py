@@ -116,7 +116,9 @@ def mitsuba_scene(mi: Mitsuba, scene: Scene, pose: Floats, integrator: str, dept
         "integrator": {"type": integrator, **({"max_depth": depth, "rr_depth": depth} if integrator == "path" else {})},
         "sensor": {
             "type": lens,
-            "sampler": {"type": "multijitter"},
+            # Mitsuba's stratified samplers correlate neighbouring pixels and the dimensions of a path. The mean over a
+            # trench of metallic paint is off by 11 mK with "multijitter" and by 15 mK with "stratified".
+            "sampler": {"type": "independent"},
             "film": {
                 "type": "specfilm",
                 "width": camera.width,

@@ -153,10 +153,12 @@ class Spectrum:
         grid = RadianceTable.grid(coldest, warmest)
         coarse = np.linspace(grid[0], grid[-1], 257)
         bands, band_of = np.unique(np.stack([air.lower_um, air.upper_um], axis=1), axis=0, return_inverse=True)
-        ratio = [
-            np.interp(grid, coarse, emitted_radiance(emissivity, coarse, *band) / band_radiance(coarse, *band))
-            for band in bands
-        ]
+        ratio = []
+        for band in bands:
+            black = band_radiance(coarse, *band)
+            # Near 0 K as in `RadianceTable.of`.
+            warm = coarse[black > 0.0]
+            ratio.append(np.interp(grid, warm, emitted_radiance(emissivity, warm, *band) / black[black > 0.0]))
         nodes = air.planck(grid) * np.stack(ratio, axis=1)[:, band_of.reshape(-1)]
         return grid, nodes @ self.basis.T
 
