@@ -15,8 +15,10 @@ from typer.testing import CliRunner
 import thermorender as tr
 from scenes import write_terrain
 from thermorender import defaults
+from thermorender.apps.compare import verbs
 from thermorender.cli import app as cli
 from thermorender.cli import doctor
+from thermorender.cli import render as flights
 from thermorender.errors import ThermorenderError
 from thermorender.render import variant
 from thermorender.sensor.camera import model_path
@@ -216,10 +218,10 @@ def test_demo_on_a_tiny_scene(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_demo_flies_and_compares(tmp_path, monkeypatch):
     """The real demo, except that the flight is cut to its first frames and pixels have few samples."""
-    fly, compare = cli.fly, cli.compare
+    fly, compare = flights.fly, verbs.compare
     little = {"quality": "fast", "rays": 2}
-    monkeypatch.setattr(cli, "fly", lambda *a, **k: fly(*a, **k, **little, stop_s=0.3))
-    monkeypatch.setattr(cli, "compare", lambda *a, **k: compare(*a, **(k | {"rate_hz": 0.05}), **little))
+    monkeypatch.setattr(flights, "fly", lambda *a, **k: fly(*a, **k, **little, stop_s=0.3))
+    monkeypatch.setattr(verbs, "compare", lambda *a, **k: compare(*a, **(k | {"rate_hz": 0.05}), **little))
     done = CliRunner().invoke(cli.app, ["demo", "-o", str(tmp_path / "demo")], catch_exceptions=False)
     assert done.exit_code == 0 and "flight.mp4" in done.output, done.output
     flight = json.loads((tmp_path / "demo" / "flight" / "flight.json").read_text())
