@@ -48,6 +48,29 @@ def read_text(path: PathLike, kind: str = "UTF-8", other: str | None = None) -> 
         raise ThermorenderError(f"{path} cannot be read ({error.strerror}); give a text file") from error
 
 
+def csv_rows(text: str) -> list[list[str]]:
+    """Return the rows of a CSV text as lists of stripped cells; a row that is not CSV raises csv.Error.
+
+    If its first line has semicolons, tabs or bars and no comma, these separate the cells, and decimal commas of numbers
+    become points.
+    """
+    import csv
+    import re
+
+    first = text.partition("\n")[0]
+    mark = next((mark for mark in ";\t|" if mark in first and "," not in first), ",")
+    rows: list[list[str]] = []
+    try:
+        for row in csv.reader(io.StringIO(text), delimiter=mark, strict=True):
+            rows.append([cell.strip() for cell in row])
+    except csv.Error as error:
+        raise csv.Error(f"row {len(rows) + 1}: {error}") from None
+    if mark == ",":
+        return rows
+    decimal = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
+    return [[cell.replace(",", ".") if decimal.fullmatch(cell) else cell for cell in row] for row in rows]
+
+
 def write_text(path: PathLike, text: str) -> None:
     """Write a text in UTF-8; line ends stay as they are."""
     with atomic(path) as part:

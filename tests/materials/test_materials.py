@@ -358,8 +358,6 @@ def test_faults_of_a_folder_are_reported(tmp_path):
         load_library(write_library(tmp_path / "columns", columns=columns))
     with pytest.raises(ThermorenderError, match=r"row 3: material 'tin' is listed twice"):
         load_library(write_library(tmp_path / "twice", [ROW, ROW]))
-    with pytest.raises(ThermorenderError, match=r"tin.csv, row 1 is separated by semicolons; save it comma"):
-        load_library(write_library(tmp_path / "semicolon", spectrum=SPECTRUM.replace(",", ";")))
     folder = write_library(tmp_path / "encoding")
     (folder / "spectra" / "tin.csv").write_bytes(SPECTRUM.encode() + b"15,0.3,\xb5\n")
     with pytest.raises(ThermorenderError, match=r"tin.csv is not UTF-8 text .*; save it as 'CSV UTF-8'"):

@@ -215,7 +215,6 @@ FAULTS = [
     ),
     (edited(thickness_m=None), r"beneath='soil_loam' is given without thickness_m"),
     (TABLE.replace("uncertainty", "std"), r"row 1 lacks column uncertainty"),
-    (TABLE.replace(",", ";"), r"row 1 is separated by semicolons"),
 ]
 
 

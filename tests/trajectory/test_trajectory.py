@@ -392,8 +392,6 @@ LOCAL = "time_s,east_m,north_m,up_m"
         (f"{LOCAL}\n0,0,0\n", {}, "row 2: 3 cells where row 1 names 4 columns; give each column one cell"),
         (f"{LOCAL}\n0,0,0,2,5\n", {}, "row 2: 5 cells where row 1 names 4 columns; give each column one cell, with a"),
         (f'{LOCAL}\n0,0,0,"2,5"\n', {}, "column 'up_m': '2,5' is not a finite number; write it with a point as"),
-        (f"{LOCAL}\n0,0,0,20\n".replace(",", ";"), {}, "flight.csv is separated by semicolons; save it comma"),
-        (f"{LOCAL}\n0,0,0,20\n".replace(",", "\t"), {}, "flight.csv is separated by tabs; save it comma-separated"),
         (f"\n{LOCAL}\n0,0,0,20\n", {}, "flight.csv: row 1 is blank; row 1 must name the columns"),
         (f"{LOCAL}\n0,0,0,20\0\n", {}, "it holds zero bytes.; save it as CSV UTF-8"),
         (f"{LOCAL},up_m\n0,0,0,0,0\n", {}, "row 1 names column 'up_m' 2 times"),

@@ -291,7 +291,7 @@ def test_humidity_tells_of_clouds_deep_in_the_night(tmp_path):
         ({"time_utc": lambda t: [f"{x}+02:00" for x in t]}, "is not UTC; name the column time"),
         ({"time_utc": None}, "has no time; name a column time_utc"),
         ({"time_utc": ["soon"] * 72}, "row 2: time_utc='soon' is not a time"),
-        ({"time_utc": lambda t: t[::-1]}, r"row 3: .* has a time 1 h before row 2; times must rise"),
+        ({"time_utc": lambda t: np.r_[t[1], t[0], t[2:]]}, r"row 3: .* has a time 1 h before row 2; times must rise"),
         ({"time_utc": lambda t: np.r_[t[:5], t[4:-1]]}, r"row 7: .* the same time as row 6; .*end of summer time"),
         ({"time_utc": lambda t: t[0] + 24 * (t - t[0])}, "rows are 24 h apart; give steps of 3 h"),
         ({"sw_down_w_m2": [0.0] * 72}, "sw_down_w_m2 is 0 W/m² at most .* or was not measured"),
@@ -305,7 +305,7 @@ def test_a_bad_file_is_refused_in_one_sentence(tmp_path, changes, words):
 
 def test_files_that_are_not_tables_are_refused(tmp_path):
     path = tmp_path / "s.csv"
-    for text, words in (("a\n", "0 rows"), ("time_utc;air_c\n1;2\n1;2\n", "semicolons"), ("a,b\n1\n1\n", "1 cells")):
+    for text, words in (("a\n", "0 rows"), ("a,b\n1\n1\n", "1 cells")):
         path.write_text(text)
         with pytest.raises(ThermorenderError, match=words):
             read_station(path, *PLACE)

@@ -170,6 +170,9 @@ def _read_columns(
     lines = [(number, line.strip()) for number, line in numbered if line.strip(" -") and not line.startswith("#")]
     if of_sounding:
         lines = _list_of(path, lines, of_sounding)
+    if lines and ";" in lines[0][1] and "," not in lines[0][1]:
+        # A table with semicolons has decimal commas.
+        lines = [(number, line.replace(",", ".").replace(";", ",")) for number, line in lines]
     layout = _layout(path, lines[0][1] if lines else "", names, of_sounding)
     rows = []
     # A sounding list has a line of units below the names, and short lines for missing values.
@@ -194,10 +197,6 @@ def _layout(path: object, first: str, names: Sequence[str], of_sounding: Sequenc
         kind, wanted = "list", of_sounding
     elif of_sounding and _SOUNDING_CSV[0] in first:
         kind, wanted, header = "table", _SOUNDING_CSV, [word.strip() for word in first.split(",")]
-    if ";" in first and "," not in first:
-        raise ThermorenderError(
-            f"profile {path} is separated by semicolons; save it comma-separated with a point as decimal mark"
-        )
     twice = [name for name in wanted if header.count(name) > 1]
     if twice:
         raise ThermorenderError(f"profile {path} has the column {twice[0]} twice; rename or delete one of them")

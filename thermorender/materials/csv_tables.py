@@ -4,7 +4,6 @@ Every error names file, row and column, and how to correct the fault. Files outs
 """
 
 import csv
-import io
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from thermorender import formats
 from thermorender.errors import ThermorenderError, shortened
+from thermorender.formats import csv_rows
 from thermorender.paths import inside
 from thermorender.physics import fresnel
 
@@ -74,14 +74,12 @@ def parsed_table(text: str, columns: Sequence[str]) -> tuple[list[str], Rows, li
     allowed; cells beyond the last heading are not.
     """
     faults: list[Fault] = []
-    first, delimiter = text.partition("\n")[0], ","
-    if ";" in first and "," not in first:
-        faults.append((None, "row 1 is separated by semicolons; save it comma-separated with a point as decimal mark"))
-        delimiter = ";"
-    table, fault = _cells(text, delimiter)
-    if fault:
-        return [], [], [*faults, fault]
-    header = [cell.strip() for cell in table[0]] if table else []
+    try:
+        table = csv_rows(text)
+    except csv.Error as error:
+        advice = "close its quotation marks, or save the file as 'CSV UTF-8' in the spreadsheet"
+        return [], [], [(None, f"is not CSV ({error}); {advice}")]
+    header = table[0] if table else []
     missing = [column for column in columns if column not in header]
     if missing:
         found = shortened(" ".join(", ".join(header).split())) or "nothing"
@@ -111,26 +109,6 @@ def beyond(header: Sequence[str], cells: Sequence[str]) -> str | None:
         f"holds {len(cells)} cells under {len(header)} headings; write numbers with a point as decimal mark, and a "
         "text with commas in quotation marks"
     )
-
-
-def csv_rows(text: str, path: str | Path) -> list[list[str]]:
-    """Return the rows of a CSV text as lists of cells."""
-    rows, fault = _cells(text, ",")
-    if fault:
-        raise ThermorenderError(f"{path}, row {fault[0]}: {fault[1]}")
-    return rows
-
-
-def _cells(text: str, delimiter: str) -> tuple[list[list[str]], Fault | None]:
-    """(Rows of a CSV text as lists of cells, fault of the first row that is not CSV, or None)."""
-    rows: list[list[str]] = []
-    try:
-        for cells in csv.reader(io.StringIO(text), delimiter=delimiter, strict=True):
-            rows.append(cells)
-    except csv.Error as error:
-        advice = "close its quotation marks, or save the file as 'CSV UTF-8' in the spreadsheet"
-        return rows, (len(rows) + 1, f"is not CSV ({error}); {advice}")
-    return rows, None
 
 
 def decimal(text: str) -> float:

@@ -1,7 +1,6 @@
 """Dynamic objects: position, heading and temperature over time."""
 
 import csv
-import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.formats import read_text
+from thermorender.formats import csv_rows, read_text
 from thermorender.physics.geodesy import FARTHEST_M
 from thermorender.scene.spec import ObjectSpec
 from thermorender.scene.surface import Surface, scene_kelvin
@@ -109,10 +108,10 @@ def read_columns(
     The file must have the columns `needed`, and at least `least` of `others`.
     """
     try:
-        lines = list(csv.reader(io.StringIO(read_text(path, "CSV UTF-8"))))
+        lines = csv_rows(read_text(path, "CSV UTF-8"))
     except csv.Error as error:
         raise ThermorenderError(f"{path} is not CSV ({error}); save it as CSV UTF-8") from None
-    numbers = [number for number, line in enumerate(lines, start=1) if any(map(str.strip, line))]
+    numbers = [number for number, line in enumerate(lines, start=1) if any(line)]
     rows = [lines[number - 1] for number in numbers]
     header = [cell.strip() for cell in rows[0]] if rows else []
     allowed = (*needed, *others)

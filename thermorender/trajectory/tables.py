@@ -4,7 +4,6 @@ Row numbers are a spreadsheet's for CSV (the header is row 1), else they count s
 """
 
 import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from os import PathLike
@@ -14,13 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.formats import read_text
+from thermorender.formats import csv_rows, read_text
 from thermorender.trajectory.mapping import Quantity, fitting_formats
 
 Floats = NDArray[np.float64]
-
-# Separators of other programs.
-_MARKS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,19 +107,16 @@ def rows_of(path: str | PathLike[str]) -> tuple[list[str], list[tuple[str, dict[
 def read_csv(path: str | PathLike[str]) -> list[Table]:
     """Return the `Table` of a CSV file, in a list; blank rows are skipped."""
     try:
-        lines = list(csv.reader(io.StringIO(read_text(path, "CSV UTF-8"))))
+        lines = csv_rows(read_text(path, "CSV UTF-8"))
     except csv.Error as error:
         raise ThermorenderError(f"{path} is not CSV ({error}); save it as CSV UTF-8") from None
-    if not lines or not any(cell.strip() for cell in lines[0]):
+    if not lines or not any(lines[0]):
         what = "row 1 is blank" if any(map(any, lines)) else "the file is empty"
         raise ThermorenderError(f"{path}: {what}; row 1 must name the columns, one sample per row follows")
-    header = tuple(cell.strip() for cell in lines[0])
-    mark = next((name for mark, name in _MARKS.items() if mark in header[0]), None)
-    if mark and len(header) == 1:
-        raise ThermorenderError(f"{path} is separated by {mark}; save it comma-separated with a point as decimal mark")
+    header = tuple(lines[0])
     rows, numbers = [], []
     for number, cells in enumerate(lines[1:], start=2):
-        if not any(cell.strip() for cell in cells):
+        if not any(cells):
             continue
         if len(cells) != len(header):
             raise ThermorenderError(

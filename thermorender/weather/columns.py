@@ -53,6 +53,7 @@ COLUMNS = {
     "cloud_tenths": Column("cloud", 0.1),
     "rain_mm": Column("rain_mm"),
     "rain_mm_h": Column("rain_mm_h"),
+    "rain_total_mm": Column("rain_total_mm"),
     "pressure_pa": Column("pressure_pa"),
     "pressure_hpa": Column("pressure_pa", 100.0),
     "pressure_kpa": Column("pressure_pa", 1000.0),
@@ -104,6 +105,7 @@ _RANGES = {
     "cloud": (0.0, 1.0, "a share of the sky: cloud 0…1, cloud_percent 0…100, cloud_oktas 0…8 or cloud_tenths 0…10"),
     "rain_mm": (0.0, 400.0, "rain of 0…400 mm in an interval"),
     "rain_mm_h": (0.0, 2500.0, "rain of 0…2500 mm/h"),
+    "rain_total_mm": (0.0, 1e6, "a total of rain, not below 0 mm"),
     "pressure_pa": (30e3, 110e3, "a pressure of 30000…110000 Pa; the name ends in the unit: _pa, _hpa or _kpa"),
     "snow_m": (-0.1, 20.0, "snow of 0…20 m; write snow_depth_cm if the numbers are centimetres"),
 }

@@ -19,6 +19,8 @@ _HUMIDITY, _WIND_M_S, _CLOUD = 0.6, 3.0, 0.0
 
 # Within this distance the sun is the same to a degree, and usually the weather is similar.
 _FAR_KM, _RADIUS_KM = 100.0, 6371.0
+# Farther away, the file is of another climate, or a coordinate is wrong.
+_OTHER_LAND_KM = 3000.0
 
 
 def declared_weather(
@@ -47,6 +49,11 @@ def declared_weather(
             shift = getattr(spec, "light_shift_min", None) or 0.0
             found = read_epw(spec.epw, when, snow_depth_m=snow, light_shift_min=shift)
             away_km = _away_km(found.latitude_deg, found.longitude_deg, latitude_deg, longitude_deg)
+            if away_km > _OTHER_LAND_KM:
+                raise ThermorenderError(
+                    f"{spec.epw} is of a place {away_km:.0f} km away from the scene; give a file within "
+                    f"{_OTHER_LAND_KM:g} km, or correct latitude_deg and longitude_deg of [frame]"
+                )
             if away_km > _FAR_KM:
                 note = f"Its place is {away_km:.0f} km away from the scene; sun and weather are those of that place."
                 found = replace(found, notes=(*found.notes, note))

@@ -5,6 +5,7 @@ A typical year joins months of different years. It is mapped to one calendar yea
 those of the sunlight, to which the other quantities are interpolated.
 """
 
+from dataclasses import replace
 from os import PathLike
 from typing import Any
 
@@ -16,12 +17,15 @@ from thermorender.physics import sun
 from thermorender.weather.clock import check_clock
 from thermorender.weather.columns import check_light, check_pressure, check_range, vapour_of
 from thermorender.weather.complete import complete
-from thermorender.weather.gaps import filled, without_offset
+from thermorender.weather.gaps import filled, unbroken, without_offset
 from thermorender.weather.rain import check_rain
 from thermorender.weather.series import Floats, Weather
 from thermorender.weather.year_file import LIGHT, YearFile, read_year_file
 
 _LONGEST_GAP_H = 3
+_GAP_ADVICE = (
+    "choose an instant outside of it, or give a station's table as file, which may lack columns and has longest_gap_h"
+)
 # Days added before and after the year, for simulations that begin earlier.
 _BEFORE_D, _AFTER_D = 31, 2
 _MEANS = ("longwave_w_m2", "rain_mm_h")
@@ -43,24 +47,25 @@ def read_epw(
     place, zone_h, step_min = file.place, file.zone_h, file.step_min
     if not abs(zone_h) <= 14.0:
         raise ThermorenderError(f"{path}: zone {zone_h:g} h in the header is not valid; give −12…14 h from UTC")
+    left_out: list[str] = []
     if isinstance(year, np.datetime64):
-        year = int(str((year + np.timedelta64(round(zone_h * 60), "m")).astype("datetime64[Y]")))
+        local = year + np.timedelta64(round(zone_h * 60), "m")
+        file = _unbroken(file, local, left_out)
+        year = int(str(local.astype("datetime64[Y]")))
     labels, source = _calendar(path, file, year)
     light_min = file.light_min + light_shift_min
     time = labels + np.timedelta64(round(60.0 * (light_min - 60.0 * zone_h)), "s")
-    notes = [_of_years(file.years, year), *file.notes]
+    notes = [_of_years(file.years, year), *file.notes, *left_out]
     if light_shift_min:
         notes.append(f"Its sunlight is shifted by {light_shift_min:g} min, as declared.")
     given: dict[str, Floats] = {}
-    # For messages: the file's dates, if its days follow each other.
-    begin = np.datetime64(f"{year:04d}-{file.days[0][0]:02d}-01", "s") + np.timedelta64(file.days[0][1] - 1, "D")
-    stamps = begin + np.timedelta64(round(60 * step_min), "s") * np.arange(len(file.days) * file.per_day)
+    stamps = _stamps(file, year)
     for name, numbers in file.values.items():
         if np.isnan(numbers).all():
             continue
         if name == "rain_mm_h":
             check_rain(path, "rain", numbers, 60.0 * step_min, notes)
-        numbers = filled(path, name, name, numbers, stamps, 60.0 * step_min, _LONGEST_GAP_H, notes)
+        numbers = filled(path, name, name, numbers, stamps, 60.0 * step_min, _LONGEST_GAP_H, notes, "", _GAP_ADVICE)
         if name in LIGHT:
             numbers = without_offset(name, numbers, notes)
         check_range(path, name, numbers)
@@ -82,6 +87,32 @@ def read_epw(
         note = check_clock(path, time, given["global_w_m2"], *place[:2], 60.0 * step_min, light_shift_min)
         notes += [note] if note else []
     return complete(time, place, given, notes, snow_depth_m=snow_depth_m)
+
+
+def _stamps(file: YearFile, year: int) -> NDArray[np.datetime64]:
+    """Dates and times (N,) of the file's rows, if its days follow each other."""
+    begin = np.datetime64(f"{year:04d}-{file.days[0][0]:02d}-01", "s") + np.timedelta64(file.days[0][1] - 1, "D")
+    return begin + np.timedelta64(round(60 * file.step_min), "s") * np.arange(len(file.days) * file.per_day)
+
+
+def _unbroken(file: YearFile, local: np.datetime64, notes: list[str]) -> YearFile:
+    """The whole days around an instant in the file's zone that have no long gap; the file itself without one."""
+    day = local.astype("datetime64[D]")
+    date = day.item().month, day.item().day
+    if date not in file.days:
+        return file
+    stamps = _stamps(file, day.item().year)
+    around = stamps[file.days.index(date) * file.per_day] + (local - day)
+    names = {name: name for name in file.values}
+    first, last = unbroken(stamps, file.values, names, 60.0 * file.step_min, _LONGEST_GAP_H, around, notes, zone="")
+    days = slice(
+        -(-int(np.searchsorted(stamps, first)) // file.per_day),
+        int(np.searchsorted(stamps, last, side="right")) // file.per_day,
+    )
+    if days == slice(0, len(file.days)) or days.start >= days.stop:
+        return file
+    rows = slice(days.start * file.per_day, days.stop * file.per_day)
+    return replace(file, days=file.days[days], values={name: series[rows] for name, series in file.values.items()})
 
 
 def _of_years(years: set[int], year: int) -> str:

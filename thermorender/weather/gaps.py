@@ -1,5 +1,7 @@
 """Gaps and offsets of measured series: small ones are repaired and noted, large ones refused."""
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,13 +34,44 @@ def long_gaps(
     return [(at[k] + step, at[k + 1] - step) for k in wide]
 
 
+def unbroken(
+    time: NDArray[np.datetime64], values: Mapping[str, NDArray[np.float64]], column_of: Mapping[str, str],
+    step_s: float, longest_gap_h: float, around: np.datetime64, notes: list[str], zone: str = "Z",
+) -> tuple[np.datetime64, np.datetime64]:  # fmt: skip
+    """Return the first and last instant around an instant without a gap longer than those interpolated.
+
+    `values` are series (N,) by quantity, `column_of` their names in messages; `notes` gets a note on rows left out,
+    whose times have the suffix `zone`. A quantity without any value has no gap.
+    """
+    first, last = time[0], time[-1]
+    step = np.timedelta64(int(step_s), "s")
+    gaps = [("all columns", time[k] + step, time[k + 1] - step)
+            for k in np.flatnonzero(np.diff(time).astype(np.float64) - step_s > 3600.0 * longest_gap_h)]  # fmt: skip
+    for name, series in values.items():
+        if name not in ZERO_IN_GAPS and not np.isnan(series).all():
+            gaps += [(column_of[name], *gap) for gap in long_gaps(series, time, step_s, longest_gap_h)]
+    for column, start, end in gaps:
+        period = f"from {start}{zone} to {end}{zone}"
+        why = f"because {column} is missing {period}, longer than the {longest_gap_h:g} h interpolated."
+        if end < around and end >= first:
+            first = end + step
+            notes.append(f"Rows before {first}{zone} are left out, {why}")
+        elif start > around and start <= last:
+            last = start - step
+            notes.append(f"Rows after {last}{zone} are left out, {why}")
+    return first, last
+
+
 def filled(
     path: object, column: str, quantity: str, values: NDArray[np.float64], time: NDArray[np.datetime64], step_s: float,
-    longest_gap_h: float, notes: list[str],
+    longest_gap_h: float, notes: list[str], zone: str = "Z",
+    advice: str = "leave the column out to have it modelled, keep the rows before or after it, or give a larger "
+    "longest_gap_h",
 ) -> NDArray[np.float64]:  # fmt: skip
     """Return values (N,) with gaps (NaN) up to `longest_gap_h` interpolated; rain and snow are 0 in gaps of any length.
 
-    At least one value is a number; `notes` gets a note on the gaps.
+    At least one value is a number; `notes` gets a note on the gaps. A refusal
+    has times with the suffix `zone`, and `advice` after "fill the gap".
     """
     hole = np.isnan(values)
     if not hole.any():
@@ -50,9 +83,8 @@ def filled(
     if long:
         first, last = max(long, key=lambda gap: gap[1] - gap[0])
         raise ThermorenderError(
-            f"{path}: {column} is missing from {first}Z to {last}Z, longer than the {longest_gap_h:g} h that are "
-            "interpolated; fill the gap, leave the column out to have it modelled, keep the rows before or after it, "
-            "or give a larger longest_gap_h"
+            f"{path}: {column} is missing from {first}{zone} to {last}{zone}, longer than the {longest_gap_h:g} h that "
+            f"are interpolated; fill the gap, {advice}"
         )
     good = np.flatnonzero(~hole)
     second = (time - time[0]).astype(np.float64)

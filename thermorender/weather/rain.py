@@ -1,4 +1,4 @@
-"""Precipitation of weather years: tenths of millimetres, amounts of several hours, and plausible totals."""
+"""Precipitation of weather files: tenths of millimetres, amounts of several hours, running totals, plausible sums."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,8 @@ _PERIODS_H = (1, 2, 3, 4, 6, 12, 15, 18, 24)
 # Most rain in an hour and a year [mm], near the records of 305 in 42 minutes and 26 470 in a year (WMO archive of
 # extremes); above the second limits a note asks.
 _HOUR_MM, _YEAR_MM = (200.0, 100.0), (26_500.0, 4000.0)
+# A total rises further at least so often in a file, and stays above zero so long [s].
+_RISES, _HELD_S = 3, 6 * 3600.0
 
 
 def in_mm(column: str, depth: Floats, fewest: int, notes: list[str]) -> Floats:
@@ -72,6 +74,38 @@ def by_hour(
             f"{wet.size} amounts of rain over {period[wet].min():g}–{period[wet].max():g} h are spread over the hours."
         )
     return amount
+
+
+def looks_like_total(depth: Floats, step_s: float) -> str:
+    """Return what a column of amounts (N,) in steps of `step_s` looks like: "a total …", or "" for amounts.
+
+    A total rises from values above zero or stays, for hours, and falls to nearly zero once a day or never; amounts
+    fall soon after they rise.
+    NaN is missing.
+    """
+    known = depth[~np.isnan(depth)]
+    change = np.diff(known)
+    fall = np.flatnonzero(change < 0.0) + 1
+    wet = known[:-1] > 0.0
+    rises, held_s = int((wet & (change > 0.0)).sum()), step_s * int((wet & (change == 0.0)).sum())
+    day = 86400.0 / step_s
+    off = np.abs((np.diff(fall) + 0.5 * day) % day - 0.5 * day)
+    if rises < _RISES or held_s < _HELD_S or (known[fall] > 0.5 * known[fall - 1]).any() or (off > 1.0).any():
+        return ""
+    return "a total since midnight" if fall.size else "a total that is never reset"
+
+
+def amounts_of(total: Floats) -> Floats:
+    """Return the amounts (N,) of a total (N,) that grows and is reset to zero; the first amount is 0.
+
+    After missing values (NaN) the whole rise falls in the first interval with a value.
+    """
+    known = ~np.isnan(total)
+    values = total[known]
+    step = np.diff(values, prepend=values[:1])
+    found = np.full(total.shape, np.nan)
+    found[known] = np.where(step < 0.0, values, step)
+    return found
 
 
 def check_rain(where: object, column: str, rain_mm_h: Floats, step_s: float, notes: list[str]) -> None:

@@ -4,11 +4,10 @@ Row numbers in messages are a spreadsheet's: the header is row 1.
 """
 
 import csv
-import io
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from datetime import datetime, timezone
+from datetime import datetime, timedelta, timezone
 from os import PathLike
 from typing import Any
 
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.formats import read_text
+from thermorender.formats import csv_rows, read_text
 from thermorender.physics import sun
 from thermorender.schema import closest
 from thermorender.units import instant
@@ -32,12 +31,14 @@ from thermorender.weather.columns import (
     vapour_of,
 )
 from thermorender.weather.complete import complete
-from thermorender.weather.gaps import ZERO_IN_GAPS, filled, long_gaps, without_offset
-from thermorender.weather.rain import check_rain
+from thermorender.weather.gaps import filled, unbroken, without_offset
+from thermorender.weather.rain import amounts_of, check_rain, looks_like_total
 from thermorender.weather.series import Floats, Weather
 
 _TIMES = ("time_utc", "time", "time_local")
 _LONGEST_STEP_S = 3 * 3600.0
+# Of cloud in oktas, where fog or snow hides the sky: WMO-No. 306, code table 2700.
+_OBSCURED = 9.0
 _LIGHT = ("global_w_m2", "direct_w_m2", "diffuse_w_m2")
 
 Times = NDArray[np.datetime64]
@@ -65,16 +66,21 @@ def read_station(
     time = _times(path, header, cells, rows, utc_offset_h)
     keep = _within(path, time, during)
     time, rows, cells = time[keep], rows[keep], [cells[k] for k in np.flatnonzero(keep)]
+    notes = []
+    if (np.diff(time) < np.timedelta64(0, "s")).all():
+        time, rows, cells = time[::-1], rows[::-1], cells[::-1]
+        notes.append("Its rows are newest first, and read in reverse.")
     step_s = _check_rising(path, time, rows)
     if step_s > _LONGEST_STEP_S:
         raise ThermorenderError(
             f"{path}: rows are {step_s / 3600.0:g} h apart; give steps of 3 h at most, because the sun moves"
         )
     others = [name for name in header if name and name not in COLUMNS and name not in _TIMES]
-    notes = [f"Columns that are not read: {shortened(', '.join(others), 200)}."] if others else []
+    notes += [f"Columns that are not read: {shortened(', '.join(others), 200)}."] if others else []
     values, column_of = _quantities(path, header, cells, rows, notes)
     if around is not None:
-        kept = _unbroken(time, values, column_of, step_s, longest_gap_h, around, notes)
+        ends = unbroken(time, values, column_of, step_s, longest_gap_h, around, notes)
+        kept = slice(*np.searchsorted(time, [ends[0], ends[1] + np.timedelta64(1, "s")]))
         time, rows, values = time[kept], rows[kept], {name: series[kept] for name, series in values.items()}
     if "pressure_pa" in values:
         check_pressure(path, column_of["pressure_pa"], values["pressure_pa"], altitude_m)
@@ -102,6 +108,12 @@ def _repair(
     for quantity in list(values):
         column = column_of[quantity]
         if quantity.startswith("rain_mm"):
+            like = looks_like_total(values[quantity], step_s)
+            if like and column in COLUMNS:
+                raise ThermorenderError(
+                    f"{path}: {column} looks like {like}, as it seldom falls; rename the column to rain_total_mm, or "
+                    "write the rain of each interval"
+                )
             rate = values[quantity] * (3600.0 / step_s if quantity == "rain_mm" else 1.0)
             check_rain(path, column, rate, step_s, notes)
         if quantity in _LIGHT:
@@ -140,9 +152,18 @@ def _quantities(
                 raise ThermorenderError(
                     f"{path}: columns {column_of[column.quantity]} and {name} are the same quantity; leave one out"
                 )
+            if name == "cloud_oktas" and (numbers == _OBSCURED).any():
+                notes.append(f"{(numbers == _OBSCURED).sum()} values of {name} are 9, a hidden sky: taken as overcast.")
+                numbers = np.where(numbers == _OBSCURED, 8.0, numbers)
             numbers = (numbers + column.before) * column.scale + column.after
             check_values(path, name, numbers, rows)
             values[column.quantity], column_of[column.quantity] = numbers, name
+    if "rain_total_mm" in values:
+        twice = [column_of[name] for name in ("rain_mm", "rain_mm_h") if name in values]
+        if twice:
+            raise ThermorenderError(f"{path}: columns rain_total_mm and {twice[0]} are rain twice; leave one out")
+        values["rain_mm"] = amounts_of(values.pop("rain_total_mm"))
+        column_of["rain_mm"] = "amounts of rain_total_mm"
     if "air_k" not in values:
         raise ThermorenderError(f"{path} has no air temperature; add a column air_c, air_k or air_f")
     if "ppfd_w_m2" in values:
@@ -180,22 +201,14 @@ def read_columns(
 
 def _read(path: str | PathLike[str], names: Mapping[str, str]) -> tuple[list[str], list[list[str]], NDArray[np.int64]]:
     """(Header in our names, rows of cells, row numbers)."""
-    lines, numbers = [], []
     try:
-        for number, line in enumerate(csv.reader(io.StringIO(read_text(path, "CSV UTF-8")), strict=True), start=1):
-            if any(cell.strip() for cell in line):
-                lines.append([cell.strip() for cell in line])
-                numbers.append(number)
+        table = csv_rows(read_text(path, "CSV UTF-8"))
     except csv.Error as error:
-        raise ThermorenderError(
-            f"{path}, row {len(lines) + 1} is not CSV ({error}); correct the quotation marks"
-        ) from None
+        raise ThermorenderError(f"{path} is not CSV ({error}); correct the quotation marks") from None
+    numbers = [number for number, line in enumerate(table, start=1) if any(line)]
+    lines = [table[number - 1] for number in numbers]
     if len(lines) < 3:
         raise ThermorenderError(f"{path} has {max(len(lines) - 1, 0)} rows below a row of names; give at least two")
-    if ";" in lines[0][0] and len(lines[0]) == 1:
-        raise ThermorenderError(
-            f"{path} is separated by semicolons; save it comma-separated with a point as decimal mark"
-        )
     unknown = [name for name in names if name not in lines[0]]
     if unknown:
         raise ThermorenderError(f"{path} has no column {unknown[0]!r}; row 1 names {shortened(', '.join(lines[0]))}")
@@ -210,23 +223,35 @@ def _read(path: str | PathLike[str], names: Mapping[str, str]) -> tuple[list[str
 
 
 def _refuse_near_misses(path: object, header: list[str]) -> None:
-    """Refuse a misspelt name of ours, or one in another unit, if no other column has its quantity."""
+    """Refuse misspelt names of ours, or ones in another unit, if no other column has their quantity."""
     given = {COLUMNS[name].quantity for name in header if name in COLUMNS}
     ours = [name for name, column in COLUMNS.items() if column.quantity not in given and len(name) > 4]
+    renamed, misspelt = {}, {}
     for name in header:
         if name and name not in COLUMNS and name not in _TIMES:
             usual = USUAL.get(re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_"))
-            if usual and COLUMNS[usual].quantity not in given:
-                raise ThermorenderError(
-                    f"{path}: column {name!r} is not known by this name; rename it to {usual} if that is its "
-                    "unit, else to another name of docs/reference/file-formats.md, or delete it"
-                )
             near = closest(name, ours, cutoff=0.84)
+            if usual and COLUMNS[usual].quantity not in given:
+                renamed[name] = usual
             # A longer name, such as roof_air_c, is another place's; sw_up is not sw_down.
-            if near and not name.endswith(f"_{near[0]}") and "_up_" not in name:
-                raise ThermorenderError(
-                    f"{path}: column {name!r} is not known; did you mean {near[0]!r}? rename it, or delete it"
-                )
+            elif near and not name.endswith(f"_{near[0]}") and "_up_" not in name:
+                misspelt[name] = near[0]
+    if renamed:
+        raise ThermorenderError(
+            f"{path}: {_columns(renamed)} not known by this name; rename it to "
+            f"{', '.join(renamed.values())} if that is its unit, else to another name of "
+            "docs/reference/file-formats.md, or delete it"
+        )
+    if misspelt:
+        raise ThermorenderError(
+            f"{path}: {_columns(misspelt)} not known; did you mean {', '.join(map(repr, misspelt.values()))}? "
+            "rename it, or delete it"
+        )
+
+
+def _columns(names: Mapping[str, str]) -> str:
+    """Columns as the subject of a sentence: "column 'a' is" or "each of columns 'a', 'b' is"."""
+    return f"{'each of columns' if len(names) > 1 else 'column'} {', '.join(map(repr, names))} is"
 
 
 def _numbers(path: object, name: str, texts: Sequence[str], rows: NDArray[np.int64], notes: list[str]) -> Floats:
@@ -271,9 +296,9 @@ def _times(
     k = header.index(column)
     found = []
     for number, line in zip(rows, cells, strict=True):
-        text = line[k].replace("Z", "+00:00")
+        text, more_s = _within_a_day(line[k].replace("Z", "+00:00"))
         try:
-            moment = datetime.fromisoformat(text)
+            moment = datetime.fromisoformat(text) + timedelta(seconds=more_s)
         except ValueError:
             raise ThermorenderError(
                 f"{path}, row {number}: {column}={line[k]!r} is not a time; write it as 2018-07-28T14:30Z"
@@ -290,6 +315,15 @@ def _times(
         found.append(moment.replace(tzinfo=timezone.utc) if column == "time_local" else moment)
     time: Any = np.array([int(moment.timestamp()) for moment in found]).astype("datetime64[s]")
     return time - np.timedelta64(round(3600 * (utc_offset_h or 0.0)), "s") if column == "time_local" else time
+
+
+def _within_a_day(text: str) -> tuple[str, int]:
+    """(Time that a clock of 24 hours of 3600 s shows, seconds to add): for 24:00:00 and a leap second 23:59:60."""
+    if re.search(r"[T ]24:00(:00)?(?!\d|:)", text):
+        return re.sub(r"([T ])24:", r"\g<1>00:", text), 86400
+    if re.search(r"[T ]\d\d:\d\d:60", text):
+        return re.sub(r"(:\d\d):60", r"\1:59", text), 1
+    return text, 0
 
 
 def _within(path: object, time: Times, during: Period | None) -> NDArray[np.bool_]:
@@ -317,34 +351,6 @@ def _check_rising(path: object, time: Times, rows: NDArray[np.int64]) -> float:
             f"{path}, row {rows[k + 1]}: {time[k + 1]}Z has {what} row {rows[k]}; times must rise{hint}"
         )
     return float(np.median(step))
-
-
-def _unbroken(
-    time: Times,
-    values: Mapping[str, Floats],
-    column_of: Mapping[str, str],
-    step_s: float,
-    longest_gap_h: float,
-    around: np.datetime64,
-    notes: list[str],
-) -> slice:
-    """The slice of rows around an instant without a gap longer than those interpolated."""
-    first, last = time[0], time[-1]
-    step = np.timedelta64(int(step_s), "s")
-    gaps = [("all columns", time[k] + step, time[k + 1] - step)
-            for k in np.flatnonzero(np.diff(time).astype(np.float64) - step_s > 3600.0 * longest_gap_h)]  # fmt: skip
-    for name, series in values.items():
-        if name not in ZERO_IN_GAPS:
-            gaps += [(column_of[name], *gap) for gap in long_gaps(series, time, step_s, longest_gap_h)]
-    for column, start, end in gaps:
-        why = f"because {column} is missing from {start}Z to {end}Z, longer than the {longest_gap_h:g} h interpolated."
-        if end < around and end >= first:
-            first = end + step
-            notes.append(f"Rows before {first}Z are left out, {why}")
-        elif start > around and start <= last:
-            last = start - step
-            notes.append(f"Rows after {last}Z are left out, {why}")
-    return slice(*np.searchsorted(time, [first, last + np.timedelta64(1, "s")]))
 
 
 def _note_missing_rows(

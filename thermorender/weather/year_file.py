@@ -65,6 +65,7 @@ _PSM = {
 }
 _BELOW = -9000.0
 _DAY_MIN = 1440
+_LAST_YEAR = 9999
 # Least number of depths of rain below 3 mm that prove tenths of a millimetre: TMY3 always comes from such gauges.
 _FEWEST_TMY3, _FEWEST_EPW = 1, 10
 _OFFSET = re.compile(r"Irradiance Time Offset \(h\): *([-+]?[\d.]+)", re.IGNORECASE)
@@ -343,11 +344,14 @@ def _date(path: object, number: int, texts: Sequence[str]) -> tuple[int, int]:
 
 def _whole(path: object, number: int, text: str) -> int:
     try:
-        return int(float(text))
-    except (ValueError, OverflowError):
+        found = float(text)
+    except ValueError:
+        found = np.nan
+    if not 0.0 <= found <= _LAST_YEAR:
         raise ThermorenderError(
-            f"{path}, row {number}: {shortened(repr(text))} is not a number; correct year, hour or minute"
-        ) from None
+            f"{path}, row {number}: {shortened(repr(text))} is not a year, an hour or a minute; correct it"
+        )
+    return int(found)
 
 
 def _place(path: object, latitude: float, longitude: float, altitude: float) -> tuple[float, float, float]:

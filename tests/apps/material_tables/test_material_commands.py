@@ -113,7 +113,6 @@ def test_valid_library_has_no_findings(tmp_path):
         (SPECTRUM.replace("9.0,", "9.9,"), ["row 23: wavelength_um is less than in the row above (9.1 after 9.9 µm)"]),
         (SPECTRUM.replace("9.0,0.2", '9.0,"0,2"'), ["row 22: emissivity='0,2' is not a number; write it with a point"]),
         (SPECTRUM.replace("9.0,0.2", "9.0,nan"), ["row 22: emissivity='nan' is not a number"]),
-        (SPECTRUM.replace(",", ";"), ["is separated by semicolons; save it comma-separated"]),
         (SPECTRUM.replace("emissivity,", "eps,"), ["row 1 holds wavelength_um, eps, emissivity_std; it must hold"]),
         ("".join(SPECTRUM.splitlines(True)[:40]), ["covers 7–10.8 µm, not all of 7–14; a camera"]),
         (SPECTRUM.replace("0.2,\n", "0.2,0\n"), ["emissivity_std is 0 for one sample"]),

@@ -103,7 +103,6 @@ def test_tags_that_are_no_pose_are_refused(tmp_path, gps, values, words):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ((HEAD + "a,1,2,40,0,-90,0\n").replace(",", ";"), "separated by semicolons"),
         (HEAD + "a,1,5,2,5,40,0,0,0,-90,0,0,0\n", "13 cells where row 1 names 7 columns"),
         (HEAD.strip() + ",east_m\na,1,2,40,0,-90,0,7\n", "'east_m' 2 times"),
         (HEAD + 'a,"1,5",2,40,0,-90,0\n', "point as decimal mark"),

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.materials.csv_tables import (
     LONGEST_WAVELENGTH_UM,
-    csv_rows,
     decimal,
     number_in_cell,
+    parsed_table,
     read_table,
     read_text,
 )
@@ -89,7 +89,7 @@ def read_sample(path: str | Path, column: str | None = None) -> Sample:
         if column is not None:
             raise ThermorenderError(f"{path} is one ECOSTRESS spectrum and has no column {column!r}; leave it out")
         return read_ecostress(path)
-    header = [cell.strip() for cell in next(iter(csv_rows(read_text(path), path)), [])]
+    header = parsed_table(read_text(path), ())[0]
     if column is not None or (len(header) > 2 and header[0].lower() == "wavelength"):
         return read_slum(path, column)
     return read_columns(path)

@@ -1,0 +1,105 @@
+"""Weather tables as loggers, services and spreadsheets write them: the same weather, or one sentence that mends it."""
+
+import numpy as np
+import pytest
+from test_weather import PLACE, station, write_epw
+
+from thermorender.errors import ThermorenderError
+from thermorender.weather.epw import read_epw
+from thermorender.weather.rain import looks_like_total
+from thermorender.weather.station import read_station
+
+RAIN = np.tile([0.0] * 6 + [1.0, 0.5, 2.0] + [0.0] * 15, 3)
+SINCE_MIDNIGHT = np.cumsum(RAIN.reshape(3, 24), axis=1).ravel()
+
+
+def same(path, expected):
+    """Whether a table has the weather of another, but for notes."""
+    found = read_station(path, *PLACE)
+    for name in ("air_k", "vapour_pa", "direct_w_m2", "diffuse_w_m2", "rain_mm_h", "longwave_w_m2"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=0, atol=1e-9, err_msg=name)
+    return found
+
+
+@pytest.mark.parametrize("mark", [";", "\t", "|"])
+def test_a_table_with_decimal_commas_is_read(tmp_path, mark):
+    expected = read_station(station(tmp_path / "a.csv"), *PLACE)
+    path = station(tmp_path / "b.csv")
+    path.write_text(path.read_text().replace(",", mark).replace(".", ","))
+    same(path, expected)
+
+
+def test_a_table_with_the_newest_row_first_is_read_in_reverse(tmp_path):
+    expected = read_station(station(tmp_path / "a.csv"), *PLACE)
+    newest = station(tmp_path / "b.csv", lines=lambda rows: [rows[0], *rows[:0:-1]])
+    assert "Its rows are newest first, and read in reverse." in same(newest, expected).notes
+
+
+@pytest.mark.parametrize("as_written", [
+    lambda t: [f"{x - np.timedelta64(1, 'D')}Z".replace("T00:00:00", "T24:00:00") if str(x).endswith("T00:00:00")
+               else f"{x}Z" for x in t],
+    lambda t: [f"{x - np.timedelta64(60, 's')}Z".replace(":00Z", ":60Z") if k == 24 else f"{x}Z"
+               for k, x in enumerate(t)],
+], ids=["24:00", "leap second"])  # fmt: skip
+def test_midnight_of_the_day_before_and_leap_seconds_are_the_next_second(tmp_path, as_written):
+    whole = np.datetime64("2018-07-20T00:00:00")
+    times = lambda t: whole + (t - t[0])  # noqa: E731
+    expected = read_station(station(tmp_path / "a.csv", {"time_utc": lambda t: [f"{x}Z" for x in times(t)]}), *PLACE)
+    path = station(tmp_path / "b.csv", {"time_utc": lambda t: as_written(times(t))})
+    assert ":60Z" in path.read_text() or "T24:" in path.read_text()
+    same(path, expected)
+
+
+def test_a_hidden_sky_of_nine_oktas_is_overcast(tmp_path):
+    changes = {"cloud_oktas": [9] * 5 + [3] * 67, "sw_down_w_m2": None}
+    found = read_station(station(tmp_path / "a.csv", changes), *PLACE)
+    changes["cloud_oktas"] = [8] * 5 + [3] * 67
+    same(station(tmp_path / "b.csv", changes), found)
+    assert any("5 values of cloud_oktas are 9" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("total", [SINCE_MIDNIGHT, 40.0 + np.cumsum(RAIN)], ids=["since midnight", "counter"])
+def test_a_total_of_rain_is_refused_as_amounts_and_read_under_its_name(tmp_path, total):
+    expected = read_station(station(tmp_path / "a.csv", {"rain_mm": RAIN}), *PLACE)
+    with pytest.raises(ThermorenderError, match="rain_mm looks like a total .* rename the column to rain_total_mm"):
+        read_station(station(tmp_path / "b.csv", {"rain_mm": total}), *PLACE)
+    same(station(tmp_path / "c.csv", {"rain_total_mm": total}), expected)
+    with pytest.raises(ThermorenderError, match="columns rain_total_mm and rain_mm are rain twice"):
+        read_station(station(tmp_path / "d.csv", {"rain_total_mm": total, "rain_mm": RAIN}), *PLACE)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_random_rain_of_intervals_does_not_look_like_a_total(seed):
+    """Showers at any hour, and a drizzle of one amount for hours of each day."""
+    random = np.random.default_rng(seed)
+    rain = np.where(random.random(24 * 14) < 0.2, np.round(random.gamma(0.7, 1.5, 24 * 14), 1), 0.0)
+    assert looks_like_total(rain, 3600.0) == ""
+    drizzle = np.tile([0.0] * 6 + [0.2] * 8 + [0.0] * 10, 14)
+    assert looks_like_total(drizzle, 3600.0) == ""
+    assert looks_like_total(np.cumsum(rain), 3600.0) == "a total that is never reset"
+
+
+def test_columns_under_other_names_are_listed_in_one_sentence(tmp_path):
+    path = station(tmp_path / "s.csv")
+    path.write_text(path.read_text().replace("air_c", "temp_air").replace("wind_m_s", "wind_speed"))
+    with pytest.raises(ThermorenderError, match="'temp_air', 'wind_speed' is not .*rename it to air_c, wind_m_s"):
+        read_station(path, *PLACE)
+
+
+def test_a_gap_of_a_year_file_far_from_the_instant_leaves_rows_out(tmp_path):
+    """The same weather at the instant, and a note; within the gap the refusal names what can be done."""
+    at = np.datetime64("2018-07-24T12:00")
+    whole = write_epw(tmp_path / "a.epw", days=60, start="2018-06-01")
+    lines = whole.read_text().splitlines()
+    first = next(k for k, line in enumerate(lines) if line.startswith("DATA PERIODS")) + 1
+    for k in range(first + 24 * 10, first + 24 * 20):
+        cells = lines[k].split(",")
+        cells[13] = cells[14] = cells[15] = "9999"
+        lines[k] = ",".join(cells)
+    broken = tmp_path / "b.epw"
+    broken.write_text("\n".join(lines) + "\n")
+    found, expected = read_epw(broken, at), read_epw(whole, at)
+    assert found.at(at) == expected.at(at)
+    assert any(note.startswith("Rows before 2018-06-2") and "global_w_m2" in note for note in found.notes)
+    with pytest.raises(ThermorenderError, match="choose an instant outside of it, or give a station"):
+        read_epw(broken, np.datetime64("2018-06-15T12:00"))
