@@ -11,7 +11,7 @@ import pytest
 from thermorender.cli.options import TrajectoryOptions
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
-from thermorender.trajectory.mapping import READERS, bundled_formats, load_mapping
+from thermorender.trajectory.mapping import GIMBAL, READERS, bundled_formats, load_mapping
 from thermorender.trajectory.path import Anchor
 from thermorender.trajectory.readers import read_trajectory
 from thermorender.trajectory.sources import SOURCES
@@ -345,8 +345,8 @@ def test_gpx_track(tmp_path):
     (note,) = path.notes
     assert "1 of 4 track points (25.0%) are dropped as invalid (fix is 0 in 1)" in note
     for text, message in (
-        (gpx(("", "")), "track point 1: time is missing; a flight needs lat, lon, ele and time"),
-        (gpx(("2024-05-01T10:00:00Z", "")).replace("ele>", "x>"), "track point 1: ele is missing"),
+        (gpx(("", "")), "no track point has all of lat, lon, ele and time, the first lacks time; a flight needs"),
+        (gpx(("2024-05-01T10:00:00Z", "")).replace("ele>", "x>"), "the first lacks ele"),
         ("<gpx><rte/></gpx>", "no track points"),
         ("<kml/>", "is not GPX: its outermost element is 'kml'; check format"),
         ("<gpx>", r"is not GPX \(no element found"),
@@ -567,3 +567,126 @@ def test_course_over_ground_stands_for_a_missing_yaw(tmp_path):
         read_trajectory(write(tmp_path / "a.csv", "time_s,east_m,north_m,up_m\n0,0,0,50\n1,0,0.5,50\n"), course=True)
     with pytest.raises(ThermorenderError, match=r"has the vehicle's yaw already; leave course out"):
         read_trajectory(write(tmp_path / "b.csv", "time_s,east_m,north_m,up_m,yaw_deg\n0,0,0,50,7\n"), course=True)
+
+
+# As loggers and exporters write them
+
+
+NEWER = (
+    "[latitude: {0:.6f}] [longitude: 8.000000] [rel_alt: {1:.3f} abs_alt: 540.000] "
+    "[gb_yaw: 90.0 gb_pitch: -30.0 gb_roll: 0.0]"
+)
+
+
+@pytest.mark.parametrize("rewrite", [
+    lambda text: text.replace("\n\n", "\n"),
+    lambda text: "".join(part.replace(".", ",") if "[" in part else part for part in text.splitlines(keepends=True)),
+], ids=["without blank lines", "decimal commas"])  # fmt: skip
+def test_subtitles_of_other_writers_have_the_same_path(tmp_path, rewrite):
+    plain = srt(tmp_path / "a.srt", [NEWER.format(47.0 + 1e-5 * k, 40.0 + k) for k in range(5)])
+    other = write(tmp_path / "b.srt", rewrite(plain.read_text()))
+    assert other.read_text() != plain.read_text()
+    expected, found = read(plain, "dji-srt"), read(other, "dji-srt")
+    np.testing.assert_array_equal(found.time_s, expected.time_s)
+    np.testing.assert_array_equal(found.poses(), expected.poses())
+
+
+def test_gps_with_decimal_commas_is_read_or_named(tmp_path):
+    cues = [f"GPS(8,0000, 47,0000{k}, 12) BAROMETER:40" for k in range(5)]
+    expected = read(srt(tmp_path / "a.srt", [cue.replace(",0", ".0") for cue in cues]), "dji-srt")
+    np.testing.assert_allclose(read(srt(tmp_path / "b.srt", cues), "dji-srt").position, expected.position)
+    with pytest.raises(ThermorenderError, match="is not two or three numbers; write them with decimal points"):
+        read(srt(tmp_path / "c.srt", [cue.replace(" ", "") for cue in cues]), "dji-srt")
+
+
+def test_gpx_points_without_a_time_are_dropped_with_their_share(tmp_path):
+    stamps = [f"2024-05-01T10:00:0{k}Z" for k in range(5)]
+    expected = read(write(tmp_path / "a.gpx", gpx(*((stamp, "") for stamp in stamps))), "gpx", geoid_undulation_m=50.0)
+    given = [("", ""), *((stamp, "") for stamp in stamps)]
+    shifted = gpx(*given).replace('lon="8.0', 'lon="8.0', 1)
+    found = read(write(tmp_path / "b.gpx", shifted), "gpx", geoid_undulation_m=50.0)
+    np.testing.assert_array_equal(found.time_s, expected.time_s)
+    assert any("1 of 6 track points (16.7%) lack time and are dropped" in note for note in found.notes)
+
+
+def test_points_stamped_before_satellites_are_dropped_and_a_pause_is_named(tmp_path):
+    stamps = ["1970-01-01T00:00:03Z", "2024-05-01T10:00:00Z", "2024-05-01T10:00:04Z", "2024-05-11T10:00:00Z"]
+    path = read(write(tmp_path / "a.gpx", gpx(*((stamp, "") for stamp in stamps))), "gpx", geoid_undulation_m=50.0)
+    assert path.span_s == (0.0, 864000.0)
+    assert any("1 track points are stamped before 1980" in note for note in path.notes)
+    with pytest.raises(ThermorenderError, match="most of them in a pause of 863996 s after 4 s"):
+        path.frame_times(9.0)
+
+
+def test_a_log_that_runs_backwards_is_read_from_its_end(tmp_path):
+    head, *rows = ["time_s,east_m,north_m,up_m,yaw_deg", *(f"{k},{k},0,50,90" for k in range(5))]
+    expected = read_trajectory(write(tmp_path / "a.csv", "\n".join([head, *rows])))
+    found = read_trajectory(write(tmp_path / "b.csv", "\n".join([head, *rows[::-1]])))
+    np.testing.assert_array_equal(found.poses(), expected.poses())
+    assert any("runs backwards throughout" in note for note in found.notes)
+
+
+def test_exchanged_latitude_and_longitude_are_named_with_a_mapping_that_mends_them(tmp_path):
+    cues = [NEWER.format(47.0 + 1e-5 * k, 40.0 + k) for k in range(5)]
+    expected = read(srt(tmp_path / "a.srt", cues), "dji-srt")
+    for old, new in (("latitude", "x:"), ("longitude", "latitude"), ("x:", "longitude")):
+        cues = [cue.replace(old, new) for cue in cues]
+    swapped = srt(tmp_path / "b.srt", cues)
+    for anchor in (None, ANCHOR):
+        with pytest.raises(ThermorenderError, match=r"latitude and longitude exchanged; exchange .* by a mapping"):
+            read(swapped, "dji-srt", anchor=anchor)
+    mapping = write(tmp_path / "m.toml", 'reader = "srt"\n[columns]\nlat_deg = "lon_deg"\nlon_deg = "lat_deg"\n'
+                    'above_takeoff_m = "above_takeoff_m"\n' + "".join(f'{n} = "{n}"\n' for n in GIMBAL))  # fmt: skip
+    np.testing.assert_allclose(read(swapped, mapping).poses(), expected.poses(), atol=1e-9)
+
+
+def test_gimbal_angles_against_the_airframe_turn_with_it(tmp_path):
+    """A camera 50° down on an aircraft that heads east looks east; against the Earth it looks north, with a note."""
+    head = "time_s,east_m,north_m,up_m,yaw_deg,pitch_deg,roll_deg,gimbal_yaw_deg,gimbal_pitch_deg"
+    path = write(tmp_path / "a.csv", f"{head}\n0,0,0,50,90,0,0,0,-50\n1,9,0,50,90,0,0,0,-50\n")
+    earth = read_trajectory(path)
+    assert np.allclose(view(earth)[0], [0.0, np.cos(np.radians(50)), -np.sin(np.radians(50))])
+    assert any("differs from the vehicle's heading by 90°" in note for note in earth.notes)
+    body = read_trajectory(path, format=write(tmp_path / "m.toml", '[gimbal]\nrelative_to = "body"\n'))
+    assert np.allclose(view(body)[0], [np.cos(np.radians(50)), 0.0, -np.sin(np.radians(50))]) and body.notes == ()
+    # A pitch of the airframe adds to the mount's.
+    nosed = write(tmp_path / "b.csv", path.read_text().replace(",90,0,", ",90,-5,"))
+    lower = read_trajectory(nosed, format=tmp_path / "m.toml")
+    assert np.allclose(view(lower)[0], [np.cos(np.radians(55)), 0.0, -np.sin(np.radians(55))])
+
+
+def test_a_repeated_time_of_an_attitude_does_not_stop_a_gimbal(tmp_path):
+    half = np.radians(15.0)
+    gimbal = {
+        "timestamp": TIME,
+        "device_flags": 32,
+        "q[0]": np.cos(half),
+        "q[1]": 0.0,
+        "q[2]": 0.0,
+        "q[3]": np.sin(half),
+    }
+    logs = px4() | {"gimbal_device_attitude_status": gimbal}
+    expected = read(ulog(tmp_path / "a.ulg", logs), "ulog", frame=None)
+    repeated = np.r_[TIME[:10], TIME[9], TIME[10:]]
+    logs["vehicle_attitude"] = logs["vehicle_attitude"] | {"timestamp": repeated}
+    found = read(ulog(tmp_path / "b.ulg", logs), "ulog", frame=None)
+    np.testing.assert_allclose(found.poses(), expected.poses(), atol=1e-12)
+    logs["vehicle_attitude"] = logs["vehicle_attitude"] | {"q[0]": 1e300}
+    with pytest.raises(ThermorenderError, match="not a unit quaternion"):
+        read(ulog(tmp_path / "c.ulg", logs), "ulog", frame=None)
+
+
+@pytest.mark.parametrize("length", [0, 1, 2])
+def test_a_declaration_of_messages_without_length_is_refused(tmp_path, length):
+    file = dataflash(tmp_path / "a.bin", ardupilot())
+    data = bytearray(file.read_bytes())
+    at = data.index(b"\xa3\x95\x80\x82")
+    data[at + 4] = length
+    file.write_bytes(data)
+    with pytest.raises(ThermorenderError, match=rf"FMT.* gives messages {length} bytes, but their head has 3"):
+        read(file, "ardupilot")
+
+
+def test_a_time_beyond_any_clock_is_refused(tmp_path):
+    with pytest.raises(ThermorenderError, match="is not a time of a flight; give seconds, at most 1e"):
+        read(write(tmp_path / "a.txt", "-1e308 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n"), "tum", frame=None)

@@ -61,7 +61,7 @@ def test_a_hidden_sky_of_nine_oktas_is_overcast(tmp_path):
 @pytest.mark.parametrize("total", [SINCE_MIDNIGHT, 40.0 + np.cumsum(RAIN)], ids=["since midnight", "counter"])
 def test_a_total_of_rain_is_refused_as_amounts_and_read_under_its_name(tmp_path, total):
     expected = read_station(station(tmp_path / "a.csv", {"rain_mm": RAIN}), *PLACE)
-    with pytest.raises(ThermorenderError, match="rain_mm looks like a total .* rename the column to rain_total_mm"):
+    with pytest.raises(ThermorenderError, match=r"rain_mm looks like a total .* rename the column to rain_total_mm"):
         read_station(station(tmp_path / "b.csv", {"rain_mm": total}), *PLACE)
     same(station(tmp_path / "c.csv", {"rain_total_mm": total}), expected)
     with pytest.raises(ThermorenderError, match="columns rain_total_mm and rain_mm are rain twice"):
@@ -82,7 +82,7 @@ def test_random_rain_of_intervals_does_not_look_like_a_total(seed):
 def test_columns_under_other_names_are_listed_in_one_sentence(tmp_path):
     path = station(tmp_path / "s.csv")
     path.write_text(path.read_text().replace("air_c", "temp_air").replace("wind_m_s", "wind_speed"))
-    with pytest.raises(ThermorenderError, match="'temp_air', 'wind_speed' is not .*rename it to air_c, wind_m_s"):
+    with pytest.raises(ThermorenderError, match=r"'temp_air', 'wind_speed' is not .*rename it to air_c, wind_m_s"):
         read_station(path, *PLACE)
 
 

@@ -102,16 +102,37 @@ def local_positions(
     return np.stack([east, north, up], axis=-1)
 
 
+def refuse_exchanged(log: Log, frame: LocalFrame) -> None:
+    """Raise if all of a log's coordinates are near the scene only with latitude and longitude exchanged."""
+    latitude, longitude = log.values["lat_deg"], log.values["lon_deg"]
+    if (np.abs(longitude) > 90.0).any():
+        return
+    as_given, exchanged = (
+        np.linalg.norm(ecef_from_geodetic(*pair, frame.height_m) - frame.origin_ecef, axis=-1)
+        for pair in ((latitude, longitude), (longitude, latitude))
+    )
+    if as_given.min() > FARTHEST_M and exchanged.max() <= FARTHEST_M:
+        columns = [repr(log.columns.get(name, name)) for name in POSITION_GEODETIC]
+        raise ThermorenderError(
+            f"{log.path}: the positions are {_km(as_given.min())} km from the scene's origin, and "
+            f"{exchanged.min() / 1e3:.3g} km with latitude and longitude exchanged; exchange the columns "
+            f"{' and '.join(columns)}, in the log or by a mapping with lat_deg = {columns[1]} and lon_deg = "
+            f"{columns[0]} as format"
+        )
+
+
 def _geodetic_positions(
     log: Log, frame: LocalFrame | None, ground: GroundHeight | None, height: str, value: Floats, relative: bool
 ) -> Floats:
-    _refuse_impossible_coordinates(log)
     latitude, longitude = log.values["lat_deg"], log.values["lon_deg"]
     if frame is None:
         raise ThermorenderError(
             f"{log.where('lat_deg', 0)}: latitude and longitude need the scene's georeference, which is not "
             "given; move the flight into the scene with an anchor"
         )
+    if not relative:
+        refuse_exchanged(log, frame)
+    _refuse_impossible_coordinates(log)
     distance = np.linalg.norm(ecef_from_geodetic(latitude, longitude, frame.height_m) - frame.origin_ecef, axis=-1)
     if (distance > FARTHEST_M).any():
         k = int(np.argmax(distance > FARTHEST_M))

@@ -16,6 +16,10 @@ from thermorender.trajectory.tables import Floats, Table
 
 # Endings of columns with one of our quantities in another unit.
 _OTHER_UNITS = ("rad", "mm", "cm", "km", "ft", "feet", "ms", "us", "ns", "m", "deg", "s")
+# Largest time of a log [s], beyond nanosecond counters of a century.
+_LATEST_S = 1e11
+# Start of GPS time, 6 January 1980 [s since 1970]; a receiver without a fix counts from 1970.
+_FIRST_FIX_S = 315_964_800.0
 # Treatments of different rows with equal times.
 DUPLICATES = ("refuse", "spread", "first")
 
@@ -69,7 +73,23 @@ def read_log(table: Table, mapping: Mapping, duplicates: str = "refuse") -> Log:
     resets = find_resets(table, mapping)
     table, resets = drop_invalid(table, mapping, resets, notes)
     time_name, time_s = _times(table, mapping)
+    if (np.abs(time_s) > _LATEST_S).any():
+        k = int(np.argmax(np.abs(time_s) > _LATEST_S))
+        raise ThermorenderError(
+            f"{table.where(k, time_name)}: {time_s[k]:.3g} s is not a time of a flight; give seconds, at most "
+            f"{_LATEST_S:g} from 0"
+        )
+    early = time_s < _FIRST_FIX_S
+    if mapping.stamps and early.any() and not early.all():
+        kept = np.flatnonzero(~early)
+        table, time_s, resets = table.kept(kept), time_s[kept], resets.kept(kept)
+        notes.append(
+            f"{table.path}: {early.sum()} {table.what}s are stamped before 1980, without a satellite's time, and are "
+            "dropped"
+        )
     index = _in_time_order(table, mapping, time_name, time_s, duplicates)
+    if not mapping.sort_by_time and index.size > 1 and index[0] > index[-1]:
+        notes.append(f"{table.path}: its time runs backwards throughout, so it is read from the end")
     table, time_s, resets = table.kept(index), time_s[index], resets.kept(index)
     if duplicates == "spread":
         time_s = _spread(time_s)
@@ -141,7 +161,8 @@ def _in_time_order(
 ) -> NDArray[np.int64]:
     """Indices of the rows that are kept, in order of time."""
     rows = table.rows()
-    order = np.argsort(time_s, kind="stable") if mapping.sort_by_time else np.arange(len(rows))
+    backwards = len(rows) > 2 and bool((np.diff(time_s) < 0.0).all())
+    order = np.argsort(time_s, kind="stable") if mapping.sort_by_time or backwards else np.arange(len(rows))
     keep = [k for j, k in enumerate(order) if j == 0 or rows[k] != rows[order[j - 1]]]
     if duplicates == "first":
         keep = [k for j, k in enumerate(keep) if j == 0 or time_s[k] != time_s[keep[j - 1]]]

@@ -110,6 +110,7 @@ class Mapping:
     # (3, 3); its columns are forward, right and down in the log's body axes
     log_body_from_frd: NDArray[np.float64] = field(default_factory=lambda: np.eye(3))
     quaternion_inverse: bool = False  # The log's quaternion rotates world to body
+    gimbal_on_body: bool = False  # The gimbal's angles are relative to the vehicle's body, not to the Earth
     valid: tuple[str, ...] = ()  # Columns, if present; rows where one is 0 are dropped
     doubtful: tuple[str, ...] = ()  # Columns, if present; rows where one is not 0 are reported
     resets: tuple[Reset, ...] = ()  # Of the estimator, if their counters are present
@@ -150,6 +151,7 @@ def load_mapping(name: str | PathLike[str] | None) -> Mapping:
         quaternion_world=given.quaternion.world,
         log_body_from_frd=given.quaternion.body,
         quaternion_inverse=given.quaternion.inverse,
+        gimbal_on_body=given.gimbal.relative_to == "body",
         valid=given.valid,
         doubtful=given.doubtful,
         resets=given.resets,
@@ -232,6 +234,11 @@ class _Quaternion:
     inverse: bool = key(flag, False)
 
 
+@dataclass(frozen=True)
+class _Gimbal:
+    relative_to: str = key(choice("earth", "body"), "earth")
+
+
 _Columns = make_dataclass("_Columns", [(name, tuple, key(_quantity, None)) for name in QUANTITIES], frozen=True)
 
 
@@ -242,6 +249,7 @@ class _File:
     time: _Time = key(table(_Time), _Time(("time_s",)))
     columns: object = key(table(_Columns), _Columns())
     quaternion: _Quaternion = key(table(_Quaternion), _Quaternion())
+    gimbal: _Gimbal = key(table(_Gimbal), _Gimbal())
     valid: tuple[str, ...] = key(texts, ())
     doubtful: tuple[str, ...] = key(texts, ())
     resets: tuple[Reset, ...] = key(tables(Reset), ())

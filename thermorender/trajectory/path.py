@@ -188,9 +188,14 @@ class Trajectory:
         # 1e-6 of a frame keeps a last frame that rounding would push past the end.
         frames = np.floor((stop - start) * rate_hz + 1e-6) + 1
         if not frames <= MOST_FRAMES:
+            step = np.diff(self.time_s)
+            k = int(np.argmax(step)) if step.size else 0
+            paused = ""
+            if step.size and step[k] > 0.5 * (stop - start):
+                paused = f", most of them in a pause of {step[k]:.9g} s after {self.time_s[k]:.9g} s"
             raise ThermorenderError(
-                f"rate_hz={rate_hz:g} makes {frames:.4g} frames of {start:.9g} to {stop:.9g} s; up to {MOST_FRAMES} "
-                "are allowed: lower the rate, or fly a shorter part"
+                f"rate_hz={rate_hz:g} makes {frames:.4g} frames of {start:.9g} to {stop:.9g} s{paused}; up to "
+                f"{MOST_FRAMES} are allowed: lower the rate, or fly a shorter part (start_s, stop_s)"
             )
         count = int(frames)
         return np.minimum(start + np.arange(count) / rate_hz, stop)

@@ -24,7 +24,13 @@ from scipy.spatial.transform import Rotation
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
-from thermorender.trajectory.heights import frame_of_first_sample, geodetic_of_local, local_positions, refuse_far
+from thermorender.trajectory.heights import (
+    frame_of_first_sample,
+    geodetic_of_local,
+    local_positions,
+    refuse_exchanged,
+    refuse_far,
+)
 from thermorender.trajectory.logs import Log, read_log
 from thermorender.trajectory.mapping import (
     ANGLES,
@@ -36,6 +42,7 @@ from thermorender.trajectory.mapping import (
     QUATERNION,
     UNSTATED,
     Mapping,
+    bundled_formats,
     format_of_suffix,
     load_mapping,
 )
@@ -51,6 +58,9 @@ from thermorender.trajectory.rotations import (
 )
 from thermorender.trajectory.sources import SOURCES
 from thermorender.trajectory.track import course_deg, jumps
+
+# A camera that looks farther aside from the vehicle's nose than this is doubted.
+_ASIDE_DEG = 30.0
 
 
 def read_trajectory(
@@ -90,6 +100,8 @@ def read_trajectory(
     if position_log.origin and horizontal == POSITION_LOCAL and frame is not None and anchor is None:
         position_log, horizontal = geodetic_of_local(position_log), POSITION_GEODETIC
     if anchor is not None and horizontal == POSITION_GEODETIC:
+        if frame is not None:
+            refuse_exchanged(position_log, frame)
         frame = frame_of_first_sample(position_log)
     position = local_positions(
         position_log, horizontal, height, frame, ground, geoid_undulation_m, relative=anchor is not None
@@ -109,7 +121,7 @@ def read_trajectory(
     ned_from_optical = (
         ned_from_body * rotation_from_angles(*mount_deg)
         if gimbal_log is None
-        else _gimbal(gimbal_log, time_s, ned_from_body)
+        else _gimbal(gimbal_log, time_s, ned_from_body, mapping, notes)
     )
     trajectory = of_vehicle(
         time_s + clock_offset_s, position, enu_from_ned * ned_from_body, enu_from_ned * ned_from_optical, lever
@@ -366,15 +378,32 @@ def _body(log: Log | None, mapping: Mapping, time_s: NDArray[np.float64]) -> Rot
     return slerp(log.time_s, ned_from_body)(time_s)
 
 
-def _gimbal(log: Log, time_s: NDArray[np.float64], ned_from_body: Rotation) -> Rotation:
-    """Rotations from the gimbal's axes (x along the view, y right, z down in the image) to NED."""
+def _gimbal(
+    log: Log, time_s: NDArray[np.float64], ned_from_body: Rotation, mapping: Mapping, notes: list[str]
+) -> Rotation:
+    """Rotations from the gimbal's axes (x along the view, y right, z down in the image) to NED.
+
+    `notes` gets a note if angles against the Earth look sideways from the vehicle's nose.
+    """
     zero = np.zeros(log.time_s.size)
     angles = [log.values.get(name, zero) for name in GIMBAL]
     gimbal = slerp(log.time_s, rotation_from_angles(*angles))(time_s)
-    if GIMBAL[0] in log.values:
-        return gimbal
+    if mapping.gimbal_on_body:
+        return ned_from_body * gimbal
     nose = ned_from_body.as_matrix()[:, :, 0]
-    return rotation_from_angles(np.degrees(np.arctan2(nose[:, 1], nose[:, 0])), 0.0, 0.0) * gimbal
+    heading = np.degrees(np.arctan2(nose[:, 1], nose[:, 0]))
+    if GIMBAL[0] not in log.values:
+        return rotation_from_angles(heading, 0.0, 0.0) * gimbal
+    yaw = np.interp(time_s, log.time_s, np.unwrap(log.values[GIMBAL[0]], period=360.0))
+    aside = float(np.median(np.abs((yaw - heading + 180.0) % 360.0 - 180.0)))
+    # A bundled format knows what its angles are measured against.
+    if aside > _ASIDE_DEG and mapping.name not in bundled_formats():
+        notes.append(
+            f"{log.path}: {GIMBAL[0]} is read against north and differs from the vehicle's heading by {aside:.0f}° in "
+            'the median; if it is measured against the airframe, give a mapping with [gimbal] relative_to = "body" as '
+            "format"
+        )
+    return gimbal
 
 
 def _anchored(trajectory: Trajectory, anchor: Anchor, ground: GroundHeight | None, height: str) -> Trajectory:

@@ -5,6 +5,7 @@ relative to the Earth). A GPS status of 3 is a fix in three dimensions.
 """
 
 import contextlib
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,12 +22,15 @@ _FIELDS = {
     "MNT": {"YawE": "gimbal_yaw_deg", "Pitch": "gimbal_pitch_deg", "Roll": "gimbal_roll_deg"},
 }
 _HEAD = b"\xa3\x95"
+# Head of a message FMT, which declares the length of a type of messages.
+_FORMAT = _HEAD + b"\x80"
 _FIX = 3
 
 
 def read_dataflash(path: str) -> list[Table]:
     """Return the tables of a dataflash log: positions, attitudes and, if logged, the mount's angles."""
     check_file(path, _HEAD, "an ArduPilot dataflash log")
+    _check_lengths(path)
     reader = library("pymavlink.DFReader", "an ArduPilot log")
     rows: dict[str, list[list[float]]] = {name: [] for name in _FIELDS}
     try:
@@ -50,6 +54,21 @@ def read_dataflash(path: str) -> list[Table]:
     notes = (f"{path}: a part of the log is damaged and was skipped",) if "bad" in said.getvalue().lower() else ()
     tables = [_table(path, name, np.array(values)) for name, values in rows.items() if values]
     return [Table(tables[0].path, tables[0].columns, tables[0].row, "sample", notes=notes), *tables[1:]]
+
+
+def _check_lengths(path: str) -> None:
+    """Refuse a log that declares messages shorter than their head, in which the library would not advance."""
+    data = Path(path).read_bytes()
+    at = data.find(_FORMAT)
+    while at >= 0:
+        # The head of a declaration is followed by the type and the length of the messages that it declares.
+        declared = data[at + len(_FORMAT) : at + len(_FORMAT) + 2]
+        if len(declared) == 2 and declared[1] < len(_FORMAT):
+            raise ThermorenderError(
+                f"{path}: a declaration (FMT) at byte {at} gives messages {declared[1]} bytes, but their head has "
+                f"{len(_FORMAT)}; the log is damaged: copy it again"
+            )
+        at = data.find(_FORMAT, at + 1)
 
 
 def _row(message: Any) -> list[float] | None:

@@ -10,14 +10,15 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, shortened
 from thermorender.formats import read_text
 from thermorender.trajectory.mapping import UNSTATED
 from thermorender.trajectory.tables import Floats, Table
 
 _NUMBER = r"([-+]?\d+(?:\.\d+)?)"
 _TIME = re.compile(r"\b(\d{1,3}):(\d\d):(\d\d)[,.](\d{1,3})\s*-->")
-_PAIR = re.compile(rf"\b([a-z_]+)\s*:\s*{_NUMBER}")
+# Some programs write numbers with decimal commas, in brackets of one value.
+_PAIR = re.compile(r"\b([a-z_]+)\s*:\s*([-+]?\d+(?:[.,]\d+)?)")
 _GPS = re.compile(r"\bGPS\s*\(([^)]*)\)")
 _HEIGHT = re.compile(rf"\b(?:BAROMETER\s*:|Hb\s*:|H)\s*{_NUMBER}")
 _ANGLES = re.compile(rf"\b([FG])\.PRY\s*\(\s*{_NUMBER}\D*?,\s*{_NUMBER}\D*?,\s*{_NUMBER}")
@@ -40,25 +41,30 @@ _M_PER_DEG = 111_320.0
 
 def read_srt(path: str) -> list[Table]:
     """Return the tables of a DJI subtitle file: positions and, if present, the gimbal's and the aircraft's angles."""
-    cues, numbers = [], []
-    blocks = re.split(r"\n\s*\n", read_text(path, "UTF-8").replace("\r\n", "\n"))
-    for number, block in enumerate((block for block in blocks if block.strip()), start=1):
-        time = _TIME.search(block)
-        if time:
-            hour, minute, second = (int(part) for part in time.groups()[:3])
-            cue = {"time_s": 3600.0 * hour + 60.0 * minute + second + float(f"0.{time[4]}")}
-            cues.append(cue | _values(block[time.end() :]))
-            numbers.append(number)
+    cues = []
+    # A cue is the text from its times to the next ones: not all programs write blank lines between cues.
+    text = read_text(path, "UTF-8")
+    starts = list(_TIME.finditer(text))
+    ends = [*(each.start() for each in starts[1:]), len(text)][: len(starts)]
+    for time, end in zip(starts, ends, strict=True):
+        hour, minute, second = (int(part) for part in time.groups()[:3])
+        cue = {"time_s": 3600.0 * hour + 60.0 * minute + second + float(f"0.{time[4]}")}
+        cues.append(cue | _values(text[time.end() : end]))
     if not cues:
         raise ThermorenderError(f"{path}: no cue with a time '00:00:00,000 --> …' is found; give a DJI subtitle file")
     height = next((name for name in ("above_takeoff_m", UNSTATED) if any(name in cue for cue in cues)), None)
     if not any("lat_deg" in cue and "lon_deg" in cue for cue in cues):
+        gps = _GPS.search(text)
+        if gps:
+            raise ThermorenderError(
+                f"{path}: {shortened(gps[0])} is not two or three numbers; write them with decimal points"
+            )
         raise ThermorenderError(f"{path}: no cue has a position ([latitude: …] or GPS(…)); give another log")
     if height is None:
         raise ThermorenderError(
             f"{path}: no cue has a height ([rel_alt: …], [altitude: …], BAROMETER:… or H …m); give another log"
         )
-    row = np.array(numbers)
+    row = np.arange(1, len(cues) + 1)
     tables = [_select(path, cues, row, ("lat_deg", "lon_deg", height))]
     tables[0] = _thinned(tables[0], height)
     for names in (_GIMBAL, _BODY):
@@ -69,7 +75,7 @@ def read_srt(path: str) -> list[Table]:
 
 
 def _values(text: str) -> dict[str, float]:
-    values = {_KEYS[key]: float(value) for key, value in _PAIR.findall(text) if key in _KEYS}
+    values = {_KEYS[key]: float(value.replace(",", ".")) for key, value in _PAIR.findall(text) if key in _KEYS}
     gps = _GPS.search(text)
     if gps:
         values |= _position(gps[1])
@@ -85,6 +91,11 @@ def _values(text: str) -> dict[str, float]:
 def _position(text: str) -> dict[str, float]:
     """Latitude and longitude of "GPS(…)": in the order of their letters, else by the third number; {} without."""
     parts = [part.strip() for part in text.split(",")]
+    if len(parts) > 3:
+        # Decimal commas, with blanks after the commas between numbers.
+        parts = [part.strip().replace(",", ".") for part in re.split(r",\s+", text)]
+        if len(parts) > 3:
+            return {}
     found = [re.fullmatch(rf"(?:([ENSW])\s*:?\s*)?{_NUMBER}\s*([mM°]?)", part) for part in parts]
     if len(parts) < 2 or not all(found[:2]):
         return {}

@@ -78,9 +78,12 @@ def _gimbal(path: str, data: dict[str, Floats], attitude: dict[str, Floats]) -> 
     earth = ((flags & _EARTH) != 0) & ((flags & _VEHICLE) == 0)
     at = np.asarray(attitude["timestamp"], np.float64)
     inside = (time >= at[0]) & (time <= at[-1])
-    if not inside.any() or at.size < 2:
+    # A logger repeats a time after a dropout.
+    later = np.r_[True, at[1:] > np.maximum.accumulate(at)[:-1]]
+    if not inside.any() or later.sum() < 2:
         raise ThermorenderError(f"{path}: messages {_GIMBAL!r} and {_ATTITUDE!r} share no time; give another log")
-    nose = Slerp(at, _rotation(attitude))(time[inside]).as_matrix()[:, :, 0]
+    at, rotation = at[later], _rotation(attitude)[later]
+    nose = Slerp(at, rotation)(np.clip(time[inside], at[0], at[-1])).as_matrix()[:, :, 0]
     heading = np.degrees(np.arctan2(nose[:, 1], nose[:, 0]))
     yaw = angles[inside, 0] + np.where(earth[inside], 0.0, heading)
     columns: dict[str, Floats] = {
@@ -94,9 +97,11 @@ def _gimbal(path: str, data: dict[str, Floats], attitude: dict[str, Floats]) -> 
 
 def _rotation(data: dict[str, Floats]) -> Rotation:
     quaternion = np.stack([np.asarray(data[name], np.float64) for name in _QUATERNION], axis=-1)
-    length = np.linalg.norm(quaternion, axis=1)
-    if not (length > 0.5).all():
-        k = int(np.argmin(length > 0.5))
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(quaternion, axis=1)
+    unit = np.abs(length - 1.0) < 0.5
+    if not unit.all():
+        k = int(np.argmin(unit))
         raise ThermorenderError(
             f"sample {k + 1} of the attitude or gimbal is {quaternion[k]}, not a unit quaternion; give another log"
         )

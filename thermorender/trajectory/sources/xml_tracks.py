@@ -29,24 +29,33 @@ def read_gpx(path: str) -> list[Table]:
         raise ThermorenderError(
             f"{path} has no track points (trkpt); routes and way points have no times: give a track"
         )
-    columns: dict[str, list[str]] = {name: [] for name in ("lat_deg", "lon_deg", "alt_geoid_m", "time")}
-    fixes: list[str] = []
+    rows, numbers, lacking = [], [], []
     for number, point in enumerate(points, start=1):
         inner = {_name(node): (node.text or "").strip() for node in point}
-        cells = (point.get("lat"), point.get("lon"), inner.get("ele"), inner.get("time"))
-        for name, cell, what in zip(columns, cells, ("lat", "lon", "ele", "time"), strict=True):
-            if not cell:
-                raise ThermorenderError(
-                    f"{path}, track point {number}: {what} is missing; a flight needs lat, lon, ele and time at every "
-                    "point: export the track with them"
-                )
-            columns[name].append(cell)
+        cells = {"lat": point.get("lat"), "lon": point.get("lon"), "ele": inner.get("ele"), "time": inner.get("time")}
+        absent = [what for what, cell in cells.items() if not cell]
+        if absent:
+            lacking.append(absent[0])
+            continue
         # A fix in two dimensions has no measured elevation.
-        fixes.append("0" if inner.get("fix") in ("none", "2d") else "1")
-    notes: tuple[str, ...] = ()
+        rows.append([*cells.values(), "0" if inner.get("fix") in ("none", "2d") else "1"])
+        numbers.append(number)
+    if not rows:
+        raise ThermorenderError(
+            f"{path}: no track point has all of lat, lon, ele and time, the first lacks {lacking[0]}; a flight needs "
+            "them: export the track with them"
+        )
+    notes = []
+    if lacking:
+        notes.append(
+            f"{path}: {len(lacking)} of {len(points)} track points ({len(lacking) / len(points):.1%}) lack "
+            f"{' or '.join(dict.fromkeys(lacking))} and are dropped"
+        )
     if len(segments) > 1:
-        notes = (f"{path}: the track has {len(segments)} segments, and the path is straight between them",)
-    return [Table(path, {**columns, "fix": fixes}, np.arange(1, len(points) + 1), "track point", notes=notes)]
+        notes.append(f"{path}: the track has {len(segments)} segments, and the path is straight between them")
+    names = ("lat_deg", "lon_deg", "alt_geoid_m", "time", "fix")
+    columns = dict(zip(names, map(list, zip(*rows, strict=True)), strict=True))
+    return [Table(path, {**columns}, np.array(numbers), "track point", notes=tuple(notes))]
 
 
 def read_kml(path: str) -> list[Table]:
