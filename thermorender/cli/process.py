@@ -2,7 +2,7 @@
 
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 import typer
@@ -18,7 +18,7 @@ def run(app: typer.Typer, without_arguments: Sequence[str] = ("--help",)) -> NoR
 
     `without_arguments` stands for an empty command line.
     """
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    end_on_signals(lambda number, _: sys.exit(128 + number))
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     odd = next((text for text in arguments if not _is_unicode(text)), None)
     if odd is not None:
@@ -38,6 +38,14 @@ def run(app: typer.Typer, without_arguments: Sequence[str] = ("--help",)) -> NoR
     if status == 130:
         typer.echo("stopped; flights, data sets and trainings continue with --resume", err=True)
     raise SystemExit(status or 0)
+
+
+def end_on_signals(handler: Callable[[int, Any], Any]) -> None:
+    """Call `handler` at SIGTERM and at the end of the terminal (SIGHUP), unless `nohup` has that ignored."""
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, handler)
 
 
 def _is_unicode(text: str) -> bool:

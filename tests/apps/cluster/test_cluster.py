@@ -125,6 +125,22 @@ def test_contradicting_options_are_refused(call, tmp_path, arguments, wrong):
     assert status == 2 and wrong in errors
 
 
+def test_a_program_without_the_key_of_the_run_cannot_reach_local_workers():
+    """Dask runs code that is sent to its port; neither plain connections nor other keys are taken."""
+    from distributed import Client, Security
+
+    from thermorender.apps.cluster.local import local_cluster
+
+    with local_cluster(0) as cluster:
+        address = cluster.scheduler_address
+        assert address.startswith("tls://127.0.0.1:")
+        with Client(cluster, set_as_default=False) as own:
+            assert own.run_on_scheduler(lambda: 1) == 1
+        for stranger, security in ((address.replace("tls:", "tcp:"), None), (address, Security.temporary())):
+            with pytest.raises((OSError, TypeError)):
+                Client(stranger, security=security, timeout=2, set_as_default=False)
+
+
 @pytest.mark.slow
 def test_two_processes_give_the_bytes_of_one(setting, tmp_path):
     import psutil

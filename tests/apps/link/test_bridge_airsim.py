@@ -6,6 +6,7 @@ import re
 import socket
 import subprocess
 import sys
+import time
 import urllib.request
 from pathlib import Path
 
@@ -143,12 +144,50 @@ def test_other_bytes_end_the_connection(bridge, data):
         ("simGetImages", [[{}]]),
         ("simGetImages", [5]),
         ("x" * 999, []),
+        (["ping"], []),
+        ({"ping": 1}, []),
     ],
 )
 def test_wrong_arguments_are_answered_in_a_sentence(bridge, method, arguments):
     ((kind, number, error, result),) = call(bridge, msgpack.packb([0, 9, method, arguments]))
     assert (kind, number, result) == (1, 9, None)
     assert 20 < len(error) < 400
+
+
+def request_of_images(vehicle):
+    """The bytes of a call that opens a session of the link for a vehicle."""
+    image = {"camera_name": "0", "image_type": airsim.INFRARED, "pixels_as_float": True, "compress": False}
+    return msgpack.packb([0, 1, "simGetImages", [[image], vehicle]])
+
+
+def test_calls_without_a_token_leave_half_of_the_sessions_to_those_who_hold_one(server, bridge):
+    with socket.create_connection(("127.0.0.1", bridge.port), 60.0) as own:
+        unpacker, errors = msgpack.Unpacker(), []
+        for number in range(40):
+            own.sendall(request_of_images(f"drone {number}"))
+            while (answer := next(unpacker, None)) is None:
+                unpacker.feed(own.recv(1 << 20))
+            errors += [answer[2]] if answer[2] else []
+        assert len(errors) == 8 and errors[0].startswith("32 cameras of vehicles are in use")
+        with connected(server) as client:
+            for _ in range(32):
+                client.open()
+    # The sessions of a connection that ended are free again.
+    for _ in range(50):
+        ((*_, error, _),) = call(bridge, request_of_images("another"))
+        if error is None:
+            break
+        time.sleep(0.1)
+    assert error is None
+
+
+def test_idle_connections_make_room_for_new_ones(bridge, monkeypatch):
+    monkeypatch.setattr(airsim, "_IDLE_S", 0.2)
+    with contextlib.ExitStack() as stack:
+        idle = [stack.enter_context(socket.create_connection(("127.0.0.1", bridge.port), 20.0)) for _ in range(16)]
+        time.sleep(0.4)
+        assert call(bridge, msgpack.packb([0, 5, "ping", []])) == [[1, 5, None, True]]
+        assert idle[0].recv(1) == b""
 
 
 def test_it_listens_on_this_machine_only(bridge):

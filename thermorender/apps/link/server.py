@@ -165,7 +165,7 @@ class Server:
     async def _watch(self) -> None:
         """Close connections whose client is late."""
         while True:
-            await asyncio.sleep(min(self._limits.hello_s, self._limits.message_s, self._limits.reply_s) / 4.0)
+            await asyncio.sleep(min(self._limits.hello_s, self._limits.message_s, self._limits.reply_s) / 40.0)
             now = self._loop.time()
             for client in list(self._clients):
                 if client.deadline_s is not None and now > client.deadline_s:
@@ -245,6 +245,7 @@ class Server:
         head = head_of(first + await client.reader.readexactly(HEADER.size - 1))
         refuse_length(head)
         # While the server makes the client wait, the client is not late.
+        left_s = client.deadline_s - self._loop.time()
         client.deadline_s = None
         # The length of a session's replies is known once it is open.
         while (session := client.sessions.get(head.session)) is not None and session.shown is None:
@@ -257,7 +258,7 @@ class Server:
             await self._space.wait()
         self._held += held
         try:
-            client.deadline_s = self._loop.time() + self._limits.message_s
+            client.deadline_s = self._loop.time() + left_s
             payload = await client.reader.readexactly(head.length)
             client.deadline_s = None
             kept = self._take(client, head, payload, held)

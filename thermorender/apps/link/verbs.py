@@ -16,6 +16,7 @@ from thermorender.cli.options import (
     flat,
     print_cache_note,
 )
+from thermorender.cli.process import end_on_signals
 from thermorender.cli.terminal import output_option, progress
 
 if TYPE_CHECKING:
@@ -64,11 +65,16 @@ def serve(
 ) -> None:  # fmt: skip
     """Serve frames to a simulator over a socket, pose by pose, until Ctrl-C."""
     from thermorender import load_camera
-    from thermorender.apps.link.access import drop_token, new_token
+    from thermorender.apps.link.access import drop_token, listening, new_token
     from thermorender.apps.link.access import token_file as default_file
+    from thermorender.apps.link.bridges.listener import HOST
     from thermorender.apps.link.server import Server
     from thermorender.apps.link.stage import Stage
 
+    for number, of in ((port, host), (airsim, HOST), (view, HOST)):
+        if number:
+            # An occupied port is found before the scene is loaded.
+            listening(of, number).close()
     cameras = {each.name: each for each in (load_camera(name, "--camera") for name in camera or ())}
     with progress() as report:
         loaded = situation.load(scene, source.source())
@@ -78,7 +84,7 @@ def serve(
     stage = Stage(renderer, cameras, tuple(map or ()), sampling.settings() | {"device": device})
     server = Server(stage, host, port)
     kept = token_file or default_file(server.address, server.port)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    end_on_signals(signal.default_int_handler)
     bridges: list[Any] = []
     try:
         server.token = new_token(kept)

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from thermorender.cli.options import Device, SceneName, flat, print_cache_note
+from thermorender.cli.process import end_on_signals
 from thermorender.cli.terminal import progress
 from thermorender.errors import ThermorenderError
 
@@ -49,6 +50,6 @@ def studio(
             renderer = Renderer(loaded, quality, device=device, progress=report)  # type: ignore[arg-type]
             _ = renderer.baked
         print_cache_note(renderer)
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        end_on_signals(signal.default_int_handler)
         announce = "open {} in a browser; stop with Ctrl-C".format
         run(renderer, files, socket, host, pose, quality, lambda address: typer.echo(announce(address)))

@@ -11,8 +11,10 @@ pixels do not remember an earlier pose.
 """
 
 import contextlib
+import socket
 import socketserver
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -37,6 +39,10 @@ STEP_S = 0.1
 # Version of the interface: that of cosysairsim; clients of version 1, airsim's, are served, too.
 _SERVER, _LEAST_CLIENT = 4, 1
 _MOST_VEHICLES, _MOST_IMAGES, _MOST_BYTES, _MOST_CONNECTIONS = 64, 16, 1 << 20, 16
+# Sessions of the link that all calls may hold: half of the link's, so that those who hold its token find room.
+_MOST_SESSIONS = 32
+# A connection without a call for so long makes room for a new one [s].
+_IDLE_S = 5.0
 
 
 class Bridge(LocalListener):
@@ -46,17 +52,19 @@ class Bridge(LocalListener):
         _ = _msgpack()
         self._link = link_host, link_port, token
         self._poses: dict[str, NDArray[np.float64]] = {}
-        self._lock, self._room = threading.Lock(), threading.BoundedSemaphore(_MOST_CONNECTIONS)
+        self._lock, self._sessions = threading.Lock(), 0
+        self._called_s: dict[socket.socket, float] = {}  # Time of the last call of each connection
         bridge = self
 
         class Handler(socketserver.BaseRequestHandler):
             def handle(self) -> None:
-                if bridge._room.acquire(blocking=False):
+                if bridge._admitted(self.request):
                     try:
                         with contextlib.suppress(OSError):
                             bridge._serve(self.request)
                     finally:
-                        bridge._room.release()
+                        with bridge._lock:
+                            bridge._called_s.pop(self.request, None)
 
         super().__init__(socketserver.ThreadingTCPServer, Handler, port, "AirSim's calls")
 
@@ -84,12 +92,40 @@ class Bridge(LocalListener):
                 raise ThermorenderError(f"{_MOST_VEHICLES} vehicles have a pose; use one of them")
             self._poses[vehicle] = moved
 
-    def _serve(self, connection: Any) -> None:
+    def take_session(self) -> None:
+        """Count a session of the link; raise if the calls hold as many as they may."""
+        with self._lock:
+            if self._sessions >= _MOST_SESSIONS:
+                raise ThermorenderError(
+                    f"{_MOST_SESSIONS} cameras of vehicles are in use by AirSim's calls; use one of them, or end a "
+                    "connection that uses others"
+                )
+            self._sessions += 1
+
+    def give_sessions(self, count: int) -> None:
+        """Give sessions of the link back."""
+        with self._lock:
+            self._sessions -= count
+
+    def _admitted(self, connection: socket.socket) -> bool:
+        """Whether there is room for a connection; the longest idle one is ended for it."""
+        with self._lock:
+            now = time.monotonic()
+            if len(self._called_s) >= _MOST_CONNECTIONS:
+                idle = min(self._called_s, key=lambda each: self._called_s[each])
+                if now - self._called_s[idle] < _IDLE_S:
+                    return False
+                del self._called_s[idle]
+                with contextlib.suppress(OSError):
+                    idle.shutdown(socket.SHUT_RDWR)
+            self._called_s[connection] = now
+            return True
+
+    def _serve(self, connection: socket.socket) -> None:
         """Answer the calls of one connection until it ends, or sends something else."""
         msgpack = _msgpack()
         unpacker = msgpack.Unpacker(raw=False, max_buffer_size=_MOST_BYTES, strict_map_key=False)
-        with connect(*self._link) as client:
-            calls = Calls(self, client)
+        with connect(*self._link) as client, contextlib.closing(Calls(self, client)) as calls:
             while data := connection.recv(1 << 16):
                 try:
                     unpacker.feed(data)
@@ -100,6 +136,8 @@ class Bridge(LocalListener):
                     # A request is [0, number, method, arguments]; a notification [2, method, arguments] has no answer.
                     if not isinstance(each, list) or len(each) != 4 or each[0] != 0:
                         return
+                    with self._lock:
+                        self._called_s[connection] = time.monotonic()
                     error, result = calls.answer(each[2], each[3])
                     connection.sendall(msgpack.packb([1, each[1], error, result], use_single_float=True))
 
@@ -117,9 +155,13 @@ class Calls:
             "simGetImages": self._images, "simGetCameraInfo": self._camera_info,
         }  # fmt: skip
 
+    def close(self) -> None:
+        """Give the sessions back; their connection to the link ends."""
+        self.bridge.give_sessions(len(self._sessions))
+
     def answer(self, method: Any, arguments: Any) -> tuple[str | None, Any]:
         """Return (error or None, result) of a call."""
-        if method not in self._methods:
+        if not isinstance(method, str) or method not in self._methods:
             return f"method {shortened(repr(method))} is not served; call one of {', '.join(self._methods)}", None
         try:
             return None, self._methods[method](*arguments)
@@ -153,7 +195,12 @@ class Calls:
     def _session(self, vehicle: str, camera: str) -> tuple[Session, float]:
         if (vehicle, camera) not in self._sessions:
             name = "" if camera in OWN_CAMERA else camera
-            self._sessions[vehicle, camera] = self.client.open(name, attitude="body", rate_hz=1.0 / STEP_S), 0.0
+            self.bridge.take_session()
+            try:
+                self._sessions[vehicle, camera] = self.client.open(name, attitude="body", rate_hz=1.0 / STEP_S), 0.0
+            except BaseException:
+                self.bridge.give_sessions(1)
+                raise
         return self._sessions[vehicle, camera]
 
     def _response(self, request: dict[str, Any], reply: Reply, pose: NDArray[np.float64]) -> dict[str, Any]:
