@@ -1,5 +1,6 @@
 """How a command line runs: signals, errors as one sentence, and exit status."""
 
+import io
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -18,6 +19,10 @@ def run(app: typer.Typer, without_arguments: Sequence[str] = ("--help",)) -> NoR
 
     `without_arguments` stands for an empty command line.
     """
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal without a letter such as µ shows a question mark.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     end_on_signals(lambda number, _: sys.exit(128 + number))
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     odd = next((text for text in arguments if not _is_unicode(text)), None)

@@ -93,10 +93,10 @@ class TemperatureMap:
         Temperatures of intensity 0 and 1 [K].
     band_um : (2,) tuple of float
         Band of the training camera [µm].
-    texel_m : float
-        Ground sampling distance it is applied at [m].
-    texel_range_m : (2,) tuple of float
-        Finest and coarsest ground sampling distance of the training [m].
+    texel_m : float or None
+        Ground sampling distance it is applied at [m]; None: unknown, and pictures are not resampled.
+    texel_range_m : (2,) tuple of float or None
+        Finest and coarsest ground sampling distance of the training [m]; None: unknown.
     camera : str
     sky_temperature : float
         Isotropic sky of the training pictures, their mean [K].
@@ -117,8 +117,8 @@ class TemperatureMap:
     predictor: Any
     range_k: tuple[float, float]
     band_um: tuple[float, float]
-    texel_m: float
-    texel_range_m: tuple[float, float]
+    texel_m: float | None
+    texel_range_m: tuple[float, float] | None
     camera: str
     sky_temperature: float
     source: str
@@ -164,7 +164,11 @@ class TemperatureMap:
 
     def _predicted(self, inputs: Inputs) -> tuple[Any, Any]:
         """The predictor's output, and its standard deviation or None."""
-        if inputs.texel_m is not None and not inputs.texel_m >= self.texel_m / MOST_SPACING:
+        if (
+            self.texel_m is not None
+            and inputs.texel_m is not None
+            and not inputs.texel_m >= self.texel_m / MOST_SPACING
+        ):
             raise ThermorenderError(
                 f"a picture with {inputs.texel_m:.3g} m a pixel is too fine for learned map {self.name!r}, made for "
                 f"{self.texel_m:.3g} m; give at least {self.texel_m / MOST_SPACING:.3g} m, or take it from farther away"
@@ -208,8 +212,10 @@ class TemperatureMap:
 
     def texel_warning(self, texel_m: float | None) -> str | None:
         """Return a warning if a ground sampling distance [m] is outside the range trained on, else None."""
+        if texel_m is None or self.texel_range_m is None:
+            return None
         low, high = self.texel_range_m
-        if texel_m is None or low / TEXEL_MARGIN <= texel_m <= high * TEXEL_MARGIN:
+        if low / TEXEL_MARGIN <= texel_m <= high * TEXEL_MARGIN:
             return None
         return (
             f"learned map {self.name!r} was trained at {low:.3g}–{high:.3g} m a pixel; at {texel_m:.3g} m texture "
@@ -238,20 +244,24 @@ class TemperatureMap:
         low, high = (limit - ZERO_CELSIUS_K for limit in self.range_k)
         return (
             f"TemperatureMap({self.name!r}, {self.method}, {low:.1f}…{high:.1f} °C, "
-            f"{self.band_um[0]:g}–{self.band_um[1]:g} µm, texels of {self.texel_m:.3g} m)"
+            f"{self.band_um[0]:g}–{self.band_um[1]:g} µm, texels of {_metres(self.texel_m)})"
         )
 
     def __str__(self) -> str:
         low, high = (limit - ZERO_CELSIUS_K for limit in self.range_k)
-        trained = "–".join(f"{limit:.3g}" for limit in self.texel_range_m)
+        trained = "–".join(f"{limit:.3g}" for limit in self.texel_range_m or ())
         lines = [
             f"{self.name}: {self.method} → apparent temperature, {self.band_um[0]:g}–{self.band_um[1]:g} µm",
             f"  range         {low:.1f}…{high:.1f} °C for intensity 0…1",
-            f"  texel         {self.texel_m:.3g} m, trained at {trained}",
+            f"  texel         {_metres(self.texel_m)}{f', trained at {trained}' if trained else ''}",
             f"  needs         {', '.join(_WORDS[name] for name in self.needs) or 'colour only'}",
             f"  source        {self.source}",
         ]
         return "\n".join(lines)
+
+
+def _metres(texel_m: float | None) -> str:
+    return "unknown size" if texel_m is None else f"{texel_m:.3g} m"
 
 
 _WORDS = {"terrain": "the terrain's relief", "conditions": "hour and weather", "depth": "the depth of each pixel"}
@@ -355,6 +365,8 @@ def _check_numbers(model: TemperatureMap) -> None:
     """Raise ValueError if a range does not rise, or a number is not above 0."""
     for name in ("range_k", "band_um", "texel_range_m"):
         value = getattr(model, name)
+        if name == "texel_range_m" and value is None and model.texel_m is None:
+            continue
         if not (isinstance(value, tuple) and len(value) == 2 and all(map(_positive, value))):
             raise ValueError(f"{name} is not two numbers above 0")
         if value[0] > value[1] or (value[0] == value[1] and name != "texel_range_m"):
@@ -362,7 +374,7 @@ def _check_numbers(model: TemperatureMap) -> None:
     if model.range_k[1] > _HOTTEST_K:
         raise ValueError(f"range_k ends above {_HOTTEST_K:g} K")
     for name in ("texel_m", "sky_temperature"):
-        if not _positive(getattr(model, name)):
+        if not _positive(getattr(model, name)) and not (name == "texel_m" and model.texel_m is None):
             raise ValueError(f"{name} is not a number above 0")
     if model.error_k is not None and not _positive(model.error_k) and model.error_k != 0:
         raise ValueError("error_k is not a number of 0 or more")

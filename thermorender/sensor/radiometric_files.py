@@ -32,6 +32,8 @@ _AS_FRACTION = ("1 K", "1 °C", "1 °F")
 _AS_INTENSITY = ("0.04 K", "0.01 °C", "0.001 °C")
 # A landscape in a picture: most pixels, and every pixel [K].
 _COMMON_K, _RARE_K = (238.0, 338.0), (150.0, 1000.0)
+# Largest share of pixels that may be a margin of zeros.
+_MOST_MARGIN = 0.9
 FLIR_JPEG = (".jpg", ".jpeg")
 SUFFIXES = (".tif", ".tiff", *FLIR_JPEG)
 # The tag of EXIF and TIFF.
@@ -42,7 +44,8 @@ _SEQUENCES = (".seq", ".csq", ".ats", ".fcf", ".sfmov")
 def write_tlinear(path: str | PathLike[str], temperature: ArrayLike, step_k: float = TLINEAR_STEP_K) -> None:
     """Write temperatures (H, W) [K] as a 16-bit TIFF of `step_k` per count; NaN is 0, others at the nearest count.
 
-    The TIFF has GDAL's scale, offset and unit, so GDAL, rasterio and QGIS show kelvin; other programs show counts.
+    The TIFF has GDAL's scale, offset, unit and mark of no data, so GDAL, rasterio and QGIS show kelvin; other programs
+    show counts.
     """
     counts = np.rint(np.nan_to_num(np.asarray(temperature, np.float64), nan=0.0) / step_k)
     write_tlinear_counts(path, np.clip(counts, 0, 65535).astype(np.uint16), step_k)
@@ -56,7 +59,7 @@ def write_tlinear_counts(path: str | PathLike[str], counts: NDArray[np.uint16], 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
         with rasterio.open(
-            path, "w", driver="GTiff", width=width, height=height, count=1, dtype="uint16", compress="deflate"
+            path, "w", driver="GTiff", width=width, height=height, count=1, dtype="uint16", nodata=0, compress="deflate"
         ) as file:
             file.write(counts, 1)
             file.scales, file.offsets, file.units = (step_k,), (0.0,), ("K",)
@@ -68,8 +71,9 @@ def read_temperature(
 ) -> NDArray[np.float64]:  # fmt: skip
     """Return the temperatures of a TIFF of one band or of FLIR's radiometric JPEG, (H, W) float64 [K]; NaN where none.
 
-    `scale` is (kelvin per count, kelvin of count 0) of a TIFF that does not declare them; `thermography` replaces the
-    settings stored in a JPEG.
+    `scale` is (kelvin per count, kelvin of count 0) of a TIFF that does not declare them; floats between 238 and 338
+    are kelvin without it. `thermography` replaces the settings stored in a JPEG. Values that are not above 0 K count as
+    no data.
     """
     path = Path(path)
     if path.suffix.lower() in FLIR_JPEG:
@@ -86,6 +90,9 @@ def read_temperature(
             f"{path} has 8 bits a pixel, which is a picture for display; give the radiometric file, or state kelvin "
             "per count and kelvin of count 0 as scale"
         )
+    if scale is None and declared is None and kind.startswith("float") and likely_scales(counts) == ["1 K"]:
+        # Floats that are a landscape's temperatures in kelvin only.
+        scale = 1.0, 0.0
     if scale is None and declared is None:
         raise ThermorenderError(
             f"{path} does not declare the unit of its counts; {scale_request(likely_scales(counts))}, or declare them "
@@ -98,16 +105,18 @@ def read_temperature(
             "`gdal_edit.py -scale STEP -offset ZERO`"
         )
     step, zero = scale or declared  # type: ignore[misc]  # one of them is given
-    return counts * float(step) + float(zero)
+    found = counts * float(step) + float(zero)
+    # The margin of a warped picture, for example, is 0 in a file without a mark of no data.
+    return np.where(found > 0.0, found, np.nan)
 
 
-def check_upright(path: Path) -> None:
-    """Raise if a file's tags state that its pixels are stored turned or mirrored."""
+def orientation(path: Path) -> int:
+    """Return how a file's tags state that its pixels are stored, 1 to 8 of EXIF; 1, upright, without a tag."""
     from PIL import Image, TiffImagePlugin
 
-    value = 1
+    value: object = 1
     try:
-        if path.suffix.lower() in FLIR_JPEG:
+        if path.suffix.lower() not in (".tif", ".tiff"):
             with Image.open(path) as image:
                 value = image.getexif().get(_ORIENTATION, 1)
         else:
@@ -120,7 +129,13 @@ def check_upright(path: Path) -> None:
                 tags.load(file)
                 value = tags.get(_ORIENTATION, 1)
     except (OSError, SyntaxError, ValueError, struct.error):
-        return  # `read_temperature` says what is wrong with the file.
+        pass  # Who reads the pixels says what is wrong with the file.
+    return value if isinstance(value, int) and 1 <= value <= 8 else 1
+
+
+def check_upright(path: Path) -> None:
+    """Raise if a file's tags state that its pixels are stored turned or mirrored."""
+    value = orientation(path)
     if value != 1:
         raise ThermorenderError(
             f"{path} states orientation {value} in its tags, so its pixels are stored turned or mirrored; if its pose "
@@ -147,6 +162,10 @@ def likely_scales(counts: ArrayLike, signed: bool = True) -> list[str]:
     """
     known = np.asarray(counts, np.float64)
     known = known[np.isfinite(known)]
+    if 0.0 < float((known == 0.0).mean() if known.size else 0.0) < _MOST_MARGIN:
+        # The margin of a warped or undistorted picture says nothing about the unit.
+        inner = known[known != 0.0]
+        known = inner if inner.min() > 0.0 else known
     if not known.size or (not signed and known.max() <= 255.0):
         return []
     low, high = np.percentile(known, (1.0, 99.0))

@@ -542,3 +542,42 @@ def test_files_of_other_makers_name_the_tool_that_converts_them(tmp_path):
     for reader in (lambda path: frame_files([path]), lambda path: pictures.matched(path, path)):
         with pytest.raises(ThermorenderError, match=r"a\.csq is a sequence of FLIR, so export its frames"):
             reader(tmp_path / "seq")
+
+
+@pytest.mark.parametrize("value", range(1, 9))
+def test_pictures_are_turned_by_their_orientation_as_for_a_translation(tmp_path, value):
+    from PIL import Image
+
+    from thermorender.apps.training.translate import read_picture
+
+    rgb = np.kron(np.random.default_rng(1).integers(0, 256, (5, 7, 3), np.uint8), np.ones((8, 8, 1), np.uint8))
+    tags = Image.Exif()
+    tags[274] = value
+    for name in ("a.jpg", "a.png"):
+        Image.fromarray(rgb).save(tmp_path / name, exif=tags, **({"quality": 100} if name == "a.jpg" else {}))
+        ours, theirs = pictures.read_visible(tmp_path / name)[0], read_picture(tmp_path / name)[0]
+        assert ours.shape == theirs.shape and np.abs(ours.astype(int) - theirs).max() <= 8
+
+
+def test_pairs_of_different_orientations_are_named(tmp_path, call):
+    from PIL import Image
+
+    folders(tmp_path)
+    for path in (tmp_path / "visible").iterdir():
+        tags = Image.Exif()
+        tags[274] = 3
+        Image.open(path).save(path, exif=tags)
+    _, _, errors = call("prepare", tmp_path / "visible", tmp_path / "thermal", "-o", tmp_path / "set")
+    assert "visible and thermal picture of 8 pairs state different orientations" in errors
+
+
+def test_a_margin_of_zeros_does_not_hide_the_unit_of_counts(tmp_path, call):
+    """Hundredths of a kelvin with a margin of no data are asked about, and with their scale the margin is left out."""
+    kelvin = np.random.default_rng(2).uniform(285.0, 300.0, (40, 48))
+    kelvin[:, -8:] = 0.0
+    path = tmp_path / "a.tif"
+    integers(path, kelvin, 0.01, 0.0, np.uint16)
+    with pytest.raises(ThermorenderError, match=r"which look like scale=0.01,0 for counts of 0.01 K"):
+        pictures.read_thermal(path)
+    found = pictures.read_thermal(path, (0.01, 0.0))
+    assert not found.valid[:, -8:].any() and found.valid[:, :-8].all()

@@ -53,7 +53,7 @@ def test_counts_are_the_nearest_of_the_exact_temperature_also_in_strips(model, t
 def test_a_picture_becomes_kelvin_and_a_preview_on_the_maps_scale(tmp_path):
     rgb = photograph()
     summary = translate(ONE, [write(tmp_path / "a.png", rgb)], tmp_path / "out")
-    assert summary == {"done": 1, "passed over": 0, "failed": {}, "warning": None}
+    assert summary == {"done": 1, "passed over": 0, "failed": {}, "warnings": []}
     kelvin = read_temperature(tmp_path / "out" / "a.tif")
     intensity = rgb / 255.0 @ np.array([1.750, 0.236, -1.033])
     exact = brightness_temperature(ONE.radiance(Inputs(rgb)), 7.5, 13.5)
@@ -117,7 +117,7 @@ def test_transparent_pixels_have_no_temperature(tmp_path):
     alpha[:7] = 0
     translate(ONE, [write(tmp_path / "a.png", np.dstack([rgb, alpha]))], tmp_path / "out")
     kelvin = read_temperature(tmp_path / "out" / "a.tif")
-    assert (kelvin[:7] == 0.0).all() and (kelvin[7:] > 200.0).all()
+    assert np.isnan(kelvin[:7]).all() and (kelvin[7:] > 200.0).all()
 
 
 def test_a_map_without_a_temperature_for_any_pixel_is_named(tmp_path):
@@ -306,3 +306,16 @@ def test_refusals(tmp_path):
     refused("a.png and .*a.jpg would both be written as a.tif", [path, other], out)
     refused("a.png exists; give another folder", [path], tmp_path)
     refused("a.png exists; give another folder", [path], tmp_path, resume=True)
+
+
+def test_pixels_without_a_temperature_are_marked_as_no_data(tmp_path):
+    """Equation 3 is negative on saturated blue: NaN for readers, and part of the share outside."""
+    rgb = photograph()
+    rgb[:20] = (0, 0, 255)
+    model = replace(ONE, range_k=(200.0, 320.0))
+    summary = translate(model, [write(tmp_path / "a.png", rgb)], tmp_path / "out")
+    kelvin = read_temperature(tmp_path / "out" / "a.tif")
+    assert np.isnan(kelvin[:20]).all() and np.nanmin(kelvin) > 0.0
+    line = json.loads((tmp_path / "out" / "translated.jsonl").read_text())
+    assert line["share_extrapolated"] >= np.isnan(kelvin).mean() >= 0.5
+    assert "pixels without a temperature are 0" in summary["warnings"][0]

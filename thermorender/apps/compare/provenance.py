@@ -37,7 +37,7 @@ def provenance_of(model: TemperatureMap) -> Provenance:
     header = {
         "method": model.method, "source": model.source, "data set": dataset.get("name"),
         "origin": dataset.get("origin"), "pairs": about.get("pairs"), "sequences": about.get("sequences"),
-        "training_s": about.get("training_s"), "texel_m": list(model.texel_range_m),
+        "training_s": about.get("training_s"), "texel_m": model.texel_range_m and list(model.texel_range_m),
     }  # fmt: skip
     return Provenance(header)
 

@@ -65,13 +65,17 @@ def train_map(
         kelvin = brightness_temperature(np.maximum(radiance, 1e-6), *scale.band_um)
     started = time.perf_counter()
     texel_m, texel_range_m = _sampling(pairs.entries)
-    held = np.array([entry.part == "validation" for entry in pairs.entries])
-    task = Task(
-        _Examples(pairs, how.plus, options, material, cut, usable), (radiance - cold) / (warm - cold), kelvin, seed,
-        report_progress, options, texel_m, texel_range_m, held if held.any() and not held.all() else None,
-        None if run is None else Path(run), resume,
-    )  # fmt: skip
-    predictor = how.fit(task)
+
+    def fit(some: Dataset) -> Any:
+        held = np.array([entry.part == "validation" for entry in some.entries])
+        task = Task(
+            _Examples(some, how.plus, options, material, cut, usable), (radiance - cold) / (warm - cold), kelvin, seed,
+            report_progress, options, texel_m, texel_range_m, held if held.any() and not held.all() else None,
+            None if run is None else Path(run), resume,
+        )  # fmt: skip
+        return how.fit(task)
+
+    predictor = fit(pairs)
     # A resumed training records the time of all its runs.
     seconds = getattr(predictor, "trained", {}).get("seconds", time.perf_counter() - started)
     skies = [entry.sky_temperature for entry in pairs.entries if entry.sky_temperature]
@@ -85,7 +89,14 @@ def train_map(
         "options": options, "seed": seed, "training_s": round(seconds, 2),
         "training": getattr(predictor, "trained", {}), "versions": versions() | _library(method_name),
     }  # fmt: skip
-    return _with_error(made, about, dataset, material)
+    made = replace(made, about=about)
+    fitted = pairs.of("train")
+    # Networks do not learn from the validation pairs; other methods are fitted again without them for the error.
+    apart = how.long or not len(pairs.of("validation"))
+    if not apart and not len(fitted):
+        return made
+    judged = made if apart else replace(made, predictor=fit(fitted))
+    return replace(made, error_k=_error_k(judged, dataset, material))
 
 
 def _fingerprints(pairs: Dataset) -> Fingerprints:
@@ -100,9 +111,11 @@ def _library(method_name: str) -> dict[str, str | None]:
     return {} if name is None else {name: version_of(name)}
 
 
-def _sampling(entries: Sequence[Entry]) -> tuple[float, tuple[float, float]]:
-    """(median, (least, most)) ground sampling distance of entries [m]."""
-    known = np.array([entry.texel_m for entry in entries if entry.texel_m] or [1.0])
+def _sampling(entries: Sequence[Entry]) -> tuple[float | None, tuple[float, float] | None]:
+    """(median, (least, most)) ground sampling distance of entries [m]; None where no entry has one."""
+    known = np.array([entry.texel_m for entry in entries if entry.texel_m])
+    if not known.size:
+        return None, None
     return float(np.exp(np.median(np.log(known)))), (float(known.min()), float(known.max()))
 
 
@@ -199,12 +212,11 @@ def _some(dataset: Dataset, share: float) -> Dataset:
     return dataset.having([each for each in dataset.entries if each.sequence in chosen or each.part == "validation"])
 
 
-def _with_error(model: TemperatureMap, about: dict[str, Any], dataset: Dataset, material: bool) -> TemperatureMap:
-    """The map with its metadata and its error on some validation pairs."""
-    model = replace(model, about=about)
+def _error_k(model: TemperatureMap, dataset: Dataset, material: bool) -> float | None:
+    """RMS error of a map on some validation pairs [K]; None without any."""
     held = dataset.of("validation")
     if not len(held):
-        return model
+        return None
     squares, count = 0.0, 0
     for index in np.unique(np.linspace(0, len(held) - 1, min(_ERROR_PAIRS, len(held))).astype(int)):
         pair = held.pair(held.entries[index])
@@ -216,7 +228,7 @@ def _with_error(model: TemperatureMap, about: dict[str, Any], dataset: Dataset, 
         here = ground_of(pair)[part] & ~_saturated(dataset.card, pair.thermal[part]) & np.isfinite(found - known)
         squares += float(((found - known)[here] ** 2).sum())
         count += int(here.sum())
-    return replace(model, error_k=float(np.sqrt(squares / count))) if count else model
+    return float(np.sqrt(squares / count)) if count else None
 
 
 def _saturated(card: Mapping[str, Any], values: np.ndarray) -> np.ndarray:

@@ -16,7 +16,13 @@ from numpy.typing import ArrayLike, NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.formats import decoded
 from thermorender.sensor.flir_jpeg import DJI, dji_thermal, read_flir_jpeg
-from thermorender.sensor.radiometric_files import likely_scales, read_tiff, scale_request, sequence_hint
+from thermorender.sensor.radiometric_files import (
+    likely_scales,
+    orientation,
+    read_tiff,
+    scale_request,
+    sequence_hint,
+)
 from thermorender.sensor.radiometry import ThermographySettings
 from thermorender.units import ZERO_CELSIUS_K, kelvin
 
@@ -97,7 +103,7 @@ def read_thermal(path: str | Path, scale: Sequence[float] | None = None, intensi
     path = Path(path)
     if path.suffix.lower() in (".jpg", ".jpeg") and _radiometric(path):
         # Apparent temperature, before any correction for surface and air.
-        found = _of_kelvin(read_flir_jpeg(path).temperature(ThermographySettings()))
+        found = _of_kelvin(_upright(read_flir_jpeg(path).temperature(ThermographySettings()), path))
     elif path.suffix.lower() in (".tif", ".tiff"):
         found = _of_tiff(path, scale, intensity)
     else:
@@ -243,14 +249,22 @@ def _decoded(path: str | Path) -> np.ndarray:
         raise ThermorenderError(f"{path} cannot be read ({error.strerror}); give a picture") from None
     flags = cv2.IMREAD_UNCHANGED
     if Path(path).suffix.lower() in (".jpg", ".jpeg"):
-        # As stored, because the thermal picture has no EXIF orientation.
         flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
         if b"\xff\xd9" not in data[-65536:]:
             raise ThermorenderError(f"{path} is a truncated JPEG; copy it again, or leave it out")
     image = decoded(data, flags)
     if image is None:
         raise ThermorenderError(f"{path} is not a readable picture; copy it again, or leave it out")
-    return image
+    return _upright(image, Path(path))
+
+
+def _upright(image: np.ndarray, path: Path) -> np.ndarray:
+    """A picture turned by its EXIF tag, as viewers show it and as it is translated."""
+    value = orientation(path)
+    image = image.swapaxes(0, 1) if value >= 5 else image
+    # Rows and columns of the shown picture that run backwards.
+    rows, columns = (slice(None, None, -1 if value in those else 1) for those in ((3, 4, 7, 8), (2, 3, 6, 7)))
+    return np.ascontiguousarray(image[rows, columns])
 
 
 def _radiometric(path: Path) -> bool:
@@ -267,6 +281,7 @@ def _radiometric(path: Path) -> bool:
 def _of_tiff(path: Path, scale: Sequence[float] | None, intensity: bool) -> Thermal:
     """Thermal picture of a TIFF, by its declared scale or the given one."""
     values, declared, kind = read_tiff(path)
+    values = _upright(values, path)
     scale = declared or scale
     if kind in ("float32", "float64"):
         if scale is None and np.isfinite(values).any() and np.nanmedian(values) > _HOT_C:

@@ -20,6 +20,7 @@ from thermorender.apps.training.dataset_writer import Writer, packed, refuse_str
 from thermorender.apps.training.registration import rig
 from thermorender.errors import ThermorenderError
 from thermorender.progress import Progress
+from thermorender.sensor.radiometric_files import orientation
 
 # Default temperatures of intensity 0 and 1 [°C], published with eq. 2.
 RANGE_C = (14.0, 24.0)
@@ -106,6 +107,7 @@ def prepare(
     return {
         "audit": leaks,
         "pairs": len(kept), "entries": sum(map(len, entries.values())), "grey": grey, "left_out": left_out,
+        "turned": sum(found[pair.name].turned for pair in kept),
         "parts": {part: sum(each == part for each in parts.values()) for part in PARTS},
         "sequences": len({sequence_of[pair.name] for pair in kept}), "bounds": bounds, "rig": cameras, "scale": scale,
     }  # fmt: skip
@@ -224,6 +226,7 @@ class _Found:
     shape: tuple[int, int]
     kind: tuple[str, str]
     grey: bool
+    turned: bool  # Whether the tags of visible and thermal picture state different orientations
 
 
 def _check_settings(cut: Cut, texel_m: float | None, range_c: Sequence[float] | None) -> None:
@@ -261,7 +264,12 @@ def _checked(
             bad[pair.name] = str(error)
             continue
         height, width = thermal.values.shape
-        found[pair.name] = _Found((height, width), (thermal.unit, thermal.values.dtype.name), grey)
+        found[pair.name] = _Found(
+            (height, width),
+            (thermal.unit, thermal.values.dtype.name),
+            grey,
+            orientation(pair.visible) != orientation(pair.thermal),
+        )
     return found, bad
 
 

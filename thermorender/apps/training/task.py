@@ -33,8 +33,8 @@ class Task:
     # Ground sampling distance that the map will be applied at [m]; methods that use texture learn at it. None takes
     # the pictures as they are.
     texel_m: float | None = None
-    # Finest and coarsest ground sampling distance of the pictures [m]
-    texel_range_m: tuple[float, float] = (1.0, 1.0)
+    # Finest and coarsest ground sampling distance of the pictures [m]; None: unknown
+    texel_range_m: tuple[float, float] | None = None
     # (count,) bool examples for early stopping, not learned from; None lets the method choose
     held_out: np.ndarray | None = None
     # Folder for checkpoints, log and sample pictures of a long training; None for other methods

@@ -24,6 +24,7 @@ from thermorender.progress import Progress
 from thermorender.sensor.display import DisplaySettings
 from thermorender.sensor.palettes import palette as known_palette
 from thermorender.sensor.radiometric_files import TLINEAR_STEP_K, write_tlinear_counts
+from thermorender.units import ZERO_CELSIUS_K
 from thermorender.versions import versions
 
 PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
@@ -39,6 +40,8 @@ _LEAST_ALPHA = 128
 _STRIP = 1 << 21
 # Share of frames that a video may lack of its header's number, which some writers only estimate.
 _MISSING_FRAMES = 0.01
+# Share of a result that may be far outside the map's range without a warning.
+_MOST_OUTSIDE = 0.01
 RECORD, DONE = "translate.json", "translated.jsonl"
 
 
@@ -59,7 +62,9 @@ class Translation:
         if model.needs:
             # This raises the error that names the missing inputs.
             model.radiance(Inputs(np.zeros((1, 1, 3), np.uint8)))
-        if self.texel_m is not None and not 1.0 / MOST_SPACING <= self.texel_m / model.texel_m <= MOST_SPACING:
+        if self.texel_m is None or model.texel_m is None:
+            pass
+        elif not 1.0 / MOST_SPACING <= self.texel_m / model.texel_m <= MOST_SPACING:
             raise ThermorenderError(
                 f"texel_m={self.texel_m:g} is too far from the {model.texel_m:.3g} m of learned map {model.name!r}; "
                 f"give {model.texel_m / MOST_SPACING:.3g}…{model.texel_m * MOST_SPACING:.3g} m"
@@ -93,15 +98,20 @@ class Translation:
         """Return counts as an 8-bit picture, the map's range from black to white: (h, w) grey or (h, w, 3) RGB."""
         return self.display.shown(counts, self._ends)
 
-    def share_outside(self, counts: np.ndarray) -> float:
-        """Return the share of known counts outside the map's range, 0 if none are known."""
-        known = counts[counts > 0]
-        return float(np.mean((known < self._ends[0]) | (known > self._ends[1]))) if known.size else 0.0
+    def shares_outside(self, counts: np.ndarray, known: np.ndarray | None = None) -> np.ndarray:
+        """Return the shares of the `known` pixels, (h, w) bool, outside the map's range and far outside, (2,).
+
+        Far is more than its width beyond an end, or without a temperature; the shares are 0 if none are known.
+        """
+        own = counts if known is None else counts[known]
+        low, high = self._ends
+        return np.array([float(np.mean((own < low - far) | (own > high + far) | (own == 0))) if own.size else 0.0
+                         for far in (0.0, high - low)])  # fmt: skip
 
     @cached_property
     def _spacing(self) -> float:
         """Spacing of the map's taps [pixels]."""
-        return 1.0 if self.texel_m is None else self.model.texel_m / self.texel_m
+        return 1.0 if self.texel_m is None or self.model.texel_m is None else self.model.texel_m / self.texel_m
 
     @cached_property
     def _ends(self) -> np.ndarray:
@@ -123,7 +133,7 @@ def translate(
     """Translate pictures and videos, or folders of them, into a folder; an unreadable one does not stop the others.
 
     `frames` also writes video frames; `resume` skips finished files of the same settings. Returns counts "done" and
-    "passed over", "failed" {path: sentence}, and "warning", a sentence or None.
+    "passed over", "failed" {path: sentence}, and "warnings", sentences.
     """
     report = progress or (lambda what, share: None)
     how = Translation(model, texel_m, palette)
@@ -135,6 +145,7 @@ def translate(
         "kelvin_per_count": TLINEAR_STEP_K,
     }  # fmt: skip
     done, passed = 0, 0
+    outside: dict[str, float] = {}
     failed: dict[Path, str] = {}
     with files.output_folder(output) as folder, files.in_use(folder):
         before = _begin(folder, settings, resume)
@@ -158,11 +169,27 @@ def translate(
             except UnreadableError as error:
                 failed[source] = str(error)
                 continue
+            outside[source.name] = facts["share_extrapolated"]
             written = _sizes(outputs[source])
             files.on_disk(*outputs[source])
             formats.append_json(folder / DONE, {"source": name, "checksum": checksum, "files": written, **facts})
             done += 1
-    return {"done": done, "passed over": passed, "failed": failed, "warning": model.texel_warning(texel_m)}
+    warnings = [model.texel_warning(texel_m), _extrapolation(model, outside)]
+    return {"done": done, "passed over": passed, "failed": failed, "warnings": [each for each in warnings if each]}
+
+
+def _extrapolation(model: TemperatureMap, outside: Mapping[str, float]) -> str | None:
+    """A warning if a share of some result is far outside a map's range."""
+    far = {name: share for name, share in outside.items() if share > _MOST_OUTSIDE}
+    if not far:
+        return None
+    name = max(far, key=lambda each: far[each])
+    low, high = (limit - ZERO_CELSIUS_K for limit in model.range_k)
+    return (
+        f"{len(far)} of {len(outside)} results have more than {_MOST_OUTSIDE:.0%} of their pixels far outside "
+        f"{low:.1f}…{high:.1f} °C, the range of learned map {model.name!r}: {name} {far[name]:.0%}; the map does not "
+        "know these colours, and pixels without a temperature are 0"
+    )
 
 
 def read_picture(path: files.PathLike) -> tuple[np.ndarray, np.ndarray | None]:
@@ -212,7 +239,12 @@ def _picture(how: Translation, source: Path, outputs: Sequence[Path]) -> dict[st
     _refuse_empty(source, counts, known is None or bool(known.any()))
     tiff, png = outputs
     _write_counts(how, counts, tiff, png)
-    return {"shape": list(counts.shape), "share_outside_0_1": how.share_outside(counts)}
+    return {"shape": list(counts.shape), **_shares(how.shares_outside(counts, known))}
+
+
+def _shares(outside: np.ndarray) -> dict[str, float]:
+    """The record's entries of shares outside the map's range."""
+    return {"share_outside_0_1": float(outside[0]), "share_extrapolated": float(outside[1])}
 
 
 def _video(
@@ -237,7 +269,7 @@ def _video(
         part = stack.enter_context(files.atomic(outputs[0]))
         folder = stack.enter_context(files.atomic_folder(outputs[1], overwrite=True)) if outputs[1:] else None
         writer: cv2.VideoWriter | None = None
-        number, outside = 0, 0.0
+        number, outside = 0, np.zeros(2)
         while whole:
             counts = how.counts(np.ascontiguousarray(image[..., ::-1], np.uint8))
             _refuse_empty(source, counts, True)
@@ -252,7 +284,7 @@ def _video(
             if folder:
                 _write_counts(how, counts, folder / f"{number:06d}.tif", folder / f"{number:06d}.png")
             number += 1
-            outside += how.share_outside(counts)
+            outside += how.shares_outside(counts)
             report_share(number / max(declared, number))
             whole, image = reader.read()
         assert writer is not None
@@ -260,7 +292,7 @@ def _video(
         _refuse_cut(part, number)
         if number < declared - max(1.0, _MISSING_FRAMES * declared):
             raise UnreadableError(f"{source} breaks off after {number} of {declared} frames; give the whole video")
-    return {"shape": list(counts.shape), "frames": number, "rate_hz": rate_hz, "share_outside_0_1": outside / number}
+    return {"shape": list(counts.shape), "frames": number, "rate_hz": rate_hz, **_shares(outside / number)}
 
 
 def _refuse_cut(path: Path, frames: int) -> None:

@@ -83,6 +83,10 @@ def prepare(
         )  # fmt: skip
     for name, reason in made["left_out"].items():
         typer.echo(f"left out: {name}: {reason}", err=True)
+    if made["turned"]:
+        typer.echo(f"warning: visible and thermal picture of {made['turned']} pairs state different orientations "
+                   "(EXIF); each is turned as its own tag says, as viewers do: look at a pair, and set the tag to 1 "
+                   "with `exiftool -n -Orientation=1` where the stored pixels fit", err=True)  # fmt: skip
     if made["grey"]:
         typer.echo(f"warning: {made['grey']} of {made['pairs']} visible pictures are grey, so that fits are "
                    "rank-deficient: train with --set penalty=1e-6, or take pictures in colour", err=True)  # fmt: skip
@@ -335,8 +339,8 @@ def translate(
         chosen = load_model(model, limits)
         summary = run(chosen, images, output, texel_m, palette, frames, resume, report)
         seen = search_in_files(chosen, images, lambda share: report("audit", share)) if audit else None
-    if summary["warning"]:
-        typer.echo(f"warning: {summary['warning']}", err=True)
+    for sentence in summary["warnings"]:
+        typer.echo(f"warning: {sentence}", err=True)
     if seen is not None:
         typer.echo(seen.line)
     for sentence in summary["failed"].values():

@@ -82,9 +82,9 @@ class Encoding:
                 found[number] = (self.base.of_values(values, multiplied) - self.offset) / self.scale
         return found
 
-    def at_range(self, inputs: Inputs, texel_range_m: tuple[float, float]) -> Inputs:
+    def at_range(self, inputs: Inputs, texel_range_m: tuple[float, float] | None) -> Inputs:
         """Return Inputs resampled to the nearest ground sampling distance of the training."""
-        if inputs.texel_m is None:
+        if inputs.texel_m is None or texel_range_m is None:
             return inputs
         return at_texel(inputs, float(np.clip(inputs.texel_m, *texel_range_m)))
 

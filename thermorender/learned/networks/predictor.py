@@ -35,8 +35,9 @@ class Network:
     method: str  # Name of the recipe
     width: int
     encoding: Encoding
-    # Finest and coarsest ground sampling distance it was trained at; others are resampled to the nearest [m]
-    texel_range_m: tuple[float, float]
+    # Finest and coarsest ground sampling distance it was trained at; others are resampled to the nearest [m]. None:
+    # unknown
+    texel_range_m: tuple[float, float] | None
     state: dict[str, np.ndarray]  # Its weights
     above_air: bool  # Whether it predicts kelvin above the air instead of intensity
     # Apply it as pix2pix was: the state of the last epoch, with the statistics of each square and dropout, drawn from
@@ -71,7 +72,7 @@ class Network:
         net = net.to(device(), memory_format=torch.channels_last)  # type: ignore[call-overload]  # of PyTorch's stubs
         return net.requires_grad_(False).train(self.published)
 
-    def predict(self, inputs: Inputs, texel_m: float) -> np.ndarray:
+    def predict(self, inputs: Inputs, texel_m: float | None) -> np.ndarray:
         """Return intensity or kelvin above the air, (h, w) float64."""
         return self.with_spread(inputs)[0]
 
@@ -143,14 +144,17 @@ class Network:
             raise ValueError("it is of an unknown method or width")
         if not 1 <= header["width"] <= MOST_WIDTH or not all(type(header[name]) is bool for name in _FLAGS):
             raise ValueError("it is of an unknown method or width, or its flags are neither true nor false")
-        encoding, (finest, coarsest) = Encoding.of(header["encoding"], arrays), map(float, header["texel_range_m"])
-        if not 0.0 < finest <= coarsest < np.inf:
-            raise ValueError("its range of ground sampling distances does not rise from above 0")
+        encoding, sampling = Encoding.of(header["encoding"], arrays), header["texel_range_m"]
+        if sampling is not None:
+            finest, coarsest = map(float, sampling)
+            if not 0.0 < finest <= coarsest < np.inf:
+                raise ValueError("its range of ground sampling distances does not rise from above 0")
+            sampling = finest, coarsest
         if header["above_air"] and "air_k" not in encoding.extra.conditions:
             raise ValueError("it does not take the air's temperature as input")
         own = encoding.arrays()
         _refuse_unusable(arrays)
-        found = cls(method, header["width"], encoding, (finest, coarsest),
+        found = cls(method, header["width"], encoding, sampling,
                     {name: values for name, values in arrays.items() if name not in own}, header["above_air"],
                     header["published"], architecture=header.get("architecture"),
                     steps={name: step for name, _, _, step in table})  # fmt: skip
