@@ -2,10 +2,10 @@
 
 import io
 import json
+import os
 from collections.abc import Callable
 from dataclasses import asdict
 from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -100,7 +100,7 @@ def read_exr(path: str | PathLike[str]) -> tuple[dict[str, NDArray[Any]], dict[s
     """
     import OpenEXR  # type: ignore[import-not-found, unused-ignore]
 
-    if not Path(path).is_file():
+    if not os.path.isfile(path):
         raise ThermorenderError(f"{path} does not exist; give an EXR file written by thermorender")
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:

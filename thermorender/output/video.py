@@ -1,5 +1,6 @@
 """Videos: display images as MP4."""
 
+import os
 import subprocess
 import tempfile
 from collections.abc import Sequence
@@ -105,7 +106,7 @@ def _display(path: Path, shape: tuple[int, ...] | None = None) -> NDArray[np.uin
     """A display image, (H, W) or (H, W, 3) RGB uint8; a damaged one or one of another shape is refused."""
     import cv2
 
-    image = decoded(Path(path).read_bytes(), cv2.IMREAD_UNCHANGED) if Path(path).is_file() else None
+    image = decoded(Path(path).read_bytes(), cv2.IMREAD_UNCHANGED) if os.path.isfile(path) else None
     if image is None or shape not in (None, image.shape):
         raise ThermorenderError(f"{path} is damaged; remove it and continue with resume")
     return np.ascontiguousarray(image if image.ndim == 2 else image[..., ::-1])

@@ -1,5 +1,6 @@
 """Arguments of edits (a number, a word, a path or some keys) converted to declarations of a scene."""
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from numbers import Real
@@ -66,7 +67,7 @@ def checked_spec(spec: _Spec, name: str, folder: Path, given: Iterable[str] = ()
             continue
         found[item.name] = value
         if isinstance(value, PathLike):
-            if not Path(value).is_file():
+            if not os.path.isfile(value):
                 raise where.error(f"{item.name}={str(value)!r} does not exist; give a file")
         elif is_dataclass(value):
             read[item.name] = checked_spec(value, f"{name}: {item.name}", folder)
@@ -208,7 +209,7 @@ def surface_temperatures(spec: SceneSpec, given: Mapping[str, Any]) -> SceneSpec
         what = f"with_temperature: {name}"
         if isinstance(value, (str, PathLike)) and not isinstance(with_unit(value), Stated):
             found: float | Path = Path(value)
-            if not Path(value).is_file():
+            if not os.path.isfile(value):
                 raise ThermorenderError(f"{what}={str(value)!r} does not exist; give kelvin, or a raster of kelvin")
         else:
             found = scene_kelvin(what, number_of(what, with_unit(value)))

@@ -1,5 +1,6 @@
 """A scene folder read into a Scene, and flight logs read over it."""
 
+import os
 from collections.abc import Iterable, Sequence
 from os import PathLike
 from pathlib import Path
@@ -26,13 +27,13 @@ def scene_folder(name: str | PathLike[str]) -> Path:
         Neither exists; the message lists the shipped scenes.
     """
     path = Path(name)
-    if (path / "scene.toml").is_file() or path.name == "scene.toml":
+    if os.path.isfile(path / "scene.toml") or path.name == "scene.toml":
         return path
     shipped = data_folder("scenes")
-    if (shipped / str(name) / "scene.toml").is_file() and len(Path(name).parts) == 1:
+    if os.path.isfile(shipped / str(name) / "scene.toml") and len(Path(name).parts) == 1:
         return shipped / str(name)
     known = ", ".join(sorted(item.parent.name for item in shipped.glob("*/scene.toml")))
-    what = "holds no scene.toml" if path.is_dir() else "is a file" if path.exists() else "does not exist"
+    what = "holds no scene.toml" if os.path.isdir(path) else "is a file" if os.path.exists(path) else "does not exist"
     raise ThermorenderError(f"scene {str(name)!r} {what}; give a folder with a scene.toml or one of {known}")
 
 

@@ -65,7 +65,7 @@ def opened(path: Path | str) -> Iterator[Any]:
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
-    if not Path(path).is_file():
+    if not os.path.isfile(path):
         what = "is a folder or a special file" if Path(path).exists() else "does not exist"
         raise ThermorenderError(f"{path} {what}; give a raster file such as a GeoTIFF")
     driver = FORMATS.get(Path(path).suffix.lower())

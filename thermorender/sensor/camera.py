@@ -5,6 +5,7 @@ coordinates are in pixels from the upper left corner of the image, so pixel (row
 [j, j+1] × [i, i+1] and its centre is (j + ½, i + ½).
 """
 
+import os
 from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike
@@ -358,7 +359,7 @@ def camera_names() -> list[str]:
 def model_path(name: str | PathLike[str], where: str = "camera model") -> Path:
     """Return the TOML file of a shipped model, or the path itself if it ends in .toml."""
     path = Path(name) if str(name).endswith(".toml") else Path(__file__).parent / "cameras" / f"{name}.toml"
-    if not path.is_file():
+    if not os.path.isfile(path):
         known = ", ".join(camera_names())
         raise ThermorenderError(f"{where} {str(name)!r} is unknown; give one of {known} or a .toml file")
     return path

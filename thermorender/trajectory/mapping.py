@@ -3,6 +3,7 @@
 A mapping names the log's column for each of ours, the notation of time, and the axes of the quaternion.
 """
 
+import os
 from collections.abc import Iterable
 from dataclasses import dataclass, field, make_dataclass
 from importlib.resources import files
@@ -132,7 +133,7 @@ def load_mapping(name: str | PathLike[str] | None) -> Mapping:
         return Mapping()
     if str(name) in bundled_formats():
         file = files("thermorender.trajectory") / "formats" / f"{name}.toml"
-    elif Path(name).is_file():
+    elif os.path.isfile(name):
         file = Path(name)
     else:
         raise ThermorenderError(

@@ -1,5 +1,6 @@
 """Where the workers are: local processes, a scheduler by its address, or a Dask configuration that names one."""
 
+import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -32,7 +33,7 @@ def parse_cluster(text: str) -> Address:
         return Address(local=int(match[1]))
     if re.fullmatch(r"(tcp|tls)://[^/\s]+:\d+", text):
         return Address(scheduler=text)
-    if Path(text).is_file():
+    if os.path.isfile(text):
         return Address(config=Path(text))
     raise ThermorenderError(
         f"cluster={text!r} is not allowed; give local:N with a number of processes, the address of a scheduler such "

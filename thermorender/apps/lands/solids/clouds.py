@@ -1,5 +1,6 @@
 """Rasters of a point cloud in a LAS or LAZ file: the highest surface, and the ground and buildings of its classes."""
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -52,7 +53,7 @@ def read_cloud(path: Path) -> Cloud:
         raise ThermorenderError(
             f"{path} needs laspy, which is not installed; run `pip install 'thermorender[clouds]'`"
         ) from None
-    if not Path(path).is_file():
+    if not os.path.isfile(path):
         raise ThermorenderError(f"{path} does not exist; give a LAS or LAZ file")
     with _named(path):
         file = laspy.open(str(path))
