@@ -1,4 +1,4 @@
-"""The exception for a mistake in the user's input."""
+"""The exception for a mistake in the user's input, and the warning of an effect that may surprise."""
 
 
 class ThermorenderError(ValueError):
@@ -11,6 +11,10 @@ class ThermorenderError(ValueError):
 
     def __init__(self, message: object = "") -> None:
         super().__init__("".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in str(message)))
+
+
+class ThermorenderWarning(UserWarning):
+    """A call did what it was asked for, with an effect that its user may not expect."""
 
 
 def shortened(text: str, length: int = 160) -> str:

@@ -20,7 +20,7 @@ import thermorender as tr
 from scenes import coarse, write_balance, write_mesh, write_terrain
 from thermorender.apps.compare.comparison import Options, compare
 from thermorender.apps.compare.view import Flight
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, ThermorenderWarning
 from thermorender.materials.library import load_library
 from thermorender.materials.mixture import mix
 from thermorender.output.day import _largest, day, instant_of, solar_midnight
@@ -559,7 +559,7 @@ def test_verbs_accept_an_instant(tmp_path, call, simulations):
 def test_a_warning_for_an_hour_that_changes_nothing(tmp_path, call):
     folder = write_terrain(tmp_path / "tiny", extra=DAY)
     status, _, errors = call("plan", folder, "--time", "2018-07-28T18:00Z")
-    assert status == 0 and "note: temperatures of source 'raster' do not change with --time" in errors
+    assert status == 0 and "note: temperatures of source 'raster' do not change with time" in errors
 
 
 @pytest.mark.slow
@@ -569,3 +569,13 @@ def test_a_balance_is_the_truth_of_a_comparison_without_a_raster(scene, path, tm
     (record,) = found["scenes"]
     assert record["time"] == "2018-07-28T14:30:00Z" and record["weather"]["source"] == "named day"
     assert found["methods"]["C1 fok-1to1"]["errors"]["radiometric"]["ground"]["pixels"] > 0
+
+
+def test_an_edit_of_the_weather_warns_where_temperatures_do_not_follow_it(tmp_path):
+    """Python says what the command line says, at the line of the call."""
+    fixed = tr.load_scene(write_terrain(tmp_path / "s", extra=DAY))
+    with pytest.warns(ThermorenderWarning, match="source 'raster' do not change with time") as found:
+        fixed.at("2018-07-28T03:00Z")
+    assert found[0].filename == __file__
+    with pytest.warns(ThermorenderWarning, match="do not change with the weather"):
+        fixed.with_weather(wind_m_s=9.0)

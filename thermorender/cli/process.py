@@ -3,12 +3,13 @@
 import io
 import signal
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 import typer
 
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, ThermorenderWarning
 
 # The exception of typer for a wrong command line; depending on the version, typer's or click's.
 UsageError: Any = typer.BadParameter.__base__
@@ -23,6 +24,15 @@ def run(app: typer.Typer, without_arguments: Sequence[str] = ("--help",)) -> NoR
         # A terminal without a letter such as µ shows a question mark.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
+    shown = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        if issubclass(category, ThermorenderWarning):
+            typer.echo(f"note: {message}", err=True)
+        else:
+            shown(message, category, *where, **more)
+
+    warnings.showwarning = show
     end_on_signals(lambda number, _: sys.exit(128 + number))
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     odd = next((text for text in arguments if not _is_unicode(text)), None)

@@ -60,11 +60,7 @@ def at_time(
         scene = scene.with_temperature(temperature)
     if time is None:
         return scene
-    scene = scene.at(read(scene, time))
-    if not scene.temperature_state.weather_driven:
-        source = scene.spec.temperature.source
-        typer.echo(f"note: temperatures of source {source!r} do not change with --time", err=True)
-    return scene
+    return scene.at(read(scene, time))
 
 
 def table(header: Sequence[object], rows: Iterable[Sequence[object]]) -> None:

@@ -5,8 +5,10 @@ order. Two edits of the same thing are the exception, and the last one counts: `
 `with_weather(time=…)`, an edit and itself.
 """
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from datetime import datetime
 from functools import cached_property
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Generic, NoReturn, TypeVar, overload
@@ -15,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermorender.atmosphere.model import Atmosphere
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, ThermorenderWarning
 from thermorender.learned.temperature_map import TemperatureMap
 from thermorender.materials.material import Material
 from thermorender.scene import stages, text
@@ -416,7 +418,7 @@ class Scene:
             sun = read(SunSpec, angles, Where("with_sun"))
         return self._edited(replace(now, spec=replace(now.spec, sun=sun)))
 
-    def at(self, time: "str | np.datetime64") -> "Scene":
+    def at(self, time: "str | datetime | np.datetime64") -> "Scene":
         """Return this scene at another instant; temperatures that follow the weather become pending.
 
         A truth raster is of the scene's own instant and left out at any other.
@@ -446,6 +448,7 @@ class Scene:
                 f"{now.spec.temperature.model!r}, which does not state the instant and weather of "
                 "its training; add [temperature.trained] with the keys of [weather], or leave the time out"
             )
+        self._warn_of_fixed_temperatures("time")
         return self._edited(now.under(replace(now.spec.weather, time=asked), now.given_weather))
 
     def with_weather(self, weather: Any = None, **keys: Any) -> "Scene":
@@ -469,7 +472,15 @@ class Scene:
         if weather is None and not keys:
             raise ThermorenderError("with_weather was given nothing; give a WeatherSpec, a Weather or keys to change")
         spec, series = weather_argument(weather, keys, now)
+        self._warn_of_fixed_temperatures("the weather")
         return self._edited(now.under(spec, series))
+
+    def _warn_of_fixed_temperatures(self, what: str) -> None:
+        if not self.temperature_state.weather_driven:
+            warnings.warn(
+                f"temperatures of source {self.spec.temperature.source!r} do not change with {what}",
+                ThermorenderWarning, stacklevel=3,
+            )  # fmt: skip
 
     def with_temperature(
         self,
