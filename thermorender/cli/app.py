@@ -19,8 +19,20 @@ app = typer.Typer(
 
 
 @app.callback()
-def _options(debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False) -> None:
+def _options(
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=lambda wanted: wanted and _version(), help="Show it.")
+    ] = False,
+) -> None:
     """Accept options before the verb; `process.run` reads --debug."""
+
+
+def _version() -> None:
+    from thermorender.versions import version_of
+
+    typer.echo(f"thermorender {version_of('thermorender')}")
+    raise typer.Exit
 
 
 def main() -> None:

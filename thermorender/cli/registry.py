@@ -18,9 +18,11 @@ from thermorender.errors import ThermorenderError
 
 # Verb → "module:function" within `thermorender.cli`; a function's docstring is its help.
 CORE = {
-    "render": "render:render", "fly": "render:fly", "day": "render:day", "plan": "scenes:plan",
+    "plan": "scenes:plan", "render": "render:render", "fly": "render:fly", "day": "render:day",
     "map-materials": "scenes:map_materials", "doctor": "doctor:doctor",
 }  # fmt: skip
+# Place of the core's verbs in the help; that of an application is its own `RANK`.
+_RANK = 20
 
 
 @cache
@@ -31,13 +33,15 @@ def applications() -> tuple[ModuleType, ...]:
 
 @cache
 def verbs() -> dict[str, str]:
-    """Verb → "package.module:name", in alphabetical order."""
-    found = {name: f"thermorender.cli.{place}" for name, place in CORE.items()}
-    for application in applications():
-        for name, place in getattr(application, "VERBS", {}).items():
+    """Verb → "package.module:name", in the order of the work: by the `RANK` of who registers them."""
+    parts = [(_RANK, "thermorender.cli", CORE)]
+    parts += [(each.RANK, each.__name__, each.VERBS) for each in applications() if hasattr(each, "VERBS")]
+    found: dict[str, str] = {}
+    for _, package, named in sorted(parts, key=lambda part: part[0]):
+        for name, place in named.items():
             assert name not in found, f"two parts register the verb {name}"
-            found[name] = f"{application.__name__}.{place}"
-    return dict(sorted(found.items()))
+            found[name] = f"{package}.{place}"
+    return found
 
 
 @cache

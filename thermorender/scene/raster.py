@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -88,10 +88,16 @@ def opened(path: Path | str) -> Iterator[Any]:
                         f"{path} holds {len(dataset.subdatasets)} rasters ({_listed(dataset.subdatasets)}); copy "
                         f"one to its own file, for example with `rio convert '{dataset.subdatasets[0]}' OUT.tif`"
                     )
+                # A warning of GDAL, such as on a private tag that it skips, is raised by the next call.
+                with suppress(Exception):
+                    _ = dataset.colorinterp
                 yield dataset
     except UnicodeEncodeError:
         raise ThermorenderError(f"{path}: this name is not valid Unicode, which GDAL needs; rename it") from None
-    except (RasterioError, UnicodeDecodeError) as error:
+    except Exception as error:
+        # GDAL's own errors are no RasterioError, and their class is private.
+        if not (isinstance(error, (RasterioError, UnicodeDecodeError)) or type(error).__module__ == "rasterio._err"):
+            raise
         # The cause of a failed read, GDAL's own error, says where it failed.
         reason = error.__cause__ or error
         raise ThermorenderError(

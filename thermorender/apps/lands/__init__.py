@@ -1,3 +1,4 @@
 """Scenes made here: procedural lands from a seed, and imports of elevation models, orthophotos and outlines."""
 
-VERBS = {"make-scene": "verbs:make_scene", "import-terrain": "verbs:import_terrain"}
+RANK = 10
+VERBS = {"import-terrain": "verbs:import_terrain", "make-scene": "verbs:make_scene"}

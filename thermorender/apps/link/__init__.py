@@ -15,4 +15,5 @@ from thermorender.apps.link.wire import DEFAULT_PORT, Code, LinkError, Product
 
 __all__ = ["DEFAULT_PORT", "Client", "Code", "LinkError", "Opened", "Product", "Reply", "Session", "connect"]
 
+RANK = 50
 VERBS = {"serve": "verbs:serve"}

@@ -104,7 +104,8 @@ def city_model(
     copies: bool = False,
 ) -> CityModel:  # fmt: skip
     """Return the CityModel of a surface model (h, w) [m above the ellipsoid], NaN where missing. Without `ground`, a
-    terrain model on the same grid, or `known` outlines of buildings, both are found from heights; `picture` is an
+    terrain model on the same grid, or `known` outlines of buildings, both are found from heights. In posts of 1.2 m or
+    less, buildings that `known` lacks are found from heights, too. `picture` is an
     orthophoto (rgb, valid, Grid), and `ground_colour` sRGB without one.
     """
     if known is None and post_m > _FINE_M:
@@ -116,8 +117,15 @@ def city_model(
     green = detection.is_green(*picture, grid) if picture else None
     bare = (detection.ground_below(height, post_m, green) if ground is None
             else detection.ground_given(ground, height, post_m, green))  # fmt: skip
-    outlines = (detection.outlines_by_height(height, bare, post_m, green) if known is None
-                else without_courtyards(known, height, bare, post_m))  # fmt: skip
+    unstated: list[detection.Outline] = []
+    if known is None:
+        outlines = detection.outlines_by_height(height, bare, post_m, green)
+    else:
+        outlines = without_courtyards(known, height, bare, post_m)
+        if post_m <= _FINE_M:
+            # Maps are incomplete: a roof that nobody has drawn is no tree.
+            unstated = detection.outlines_by_height(height, bare, post_m, green, detection.inside(known, grid))
+            outlines = [*outlines, *unstated]
     body = detection.inside(outlines, grid)
     frame = terrain.frame_of(bare, grid)
     at, draw = _Local(grid, frame), np.random.default_rng(seed)
@@ -125,7 +133,16 @@ def city_model(
     tree_cells = _dilated(body, max(1, round(1.0 / post_m)))
     crowns = detection.trees_in(height - bare, tree_cells, post_m)
     trees = [tree for tree in crowns if tree.height_m <= _TALLEST_M]
-    notes = (f"{len(crowns) - len(trees)} peaks more than {_TALLEST_M:.0f} m above the ground are not trees: left out",)
+    notes = []
+    if len(trees) < len(crowns):
+        notes.append(
+            f"{len(crowns) - len(trees)} peaks more than {_TALLEST_M:.0f} m above the ground are not trees: left out"
+        )
+    if unstated:
+        notes.append(
+            f"{len(unstated)} smooth, high parts outside of all outlines are taken as buildings, with walls of the "
+            "usual kind"
+        )
     covered = np.isfinite(height) & (height - bare > detection.LEAST_M)
     meshes = [_ground(bare, grid, frame, texels, picture, covered, ground_colour)]
     high = [each for each in outlines if _stands(each, height, bare, post_m)]
@@ -150,7 +167,7 @@ def city_model(
             meshes.append(_plants(*of_trees))
     buildings = len({high[k].building for k in built})
     return CityModel(tuple(meshes), names, frame, buildings, flat, len(trees), stated, unmatched, typical,
-                    notes if len(trees) < len(crowns) else ())  # fmt: skip
+                    tuple(notes))  # fmt: skip
 
 
 def _all_walls(

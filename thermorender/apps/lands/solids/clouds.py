@@ -1,6 +1,7 @@
 """Rasters of a point cloud in a LAS or LAZ file: the highest surface, and the ground and buildings of its classes."""
 
 import os
+import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -55,10 +56,45 @@ def read_cloud(path: Path) -> Cloud:
         ) from None
     if not os.path.isfile(path):
         raise ThermorenderError(f"{path} does not exist; give a LAS or LAZ file")
+    _check_counts(path)
     with _named(path):
         file = laspy.open(str(path))
     with file:
         return _rasters(path, file)
+
+
+def _check_counts(path: Path) -> None:
+    """Refuse a file that is too short for the records that it counts: a library would read on or reserve memory.
+
+    The public header block, variable length records of 54 bytes at least, extended ones of 60, and the table of chunks
+    of LAZ: ASPRS, LAS Specification 1.4-R15, tables 3, 5 and 6.
+    """
+    size = path.stat().st_size
+    with open(path, "rb") as file:
+        head = file.read(375)
+        if len(head) < 227 or head[:4] != b"LASF":
+            return  # the library refuses it
+        header_size, points_at, records = struct.unpack_from("<HII", head, 94)
+        counted = [(records, 54, points_at - header_size)]
+        if len(head) == 375 and head[25] >= 4:
+            begin, extended = struct.unpack_from("<QI", head, 235)
+            counted.append((extended, 60, size - begin if extended else 0))
+        if head[104] & 0x80 and size >= points_at + 8:
+            # LAZ: the point data begin with the place of the table of chunks; -1 where it is in the last bytes.
+            file.seek(points_at)
+            (table,) = struct.unpack("<q", file.read(8))
+            if table == -1:
+                file.seek(-8, os.SEEK_END)
+                (table,) = struct.unpack("<q", file.read(8))
+            if 0 <= table <= size - 8:
+                file.seek(table + 4)
+                (chunks,) = struct.unpack("<I", file.read(4))
+                # A chunk has one byte of points at least.
+                counted.append((chunks, 1, size - points_at))
+    if any(number * least > max(room, 0) for number, least, room in counted):
+        raise ThermorenderError(
+            f"{path} counts more records than it has bytes for; it is damaged, so copy it again or give another file"
+        )
 
 
 @contextmanager

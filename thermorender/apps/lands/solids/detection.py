@@ -173,10 +173,20 @@ def area_of(ring: Ring) -> float:
 
 
 def outlines_by_height(
-    height: NDArray[np.float64], ground: NDArray[np.float64], post_m: float, green: NDArray[np.bool_] | None = None
-) -> list[Outline]:
-    """Return the Outlines of buildings: high and smooth parts of the surface model that are not `green`, (h, w)."""
-    return outlines_of(_high_and_smooth(height, ground, post_m, green))
+    height: NDArray[np.float64], ground: NDArray[np.float64], post_m: float, green: NDArray[np.bool_] | None = None,
+    stated: NDArray[np.bool_] | None = None,
+) -> list[Outline]:  # fmt: skip
+    """Return the Outlines of buildings: high and smooth parts of the surface model that are not `green`, (h, w).
+
+    Parts that meet a `stated` building, (h, w), are left out.
+    """
+    found = _high_and_smooth(height, ground, post_m, green)
+    if stated is not None:
+        from scipy.ndimage import label
+
+        parts, _ = label(found, np.ones((3, 3)))
+        found &= ~np.isin(parts, np.unique(parts[stated & found]))
+    return outlines_of(found)
 
 
 def is_green(rgb: NDArray[np.uint8], valid: NDArray[np.bool_], texels: Grid, grid: Grid) -> NDArray[np.bool_]:

@@ -19,6 +19,9 @@ from thermorender.scene.patch import pixels_of, read_features
 from thermorender.scene.raster import Grid, grid_of, onto, read_classes
 
 _KEYS = ("building", "building:part")
+# Main tags of OpenStreetMap that a map of an area has.
+_MAIN = {*_KEYS, "landuse", "natural", "leisure", "highway", "amenity", "waterway", "water", "landcover", "surface",
+         "barrier", "railway", "man_made"}  # fmt: skip
 # Values of these tags without a building that stands.
 _NONE = ("no", "false", "0", "entrance", "proposed", "planned", "demolished", "razed", "removed")
 # Tags of a building or part that begins above the ground, and values of `building` without walls.
@@ -36,8 +39,11 @@ def outlines_in(path: Path, grid: Grid) -> tuple[list[Outline], tuple[str, ...]]
     features, crs = read_features(path)
     found: list[Outline] = []
     left_out: Counter[str] = Counter()
-    for number, feature in enumerate(features, 1):
-        geometry, tags = tagged(feature, path, number)
+    all_tags = [tagged(feature, path, number) for number, feature in enumerate(features, 1)]
+    # Footprints from pictures, such as those of Microsoft and Google, have no tags: all polygons are buildings.
+    plain = not any(_MAIN & tags.keys() for _, tags in all_tags)
+    for number, (geometry, tags) in enumerate(all_tags, 1):
+        tags = {"building": "yes"} if plain else tags
         where = f"{path}, feature {number}"
         shapes = list(_polygons(geometry, where))
         if not is_building(tags):
@@ -64,7 +70,8 @@ def outlines_in(path: Path, grid: Grid) -> tuple[list[Outline], tuple[str, ...]]
             "give one of this area whose buildings have a property building=yes, or leave known out so that buildings "
             "are found by height"
         )
-    notes = [f"{path.name}: {len(found)} outlines of buildings; left out: {counted(left_out)}"] if left_out else []
+    notes = [f"{path.name}: no feature has a tag of OpenStreetMap, so all polygons are buildings"] if plain else []
+    notes += [f"{path.name}: {len(found)} outlines of buildings; left out: {counted(left_out)}"] if left_out else []
     for what, count in (
         ("begin above the ground by their tags, and their walls reach down to it", sum(map(_lifted, found))),
         ("are roofs without walls by their tags, and have walls", sum(e.tags.get("building") in _OPEN for e in found)),

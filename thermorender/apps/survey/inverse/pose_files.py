@@ -100,8 +100,8 @@ def _metashape(path: Path, text: str, scene: Scene) -> dict[str, Place]:
     first, _, rest = text.partition("\n")
     lines = rest.splitlines()
     crs = _system(path, first)
-    head = next((line[1:].split(",") for line in lines if line.startswith("#Label")), [])
-    names = next((kind for kind in _METASHAPE_COLUMNS if all(name in head for name in kind)), None)
+    head = next(([name.strip() for name in line[1:].split(",")] for line in lines if line.startswith("#Label")), [])
+    names = next((kind for kind in _METASHAPE_COLUMNS if all(name in head for name in ("Label", *kind))), None)
     if names is None:
         raise ThermorenderError(
             f"{path} has the columns {', '.join(head) or 'none'}, not a label with positions and the angles yaw, "
@@ -133,7 +133,7 @@ def _system(path: Path, line: str) -> Any:
 
     try:
         # The code at the end is that of the whole system; Metashape's own wording of some projections is not read.
-        code = re.search(r'AUTHORITY\["EPSG","(\d+)"\]\]\s*$', line)
+        code = re.search(r'AUTHORITY\["EPSG","(\d{1,9})"\]\]\s*$', line)
         crs = CRS.from_epsg(int(code[1])) if code else CRS.from_wkt(line[len(_METASHAPE) :].strip())
     except CRSError:
         raise ThermorenderError(
@@ -155,7 +155,7 @@ def _check_system(path: Path, crs: Any) -> None:
         fault = "is neither geographic nor projected"
     elif crs.is_projected and abs(crs.linear_units_factor[1] - 1.0) > 1e-9:
         fault = f"counts in {crs.linear_units_factor[0]}, not in metres"
-    elif "VERT_" in crs.to_wkt(version="WKT1_GDAL"):
+    elif "VERTCRS[" in crs.to_wkt(version="WKT2_2019"):
         fault = "has heights above sea level or another vertical datum"
     if fault:
         raise ThermorenderError(
