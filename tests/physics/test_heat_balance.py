@@ -28,7 +28,7 @@ def ground(layers, **changed):
     own |= changed
     if own.get("water"):
         own.setdefault("room", [(balance.RETENTION if own["melting"] else 1.0) * water for water in own["water"]])
-    return balance.Ground(**own)
+    return balance.ColumnProperties(**own)
 
 
 def forcing(**changed):
@@ -541,7 +541,7 @@ def test_newton_converges_from_far_away(monkeypatch):
     kind = rng.integers(0, len(kinds), many)
     pick = lambda name: list(np.array([getattr(each, name) for each in kinds])[kind].T)  # noqa: E731
     rough, air = 10.0 ** rng.uniform(-4.0, -0.3, many), rng.uniform(233.0, 323.0, many)
-    column = balance.Ground(
+    column = balance.ColumnProperties(
         emissivity=rng.choice([1e-3, 0.5, 0.95, 1.0], many), log_wind=np.log(2.0 / rough),
         log_heat=np.log(2.0 / rough) + rng.uniform(0.0, 7.0, many), height_m=2.0,
         resistance=10.0 ** rng.uniform(0.0, 4.0, many), wetness=rng.uniform(0.0, 1.0, many), open_water=0.0, leaves=0.0,

@@ -396,7 +396,7 @@ def heat(steps):
         room.append(layered(slabs, skin, film).water)
     of = lambda name: list(np.array([getattr(cut, name) for cut in cuts]).T)  # noqa: E731
     rough = 0.5 * 10.0 ** rng.uniform(-4.0, 0.0, count)
-    ground = balance.Ground(
+    ground = balance.ColumnProperties(
         emissivity=rng.choice([1e-3, 0.1, 0.5, 0.95, 1.0], count), log_wind=np.log(10.0 / rough),
         log_heat=np.log(2.0 / rough) + rng.uniform(1.0, 7.0, count), height_m=2.0,
         resistance=10.0 ** rng.uniform(0.0, 4.0, count), wetness=rng.uniform(0.01, 1.0, count),

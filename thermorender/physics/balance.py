@@ -24,7 +24,7 @@ RETENTION = 0.05
 _ENDLESS = 1e9  # kg m⁻²
 
 
-class Ground(NamedTuple):
+class ColumnProperties(NamedTuple):
     """Properties of the columns: arrays over the columns, or lists of them over the layers."""
 
     emissivity: Any  # Broadband hemispherical [1]
@@ -88,7 +88,7 @@ class Fluxes(NamedTuple):
     molten: Any  # Melted minus frozen water of the layers [kg m⁻² s⁻¹]
 
 
-def at_rest(xp: Any, temperatures_k: list[Any], ground: Ground) -> State:
+def at_rest(xp: Any, temperatures_k: list[Any], ground: ColumnProperties) -> State:
     """Return the initial State of dry columns of layer temperatures [K]; snow and layers below 0 °C are frozen."""
     liquid = None
     if ground.water is not None and ground.room is not None:
@@ -99,14 +99,16 @@ def at_rest(xp: Any, temperatures_k: list[Any], ground: Ground) -> State:
     return State(temperatures_k[0], list(temperatures_k), 0.0 * temperatures_k[0], liquid)
 
 
-def seen_k(state: State, ground: Ground) -> Any:
+def seen_k(state: State, ground: ColumnProperties) -> Any:
     """Return the radiative temperature of the columns [K], of the surface and of the first layer in its gaps."""
     if ground.gap is None:
         return state.surface_k
     return ((1.0 - ground.gap) * state.surface_k**4 + ground.gap * state.layers_k[0] ** 4) ** 0.25
 
 
-def step(xp: Any, state: State, ground: Ground, first: Forcing, second: Forcing, seconds: Any) -> tuple[State, Fluxes]:
+def step(
+    xp: Any, state: State, ground: ColumnProperties, first: Forcing, second: Forcing, seconds: Any
+) -> tuple[State, Fluxes]:
     """Return (State, Fluxes) after `seconds`; `first` and `second` are the Forcing at the step's `stage_times`."""
     stage = _GAMMA * seconds
     if state.remainder_k is None:
@@ -143,8 +145,9 @@ def _warmed(kelvin: Any, remainder: Any, change: Any) -> tuple[Any, Any]:
 
 
 def _stage(
-    xp: Any, state: State, sources: list[Any] | None, guess: Any, ground: Ground, forcing: Forcing, seconds: Any
-) -> tuple[Any, list[Any], tuple[Any, ...]]:
+    xp: Any, state: State, sources: list[Any] | None, guess: Any, ground: ColumnProperties, forcing: Forcing,
+    seconds: Any,
+) -> tuple[Any, list[Any], tuple[Any, ...]]:  # fmt: skip
     """(surface [K], changes of the layers [K], Fluxes without `molten`) after one implicit stage.
 
     `sources` is heat that the layers gain beside conduction and sunlight [W m⁻²]; `guess` starts Newton's method [K].

@@ -14,7 +14,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import parts_of
 from thermorender.physics import balance, exchange
-from thermorender.physics.balance import Forcing, Ground, State
+from thermorender.physics.balance import ColumnProperties, Forcing, State
 from thermorender.physics.conduction import LAYERS, Slab, layered
 from thermorender.units import ZERO_CELSIUS_K, utc_text
 from thermorender.weather.series import Conditions, Weather
@@ -61,7 +61,7 @@ _DAY = np.timedelta64(86400, "s")
 class Columns:
     """Columns of some materials under a weather."""
 
-    ground: Ground  # Arrays (M,), and lists of L arrays (M,)
+    ground: ColumnProperties  # Arrays (M,), and lists of L arrays (M,)
     absorptance: NDArray[np.float64]  # (M,) float64 of sunlight
     wind_factor: NDArray[np.float64]  # (M,) wind over the material as a share of the station's
     # (M,) bool whether indoor air is below; otherwise outdoor air, or air without effect
@@ -81,7 +81,7 @@ def columns(
     """
     made = [_column(material, weather, snow_m, station_roughness_m, layers) for material in materials]
     stacked: dict[str, Any] = {}
-    for name in Ground._fields:
+    for name in ColumnProperties._fields:
         values = np.array([getattr(each[0], name) for each in made], dtype=np.float64)
         stacked[name] = list(values.T) if values.ndim == 2 else values
     # Omit processes that no material has.
@@ -92,13 +92,13 @@ def columns(
     if not np.any(stacked["gap"]):
         stacked["gap"] = None
     rest = zip(*(each[1:] for each in made), strict=True)
-    return Columns(Ground(**stacked), *(np.array(values) for values in rest))
+    return Columns(ColumnProperties(**stacked), *(np.array(values) for values in rest))
 
 
 def _column(
     material: Material, weather: Weather, snow_m: float, station_roughness_m: float | None, layers: int
-) -> tuple[Ground, float, float, bool, NDArray[np.float64], float]:
-    """(Ground of one column, absorptance, factor on the wind, whether indoor air is below, depth of nodes, of snow)."""
+) -> tuple[ColumnProperties, float, float, bool, NDArray[np.float64], float]:
+    """(ColumnProperties, absorptance, factor on the wind, whether indoor air is below, depth of nodes, of snow)."""
     thermal = material.known_thermal()
     chain = thermal.layers
     slabs, snowy = [], []
@@ -149,7 +149,7 @@ def _column(
         share = _LET_IN * (reached[:-1] - reached[1:])
         # The bottom layer absorbs the rest.
         share[-1] += _LET_IN * reached[-1]
-    ground = Ground(
+    ground = ColumnProperties(
         emissivity=broadband(material),
         log_wind=log_wind,
         log_heat=np.log(air_m / rough) + thermal.heat_roughness_ratio,

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
 from thermorender.physics import balance, exchange, humidity
-from thermorender.physics.balance import Forcing, Ground, State
+from thermorender.physics.balance import ColumnProperties, Forcing, State
 from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.physics.srgb import linear_from_bytes
 from thermorender.physics.sun import direction
@@ -112,7 +112,7 @@ class _Columns:
     point: Any  # a little above the face
     normal: Any
     face: Any
-    ground: Ground
+    ground: ColumnProperties
     absorptance: Any
     wind_factor: Any
     indoors: Any
@@ -252,7 +252,7 @@ class _Simulation:
             name: rows(values) if isinstance(values, list) else None if values is None else row(values)
             for name, values in self.columns.ground._asdict().items()
         }
-        ground = Ground(**properties)
+        ground = ColumnProperties(**properties)
         # A face has the deviations of the texel at its middle.
         column = np.concatenate([self.face_texel[: self.faces], texels])
         if self.deviations is not None:
@@ -410,8 +410,8 @@ class _Light:
     surroundings: Any
 
 
-def _varied(ground: Ground, wetness: Jit, exchange: Jit, inertia: Jit) -> Ground:
-    """Ground of columns with wetness, turbulent exchange and thermal inertia multiplied by these factors."""
+def _varied(ground: ColumnProperties, wetness: Jit, exchange: Jit, inertia: Jit) -> ColumnProperties:
+    """ColumnProperties with wetness, turbulent exchange and thermal inertia multiplied by these factors."""
     return ground._replace(
         wetness=dr.minimum(ground.wetness * wetness, 1.0),
         log_heat=ground.log_heat / exchange,
