@@ -12,7 +12,7 @@ import numpy as np
 
 from tests.robustness.cases import Found, case
 from tests.robustness.stepped import DOUBLE, SINGLE, run
-from thermorender.physics import balance, exchange
+from thermorender.physics import balance, turbulence
 from thermorender.physics.conduction import Slab, layered
 from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.units import ZERO_CELSIUS_K
@@ -195,10 +195,10 @@ def _balanced(act, **changed):
     ground = column([layered([Slab(1e-4, 1.0, 2e6)])], **changed)
 
     def surplus(kelvin):
-        density = exchange.air_density(act.pressure_pa, act.air_k)
+        density = turbulence.air_density(act.pressure_pa, act.air_k)
         logs = ground.log_wind, ground.log_heat, ground.height_m
-        h, bend = exchange.convection(np, kelvin, act.air_k, act.wind_m_s, density, *logs)
-        latent, *_ = exchange.evaporation(
+        h, bend = turbulence.convection(np, kelvin, act.air_k, act.wind_m_s, density, *logs)
+        latent, *_ = turbulence.evaporation(
             np, kelvin, act.vapour_pa, act.pressure_pa, h, bend, density, ground.resistance, 0.0,
             kelvin < ZERO_CELSIUS_K,
         )  # fmt: skip

@@ -373,7 +373,7 @@ def network():
 def heat(steps):
     """Surfaces of up to three slabs, 10 µm … 10 m, 0.02 … 400 W m⁻¹ K⁻¹, wet, freezing, under snow, in any weather."""
     from tests.robustness.stepped import DOUBLE, SINGLE, run
-    from thermorender.physics import balance, exchange
+    from thermorender.physics import balance, turbulence
     from thermorender.physics.conduction import Slab, layered
 
     (seconds, number), count, rng = steps, 400, np.random.default_rng(6)
@@ -413,7 +413,7 @@ def heat(steps):
         sun, kelvin = peak * max(0.0, -np.cos(phase)), mean_k - 7.0 * np.cos(phase - 0.5)
         return balance.Forcing(
             absorbed=0.7 * sun, longwave=0.8 * balance.STEFAN_BOLTZMANN * kelvin**4, sunlight=sun, air_k=kelvin,
-            vapour_pa=humidity * exchange.saturation_vapour(np, kelvin)[0], wind_m_s=wind, pressure_pa=9e4,
+            vapour_pa=humidity * turbulence.saturation_vapour(np, kelvin)[0], wind_m_s=wind, pressure_pa=9e4,
             rain_kg_m2_s=1e-4 * (np.sin(3.0 * phase + mean_k) > 0.9), below_k=mean_k,
         )  # fmt: skip
 

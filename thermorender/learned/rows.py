@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.learned.features import HALO, NAMES, feature_planes, whole_picture
+from thermorender.learned.pixel_features import HALO, NAMES, feature_planes, whole_picture
 from thermorender.learned.temperature_map import Inputs
 
 # A picture is not resampled if its ground sampling distance differs from the map's by less than this share.

@@ -7,7 +7,7 @@ library; all fields broadcast over the columns.
 
 from typing import Any, NamedTuple
 
-from thermorender.physics import exchange
+from thermorender.physics import turbulence
 from thermorender.physics.conduction import filled, top_response
 from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.units import ZERO_CELSIUS_K
@@ -28,7 +28,7 @@ class ColumnProperties(NamedTuple):
     """Properties of the columns: arrays over the columns, or lists of them over the layers."""
 
     emissivity: Any  # Broadband hemispherical [1]
-    # log_wind, log_heat, height_m: As in `exchange.convection`
+    # log_wind, log_heat, height_m: As in `turbulence.convection`
     log_wind: Any
     log_heat: Any
     height_m: Any
@@ -172,10 +172,10 @@ def _stage(
     # Conductance from the surface into the column: through the skin and the first half layer.
     series = 1.0 / (response.beta + 1.0 / ground.conductance[0])
     before_k, warmed = layers[0], response.alpha + remainder[0]
-    density = exchange.air_density(forcing.pressure_pa, forcing.air_k)
-    saturation, _ = exchange.saturation_vapour(xp, forcing.air_k)
+    density = turbulence.air_density(forcing.pressure_pa, forcing.air_k)
+    saturation, _ = turbulence.saturation_vapour(xp, forcing.air_k)
     deficit = saturation - forcing.vapour_pa
-    closed = exchange.stomata(xp, ground.resistance, forcing.sunlight, deficit, forcing.air_k)
+    closed = turbulence.stomata(xp, ground.resistance, forcing.sunlight, deficit, forcing.air_k)
     resistance = xp.where(ground.leaves > 0.5, closed, ground.resistance) / xp.maximum(ground.wetness, 1e-6)
     wet = xp.maximum(xp.minimum(state.film / xp.maximum(ground.held, 1e-3), 1.0), ground.open_water)
     rain = WATER_HEAT * forcing.rain_kg_m2_s
@@ -187,10 +187,10 @@ def _stage(
 
     def surplus(t: Any) -> tuple[Any, ...]:
         """(radiation, sensible, latent heat, heat per mass, conducted heat, surplus, its slope) at a temperature."""
-        h, bend = exchange.convection(
+        h, bend = turbulence.convection(
             xp, t, forcing.air_k, forcing.wind_m_s, density, ground.log_wind, ground.log_heat, ground.height_m
         )
-        latent, slope, heat = exchange.evaporation(
+        latent, slope, heat = turbulence.evaporation(
             xp, t, forcing.vapour_pa, forcing.pressure_pa, h, bend, density, resistance, wet, frozen
         )
         cube = emits * STEFAN_BOLTZMANN * t**3

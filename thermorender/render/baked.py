@@ -15,7 +15,7 @@ from thermorender.render.device import flat
 from thermorender.render.edits.preview import prepare, preview
 from thermorender.render.edits.solution import solved_change
 from thermorender.render.geometry import Geometry, refuse_other_surfaces
-from thermorender.render.light import cache, leaves, radiosity, texels
+from thermorender.render.light import leaves, radiosity, texels, transport_cache
 from thermorender.render.light.absorbed import left_out
 from thermorender.render.light.solved import SolvedLight, solve_scene
 from thermorender.render.loaded import Loaded, LoadedLight
@@ -166,7 +166,7 @@ def bake(
     if known is None:
         what = "tracing the light between surfaces"
         report_progress(what, 0.0)
-        known, note = cache.traced(geometry, plan.sampling.rays, lambda share: report_progress(what, share))
+        known, note = transport_cache.traced(geometry, plan.sampling.rays, lambda share: report_progress(what, share))
     tick = partial(report_progress, _SOLVING, 0.5)
     tick()
     per_mk, share = plan.radiance_per_mk, geometry.share

@@ -11,7 +11,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.materials import library as material_tables
 from thermorender.materials.material import Material, grey
 from thermorender.materials.mixture import parts_of
-from thermorender.scene.files import SceneFiles
+from thermorender.scene.folder import SceneFiles
 from thermorender.scene.material_map import Picture, context_of, learned_materials, model_of
 from thermorender.scene.patch import Patch
 from thermorender.scene.spec import EmissivitySpec, SurfaceSpec

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from thermorender import files, formats
 from thermorender.defaults import EMISSIVITY_MAP, FALLBACK_MATERIAL
 from thermorender.errors import ThermorenderError
-from thermorender.learned.emissivity import relief
+from thermorender.learned.emissivity import elevation
 from thermorender.learned.emissivity.mapping import EmissivityMap, Evidence, load_map, map_materials
-from thermorender.learned.features import lab
+from thermorender.learned.pixel_features import lab
 from thermorender.materials import library as material_tables
 from thermorender.materials.extended import within_band
 from thermorender.materials.material import Material
@@ -44,13 +44,13 @@ _DISTINCT = 20.0
 class Context:
     """What a scene knows of its ground beside the orthophoto."""
 
-    case: NDArray[np.uint8] | None  # (h, w) uint8 cases of `relief.case_of`, where heights tell materials apart
+    case: NDArray[np.uint8] | None  # (h, w) uint8 cases of `elevation.case_of`, where heights tell materials apart
     known: MappedCover | None
     notes: tuple[str, ...]  # What is used and what is not, one sentence each
 
     def evidence(self, materials: Sequence[str]) -> list[Evidence]:
         """Return the Evidence on materials by name."""
-        found = [] if self.case is None else [relief.evidence(self.case, materials)]
+        found = [] if self.case is None else [elevation.evidence(self.case, materials)]
         return found if self.known is None else [*found, self.known.evidence(materials)]
 
 
@@ -73,13 +73,14 @@ def context_of(
     case, why = None, "emissivity.heights is false"
     if source.heights:
         post_m = texel_m * float(np.sqrt(abs(height_grid.transform.determinant / texels.transform.determinant)))
-        above, slope, why = relief.seen(height, post_m)
+        above, slope, why = elevation.seen(height, post_m)
     note = f"heights are not used: {why}"
     if not why:
-        case = relief.case_of(*(onto(each, height_grid, texels, "bilinear") for each in (above, slope)))
+        high_m = elevation.HEIGHTS_M[1]
+        case = elevation.case_of(*(onto(each, height_grid, texels, "bilinear") for each in (above, slope)))
         note = (
-            f"heights above the ground and slopes weigh the materials; {(above > relief.HEIGHTS_M[1]).mean():.0%} of "
-            f"the surface stands more than {relief.HEIGHTS_M[1]:g} m above it"
+            f"heights above the ground and slopes weigh the materials; {(above > high_m).mean():.0%} of the surface "
+            f"stands more than {high_m:g} m above it"
         )
     return Context(case, known, (note, *(known.notes if known else ())))
 
@@ -302,7 +303,7 @@ def _no_snow(spec: SceneSpec, frame: LocalFrame) -> str:
     """Why no snow lies on a scene's ground by its weather; "" if it may."""
     if spec.weather is None:
         return ""
-    from thermorender.weather.declared import declared_weather
+    from thermorender.weather.declared_weather import declared_weather
 
     altitude_m = frame.height_m - (spec.terrain.geoid_undulation_m or 0.0)
     weather = declared_weather(spec.weather, frame.latitude_deg, frame.longitude_deg, altitude_m)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import parts_of
-from thermorender.physics import balance, exchange
+from thermorender.physics import balance, turbulence
 from thermorender.physics.balance import ColumnProperties, Forcing, State
 from thermorender.physics.conduction import LAYERS, Slab, layered
 from thermorender.units import ZERO_CELSIUS_K, utc_text
@@ -135,7 +135,7 @@ def _column(
             )
     else:
         wind_m, air_m = (max(z, _ABOVE * rough) for z in (weather.wind_height_m, weather.air_height_m))
-        factor = exchange.wind_factor(wind_m, rough, weather.wind_height_m, station_roughness_m)
+        factor = turbulence.wind_factor(wind_m, rough, weather.wind_height_m, station_roughness_m)
     log_wind = np.log(wind_m / rough)
     # Stability follows from the wind at the height of the air temperature.
     stability_m = air_m * (log_wind / np.log(air_m / rough)) ** 2

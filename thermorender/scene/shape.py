@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene import instances
-from thermorender.scene.files import SceneFiles
+from thermorender.scene.folder import SceneFiles
 from thermorender.scene.ground import Ground
 from thermorender.scene.raster import Grid
 from thermorender.scene.refine import evened, refined

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.atmosphere.declared import declared_air
+from thermorender.atmosphere.declared_air import declared_air
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
 from thermorender.materials.extended import within_band
@@ -22,7 +22,7 @@ from thermorender.scene.albedo import shares, with_albedo
 from thermorender.scene.cover import WHY, Cover, Covering, Replaced, cover_of
 from thermorender.scene.declared import Declared, InMemory
 from thermorender.scene.digest import digest, weather_digest
-from thermorender.scene.files import SceneFiles
+from thermorender.scene.folder import SceneFiles
 from thermorender.scene.ground import Ground
 from thermorender.scene.patch import Patch
 from thermorender.scene.pipeline import Pipeline
@@ -168,7 +168,7 @@ def weather(
             f"{where}: [weather] needs a place, which a mesh does not have; add [frame] with latitude_deg, "
             "longitude_deg and height_m"
         )
-    from thermorender.weather.declared import declared_weather
+    from thermorender.weather.declared_weather import declared_weather
 
     try:
         return declared_weather(spec_weather, frame.latitude_deg, frame.longitude_deg, altitude_m)

@@ -24,9 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
-from thermorender.trajectory.heights import frame_of_first_sample, geodetic_of_local, local_positions, refuse_far
-from thermorender.trajectory.logs import Log, read_log
-from thermorender.trajectory.mapping import (
+from thermorender.trajectory.column_mapping import (
     ANGLES,
     GIMBAL,
     HEIGHTS,
@@ -39,6 +37,8 @@ from thermorender.trajectory.mapping import (
     format_of_suffix,
     load_mapping,
 )
+from thermorender.trajectory.heights import frame_of_first_sample, geodetic_of_local, local_positions, refuse_far
+from thermorender.trajectory.logs import Log, read_log
 from thermorender.trajectory.path import QUATERNION_TOLERANCE, Anchor, GroundHeight, Trajectory
 from thermorender.trajectory.rotations import (
     BODY_FROM_CAMERA,
@@ -68,7 +68,8 @@ def read_trajectory(
     - `frame` is the scene's georeference, for latitude and longitude; `ground(east, north)` returns the local up of the
       ground (N,) [m], NaN off the terrain; `geoid_undulation_m` is the geoid's height above the ellipsoid, for
       `alt_geoid_m`. An anchored flight needs no georeference.
-    - `format` is a bundled column mapping (`trajectory.mapping.bundled_formats()`) or a TOML file in the same form.
+    - `format` is a bundled column mapping (`trajectory.column_mapping.bundled_formats()`) or a TOML file of the same
+      form.
     - `anchor` moves the first camera position to (east, north), `up` metres above the ground there (local up without
       `ground`), and rotates the flight about up to the heading; it keeps its shape. A log of `above_ground_m` instead
       follows the new ground, with all its heights shifted so that the first is `up`.

@@ -5,7 +5,7 @@ Windows are counted in texels of the training grid, to which an orthophoto is re
 
 import numpy as np
 
-from thermorender.learned.features import blurred, lab, structure
+from thermorender.learned.pixel_features import blurred, lab, structure
 
 # Standard deviations of the windows [texels].
 WINDOWS_TEXELS = (1.5, 4.0, 10.0)

@@ -14,7 +14,7 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.formats import read_text
-from thermorender.trajectory.mapping import ANGLES, UNSTATED
+from thermorender.trajectory.column_mapping import ANGLES, UNSTATED
 from thermorender.trajectory.tables import Table
 
 _HEIGHTS = {"absolute": "alt_geoid_m", "relativeToGround": "above_ground_m", "clampToGround": UNSTATED}
