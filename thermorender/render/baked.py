@@ -179,18 +179,7 @@ def bake(
     incident, noise = solved.incident, solved.noise
     tick()
     lost: Any = 0.0 if scene.air is None else left_out(scene, known, solved.reflectance)
-    face = np.empty((geometry.face_count, spectrum.channels), dtype=np.float32)
-    covers = geometry.face_of_texel
-    if spectrum.channels > 1:
-        # Scatter is converted to kelvin in the band radiance without a path.
-        light = texels.light(incident, np.tensordot(spectrum.solver.sum(axis=0), spectrum.reflected, (0, 1)))
-        _, _, scatter = texels.bake_channel(geometry, covers, texel[0], material, light, tick)
-    for channel in range(spectrum.channels):
-        light = texels.light(incident, spectrum.reflected[:, channel])
-        tick()
-        baked = texels.bake_channel(geometry, covers, texel[channel], material, light, tick)
-        texel[channel], face[:, channel], left = baked
-    scatter = left if spectrum.channels == 1 else scatter
+    face, scatter = texels.reflect(texel, geometry, plan.spectrum, material, incident, tick)
     tick()
     reflected = incident @ solved.mean_reflectance.astype(np.float32)
     varies = texels.variation(geometry, reflected, noise)

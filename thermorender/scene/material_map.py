@@ -1,7 +1,7 @@
 """Materials of a scene from its orthophoto: a learned emissivity map applied, or written as files for correction."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -122,18 +122,8 @@ def learned_materials(
     names = [*model.materials, *(name for one in contexts if one.known for name in one.known.beyond(model.materials))]
     own = _in_band([material_tables.find(library, name, of) for name in names], library, band_um, of, where)
     fallback = material_tables.find(library, source.fallback, f"{where}: emissivity.fallback")
-    mapped = [
-        map_materials(model, one.colour, one.texel_m, name=one.name,
-                      evidence=one.context.evidence(names) if one.context else ())
-        for one in pictures
-    ]  # fmt: skip
-    together = [np.concatenate([a.reshape(-1, *a.shape[2:]) for a in arrays]) for arrays in (
-        [one.index for one in mapped], [one.share for one in mapped], [one.probability for one in mapped],
-        [one.confidence for one in mapped], [one.valid for one in pictures],
-    )]  # fmt: skip
-    # The largest arrays of all.
-    del mapped
-    index, share, probability, confidence, valid = together
+    index, share, probability, confidence = _mapped(model, pictures, names)
+    valid = np.concatenate([one.valid.ravel() for one in pictures])
     unknown = valid & (confidence < source.confidence)
     known = [one.context.known for one in pictures if one.context and one.context.known]
     group = known[0].number.ravel() if known else None
@@ -162,6 +152,25 @@ def learned_materials(
         return [part.reshape(one.valid.shape) for part, one in zip(np.split(values, ends), pictures, strict=True)]
 
     return apart(number), [*used, fallback], apart(unknown | doubtful), report
+
+
+def _mapped(
+    model: EmissivityMap, pictures: Sequence[Picture], names: Sequence[str]
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """(index, share, probability, confidence) of `Mapped` for all texels of pictures, (T, …), one after another."""
+    found = [
+        map_materials(model, one.colour, one.texel_m, name=one.name,
+                      evidence=one.context.evidence(names) if one.context else ())
+        for one in pictures
+    ]  # fmt: skip
+
+    def together(arrays: Iterable[NDArray[Any]]) -> NDArray[Any]:
+        return np.concatenate([values.reshape(-1, *values.shape[2:]) for values in arrays])
+
+    return (
+        together(one.index for one in found), together(one.share for one in found),
+        together(one.probability for one in found), together(one.confidence for one in found),
+    )  # fmt: skip
 
 
 def _in_band(

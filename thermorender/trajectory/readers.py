@@ -227,13 +227,7 @@ def _position_columns(logs: list[Log], mapping: Mapping) -> tuple[Log, tuple[str
     """The log with the position, its pair of horizontal columns and its height column."""
     log_of = _log_of(logs)
     names = ", ".join(log.path for log in logs)
-    for name, choices in mapping.quantities.items():
-        if name not in log_of and not any(choice.optional for choice in choices):
-            column = " or ".join(repr(choice.column) for choice in choices)
-            raise ThermorenderError(
-                f"{names}: column {column} ({name}) is missing; format={mapping.name!r} needs "
-                "it, in this file or in another one given with it"
-            )
+    _refuse_missing(log_of, mapping, names)
     pairs = [pair for pair in (POSITION_LOCAL, POSITION_GEODETIC) if any(name in log_of for name in pair)]
     if len(pairs) != 1:
         raise ThermorenderError(
@@ -253,6 +247,17 @@ def _position_columns(logs: list[Log], mapping: Mapping) -> tuple[Log, tuple[str
     if first is not second:
         raise ThermorenderError(f"{names}: {' and '.join(pairs[0])} must be columns of one file")
     return first if first is above else _joined(first, pairs[0], above, heights[0]), pairs[0], heights[0]
+
+
+def _refuse_missing(log_of: dict[str, Log], mapping: Mapping, names: str) -> None:
+    """Refuse logs that lack a column which a format needs."""
+    for name, choices in mapping.quantities.items():
+        if name not in log_of and not any(choice.optional for choice in choices):
+            column = " or ".join(repr(choice.column) for choice in choices)
+            raise ThermorenderError(
+                f"{names}: column {column} ({name}) is missing; format={mapping.name!r} needs "
+                "it, in this file or in another one given with it"
+            )
 
 
 def _log_of(logs: list[Log]) -> dict[str, Log]:
