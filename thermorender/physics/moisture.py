@@ -239,10 +239,11 @@ def resistance(texture: SoilTexture, water: ArrayLike, surface_mm: ArrayLike) ->
 
 
 def growing_season(lowest_c: ArrayLike, day_h: ArrayLike) -> Floats:
-    """Return the growing season index of days by lowest air temperature and day length, 0 (dormant) … 1 (green).
+    """Return the growing season index of days by lowest air temperature [°C] and day length [h], 0 … 1.
 
-    Product of linear ramps, with `moist` as the third: Jolly, Nemani and Running, Glob. Change Biol. 11 (2005) 619,
-    doi:10.1111/j.1365-2486.2005.00930.x, eqs 1–4. The greenness of land is its mean over 21 days.
+    0 is dormant, 1 is green. Product of linear ramps, with `moist` as the third: Jolly, Nemani and Running, Glob.
+    Change Biol. 11 (2005) 619, doi:10.1111/j.1365-2486.2005.00930.x, eqs 1–4. The greenness of land is its mean over
+    21 days.
     """
     return _ramp(lowest_c, *_COLD_C) * _ramp(day_h, *_DARK_H)
 
