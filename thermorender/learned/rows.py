@@ -1,6 +1,6 @@
 """Table rows for maps of single pixels, at the map's ground sampling distance.
 
-Columns are a pixel's picture `features`, its relief, and hour and weather, which are the same for a whole picture.
+Columns are a pixel's `pixel_features`, its relief, and hour and weather, which are the same for a whole picture.
 """
 
 from collections.abc import Iterator, Sequence

@@ -1,4 +1,4 @@
-"""Features of a texel for the emissivity map: its colour, and the colour and texture around it, as in `features`.
+"""Features of a texel for the emissivity map: its colour, and the colour and texture around it, as in `pixel_features`.
 
 Windows are counted in texels of the training grid, to which an orthophoto is resampled first.
 """
