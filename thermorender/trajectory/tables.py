@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.formats import csv_rows, read_text
-from thermorender.trajectory.mapping import Quantity, fitting_formats
+from thermorender.trajectory.column_mapping import Quantity, fitting_formats
 
 Floats = NDArray[np.float64]
 
