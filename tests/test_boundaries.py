@@ -83,15 +83,24 @@ def test_every_form_of_import_is_found(source, found, tmp_path):
     assert found <= architecture.imports(tmp_path / "m.py")
 
 
+HEAVY = ("mitsuba", "drjit", "torch", "rasterio", "scipy", "cv2", "matplotlib", "trimesh")
+# What a scene without a heat balance or a moved map does not need.
+BALANCE = tuple(
+    f"thermorender.{name}"
+    for name in ("render.heat.simulation", "scene.open_ground", "physics.balance", "weather.station")
+)
+MOVED = ("thermorender.render.heat.moved", "thermorender.materials.shifted", "thermorender.render.heat.simulation")
+HEATH = "import thermorender as tr; heath = tr.load_scene('heath')"
+
+
 @pytest.mark.parametrize(
     ("code", "absent"),
     [
-        (
-            "import thermorender, thermorender.cli.app",
-            ("mitsuba", "drjit", "torch", "rasterio", "scipy", "cv2", "matplotlib", "trimesh"),
-        ),
-        ("import thermorender as tr; tr.load_scene('heath')", ("mitsuba", "drjit", "torch", "matplotlib", "trimesh")),
-        *slow(("import thermorender as tr; tr.Renderer(tr.load_scene('heath'), rays=1)", ("torch", "matplotlib"))),
+        ("import thermorender, thermorender.cli.app", HEAVY),
+        ("import thermorender.apps.link", (*HEAVY, "typer")),
+        (HEATH, ("mitsuba", "drjit", "torch", "matplotlib", "trimesh")),
+        (f"from thermorender.render.renderer import Renderer; {HEATH}", BALANCE),
+        *slow((f"{HEATH}; tr.Renderer(heath, rays=1)", ("torch", "matplotlib", *MOVED))),
     ],
 )
 def test_light_use_loads_few_libraries(code, absent):

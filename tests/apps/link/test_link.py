@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -10,7 +11,7 @@ from link_support import connected, serving
 from scipy.spatial.transform import Rotation
 
 import thermorender as tr
-from scenes import WEATHER, coarse, write_balance, write_terrain
+from scenes import WEATHER, coarse, scene_object, write_balance, write_terrain
 from thermorender.apps.link import Code, LinkError
 from thermorender.apps.link.messages import Open, Request
 from thermorender.apps.link.session import ServerSession
@@ -26,16 +27,7 @@ from thermorender.trajectory.rotations import rotation_from_wxyz, wxyz
 
 DOWN = (0.0, 1.0, 0.0, 0.0)
 PRODUCTS = ("exr", "truth", "counts", "display")
-OBJECTS = """
-[[object]]
-name = "plate"
-shape = "disc"
-size = [2, 2, 0.1]
-position = [0.5, 0.0, 0.2]
-temperature = 330.0
-material = "paint_black"
-track = "plate.csv"
-"""
+OBJECTS = scene_object("plate", [2, 2, 0.1], [0.5, 0.0, 0.2], shape="disc", track="plate.csv")
 TRACK = "time_s,east_m,temperature_k\n0,-1,320\n0.4,1,340\n1,1.5,335\n"
 
 
@@ -386,7 +378,10 @@ def test_paths_are_those_of_logs_up_to_rounding(renderer, tmp_path, position):
     wanted = tr.load_trajectory(tmp_path / "log.csv", scene, mount=mount, lever_arm_m=lever)
     session = ServerSession(Open("", "", "A", position, "angles", mount_deg=mount, lever_arm_m=lever), renderer)
     for pieces in ([rows], np.split(rows, 40), np.split(rows, [3, 20])):
-        paths = [session._path(piece) for piece in pieces]
+        paths = []
+        session.frames = SimpleNamespace(add=lambda time_s, path, objects, paths=paths: paths.append(path))
+        for piece in pieces:
+            session.add(Request(piece[-1, 0], poses=piece))
         for name, most in (("time_s", 0.0), ("position", 1e-13), ("quaternion", 1e-15)):
             found = np.concatenate([getattr(path, name) for path in paths])
             np.testing.assert_allclose(found, getattr(wanted, name), rtol=0.0, atol=most)
