@@ -410,7 +410,7 @@ def obj(tmp_path):
         (re.sub(r"(v .*)", r"\1 10 20 30", SQUARE) + "f 1 2 3 4\n", [(10, 20, 30), (10, 20, 30)]),
         ("mtllib one.mtl\nusemtl m\n" + SQUARE + "f 1/1/ 2/2/ 3/3/ 4/4/\n", [RED, GREEN]),
         (SQUARE + "f 1//1 2//1 3//1 4//1\n", [(102, 102, 102), (102, 102, 102)]),
-        ("mtllib plain.mtl\n" + SQUARE + FACES, [(51, 102, 204), (51, 102, 204)]),
+        ("mtllib plain.mtl\nusemtl m\n" + SQUARE + FACES, [(51, 102, 204), (51, 102, 204)]),
     ],
 )
 def test_obj_shows_the_materials_that_it_names(obj, text, shown):
