@@ -215,7 +215,7 @@ def test_light_is_kept_by_the_copies_too(tmp_path):
         ({"places": "east_m;north_m\n0,5;1\n"}, r"the column 'east_m;north_m'; give .*, separated by commas"),
         ({"places": 'east_m,north_m\n"0,5",1\n'}, r"row 2: '0,5,1' is not 2 finite numbers"),
         ({"places": "east_m,north_m\n"}, r"places.csv lacks east_m, north_m or rows of numbers"),
-        ({"kelvin": '"balance"'}, r"temperature of object 'trees' is 'balance', and .*source='raster'; give"),
+        ({"kelvin": "balance"}, r"temperature of object 'trees' is 'balance', and .*source='raster'; give"),
         ({"places": "east_m,yaw_deg\n0,0\n"}, r"places.csv lacks east_m, north_m or rows of numbers"),
         ({"places": "east_m,north_m,size\n0,0,1\n"}, r"places.csv has the column 'size'; give a header with east_m"),
         ({"places": "east_m,north_m\n0,nan\n"}, r"places.csv, row 2: '0,nan' is not 2 finite numbers"),
