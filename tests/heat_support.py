@@ -23,11 +23,11 @@ def ground(layers, **changed):
     own |= changed
     if own.get("water"):
         own.setdefault("room", [(balance.RETENTION if own["melting"] else 1.0) * water for water in own["water"]])
-    return balance.Ground(**own)
+    return balance.ColumnProperties(**own)
 
 
 def forcing(**changed):
-    """A dark, calm hour in air so thin that it takes heat only through `exchange.CALM_W_M2_K`."""
+    """A dark, calm hour in air so thin that it takes heat only through `turbulence.CALM_W_M2_K`."""
     own = {
         "absorbed": 0.0, "longwave": 0.0, "sunlight": 0.0, "air_k": 290.0, "vapour_pa": 0.0, "wind_m_s": 0.0,
         "pressure_pa": 1e-9, "rain_kg_m2_s": 0.0, "below_k": 290.0,

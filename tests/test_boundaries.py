@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+from collections import defaultdict
 from pathlib import Path
 
 import pytest
@@ -49,6 +50,18 @@ def test_rooms_of_the_core_import_only_from_those_below():
 
 def test_the_core_imports_no_application_and_applications_only_public_names():
     assert architecture.crossings() == []
+
+
+def test_module_and_class_names_of_the_core_are_unique():
+    homes = defaultdict(set)
+    for module, path in architecture.modules().items():
+        if architecture.room_of(module) in ORDER:
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            classes = [node for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
+            for number, name in enumerate((path.stem, *(node.name for node in classes))):
+                homes[name].add((module, number))
+    del homes["__init__"]
+    assert {name: found for name, found in homes.items() if len(found) > 1} == {}
 
 
 def test_public_names_exist():
