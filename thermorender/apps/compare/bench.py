@@ -15,7 +15,7 @@ from thermorender import defaults
 from thermorender.apps.compare.machine import forget_peak_memory, machine, peak_memory_mib
 from thermorender.apps.compare.sampling_error import cache_off, converged, optics_sigma_px, rms_mk
 from thermorender.errors import ThermorenderError
-from thermorender.render.baked import Progress
+from thermorender.progress import Progress
 from thermorender.render.renderer import Renderer
 from thermorender.scene.load import load_scene
 from thermorender.scene.scene import Scene

@@ -32,7 +32,7 @@ from thermorender.progress import Progress, Spread
 from thermorender.render.renderer import Renderer
 from thermorender.scene.scene import Scene
 from thermorender.scene.spec import EmissivitySpec
-from thermorender.trajectory.path import Trajectory
+from thermorender.trajectory import Trajectory
 from thermorender.versions import versions
 
 COLUMNS = (
