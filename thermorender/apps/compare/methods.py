@@ -437,6 +437,6 @@ def _table_temperatures(scene: Scene) -> dict[str, float]:
     return {item.name: kelvin[item.material] for item in scene.spec.objects}
 
 
-def learned_materials(model: str = EMISSIVITY_MAP, fallback: str = FALLBACK_MATERIAL) -> EmissivitySpec:
-    """Return the EmissivitySpec of a learned material map, with `fallback` for texels that the map does not know."""
-    return EmissivitySpec(source="learned", model=model, fallback=fallback)
+def learned_materials(model: str = EMISSIVITY_MAP) -> EmissivitySpec:
+    """Return the EmissivitySpec of a learned material map, with the usual material where the map knows none."""
+    return EmissivitySpec(source="learned", model=model, fallback=FALLBACK_MATERIAL)
