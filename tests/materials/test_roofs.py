@@ -32,7 +32,8 @@ def day_of(names, weather):
     made = open_ground.columns([LIBRARY[name] for name in names], weather, 0.0, open_ground.STATION_ROUGHNESS_M)
     start = weather.time[0]
     state, _ = open_ground.settled(made, weather, start)
-    _, seen = open_ground.march(made, weather, state, start, start + np.timedelta64(1, "D"))
+    day = open_ground.march(made, weather, state, start, start + np.timedelta64(1, "D"))
+    seen = [state.surface_k for state in day]
     return made, start + np.arange(1, len(seen) + 1) * np.timedelta64(900, "s"), np.array(seen)
 
 

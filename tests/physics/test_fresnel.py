@@ -1,6 +1,9 @@
 """Emissivity by angle against closed forms, another library, two sets of optical constants, and measured water."""
 
+import os
 import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -215,3 +218,19 @@ def test_shipped_constants_match_the_papers(library, name, file):
     expected = 4.0 * n / ((n + 1.0) ** 2 + k**2)
     found = library[name].emissivity_at_angle(wavelength[inside], 1.0)
     np.testing.assert_allclose(found, expected[inside], atol=1e-5)
+
+
+def test_rough_emissivity_does_not_depend_on_the_number_of_threads():
+    """A scene's digest holds these bytes."""
+    code = (
+        "import numpy as np, hashlib; from thermorender.physics import fresnel; n = np.linspace(1.1, 1.4, 161); "
+        "print(hashlib.sha256(fresnel.directional_emissivity(n, 0.1 * n, 0.15)).hexdigest())"
+    )
+    found = {
+        subprocess.run(
+            [sys.executable, "-c", code], env={**os.environ, "OPENBLAS_NUM_THREADS": threads}, capture_output=True,
+            text=True, check=True,
+        ).stdout
+        for threads in ("1", "2")
+    }  # fmt: skip
+    assert len(found) == 1

@@ -249,7 +249,8 @@ def test_dry_soil_is_hotter_at_noon_and_colder_at_dawn(monkeypatch):
     columns = open_ground.columns(materials, weather)
     begin = weather.time[-1] - 24 * HOUR
     state, _ = open_ground.settled(columns, weather, begin)
-    _, seen = open_ground.march(columns, weather, state, begin, weather.time[-1], step_s=1800.0)
+    day = open_ground.march(columns, weather, state, begin, weather.time[-1], step_s=1800.0)
+    seen = [state.surface_k for state in day]
     (coldest, colder), (hottest, hotter) = np.min(seen, axis=0), np.max(seen, axis=0)
     assert hotter > hottest + 3.0 and colder < coldest - 0.5
 

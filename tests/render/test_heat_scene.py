@@ -62,7 +62,7 @@ def test_thermal_crossover_matches_columns_in_the_open(walled, day):
     pair = np.array([names.index(name) for name in (walled.materials[1].name, walled.materials[0].name)])
     alone = []
     for at in times:
-        state, _ = open_ground.march(columns, walled.weather, state, start, at)
+        state = open_ground.march(columns, walled.weather, state, start, at)[-1]
         alone.append(float(np.subtract(*state.surface_k[pair])))
         start = at
 

@@ -86,7 +86,7 @@ def test_frame_of_mixed_materials_and_a_cold_texel_agrees_with_many_nodes(monkey
     own = tr.Renderer(scene, rays=64)
     monkeypatch.setattr(spectrum, "MOST_NODES", 400)
     fine = tr.Renderer(scene, rays=64, tolerance_mk=0.05)
-    assert own.plan.nodes < 40 < fine.plan.nodes and make_plan(scene).tolerance_mk == TOLERANCE_MK
+    assert own.plan.nodes < 40 < fine.plan.nodes and make_plan(scene).sampling.tolerance_mk == TOLERANCE_MK
     pose = tr.pose(0, 0, 60, pitch_deg=-90)
     change = (own.radiance(pose) - fine.radiance(pose)) / own.plan.radiance_per_mk
     budget = own.frame(pose).budget_mk

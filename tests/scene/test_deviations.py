@@ -5,6 +5,7 @@ import pytest
 
 from scenes import WEATHER, write_balance
 from thermorender.errors import ThermorenderError
+from thermorender.physics import balance
 from thermorender.scene import open_ground
 from thermorender.scene.deviations import Deviations
 from thermorender.scene.load import load_scene
@@ -44,7 +45,7 @@ def test_deviations_match_columns_in_the_open(level):
     begin, _ = open_ground.settled(columns, level.weather, start)
 
     def in_the_open(own):
-        return open_ground.march(own, level.weather, begin, start, AT)[1][-1]
+        return balance.seen_k(open_ground.march(own, level.weather, begin, start, AT)[-1], own.ground)
 
     def on_the_device(deviations):
         (terrain,) = solved(level, [AT], deviations=deviations)[0].surfaces

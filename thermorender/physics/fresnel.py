@@ -92,7 +92,8 @@ def directional_emissivity(n: ArrayLike, k: ArrayLike, rms_slope: float = 0.0) -
             f"rms_slope={rms_slope:g} is not within 0…{LARGEST_SLOPE:g}; give the rms tangent of the facets' tilt: 0 "
             "for a mirror, √(0.003 + 0.00512 U) for water under a wind of U m/s"
         )
-    return smooth if rms_slope == 0.0 else smooth @ _facets(rms_slope).T
+    # Unlike a product of matrices, einsum sums in an order that does not depend on the number of threads.
+    return smooth if rms_slope == 0.0 else np.einsum("nf,mf->nm", smooth, _facets(rms_slope))
 
 
 def hemispherical(cosines: Floats, emissivity: Floats) -> Floats:

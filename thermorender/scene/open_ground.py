@@ -227,8 +227,8 @@ def march(
     columns: Columns, weather: Weather, state: State, start: np.datetime64, stop: np.datetime64,
     inside_k: float = INSIDE_K, step_s: float = STEP_S,
     shortwave: "Callable[[NDArray[np.datetime64]], NDArray[np.float64]] | None" = None,
-) -> "tuple[State, list[NDArray[Any]]]":  # fmt: skip
-    """Return (State, [surface temperatures (M,) [K] after each step]) of open columns from `start` to `stop`.
+) -> list[State]:  # fmt: skip
+    """Return the State of open columns after each step from `start` to `stop`.
 
     Steps are at most `step_s` long and fill the time evenly. `shortwave` is measured absorbed sunlight at instants [W
     m⁻²].
@@ -241,7 +241,7 @@ def march(
     found = weather.at(instant)
     sine = np.sin(np.radians(weather.sun(instant)[1]))
     absorbed = None if shortwave is None else shortwave(instant)
-    seen = []
+    states = []
     for number in range(count):
         first, second = (
             forcing(
@@ -251,12 +251,12 @@ def march(
             for k in (0, 1)
         )  # fmt: skip
         state, _ = balance.step(np, state, columns.ground, first, second, length)
-        seen.append(balance.seen_k(state, columns.ground))
-    return state, seen
+        states.append(state)
+    return states
 
 
 def settled(columns: Columns, weather: Weather, at: np.datetime64, inside_k: float = INSIDE_K) -> "tuple[State, float]":
-    """Return (State of open columns at an instant, change of the surfaces over the last repeated day [K]).
+    """Return (State of open columns at an instant, change of surfaces and first layers over the last repeated day [K]).
 
     The first of the two weeks before `at` is repeated until two days differ by less than 0.1 K, each from the previous
     one's mean at depth. From there the weather is simulated to `at`.
@@ -271,35 +271,38 @@ def settled(columns: Columns, weather: Weather, at: np.datetime64, inside_k: flo
     )
     if at > first:
         # The repeated day is the first one, so start it again from its final state.
-        state, _ = march(columns, weather, state, first, at, inside_k, 2.0 * STEP_S)
+        state = march(columns, weather, state, first, at, inside_k, 2.0 * STEP_S)[-1]
     return state, change
 
 
-def settle(columns: Columns, mean_k: float, day: "Callable[[State], tuple[State, Any]]") -> "tuple[State, float]":
-    """Return (State, change of its surfaces over the last day [K]) of columns after a repeated day.
+def settle(columns: Columns, mean_k: float, day: "Callable[[State], Sequence[State]]") -> "tuple[State, float]":
+    """Return (State, change of its surfaces and first layers over the last day [K]) of columns after a repeated day.
 
-    All depths begin at `mean_k` [K]; snow starts frozen, with the ground below it at 0 °C. `day` maps a State to the
-    next State and the surface temperatures after each step.
+    All depths begin at `mean_k` [K]; snow starts frozen, with the ground below it at 0 °C. `day` maps a State to
+    the States after each step of a day.
     """
     count, ground = len(columns.absorptance), columns.ground
     snowy, depth = ground.melting > 0.5, columns.node_m.T
     under = snowy & (columns.snow_m > 0.0) & (depth > columns.snow_m)
     begin = np.where(snowy, np.where(under, _BELOW_SNOW_K, min(mean_k, ZERO_CELSIUS_K)), mean_k)
     state = balance.at_rest(np, list(begin), ground)
-    # In a periodic state the mean heat flow is zero: without sunlight, the depth has the surface's mean.
+    # In a periodic state no mean heat flows below the first layer: without sunlight, the depth has that layer's mean.
+    # Between leaves the first layer is not the surface's mean, as it sees the sky.
     free = ~columns.indoors & (ground.conductance[-1] == 0.0) & (ground.melting < 0.5)
     if ground.sun_share is not None:
         free &= sum(ground.sun_share) == 0.0
     deep = np.minimum(columns.node_m.T / _SOON_M, 1.0)
-    before, change = np.full(count, np.inf), np.inf
+    before, change = np.full((2, count), np.inf), np.inf
     mean: Any = None
     moved: Any = None
     for _ in range(_MOST_DAYS):
-        state, seen = day(state)
-        change = float(np.abs(state.surface_k - before).max())
+        states = day(state)
+        state = states[-1]
+        ends = np.array([state.surface_k, state.layers_k[0]])
+        change = float(np.abs(ends - before).max())
         if change < SETTLED_K:
             break
-        before, mean_before, mean = state.surface_k, mean, np.mean(seen, axis=0)
+        before, mean_before, mean = ends, mean, np.mean([each.layers_k[0] for each in states], axis=0)
         layers = [np.where(free, t + d * (mean - t), t) for t, d in zip(state.layers_k, deep, strict=True)]
         # Extrapolate a steady daily ratio, as of deep water, to its limit.
         last, moved = moved, None if mean_before is None else mean - mean_before

@@ -369,6 +369,7 @@ class _Drive:
         def shown(state):
             return balance.seen_k(state, self.columns.ground) if self.layer is None else state.layers_k[self.layer]
 
+        self.states = [state]
         seen, emits = [shown(state)], [np.multiply(self.shares, self.columns.ground.emissivity)]
         light = None
         if absorbed is not None:
@@ -379,10 +380,11 @@ class _Drive:
                 before, day = self.columns, begin
                 self.columns, self.shares = self.columns_at(begin)
                 state = carried(state, before, self.columns)
-            state, _ = open_ground.march(self.columns, weather, state, begin, end, step_s=step_s, shortwave=light)
+            state = open_ground.march(self.columns, weather, state, begin, end, step_s=step_s, shortwave=light)[-1]
+            self.states.append(state)
             seen.append(shown(state))
             emits.append(np.multiply(self.shares, self.columns.ground.emissivity))
-        self.state, self.emits = state, np.array(emits)
+        self.emits = np.array(emits)
         return np.array(seen)
 
     def settled(self, step_s):
@@ -397,8 +399,8 @@ class _Drive:
         count = min(np.searchsorted(weather.time, day) + 1, len(weather.time))
 
         def again(state):
-            seen = self.simulate(state, step_s, count)
-            return self.state, seen
+            self.simulate(state, step_s, count)
+            return self.states
 
         return open_ground.settle(self.columns, weather.air_k[:count].mean(), again)[0]
 

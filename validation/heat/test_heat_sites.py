@@ -142,7 +142,7 @@ def test_repeated_day_converges():
     names = ("asphalt", "grass_green", "sand_quartz", "conifer", "granite", "roof_slate", "water", "aluminium_sheet")
     columns = open_ground.columns([library[name] for name in names], weather, 0.0, 0.03)
     state, change = open_ground.settled(columns, weather, weather.time[0])
-    later, _ = open_ground.march(columns, weather, state, weather.time[0], weather.time[0] + np.timedelta64(1, "D"))
+    later = open_ground.march(columns, weather, state, weather.time[0], weather.time[0] + np.timedelta64(1, "D"))[-1]
     print(change, later.surface_k - state.surface_k)
     assert np.abs(later.surface_k - state.surface_k).max() < 0.15
 

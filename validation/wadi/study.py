@@ -98,7 +98,7 @@ def at_station(albedo=ALBEDO, **thermal):
     now, found = air.time[0] + np.timedelta64(1, "D"), []
     state, _ = open_ground.settled(columns, air, now)
     for at in own["time"]:
-        state, _ = open_ground.march(columns, air, state, now, at) if at > now else (state, None)
+        state = open_ground.march(columns, air, state, now, at)[-1] if at > now else state
         now = max(now, at)
         found.append(float(state.surface_k[0]) - ZERO_CELSIUS_K)
     return np.array(found) - own["ground_c"]

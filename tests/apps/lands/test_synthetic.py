@@ -28,6 +28,7 @@ from thermorender.apps.lands.procedural.weather import (
 from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
+from thermorender.physics import balance
 from thermorender.render.heat.relief import relief
 from thermorender.scene import open_ground
 from thermorender.scene.deviations import Deviations
@@ -94,8 +95,9 @@ def in_the_open(folder, kind):
     columns = replace(columns, ground=columns.ground._replace(log_heat=columns.ground.log_heat / exchange))
     start = true.time - np.timedelta64(48, "h")
     state, _ = open_ground.settled(columns, weather, start, inside_k)
-    _, seen = open_ground.march(columns, weather, state, start, true.time, inside_k)
-    return {material.name: kelvin for material, kelvin in zip(materials, seen[-1], strict=True)}
+    state = open_ground.march(columns, weather, state, start, true.time, inside_k)[-1]
+    seen = balance.seen_k(state, columns.ground)
+    return {material.name: kelvin for material, kelvin in zip(materials, seen, strict=True)}
 
 
 @pytest.fixture

@@ -48,7 +48,7 @@ def conditions(weather: Weather, time: np.datetime64, inside_c: float = 20.0) ->
     for where, under in (("open", weather), ("shade", shaded)):
         state = start
         if time > before:
-            state, _ = open_ground.march(columns, under, start, before, time, inside_k)
+            state = open_ground.march(columns, under, start, before, time, inside_k)[-1]
         for name, kelvin in zip(TYPICAL, balance.seen_k(state, columns.ground), strict=True):
             found[f"{where}_{name}"] = float(kelvin - now.air_k)
     return found
