@@ -199,6 +199,7 @@ def test_map_on_the_orthophoto_is_that_of_compare(client, renderer):
     pose = tr.pose(0.0, -3.0, 14.0, pitch_deg=-75.0)
     model = load_model("fok-1to1")
     method = rendered(renderer.scene, "fok-1to1", model, renderer)[0]
+    assert method.renderer.plan.sampling == renderer.plan.sampling
     reply = client.open(method="C", map="fok-1to1").frame(0.0, pose, products=("radiance",))
     wanted = method.renderer.radiance(pose, 0.0, method.objects)
     assert reply.radiance.tobytes() == wanted.tobytes()
