@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from collections import defaultdict
 from pathlib import Path
 
 import pytest
@@ -72,6 +73,18 @@ def test_applications_page_lists_further_what_applications_use_and_no_more():
     front = {(home, name) for name, home in architecture.exported().items()}
     known = front | architecture.listed(architecture.USERS)
     assert architecture.listed(architecture.APPLICATIONS) == set(architecture.used_by_applications()) - known
+
+
+def test_module_and_class_names_of_the_core_are_unique():
+    homes = defaultdict(set)
+    for module, path in architecture.modules().items():
+        if architecture.room_of(module) in ORDER:
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            classes = [node for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
+            for number, name in enumerate((path.stem, *(node.name for node in classes))):
+                homes[name].add((module, number))
+    del homes["__init__"]
+    assert {name: found for name, found in homes.items() if len(found) > 1} == {}
 
 
 def test_public_names_exist():

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import Any
 
 
-class Profile:
+class PhaseTimes:
     """Seconds of phases, in the order in which they began.
 
     A phase within another counts for itself only, so the phases of a thread add up to its time. Phases of the threads
@@ -58,13 +58,13 @@ class Profile:
 
 
 # The profile that is taken in this process, if any.
-_taken: list[Profile] = []
+_taken: list[PhaseTimes] = []
 
 
 @contextmanager
-def profiled() -> Iterator[Profile]:
-    """Take the Profile of a block, in all threads."""
-    _taken.append(Profile())
+def profiled() -> Iterator[PhaseTimes]:
+    """Measure the PhaseTimes of a block, in all threads."""
+    _taken.append(PhaseTimes())
     try:
         yield _taken[-1]
     finally:

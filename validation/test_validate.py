@@ -16,7 +16,7 @@ from thermorender.apps.compare import sampling_error as metrics
 from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
-from thermorender.render.light import cache
+from thermorender.render.light import transport_cache
 from thermorender.render.reference import squared_error
 from thermorender.scene.scene import Scene
 from thermorender.sensor.camera import load_camera
@@ -118,7 +118,7 @@ def test_converged_image_agrees_with_the_renderer():
 
 def test_bench_returns_finite_numbers(tmp_path, monkeypatch):
     monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path))
-    monkeypatch.setattr(cache, "WORTH_RAYS", 1)
+    monkeypatch.setattr(transport_cache, "WORTH_RAYS", 1)
     result = bench.bench((small(terrain(200)),), repeats=2, settings=(("one", {"samples": 1, "rays": 4}),))
     json.dumps(result)
     # A bake read from disk would take no time.

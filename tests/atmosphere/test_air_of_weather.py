@@ -7,7 +7,7 @@ import thermorender as tr
 from scenes import WEATHER, coarse, write_balance, write_terrain
 from thermorender.atmosphere.from_weather import LEAST_CLOUD, NearGround, from_weather
 from thermorender.atmosphere.model import Atmosphere
-from thermorender.atmosphere.tables import read_table
+from thermorender.atmosphere.table_files import read_table
 from thermorender.errors import ThermorenderError
 from thermorender.physics import sky
 

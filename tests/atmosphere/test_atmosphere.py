@@ -19,7 +19,7 @@ from thermorender.atmosphere import absorbers, modtran
 from thermorender.atmosphere import profile as weather
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.rays import EARTH_RADIUS_M, horizon_cos_zenith
-from thermorender.atmosphere.tables import read_table
+from thermorender.atmosphere.table_files import read_table
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
 from tools.lowtran import terms

@@ -13,7 +13,7 @@ from scipy import integrate
 
 from thermorender.atmosphere import lowtran
 from thermorender.atmosphere import profile as weather
-from thermorender.atmosphere.tables import read_table
+from thermorender.atmosphere.table_files import read_table
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance
 from tools.lowtran import reference

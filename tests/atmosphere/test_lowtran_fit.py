@@ -13,7 +13,7 @@ from thermorender.atmosphere import absorbers
 from thermorender.atmosphere import lowtran as program
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.rays import EARTH_RADIUS_M
-from thermorender.atmosphere.tables import read_table
+from thermorender.atmosphere.table_files import read_table
 from thermorender.physics.planck import spectral_radiance
 from tools.lowtran import fit
 

@@ -20,7 +20,7 @@ from thermorender.learned.linear import Linear, names_of_columns
 from thermorender.learned.rows import ExtraInputs
 from thermorender.learned.temperature_map import TemperatureMap, save_map
 from thermorender.output.flight import FlightOptions, fly
-from thermorender.output.record import weather_of
+from thermorender.output.provenance import weather_of
 from thermorender.scene.spec import TemperatureSpec
 from thermorender.scene.surface import FALLBACK, SURFACE
 from thermorender.scene.temperature_state import Conditional, Pending

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from thermorender.errors import ThermorenderError
-from thermorender.learned.features import NAMES
 from thermorender.learned.linear import names_of_columns
+from thermorender.learned.pixel_features import NAMES
 from thermorender.learned.rows import ExtraInputs
 from thermorender.learned.temperature_map import Inputs, load_map
 from thermorender.learned.trees import Trees

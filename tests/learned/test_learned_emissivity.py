@@ -29,7 +29,7 @@ from thermorender.learned.emissivity.mapping import (
     save_map,
     to_grid,
 )
-from thermorender.learned.features import lab
+from thermorender.learned.pixel_features import lab
 from thermorender.materials.library import load_library
 from thermorender.materials.material import grey
 from thermorender.materials.mixture import Mixture, mix, palette, parts_of

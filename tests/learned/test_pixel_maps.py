@@ -13,7 +13,7 @@ from thermorender.apps.training.task import Example, Task
 from thermorender.apps.training.training_methods import method
 from thermorender.apps.training.trees_training import fit_trees
 from thermorender.errors import ThermorenderError
-from thermorender.learned import features, linear, rows, trees
+from thermorender.learned import linear, pixel_features, rows, trees
 from thermorender.learned.temperature_map import Inputs, TemperatureMap, load_map, save_map
 
 # Thermal values are hundredths of a kelvin; intensities have a range of 280 K to 300 K.
@@ -59,7 +59,7 @@ def through_a_file(predictor, folder, name="m"):
 
 
 def described(rgb):
-    return dict(zip(features.NAMES, features.features(rgb, features.whole_picture(rgb)), strict=True))
+    return dict(zip(pixel_features.NAMES, pixel_features.features(rgb, pixel_features.whole_picture(rgb)), strict=True))
 
 
 def test_features_against_direct_sums():
@@ -102,8 +102,8 @@ def test_stripes_have_one_direction_and_noise_has_none():
 def test_features_move_with_the_picture():
     rgb = picture(2, 150, 160)
     moved = np.roll(rgb, (5, -7), axis=(0, 1))
-    before, after = (features.features(image, features.whole_picture(image)) for image in (rgb, moved))
-    inner = slice(features.HALO + 8, -features.HALO - 8)
+    before, after = (pixel_features.features(image, pixel_features.whole_picture(image)) for image in (rgb, moved))
+    inner = slice(pixel_features.HALO + 8, -pixel_features.HALO - 8)
     expected = np.roll(before, (5, -7), axis=(1, 2))
     np.testing.assert_allclose(after[:, inner, inner], expected[:, inner, inner], atol=2e-3)
 
@@ -419,7 +419,7 @@ def linear_example(seed, air, generator):
 def above_the_air(inputs):
     """Kelvin above the air by a law of the linear map's form, written out."""
     given, view, sunlight = inputs.conditions, inputs.terrain["sky_view"], inputs.terrain["sunlight"]
-    light, green, blue = np.moveaxis(features.lab(inputs.rgb), -1, 0)
+    light, green, blue = np.moveaxis(pixel_features.lab(inputs.rgb), -1, 0)
     light, green, blue = light / 50.0 - 1.0, np.clip(green / 20.0, -3.0, 3.0), np.clip(blue / 20.0, -3.0, 3.0)
     known = np.isfinite(view)
     level = given["direct_w_m2"] * np.sin(np.radians(50.0)) + 100.0
@@ -471,7 +471,7 @@ def test_linear_is_ridge_regression(monkeypatch):
     model = fit_linear(task_of("correlation+", [example(*one) for one in made], penalty=0.1))
     table, size = [], 48 * 64
     for inputs, _ in made:
-        values = {**dict(zip("Lab", features.lab(inputs.rgb).reshape(-1, 3).T, strict=True)), **inputs.conditions,
+        values = {**dict(zip("Lab", pixel_features.lab(inputs.rgb).reshape(-1, 3).T, strict=True)), **inputs.conditions,
                   **{name: plane.ravel() for name, plane in inputs.terrain.items()}}  # fmt: skip
         columns = linear.columns(values, model.extra)
         table.append(np.stack([np.broadcast_to(column, size) for _, column in columns], axis=-1))

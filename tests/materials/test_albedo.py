@@ -8,7 +8,7 @@ from PIL import Image
 
 from scenes import WEATHER, write_balance
 from thermorender.errors import ThermorenderError
-from thermorender.output.record import weather_of
+from thermorender.output.provenance import weather_of
 from thermorender.scene import open_ground
 from thermorender.scene.load import load_scene
 

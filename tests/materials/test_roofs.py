@@ -8,7 +8,7 @@ import pytest
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import find, load_library
 from thermorender.materials.thermal import table_text
-from thermorender.physics import exchange
+from thermorender.physics import turbulence
 from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.scene import open_ground
 from thermorender.units import ZERO_CELSIUS_K
@@ -95,9 +95,9 @@ def test_insulated_roofs_are_almost_adiabatic():
         at = seen[:, k].argmax()
         now, t = weather.at(times[at]), np.linspace(300.0, 380.0, 8001)
         sun = now.direct_w_m2 * np.sin(np.radians(weather.sun(times[at])[1])) + now.diffuse_w_m2
-        density = exchange.air_density(now.pressure_pa, now.air_k)
+        density = turbulence.air_density(now.pressure_pa, now.air_k)
         own = [values[k] for values in (made.ground.log_wind, made.ground.log_heat, made.ground.height_m)]
-        h, _ = exchange.convection(np, t, now.air_k, now.wind_m_s * made.wind_factor[k], density, *own)
+        h, _ = turbulence.convection(np, t, now.air_k, now.wind_m_s * made.wind_factor[k], density, *own)
         gain = LIBRARY[name].solar_absorptance * sun
         gain += made.ground.emissivity[k] * (now.longwave_w_m2 - STEFAN_BOLTZMANN * t**4)
         steady = t[np.abs(gain - h * (t - now.air_k)).argmin()]

@@ -16,7 +16,7 @@ from scenes import coarse, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.output.blocks import FOLDER, join, usual_length
 from thermorender.output.flight import Flight, FlightOptions, fly
-from thermorender.output.parts import fly_part
+from thermorender.output.flight_part import fly_part
 from thermorender.sensor.display import DisplaySettings
 
 PRODUCTS = ("exr", "counts", "display")

@@ -20,7 +20,7 @@ from thermorender.output.day_figure import figure as draw_day
 from thermorender.output.flight import FlightOptions, fly
 from thermorender.output.flight_pages.cost import Cost
 from thermorender.output.flight_pages.flight_figures import Curve, curves, flight_map, sheet
-from thermorender.output.flight_pages.preview import preview
+from thermorender.output.flight_pages.flight_preview import preview
 from thermorender.output.flight_pages.prospect import Prospect, prospect
 from thermorender.output.products import check
 

@@ -7,14 +7,19 @@ from scipy.integrate import quad
 from thermorender.frame import apparent_temperature
 from thermorender.materials.library import load_library
 from thermorender.materials.material import grey
-from thermorender.physics.band import RadianceTable, emitted_radiance, quadrature
+from thermorender.physics.band import (
+    RadianceTable,
+    emitted_radiance,
+    kinetic_temperature,
+    quadrature,
+    reflected_radiance,
+)
 from thermorender.physics.planck import (
     band_radiance,
     band_radiance_derivative,
     brightness_temperature,
     spectral_radiance,
 )
-from thermorender.physics.surface import kinetic_temperature, reflected_radiance
 
 BAND = (7.5, 13.5)
 MILLIKELVIN = band_radiance_derivative(300.0, *BAND) * 1e-3

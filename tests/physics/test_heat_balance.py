@@ -6,7 +6,7 @@ from scipy.optimize import fsolve
 from scipy.special import erf, erfc
 from support import slow
 
-from thermorender.physics import balance, exchange, moisture
+from thermorender.physics import balance, moisture, turbulence
 from thermorender.physics.conduction import LAYERS, Slab, ladder, layered
 from thermorender.units import ZERO_CELSIUS_K
 
@@ -28,11 +28,11 @@ def ground(layers, **changed):
     own |= changed
     if own.get("water"):
         own.setdefault("room", [(balance.RETENTION if own["melting"] else 1.0) * water for water in own["water"]])
-    return balance.Ground(**own)
+    return balance.ColumnProperties(**own)
 
 
 def forcing(**changed):
-    """A dark, calm hour in air so thin that it takes heat only through `exchange.CALM_W_M2_K`."""
+    """A dark, calm hour in air so thin that it takes heat only through `turbulence.CALM_W_M2_K`."""
     own = {
         "absorbed": 0.0, "longwave": 0.0, "sunlight": 0.0, "air_k": 290.0, "vapour_pa": 0.0, "wind_m_s": 0.0,
         "pressure_pa": 1e-9, "rain_kg_m2_s": 0.0, "below_k": 290.0,
@@ -52,7 +52,7 @@ def simulate(column, act, seconds, steps, start_k=290.0, state=None):
 
 @pytest.fixture
 def airless(monkeypatch):
-    monkeypatch.setattr(exchange, "CALM_W_M2_K", 0.0)
+    monkeypatch.setattr(turbulence, "CALM_W_M2_K", 0.0)
 
 
 def wave(column, period, seconds, amplitude=100.0):
@@ -181,7 +181,7 @@ def test_step_in_flux(airless):
 
 def test_step_in_flux_with_newtons_law():
     """ΔT = Q/h (1 − exp(h²t/I²) erfc(h√t/I)), h = 2 W m⁻² K⁻¹ of calm air (Carslaw & Jaeger 1959, 2.7 (4))."""
-    h = exchange.CALM_W_M2_K
+    h = turbulence.CALM_W_M2_K
     for t, state, _ in simulate(ground(layered([SOIL])), lambda t: forcing(absorbed=100.0), 900.0, 288):
         x = h * np.sqrt(t) / INERTIA
         exact = 100.0 / h * (1.0 - np.exp(x * x) * erfc(x))
@@ -292,7 +292,7 @@ def test_leaves_over_insulated_ground_share_sun_and_sky_with_it(gap):
         leaf, below = kelvin
         net_leaf, net_below = (sun + emissivity * (longwave - balance.STEFAN_BOLTZMANN * t**4) for t in (leaf, below))
         passes = column.conductance[0] * (below - leaf)
-        return (1.0 - gap) * net_leaf + passes - exchange.CALM_W_M2_K * (leaf - air), gap * net_below - passes
+        return (1.0 - gap) * net_leaf + passes - turbulence.CALM_W_M2_K * (leaf - air), gap * net_below - passes
 
     leaf, below = fsolve(balances, (300.0, 300.0), xtol=1e-12)
     steady = forcing(absorbed=sun, longwave=longwave, air_k=air)
@@ -383,7 +383,7 @@ def test_saturation_vapour():
     assert iapws_ice(230.0) == pytest.approx(8.94735, rel=1e-6)
     for low, high, exact in ((273.15, 323.15, iapws_water), (233.15, 273.1, iapws_ice)):
         kelvin = np.linspace(low, high, 300)
-        pressure, slope = exchange.saturation_vapour(np, kelvin)
+        pressure, slope = turbulence.saturation_vapour(np, kelvin)
         assert np.abs(pressure / exact(kelvin) - 1.0).max() < 4e-3
         numerical = (exact(kelvin + 0.01) - exact(kelvin - 0.01)) / 0.02
         assert np.abs(slope / numerical - 1.0).max() < 6e-3
@@ -417,9 +417,9 @@ def test_wet_surface_without_radiation_is_a_psychrometer(celsius, humidity):
 
 
 def exchanged(surface_k, air_k, wind, rough=0.01, rough_heat=0.001, height=2.0):
-    density = exchange.air_density(1e5, air_k)
+    density = turbulence.air_density(1e5, air_k)
     logs = np.log(height / rough), np.log(height / rough_heat)
-    return exchange.convection(np, surface_k, air_k, wind, density, *logs, height)
+    return turbulence.convection(np, surface_k, air_k, wind, density, *logs, height)
 
 
 def test_neutral_exchange_follows_the_logarithmic_profile():
@@ -429,25 +429,25 @@ def test_neutral_exchange_follows_the_logarithmic_profile():
     per_kelvin = 0.4 / np.log(2.0 / rough_heat)
     found, _ = exchanged(290.0, 290.0, wind)
     density = 1e5 / (287.05 * 290.0)
-    np.testing.assert_allclose(found - exchange.CALM_W_M2_K, density * 1005.0 * friction * per_kelvin, rtol=1e-6)
+    np.testing.assert_allclose(found - turbulence.CALM_W_M2_K, density * 1005.0 * friction * per_kelvin, rtol=1e-6)
 
 
 def test_stable_air_reduces_exchange_by_its_richardson_number():
     """Ri = 0.1 halves the turbulent exchange of neutral air; a colder surface still takes more heat."""
     wind, height, air = 2.0, 2.0, 280.0
     # Ri = g z (T_air − T) / (T̄ U²), solved for the surface.
-    share = 0.1 * wind**2 / (exchange.GRAVITY * height)
+    share = 0.1 * wind**2 / (turbulence.GRAVITY * height)
     surface = air * (1.0 - 0.5 * share) / (1.0 + 0.5 * share)
     logs = np.log(2.0 / 0.01), np.log(2.0 / 0.001)
     h, neutral = (
-        exchange.convection(np, t, air, wind, 1.2, *logs, height)[0] - exchange.CALM_W_M2_K for t in (surface, air)
+        turbulence.convection(np, t, air, wind, 1.2, *logs, height)[0] - turbulence.CALM_W_M2_K for t in (surface, air)
     )
     assert h / neutral == pytest.approx(0.5, rel=1e-9)
     # A sensor high above a wood: the profile of a calm night lies in the lowest 10 m.
-    low, high = (exchange.convection(np, surface, air, wind, 1.2, *logs, z)[0] for z in (exchange.STABLE_M, 40.0))
+    low, high = (turbulence.convection(np, surface, air, wind, 1.2, *logs, z)[0] for z in (turbulence.STABLE_M, 40.0))
     assert low == high < h
     colder = np.linspace(air, air - 40.0, 400)
-    taken = exchange.convection(np, colder, air, wind, 1.2, *logs, height)[0] * (air - colder)
+    taken = turbulence.convection(np, colder, air, wind, 1.2, *logs, height)[0] * (air - colder)
     assert (np.diff(taken) > 0.0).all()
 
 
@@ -455,14 +455,14 @@ def test_stomata_close_in_the_dark_in_dry_air_and_in_frost():
     """The light law's 0.81/0.05 in the dark and 1 in full sun (IFS, eq. 8.11); Leuning's (1 + D/D₀), D₀ 1500 Pa; half
     the conductance 17.7 K from 25 °C (Noilhan and Planton 1989, eq. B5: 1 − 0.0016 ΔT²), none 25 K from it.
     """
-    assert exchange.stomata(np, 60.0, 0.0, 1000.0, 298.0) / 60.0 == pytest.approx(16.2)
-    assert exchange.stomata(np, 60.0, 1000.0, 1000.0, 298.0) / 60.0 == pytest.approx(0.81 * 5.0 / 4.05)
-    dry = exchange.stomata(np, 60.0, 1000.0, 4000.0, 298.0) / exchange.stomata(np, 60.0, 1000.0, 1000.0, 298.0)
+    assert turbulence.stomata(np, 60.0, 0.0, 1000.0, 298.0) / 60.0 == pytest.approx(16.2)
+    assert turbulence.stomata(np, 60.0, 1000.0, 1000.0, 298.0) / 60.0 == pytest.approx(0.81 * 5.0 / 4.05)
+    dry = turbulence.stomata(np, 60.0, 1000.0, 4000.0, 298.0) / turbulence.stomata(np, 60.0, 1000.0, 1000.0, 298.0)
     assert dry == pytest.approx((1500.0 + 4000.0) / (1500.0 + 1000.0))
-    open_ = exchange.stomata(np, 60.0, 1000.0, 1000.0, 298.0)
+    open_ = turbulence.stomata(np, 60.0, 1000.0, 1000.0, 298.0)
     for away in (-(312.5**0.5), 312.5**0.5):
-        assert exchange.stomata(np, 60.0, 1000.0, 1000.0, 298.0 + away) / open_ == pytest.approx(2.0)
-    assert exchange.stomata(np, 60.0, 1000.0, 1000.0, 273.0) > 500.0 * open_
+        assert turbulence.stomata(np, 60.0, 1000.0, 1000.0, 298.0 + away) / open_ == pytest.approx(2.0)
+    assert turbulence.stomata(np, 60.0, 1000.0, 1000.0, 273.0) > 500.0 * open_
 
 
 def test_growing_season_follows_its_published_ramps():
@@ -478,18 +478,18 @@ def test_wind_over_other_land_follows_two_logarithmic_profiles():
     friction = [0.4 * 5.0 / np.log(10.0 / 0.03), None]
     aloft = friction[0] / 0.4 * np.log(60.0 / 0.03)
     friction[1] = 0.4 * aloft / np.log(60.0 / 0.5)
-    assert 5.0 * exchange.wind_factor(20.0, 0.5, 10.0, 0.03) == pytest.approx(friction[1] / 0.4 * np.log(20.0 / 0.5))
-    assert exchange.wind_factor(10.0, 0.03, 10.0, 0.03) == pytest.approx(1.0)
+    assert 5.0 * turbulence.wind_factor(20.0, 0.5, 10.0, 0.03) == pytest.approx(friction[1] / 0.4 * np.log(20.0 / 0.5))
+    assert turbulence.wind_factor(10.0, 0.03, 10.0, 0.03) == pytest.approx(1.0)
 
 
 def test_free_convection_is_independent_of_wind():
     """In very unstable air the law's limit is ρ c √(g z₀ ΔT/T)/5, for any wind, height and roughness for heat."""
     kelvin = np.array([300.0, 310.0, 330.0])
-    free = exchange.air_density(1e5, 290.0) * 1005.0 * 0.2 * np.sqrt(9.80665 * 0.01 * (kelvin - 290.0)
+    free = turbulence.air_density(1e5, 290.0) * 1005.0 * 0.2 * np.sqrt(9.80665 * 0.01 * (kelvin - 290.0)
                                                                      / (0.5 * (kelvin + 290.0)))  # fmt: skip
     for height, rough_heat in ((2.0, 0.001), (20.0, 0.01)):
         found, _ = exchanged(kelvin, 290.0, 0.1, rough_heat=rough_heat, height=height)
-        np.testing.assert_allclose(found - exchange.CALM_W_M2_K, free, rtol=0.06)
+        np.testing.assert_allclose(found - turbulence.CALM_W_M2_K, free, rtol=0.06)
     calm, _ = exchanged(kelvin, 290.0, 0.0)
     np.testing.assert_array_equal(calm, exchanged(kelvin, 290.0, 0.1)[0])
 
@@ -518,12 +518,12 @@ def test_balance_has_one_solution():
     wind[:500] = 0.0
     rough = 10.0 ** rng.uniform(-4.0, -0.3, air.shape)
     kelvin = air + np.linspace(-20.0, 80.0, 1001)
-    vapour = rng.uniform(0.0, 1.0, air.shape) * exchange.saturation_vapour(np, air)[0]
-    density = exchange.air_density(1e5, air)
-    h, bend = exchange.convection(np, kelvin, air, wind, density, np.log(10.0 / rough), np.log(20.0 / rough), 2.0)
+    vapour = rng.uniform(0.0, 1.0, air.shape) * turbulence.saturation_vapour(np, air)[0]
+    density = turbulence.air_density(1e5, air)
+    h, bend = turbulence.convection(np, kelvin, air, wind, density, np.log(10.0 / rough), np.log(20.0 / rough), 2.0)
     for frozen in (False, True):
         resistance, film = 10.0 ** rng.uniform(0.0, 4.0, air.shape), rng.choice([0.0, 0.5, 1.0], air.shape)
-        latent, slope, _ = exchange.evaporation(np, kelvin, vapour, 1e5, h, bend, density, resistance, film, frozen)
+        latent, slope, _ = turbulence.evaporation(np, kelvin, vapour, 1e5, h, bend, density, resistance, film, frozen)
         given = h * (kelvin - air) + latent
         assert (np.diff(given, axis=1) / 0.1).min() > 1.9  # calm air alone takes 2 W m⁻² K⁻¹
         # Newton's slope is that of the flux, except for the mean temperature and where two laws meet.
@@ -541,7 +541,7 @@ def test_newton_converges_from_far_away(monkeypatch):
     kind = rng.integers(0, len(kinds), many)
     pick = lambda name: list(np.array([getattr(each, name) for each in kinds])[kind].T)  # noqa: E731
     rough, air = 10.0 ** rng.uniform(-4.0, -0.3, many), rng.uniform(233.0, 323.0, many)
-    column = balance.Ground(
+    column = balance.ColumnProperties(
         emissivity=rng.choice([1e-3, 0.5, 0.95, 1.0], many), log_wind=np.log(2.0 / rough),
         log_heat=np.log(2.0 / rough) + rng.uniform(0.0, 7.0, many), height_m=2.0,
         resistance=10.0 ** rng.uniform(0.0, 4.0, many), wetness=rng.uniform(0.0, 1.0, many), open_water=0.0, leaves=0.0,
@@ -551,7 +551,7 @@ def test_newton_converges_from_far_away(monkeypatch):
     act = forcing(
         absorbed=rng.uniform(0.0, 1000.0, many) * rng.choice([0.0, 1.0], many),
         longwave=rng.uniform(100.0, 450.0, many),
-        air_k=air, vapour_pa=rng.uniform(0.02, 1.0, many) * exchange.saturation_vapour(np, air)[0],
+        air_k=air, vapour_pa=rng.uniform(0.02, 1.0, many) * turbulence.saturation_vapour(np, air)[0],
         wind_m_s=rng.uniform(0.0, 30.0, many) * rng.choice([0.0, 1.0, 1.0], many), pressure_pa=1e5, below_k=air,
     )  # fmt: skip
     begin = air + rng.uniform(-30.0, 50.0, many)

@@ -71,9 +71,9 @@ def test_wind_at_two_metres_of_a_published_example():
 
 def test_water_of_published_soils():
     """FAO-56, example 35 (sandy loam), example 36 (three soils), and the ranges of table 19."""
-    assert moisture.Texture(0.23, 0.10, 0.4, 8.0, False).evaporable_mm == pytest.approx(18.0)
+    assert moisture.SoilTexture(0.23, 0.10, 0.4, 8.0, False).evaporable_mm == pytest.approx(18.0)
     for capacity, wilting, available in ((0.15, 0.06, 90.0), (0.32, 0.15, 170.0), (0.35, 0.23, 120.0)):
-        assert moisture.Texture(capacity, wilting, 0.4, 8.0, False).available_mm == pytest.approx(available)
+        assert moisture.SoilTexture(capacity, wilting, 0.4, 8.0, False).available_mm == pytest.approx(available)
     table = {"sand": (2, 7, 6, 12), "loamy_sand": (4, 8, 9, 14), "sandy_loam": (6, 10, 15, 20), "loam": (8, 10, 16, 22),
              "silt_loam": (8, 11, 18, 25), "clay": (8, 12, 22, 29)}  # fmt: skip
     for name, (ready, most_ready, total, most) in table.items():

@@ -15,7 +15,7 @@ from scenes import write_mesh
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
 from thermorender.render.geometry import Geometry
-from thermorender.render.light import cache, radiosity, solver
+from thermorender.render.light import radiosity, solver, transport_cache
 from thermorender.render.light.environment import even
 from thermorender.render.variant import activate
 from validation import made_scenes
@@ -254,30 +254,30 @@ def same(a, b):
 
 
 def test_cache_returns_what_was_stored(terrain, kept):
-    assert cache.load("a" * 40) is None
-    assert cache.store("a" * 40, terrain) is None
-    assert same(cache.load("a" * 40), terrain)
+    assert transport_cache.load("a" * 40) is None
+    assert transport_cache.store("a" * 40, terrain) is None
+    assert same(transport_cache.load("a" * 40), terrain)
     assert [path.name for path in kept.iterdir()] == ["a" * 40 + ".npz"]
     # A file renamed to another scene's key is ignored.
     (kept / ("a" * 40 + ".npz")).rename(kept / ("b" * 40 + ".npz"))
-    assert cache.load("b" * 40) is None
+    assert transport_cache.load("b" * 40) is None
 
 
 def test_cache_avoids_tracing_again(kept, tmp_path, monkeypatch):
     geometry = Geometry(activate(), tr.load_scene(write_mesh(tmp_path / "s", rough(8))).surfaces)
-    small, why = cache.traced(geometry, 64)
+    small, why = transport_cache.traced(geometry, 64)
     assert why is None and not kept.exists()
-    monkeypatch.setattr(cache, "WORTH_RAYS", 0)
-    first, why = cache.traced(geometry, 64)
+    monkeypatch.setattr(transport_cache, "WORTH_RAYS", 0)
+    first, why = transport_cache.traced(geometry, 64)
     assert why is None and same(first, small)
     with monkeypatch.context() as patch:
         patch.setattr(radiosity, "trace", lambda *_: pytest.fail("light was traced again"))
-        assert same(cache.traced(geometry, 64)[0], first)
+        assert same(transport_cache.traced(geometry, 64)[0], first)
     (file,) = kept.iterdir()
     file.write_bytes(file.read_bytes()[:-500])
-    assert same(cache.traced(geometry, 64)[0], first)
+    assert same(transport_cache.traced(geometry, 64)[0], first)
     # The damaged file was replaced.
-    assert same(cache.load(file.stem), first)
+    assert same(transport_cache.load(file.stem), first)
 
 
 def test_key_depends_on_everything_that_light_depends_on(tmp_path, monkeypatch):
@@ -289,17 +289,17 @@ def test_key_depends_on_everything_that_light_depends_on(tmp_path, monkeypatch):
     moved.vertices[3, 2] += 1e-3
     turned.invert()
     a = geometry(plain, "a")
-    assert cache.key(a, 64) == cache.key(geometry(plain, "b"), 64)
-    names = [cache.key(a, 64), cache.key(a, 66), cache.key(a, 64, seed=1)]
-    names += [cache.key(geometry(moved, "c"), 64), cache.key(geometry(turned, "d"), 64)]
+    assert transport_cache.key(a, 64) == transport_cache.key(geometry(plain, "b"), 64)
+    names = [transport_cache.key(a, 64), transport_cache.key(a, 66), transport_cache.key(a, 64, seed=1)]
+    names += [transport_cache.key(geometry(moved, "c"), 64), transport_cache.key(geometry(turned, "d"), 64)]
     monkeypatch.setattr(radiosity, "VERSION", radiosity.VERSION + 1)
-    names.append(cache.key(a, 64))
+    names.append(transport_cache.key(a, 64))
     assert len(set(names)) == len(names)
 
 
 @pytest.mark.parametrize("damage", ["empty", "truncated", "text", "flipped"])
 def test_damaged_files_are_ignored(damage, terrain, kept):
-    assert cache.store("c" * 40, terrain) is None
+    assert transport_cache.store("c" * 40, terrain) is None
     (file,) = kept.iterdir()
     whole = file.read_bytes()
     random = np.random.default_rng(1)
@@ -317,19 +317,19 @@ def test_damaged_files_are_ignored(damage, terrain, kept):
             versions.append(bytes(changed))
     for content in versions:
         file.write_bytes(content)
-        found = cache.load("c" * 40)
+        found = transport_cache.load("c" * 40)
         # A flipped bit in a time stamp and the like does not change the light.
         assert found is None or (damage == "flipped" and same(found, terrain))
     file.write_bytes(versions[0])
-    assert cache.store("c" * 40, terrain) is None and same(cache.load("c" * 40), terrain)
+    assert transport_cache.store("c" * 40, terrain) is None and same(transport_cache.load("c" * 40), terrain)
 
 
 def _store_often(folder, name, own, other, count):
     os.environ["THERMORENDER_CACHE"] = str(folder)
     wrong = 0
     for _ in range(count):
-        wrong += cache.store(name, own) is not None
-        found = cache.load(name)
+        wrong += transport_cache.store(name, own) is not None
+        found = transport_cache.load(name)
         wrong += found is None or not (same(found, own) or same(found, other))
     os._exit(wrong)
 
@@ -347,15 +347,15 @@ def test_two_processes_store_at_once(terrain, kept, tmp_path):
     for process in both:
         process.join()
     assert [process.exitcode for process in both] == [0, 0]
-    assert any(same(cache.load("d" * 40), light) for light in plain) and len(list(kept.iterdir())) == 1
+    assert any(same(transport_cache.load("d" * 40), light) for light in plain) and len(list(kept.iterdir())) == 1
 
 
 def test_unwritable_folder_gives_the_reason(terrain, tmp_path, monkeypatch):
     # A file where the folder should be: no user, not even root, can write there.
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path / "file" / "kept"))
-    assert cache.load("e" * 40) is None
-    why = cache.store("e" * 40, terrain)
+    assert transport_cache.load("e" * 40) is None
+    why = transport_cache.store("e" * 40, terrain)
     assert "file/kept/light cannot be written (Not a directory); set THERMORENDER_CACHE to a writable folder" in why
 
 
@@ -365,25 +365,25 @@ def test_interrupted_store_leaves_nothing(terrain, kept, monkeypatch):
 
     monkeypatch.setattr(np, "savez", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        cache.store("f" * 40, terrain)
+        transport_cache.store("f" * 40, terrain)
     assert not kept.exists()
 
 
 def test_least_recently_used_is_removed_first(terrain, kept):
     a, b, c, d, e = (letter * 40 for letter in "abcde")
     for age, name in enumerate((a, b, c)):
-        assert cache.store(name, terrain) is None
+        assert transport_cache.store(name, terrain) is None
         os.utime(kept / f"{name}.npz", (1e9 - age, 1e9 - age))
     old, new = (kept / f".{a}.{token}.part.npz" for token in ("01234567", "89abcdef"))
     for part in (old, new):
         part.write_bytes(b"x")
     os.utime(old, (time.time() - 7200,) * 2)
     # c has the oldest time stamp but was just used, so b is next.
-    assert cache.load(c) is not None
+    assert transport_cache.load(c) is not None
     size = (kept / f"{a}.npz").stat().st_size
-    assert cache.store(d, terrain, limit=3 * size + 100) is None
+    assert transport_cache.store(d, terrain, limit=3 * size + 100) is None
     assert {path.name for path in kept.iterdir()} == {f"{a}.npz", f"{c}.npz", f"{d}.npz", new.name}
-    why = cache.store(e, terrain, limit=1000)
+    why = transport_cache.store(e, terrain, limit=1000)
     assert "GB exceed the cache's limit of" in why and not (kept / f"{e}.npz").exists()
 
 
@@ -398,6 +398,6 @@ def test_trimming_leaves_other_files_alone(terrain, kept):
     # Less than two of them together: all but the last have to go.
     limit = int(1.5 * sum(getattr(terrain, which).nbytes for which in ("start", "seen", "hits", "up", "down")))
     for name in ("b", "c", "d"):
-        assert cache.store(name * 40, terrain, limit=limit) is None
+        assert transport_cache.store(name * 40, terrain, limit=limit) is None
     assert not (kept / f"{'c' * 40}.npz").exists() and (kept / f"{'d' * 40}.npz").exists()
     assert [name for name in names if not (kept.parent / name).exists()] == []

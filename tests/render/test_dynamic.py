@@ -143,6 +143,7 @@ def test_texture_mapping_of_a_tracked_model_is_part_of_the_scene_digest(tmp_path
         ("time_s,yaw_deg\n", "lacks time_s, another column or rows of numbers"),
         ("time_s,yaw_deg\n0,x\n", "row 2: '0,x' is not 2 finite numbers"),
         ("time_s,yaw_deg\n0,1,2\n", "row 2"),
+        ("time_s,yaw_deg\n0,1\n5\n", "row 3: '5' is not 2 finite numbers"),
         ("time_s,yaw_deg\n0,1\n0,2\n", "row 3: time_s does not rise"),
         ("time_s,yaw_deg\n\n0,1\n\n0,2\n", "row 5: time_s does not rise"),
         ("time_s,yaw_deg\n\n0,x\n", "row 3: '0,x' is not 2 finite"),

@@ -6,7 +6,7 @@ from scipy.optimize import brentq
 from test_heat_balance import COLUMNS, forcing, ground, sunny
 
 from tests.robustness.stepped import DOUBLE, SINGLE, run
-from thermorender.physics import balance, exchange
+from thermorender.physics import balance, turbulence
 from thermorender.physics.conduction import Slab, layered
 
 # Allowed differences [K] of any column under any step: from closed forms, which the layers approximate, and from double
@@ -58,7 +58,7 @@ def test_a_sheet_in_sunlight_reaches_its_steady_temperature(seconds, count):
 
         def surplus(kelvin, through=through):
             radiation = 300.0 + 0.3 * (330.0 - balance.STEFAN_BOLTZMANN * kelvin**4)
-            return radiation - (exchange.CALM_W_M2_K + through) * (kelvin - 290.0)
+            return radiation - (turbulence.CALM_W_M2_K + through) * (kelvin - 290.0)
 
         exact.append(brentq(surplus, 250.0, 400.0, xtol=1e-9))
     begin = np.tile(np.array(exact) - 1.0, (len(thin.capacity), 1))
@@ -87,12 +87,12 @@ def test_a_sinusoidal_flux_gives_the_wave_of_the_closed_form():
     exact, begin = [], []
     for number, (slab, film) in enumerate(EVERY.values()):
         capacity, conductance = (np.array(each)[:, number] for each in (dry.capacity, dry.conductance))
-        wave = swing / (exchange.CALM_W_M2_K + admittance(slab, film, s))
+        wave = swing / (turbulence.CALM_W_M2_K + admittance(slab, film, s))
         exact.append(wave)
         # The same wave at the nodes, from a linear system.
         matrix = np.diag(s * capacity + conductance[:-1] + conductance[1:]).astype(complex)
         matrix -= np.diag(conductance[1:-1], 1) + np.diag(conductance[1:-1], -1)
-        above = conductance[0] / (exchange.CALM_W_M2_K + conductance[0])
+        above = conductance[0] / (turbulence.CALM_W_M2_K + conductance[0])
         matrix[0, 0] -= above * conductance[0]
         begin.append(np.linalg.solve(matrix, np.eye(len(capacity))[0] * above * swing).real)
     found, _ = run(

@@ -123,7 +123,7 @@ def flight(folder, rate_hz=9.0, products=_PRODUCTS, **more):
 
 def bake(folder):
     """Trace the light of a scene with the cache in FOLDER/cache, and write the resulting frame."""
-    from thermorender.render.light import cache as kept
+    from thermorender.render.light import transport_cache as kept
 
     os.environ["THERMORENDER_CACHE"] = str(folder / "cache")
     kept.WORTH_RAYS = 0
@@ -134,7 +134,7 @@ def bake(folder):
 
 def heat(folder):
     """A flight of minutes with simulated temperatures, and light from a cache in FOLDER/cache."""
-    from thermorender.render.light import cache as kept
+    from thermorender.render.light import transport_cache as kept
 
     os.environ["THERMORENDER_CACHE"] = str(folder / "cache")
     kept.WORTH_RAYS = 0
@@ -274,7 +274,7 @@ WRITERS = {
 def shut_out(folder):
     """As user nobody if this is root: fly into folders without write permission, from one without read permission."""
     os.environ["THERMORENDER_CACHE"] = str(folder / "cache")
-    from thermorender.render.light import cache as kept
+    from thermorender.render.light import transport_cache as kept
 
     kept.WORTH_RAYS = 0
     from thermorender.output.flight import FlightOptions, fly

@@ -277,8 +277,8 @@ def _damaged(data):
 
 @case("faults", "light kept on disk and {}: taken as it is, or another result", ("damaged", "of another program"))
 def light(how):
-    from thermorender.render.light import cache as kept
     from thermorender.render.light import radiosity
+    from thermorender.render.light import transport_cache as kept
 
     before, worth = os.environ.get("THERMORENDER_CACHE"), kept.WORTH_RAYS
     with _place() as folder, ExitStack() as stack:

@@ -12,7 +12,7 @@ import numpy as np
 
 from tests.robustness.cases import Found, case
 from tests.robustness.stepped import DOUBLE, SINGLE, run
-from thermorender.physics import balance, exchange
+from thermorender.physics import balance, turbulence
 from thermorender.physics.conduction import Slab, layered
 from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.units import ZERO_CELSIUS_K
@@ -33,14 +33,14 @@ STEPS = {"1 s": 1.0, "1 min": 60.0, "15 min": 900.0, "1 h": 3600.0, "3 h": 10800
 
 
 def column(cuts, **changed):
-    """Return the balance.Ground of columns (C,) cut into layers, dry by default."""
+    """Return the balance.ColumnProperties of columns (C,) cut into layers, dry by default."""
     own = {
         "emissivity": 0.95, "log_wind": np.log(10.0 / 0.01), "log_heat": np.log(2.0 / 0.001), "height_m": 2.0,
         "resistance": 1e9, "wetness": 1.0, "open_water": 0.0, "leaves": 0.0, "held": 0.0, "melting": 0.0,
         "capacity": list(np.array([cut.capacity for cut in cuts]).T),
         "conductance": list(np.array([cut.conductance for cut in cuts]).T),
     }  # fmt: skip
-    return balance.Ground(**(own | changed))
+    return balance.ColumnProperties(**(own | changed))
 
 
 def air(**changed):
@@ -54,7 +54,7 @@ def air(**changed):
 
 @cache
 def everything():
-    """(Ground, day's Forcing by time) of all materials in all winds; the wind varies fastest."""
+    """(ColumnProperties, day's Forcing by time) of all materials in all winds; the wind varies fastest."""
     cuts, rest = [], []
     for slabs, film, *numbers in MATERIALS.values():
         for wind in WINDS:
@@ -144,7 +144,7 @@ def jump(step):
 
 
 def _settled_sheet():
-    """(Ground, State) of a metal sheet after two days in dark, dry air."""
+    """(ColumnProperties, State) of a metal sheet after two days in dark, dry air."""
     ground = column([layered([Slab(0.0005, 50.0, 3.9e6)], film=25.0)])
     _, begin = run(DOUBLE, ground, lambda t: air(), np.full((len(ground.capacity), 1), 288.0), 3600.0, 48)
     return ground, begin
@@ -195,10 +195,10 @@ def _balanced(act, **changed):
     ground = column([layered([Slab(1e-4, 1.0, 2e6)])], **changed)
 
     def surplus(kelvin):
-        density = exchange.air_density(act.pressure_pa, act.air_k)
+        density = turbulence.air_density(act.pressure_pa, act.air_k)
         logs = ground.log_wind, ground.log_heat, ground.height_m
-        h, bend = exchange.convection(np, kelvin, act.air_k, act.wind_m_s, density, *logs)
-        latent, *_ = exchange.evaporation(
+        h, bend = turbulence.convection(np, kelvin, act.air_k, act.wind_m_s, density, *logs)
+        latent, *_ = turbulence.evaporation(
             np, kelvin, act.vapour_pa, act.pressure_pa, h, bend, density, ground.resistance, 0.0,
             kelvin < ZERO_CELSIUS_K,
         )  # fmt: skip

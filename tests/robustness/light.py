@@ -10,7 +10,7 @@ from tests.robustness.cases import Found, case
 from thermorender.defaults import BAND_UM
 from thermorender.materials.material import grey
 from thermorender.materials.mixture import mix
-from thermorender.physics.band import emitted_radiance
+from thermorender.physics.band import emitted_radiance, kinetic_temperature, reflected_radiance
 from thermorender.physics.planck import (
     C2,
     STEFAN_BOLTZMANN,
@@ -19,7 +19,6 @@ from thermorender.physics.planck import (
     brightness_temperature,
     spectral_radiance,
 )
-from thermorender.physics.surface import kinetic_temperature, reflected_radiance
 
 # Some ulp of radiance: the allowed error of its integral over the 64 terms of its sum.
 ROUNDING = 64.0 * np.finfo(float).eps

@@ -373,7 +373,7 @@ def network():
 def heat(steps):
     """Surfaces of up to three slabs, 10 µm … 10 m, 0.02 … 400 W m⁻¹ K⁻¹, wet, freezing, under snow, in any weather."""
     from tests.robustness.stepped import DOUBLE, SINGLE, run
-    from thermorender.physics import balance, exchange
+    from thermorender.physics import balance, turbulence
     from thermorender.physics.conduction import Slab, layered
 
     (seconds, number), count, rng = steps, 400, np.random.default_rng(6)
@@ -396,7 +396,7 @@ def heat(steps):
         room.append(layered(slabs, skin, film).water)
     of = lambda name: list(np.array([getattr(cut, name) for cut in cuts]).T)  # noqa: E731
     rough = 0.5 * 10.0 ** rng.uniform(-4.0, 0.0, count)
-    ground = balance.Ground(
+    ground = balance.ColumnProperties(
         emissivity=rng.choice([1e-3, 0.1, 0.5, 0.95, 1.0], count), log_wind=np.log(10.0 / rough),
         log_heat=np.log(2.0 / rough) + rng.uniform(1.0, 7.0, count), height_m=2.0,
         resistance=10.0 ** rng.uniform(0.0, 4.0, count), wetness=rng.uniform(0.01, 1.0, count),
@@ -413,7 +413,7 @@ def heat(steps):
         sun, kelvin = peak * max(0.0, -np.cos(phase)), mean_k - 7.0 * np.cos(phase - 0.5)
         return balance.Forcing(
             absorbed=0.7 * sun, longwave=0.8 * balance.STEFAN_BOLTZMANN * kelvin**4, sunlight=sun, air_k=kelvin,
-            vapour_pa=humidity * exchange.saturation_vapour(np, kelvin)[0], wind_m_s=wind, pressure_pa=9e4,
+            vapour_pa=humidity * turbulence.saturation_vapour(np, kelvin)[0], wind_m_s=wind, pressure_pa=9e4,
             rain_kg_m2_s=1e-4 * (np.sin(3.0 * phase + mean_k) > 0.9), below_k=mean_k,
         )  # fmt: skip
 

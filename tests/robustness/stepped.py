@@ -14,7 +14,7 @@ def run(precision, ground, act, begin, seconds, count, start_s=0.0):
     ----------
     precision : str
         SINGLE or DOUBLE.
-    ground : balance.Ground
+    ground : balance.ColumnProperties
         Of C columns; NumPy.
     act : callable
         Returns the balance.Forcing at a time [s].
@@ -27,7 +27,7 @@ def run(precision, ground, act, begin, seconds, count, start_s=0.0):
     """
     given = isinstance(begin, balance.State)
     xp, array, evaluate = _library(precision, np.shape(begin.layers_k if given else begin)[1])
-    ground = balance.Ground(*(_each(array, value) for value in ground))
+    ground = balance.ColumnProperties(*(_each(array, value) for value in ground))
     if given:
         state = balance.State(*(_each(array, value) for value in begin))
     else:

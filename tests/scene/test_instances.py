@@ -12,7 +12,7 @@ from scenes import coarse, write_terrain
 from thermorender.apps.lands.solids.plants import leaves
 from thermorender.errors import ThermorenderError
 from thermorender.render.geometry import Geometry
-from thermorender.render.light import cache, radiosity
+from thermorender.render.light import radiosity, transport_cache
 from thermorender.render.pixels import budget
 from thermorender.render.plan import make_plan
 from thermorender.render.variant import activate
@@ -207,7 +207,7 @@ def test_light_is_kept_by_the_copies_too(tmp_path):
     trees = scene.surfaces[1]
     mirrored = replace(trees.instances, faces=trees.instances.faces[:, ::-1])
     names = [
-        cache.key(Geometry(activate(), [scene.surfaces[0], each]), 64)
+        transport_cache.key(Geometry(activate(), [scene.surfaces[0], each]), 64)
         for each in (trees, replace(trees, instances=mirrored))
     ]
     assert names[0] != names[1]

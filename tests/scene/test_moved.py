@@ -253,7 +253,7 @@ def test_snow_or_rain_at_one_instant_only_leaves_the_balance(scene, tools):
 
 @pytest.mark.slow
 def test_frames_flags_and_records_describe_the_moved_map(scene, tmp_path, call):
-    from thermorender.output.record import weather_of
+    from thermorender.output.provenance import weather_of
 
     renderer = tr.Renderer(scene.at(TRAINED + 2 * HOUR), rays=4, samples=1)
     frame = renderer.frame(tr.pose(0, 0, 20, pitch_deg=-90))

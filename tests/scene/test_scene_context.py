@@ -14,7 +14,7 @@ from thermorender.apps.training.emissivity_training import Labelled, train
 from thermorender.apps.training.material_training import band_emissivity_of, labelled_scene
 from thermorender.cli.app import app
 from thermorender.errors import ThermorenderError
-from thermorender.learned.emissivity import relief
+from thermorender.learned.emissivity import elevation
 from thermorender.learned.emissivity.mapping import Evidence, load_map, map_materials, save_map
 from thermorender.materials.library import load_library
 from thermorender.materials.mixture import spectra_of
@@ -141,18 +141,18 @@ def land():
 
 def test_heights_above_the_ground_are_those_of_houses_and_trees():
     height, _ = land()
-    above, slope = relief.above_ground(height, 1.0)
+    above, slope = elevation.above_ground(height, 1.0)
     assert above[22:30, 22:32] == pytest.approx(np.full((8, 10), 6.0), abs=0.5)
     assert above[70, 40] == pytest.approx(9.0, abs=0.5)
     assert np.abs(above[50:60]).max() < 0.3
     # 10 % are 5.7°.
     assert slope[50:60, 10:110] == pytest.approx(np.full((10, 100), 5.71), abs=0.05)
     assert slope[95:105, 65:75].max() < 0.1
-    case = relief.case_of(above, slope)
+    case = elevation.case_of(above, slope)
     assert set(case[24:28, 24:30].flat) == {7} and set(case[50:60].flat) == {1}
     # A hole stays one, and does not change its surroundings.
     height[24, 25] = np.nan
-    holed, _ = relief.above_ground(height, 1.0)
+    holed, _ = elevation.above_ground(height, 1.0)
     assert np.isnan(holed[24, 25]) and np.isnan(holed).sum() == 1
     assert holed[22, 22] == pytest.approx(above[22, 22], abs=0.1)
 
@@ -167,26 +167,27 @@ def test_heights_above_the_ground_are_those_of_houses_and_trees():
     ],
 )  # fmt: skip
 def test_heights_that_show_nothing_are_no_evidence(height, post_m, why):
-    assert relief.seen(height, post_m)[2].startswith(why) and bool(relief.seen(height, post_m)[2]) == bool(why)
+    found = elevation.seen(height, post_m)[2]
+    assert found.startswith(why) and bool(found) == bool(why)
 
 
 def test_evidence_of_heights_follows_bayes_rule():
     names = ["asphalt", "roof_slate", "conifer", "water", "concrete", "brass"]
-    factor = relief.evidence(np.zeros((1, 1), np.uint8), names).factor
-    share = {name: 0.9 * np.array(values) + 0.1 / 9 for name, values in relief.LIKELIHOOD.items()}
+    factor = elevation.evidence(np.zeros((1, 1), np.uint8), names).factor
+    share = {name: 0.9 * np.array(values) + 0.1 / 9 for name, values in elevation.LIKELIHOOD.items()}
     assert (factor[0] == 1.0).all()
     for column, surface in enumerate(("ground", "roof", "tree", "water")):
         assert factor[1:, column] == pytest.approx(share[surface])
     # Concrete is a roof or paving; a material of unknown kind may be anything.
     assert factor[1:, 4] == pytest.approx(0.5 * (share["roof"] + share["ground"]))
     assert factor[1:, 5] == pytest.approx(np.mean(list(share.values()), axis=0))
-    assert all(sum(values) == pytest.approx(1.0, abs=2e-4) for values in relief.LIKELIHOOD.values())
+    assert all(sum(values) == pytest.approx(1.0, abs=2e-4) for values in elevation.LIKELIHOOD.values())
 
 
 @pytest.mark.slow
 def test_likelihoods_are_those_of_procedural_land():
     found = fitted.shares([make("village", 103), make("heath", 102)])
-    for surface, values in relief.LIKELIHOOD.items():
+    for surface, values in elevation.LIKELIHOOD.items():
         # Two lands of the five that the table is from.
         assert found[surface] == pytest.approx(np.array(values), abs=0.06), surface
 

@@ -99,7 +99,7 @@ def simulations(monkeypatch):
             for time in times
         ]
 
-    for name, function in (("weather.declared", declared_weather), ("render.heat.simulation", solved)):
+    for name, function in (("weather.declared_weather", declared_weather), ("render.heat.simulation", solved)):
         module = ModuleType(f"thermorender.{name}")
         setattr(module, function.__name__, function)
         monkeypatch.setitem(sys.modules, module.__name__, module)
@@ -126,7 +126,7 @@ def path():
 
 
 def test_the_weather_table_is_read(scene, monkeypatch):
-    monkeypatch.delitem(sys.modules, "thermorender.weather.declared")
+    monkeypatch.delitem(sys.modules, "thermorender.weather.declared_weather")
     weather = scene.weather
     # The named day's limits and place, five days before and one after.
     assert 283.15 <= weather.air_k.min() < 283.3 and 295.0 < weather.air_k.max() <= 295.15 + 1e-6
@@ -138,7 +138,7 @@ def test_the_weather_table_is_read(scene, monkeypatch):
 
 
 def test_an_instant_outside_its_file_is_refused(tmp_path, monkeypatch):
-    monkeypatch.delitem(sys.modules, "thermorender.weather.declared")
+    monkeypatch.delitem(sys.modules, "thermorender.weather.declared_weather")
     table = '[weather]\ntime = 2018-07-28T14:30:00Z\nfile = "station.csv"\nwind_m_s = 3\n'
     folder = write(tmp_path / "tiny", table)
     rows = [f"2018-07-{27 + hour // 24}T{hour % 24:02d}:00:00Z,{18 + hour % 24 / 4},60" for hour in range(36)]
@@ -384,10 +384,10 @@ def test_a_flight_uses_temperatures_of_its_own_time(scene, path, simulations, tm
 
 
 def test_light_is_traced_once_for_a_flight(scene, path, tmp_path, monkeypatch):
-    from thermorender.render.light import cache
+    from thermorender.render.light import transport_cache
 
-    traced, known = [], cache.traced
-    monkeypatch.setattr(cache, "traced", lambda *given: traced.append(1) or known(*given))
+    traced, known = [], transport_cache.traced
+    monkeypatch.setattr(transport_cache, "traced", lambda *given: traced.append(1) or known(*given))
     fly(tr.Renderer(scene, rays=4, samples=1), path, tmp_path / "f", FlightOptions(rate_hz=0.05, products=("counts",)))
     assert len(traced) == 1
 

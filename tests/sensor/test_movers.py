@@ -234,37 +234,37 @@ def test_view_that_returns_within_a_time_constant_counts_as_motion(turns_per_s):
     assert 0.85 * way_px < how["motion_px"] < way_px
 
 
-def test_only_the_changing_part_is_rendered_again():
+def test_only_the_changing_region_is_rendered_again():
     plate, still = Plate(lambda t: 5.0 * t), Plate(lambda t: 2.0)
     _, how, _ = flown(still, 0.0, 30.0, 3)
     assert how["renders"] == 1 and how["lag_mk"] == 0.0
     path = lambda t: pose(0, 0, HEIGHT_M, 0.0, -90.0)  # noqa: E731
-    (part,) = movers.parts(CAMERA, path, [plate.mover, still.mover], 0.0, 0.1, 6)
-    assert part.px_per_s == pytest.approx(5.0 * CAMERA.focal_length_px / HEIGHT_M, rel=1e-6)
+    (region,) = movers.changing_regions(CAMERA, path, [plate.mover, still.mover], 0.0, 0.1, 6)
+    assert region.px_per_s == pytest.approx(5.0 * CAMERA.focal_length_px / HEIGHT_M, rel=1e-6)
     size = 3.0 * CAMERA.focal_length_px / HEIGHT_M
-    assert part.rows.stop - part.rows.start == pytest.approx(size + 12, abs=2)
+    assert region.rows.stop - region.rows.start == pytest.approx(size + 12, abs=2)
     # Out of sight, or behind.
-    assert not movers.parts(CAMERA, path, [Plate(lambda t: 500.0 + t).mover], 0.0, 0.1, 6)
+    assert not movers.changing_regions(CAMERA, path, [Plate(lambda t: 500.0 + t).mover], 0.0, 0.1, 6)
     up = lambda t: pose(0, 0, HEIGHT_M, 0.0, 90.0)  # noqa: E731
-    assert not movers.parts(CAMERA, up, [plate.mover], 0.0, 0.1, 6)
+    assert not movers.changing_regions(CAMERA, up, [plate.mover], 0.0, 0.1, 6)
 
 
-def test_overlapping_parts_are_merged():
+def test_overlapping_regions_are_merged():
     path = lambda t: pose(0, 0, HEIGHT_M, 0.0, -90.0)  # noqa: E731
     near = [Plate(lambda t, off=off: 5.0 * t + off).mover for off in (0.0, 2.0, -8.0)]
-    found = movers.parts(CAMERA, path, near, 0.0, 0.1, 3)
+    found = movers.changing_regions(CAMERA, path, near, 0.0, 0.1, 3)
     assert len(found) == 2
-    assert sum(part.columns.stop - part.columns.start for part in found) < CAMERA.width
+    assert sum(region.columns.stop - region.columns.start for region in found) < CAMERA.width
 
 
-def test_part_is_blurred_as_in_the_whole_image():
+def test_region_is_blurred_as_in_the_whole_image():
     camera = replace(load_camera("zenmuse-xt2"), width=243, height=197)
     sensor, image = Sensor(camera, 0), np.random.default_rng(0).normal(20.0, 5.0, (197, 243)).astype(np.float32)
     whole = sensor.blurred(image)
     for top, bottom, left, right in ((60, 83, 101, 140), (0, 9, 230, 243), (180, 197, 3, 50)):
         rows, columns = slice(top, bottom), slice(left, right)
-        part = movers.Part(rows, columns, 1.0, np.zeros(0), np.zeros(0))
-        wide = part.around(197, 243)
+        region = movers.ChangingRegion(rows, columns, 1.0, np.zeros(0), np.zeros(0))
+        wide = region.around(197, 243)
         seen = np.zeros_like(image)
         seen[wide] = sensor.blurred(image[wide])
         np.testing.assert_allclose(seen[rows, columns], whole[rows, columns], atol=2e-5)

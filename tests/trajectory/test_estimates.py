@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from thermorender.errors import ThermorenderError
-from thermorender.trajectory.mapping import load_mapping
+from thermorender.trajectory.column_mapping import load_mapping
 from thermorender.trajectory.readers import read_trajectory
 from thermorender.trajectory.rotations import rotation_from_wxyz, wxyz
 

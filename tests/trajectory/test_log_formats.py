@@ -11,7 +11,7 @@ import pytest
 from thermorender.cli.options import TrajectoryOptions
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
-from thermorender.trajectory.mapping import READERS, bundled_formats, load_mapping
+from thermorender.trajectory.column_mapping import READERS, bundled_formats, load_mapping
 from thermorender.trajectory.path import Anchor
 from thermorender.trajectory.readers import read_trajectory
 from thermorender.trajectory.sources import SOURCES

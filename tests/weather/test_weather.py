@@ -13,7 +13,7 @@ from support import shared_data
 from thermorender.errors import ThermorenderError
 from thermorender.physics import humidity, moisture, sky, sun
 from thermorender.weather.columns import COLUMNS
-from thermorender.weather.declared import declared_weather
+from thermorender.weather.declared_weather import declared_weather
 from thermorender.weather.epw import read_epw
 from thermorender.weather.named_day import daily_course, named_day
 from thermorender.weather.series import Weather

@@ -17,7 +17,7 @@ from thermorender.atmosphere.absorbers import between, exponential
 from thermorender.atmosphere.emission import ALTITUDE_M
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.profile import read_gases
-from thermorender.atmosphere.tables import not_rising, read_arrays, wrong_sub_bands
+from thermorender.atmosphere.table_files import not_rising, read_arrays, wrong_sub_bands
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import BOLTZMANN
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from thermorender.atmosphere.absorbers import exponential, saturation_g_m3, scaled_densities
 from thermorender.atmosphere.checks import check_within, name_index
 from thermorender.atmosphere.model import Atmosphere
-from thermorender.atmosphere.tables import read_table
+from thermorender.atmosphere.table_files import read_table
 from thermorender.physics import sky
 from thermorender.physics.humidity import dew_point
 from thermorender.physics.planck import STEFAN_BOLTZMANN

@@ -22,7 +22,7 @@ from thermorender.atmosphere import rays
 from thermorender.atmosphere.absorbers import exponential, offset_water, scaled_densities
 from thermorender.atmosphere.checks import check_altitudes, check_within, name_index
 from thermorender.atmosphere.emission import ALTITUDE_M, Profile, amounts, emission
-from thermorender.atmosphere.tables import NAMES, read_saved, read_table
+from thermorender.atmosphere.table_files import NAMES, read_saved, read_table
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic
 from thermorender.physics.planck import C2, spectral_radiance

@@ -17,7 +17,7 @@ from thermorender.atmosphere.checks import check_within, name_index
 from thermorender.atmosphere.igra import is_igra, read_igra
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.rays import MEAN_RADIUS_M
-from thermorender.atmosphere.tables import read_table
+from thermorender.atmosphere.table_files import read_table
 from thermorender.errors import ThermorenderError
 from thermorender.units import ZERO_CELSIUS_K
 

@@ -72,7 +72,7 @@ def flat(verb: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def profiled(verb: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a verb with the option --profile, which prints the Profile of its run to the error stream."""
+    """Return a verb with the option --profile, which prints the PhaseTimes of its run to the error stream."""
     given = inspect.signature(verb)
     says = "Print the seconds of each phase to the error stream, and add them to the record."
     option = inspect.Parameter(

@@ -65,7 +65,7 @@ def render(
         from thermorender.frame.record import record
         from thermorender.output import products as frame_files
         from thermorender.output.photograph import photograph
-        from thermorender.output.record import made_by, weather_of
+        from thermorender.output.provenance import made_by, weather_of
 
     if engine not in ("renderer", "reference"):
         raise ThermorenderError(f"--engine={engine!r} is unknown; give renderer or reference")
@@ -180,7 +180,7 @@ def fly(
         from thermorender.output import products as frame_files
         from thermorender.output.flight import FlightOptions
         from thermorender.output.flight import fly as run
-        from thermorender.output.flight_pages.preview import preview as foresee
+        from thermorender.output.flight_pages.flight_preview import preview as foresee
 
     if output is None and not preview:
         raise ThermorenderError("-o is missing; give the folder for the flight, or --preview to see what it will show")

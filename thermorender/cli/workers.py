@@ -98,7 +98,7 @@ class ClusterOptions:
     def part(self, renderer: "Renderer", trajectory: "Trajectory", folder: Path, options: "FlightOptions") -> str:
         """Render the frames of --frames and return a line on them."""
         from thermorender.output.blocks import parse_frames
-        from thermorender.output.parts import fly_part
+        from thermorender.output.flight_part import fly_part
 
         assert self.frames
         first, stop = parse_frames(self.frames)

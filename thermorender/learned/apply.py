@@ -6,7 +6,7 @@ import numpy as np
 
 from thermorender.learned.temperature_map import Inputs, TemperatureMap
 from thermorender.materials.material import Material
-from thermorender.physics.surface import kinetic_temperature
+from thermorender.physics.band import kinetic_temperature
 
 # Below this band emissivity, an error of 1 K in apparent temperature becomes more than 2 K in kinetic temperature, and
 # an error in the assumed sky counts as much as the surface.

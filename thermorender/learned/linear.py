@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from thermorender.learned.features import lab
+from thermorender.learned.pixel_features import lab
 from thermorender.learned.rows import ExtraInputs, at_shape, at_texel
 from thermorender.learned.temperature_map import Inputs
 

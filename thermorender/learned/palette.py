@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.learned.features import lab
+from thermorender.learned.pixel_features import lab
 from thermorender.learned.temperature_map import Inputs
 
 # sRGB has −128…128 in a and b and 0…100 in L of CIELAB: a cube of this side holds it.

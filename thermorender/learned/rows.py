@@ -1,6 +1,6 @@
 """Table rows for maps of single pixels, at the map's ground sampling distance.
 
-Columns are a pixel's picture `features`, its relief, and hour and weather, which are the same for a whole picture.
+Columns are a pixel's `pixel_features`, its relief, and hour and weather, which are the same for a whole picture.
 """
 
 from collections.abc import Iterator, Sequence
@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.learned.features import HALO, NAMES, feature_planes, whole_picture
+from thermorender.learned.pixel_features import HALO, NAMES, feature_planes, whole_picture
 from thermorender.learned.temperature_map import Inputs
 
 # A picture is not resampled if its ground sampling distance differs from the map's by less than this share.

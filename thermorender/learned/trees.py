@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from thermorender import formats
-from thermorender.learned.features import NAMES
 from thermorender.learned.linear import Linear
+from thermorender.learned.pixel_features import NAMES
 from thermorender.learned.rows import ExtraInputs, at_shape, at_texel
 from thermorender.learned.temperature_map import Inputs
 

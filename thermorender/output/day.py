@@ -20,7 +20,7 @@ from thermorender.frame.record import record
 from thermorender.materials.mixture import parts_of
 from thermorender.output import products as product_files
 from thermorender.output.day_figure import figure
-from thermorender.output.record import made_by, weather_of
+from thermorender.output.provenance import made_by, weather_of
 from thermorender.output.video import write_video
 from thermorender.render.flight.timed import solved_in_parts
 from thermorender.scene.surface import FILLED

@@ -34,7 +34,7 @@ from thermorender.output.flight_pages.prospect import prospect as prospect_of
 from thermorender.output.frame_files import Prepared, prepare, put_in_place
 from thermorender.output.mcap import check_mcap, write_mcap
 from thermorender.output.photograph import photograph
-from thermorender.output.record import made_by, weather_of
+from thermorender.output.provenance import made_by, weather_of
 from thermorender.output.resume import finished, refuse_moved, remove_state, state_file
 from thermorender.output.video import VideoWriter
 from thermorender.output.writer import WORKERS, OrderedWriter

@@ -7,7 +7,7 @@ library; all fields broadcast over the columns.
 
 from typing import Any, NamedTuple
 
-from thermorender.physics import exchange
+from thermorender.physics import turbulence
 from thermorender.physics.conduction import filled, top_response
 from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.units import ZERO_CELSIUS_K
@@ -24,11 +24,11 @@ RETENTION = 0.05
 _ENDLESS = 1e9  # kg m⁻²
 
 
-class Ground(NamedTuple):
+class ColumnProperties(NamedTuple):
     """Properties of the columns: arrays over the columns, or lists of them over the layers."""
 
     emissivity: Any  # Broadband hemispherical [1]
-    # log_wind, log_heat, height_m: As in `exchange.convection`
+    # log_wind, log_heat, height_m: As in `turbulence.convection`
     log_wind: Any
     log_heat: Any
     height_m: Any
@@ -42,12 +42,12 @@ class Ground(NamedTuple):
     capacity: list[Any]
     conductance: list[Any]
     water: list[Any] | None = None  # Freezable water of the layers [kg m⁻²]; None: nothing freezes or melts
-    # Liquid water that a layer can hold [kg m⁻²]: all its water in soil and lakes, little in snow. The rest of the
-    # snow's melt water runs off, and its ice is unlimited.
+    # Largest liquid water content of the layers [kg m⁻²]: all their water in soil and lakes, a `RETENTION` of it in
+    # snow, whose further melt water runs off. The ice of snow is not used up.
     room: list[Any] | None = None
     # Share of the absorbed sunlight per layer; None: the surface absorbs all of it
     sun_share: list[Any] | None = None
-    gap: Any = None  # Share of the sky that the first layer sees between leaves, 0…1; None: it sees none
+    gap: Any = None  # View factor from the first layer to the sky, through gaps between leaves, 0…1; None: 0
 
 
 class Forcing(NamedTuple):
@@ -72,8 +72,8 @@ class State(NamedTuple):
     layers_k: list[Any]  # [K]
     film: Any  # Free water on the surface [kg m⁻²]
     liquid: list[Any] | None  # Liquid part of the layers' freezable water [kg m⁻²]
-    # What the layers are warmer than `layers_k` can hold [K]; None: nothing. In single precision short steps change
-    # deep layers by less than an ulp of `layers_k`, and thin sheets have smaller gradients.
+    # Rounding error of `layers_k` [K], kept for the next step (compensated summation); None: 0. In single precision a
+    # short step changes deep layers by less than an ulp, and differences within thin sheets are smaller than one.
     remainder_k: Any = None
 
 
@@ -88,7 +88,7 @@ class Fluxes(NamedTuple):
     molten: Any  # Melted minus frozen water of the layers [kg m⁻² s⁻¹]
 
 
-def at_rest(xp: Any, temperatures_k: list[Any], ground: Ground) -> State:
+def at_rest(xp: Any, temperatures_k: list[Any], ground: ColumnProperties) -> State:
     """Return the initial State of dry columns of layer temperatures [K]; snow and layers below 0 °C are frozen."""
     liquid = None
     if ground.water is not None and ground.room is not None:
@@ -99,15 +99,17 @@ def at_rest(xp: Any, temperatures_k: list[Any], ground: Ground) -> State:
     return State(temperatures_k[0], list(temperatures_k), 0.0 * temperatures_k[0], liquid)
 
 
-def seen_k(state: State, ground: Ground) -> Any:
-    """Return the radiative temperature of the columns [K], of the surface and of the first layer in its gaps."""
+def seen_k(state: State, ground: ColumnProperties) -> Any:
+    """Return the radiative temperature of the columns [K]: of the surface, and of the first layer through gaps."""
     if ground.gap is None:
         return state.surface_k
     return ((1.0 - ground.gap) * state.surface_k**4 + ground.gap * state.layers_k[0] ** 4) ** 0.25
 
 
-def step(xp: Any, state: State, ground: Ground, first: Forcing, second: Forcing, seconds: Any) -> tuple[State, Fluxes]:
-    """Return (State, Fluxes) after `seconds`; `first` and `second` are the Forcing at the step's `stage_times`."""
+def step(
+    xp: Any, state: State, ground: ColumnProperties, first: Forcing, second: Forcing, seconds: Any
+) -> tuple[State, Fluxes]:
+    """Return (State, Fluxes) after `seconds` [s]; `first` and `second` are the Forcing at the `stage_times`."""
     stage = _GAMMA * seconds
     if state.remainder_k is None:
         state = state._replace(remainder_k=[0.0 * t for t in state.layers_k])
@@ -143,8 +145,9 @@ def _warmed(kelvin: Any, remainder: Any, change: Any) -> tuple[Any, Any]:
 
 
 def _stage(
-    xp: Any, state: State, sources: list[Any] | None, guess: Any, ground: Ground, forcing: Forcing, seconds: Any
-) -> tuple[Any, list[Any], tuple[Any, ...]]:
+    xp: Any, state: State, sources: list[Any] | None, guess: Any, ground: ColumnProperties, forcing: Forcing,
+    seconds: Any,
+) -> tuple[Any, list[Any], tuple[Any, ...]]:  # fmt: skip
     """(surface [K], changes of the layers [K], Fluxes without `molten`) after one implicit stage.
 
     `sources` is heat that the layers gain beside conduction and sunlight [W m⁻²]; `guess` starts Newton's method [K].
@@ -169,10 +172,10 @@ def _stage(
     # Conductance from the surface into the column: through the skin and the first half layer.
     series = 1.0 / (response.beta + 1.0 / ground.conductance[0])
     before_k, warmed = layers[0], response.alpha + remainder[0]
-    density = exchange.air_density(forcing.pressure_pa, forcing.air_k)
-    saturation, _ = exchange.saturation_vapour(xp, forcing.air_k)
+    density = turbulence.air_density(forcing.pressure_pa, forcing.air_k)
+    saturation, _ = turbulence.saturation_vapour(xp, forcing.air_k)
     deficit = saturation - forcing.vapour_pa
-    closed = exchange.stomata(xp, ground.resistance, forcing.sunlight, deficit, forcing.air_k)
+    closed = turbulence.stomata(xp, ground.resistance, forcing.sunlight, deficit, forcing.air_k)
     resistance = xp.where(ground.leaves > 0.5, closed, ground.resistance) / xp.maximum(ground.wetness, 1e-6)
     wet = xp.maximum(xp.minimum(state.film / xp.maximum(ground.held, 1e-3), 1.0), ground.open_water)
     rain = WATER_HEAT * forcing.rain_kg_m2_s
@@ -182,18 +185,19 @@ def _stage(
     t, frozen = guess, guess < ZERO_CELSIUS_K
     low, high = 0.0 * t, 0.0 * t + 1e4
 
-    def surplus(t: Any) -> tuple[Any, ...]:
-        """(radiation, sensible, latent heat, heat per mass, conducted heat, surplus, its slope) at a temperature."""
-        h, bend = exchange.convection(
+    def residual(t: Any) -> tuple[Any, ...]:
+        """Terms of the balance at a surface temperature [K]: net radiation, sensible and latent heat, latent heat per
+        mass [J/kg], conduction, the residual [W m⁻²], and minus its derivative [W m⁻² K⁻¹]."""
+        h, bend = turbulence.convection(
             xp, t, forcing.air_k, forcing.wind_m_s, density, ground.log_wind, ground.log_heat, ground.height_m
         )
-        latent, slope, heat = exchange.evaporation(
+        latent, slope, heat = turbulence.evaporation(
             xp, t, forcing.vapour_pa, forcing.pressure_pa, h, bend, density, resistance, wet, frozen
         )
         cube = emits * STEFAN_BOLTZMANN * t**3
         warmer = t - forcing.air_k
         radiation, sensible = gained - cube * t, (h + rain) * warmer
-        # The exchange weakens as a surface cools below the air. A lower bound on its slope keeps the step's direction.
+        # In stable air the transfer coefficient falls as the surface cools. A lower bound keeps the derivative's sign.
         rate = 4.0 * cube + xp.maximum(h + bend * warmer + slope, 0.25 * h) + rain + series
         conducted = series * ((t - before_k) - warmed)
         return radiation, sensible, latent, heat, conducted, radiation - sensible - latent - conducted, rate
@@ -202,16 +206,16 @@ def _stage(
         return xp.minimum(xp.maximum(excess / rate, -_LARGEST_STEP_K), _LARGEST_STEP_K)
 
     for _ in range(_NEWTON):
-        *_, excess, rate = surplus(t)
-        # The slope jumps where stability, dew or ice begin, so steps stay between the known bounds.
+        *_, excess, rate = residual(t)
+        # The derivative jumps at the onset of stability, dew and ice: where Newton leaves the bracket, bisect.
         low, high = xp.where(excess > 0.0, t, low), xp.where(excess > 0.0, high, t)
         after = t + move(excess, rate)
         t = xp.where((after >= low) & (after <= high), after, 0.5 * (low + high))
-    # Melting snow stays at the melting point; the rest of the heat melts its first layer.
+    # Melting snow stays at the melting point; the surplus of heat melts its first layer.
     cap = xp.where(ground.melting > 0.5, ZERO_CELSIUS_K, 1e4)
     t = xp.minimum(t, cap)
-    radiation, sensible, latent, heat, conducted, excess, rate = surplus(t)
-    # A last step for the flux alone: in a column that conducts well, an ulp of the temperature is many W m⁻².
+    radiation, sensible, latent, heat, conducted, excess, rate = residual(t)
+    # One more Newton step, of the flux only: in a column that conducts well an ulp of temperature is many W m⁻².
     after = t + move(excess, rate)
     more = xp.where((after >= low) & (after <= high), series * move(excess, rate), 0.0)
     into = xp.where(t < cap, conducted + more, radiation - sensible - latent)
@@ -232,7 +236,7 @@ def _melted(
         ice = xp.where(room < 0.5 * water, _ENDLESS, water - now)
         molten = capacity * ((t - ZERO_CELSIUS_K) + more) / FUSION
         after = now + xp.minimum(xp.maximum(molten, -now), ice)
-        # Heat for less water than the sum can hold stays in the layer.
+        # A melt that is lost in rounding `after` leaves its heat in the layer.
         molten = after - now
         warm.append(_warmed(t, more, -molten * FUSION / capacity))
         wet.append(xp.minimum(after, room))

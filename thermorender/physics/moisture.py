@@ -41,7 +41,7 @@ _COLD_C, _DRY_PA, _DARK_H = (-2.0, 5.0), (4100.0, 900.0), (10.0, 11.0)
 MEMORY_D = 21
 
 
-class Texture(NamedTuple):
+class SoilTexture(NamedTuple):
     """A soil: water at field capacity, at wilting point and in all pores [1], readily evaporable water [mm]; kind.
 
     `coarse` soils have Johansen's Kersten number for sand.
@@ -67,12 +67,12 @@ class Texture(NamedTuple):
 # Middles of FAO-56, table 19. Pores: those of the tables of materials, 40 %, after Oke, Boundary Layer Climates (2nd
 # ed. 1987), table 2.1.
 TEXTURES = {
-    "sand": Texture(0.12, 0.045, 0.4, 4.5, True),
-    "loamy_sand": Texture(0.15, 0.065, 0.4, 6.0, True),
-    "sandy_loam": Texture(0.23, 0.11, 0.4, 8.0, False),
-    "loam": Texture(0.25, 0.12, 0.4, 9.0, False),
-    "silt_loam": Texture(0.29, 0.15, 0.4, 9.5, False),
-    "clay": Texture(0.36, 0.22, 0.4, 10.0, False),
+    "sand": SoilTexture(0.12, 0.045, 0.4, 4.5, True),
+    "loamy_sand": SoilTexture(0.15, 0.065, 0.4, 6.0, True),
+    "sandy_loam": SoilTexture(0.23, 0.11, 0.4, 8.0, False),
+    "loam": SoilTexture(0.25, 0.12, 0.4, 9.0, False),
+    "silt_loam": SoilTexture(0.29, 0.15, 0.4, 9.5, False),
+    "clay": SoilTexture(0.36, 0.22, 0.4, 10.0, False),
 }
 
 
@@ -159,26 +159,26 @@ def at_two_metres(wind_m_s: ArrayLike, height_m: float) -> Floats:
     return np.asarray(wind_m_s, np.float64) * 4.87 / np.log(67.8 * max(height_m, 0.5) - 5.42)
 
 
-def evaporates(texture: Texture, surface_mm: ArrayLike) -> Floats:
+def evaporates(texture: SoilTexture, surface_mm: ArrayLike) -> Floats:
     """Return the reduction Kr of evaporation by the surface layer's depletion [mm], 0 … 1: FAO-56, eq. 74."""
     left = (texture.evaporable_mm - np.asarray(surface_mm, np.float64)) / (texture.evaporable_mm - texture.ready_mm)
     return np.clip(left, 0.0, 1.0)
 
 
-def transpires(texture: Texture, roots_mm: ArrayLike) -> Floats:
+def transpires(texture: SoilTexture, roots_mm: ArrayLike) -> Floats:
     """Return the reduction Ks of transpiration by the roots' depletion [mm], 0 … 1: FAO-56, eq. 84."""
     left = texture.available_mm - np.asarray(roots_mm, np.float64)
     return np.clip(left / ((1.0 - _UNSTRESSED) * texture.available_mm), 0.0, 1.0)
 
 
-def filled(texture: Texture, water: float) -> Bucket:
+def filled(texture: SoilTexture, water: float) -> Bucket:
     """Return the Bucket of a soil with this water throughout [m³ m⁻³]."""
     missing = 1000.0 * max(texture.capacity - water, 0.0)
     return Bucket(min(missing * SURFACE_M, texture.evaporable_mm), min(missing * ROOTS_M, texture.available_mm))
 
 
 def after_day(
-    texture: Texture, bucket: Bucket, wet_mm: float, reference_mm: float, leaves: bool
+    texture: SoilTexture, bucket: Bucket, wet_mm: float, reference_mm: float, leaves: bool
 ) -> tuple[Bucket, float, float]:
     """Return (Bucket, evapotranspiration, drainage [mm]) after a day of rain and melt and reference evapotranspiration.
 
@@ -199,7 +199,7 @@ def after_day(
     return Bucket(surface, roots + drawn + dried), drawn + dried, drained
 
 
-def dry_depth(texture: Texture, surface_mm: ArrayLike) -> Floats:
+def dry_depth(texture: SoilTexture, surface_mm: ArrayLike) -> Floats:
     """Return the depth of the air-dry top of the surface layer [m].
 
     FAO-56 lets the surface layer dry to half its wilting point, between none and all of it: at that limit the upper
@@ -208,7 +208,7 @@ def dry_depth(texture: Texture, surface_mm: ArrayLike) -> Floats:
     return 0.5 * SURFACE_M * (1.0 - evaporates(texture, surface_mm))
 
 
-def kersten(texture: Texture, water: ArrayLike) -> Floats:
+def kersten(texture: SoilTexture, water: ArrayLike) -> Floats:
     """Return Johansen's Kersten number of unfrozen soil [1]: 1 + 0.7 lg S (coarse) or 1 + lg S (fine), not below 0.
 
     O. Johansen, Thermal conductivity of soils (1975), CRREL translation 637 (1977), chapter 5; S is saturation.
@@ -217,7 +217,7 @@ def kersten(texture: Texture, water: ArrayLike) -> Floats:
     return np.maximum(1.0 + (0.7 if texture.coarse else 1.0) * np.log10(saturation), 0.0)
 
 
-def conductivity(texture: Texture, water: ArrayLike, dry_kg_m3: float) -> Floats:
+def conductivity(texture: SoilTexture, water: ArrayLike, dry_kg_m3: float) -> Floats:
     """Return the thermal conductivity of unfrozen soil [W m⁻¹ K⁻¹] of this water [m³ m⁻³] and dry density [kg m⁻³].
 
     Johansen (1975): dry, (0.135 ρ + 64.7) / (2700 − 0.947 ρ), as in Peters-Lidard et al., J. Atmos. Sci. 55 (1998)
@@ -227,7 +227,7 @@ def conductivity(texture: Texture, water: ArrayLike, dry_kg_m3: float) -> Floats
     return dry + kersten(texture, water) * (SOAKED_W_M_K - dry)
 
 
-def resistance(texture: Texture, water: ArrayLike, surface_mm: ArrayLike) -> Floats:
+def resistance(texture: SoilTexture, water: ArrayLike, surface_mm: ArrayLike) -> Floats:
     """Return the resistance of bare soil to evaporation [s/m] by its surface layer's water [m³ m⁻³] and depletion.
 
     A share Kr of the soil is moist up to its surface: exp(8.206 − 4.225 S), Sellers et al., J. Geophys. Res. 97 (1992)
@@ -239,10 +239,11 @@ def resistance(texture: Texture, water: ArrayLike, surface_mm: ArrayLike) -> Flo
 
 
 def growing_season(lowest_c: ArrayLike, day_h: ArrayLike) -> Floats:
-    """Return the growing season index of days by lowest air temperature and day length, 0 (dormant) … 1 (green).
+    """Return the growing season index of days by lowest air temperature [°C] and day length [h], 0 … 1.
 
-    Product of linear ramps, with `moist` as the third: Jolly, Nemani and Running, Glob. Change Biol. 11 (2005) 619,
-    doi:10.1111/j.1365-2486.2005.00930.x, eqs 1–4. The greenness of land is its mean over 21 days.
+    0 is dormant, 1 is green. Product of linear ramps, with `moist` as the third: Jolly, Nemani and Running, Glob.
+    Change Biol. 11 (2005) 619, doi:10.1111/j.1365-2486.2005.00930.x, eqs 1–4. The greenness of land is its mean over
+    21 days.
     """
     return _ramp(lowest_c, *_COLD_C) * _ramp(day_h, *_DARK_H)
 

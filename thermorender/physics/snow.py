@@ -29,12 +29,12 @@ class Pack(NamedTuple):
 
 
 def packs(seconds: Floats, air_c: Floats, depth_m: Floats, first: Pack) -> Pack:
-    """Return the Pack after intervals of a record of depths (N,), which starts from the Pack `first`.
+    """Return the Pack after intervals of `seconds` (N,) [s], which begin with the Pack `first`.
 
-    `depth_m` is the depth at the end of each interval, and what it gains is new snow; from 0 °C of `air_c` on it melts.
-    Albedo falls linearly in frost and exponentially in melt, and new snow raises it in proportion: Douville, Royer and
-    Mahfouf (1995), eqs 16–18. Density goes exponentially to that of settled or of wet snow (Essery 2015, eq. 14), and
-    averages with that of new snow.
+    `depth_m` (N,) is the depth at the end of each interval [m]; an increase is new snow. Snow melts in air of 0 °C and
+    warmer, by `air_c` (N,) [°C]. Albedo falls linearly in frost and exponentially in melt, and new snow raises it in
+    proportion: Douville, Royer and Mahfouf (1995), eqs 16–18. Density approaches that of settled or of wet snow
+    exponentially (Essery 2015, eq. 14), and is averaged with that of new snow.
     """
     depth, density, albedo = first
     for length, now, celsius in zip((seconds / _DAY_S).tolist(), depth_m.tolist(), air_c.tolist(), strict=True):

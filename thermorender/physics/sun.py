@@ -68,7 +68,7 @@ def declination(time: Times) -> NDArray[np.float64]:
 
 
 def eccentricity(time: Times) -> NDArray[np.float64]:
-    """Return the sun's irradiance over that at the mean distance, 0.966 … 1.035, at instants as in `position_at`."""
+    """Return the sun's irradiance over that at the mean distance [1], 0.966 … 1.035; instants as in `position_at`."""
     anomaly = np.radians(357.528 + 0.9856003 * _days(time))
     return (1.00014 - 0.01671 * np.cos(anomaly) - 0.00014 * np.cos(2.0 * anomaly)) ** -2
 

@@ -15,7 +15,7 @@ from thermorender.render.device import flat
 from thermorender.render.edits.preview import prepare, preview
 from thermorender.render.edits.solution import solved_change
 from thermorender.render.geometry import Geometry, refuse_other_surfaces
-from thermorender.render.light import cache, leaves, radiosity, texels
+from thermorender.render.light import leaves, radiosity, texels, transport_cache
 from thermorender.render.light.absorbed import left_out
 from thermorender.render.light.solved import SolvedLight, solve_scene
 from thermorender.render.loaded import Loaded, LoadedLight
@@ -166,7 +166,7 @@ def bake(
     if known is None:
         what = "tracing the light between surfaces"
         report_progress(what, 0.0)
-        known, note = cache.traced(geometry, plan.sampling.rays, lambda share: report_progress(what, share))
+        known, note = transport_cache.traced(geometry, plan.sampling.rays, lambda share: report_progress(what, share))
     tick = partial(report_progress, _SOLVING, 0.5)
     tick()
     per_mk, share = plan.radiance_per_mk, geometry.share
@@ -179,18 +179,7 @@ def bake(
     incident, noise = solved.incident, solved.noise
     tick()
     lost: Any = 0.0 if scene.air is None else left_out(scene, known, solved.reflectance)
-    face = np.empty((geometry.face_count, spectrum.channels), dtype=np.float32)
-    covers = geometry.face_of_texel
-    if spectrum.channels > 1:
-        # Scatter is converted to kelvin in the band radiance without a path.
-        light = texels.light(incident, np.tensordot(spectrum.solver.sum(axis=0), spectrum.reflected, (0, 1)))
-        _, _, scatter = texels.bake_channel(geometry, covers, texel[0], material, light, tick)
-    for channel in range(spectrum.channels):
-        light = texels.light(incident, spectrum.reflected[:, channel])
-        tick()
-        baked = texels.bake_channel(geometry, covers, texel[channel], material, light, tick)
-        texel[channel], face[:, channel], left = baked
-    scatter = left if spectrum.channels == 1 else scatter
+    face, scatter = texels.reflect(texel, geometry, plan.spectrum, material, incident, tick)
     tick()
     reflected = incident @ solved.mean_reflectance.astype(np.float32)
     varies = texels.variation(geometry, reflected, noise)

@@ -9,7 +9,7 @@ from thermorender.physics.sun import direction
 from thermorender.render.arrays import aligned
 from thermorender.render.geometry import Geometry
 from thermorender.render.heat.places import sun_cosine, texel_points
-from thermorender.render.light import cache
+from thermorender.render.light import transport_cache
 
 _RAYS = 64
 _AT_ONCE = 1 << 22
@@ -31,7 +31,7 @@ def daylight(
     mi, face = geometry.mi, geometry.face_showing(surfaces)
     shown = face < geometry.face_count
     cosine, sky = np.zeros(len(face), np.float32), np.zeros(len(face), np.float32)
-    sky[shown] = cache.traced(geometry, _RAYS)[0].sky.sum(axis=1)[face[shown]]
+    sky[shown] = transport_cache.traced(geometry, _RAYS)[0].sky.sum(axis=1)[face[shown]]
     corner = np.concatenate([each.vertices[each.faces] for each in geometry.surfaces[:surfaces]])
     across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     across = (across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)).astype(np.float32)

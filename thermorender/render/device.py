@@ -14,12 +14,12 @@ from thermorender.physics.planck import band_radiance
 from thermorender.render.air import AirView, SceneAir, Vacuum
 from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned, opaque_view
 from thermorender.render.baked_light import BakedLight
-from thermorender.render.dynamic import DynamicObject, Placement
+from thermorender.render.dynamic import DynamicObject, ObjectState
 from thermorender.render.geometry import Geometry
 from thermorender.render.layers import Layer, OutgoingRadiance, TexelArrays
 from thermorender.render.object_numbers import objects_of_surfaces
 from thermorender.render.plan import Plan
-from thermorender.render.reflection.device_tables import DeviceTables, Mirror
+from thermorender.render.reflection.device_tables import DeviceTables, DirectionalTexels
 from thermorender.render.spectrum import REFERENCE_K
 from thermorender.scene.scene import Scene
 from thermorender.scene.surface import Surface
@@ -35,10 +35,10 @@ class DeviceScene:
         scene, plan, mi = baked.scene, baked.plan, geometry.mi
         self.geometry, self._mi = geometry, mi
         tables = DeviceTables(mi, plan.specular, scene, plan.spectrum) if plan.specular else None
-        mirror = None
+        directional = None
         if tables and baked.mirror_black is not None:
-            mirror = Mirror(mi, tables, flat(scene.surfaces, "material"), baked.mirror_black)
-        self._outgoing = outgoing or OutgoingRadiance.of(geometry, baked.texels, baked.faces, mirror)
+            directional = DirectionalTexels(mi, tables, flat(scene.surfaces, "material"), baked.mirror_black)
+        self._outgoing = outgoing or OutgoingRadiance.of(geometry, baked.texels, baked.faces, directional)
         self._faces, self._light = baked.faces, baked.static_light
         self._face_error = baked.face_error
         self._static_error = None if baked.face_error is None else mi.Float(aligned(baked.face_error))
@@ -48,12 +48,12 @@ class DeviceScene:
         self._last_light: tuple[Any, Any] = None, None
         self._last_outgoing: tuple[Any, Any] = None, None
 
-    def layers(self, pose: Floats, placements: Sequence[Placement]) -> list[Layer]:
-        """Return the Layers of a view from `pose`: the static scene and each object at its Placement."""
-        outgoing, own, _ = self._lit(placements)
+    def layers(self, pose: Floats, states: Sequence[ObjectState]) -> list[Layer]:
+        """Return the Layers of a view from `pose`: the static scene and each object at its ObjectState."""
+        outgoing, own, _ = self._lit(states)
         layers = [Layer(self.geometry, opaque_view(self._mi, pose), outgoing)]
-        for item, placement, radiance in zip(self.objects, placements, own, strict=True):
-            layers.append(Layer(item.geometry, opaque_view(self._mi, np.linalg.inv(placement.pose) @ pose), radiance))
+        for item, state, radiance in zip(self.objects, states, own, strict=True):
+            layers.append(Layer(item.geometry, opaque_view(self._mi, np.linalg.inv(state.pose) @ pose), radiance))
         return layers
 
     @property
@@ -92,19 +92,19 @@ class DeviceScene:
             tables.append([each.band_emissivity_std(*at) for each in materials])
         return [self._mi.Float(aligned(table)) for table in tables]
 
-    def alone(self, name: str, placements: Sequence[Placement]) -> tuple[Geometry, Floats]:
+    def alone(self, name: str, states: Sequence[ObjectState]) -> tuple[Geometry, Floats]:
         """Return (Geometry of one object without the others, pose of its frame in the scene's)."""
-        for item, placement in zip(self.objects, placements, strict=True):
-            if placement.name == name:
-                return item.geometry, placement.pose
+        for item, state in zip(self.objects, states, strict=True):
+            if state.name == name:
+                return item.geometry, state.pose
         return self.geometry.of_object(name, self._scene.terrain_count), np.eye(4)
 
-    def face_errors(self, placements: Sequence[Placement]) -> list[Jit]:
+    def face_errors(self, states: Sequence[ObjectState]) -> list[Jit]:
         """Return the squared error of the light on the faces of each layer, [Float or None] [W² m⁻⁴ sr⁻²]; None without
         light."""
         if self._face_error is None:
             return [None] * (1 + len(self.objects))
-        *_, errors = self._lit(placements)
+        *_, errors = self._lit(states)
         if not errors:
             return [self._static_error]
         whole = self._face_error.copy()
@@ -112,29 +112,28 @@ class DeviceScene:
             whole[faces] += square
         return [self._mi.Float(aligned(whole)), *(self._mi.Float(aligned(own)) for _, own, _ in errors)]
 
-    def medium(self, pose: Floats, placements: Sequence[Placement], through_air: bool = True) -> Vacuum | AirView:
+    def medium(self, pose: Floats, states: Sequence[ObjectState], through_air: bool = True) -> Vacuum | AirView:
         """Return the medium of a camera at `pose`; without `through_air` only the background is seen through the
         air."""
         if isinstance(self.air, Vacuum):
             return self.air
-        moved = [item.box(placement.pose) for item, placement in zip(self.objects, placements, strict=True)]
+        moved = [item.box(state.pose) for item, state in zip(self.objects, states, strict=True)]
         boxes = np.stack([self.geometry.box, *moved])
         box = np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
         return self.air.view(pose[:3, 3], box, clear=not through_air)
 
     def _lit(
-        self, placements: Sequence[Placement]
+        self, states: Sequence[ObjectState]
     ) -> tuple[OutgoingRadiance, list[OutgoingRadiance], list[tuple[NDArray[np.int64], Floats, Floats]]]:
         """(OutgoingRadiance of the static scene, [of each object], [(faces, squared error of the object, of these
         faces)])."""
         if not self.objects:
             return self._outgoing, [], []
-        lit = [each.lit or each for each in placements]
+        lit = [each.lit or each for each in states]
         key, last = tuple(each.key for each in lit), self._last_light
         if last[0] != key:
             found = [
-                item.light(placement, self.geometry, self._light)
-                for item, placement in zip(self.objects, lit, strict=True)
+                item.light(state, self.geometry, self._light) for item, state in zip(self.objects, lit, strict=True)
             ]
             outgoing = self._outgoing
             if self._light is not None and self._faces is not None:
@@ -145,9 +144,9 @@ class DeviceScene:
             errors = [(faces, *error) for _, (faces, _), error in found]
             last = self._last_light = key, (outgoing, [own for own, *_ in found], errors)
         outgoing, light, errors = last[1]
-        shown, last = (key, tuple(each.temperature for each in placements)), self._last_outgoing
+        shown, last = (key, tuple(each.temperature for each in states)), self._last_outgoing
         if last[0] != shown:
-            each = zip(self.objects, placements, light, strict=True)
+            each = zip(self.objects, states, light, strict=True)
             last = self._last_outgoing = shown, [item.outgoing(one.temperature, own) for item, one, own in each]
         return outgoing, last[1], errors
 

@@ -23,7 +23,7 @@ from thermorender.render.light import contacts, radiosity
 from thermorender.render.light.environment import Environment
 from thermorender.render.light.gmres import gmres
 from thermorender.render.plan import Plan
-from thermorender.render.reflection.device_tables import DeviceTables, Mirror, black_of
+from thermorender.render.reflection.device_tables import DeviceTables, DirectionalTexels, black_of
 from thermorender.scene.scene import Scene
 from thermorender.scene.tracks import TrackedObject
 
@@ -34,13 +34,13 @@ _Exchange = tuple[Floats, tuple[NDArray[np.int64], NDArray[np.float32]], tuple[F
 
 
 @dataclass(frozen=True)
-class Placement:
+class ObjectState:
     """Pose and temperature of a dynamic object at one time."""
 
     name: str
     pose: Floats  # (4, 4) from the object's own frame to the scene's
     temperature: float  # [K]
-    lit: "Placement | None" = None  # the Placement whose light is used instead; None for its own
+    lit: "ObjectState | None" = None  # the ObjectState whose light is used instead; None for its own
 
     @property
     def key(self) -> tuple[bytes, float]:
@@ -48,14 +48,14 @@ class Placement:
         return self.pose.tobytes(), self.temperature
 
 
-def placements(
+def object_states(
     scene: Scene,
     time_s: float,
     objects: Objects | None = None,
     lit_s: float | None = None,
     lit_objects: Objects | None = None,
-) -> tuple[Placement, ...]:
-    """Return the Placement of each dynamic object of a scene at a time on their tracks [s], in their order. `objects`
+) -> tuple[ObjectState, ...]:
+    """Return the ObjectState of each dynamic object of a scene at a time on their tracks [s], in their order. `objects`
     replaces values of the tracks: {name: {column of its track: value}}. With `lit_s` [s] objects exchange the light of
     that time, with `lit_objects`. Frames close in time then trace it once, which saves half their cost."""
     try:
@@ -76,11 +76,11 @@ def placements(
     for tracked in scene.tracked_objects:
         values = tracked.at(time_s, **objects.get(tracked.name, {}))
         pose = tracked.world_from_own(values, scene.ground)
-        found.append(Placement(tracked.name, pose, values["temperature_k"]))
+        found.append(ObjectState(tracked.name, pose, values["temperature_k"]))
     if lit_s is not None and lit_s != time_s:
         found = [
             replace(one, lit=lit)
-            for one, lit in zip(found, placements(scene, lit_s, lit_objects or objects), strict=True)
+            for one, lit in zip(found, object_states(scene, lit_s, lit_objects or objects), strict=True)
         ]
     return tuple(found)
 
@@ -124,8 +124,8 @@ class DynamicObject:
         self._texel_count = sum(surface.material.size for surface in tracked.surfaces)
         self._tables = tables if tables and tables.number[self._material] else None
 
-    def light(self, placement: Placement, geometry: Geometry, static: StaticLight | None) -> _Exchange:
-        """Return (own (F, K), (faces (n,), added (n, K)), (own_square (F,), square (n,))) at a Placement.
+    def light(self, state: ObjectState, geometry: Geometry, static: StaticLight | None) -> _Exchange:
+        """Return (own (F, K), (faces (n,), added (n, K)), (own_square (F,), square (n,))) at an ObjectState.
 
         `own` is the light that each own face reflects in each channel; `added` is the change of the light that `faces`
         of the static scene reflect [W m⁻² sr⁻¹]. The squares are their squared standard errors due to the number of
@@ -137,20 +137,20 @@ class DynamicObject:
             nothing = np.zeros(0, np.int64), np.zeros((0, channels), np.float32)
             count = self.geometry.face_count
             return np.zeros((count, channels)), nothing, (np.zeros(count), np.zeros(0))
-        return self._light(placement.pose, placement.temperature, geometry, static)
+        return self._light(state.pose, state.temperature, geometry, static)
 
     def outgoing(self, temperature: float, own: Floats) -> OutgoingRadiance:
         """Return the OutgoingRadiance at a temperature [K], with the light that its faces reflect from `light`."""
         mi, plan = self.geometry.mi, self._plan
-        mirror = None
+        directional = None
         if self._tables:
             material = np.full(self._texel_count, self._material)
             warm = np.full(self._texel_count, temperature)
             black = black_of(plan, self._tables.number, material, warm)
-            mirror = Mirror(mi, self._tables, material, black)
+            directional = DirectionalTexels(mi, self._tables, material, black)
         emitted = plan.spectrum.emitted_at(self._emissivity_at, temperature, plan.band_um)
         texels = [np.full(self._texel_count, value, np.float32) for value in emitted]
-        return OutgoingRadiance.of(self.geometry, texels, own, mirror)
+        return OutgoingRadiance.of(self.geometry, texels, own, directional)
 
     def box(self, pose: Floats) -> Floats:
         """Return the lowest and highest corner of the object at a pose, (2, 3) [m]."""

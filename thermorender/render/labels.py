@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.render.arrays import Floats, Jit, aligned, opaque_view, view_ray
-from thermorender.render.dynamic import Placement
+from thermorender.render.dynamic import ObjectState
 from thermorender.render.geometry import Geometry
 from thermorender.render.loaded import LoadedLight
 from thermorender.render.object_numbers import object_names
@@ -26,12 +26,12 @@ _SIZES = 3.0
 
 
 def labels(
-    baked: LoadedLight, rays: CameraRays, pose: Floats, placements: Sequence[Placement], seen: NDArray[np.uint32]
+    baked: LoadedLight, rays: CameraRays, pose: Floats, states: Sequence[ObjectState], seen: NDArray[np.uint32]
 ) -> dict[str, dict[str, Any]]:
     """Return the `Frame.labels` of objects whose extent meets the image; `seen` is the truth's image of objects."""
     found, camera = {}, rays.camera
     for number, name in enumerate(object_names(baked.scene), start=1):
-        geometry, own_pose = baked.device.alone(name, placements)
+        geometry, own_pose = baked.device.alone(name, states)
         view = np.linalg.inv(own_pose) @ pose
         local = (geometry.vertices - view[:3, 3]) @ view[:3, :3]
         front = local[:, 2] > 0.0

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from thermorender.render.arrays import Channels, Jit
 from thermorender.render.geometry import Geometry, Hit
-from thermorender.render.reflection.device_tables import Mirror
+from thermorender.render.reflection.device_tables import DirectionalTexels
 
 
 @dataclass(frozen=True)
@@ -21,17 +21,17 @@ class OutgoingRadiance:
     texels: Channels
     rest: Channels | None = None  # the other spectral channels, about a hundredth of the first, read once per ray
     faces: Channels | None = None  # corrections added to all channels of the texels
-    mirror: Mirror | None = None  # data of the directional texels
+    directional: DirectionalTexels | None = None  # data of the directional texels
 
     @classmethod
     def of(
         cls, geometry: Geometry, texels: Sequence[NDArray[np.float32]], faces: ArrayLike | None = None,
-        mirror: Mirror | None = None,
+        directional: DirectionalTexels | None = None,
     ) -> "OutgoingRadiance":  # fmt: skip
         """Return the radiance of spectral channels of texels, K arrays (T,), and of faces, (F, K)."""
         rest = geometry.averaged(np.stack(texels[1:], axis=1)) if len(texels) > 1 else None
         own = None if faces is None else Channels(geometry.mi, faces)
-        return cls(geometry.averaged(texels[0][:, None]), rest, own, mirror)
+        return cls(geometry.averaged(texels[0][:, None]), rest, own, directional)
 
     def at_texel(self, texel: Jit, face: Jit, active: Jit) -> list[Jit]:
         """Return all channels of texels seen on faces, as a list of Float; 0 where inactive."""
@@ -110,5 +110,5 @@ class TexelArrays:
 
     material: Jit  # (T,) UInt8
     flags: Jit  # (T,) UInt8, flags of `thermorender.scene.surface`
-    temperature: Jit  # (T,) Float [K]; None for a dynamic object, whose Placement has it
+    temperature: Jit  # (T,) Float [K]; None for a dynamic object, whose ObjectState has it
     objects: Jit  # UInt32, number of the object that each surface belongs to, as `labels.objects_of_surfaces`

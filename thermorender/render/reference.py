@@ -302,7 +302,7 @@ def _planck(wavelength: Jit, temperature: Jit) -> Jit:
 def _texture(mi: Mitsuba, outside: tuple[float, float], horizon_m: float, loaded: _Lent) -> type:
     """The texture: spectral radiance emitted at the angle of view, or the reflectance of diffuse materials."""
 
-    class Thermal(mi.Texture):
+    class ThermalTexture(mi.Texture):
         def __init__(self, properties: Any) -> None:
             mi.Texture.__init__(self, properties)
             self.what, self.surface = properties["what"], int(properties["surface"])
@@ -327,15 +327,15 @@ def _texture(mi: Mitsuba, outside: tuple[float, float], horizon_m: float, loaded
             return True
 
         def to_string(self) -> str:
-            return f"Thermal[{self.what}]"
+            return f"ThermalTexture[{self.what}]"
 
-    return Thermal
+    return ThermalTexture
 
 
 def _mirror(mi: Mitsuba, loaded: _Lent) -> type:
     """The material of surfaces that are diffuse at some texels and mirrors at others."""
 
-    class Mirror(mi.BSDF):
+    class MirrorBSDF(mi.BSDF):
         def __init__(self, properties: Any) -> None:
             mi.BSDF.__init__(self, properties)
             self.surface, self.texels = int(properties["surface"]), loaded.texels
@@ -380,6 +380,6 @@ def _mirror(mi: Mitsuba, loaded: _Lent) -> type:
             return diffuse * cosine & active, dr.select(active, (1.0 - chance) * cosine, 0.0)
 
         def to_string(self) -> str:
-            return "Mirror[]"
+            return "MirrorBSDF[]"
 
-    return Mirror
+    return MirrorBSDF

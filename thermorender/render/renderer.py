@@ -19,7 +19,7 @@ from thermorender.render import truth
 from thermorender.render.air import Vacuum, refuse_camera
 from thermorender.render.arrays import Mitsuba, aligned, opaque_view, view_ray
 from thermorender.render.baked import BakedScene, Progress, bake
-from thermorender.render.dynamic import Objects, placements
+from thermorender.render.dynamic import Objects, object_states
 from thermorender.render.flight.frames import FlightFrames
 from thermorender.render.geometry import Geometry, refuse_other_surfaces
 from thermorender.render.heat.instants import solved_at
@@ -304,7 +304,7 @@ class Renderer:
         Texels are counted row by row over the terrain's surfaces.
         """
         view = self._view(pose, time_s, objects)
-        valid, number, *_ = truth.pixel_middles(self.baked.device.layers(view.pose, view.placements), view.rays)
+        valid, number, *_ = truth.pixel_middles(self.baked.device.layers(view.pose, view.states), view.rays)
         terrain = int(self._geometry.texel_start[self.scene.terrain_count])
         return np.where(valid & (number < terrain), number.astype(np.int64), -1)
 
@@ -313,7 +313,7 @@ class Renderer:
     ) -> NDArray[np.bool_]:
         """Return where a pixel's middle is above the horizon without a surface, (H, W); `camera` as of `visible`."""
         view = self._view(pose, time_s, objects)
-        layers = self.baked.device.layers(view.pose, view.placements)
+        layers = self.baked.device.layers(view.pose, view.states)
         valid, _, up, *_ = truth.pixel_middles(layers, self._camera_rays.of(camera or self.scene.camera))
         return ~valid & up
 
@@ -367,7 +367,7 @@ class Renderer:
     ) -> tuple[NDArray[np.int64], list[str]]:
         """Return (number of the object at each pixel's middle, (H, W), −1 elsewhere; names of the objects)."""
         view = self._view(pose, time_s, objects)
-        valid, number, *_ = truth.pixel_middles(self.baked.device.layers(view.pose, view.placements), view.rays)
+        valid, number, *_ = truth.pixel_middles(self.baked.device.layers(view.pose, view.states), view.rays)
         return object_numbers(self.scene, valid, number).astype(np.int64) - 1, list(object_names(self.scene))
 
     def pictured(
@@ -411,7 +411,7 @@ class Renderer:
         self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None, camera: Camera | None = None,
         lit_s: float | None = None, lit_objects: Objects | None = None,
     ) -> "View":  # fmt: skip
-        placed, pose = placements(self.scene, time_s, objects, lit_s, lit_objects), checked_pose(pose)
+        placed, pose = object_states(self.scene, time_s, objects, lit_s, lit_objects), checked_pose(pose)
         self.refuse_camera(pose[:3, 3])
         return View(self.baked, self._camera_rays.of(camera or self.scene.camera), pose, placed)
 
@@ -432,11 +432,11 @@ class Renderer:
     ) -> Tracer:  # fmt: skip
         """The Tracer of a view of other radiance than the baked one; dynamic objects follow the static scene."""
         placed, rays, mi = (
-            placements(self.scene, time_s, objects),
+            object_states(self.scene, time_s, objects),
             self._camera_rays.of(camera or self.scene.camera),
             self._geometry.mi,
         )
-        poses = [np.eye(4), *(placement.pose for placement in placed)]
+        poses = [np.eye(4), *(state.pose for state in placed)]
         layers = [
             Layer(shape, opaque_view(mi, np.linalg.inv(own) @ pose), outgoing)
             for (shape, outgoing), own in zip(leaving, poses, strict=True)

@@ -15,7 +15,7 @@ from thermorender.physics.band import quadrature
 from thermorender.physics.fresnel import COSINES
 from thermorender.physics.planck import band_radiance, spectral_radiance
 from thermorender.render.arrays import Floats, Jit, aligned, view_ray
-from thermorender.render.dynamic import Placement
+from thermorender.render.dynamic import ObjectState
 from thermorender.render.geometry import Hit
 from thermorender.render.labels import imaged
 from thermorender.render.layers import CasterView, LayerHit, first_hit
@@ -32,22 +32,22 @@ Image = NDArray[Any]
 
 
 def truth(
-    baked: LoadedLight, rays: CameraRays, pose: Floats, placements: Sequence[Placement], middles: Hit | None = None
+    baked: LoadedLight, rays: CameraRays, pose: Floats, states: Sequence[ObjectState], middles: Hit | None = None
 ) -> dict[str, NDArray[Any]]:
     """Return the `Frame.truth` images at the pixels' middles; `middles` are their hits where known, see
     `CameraRays.last_hits`."""
     scene, device, band_um = baked.scene, baked.device, rays.camera.band_um
-    layers, placed = device.layers(pose, placements), (None, *placements)
+    layers, placed = device.layers(pose, states), (None, *states)
     mi = layers[0].geometry.mi
 
     def read(at: LayerHit) -> list[Jit]:
-        geometry, hit, texels, placement = at.layer.geometry, at.hit, device.texels[at.number], placed[at.number]
+        geometry, hit, texels, state = at.layer.geometry, at.hit, device.texels[at.number], placed[at.number]
         texel = geometry.nearest(hit.surface, *at.place, hit.valid)
         slant = -dr.dot(mi.Vector3f(*geometry.normals.at(hit.face, hit.valid)), at.ray.d)
-        if placement is None:
+        if state is None:
             warm = dr.gather(mi.Float, texels.temperature, texel, hit.valid)
         else:
-            warm = dr.opaque(mi.Float, float(placement.temperature))
+            warm = dr.opaque(mi.Float, float(state.temperature))
         own = (mi.UInt32(dr.gather(type(each), each, texel, hit.valid)) for each in (texels.material, texels.flags))
         material, flags = own
         return [warm, material | flags << 8, dr.gather(mi.UInt32, texels.objects, hit.surface, hit.valid), slant]
@@ -124,14 +124,14 @@ def _images(rays: CameraRays, values: Sequence[Jit]) -> list[Image]:
 
 
 def targets(
-    baked: LoadedLight, camera: Camera, pose: Floats, placements: Sequence[Placement]
+    baked: LoadedLight, camera: Camera, pose: Floats, states: Sequence[ObjectState]
 ) -> dict[str, dict[str, Any]]:
     """Return {object: {pixel, in_view, visible, range_m}} of the scene's objects, as `Frame.targets` has it."""
     middles = dict(baked.scene.targets)
-    for tracked, placement in zip(baked.scene.tracked_objects, placements, strict=True):
+    for tracked, state in zip(baked.scene.tracked_objects, states, strict=True):
         corner = np.concatenate([surface.vertices for surface in tracked.surfaces])
         middle = 0.5 * (corner.min(axis=0) + corner.max(axis=0))
-        middles[tracked.name] = placement.pose[:3, :3] @ middle + placement.pose[:3, 3]
+        middles[tracked.name] = state.pose[:3, :3] @ middle + state.pose[:3, 3]
     if not middles:
         return {}
     centre = np.array(list(middles.values()))
@@ -141,7 +141,7 @@ def targets(
     distance = np.linalg.norm(local, axis=-1)
     nearest, names = np.full(len(centre), np.inf), np.full(len(centre), "", dtype=object)
     shown = [(baked.geometry, baked.scene.surfaces, np.eye(4))]
-    moving = zip(baked.device.objects, placements, strict=True)
+    moving = zip(baked.device.objects, states, strict=True)
     shown += [(item.geometry, item.surfaces, each.pose) for item, each in moving]
     for shapes, surfaces, own_pose in shown:
         mi, inverse = shapes.mi, np.linalg.inv(own_pose)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from thermorender.render import labels, truth
 from thermorender.render.arrays import Floats
 from thermorender.render.baked import BakedScene
-from thermorender.render.dynamic import Placement
+from thermorender.render.dynamic import ObjectState
 from thermorender.render.geometry import Geometry
 from thermorender.render.pixels import budget, slender
 from thermorender.render.pixels.sampling import CameraRays
@@ -26,15 +26,15 @@ class View:
     baked: BakedScene
     rays: CameraRays
     pose: Floats  # (4, 4) world_from_camera
-    placements: tuple[Placement, ...]  # of the dynamic objects
+    states: tuple[ObjectState, ...]  # of the dynamic objects
 
     def tracer(self, through_air: bool = True) -> Tracer:
         """Return the Tracer of this view."""
         device = self.baked.device
-        medium = device.medium(self.pose, self.placements, through_air)
-        layers = device.layers(self.pose, self.placements)
+        medium = device.medium(self.pose, self.states, through_air)
+        layers = device.layers(self.pose, self.states)
         shapes = [item.geometry for item in device.objects]
-        parts = parts_of(self.baked.scene, self.baked.geometry, shapes, self.placements)
+        parts = parts_of(self.baked.scene, self.baked.geometry, shapes, self.states)
         thin = partial(slender.rectangles, parts, self.pose, self.rays.camera)
         return Tracer(layers, self.rays, medium, self.baked.plan, thin, self.pose)
 
@@ -49,7 +49,7 @@ class View:
 
     def sees_as(self, other: "View") -> bool:
         """Return whether another view casts the same rays at the same surfaces."""
-        here, there = ([view.pose, *(each.pose for each in view.placements)] for view in (self, other))
+        here, there = ([view.pose, *(each.pose for each in view.states)] for view in (self, other))
         same = np.array_equal(here, there) and self.rays.camera == other.rays.camera
         one, two = self.baked, other.baked
         return same and one.geometry is two.geometry and one.plan.sampling.samples == two.plan.sampling.samples
@@ -59,31 +59,31 @@ class View:
         rendered last."""
         last = self.rays.last_hits
         middles = last[1] if last and sampling and last[0] is sampling.hit else None
-        return truth.truth(self.baked, self.rays, self.pose, self.placements, middles)
+        return truth.truth(self.baked, self.rays, self.pose, self.states, middles)
 
     def targets(self) -> dict[str, dict[str, Any]]:
         """Return the positions of objects, as `Frame.targets`."""
-        return truth.targets(self.baked, self.rays.camera, self.pose, self.placements)
+        return truth.targets(self.baked, self.rays.camera, self.pose, self.states)
 
     def labels(self, seen: NDArray[np.uint32]) -> dict[str, dict[str, Any]]:
         """Return the extents of objects, as `Frame.labels`; `seen` is the truth's image of objects."""
-        return labels.labels(self.baked, self.rays, self.pose, self.placements, seen)
+        return labels.labels(self.baked, self.rays, self.pose, self.states, seen)
 
     def budget_mk(self, radiance: NDArray[np.float32], sampling: SampledImage | None) -> dict[str, float] | None:
         """Return the error budget of a radiance image, as `Frame.budget_mk`; None without its SampledImage."""
         if sampling is None:
             return None
-        return budget.budget_mk(self.baked, self.tracer(), self.pose, self.placements, radiance, sampling)
+        return budget.budget_mk(self.baked, self.tracer(), self.pose, self.states, radiance, sampling)
 
     def error_mk(self, radiance: NDArray[np.float32], sampling: SampledImage | None) -> NDArray[np.float32] | None:
         """Return the estimated error of each pixel, as `Frame.error_mk`; None without its SampledImage."""
         if sampling is None:
             return None
-        return budget.error_mk(self.baked, self.tracer(), self.pose, self.placements, radiance, sampling)
+        return budget.error_mk(self.baked, self.tracer(), self.pose, self.states, radiance, sampling)
 
 
 def parts_of(
-    scene: Scene, geometry: Geometry, moving: Sequence[Geometry], placed: Sequence[Placement]
+    scene: Scene, geometry: Geometry, moving: Sequence[Geometry], placed: Sequence[ObjectState]
 ) -> list[tuple[Floats, Floats]]:
     """Return the boxes that may be thinner than a pixel, as `slender.rectangles` takes them; raster terrain is left
     out."""

@@ -110,15 +110,19 @@ def kelvin_argument(
     if [one.shape for one in found] != shapes and [one.size for one in found] != [int(np.prod(s)) for s in shapes]:
         shown = ", ".join(str(one.shape) for one in found) or "nothing"
         raise ThermorenderError(f"{what} holds arrays of shape {shown}; {advice}")
-    found = [one.reshape(shape) for one, shape in zip(found, shapes, strict=True)]
-    for one in found:
-        known = ~np.isnan(one)
-        if not known.all() and not (no_data and known.any()):
-            why = "no number" if not known.any() else f"{(~known).sum()} values that are not a number"
-            raise ThermorenderError(f"{what} holds {why}; {advice}")
-        scene_kelvin(what, one[known])
+    for one in (found := [one.reshape(shape) for one, shape in zip(found, shapes, strict=True)]):
+        _check_kelvin(what, one, no_data, advice)
         one.flags.writeable = False
     return tuple(found)
+
+
+def _check_kelvin(what: str, kelvin: NDArray[np.float32], no_data: bool, advice: str) -> None:
+    """Refuse temperatures of one surface (h, w) [K] that a scene cannot have, and NaN that `no_data` does not allow."""
+    known = ~np.isnan(kelvin)
+    if not known.all() and not (no_data and known.any()):
+        why = "no number" if not known.any() else f"{(~known).sum()} values that are not a number"
+        raise ThermorenderError(f"{what} holds {why}; {advice}")
+    scene_kelvin(what, kelvin[known])
 
 
 def flags_argument(flags: Any, surfaces: Sequence[Surface]) -> list[NDArray[np.uint8]]:
@@ -136,19 +140,13 @@ def surfaces_argument(
     surfaces: Any, materials: Any, terrain_count: Any, scene: "Scene"
 ) -> tuple[tuple[Surface, ...], tuple[Material, ...], int]:
     """Return (surfaces with own copies of the arrays, materials, count of terrain) of `with_surfaces`, checked."""
-    what = "with_surfaces was given"
-    for name, values, kind in (("surfaces", surfaces, Surface), ("materials", materials, Material)):
-        if values is None:
-            continue
-        if isinstance(values, (str, bytes)) or not isinstance(values, Iterable):
-            raise ThermorenderError(f"{what} {name}={shortened(repr(values))}; give a list of {kind.__name__}")
-        odd = [value for value in values if not isinstance(value, kind)]
-        if odd or not list(values):
-            sort = f"a {type(odd[0]).__name__} among its {name}" if odd else f"no {name}"
-            raise ThermorenderError(f"{what} {sort}; give at least one {kind.__name__}")
+    if surfaces is not None:
+        _check_list("surfaces", surfaces, Surface)
+    if materials is not None:
+        _check_list("materials", materials, Material)
     made = tuple(scene.materials if materials is None else materials)
     if len(made) > _MOST_MATERIALS:
-        raise ThermorenderError(f"{what} {len(made)} materials; give {_MOST_MATERIALS} at most")
+        raise ThermorenderError(f"with_surfaces was given {len(made)} materials; give {_MOST_MATERIALS} at most")
     shown = scene.surfaces
     if surfaces is not None:
         for surface in surfaces:
@@ -169,6 +167,17 @@ def surfaces_argument(
             "each number"
         )
     return shown, made, count
+
+
+def _check_list(name: str, values: Any, kind: type) -> None:
+    """Refuse an argument of `with_surfaces` other than a list of one `kind`, and an empty one."""
+    what = "with_surfaces was given"
+    if isinstance(values, (str, bytes)) or not isinstance(values, Iterable):
+        raise ThermorenderError(f"{what} {name}={shortened(repr(values))}; give a list of {kind.__name__}")
+    odd = [value for value in values if not isinstance(value, kind)]
+    if odd or not list(values):
+        sort = f"a {type(odd[0]).__name__} among its {name}" if odd else f"no {name}"
+        raise ThermorenderError(f"{what} {sort}; give at least one {kind.__name__}")
 
 
 def temperature_spec(source: Any, folder: Path, kelvin: bool = False) -> TemperatureSpec:

@@ -11,7 +11,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.materials import library as material_tables
 from thermorender.materials.material import Material, grey
 from thermorender.materials.mixture import parts_of
-from thermorender.scene.files import SceneFiles
+from thermorender.scene.folder import SceneFiles
 from thermorender.scene.material_map import Picture, context_of, learned_materials, model_of
 from thermorender.scene.patch import Patch
 from thermorender.scene.spec import EmissivitySpec, SurfaceSpec
@@ -210,7 +210,7 @@ def _mesh_cover(
     found: list[Painted | None] = []
     missing: list[tuple[float, float]] = []
     for surface, texture, edit, own in zip(files.ground, textures, edited, stated, strict=True):
-        shape = surface.flags.shape
+        number: int | None
         if edit is not None:
             key = SURFACE_OF_MESH + edits[edit]
             materials.unused.discard(key)
@@ -218,30 +218,17 @@ def _mesh_cover(
         elif own is not None and own.material is not None:
             number = materials.index(own.material, f"surface {own.name!r}")
         elif texture.classes is not None:
-            name = f"the class raster of surface {surface.name!r}"
-            used, everywhere = used_texels(surface), np.ones(shape, bool)
-            material, known, unknown, share = _of_classes(
-                texture.classes, everywhere, used, name, emissivity, materials
-            )
+            painted, share = _of_class_raster(surface, texture.classes, emissivity, materials)
             missing.append((share, float(areas(surface).sum())))
-            if not known.all():
-                material = fill(material, nearest_valid(known))
-            flags = surface.flags | np.where(known | ~used, 0, FILLED) | np.where(unknown & used, UNKNOWN, 0)
-            found.append(Painted(material, surface.colour, flags.astype(np.uint8)))
+            found.append(painted)
             continue
-        elif emissivity.source == "learned":
-            found.append(None)
-            continue
-        elif emissivity.source == "classes":
-            if not emissivity.fallback:
-                raise ThermorenderError(
-                    f"{where}: surface {surface.name!r} has no class raster; give it classes or a material in a "
-                    "[[surface]], or name the material of the rest as emissivity.fallback"
-                )
-            number = materials.index(emissivity.fallback, "emissivity.fallback")
         else:
-            number = _single(emissivity, materials)
-        found.append(Painted(np.full(shape, number, np.uint8), surface.colour, surface.flags))
+            number = _of_emissivity(surface, emissivity, materials)
+        if number is not None:
+            material = np.full(surface.flags.shape, number, np.uint8)
+            found.append(Painted(material, surface.colour, surface.flags))
+        else:
+            found.append(None)
     if any(share for share, _ in missing):
         share = float(np.average([share for share, _ in missing], weights=[area for _, area in missing]))
         rest = emissivity.fallback or "the class beside them"
@@ -252,6 +239,33 @@ def _mesh_cover(
         for k, painted in zip(waiting, made, strict=True):
             found[k] = painted
     return [painted for painted in found if painted is not None]
+
+
+def _of_class_raster(
+    surface: Surface, classes: NDArray[np.uint8], emissivity: EmissivitySpec, materials: MaterialList
+) -> tuple[Painted, float]:
+    """(Painted, share without a class) of a mesh's surface by the class numbers (h, w) of its texels."""
+    used, everywhere = used_texels(surface), np.ones(surface.flags.shape, bool)
+    name = f"the class raster of surface {surface.name!r}"
+    material, known, unknown, share = _of_classes(classes, everywhere, used, name, emissivity, materials)
+    if not known.all():
+        material = fill(material, nearest_valid(known))
+    flags = surface.flags | np.where(known | ~used, 0, FILLED) | np.where(unknown & used, UNKNOWN, 0)
+    return Painted(material, surface.colour, flags.astype(np.uint8)), share
+
+
+def _of_emissivity(surface: Surface, emissivity: EmissivitySpec, materials: MaterialList) -> int | None:
+    """The number of the one material that [emissivity] gives a mesh's surface; None where a learned map finds them."""
+    if emissivity.source == "learned":
+        return None
+    if emissivity.source != "classes":
+        return _single(emissivity, materials)
+    if not emissivity.fallback:
+        raise ThermorenderError(
+            f"{materials.where}: surface {surface.name!r} has no class raster; give it classes or a material in a "
+            "[[surface]], or name the material of the rest as emissivity.fallback"
+        )
+    return materials.index(emissivity.fallback, "emissivity.fallback")
 
 
 def _learned_mesh(

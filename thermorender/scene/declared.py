@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.materials.material import Material
 from thermorender.scene.cover import Cover
-from thermorender.scene.files import SceneFiles
+from thermorender.scene.folder import SceneFiles
 from thermorender.scene.patch import Patch
 from thermorender.scene.shape import Shape
 from thermorender.scene.spec import SceneSpec, WeatherSpec

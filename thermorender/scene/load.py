@@ -8,7 +8,7 @@ from typing import Literal
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.paths import data_folder
 from thermorender.scene.declared import Declared
-from thermorender.scene.files import read_files
+from thermorender.scene.folder import read_files
 from thermorender.scene.scene import Scene
 from thermorender.scene.spec import read_scene
 from thermorender.scene.temperature import learned_map

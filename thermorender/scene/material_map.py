@@ -1,7 +1,7 @@
 """Materials of a scene from its orthophoto: a learned emissivity map applied, or written as files for correction."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from thermorender import files, formats
 from thermorender.defaults import EMISSIVITY_MAP, FALLBACK_MATERIAL
 from thermorender.errors import ThermorenderError
-from thermorender.learned.emissivity import relief
+from thermorender.learned.emissivity import elevation
 from thermorender.learned.emissivity.mapping import EmissivityMap, Evidence, load_map, map_materials
-from thermorender.learned.features import lab
+from thermorender.learned.pixel_features import lab
 from thermorender.materials import library as material_tables
 from thermorender.materials.extended import within_band
 from thermorender.materials.material import Material
@@ -44,13 +44,13 @@ _DISTINCT = 20.0
 class Context:
     """What a scene knows of its ground beside the orthophoto."""
 
-    case: NDArray[np.uint8] | None  # (h, w) uint8 cases of `relief.case_of`, where heights tell materials apart
+    case: NDArray[np.uint8] | None  # (h, w) uint8 cases of `elevation.case_of`, where heights tell materials apart
     known: MappedCover | None
     notes: tuple[str, ...]  # What is used and what is not, one sentence each
 
     def evidence(self, materials: Sequence[str]) -> list[Evidence]:
         """Return the Evidence on materials by name."""
-        found = [] if self.case is None else [relief.evidence(self.case, materials)]
+        found = [] if self.case is None else [elevation.evidence(self.case, materials)]
         return found if self.known is None else [*found, self.known.evidence(materials)]
 
 
@@ -73,13 +73,14 @@ def context_of(
     case, why = None, "emissivity.heights is false"
     if source.heights:
         post_m = texel_m * float(np.sqrt(abs(height_grid.transform.determinant / texels.transform.determinant)))
-        above, slope, why = relief.seen(height, post_m)
+        above, slope, why = elevation.seen(height, post_m)
     note = f"heights are not used: {why}"
     if not why:
-        case = relief.case_of(*(onto(each, height_grid, texels, "bilinear") for each in (above, slope)))
+        high_m = elevation.HEIGHTS_M[1]
+        case = elevation.case_of(*(onto(each, height_grid, texels, "bilinear") for each in (above, slope)))
         note = (
-            f"heights above the ground and slopes weigh the materials; {(above > relief.HEIGHTS_M[1]).mean():.0%} of "
-            f"the surface stands more than {relief.HEIGHTS_M[1]:g} m above it"
+            f"heights above the ground and slopes weigh the materials; {(above > high_m).mean():.0%} of the surface "
+            f"stands more than {high_m:g} m above it"
         )
     return Context(case, known, (note, *(known.notes if known else ())))
 
@@ -121,18 +122,8 @@ def learned_materials(
     names = [*model.materials, *(name for one in contexts if one.known for name in one.known.beyond(model.materials))]
     own = _in_band([material_tables.find(library, name, of) for name in names], library, band_um, of, where)
     fallback = material_tables.find(library, source.fallback, f"{where}: emissivity.fallback")
-    mapped = [
-        map_materials(model, one.colour, one.texel_m, name=one.name,
-                      evidence=one.context.evidence(names) if one.context else ())
-        for one in pictures
-    ]  # fmt: skip
-    together = [np.concatenate([a.reshape(-1, *a.shape[2:]) for a in arrays]) for arrays in (
-        [one.index for one in mapped], [one.share for one in mapped], [one.probability for one in mapped],
-        [one.confidence for one in mapped], [one.valid for one in pictures],
-    )]  # fmt: skip
-    # The largest arrays of all.
-    del mapped
-    index, share, probability, confidence, valid = together
+    index, share, probability, confidence = _mapped(model, pictures, names)
+    valid = np.concatenate([one.valid.ravel() for one in pictures])
     unknown = valid & (confidence < source.confidence)
     known = [one.context.known for one in pictures if one.context and one.context.known]
     group = known[0].number.ravel() if known else None
@@ -161,6 +152,25 @@ def learned_materials(
         return [part.reshape(one.valid.shape) for part, one in zip(np.split(values, ends), pictures, strict=True)]
 
     return apart(number), [*used, fallback], apart(unknown | doubtful), report
+
+
+def _mapped(
+    model: EmissivityMap, pictures: Sequence[Picture], names: Sequence[str]
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """(index, share, probability, confidence) of `Mapped` for all texels of pictures, (T, …), one after another."""
+    found = [
+        map_materials(model, one.colour, one.texel_m, name=one.name,
+                      evidence=one.context.evidence(names) if one.context else ())
+        for one in pictures
+    ]  # fmt: skip
+
+    def together(arrays: Iterable[NDArray[Any]]) -> NDArray[Any]:
+        return np.concatenate([values.reshape(-1, *values.shape[2:]) for values in arrays])
+
+    return (
+        together(one.index for one in found), together(one.share for one in found),
+        together(one.probability for one in found), together(one.confidence for one in found),
+    )  # fmt: skip
 
 
 def _in_band(
@@ -302,7 +312,7 @@ def _no_snow(spec: SceneSpec, frame: LocalFrame) -> str:
     """Why no snow lies on a scene's ground by its weather; "" if it may."""
     if spec.weather is None:
         return ""
-    from thermorender.weather.declared import declared_weather
+    from thermorender.weather.declared_weather import declared_weather
 
     altitude_m = frame.height_m - (spec.terrain.geoid_undulation_m or 0.0)
     weather = declared_weather(spec.weather, frame.latitude_deg, frame.longitude_deg, altitude_m)

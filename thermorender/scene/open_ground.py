@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import parts_of
-from thermorender.physics import balance, exchange
-from thermorender.physics.balance import Forcing, Ground, State
+from thermorender.materials.thermal import Thermal
+from thermorender.physics import balance, turbulence
+from thermorender.physics.balance import ColumnProperties, Forcing, State
 from thermorender.physics.conduction import LAYERS, Slab, layered
 from thermorender.units import ZERO_CELSIUS_K, utc_text
 from thermorender.weather.series import Conditions, Weather
@@ -61,7 +62,7 @@ _DAY = np.timedelta64(86400, "s")
 class Columns:
     """Columns of some materials under a weather."""
 
-    ground: Ground  # Arrays (M,), and lists of L arrays (M,)
+    ground: ColumnProperties  # Arrays (M,), and lists of L arrays (M,)
     absorptance: NDArray[np.float64]  # (M,) float64 of sunlight
     wind_factor: NDArray[np.float64]  # (M,) wind over the material as a share of the station's
     # (M,) bool whether indoor air is below; otherwise outdoor air, or air without effect
@@ -81,7 +82,7 @@ def columns(
     """
     made = [_column(material, weather, snow_m, station_roughness_m, layers) for material in materials]
     stacked: dict[str, Any] = {}
-    for name in Ground._fields:
+    for name in ColumnProperties._fields:
         values = np.array([getattr(each[0], name) for each in made], dtype=np.float64)
         stacked[name] = list(values.T) if values.ndim == 2 else values
     # Omit processes that no material has.
@@ -92,31 +93,16 @@ def columns(
     if not np.any(stacked["gap"]):
         stacked["gap"] = None
     rest = zip(*(each[1:] for each in made), strict=True)
-    return Columns(Ground(**stacked), *(np.array(values) for values in rest))
+    return Columns(ColumnProperties(**stacked), *(np.array(values) for values in rest))
 
 
 def _column(
     material: Material, weather: Weather, snow_m: float, station_roughness_m: float | None, layers: int
-) -> tuple[Ground, float, float, bool, NDArray[np.float64], float]:
-    """(Ground of one column, absorptance, factor on the wind, whether indoor air is below, depth of nodes, of snow)."""
+) -> tuple[ColumnProperties, float, float, bool, NDArray[np.float64], float]:
+    """(ColumnProperties, absorptance, factor on the wind, whether indoor air is below, depth of nodes, of snow)."""
     thermal = material.known_thermal()
-    chain = thermal.layers
-    slabs, snowy = [], []
-    for each in chain:
-        thickness, conductivity, water = each.thickness_m, each.conductivity_w_m_k, each.water_share
-        if each.cover == "snow":
-            water = each.density_kg_m3 / 1000.0
-            thickness = snow_m or thickness
-        elif each.cover == "water":
-            capacity, depth = each.heat_capacity_j_m3_k, np.inf if thickness is None else thickness
-            slabs.append(Slab(min(depth, _MIXED_M), _MIXED_M2_S * capacity, capacity, water))
-            snowy.append(False)
-            if depth <= _MIXED_M:
-                continue
-            thickness, conductivity = depth - _MIXED_M, _CALM_M2_S * capacity
-        slabs.append(Slab(np.inf if thickness is None else thickness, conductivity, each.heat_capacity_j_m3_k, water))
-        snowy.append(each.cover == "snow")
-    end = chain[-1].beneath
+    slabs, snowy = _slabs(thermal, snow_m)
+    end = thermal.layers[-1].beneath
     skin = thermal.skin_conductance_w_m2_k or np.inf
     if thermal.cover == "water":
         skin = thermal.conductivity_w_m_k / _COOL_SKIN_M
@@ -126,16 +112,7 @@ def _column(
     held = [replace(slab, water=share * slab.water) for slab, share in zip(slabs, kept, strict=True)]
     room = layered(held, skin, _FILMS.get(end), layers).water
     rough = thermal.roughness_m
-    if station_roughness_m is None:
-        wind_m, air_m, factor = weather.wind_height_m, weather.air_height_m, 1.0
-        if min(wind_m, air_m) < _ABOVE * rough:
-            raise ThermorenderError(
-                f"air_height_m={air_m:g}, wind_height_m={wind_m:g} are too low over {material.name}, whose roughness "
-                f"length is {rough:g} m; give heights above the displacement plane of {_ABOVE * rough:g} m at least"
-            )
-    else:
-        wind_m, air_m = (max(z, _ABOVE * rough) for z in (weather.wind_height_m, weather.air_height_m))
-        factor = exchange.wind_factor(wind_m, rough, weather.wind_height_m, station_roughness_m)
+    wind_m, air_m, factor = _wind_over(material.name, rough, weather, station_roughness_m)
     log_wind = np.log(wind_m / rough)
     # Stability follows from the wind at the height of the air temperature.
     stability_m = air_m * (log_wind / np.log(air_m / rough)) ** 2
@@ -143,13 +120,7 @@ def _column(
     # A wet surface without resistance is free water.
     free = thermal.wetness if resistance == 0.0 else 0.0
     soil = thermal.cover == "bare" and bool(resistance) and (thermal.thickness_m is None or bool(thermal.texture))
-    share = np.zeros(layers)
-    if thermal.attenuation_1_m:
-        reached = np.exp(-thermal.attenuation_1_m * cut.edge_m)
-        share = _LET_IN * (reached[:-1] - reached[1:])
-        # The bottom layer absorbs the rest.
-        share[-1] += _LET_IN * reached[-1]
-    ground = Ground(
+    ground = ColumnProperties(
         emissivity=broadband(material),
         log_wind=log_wind,
         log_heat=np.log(air_m / rough) + thermal.heat_roughness_ratio,
@@ -165,10 +136,58 @@ def _column(
         conductance=list(cut.conductance),
         water=list(cut.water),
         room=list(room),
-        sun_share=list(share),
+        sun_share=list(_sun_share(thermal.attenuation_1_m, cut.edge_m)),
     )
     deep = slabs[0].thickness_m if snowy[0] and np.isfinite(slabs[0].thickness_m) else 0.0
     return ground, material.solar_absorptance, factor, end == "inside", cut.node_m, deep
+
+
+def _slabs(thermal: Thermal, snow_m: float) -> tuple[list[Slab], list[bool]]:
+    """(slabs of a column from the top down, whether each is snow); water is mixed near its surface, calm below it."""
+    slabs, snowy = [], []
+    for each in thermal.layers:
+        thickness, conductivity, water = each.thickness_m, each.conductivity_w_m_k, each.water_share
+        if each.cover == "snow":
+            water = each.density_kg_m3 / 1000.0
+            thickness = snow_m or thickness
+        elif each.cover == "water":
+            capacity, depth = each.heat_capacity_j_m3_k, np.inf if thickness is None else thickness
+            slabs.append(Slab(min(depth, _MIXED_M), _MIXED_M2_S * capacity, capacity, water))
+            snowy.append(False)
+            if depth <= _MIXED_M:
+                continue
+            thickness, conductivity = depth - _MIXED_M, _CALM_M2_S * capacity
+        slabs.append(Slab(np.inf if thickness is None else thickness, conductivity, each.heat_capacity_j_m3_k, water))
+        snowy.append(each.cover == "snow")
+    return slabs, snowy
+
+
+def _wind_over(
+    name: str, rough_m: float, weather: Weather, station_roughness_m: float | None
+) -> tuple[float, float, float]:
+    """(heights of wind and air above a material [m], its wind as a share of the station's) by its roughness [m]."""
+    wind_m, air_m = weather.wind_height_m, weather.air_height_m
+    if station_roughness_m is not None:
+        over_m = max(wind_m, _ABOVE * rough_m)
+        factor = turbulence.wind_factor(over_m, rough_m, wind_m, station_roughness_m)
+        return over_m, max(air_m, _ABOVE * rough_m), factor
+    if min(wind_m, air_m) < _ABOVE * rough_m:
+        raise ThermorenderError(
+            f"air_height_m={air_m:g}, wind_height_m={wind_m:g} are too low over {name}, whose roughness length is "
+            f"{rough_m:g} m; give heights above the displacement plane of {_ABOVE * rough_m:g} m at least"
+        )
+    return wind_m, air_m, 1.0
+
+
+def _sun_share(attenuation_1_m: float | None, edge_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Share of the absorbed sunlight (L,) that layers with edges (L + 1,) [m] take; 0 where the surface takes all."""
+    if not attenuation_1_m:
+        return np.zeros(len(edge_m) - 1)
+    reached = np.exp(-attenuation_1_m * edge_m)
+    share = _LET_IN * (reached[:-1] - reached[1:])
+    # The bottom layer absorbs the rest.
+    share[-1] += _LET_IN * reached[-1]
+    return share
 
 
 def over_room(material: Material) -> bool:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene import instances
-from thermorender.scene.files import SceneFiles
+from thermorender.scene.folder import SceneFiles
 from thermorender.scene.ground import Ground
 from thermorender.scene.raster import Grid
 from thermorender.scene.refine import evened, refined
@@ -53,27 +53,20 @@ def shape_of(files: SceneFiles, placements: Sequence[Placement], held: Held, whe
     """Return the Shape of a scene's files with its objects where `placements` says."""
     ground = Ground(files.ground)
     posed = [_posed(part, place, held) for part, place in zip(files.objects, placements, strict=True)]
-    solved = [place.balanced for place in placements]
-
-    def placed(one: TrackedObject, values: Mapping[str, float]) -> list[Surface]:
-        try:
-            matrix = one.world_from_own(values, ground)
-        except ThermorenderError as error:
-            raise ThermorenderError(f"{where}: {error}") from None
-        return [
-            replace(surface, vertices=surface.vertices @ matrix[:3, :3].T + matrix[:3, 3]) for surface in one.surfaces
-        ]
-
+    # Those that the heat balance solves come first.
+    still = [number for number, one in enumerate(posed) if not one.item.track]
+    still.sort(key=lambda number: not placements[number].balanced)
     static, static_of, balanced = list[Surface](), list[int](), 0
-    for number, one in sorted(enumerate(posed), key=lambda each: not solved[each[0]]):
-        if not one.item.track:
-            own = _copies(one, ground, where) if one.places else placed(one, one.at(0.0))
-            static += own
-            static_of += [number] * len(own)
-            balanced += len(own) if solved[number] else 0
+    for number in still:
+        one = posed[number]
+        own = _copies(one, ground, where) if one.places else _placed(one, one.at(0.0), ground, where)
+        static += own
+        static_of += [number] * len(own)
+        balanced += len(own) if placements[number].balanced else 0
     tracked_of = [number for number, one in enumerate(posed) if one.item.track]
     tracked = [posed[number] for number in tracked_of]
-    along = [surface for one in tracked for values in one.stations() for surface in placed(one, values)]
+    along = [surface for one in tracked for values in one.stations()
+             for surface in _placed(one, values, ground, where)]  # fmt: skip
     highest = max(float(surface.vertices[:, 2].max()) for surface in (*files.ground, *static, *along))
     # The light beside many copies is not resolved by finer ground: the budget has its error.
     bodies = [surface for surface in static if surface.instances is None]
@@ -93,6 +86,15 @@ def shape_of(files: SceneFiles, placements: Sequence[Placement], held: Held, whe
         textures=files.textures,
         balanced=balanced,
     )
+
+
+def _placed(one: TrackedObject, values: Mapping[str, float], ground: Ground, where: str) -> list[Surface]:
+    """The surfaces of an object in the scene's frame, at `values` as by `TrackedObject.at`."""
+    try:
+        matrix = one.world_from_own(values, ground)
+    except ThermorenderError as error:
+        raise ThermorenderError(f"{where}: {error}") from None
+    return [replace(surface, vertices=surface.vertices @ matrix[:3, :3].T + matrix[:3, 3]) for surface in one.surfaces]
 
 
 def _copies(one: TrackedObject, ground: Ground, where: str) -> list[Surface]:

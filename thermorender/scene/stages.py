@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.atmosphere.declared import declared_air
+from thermorender.atmosphere.declared_air import declared_air
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
 from thermorender.materials.extended import within_band
@@ -22,7 +22,7 @@ from thermorender.scene.albedo import shares, with_albedo
 from thermorender.scene.cover import WHY, Cover, Covering, Replaced, cover_of
 from thermorender.scene.declared import Declared, InMemory
 from thermorender.scene.digest import digest, weather_digest
-from thermorender.scene.files import SceneFiles
+from thermorender.scene.folder import SceneFiles
 from thermorender.scene.ground import Ground
 from thermorender.scene.patch import Patch
 from thermorender.scene.pipeline import Pipeline
@@ -41,7 +41,7 @@ from thermorender.scene.spec import (
 )
 from thermorender.scene.surface import Surface
 from thermorender.scene.temperature_state import Available, TemperatureState
-from thermorender.scene.terrain_temperature import Follows, Forcing, Temperatures, follows, temperatures
+from thermorender.scene.terrain_temperature import Follows, TemperatureInputs, Temperatures, follows, temperatures
 from thermorender.scene.tracks import TrackedObject
 from thermorender.sensor.camera import Camera
 
@@ -168,7 +168,7 @@ def weather(
             f"{where}: [weather] needs a place, which a mesh does not have; add [frame] with latitude_deg, "
             "longitude_deg and height_m"
         )
-    from thermorender.weather.declared import declared_weather
+    from thermorender.weather.declared_weather import declared_weather
 
     try:
         return declared_weather(spec_weather, frame.latitude_deg, frame.longitude_deg, altitude_m)
@@ -327,17 +327,17 @@ def refuse_band(material: Material, band_um: tuple[float, float], where: str) ->
 # --- temperatures ---------------------------------------------------------------------------------------------------
 
 
-def forcing(
+def temperature_inputs(
     follows: Follows, spec_weather: WeatherSpec | None, given_weather: "Weather | None", time: "np.datetime64 | None",
     stated_altitude_m: float | None, spec_objects: Sequence[ObjectSpec], spec_sun: SunSpec | None,
     air: Atmosphere | None, spec_sky_temperature: float | None,
-) -> Forcing | None:  # fmt: skip
+) -> TemperatureInputs | None:  # fmt: skip
     """Return what the temperatures are solved from; None where they do not follow the weather."""
     if not follows:
         return None
     still = tuple(item.temperature for item in spec_objects if item.track is None)
     sky = (spec_sky_temperature if air is None else air) if follows == "conditional" else None
-    return Forcing(spec_weather, given_weather, time, stated_altitude_m, still, spec_sun, sky)
+    return TemperatureInputs(spec_weather, given_weather, time, stated_altitude_m, still, spec_sun, sky)
 
 
 def part_temperatures(spec_surfaces: Sequence[SurfaceSpec]) -> tuple[SurfaceSpec, ...]:
@@ -481,8 +481,8 @@ def surface_notes(surfaces: tuple[Surface, ...], terrain_count: int) -> tuple[st
 PIPELINE = Pipeline(
     (where, frame, geoid_undulation_m, stated_altitude_m, altitude_m, placements, shape, grid, terrain_count,
      solved_count, band_um, air_of_weather, no_snow, snow, covering, cover, emissivity_report, albedo, materials, air,
-     clear_of_clouds, follows, forcing, part_temperatures, covered, temperatures, temperature_state, solution_notes,
-     object_kelvin, surfaces, tracked_objects),
+     clear_of_clouds, follows, temperature_inputs, part_temperatures, covered, temperatures, temperature_state,
+     solution_notes, object_kelvin, surfaces, tracked_objects),
     lazy=(weather, weather_now, noted_weather, sun, ground, refuse_unsolved, surroundings_temperature, agreement,
           surface_notes, digest, weather_digest),
 )  # fmt: skip

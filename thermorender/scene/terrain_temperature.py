@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 Follows = Literal["", "balance", "conditional", "moved"]
 
 
-class Forcing(NamedTuple):
+class TemperatureInputs(NamedTuple):
     """What temperatures that follow the weather are solved from, besides the surfaces and their materials."""
 
     weather: WeatherSpec | None
@@ -62,14 +62,14 @@ def follows(
 
 
 def temperatures(
-    follows: Follows, forcing: Forcing | None, spec_temperature: TemperatureSpec,
+    follows: Follows, temperature_inputs: TemperatureInputs | None, spec_temperature: TemperatureSpec,
     temperature_map: "TemperatureMap | None", given_kelvin: tuple[NDArray[Any], ...] | None, given: bool,
     part_temperatures: Sequence[SurfaceSpec], placements: Sequence[Placement], shape: Shape,
     covered: "tuple[Cover, tuple[Material, ...]] | None", where: str,
 ) -> Temperatures:  # fmt: skip
     """Return the Temperatures of the source that a scene declares."""
-    if forcing is not None:
-        _refuse_forcing(follows, forcing, spec_temperature, part_temperatures, shape, where)
+    if temperature_inputs is not None:
+        _refuse_inputs(follows, temperature_inputs, spec_temperature, part_temperatures, shape, where)
     solved = next((each for each in placements if each.balanced), None)
     if solved and spec_temperature.source != "balance":
         raise ThermorenderError(
@@ -159,9 +159,10 @@ def _filled(values: NDArray[Any], surface: Surface) -> tuple[NDArray[np.float32]
     return kelvin, np.where(valid, 0, FALLBACK).astype(np.uint8)
 
 
-def _refuse_forcing(
-    follows: Follows, forcing: Forcing, spec: TemperatureSpec, parts: Sequence[SurfaceSpec], shape: Shape, where: str
-) -> None:
+def _refuse_inputs(
+    follows: Follows, inputs: TemperatureInputs, spec: TemperatureSpec, parts: Sequence[SurfaceSpec], shape: Shape,
+    where: str,
+) -> None:  # fmt: skip
     """Refuse temperatures that follow the weather if an input is missing or contradictory."""
     if follows == "conditional" and spec.trained:
         raise ThermorenderError(
@@ -181,13 +182,13 @@ def _refuse_forcing(
             )
     key = "trained" if follows == "moved" else f"model={spec.model!r}" if spec.model else "source='balance'"
     why = f"{where}: temperature.{key} "
-    if forcing.weather is None:
+    if inputs.weather is None:
         raise ThermorenderError(f"{why}needs the weather; add [weather] with time and one of file, epw, air_high_c")
     if shape.frame is None:
         raise ThermorenderError(
             f"{why}needs a place, which a mesh does not have; add [frame] with latitude_deg, longitude_deg and height_m"
         )
-    if forcing.sun is not None:
+    if inputs.sun is not None:
         raise ThermorenderError(
             f"{why}computes the sun from weather.time, but this scene declares another sun; leave [sun] out, "
             "or call with_sun(None) first"

@@ -124,17 +124,7 @@ def read_columns(
             f"{path} {what}; give a header with {', '.join(needed)} and any of {', '.join(others)}, each once, "
             "separated by commas, and rows of numbers below it"
         )
-    values = np.empty((len(rows) - 1, len(header)))
-    for number, cells in enumerate(rows[1:]):
-        try:
-            values[number] = [float(cell) for cell in cells]
-        except ValueError:
-            values[number] = np.nan
-        if not np.isfinite(values[number]).all():
-            raise ThermorenderError(
-                f"{path}, row {numbers[number + 1]}: {shortened(','.join(cells))!r} is not {len(header)} finite "
-                "numbers; give a number for each column"
-            )
+    values = np.array([_finite(path, *row, len(header)) for row in zip(numbers[1:], rows[1:], strict=True)])
     columns = dict(zip(header, values.T.copy(), strict=True))
     for name, (most, unit) in _LIMITS.items():
         far = np.abs(columns.get(name, np.zeros(1))) > most
@@ -143,6 +133,20 @@ def read_columns(
                 f"{path}: {name}={columns[name][far][0]:g} is out of range; give {unit}, up to {most:g}"
             )
     return columns, numbers[1:]
+
+
+def _finite(path: Path, number: int, cells: list[str], columns: int) -> list[float]:
+    """The finite numbers of a row, one for each column; `number` is the row's in the file."""
+    try:
+        values = [float(cell) for cell in cells]
+    except ValueError:
+        values = []
+    if len(values) != columns or not np.isfinite(values).all():
+        raise ThermorenderError(
+            f"{path}, row {number}: {shortened(','.join(cells))!r} is not {columns} finite numbers; give a number for "
+            "each column"
+        )
+    return values
 
 
 def read_track(path: Path) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:

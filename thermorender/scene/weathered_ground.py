@@ -15,7 +15,7 @@ from thermorender.materials.material import Material
 from thermorender.materials.mixture import parts_of
 from thermorender.materials.thermal import Thermal
 from thermorender.physics import humidity, moisture, sky, snow, sun
-from thermorender.physics.moisture import Bucket, Texture
+from thermorender.physics.moisture import Bucket, SoilTexture
 from thermorender.physics.snow import NEW_ALBEDO, NEW_KG_M3, Pack
 from thermorender.units import ZERO_CELSIUS_K
 from thermorender.weather.series import Weather
@@ -252,7 +252,7 @@ def _moist(thermal: Thermal, days: _Days, green: float) -> Thermal:
     return replace(moist, wetness=soaked / now)
 
 
-def _wetted(thermal: Thermal, texture: Texture, water: float) -> Thermal:
+def _wetted(thermal: Thermal, texture: SoilTexture, water: float) -> Thermal:
     """A layer with this water [m³ m⁻³] in place of its usual water."""
     added = water - thermal.water_share
     dry = thermal.density_kg_m3 - 1000.0 * thermal.water_share

@@ -27,7 +27,7 @@ from thermorender.sensor.detector import (
     stepped,
 )
 from thermorender.sensor.motion import Relief, border_uncertainty, grid_camera, moved, pixel_grid
-from thermorender.sensor.movers import Mover, Part, outside, parts
+from thermorender.sensor.movers import ChangingRegion, Mover, changing_regions, outside
 from thermorender.sensor.schedule import (
     FAR_PX,
     FITTED_GRADIENT_MK,
@@ -122,15 +122,15 @@ class Exposure:
         reading = motion * max(late, 1.0)
         if reading <= STATIC_PX:
             signal = self._static(time_s, self.sensor.power(radiance, moment))
-            instants, renders, parts = 1, 1, self._parts(time_s, before, moved_s)
+            instants, renders, regions = 1, 1, self._changing_regions(time_s, before, moved_s)
             error = unmoved_mk(radiance, self.sensor.camera, motion * np.hypot(1.0, late), gradient)
         elif reading <= SUBPIXEL_PX and interpolates and self.sensor.camera.time_constant_s:
             image = self.sensor.blurred(radiance)
             way = self._way(relief, time_s, self.sensor.camera.time_constant_s)
             signal, error = self._subpixel(way, time_s, image, moment)
             moved_s = _AGES[-1] * self.sensor.camera.time_constant_s - self._delays[0]
-            parts = self._parts(time_s, before, moved_s)
-            gaps, rest = np.hypot(_AGES, late), outside(parts, image.shape)
+            regions = self._changing_regions(time_s, before, moved_s)
+            gaps, rest = np.hypot(_AGES, late), outside(regions, image.shape)
             error = np.hypot(error, moved_mk(image, self.sensor.camera, way, motion, gaps, _WEIGHTS, rest))
             error = np.hypot(error, SUBPIXEL_MK * motion**2 * contrast)
             instants, renders = len(_AGES), 1
@@ -140,24 +140,24 @@ class Exposure:
             plan = self._seen(plan, relief, image, motion) if interpolates else plan
             signal, error = self._fast(plan, relief, image, moment)
             instants, renders, moved_s = len(plan.times_s), len(plan.renders), self._moved_s(plan)
-            parts = self._parts(time_s, before, moved_s)
+            regions = self._changing_regions(time_s, before, moved_s)
             if len(plan.renders) < len(plan.times_s):
                 way = self._way(relief, time_s, min(self._span_s(), _SHORT_S))
                 gaps, weights = plan.moved_middles(self.sensor.camera.time_constant_s)
-                rest = outside(parts, image.shape)
+                rest = outside(regions, image.shape)
                 error = np.hypot(error, moved_mk(image, self.sensor.camera, way, motion, gaps, weights, rest))
             carried = error**2
         remembered = self._remembered_mk(time_s, before) ** 2
         square = error**2 + remembered
         followed = remembered + carried
-        if parts:
+        if regions:
             # The signal of steady pixels may share memory with their state.
             signal = signal.copy()
-            for part in parts:
-                count, own = self._follow(part, motion, before, moment, time_s, radiance, signal)
+            for region in regions:
+                count, own = self._follow(region, motion, before, moment, time_s, radiance, signal)
                 # The frame's own image is among its instants.
                 renders, instants = renders + count - 1, max(instants, count)
-                share = signal[part.rows, part.columns].size / signal.size
+                share = signal[region.rows, region.columns].size / signal.size
                 square += (own**2 - error**2) * share
                 followed += (own**2 - carried) * share
         error = np.sqrt(square)
@@ -245,33 +245,33 @@ class Exposure:
         ages = plan.row_times_s[0] - rendered[1:]
         return float(np.diff(rendered)[ages <= _GHOST_AGE * self.sensor.camera.time_constant_s].max())
 
-    def _parts(self, time_s: float, before: PixelState | None, moved_s: float) -> list[Part]:
-        """Parts of the frame that moving objects change within the pixels' memory."""
+    def _changing_regions(self, time_s: float, before: PixelState | None, moved_s: float) -> list[ChangingRegion]:
+        """Regions of the frame that moving objects change within the pixels' memory."""
         if not self._movers:
             return []
         since_s, until_s = self._since(time_s, before), time_s + self._delays[-1]
         if since_s >= until_s:
             return []
-        return parts(self.sensor.camera, self._pose_at, self._movers, since_s, until_s, _MARGIN_PX, moved_s)
+        return changing_regions(self.sensor.camera, self._pose_at, self._movers, since_s, until_s, _MARGIN_PX, moved_s)
 
     def _follow(
-        self, part: Part, motion: float, before: PixelState | None, moment: Moment, time_s: float,
+        self, region: ChangingRegion, motion: float, before: PixelState | None, moment: Moment, time_s: float,
         radiance: Image, signal: Image,
     ) -> tuple[int, float]:  # fmt: skip
-        """Write the signal of a part of the image from separately rendered instants; return (instants, error_mk).
+        """Write the signal of a region of the image from separately rendered instants; return (instants, error_mk).
 
         The rms error is estimated as the difference from the signal through half the instants, and at least that of
         spacing.
         """
         camera, since_s = self.sensor.camera, self._since(time_s, before)
-        here = part.rows, part.columns
-        # An object that crosses the part between two frames is in neither of their images.
+        here = region.rows, region.columns
+        # An object that crosses the region between two frames is in neither of their images.
         contrast = max(gradient_mk(radiance[here], camera, 1) / FITTED_GRADIENT_MK, 1.0)
         # The ground moves behind an object that moves with the camera.
-        motion = max(part.px_per_s * self._span_s(), motion, 1e-9)
+        motion = max(region.px_per_s * self._span_s(), motion, 1e-9)
         plan = self._schedule(time_s, motion, contrast, since_s, 0.0)
-        times = np.unique([*plan.times_s, *part.bends_s, *part.warming_s])
-        wide = part.around(camera.height, camera.width)
+        times = np.unique([*plan.times_s, *region.bends_s, *region.warming_s])
+        wide = region.around(camera.height, camera.width)
         sides = zip(here, wide, strict=True)
         inner_rows, inner_columns = (slice(a.start - b.start, a.stop - b.start) for a, b in sides)
         part_of = camera.part(*wide)
@@ -283,11 +283,11 @@ class Exposure:
                 image = radiance[wide] if at == time_s else self._radiance_at(at, part_of, time_s)
                 yield at, offset + gain * self.sensor.blurred(image)[inner_rows, inner_columns]
 
-        state, rows = None, plan.row_times_s[part.rows]
+        state, rows = None, plan.row_times_s[region.rows]
         if before is not None and before.time_s == times[0]:
             state = PixelState(before.time_s, before.signal[here], before.power[here])
         # In one pass, since each power is a render. `kept` are instants that the coarser followers need.
-        kept = np.isin(times, [times[0], *part.bends_s])
+        kept = np.isin(times, [times[0], *region.bends_s])
         fine, *coarser = (Follower(state, rows, camera.time_constant_s, signal[here].shape) for _ in range(3))
         for number, (at, power) in enumerate(powers()):
             last = number == len(times) - 1

@@ -1,4 +1,4 @@
-"""Moving or warming objects: the parts of an image that they change, and how fast."""
+"""Moving or warming objects: the regions of an image that they change, and how fast."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ _LOOKS = 9
 _JUMP = 0.02
 # Radiance is nonlinear in temperature: over a step of this size [K] a straight line has a mean error of 7 mK at 300 K.
 _WARMING_K = 3.0
-# Squares of the coarse blur kernel that reach into a part.
+# Squares of the coarse blur kernel that reach into a region.
 _REACH = COARSE // 2 + 1
 
 
@@ -30,8 +30,8 @@ class Mover:
 
 
 @dataclass(frozen=True)
-class Part:
-    """A part of an image that moving objects change."""
+class ChangingRegion:
+    """A region of an image that moving or warming objects change."""
 
     # rows, columns: Of the image
     rows: slice
@@ -42,7 +42,7 @@ class Part:
     warming_s: NDArray[np.float64]
 
     def around(self, height: int, width: int) -> tuple[slice, slice]:
-        """Return (rows, columns) from which the lens blurs into this part, in whole squares of the coarse kernel."""
+        """Return (rows, columns) from which the lens blurs into this region, in whole squares of the coarse kernel."""
 
         def wider(side: slice, n: int) -> slice:
             first, last = side.start // STEP - _REACH, -(-side.stop // STEP) + _REACH
@@ -51,35 +51,35 @@ class Part:
         return wider(self.rows, height), wider(self.columns, width)
 
 
-def parts(
+def changing_regions(
     camera: Camera, pose_at: Callable[[float], Pose], movers: Sequence[Mover], since_s: float, until_s: float,
     margin_px: int, moved_s: float = 0.0,
-) -> list[Part]:  # fmt: skip
-    """Return the disjoint Parts of an image that objects change between two times [s].
+) -> list[ChangingRegion]:  # fmt: skip
+    """Return the disjoint ChangingRegions of an image that objects change between two times [s].
 
     `pose_at` maps a time to world_from_camera, `margin_px` surrounds the objects' boxes, and `moved_s` is the longest
     time over which images are moved.
     """
-    made = (_part(camera, pose_at, mover, since_s, until_s, margin_px, moved_s) for mover in movers)
-    found, apart = [part for part in made if part], list[Part]()
+    made = (_changing_region(camera, pose_at, mover, since_s, until_s, margin_px, moved_s) for mover in movers)
+    found, apart = [region for region in made if region], list[ChangingRegion]()
     while found:
-        part = found.pop()
-        other = next((other for other in found if _overlap(part, other)), None)
+        region = found.pop()
+        other = next((other for other in found if _overlap(region, other)), None)
         if other is None:
-            apart.append(part)
+            apart.append(region)
             continue
         found.remove(other)
-        rows, columns = (slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in _sides(part, other))
-        bends, warming = np.union1d(part.bends_s, other.bends_s), np.union1d(part.warming_s, other.warming_s)
-        found.append(Part(rows, columns, max(part.px_per_s, other.px_per_s), bends, warming))
+        rows, columns = (slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in _sides(region, other))
+        bends, warming = np.union1d(region.bends_s, other.bends_s), np.union1d(region.warming_s, other.warming_s)
+        found.append(ChangingRegion(rows, columns, max(region.px_per_s, other.px_per_s), bends, warming))
     return apart
 
 
-def _part(
+def _changing_region(
     camera: Camera, pose_at: Callable[[float], Pose], mover: Mover, since_s: float, until_s: float, margin_px: int,
     moved_s: float,
-) -> Part | None:  # fmt: skip
-    """The part of one object; None if it does not change or is not visible."""
+) -> ChangingRegion | None:  # fmt: skip
+    """The region of one object; None if it does not change or is not visible."""
     bends = mover.times_s[(mover.times_s > since_s) & (mover.times_s < until_s)]
     times = np.union1d(np.linspace(since_s, until_s, _LOOKS), bends)
     corners = [mover.corners_at(time_s) for time_s in times]
@@ -112,20 +112,20 @@ def _part(
         speed = np.linalg.norm(np.diff(pixel, axis=0), axis=-1)[slow] / span[slow, None]
     # Of an object from behind the camera, the visible corners give the speed.
     fastest = float(np.nanmax(speed)) if not np.isnan(speed).all() else float(size.max() / (until_s - since_s))
-    return Part(slice(first[1], last[1]), slice(first[0], last[0]), fastest, bends, np.concatenate(warming))
+    return ChangingRegion(slice(first[1], last[1]), slice(first[0], last[0]), fastest, bends, np.concatenate(warming))
 
 
-def _sides(one: Part, other: Part) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+def _sides(one: ChangingRegion, other: ChangingRegion) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
     return (one.rows, other.rows), (one.columns, other.columns)
 
 
-def _overlap(one: Part, other: Part) -> bool:
+def _overlap(one: ChangingRegion, other: ChangingRegion) -> bool:
     return all(a.start < b.stop and b.start < a.stop for a, b in _sides(one, other))
 
 
-def outside(parts: Sequence[Part], shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Return whether pixels (H, W) are outside all parts; those inside are followed apart, with their own error."""
+def outside(regions: Sequence[ChangingRegion], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Return whether pixels (H, W) are outside all regions; those inside are followed apart, with their own error."""
     found = np.ones(shape, dtype=bool)
-    for part in parts:
-        found[part.rows, part.columns] = False
+    for region in regions:
+        found[region.rows, region.columns] = False
     return found

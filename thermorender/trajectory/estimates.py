@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.trajectory.mapping import QUATERNION, Mapping, Quantity, Reset
+from thermorender.trajectory.column_mapping import QUATERNION, Mapping, Quantity, Reset
 from thermorender.trajectory.rotations import rotation_from_wxyz, wxyz
 from thermorender.trajectory.tables import Floats, Table
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import FARTHEST_M, LocalFrame, ecef_from_geodetic
+from thermorender.trajectory.column_mapping import POSITION_GEODETIC, UNSTATED
 from thermorender.trajectory.logs import Log
-from thermorender.trajectory.mapping import POSITION_GEODETIC, UNSTATED
 from thermorender.trajectory.path import GroundHeight, Trajectory
 
 Floats = NDArray[np.float64]

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.schema import closest
+from thermorender.trajectory.column_mapping import QUANTITIES, UNSTATED, Mapping, Quantity, fitting_formats
 from thermorender.trajectory.estimates import drop_invalid, find_resets
-from thermorender.trajectory.mapping import QUANTITIES, UNSTATED, Mapping, Quantity, fitting_formats
 from thermorender.trajectory.tables import Floats, Table
 
 # Endings of columns with one of our quantities in another unit.

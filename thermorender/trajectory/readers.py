@@ -24,9 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
-from thermorender.trajectory.heights import frame_of_first_sample, geodetic_of_local, local_positions, refuse_far
-from thermorender.trajectory.logs import Log, read_log
-from thermorender.trajectory.mapping import (
+from thermorender.trajectory.column_mapping import (
     ANGLES,
     GIMBAL,
     HEIGHTS,
@@ -39,6 +37,8 @@ from thermorender.trajectory.mapping import (
     format_of_suffix,
     load_mapping,
 )
+from thermorender.trajectory.heights import frame_of_first_sample, geodetic_of_local, local_positions, refuse_far
+from thermorender.trajectory.logs import Log, read_log
 from thermorender.trajectory.path import QUATERNION_TOLERANCE, Anchor, GroundHeight, Trajectory
 from thermorender.trajectory.rotations import (
     BODY_FROM_CAMERA,
@@ -68,7 +68,8 @@ def read_trajectory(
     - `frame` is the scene's georeference, for latitude and longitude; `ground(east, north)` returns the local up of the
       ground (N,) [m], NaN off the terrain; `geoid_undulation_m` is the geoid's height above the ellipsoid, for
       `alt_geoid_m`. An anchored flight needs no georeference.
-    - `format` is a bundled column mapping (`trajectory.mapping.bundled_formats()`) or a TOML file in the same form.
+    - `format` is a bundled column mapping (`trajectory.column_mapping.bundled_formats()`) or a TOML file of the same
+      form.
     - `anchor` moves the first camera position to (east, north), `up` metres above the ground there (local up without
       `ground`), and rotates the flight about up to the heading; it keeps its shape. A log of `above_ground_m` instead
       follows the new ground, with all its heights shifted so that the first is `up`.
@@ -226,13 +227,7 @@ def _position_columns(logs: list[Log], mapping: Mapping) -> tuple[Log, tuple[str
     """The log with the position, its pair of horizontal columns and its height column."""
     log_of = _log_of(logs)
     names = ", ".join(log.path for log in logs)
-    for name, choices in mapping.quantities.items():
-        if name not in log_of and not any(choice.optional for choice in choices):
-            column = " or ".join(repr(choice.column) for choice in choices)
-            raise ThermorenderError(
-                f"{names}: column {column} ({name}) is missing; format={mapping.name!r} needs "
-                "it, in this file or in another one given with it"
-            )
+    _refuse_missing(log_of, mapping, names)
     pairs = [pair for pair in (POSITION_LOCAL, POSITION_GEODETIC) if any(name in log_of for name in pair)]
     if len(pairs) != 1:
         raise ThermorenderError(
@@ -252,6 +247,17 @@ def _position_columns(logs: list[Log], mapping: Mapping) -> tuple[Log, tuple[str
     if first is not second:
         raise ThermorenderError(f"{names}: {' and '.join(pairs[0])} must be columns of one file")
     return first if first is above else _joined(first, pairs[0], above, heights[0]), pairs[0], heights[0]
+
+
+def _refuse_missing(log_of: dict[str, Log], mapping: Mapping, names: str) -> None:
+    """Refuse logs that lack a column which a format needs."""
+    for name, choices in mapping.quantities.items():
+        if name not in log_of and not any(choice.optional for choice in choices):
+            column = " or ".join(repr(choice.column) for choice in choices)
+            raise ThermorenderError(
+                f"{names}: column {column} ({name}) is missing; format={mapping.name!r} needs "
+                "it, in this file or in another one given with it"
+            )
 
 
 def _log_of(logs: list[Log]) -> dict[str, Log]:

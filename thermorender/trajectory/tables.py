@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.formats import read_text
-from thermorender.trajectory.mapping import Quantity, fitting_formats
+from thermorender.trajectory.column_mapping import Quantity, fitting_formats
 
 Floats = NDArray[np.float64]
 

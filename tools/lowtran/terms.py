@@ -13,7 +13,7 @@ import numpy as np
 
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.rays import EARTH_RADIUS_M
-from thermorender.atmosphere.tables import read_table
+from thermorender.atmosphere.table_files import read_table
 from thermorender.defaults import BAND_UM
 from thermorender.files import atomic, make_folder
 from thermorender.formats import write_json

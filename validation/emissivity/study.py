@@ -15,9 +15,9 @@ from thermorender.apps.lands.procedural.procedural_scene import KINDS, make
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic
-from thermorender.learned.emissivity import relief
+from thermorender.learned.emissivity import elevation
 from thermorender.learned.emissivity.mapping import load_map, map_materials
-from thermorender.learned.features import lab
+from thermorender.learned.pixel_features import lab
 from thermorender.materials.extended import within_band
 from thermorender.materials.library import find, load_library
 from thermorender.physics.band import RadianceTable, quadrature
@@ -124,12 +124,12 @@ def _with_heights(model, scene, mapped):
     """(Mapped with the heights of a scene as evidence, why they are none)."""
     import cv2
 
-    above, slope, why = relief.seen(scene.elevation.astype(np.float64), scene.post_m)
+    above, slope, why = elevation.seen(scene.elevation.astype(np.float64), scene.post_m)
     if why:
         return mapped, why
-    case = relief.case_of(*(cv2.resize(each, scene.classes.shape, interpolation=cv2.INTER_LINEAR)
+    case = elevation.case_of(*(cv2.resize(each, scene.classes.shape, interpolation=cv2.INTER_LINEAR)
                             for each in (above, slope)))  # fmt: skip
-    more = [relief.evidence(case, model.materials)]
+    more = [elevation.evidence(case, model.materials)]
     return map_materials(model, scene.orthophoto, scene.texel_m, evidence=more), why
 
 

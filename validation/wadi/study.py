@@ -17,7 +17,7 @@ from scipy import ndimage
 
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
-from thermorender.physics import exchange
+from thermorender.physics import turbulence
 from thermorender.render.geometry import Geometry
 from thermorender.render.heat.simulation import solved
 from thermorender.render.variant import activate
@@ -75,7 +75,7 @@ def weather(days=3):
     def through(values):
         return np.interp(of_day(time), of_day(own["time"]), values, period=_DAY_S)
 
-    saturated, _ = exchange.saturation_vapour(np, own["air_c"] + ZERO_CELSIUS_K)
+    saturated, _ = turbulence.saturation_vapour(np, own["air_c"] + ZERO_CELSIUS_K)
     given = {
         "air_k": through(own["air_c"]) + ZERO_CELSIUS_K,
         "vapour_pa": through(saturated * own["rh_percent"] / 100.0),

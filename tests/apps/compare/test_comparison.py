@@ -204,8 +204,7 @@ def test_terms_add_up_and_are_zero_where_nothing_changes(tmp_path):
     # The sky of 200 K in place of the 255 K of the training, by hand.
     scene = tr.load_scene(sand)
     own = next(each for each in scene.materials if each.name == "sand_quartz")
-    from thermorender.physics.band import emitted_radiance
-    from thermorender.physics.surface import kinetic_temperature
+    from thermorender.physics.band import emitted_radiance, kinetic_temperature
 
     cold, warm = band_radiance(np.array([280.0, 300.0]), *BAND)
     apparent = cold + 0.5 * (warm - cold)

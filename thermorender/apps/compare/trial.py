@@ -21,7 +21,7 @@ from thermorender.apps.compare.terms import NAMES, terms_of
 from thermorender.apps.compare.training import Training
 from thermorender.apps.compare.view import Flight, Image, View, evenly, view_of
 from thermorender.frame import apparent_temperature
-from thermorender.output.record import weather_of
+from thermorender.output.provenance import weather_of
 from thermorender.physics.sun import position_at
 from thermorender.progress import Progress, Spread
 from thermorender.render.renderer import Renderer

@@ -30,7 +30,7 @@ from thermorender.scene.surface import scene_kelvin
 from thermorender.scene.terrain import doubtful_zeros, filled, read_elevation
 from thermorender.schema import toml_text
 from thermorender.units import instant, utc_text
-from thermorender.weather.declared import declared_weather
+from thermorender.weather.declared_weather import declared_weather
 from thermorender.weather.year_file import is_year_file
 
 # Placeholders until the user gives better ones [K]: the sky without weather, and the ground without orthophoto.

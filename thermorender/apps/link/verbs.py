@@ -86,7 +86,7 @@ def serve(
         typer.echo(f"serving {loaded.name} on {host} port {server.port}; the token is in {kept}; stop with Ctrl-C")
         server.run()
     except KeyboardInterrupt:
-        pass
+        pass  # Ctrl-C or SIGTERM is how the service ends; what it holds is released below.
     finally:
         for bridge in bridges:
             bridge.stop()

@@ -217,8 +217,8 @@ class Renders:
                     self._long = None
                     long()
             except _Newer:
-                pass
-            except Exception as error:  # a fault must not end the thread, and with it all pictures
+                pass  # A later edit is waiting, and the loop takes it next.
+            except Exception as error:  # The pages show it; the thread goes on, since all pictures come from it.
                 self._report(_sentence(error))
 
     def _asked(self) -> bool:
@@ -231,7 +231,7 @@ class Renders:
         for seen in list(self._tabs.values()):
             try:
                 seen.show(Picture.of_fault(sentence, self.light.version))
-            except Exception as error:  # as where it is reported: the thread goes on
+            except Exception as error:  # The terminal shows it; the other tabs still need their report.
                 traceback.print_exception(error)
 
     def _between(self, what: str, share: float) -> None:

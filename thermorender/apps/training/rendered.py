@@ -24,7 +24,7 @@ from thermorender.apps.lands.procedural.truth import drawn
 from thermorender.apps.lands.procedural.weather import atmosphere
 from thermorender.apps.training.dataset import Dataset, Entry, ThermalScale, read_dataset
 from thermorender.apps.training.dataset_writer import Writer, packed
-from thermorender.atmosphere.declared import declared_air
+from thermorender.atmosphere.declared_air import declared_air
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library

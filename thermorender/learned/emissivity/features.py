@@ -1,11 +1,11 @@
-"""Features of a texel for the emissivity map: its colour, and the colour and texture around it, as in `features`.
+"""Features of a texel for the emissivity map: its colour, and the colour and texture around it, as in `pixel_features`.
 
 Windows are counted in texels of the training grid, to which an orthophoto is resampled first.
 """
 
 import numpy as np
 
-from thermorender.learned.features import blurred, lab, structure
+from thermorender.learned.pixel_features import blurred, lab, structure
 
 # Standard deviations of the windows [texels].
 WINDOWS_TEXELS = (1.5, 4.0, 10.0)

@@ -18,7 +18,7 @@ from thermorender.render.arrays import aligned
 from thermorender.render.geometry import Geometry
 from thermorender.render.heat.conditions import conditions
 from thermorender.render.heat.places import sun_cosine, texel_points
-from thermorender.render.light import cache
+from thermorender.render.light import transport_cache
 from thermorender.render.variant import activate
 from thermorender.scene.scene import Scene
 from thermorender.scene.surface import FALLBACK
@@ -90,7 +90,7 @@ def _traced(
     point = texel_points(geometry, texels, covers)
     height = point[:, 2].reshape(shape)
     around = cv2.GaussianBlur(height, (0, 0), _AROUND_M / surface.texel_m, borderType=cv2.BORDER_REFLECT_101)
-    view = cache.traced(geometry, _RAYS)[0].sky.sum(axis=1).astype(np.float32)[covers]
+    view = transport_cache.traced(geometry, _RAYS)[0].sky.sum(axis=1).astype(np.float32)[covers]
     upload = lambda values: [mi.Float(aligned(axis)) for axis in values.T]  # noqa: E731
     point += np.float32(geometry.hair) * normal
     place, up = mi.Point3f(*upload(point)), mi.Vector3f(*upload(normal))

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
-from thermorender.physics import balance, exchange, humidity
-from thermorender.physics.balance import Forcing, Ground, State
+from thermorender.physics import balance, humidity, turbulence
+from thermorender.physics.balance import ColumnProperties, Forcing, State
 from thermorender.physics.planck import STEFAN_BOLTZMANN
 from thermorender.physics.srgb import linear_from_bytes
 from thermorender.physics.sun import direction
@@ -29,7 +29,7 @@ from thermorender.render.geometry import Geometry
 from thermorender.render.heat.copies import Copies
 from thermorender.render.heat.places import sun_cosine, texel_points
 from thermorender.render.heat.steps import Library, steps_to
-from thermorender.render.light import cache
+from thermorender.render.light import transport_cache
 from thermorender.render.light.exchange import threads
 from thermorender.render.variant import activate
 from thermorender.scene import open_ground
@@ -112,7 +112,7 @@ class _Columns:
     point: Any  # a little above the face
     normal: Any
     face: Any
-    ground: Ground
+    ground: ColumnProperties
     absorptance: Any
     wind_factor: Any
     indoors: Any
@@ -153,7 +153,7 @@ class _Simulation:
         self.start = max(asked[0] - np.timedelta64(int(_BEFORE_S), "s"), self.weather.time[0])
         # Change of the ground over the last day of settling [K], the largest of all runs.
         self.settled_k = 0.0
-        transport, _ = cache.traced(geometry, _RAYS)
+        transport, _ = transport_cache.traced(geometry, _RAYS)
         self.operator, self.threads = transport.operator.astype(np.float32), threads()
         self.sky = transport.sky.sum(axis=1).astype(np.float32)
         self.background = transport.background.astype(np.float32)
@@ -252,7 +252,7 @@ class _Simulation:
             name: rows(values) if isinstance(values, list) else None if values is None else row(values)
             for name, values in self.columns.ground._asdict().items()
         }
-        ground = Ground(**properties)
+        ground = ColumnProperties(**properties)
         # A face has the deviations of the texel at its middle.
         column = np.concatenate([self.face_texel[: self.faces], texels])
         if self.deviations is not None:
@@ -342,7 +342,7 @@ class _Simulation:
             sunlight += one(found.direct_w_m2) * self._cosine(here, columns.hidden > 0.0, towards, at_s)
         air = one(found.air_k) + columns.cooler
         # Relative humidity is constant with height; pressure follows the lapse of the standard atmosphere.
-        saturation, below = (exchange.saturation_vapour(Library, each)[0] for each in (air, one(found.air_k)))
+        saturation, below = (turbulence.saturation_vapour(Library, each)[0] for each in (air, one(found.air_k)))
         thinner = dr.exp(humidity.PRESSURE_EXPONENT * dr.log(air / one(found.air_k)))
         longwave = one(found.longwave_w_m2) * gathered(light.sky) + gathered(light.surroundings)
         if self.copies is not None:
@@ -410,8 +410,8 @@ class _Light:
     surroundings: Any
 
 
-def _varied(ground: Ground, wetness: Jit, exchange: Jit, inertia: Jit) -> Ground:
-    """Ground of columns with wetness, turbulent exchange and thermal inertia multiplied by these factors."""
+def _varied(ground: ColumnProperties, wetness: Jit, exchange: Jit, inertia: Jit) -> ColumnProperties:
+    """ColumnProperties with wetness, turbulent exchange and thermal inertia multiplied by these factors."""
     return ground._replace(
         wetness=dr.minimum(ground.wetness * wetness, 1.0),
         log_heat=ground.log_heat / exchange,

@@ -24,17 +24,17 @@ from thermorender.scene.surface import Surface
 
 # Points of a face that are tested, in an order in which neighbours are close to each other.
 SPOTS = 64
-# Walks from the back of each part of a surface: its faces, at most, the walks of each, and their longest.
+# Random walks from the back of each connected part: largest number of faces, walks per face, largest number of bounces.
 _FACES, _WALKS, _BOUNCES = 64, 16, 8
-# Walks that may come into the open air from the back of something solid: some leave at the edge of the world.
+# Largest share of walks from the back of a solid part that escape: some do at the border of the terrain.
 _MOST_IN_AIR = 0.05
-# Further rays from a point, where the first leaves doubt.
+# Additional rays from a point whose first ray is inconclusive.
 _ASIDE = 3
-# Stand-ins are sought among so many of the nearest, and face nearly the same way.
+# Number of nearest faces among which a substitute is searched, and least cosine between its normal and the face's.
 _NEAREST, _SAME_WAY = 16, 0.7
 _RAYS_AT_ONCE = 1 << 21
 _SEED = 0x50D
-# (n faces) → their points, a little above them, and unit normals, n × SPOTS Vector3f each.
+# Faces (n,) → points of them, offset along the normal, and unit normals, n × SPOTS Vector3f each.
 PointsOf = Callable[[NDArray[np.integer]], tuple[Jit, Jit]]
 
 
@@ -43,9 +43,9 @@ class Contacts:
     """Faces with a covered part, and where in them rays start."""
 
     faces: NDArray[np.uint32]  # (n,) uint32 ascending
-    # (n,) uint32 the face on which their rays start: their own, or that of their stand-in
+    # (n,) uint32 the face on which their rays start: their own, or its substitute
     start: NDArray[np.uint32]
-    # (n, SPOTS) uint8 numbers of its open points among those of `points`; points of which few are open repeat
+    # (n, SPOTS) uint8 numbers of its open points among those of `points`; open points repeat where others are covered
     spots: NDArray[np.uint8]
 
 
@@ -74,7 +74,7 @@ def solid(geometry: Geometry) -> NDArray[np.bool_] | None:
     found = np.append(_solid_parts(geometry, part, count), False)[part]
     for number, surface in enumerate(geometry.surfaces):
         if surface.instances is not None:
-            # As a whole: a hit tells the patch of a copy, not the part of its body.
+            # The body as a whole: a hit identifies the patch of a copy, not the connected part.
             body = Geometry(geometry.mi, [alone(surface)])
             own = _solid_parts(body, np.zeros(body.face_count, np.int64), 1, stands=False)
             found[slice(*geometry.face_start[number : number + 2])] = own[0]
@@ -82,8 +82,8 @@ def solid(geometry: Geometry) -> NDArray[np.bool_] | None:
 
 
 def _solid_parts(geometry: Geometry, part: NDArray[np.int64], count: int, stands: bool = True) -> NDArray[np.bool_]:
-    """Which of `count` parts of a geometry are solid, by the part of each face (F,), −1 for none. Below a geometry that
-    `stands` on its ground is nothing; below a body alone is air."""
+    """Which of `count` parts of a geometry are solid, by the part of each face (F,), −1 for none. With `stands` the
+    geometry has ground below it, where walks do not escape."""
     # A lone triangle encloses nothing.
     size = np.bincount(part[part >= 0], minlength=count)
     order = np.random.Generator(np.random.Philox(_SEED)).permutation(np.flatnonzero(part >= 0)).astype(np.uint32)
@@ -116,16 +116,16 @@ def covered(
     if not len(found):
         return None
     number = opened.sum(axis=1)
-    # Open points first, in their order; each stands for as many of the numbers.
+    # Open points first, in order; each is repeated about equally often.
     order = np.argsort(~opened, axis=1, kind="stable")
     chosen = np.arange(SPOTS) * np.maximum(number, 1)[:, None] // SPOTS
     spots = np.take_along_axis(order, chosen, axis=1).astype(np.uint8)
     start = found.copy()
-    _stand_in(geometry, found, start, spots, number > 0)
+    _substitute(geometry, found, start, spots, number > 0)
     return Contacts(found, start, spots)
 
 
-def _stand_in(
+def _substitute(
     geometry: Geometry, faces: NDArray[np.uint32], start: NDArray[np.uint32], spots: NDArray[np.uint8],
     usable: NDArray[np.bool_],
 ) -> None:  # fmt: skip
@@ -138,7 +138,7 @@ def _stand_in(
     for one in np.unique(surface[~usable]):
         hidden, given = np.flatnonzero(~usable & (surface == one)), np.flatnonzero(usable & (surface == one))
         if not given.size:
-            # Wholly inside something: its light is that of the inside, and nothing visible is near.
+            # The surface lies wholly inside a body and is not visible: its rays start anywhere on it.
             spots[hidden] = np.arange(SPOTS)
             continue
         count = min(_NEAREST, given.size)
@@ -162,12 +162,12 @@ def _open(geometry: Geometry, back: Jit, point: Jit, normal: Jit) -> NDArray[np.
     count = dr.width(point) // SPOTS
     index = dr.arange(mi.UInt32, count * SPOTS)
     spot = index % SPOTS
-    # Up, since only then does a ray from below the ground meet its back, but away from the face.
+    # Upwards, so that a ray from below the ground hits the ground's back, and away from the face.
     slope = dr.square(normal.z)
     away = dr.select(normal.z >= 0.0, dr.maximum(normal.z, 0.1), 0.1 * (1.0 - slope))
     towards = mi.Vector3f(0.0, 0.0, 1.0) - normal.z * normal + away * normal
     towards = dr.normalize(dr.select(dr.squared_norm(towards) > 1e-6, towards, normal))
-    # Where a ray meets a front, that may coincide with the back of the body in which it starts: others go aside.
+    # A front that a ray hits may coincide with the back of the body around the point: oblique rays then decide.
     frame, turn = mi.Frame3f(normal), mi.Float(spot) * (2.0 * np.pi * 0.6180339887)
     hidden, doubtful = mi.Bool(False) & (index >= 0), mi.Bool(True) | (index >= 0)
     for number in range(1 + _ASIDE):
@@ -177,7 +177,7 @@ def _open(geometry: Geometry, back: Jit, point: Jit, normal: Jit) -> NDArray[np.
         hit, behind = backs(geometry, back, mi.Ray3f(mi.Point3f(point), towards), doubtful)
         hidden |= behind
         if not number:
-            # Only undersides send it down, and below those in the open is the ground.
+            # Only downward faces cast it downwards, and the ground lies below those that are uncovered.
             hidden |= ~hit.valid & (towards.z < 0.0)
         doubtful &= hit.valid & ~behind
         dr.eval(hidden, doubtful)
@@ -218,7 +218,7 @@ def _parts(surfaces: Sequence[Surface]) -> NDArray[np.int64]:
             found.append(np.full(len(surface.faces), -1))
             continue
         if _faces_up(surface):
-            # A terrain, or roofs: what lies below is solid everywhere or nowhere.
+            # A terrain, or roofs: what lies below is solid as a whole or not at all.
             part = np.zeros(len(surface.faces), np.int64)
         else:
             _, index, of_vertex = connected(surface)
@@ -240,7 +240,7 @@ def _rise(surface: Surface, part: slice) -> Floats:
 
 
 def _corners(geometry: Geometry, faces: NDArray[np.integer]) -> Floats:
-    """Corners of ascending or any faces that are no copies, (n, 3, 3) [m]."""
+    """Corners of faces other than those of copies, (n, 3, 3) [m]."""
     found = np.empty((len(faces), 3, 3))
     surface = np.searchsorted(geometry.face_start, faces, side="right") - 1
     for one in np.unique(surface):

@@ -18,6 +18,7 @@ from thermorender.render.arrays import Floats, Jit, aligned
 from thermorender.render.geometry import Geometry
 from thermorender.render.light.exchange import threads
 from thermorender.render.plan import Plan
+from thermorender.render.spectrum import Spectrum
 
 # Number of points for the mean of a face: least, most, and per texel of an average face.
 _FEWEST, _MOST, _PER_TEXEL = 4, 64, 2
@@ -118,6 +119,26 @@ def bake_channel(
         tick()
     mean, square = np.array(mean) / len(points), np.array(square) / len(points)
     return texel.numpy(), mean, np.maximum(square - mean * mean, 0.0)
+
+
+def reflect(
+    radiance: list[NDArray[Any]], geometry: Geometry, spectrum: Spectrum, material: NDArray[np.uint8],
+    incident: NDArray[np.float32], tick: Callable[[], object] = lambda: None,
+) -> tuple[NDArray[np.float32], NDArray[Any]]:  # fmt: skip
+    """Add what texels reflect to their emission `radiance`, K arrays (T,), in place; return (correction of each face
+    (F, K), scatter (F,)) as of `bake_channel`. `incident` is the radiance (F, N) on the faces [W m⁻² sr⁻¹]."""
+    covers = geometry.face_of_texel
+    faces = np.empty((geometry.face_count, spectrum.channels), dtype=np.float32)
+    if spectrum.channels > 1:
+        # Scatter is converted to kelvin in the band radiance without a path.
+        own = light(incident, np.tensordot(spectrum.solver.sum(axis=0), spectrum.reflected, (0, 1)))
+        _, _, scatter = bake_channel(geometry, covers, radiance[0], material, own, tick)
+    for channel in range(spectrum.channels):
+        own = light(incident, spectrum.reflected[:, channel])
+        tick()
+        baked = bake_channel(geometry, covers, radiance[channel], material, own, tick)
+        radiance[channel], faces[:, channel], left = baked
+    return faces, left if spectrum.channels == 1 else scatter
 
 
 def light(incident: NDArray[np.float32], reflected: Floats) -> NDArray[np.float32]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from thermorender.materials.mixture import Mixture
 from thermorender.physics.planck import band_radiance
 from thermorender.render.arrays import Floats, Jit, aligned, view_ray
-from thermorender.render.dynamic import Placement
+from thermorender.render.dynamic import ObjectState
 from thermorender.render.layers import Layer, LayerHit, first_hit
 from thermorender.render.loaded import LoadedLight
 from thermorender.render.pixels.sampling import STAGES, CameraRays, contrast, edge_estimate, texture_estimate
@@ -51,7 +51,7 @@ _LEAST_MK = 1.0
 
 
 def budget_mk(
-    baked: LoadedLight, tracer: Tracer, pose: Floats, placements: Sequence[Placement], radiance: NDArray[np.float32],
+    baked: LoadedLight, tracer: Tracer, pose: Floats, states: Sequence[ObjectState], radiance: NDArray[np.float32],
     sampling: SampledImage,
 ) -> dict[str, float]:  # fmt: skip
     """Return {cause: estimated root mean square error [mK]} of a frame over the pixels that show a surface. "image" is
@@ -59,7 +59,7 @@ def budget_mk(
     total."""
     errors, shown = sampling_error(baked.plan, tracer, radiance, sampling) / baked.plan.radiance_per_mk, sampling.shown
     parts = _everywhere(baked)
-    light, mirrored = _light(baked, tracer.rays, pose, placements, _PIXELS)
+    light, mirrored = _light(baked, tracer.rays, pose, states, _PIXELS)
     parts["bake"] = _rms(light)
     if baked.plan.specular:
         parts["mirrors"] = float(np.hypot(parts["mirrors"], _rms(mirrored)))
@@ -67,20 +67,20 @@ def budget_mk(
     total = float(np.sqrt(sum(value**2 for value in parts.values())))
     found = {**parts, "total": total, "image": _rms(np.where(shown, total, errors))}
     if any(isinstance(material, Mixture) for material in baked.scene.materials):
-        seen = truth(baked, tracer.rays, pose, placements)
+        seen = truth(baked, tracer.rays, pose, states)
         found["emissivity"] = _rms(emissivity_mk(baked, seen))
     return found
 
 
 def error_mk(
-    baked: LoadedLight, tracer: Tracer, pose: Floats, placements: Sequence[Placement], radiance: NDArray[np.float32],
+    baked: LoadedLight, tracer: Tracer, pose: Floats, states: Sequence[ObjectState], radiance: NDArray[np.float32],
     sampling: SampledImage,
 ) -> NDArray[np.float32]:  # fmt: skip
     """Return the estimated error of each pixel by all causes, (H, W) float32 [mK at 300 K]; NaN without a surface."""
     errors = np.where(sampling.shown, sampling_error(baked.plan, tracer, radiance, sampling), np.nan)
     rays = tracer.rays
     light = np.zeros(radiance.size)
-    light[rays.order] = np.nan_to_num(np.hypot(*_light(baked, rays, pose, placements, 1)))
+    light[rays.order] = np.nan_to_num(np.hypot(*_light(baked, rays, pose, states, 1)))
     square = light.reshape(radiance.shape) ** 2 + np.square(errors / baked.plan.radiance_per_mk, dtype=np.float64)
     square += sum(value**2 for value in _everywhere(baked).values())
     return np.sqrt(square).astype(np.float32)
@@ -112,7 +112,7 @@ def _everywhere(baked: LoadedLight) -> dict[str, float]:
 
 
 def _light(
-    baked: LoadedLight, rays: CameraRays, pose: Floats, placements: Sequence[Placement], every: int
+    baked: LoadedLight, rays: CameraRays, pose: Floats, states: Sequence[ObjectState], every: int
 ) -> tuple[Floats, Floats]:
     """Errors of every n-th pixel [mK], NaN where nothing is hit: of the light, and of limiting mirror reflections."""
     device, mi = baked.device, baked.device.geometry.mi
@@ -120,7 +120,7 @@ def _light(
     slope = rays.slopes(0.5, 0.5, mi.UInt32(aligned(numbers, np.uint32)))
     # Variation within faces is known for the static scene only.
     within = dr.opaque(mi.Float, (baked.errors_mk["faces"] * baked.plan.radiance_per_mk) ** 2)
-    layers, errors = device.layers(pose, placements), device.face_errors(placements)
+    layers, errors = device.layers(pose, states), device.face_errors(states)
     nothing, steps = dr.zeros(mi.Float, len(slope[0])), [dr.zeros(mi.Float, len(slope[0])) for _ in range(2)]
 
     def read(at: LayerHit) -> list[Jit]:
@@ -139,7 +139,7 @@ def _light(
         layers, lambda layer: view_ray(mi, *layer.view, *slope), read
     )
     distance, state = hit.distance, [number, hit.face, texel, row]
-    if any(layer.outgoing.mirror for layer in layers):
+    if any(layer.outgoing.directional for layer in layers):
         ray = view_ray(mi, *layers[0].view, *slope)
         steps = mirrors.last_steps(layers, ray.o, ray.d, distance, *state)
     dr.eval(square, steps, distance, state, reflects)

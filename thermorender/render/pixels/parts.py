@@ -119,7 +119,7 @@ class _Rays:
         device, mi, self._view, self._baked = baked.device, baked.geometry.mi, view, baked
         order = rays.position[pixels[:, 0] * rays.width + pixels[:, 1]]
         slope = rays.slopes(0.5, 0.5, mi.UInt32(aligned(order, np.uint32)))
-        layers, medium = device.layers(view.pose, view.placements), device.medium(view.pose, view.placements)
+        layers, medium = device.layers(view.pose, view.states), device.medium(view.pose, view.states)
         channels = baked.plan.spectrum.channels
 
         def read(at: LayerHit) -> list[Jit]:
@@ -137,7 +137,7 @@ class _Rays:
         distance, valid, face, surface = hit.distance, hit.valid, hit.face, hit.surface
         ray = view_ray(mi, *layers[0].view, *slope)
         slant, way = dr.dot(mi.Vector3f(x, y, z), ray.d), mi.Float(0.0)
-        if any(layer.outgoing.mirror for layer in layers):
+        if any(layer.outgoing.directional for layer in layers):
             added, way = mirrors.correction(layers, mirrors.DEPTH, ray.o, ray.d, distance, place, face, texel, row)
             shown = [a + b for a, b in zip(shown, added, strict=True)]
         lights = [[mi.Float(float(k == channel)) for k in range(channels)] for channel in range(-1, channels)]
@@ -172,7 +172,7 @@ class _Rays:
     def _kinetic(self, texel: NDArray[Any]) -> Floats:
         """Temperatures of texels of the static scene, or of the objects hit [K]."""
         found = flat(self._baked.scene.surfaces, "temperature")
-        moving = np.array([np.nan, *(placement.temperature for placement in self._view.placements)])
+        moving = np.array([np.nan, *(state.temperature for state in self._view.states)])
         still = self.valid & (self.layer == 0)
         return np.where(still, found[np.where(still, texel, 0)], moving[self.layer])
 

@@ -298,7 +298,7 @@ class Tracer:
             known=known,
         )
         hit, ray = replace(hit, strong=strong), view_ray(mi, *layers[0].view, *cell.slope)
-        if any(layer.outgoing.mirror for layer in layers):
+        if any(layer.outgoing.directional for layer in layers):
             met = ray.o, ray.d, hit.distance, number, hit.face, texel, row
             added, mirrored = mirrors.correction(layers, mirrors.DEPTH, *met)
             hit, total = replace(hit, mirrored=mirrored), [a + b for a, b in zip(total, added, strict=True)]

@@ -15,7 +15,7 @@ from thermorender.render.spectrum import Spectrum
 from thermorender.scene.scene import Scene
 
 
-class Mirror:
+class DirectionalTexels:
     """Data of the directional texels of one layer: `material` (T,) of all texels, `black` (n, K) from `black_of`."""
 
     def __init__(self, mi: Mitsuba, tables: "DeviceTables", material: NDArray[np.integer], black: Floats) -> None:

@@ -33,11 +33,11 @@ _SKY_IN_MIRROR_M = 1e6
 
 def met(layer: Layer, hit: Hit, position: tuple[Jit, Jit]) -> tuple[Jit, Jit]:
     """Return (flat number of the texel at a Hit, its row among the layer's mirrors from 1 on; 0 where it is none)."""
-    mi, mirror = layer.geometry.mi, layer.outgoing.mirror
-    if not mirror:
+    mi, directional = layer.geometry.mi, layer.outgoing.directional
+    if not directional:
         return mi.UInt32(0), mi.UInt32(0)
     texel = layer.geometry.nearest(hit.surface, *position, hit.valid)
-    return texel, dr.gather(mi.UInt32, mirror.row, texel, hit.valid)
+    return texel, dr.gather(mi.UInt32, directional.row, texel, hit.valid)
 
 
 def correction(
@@ -47,8 +47,8 @@ def correction(
     """Return (channels to add, [Float], distance [m] from a mirror to the point seen in it) for rays in the first
     layer's frame. They hit a face of layer `number` at `distance` [m]; texel and row are from `met`. Mirrors after
     `depth` reflections are diffuse."""
-    mirror = next(layer.outgoing.mirror for layer in layers if layer.outgoing.mirror)
-    nothing = tuple(type(distance)(0.0) for _ in range(mirror.black.count + 1))
+    directional = next(layer.outgoing.directional for layer in layers if layer.outgoing.directional)
+    nothing = tuple(type(distance)(0.0) for _ in range(directional.black.count + 1))
     # A branch: packets whose rays hit no mirror skip this.
     *added, way = dr.if_stmt(
         (origin, direction, distance, number, face, texel, row),
@@ -69,16 +69,16 @@ def _reflected(
     mi, total = first.geometry.mi, list[Jit]()
     # Masked gathers return 0 for all layers but the one hit, so the sum selects its values.
     for place, layer in enumerate(layers):
-        mirror, geometry = layer.outgoing.mirror, layer.geometry
-        if not mirror:
+        directional, geometry = layer.outgoing.directional, layer.geometry
+        if not directional:
             continue
-        own, tables, count = number == place, mirror.tables, mirror.black.count
+        own, tables, count = number == place, directional.tables, directional.black.count
         normal = mi.Vector3f(*geometry.normals.at(face, own))
         found = [
             *transformed(layer.view, first.view, None, normal)[1],
             dr.select(own, dr.opaque(mi.Float, geometry.reach), 0.0),
-            dr.gather(mi.UInt32, mirror.kind, row - 1, own),
-            *mirror.black.at(row - 1, own),
+            dr.gather(mi.UInt32, directional.kind, row - 1, own),
+            *directional.black.at(row - 1, own),
             *layer.outgoing.at_texel(texel, face, own),
         ]
         total = [a + b for a, b in zip(total, found, strict=True)] if total else found
@@ -121,7 +121,7 @@ def _seen(layers: Sequence[Layer], depth: int, origin: Jit, direction: Jit) -> t
 def last_steps(layers: Sequence[Layer], *ray: Jit) -> list[Jit]:
     """Return the band radiance of one more reflection, and of a second one, [Float] [W m⁻² sr⁻¹]; `ray` as of
     `correction`."""
-    tables = next(layer.outgoing.mirror.tables for layer in layers if layer.outgoing.mirror)
+    tables = next(layer.outgoing.directional.tables for layer in layers if layer.outgoing.directional)
     first, *others = (correction(layers, depth, *ray)[0] for depth in (DEPTH, DEPTH + 1, DEPTH + 2))
     found = []
     for other in others:

@@ -68,26 +68,38 @@ def read(path: Path, beside: Beside, named: Collection[str] = ()) -> list[Piece]
     for own_numbers in np.unique(numbers, axis=0):
         mine = (numbers == own_numbers).all(axis=1)
         name, *others = (kind.names[number] for kind, number in zip(kinds, own_numbers, strict=True))
-        coat, tint = library.coat(name), None
-        if coat.image is None and colour is not None:
-            if several(colour):
-                coat = Coat(colour=np.full(3, 255, np.uint8))
-                tint = of_faces(linear_from_bytes(colour), index[corner[mine]])
-            elif name is None or not library.materials:
-                coat = Coat(colour=colour[0])
-        elif coat.image is None and (name is None or not library.materials):
-            coat = Coat(colour=GREY)
-        at = map_index[corner[mine]]
-        if coat.image is not None and (at == _NO_INDEX).any():
-            raise ThermorenderError(
-                f"{path} has a texture but no map coordinates for it on {int((at == _NO_INDEX).any(axis=1).sum())} "
-                "triangles; export the mesh with UVs"
-            )
-        own = uv[at] * [1.0, -1.0] + [0.0, 1.0] if coat.image is not None else None
+        faces = index[corner[mine]]
+        coat, tint = _coat(library, name, colour, faces)
+        own = None if coat.image is None else _texture_uv(uv, map_index[corner[mine]], path)
         names = (name or "mesh", *(other or "" for other in others), coat.file)
         whole = ":".join(filter(None, (path.stem, *names[:-1])))
-        pieces.append(Piece(whole, vertices, index[corner[mine]], own, coat, names, tint).compact())
+        pieces.append(Piece(whole, vertices, faces, own, coat, names, tint).compact())
     return pieces
+
+
+def _coat(
+    library: "_Library", name: str | None, colour: NDArray[np.uint8] | None, faces: _Ints
+) -> tuple[Coat, NDArray[np.float32] | None]:
+    """(Coat, tint or None) of the triangles (T, 3) of a material, where vertices may have a `colour` (V, 3)."""
+    coat = library.coat(name)
+    if coat.image is not None:
+        return coat, None
+    if colour is not None and several(colour):
+        return Coat(colour=np.full(3, 255, np.uint8)), of_faces(linear_from_bytes(colour), faces)
+    if name is None or not library.materials:
+        return Coat(colour=GREY if colour is None else colour[0]), None
+    return coat, None
+
+
+def _texture_uv(uv: _Floats, corners: _Ints, path: Path) -> _Floats:
+    """Map coordinates (T, 3, 2) of the corners (T, 3) of triangles, v down the image."""
+    lacking = (corners == _NO_INDEX).any(axis=1)
+    if lacking.any():
+        raise ThermorenderError(
+            f"{path} has a texture but no map coordinates for it on {int(lacking.sum())} triangles; export the mesh "
+            "with UVs"
+        )
+    return uv[corners] * [1.0, -1.0] + [0.0, 1.0]
 
 
 def _content(path: Path) -> _Content:

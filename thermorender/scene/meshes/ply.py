@@ -84,19 +84,29 @@ def _header(path: Path) -> tuple[list[_Element], list[str], str, bytes]:
     end = re.search(rb"(?:^|[\r\n])end_header[ \t]*(\r\n|\n|\r)", data)
     if not data.startswith(b"ply") or end is None:
         raise _damaged(path, "it has no header of a PLY")
+    lines = data[: end.start()].decode(errors="surrogateescape").splitlines()[1:]
+    elements, textures, order = _statements(lines, path)
+    refused = next((element.name for element in elements if element.name in _REFUSED and element.count), None)
+    if refused is not None:
+        raise ThermorenderError(
+            f"{path} has the element {refused!r}, which is not supported; export it with vertices and faces only"
+        )
+    return elements, textures, order, data[end.end() :]
+
+
+def _statements(lines: list[str], path: Path) -> tuple[list[_Element], list[str], str]:
+    """(elements, names of textures, byte order or "" for text) of the lines of a header."""
     elements: list[_Element] = []
     textures, order = [], None
-    for line in data[: end.start()].decode(errors="surrogateescape").splitlines()[1:]:
+    for line in lines:
         key, _, rest = line.strip().partition(" ")
         words = rest.split()
         if key == "format" and words and words[0] in _ORDERS:
             order = _ORDERS[words[0]]
         elif key == "element" and len(words) == 2 and words[1].isdecimal():
             elements.append(_Element(words[0], int(words[1])))
-        elif key == "property" and elements and len(words) == 2 and words[0] in _TYPES:
-            elements[-1].properties.append((words[1], _TYPES[words[0]], None))
-        elif key == "property" and elements and len(words) == 4 and words[0] == "list" and "float" not in words[1]:
-            elements[-1].properties.append((words[3], _TYPES[words[2]], _TYPES[words[1]]))
+        elif key == "property" and elements and (one := _property(words)):
+            elements[-1].properties.append(one)
         elif key == "comment":
             if words and words[0].lower() == "texturefile":
                 textures.append(rest.strip()[len(words[0]) :].strip())
@@ -104,13 +114,16 @@ def _header(path: Path) -> tuple[list[_Element], list[str], str, bytes]:
             raise _damaged(path, f"its header has the line {shortened(repr(line), 60)}")
     if order is None:
         raise _damaged(path, "its header does not name a format")
-    for element in elements:
-        if element.name in _REFUSED and element.count:
-            raise ThermorenderError(
-                f"{path} has the element {element.name!r}, which is not supported; export it with vertices and "
-                "faces only"
-            )
-    return elements, textures, order, data[end.end() :]
+    return elements, textures, order
+
+
+def _property(words: list[str]) -> tuple[str, str, str | None] | None:
+    """(name, type of its values, type of a list's length or None) of a property line; None if it is not one."""
+    if len(words) == 2 and words[0] in _TYPES:
+        return words[1], _TYPES[words[0]], None
+    if len(words) == 4 and words[0] == "list" and "float" not in words[1]:
+        return words[3], _TYPES[words[2]], _TYPES[words[1]]
+    return None
 
 
 def _damaged(path: Path, reason: str) -> ThermorenderError:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.formats import read_text
-from thermorender.trajectory.mapping import UNSTATED
+from thermorender.trajectory.column_mapping import UNSTATED
 from thermorender.trajectory.tables import Floats, Table
 
 _NUMBER = r"([-+]?\d+(?:\.\d+)?)"

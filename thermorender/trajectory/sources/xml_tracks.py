@@ -7,14 +7,14 @@ clockwise around z (up), x (right) and y (forward) (OGC 12-007r2, KML 2.3). So a
 positive roll lowers the left side. Missing angles are 0.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.formats import read_text
-from thermorender.trajectory.mapping import ANGLES, UNSTATED
+from thermorender.trajectory.column_mapping import ANGLES, UNSTATED
 from thermorender.trajectory.tables import Table
 
 _HEIGHTS = {"absolute": "alt_geoid_m", "relativeToGround": "above_ground_m", "clampToGround": UNSTATED}
@@ -58,21 +58,16 @@ def read_kml(path: str) -> list[Table]:
             f"{path} has no gx:Track; a path without times cannot be flown: export a track with times"
         )
     found = [_track(path, node) for node in tracks]
-    modes = {mode for mode, *_ in found}
-    if len(modes) > 1 or not modes <= set(_HEIGHTS):
-        raise ThermorenderError(
-            f"{path}: altitudeMode is {' and '.join(sorted(modes))}; every track needs the same of "
-            f"{', '.join(_HEIGHTS)}"
-        )
-    when = [text for _, times, *_ in found for text in times]
-    positions = [text.split() for _, _, coord, *_ in found for text in coord]
-    turned = [_angles(path, text) for *_, angles, _ in found for text in angles]
-    empty = sum(count for *_, count in found)
+    height_column = _height_column(path, found)
+    when = [text for track in found for text in track.when]
+    positions = [text.split() for track in found for text in track.coord]
+    turned = [_angles(path, text) for track in found for text in track.angles]
+    empty = sum(track.empty for track in found)
     if not when:
         raise ThermorenderError(f"{path}: the tracks have no samples; export a track with times")
     longitude, latitude, height = (list(cells) for cells in zip(*positions, strict=True))
     columns: dict[str, Any] = {
-        "time": when, "lat_deg": latitude, "lon_deg": longitude, _HEIGHTS[modes.pop()]: height,
+        "time": when, "lat_deg": latitude, "lon_deg": longitude, height_column: height,
     }  # fmt: skip
     notes = []
     if len(turned) == len(when):
@@ -89,8 +84,28 @@ def read_kml(path: str) -> list[Table]:
     return [Table(path, columns, np.arange(1, len(when) + 1), "sample", notes=tuple(notes))]
 
 
-def _track(path: str, track: ElementTree.Element) -> tuple[str, list[str], list[str], list[str], int]:
-    """(Altitude mode, times, positions, angles as texts, number of samples without a position) of a gx:Track."""
+class _Track(NamedTuple):
+    """The samples of a gx:Track that have a position, as texts."""
+
+    mode: str  # Its altitudeMode
+    when: list[str]
+    coord: list[str]
+    angles: list[str]  # One for each sample, or none
+    empty: int  # Number of samples without a position
+
+
+def _height_column(path: str, tracks: list[_Track]) -> str:
+    """The column of the altitudes by the altitudeMode, which all tracks share."""
+    modes = {track.mode for track in tracks}
+    if len(modes) > 1 or not modes <= set(_HEIGHTS):
+        raise ThermorenderError(
+            f"{path}: altitudeMode is {' and '.join(sorted(modes))}; every track needs the same of "
+            f"{', '.join(_HEIGHTS)}"
+        )
+    return _HEIGHTS[modes.pop()]
+
+
+def _track(path: str, track: ElementTree.Element) -> _Track:
     parts: dict[str, list[str]] = {"when": [], "coord": [], "angles": [], "altitudeMode": []}
     for node in track:
         if _name(node) in parts:
@@ -111,7 +126,7 @@ def _track(path: str, track: ElementTree.Element) -> tuple[str, list[str], list[
                 f"{path}: gx:coord {text!r} is not longitude, latitude and altitude; give all three"
             )
     mode = parts["altitudeMode"][0] if parts["altitudeMode"] else "clampToGround"
-    return mode, when, coord, angles, empty
+    return _Track(mode, when, coord, angles, empty)
 
 
 def _angles(path: str, text: str) -> tuple[float, ...]:

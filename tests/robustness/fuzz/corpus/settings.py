@@ -46,7 +46,7 @@ material = "paint_black"
 
 @reader("trajectory mapping", "mapping.toml", _PACKAGE / "trajectory" / "formats" / "dji-gimbal.toml")
 def _mapping(path):
-    from thermorender.trajectory.mapping import load_mapping
+    from thermorender.trajectory.column_mapping import load_mapping
 
     return load_mapping(str(path))
 

@@ -7,11 +7,11 @@ import numpy as np
 
 from thermorender import defaults
 from thermorender.apps.lands.procedural.noise import stream
-from thermorender.atmosphere.declared import declared_air
+from thermorender.atmosphere.declared_air import declared_air
 from thermorender.physics import sun
 from thermorender.physics.humidity import LAPSE_K_M
 from thermorender.scene.spec import AtmosphereSpec, WeatherSpec
-from thermorender.weather.declared import declared_weather
+from thermorender.weather.declared_weather import declared_weather
 from thermorender.weather.series import Conditions
 
 # All kinds are on the central meridian of UTM zone 34, where grid north is true north [deg].

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from thermorender.apps.survey.inverse.linear import RANGE_K, LinearKelvin
 from thermorender.apps.survey.inverse.weights import Lattice
 from thermorender.learned.apply import LOWEST_EMISSIVITY
-from thermorender.physics.band import RadianceTable, emitted_radiance
-from thermorender.physics.surface import reflected_radiance
+from thermorender.physics.band import RadianceTable, emitted_radiance, reflected_radiance
 
 if TYPE_CHECKING:
     from thermorender import Renderer

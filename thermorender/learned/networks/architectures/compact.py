@@ -37,8 +37,11 @@ class Compact(nn.Module):
         self.mixed = mixed
         widths = [width * each for each in _WIDER]
         self.entry = nn.Conv2d(channels * BLOCK**2, width, 3, padding=1)
-        down = [nn.ModuleList(_Residual(n) for _ in range(blocks)) for n, blocks in zip(widths, _BLOCKS, strict=True)]
-        down[-1][-1] = _Residual(widths[-1], _DILATION)
+        down = [
+            nn.ModuleList(_PreActivationBlock(n) for _ in range(blocks))
+            for n, blocks in zip(widths, _BLOCKS, strict=True)
+        ]
+        down[-1][-1] = _PreActivationBlock(widths[-1], _DILATION)
         self.down = nn.ModuleList(down)
         self.narrow = nn.ModuleList(
             nn.Conv2d(before, after, 2, 2) for before, after in zip(widths[:-1], widths[1:], strict=True)
@@ -46,7 +49,7 @@ class Compact(nn.Module):
         self.wide = nn.ModuleList(
             nn.Conv2d(after, 4 * before, 1) for before, after in zip(widths[:-1], widths[1:], strict=True)
         )
-        self.up = nn.ModuleList(_Residual(n) for n in widths[:-1])
+        self.up = nn.ModuleList(_PreActivationBlock(n) for n in widths[:-1])
         # For each pixel the offset and the mixture's shares; and the logarithm of the spread.
         self.exit = nn.Conv2d(width, (1 + mixed) * BLOCK**2, 3, padding=1)
         self.doubt = nn.Conv2d(width, BLOCK**2, 3, padding=1)
@@ -82,7 +85,7 @@ class Compact(nn.Module):
         return mean, spread
 
 
-class _Residual(nn.Module):
+class _PreActivationBlock(nn.Module):
     """x plus two convolutions of it."""
 
     def __init__(self, width: int, dilation: int = 1) -> None:

@@ -22,7 +22,7 @@ NAMES = tuple(name for name in _AXES if name != "cloud")
 _SHORTEST_UM, _LONGEST_UM = 0.1, 1e4
 # At this extinction a micrometre of air is opaque [1/m].
 _MOST_EXTINCTION = 1e6
-_TABLE = __file__.removesuffix("tables.py") + "standard.npz"
+_TABLE = __file__.removesuffix("table_files.py") + "standard.npz"
 
 
 def read_table() -> Arrays:
