@@ -22,4 +22,4 @@ def field(folder):
     write_raster(folder / "elevation.tif", np.zeros((1, 100, 100), np.float32), 4.0, nodata=np.nan)
     scene = coarse(tr.load_scene(folder), 8)
     renderer = tr.Renderer(scene, rays=4, samples=1)
-    return Stage(renderer, maps=(MAP,), settings={"rays": 4, "samples": 1})
+    return Stage(renderer, maps=(MAP,))

@@ -204,7 +204,7 @@ def test_verbs_and_options_of_a_page_exist(page):
         verb = registry.command(words[0])
         if getattr(verb, "commands", None) and len(words) > 1 and words[1] in verb.commands:
             verb = verb.commands[words[1]]
-        known = {option for parameter in verb.params for option in parameter.opts} | {"--help"}
+        known = {option for parameter in verb.params for option in parameter.opts} | {"--help", "--help-all"}
         given = {word.split("=")[0] for word in words[1:] if re.match(r"--?[a-z]", word)}
         assert given <= known, f"thermorender {command}"
 

@@ -109,7 +109,7 @@ def test_converged_image_agrees_with_the_renderer():
     scene = scene.with_camera(replace(scene.camera, principal_offset_px=(3.3, -2.7)))
     pose = bench.views(scene)["oblique"]
     renderer = tr.Renderer(scene, samples=16, taps=1, edge_mk=np.inf, rays=4)
-    finest, image = metrics.converged(renderer, pose, {"rays": 4}), renderer.radiance(pose)
+    finest, image = metrics.converged(renderer, pose), renderer.radiance(pose)
     error = metrics.rms_mk(image, finest, scene.camera)
     for axis in (0, 1):
         # With a quarter at the wrong corner, or half a pixel off, the error would be that of neighbouring pixels.

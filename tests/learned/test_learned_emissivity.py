@@ -743,7 +743,7 @@ def test_training_settings_are_checked(scene, tmp_path):
         train_on([], tmp_path / "labels.geojson")
     with pytest.raises(ThermorenderError, match="--texel-m=0 is not allowed"):
         train_on([scene], None, texel_m=0.0)
-    with pytest.raises(ThermorenderError, match="--augmentations=-1 is not allowed"):
+    with pytest.raises(ThermorenderError, match="augmentations=-1 is not allowed"):
         train_on([write_terrain(tmp_path / "classes")], augmentations=-1)
     with pytest.raises(ThermorenderError, match=r"has no class raster to train on \(emissivity.source='learned'\)"):
         train_on([scene])

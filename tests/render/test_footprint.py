@@ -95,7 +95,7 @@ def test_budget_covers_the_sampling_error_from_any_height(tmp_path, up, pitch_de
     pose = tr.pose(0, 0 if pitch_deg == -90 else -up / np.tan(np.radians(-pitch_deg)), up, pitch_deg=pitch_deg)
     frame = renderer.frame(pose)
     shown = np.isfinite(frame.truth["depth"])
-    error = (frame.radiance - converged(renderer, pose, {"rays": 8}))[shown] / renderer.plan.radiance_per_mk
+    error = (frame.radiance - converged(renderer, pose))[shown] / renderer.plan.radiance_per_mk
     true = float(np.sqrt((error**2).mean()))
     assert true < frame.budget_mk["sampling"] < 3 * true
 
@@ -114,7 +114,7 @@ def test_budget_covers_correlated_footprint_errors(tmp_path):
         pose = tr.pose(0, away, up, yaw_deg=yaw_deg, pitch_deg=-30.0)
         frame = renderer.frame(pose)
         shown = np.isfinite(frame.error_mk)
-        error = (frame.radiance - converged(renderer, pose, {"rays": 8}))[shown] / renderer.plan.radiance_per_mk
+        error = (frame.radiance - converged(renderer, pose))[shown] / renderer.plan.radiance_per_mk
         true = float(np.sqrt((error**2).mean()))
         assert shown.sum() > 200
         assert abs(error.mean()) > 0.3 * true and true < frame.budget_mk["sampling"] < 3 * true

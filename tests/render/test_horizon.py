@@ -55,7 +55,7 @@ def test_budget_of_the_image_covers_the_horizon(tmp_path, air):
     frame = renderer.frame(pose)
     shown = np.isfinite(frame.error_mk)
     assert 0.02 < shown.mean() < 0.9
-    error = (frame.radiance - converged(renderer, pose, {"rays": 8})) / renderer.plan.radiance_per_mk
+    error = (frame.radiance - converged(renderer, pose)) / renderer.plan.radiance_per_mk
     behind, everywhere = (float(np.sqrt((part**2).mean())) for part in (error[~shown], error))
     budget = frame.budget_mk
     assert behind < 0.5 * everywhere < everywhere < budget["image"]
@@ -77,7 +77,7 @@ def test_faces_in_uneven_light_are_averaged(tmp_path):
     scene = narrow(tr.load_scene(write_terrain(tmp_path / "s", height=np.zeros((32, 32)), extra=extra)))
     renderer, pose = tr.Renderer(scene, rays=64), tr.pose(0, 0, 600, pitch_deg=-90)
     frame = renderer.frame(pose)
-    error = (frame.radiance - converged(renderer, pose, {"rays": 64})) / renderer.plan.radiance_per_mk
+    error = (frame.radiance - converged(renderer, pose)) / renderer.plan.radiance_per_mk
     own, names = renderer.objects_seen(pose)
     inside = own == names.index("box")
     for axis in (0, 1):

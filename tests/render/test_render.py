@@ -281,7 +281,7 @@ def test_the_sampling_error_is_below_its_budget(tmp_path, quality):
     renderer = tr.Renderer(scene, quality=quality, rays=16)
     pose = tr.pose(0, -18, 22, pitch_deg=-50)
     budget = renderer.frame(pose).budget_mk
-    truth = converged(renderer, pose, {"quality": quality, "rays": 16})
+    truth = converged(renderer, pose)
     error = rms_mk(renderer.radiance(pose), truth, scene.camera)
     assert 0.2 * budget["sampling"] < error < budget["sampling"]
     assert budget["total"] == pytest.approx(np.sqrt(sum(budget[part] ** 2 for part in ("nodes", "bake", "sampling"))))

@@ -106,7 +106,7 @@ def test_posts_are_seen_from_afar(tmp_path):
     renderer = tr.Renderer(scene, rays=1)
     pose = tr.pose(0, -120, 120, pitch_deg=-45)
     frame = renderer.frame(pose)
-    truth = converged(renderer, pose, {"rays": 1})
+    truth = converged(renderer, pose)
     once = tr.Renderer(scene, rays=1, edge_mk=np.inf).radiance(pose)
     true, lost = (
         float(np.sqrt((((image - truth) / renderer.plan.radiance_per_mk) ** 2).mean()))

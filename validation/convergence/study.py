@@ -294,7 +294,7 @@ class Site:
 
     def _finest(self, view):
         part = Renderer(self.part, **self.own, like=self.base())
-        return converged(part, self.poses[view], self.own)
+        return converged(part, self.poses[view])
 
     def _error(self, image, view, name, sigma):
         """Return the RMS error of pixels that show a surface [mK], and its range of two standard errors."""

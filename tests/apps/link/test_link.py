@@ -59,7 +59,7 @@ def flown(renderer, path, tmp_path_factory):
 @pytest.fixture(scope="module")
 def server(renderer):
     cameras = {"half": renderer.scene.camera.coarser(2)}
-    with serving(Stage(renderer, cameras, ("fok-1to1",), {"rays": 4, "samples": 1})) as made:
+    with serving(Stage(renderer, cameras, ("fok-1to1",))) as made:
         yield made
 
 
@@ -190,7 +190,8 @@ def test_map_on_the_orthophoto_is_that_of_compare(client, renderer):
 
     pose = tr.pose(0.0, -3.0, 14.0, pitch_deg=-75.0)
     model = load_model("fok-1to1")
-    method = rendered(renderer.scene, "fok-1to1", model, renderer, settings={"rays": 4, "samples": 1})[0]
+    method = rendered(renderer.scene, "fok-1to1", model, renderer)[0]
+    assert method.renderer.plan.sampling == renderer.plan.sampling
     reply = client.open(method="C", map="fok-1to1").frame(0.0, pose, products=("radiance",))
     wanted = method.renderer.radiance(pose, 0.0, method.objects)
     assert reply.radiance.tobytes() == wanted.tobytes()
@@ -258,7 +259,7 @@ def test_impossible_requests_are_refused_in_one_sentence(client, request_, sente
 
 
 def test_requests_added_one_by_one_give_the_frame_of_all_together(renderer):
-    stage = Stage(renderer, {}, (), {"rays": 4, "samples": 1})
+    stage = Stage(renderer)
     asked = [Request(t, poses=np.array([[t, x, 0.0, 12.0, *DOWN]]), objects=[("plate", t, {"yaw_deg": 90.0 * x})])
              for t, x in ((0.0, 0.0), (0.01, 0.3), (0.02, 0.8), (0.03, 1.5))]  # fmt: skip
     whole, parts = (stage.open(Open(seed=5, rate_hz=9.0)) for _ in range(2))

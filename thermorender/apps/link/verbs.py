@@ -75,7 +75,7 @@ def serve(
         renderer = sampling.renderer(loaded, 0, device, report)
         _ = renderer.baked
     print_cache_note(renderer)
-    stage = Stage(renderer, cameras, tuple(map or ()), sampling.settings() | {"device": device})
+    stage = Stage(renderer, cameras, tuple(map or ()))
     server = Server(stage, host, port)
     kept = token_file or default_file(server.address, server.port)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
