@@ -5,7 +5,9 @@ are parsed, not imported, and imports inside functions count like any others.
 """
 
 import ast
+import json
 import re
+from functools import cache
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[1] / "thermorender"
@@ -41,7 +43,9 @@ APPS = {
 GROUND = {name.strip() for name in CORE["ground"].split(",")}
 # The package's own front, which hands out the public names of core and applications.
 FRONT = {"__init__", "__main__"}
-PUBLIC = Path(__file__).with_name("reference") / "python.md"
+REFERENCE = Path(__file__).with_name("reference")
+# The pages of names for users, and of further names for applications.
+USERS, APPLICATIONS = REFERENCE / "python.md", REFERENCE / "extension.md"
 
 
 def room_of(module):
@@ -55,14 +59,56 @@ def room_of(module):
     return "ground" if first in GROUND else None if first in FRONT or not first else first
 
 
-def public_names():
-    """Return {dotted name inside the package: set of the names that other rooms' applications may import}.
+def listed(page):
+    """Return the (module inside the package, name) that a page lists, each `automodule` with its members."""
+    text = page.read_text(encoding="utf-8")
+    found = re.findall(r"^\.\. automodule:: thermorender\.(\S+)\n +:members: (.+)$", text, flags=re.M)
+    return {(module, name.strip()) for module, names in found for name in names.split(",")}
 
-    The page of the Python API lists them: each `automodule` with its members.
+
+def exported():
+    """Return {name: dotted name inside the package of its module} of the names that `thermorender` itself exports."""
+    tree = ast.parse((PACKAGE / "__init__.py").read_text(encoding="utf-8"))
+    (homes,) = (
+        node.value for node in tree.body if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "_PUBLIC"
+    )
+    return {name: home.removeprefix("thermorender.") for name, home in ast.literal_eval(homes).items()}
+
+
+def public_names():
+    """Return the (module inside the package, name) that applications may import from the core and from each other."""
+    return {(home, name) for name, home in exported().items()} | listed(USERS) | listed(APPLICATIONS)
+
+
+def used_by_applications():
+    """Return {(module inside the package, name): set of modules} that applications import from other rooms.
+
+    The ground is left out, which every room imports freely.
     """
-    text = PUBLIC.read_text(encoding="utf-8")
-    listed = re.findall(r"^\.\. automodule:: thermorender\.(\S+)\n +:members: (.+)$", text, flags=re.M)
-    return {module: {name.strip() for name in names.split(",")} for module, names in listed}
+    found = {}
+    for module, path in modules().items():
+        here = room_of(module) or ""
+        for source, name in imported_names(path.read_text(encoding="utf-8")):
+            if here.startswith("apps.") and room_of(source) not in (here, "ground", None):
+                found.setdefault((source, name), set()).add(module)
+    return found
+
+
+def used_by_scripts():
+    """Return the (module inside the package, name) that README, pages and examples import or name in full."""
+    root = PACKAGE.parent
+    texts = [path.read_text(encoding="utf-8") for path in sorted((root / "examples").rglob("*.py"))]
+    for path in sorted((root / "examples").glob("*.ipynb")):
+        cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+        code = "".join(line for each in cells if each["cell_type"] == "code" for line in [*each["source"], "\n"])
+        texts.append(re.sub(r"^[!%].*$", "", code, flags=re.M))
+    known, found = modules(), set()
+    for path in [root / "README.md", *sorted((root / "docs").rglob("*.md"))]:
+        text = path.read_text(encoding="utf-8")
+        texts += re.findall(r"^```python\n(.*?)^```", text, flags=re.S | re.M)
+        found |= {pair for pair in re.findall(r"`thermorender\.([\w.]+)\.(\w+)`", text) if pair[0] in known}
+    found |= {pair for text in texts for pair in imported_names(text)}
+    return {(module, name) for module, name in found if f"{module}.{name}" not in known and room_of(module)}
 
 
 def crossings():
@@ -70,34 +116,37 @@ def crossings():
 
     The core imports no application. An application imports only public names from the core and from other applications.
     """
-    public, known, found = public_names(), modules(), []
-    for module, path in known.items():
+    public, found = public_names(), []
+    for module, imported in own_imports().items():
         here = room_of(module)
-        if here is None:
-            continue
-        for source, name in imported_names(path):
-            there = room_of(source)
-            if there in (here, None):
-                continue
-            if not here.startswith("apps."):
-                if there.startswith("apps."):
-                    found.append(f"{module} imports {source}, which is an application")
-            elif there != "ground" and (source not in public or (name is not None and name not in public[source])):
-                found.append(f"{module} imports {source}.{name or '*'}, which {PUBLIC.name} does not list")
+        if here is not None and not here.startswith("apps."):
+            there = {source for source in imported if (room_of(source) or "").startswith("apps.")}
+            found += [f"{module} imports {source}, which is an application" for source in sorted(there)]
+    for (source, name), by in sorted(used_by_applications().items()):
+        if (source, name) not in public:
+            pages = f"{USERS.name} and {APPLICATIONS.name} do not list"
+            found.append(f"{', '.join(sorted(by))} imports {source}.{name}, which {pages}")
     return found
 
 
-def imported_names(path):
-    """Yield (module inside the package, name) of each name that a file imports; the name is None for a whole module."""
-    known = modules()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("thermorender"):
+def imported_names(text):
+    """Yield (module inside the package, name) of each name that code imports, or takes from a module it imports."""
+    tree, known, whole = ast.parse(text), modules(), {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "thermorender":
             source = node.module.removeprefix("thermorender").lstrip(".")
             for alias in node.names:
-                whole = f"{source}.{alias.name}".lstrip(".")
-                yield (whole, None) if whole in known else (source, alias.name)
+                module = f"{source}.{alias.name}".lstrip(".")
+                if module in known:
+                    whole[alias.asname or alias.name] = module
+                else:
+                    yield source, alias.name
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in whole:
+            yield whole[node.value.id], node.attr
 
 
+@cache
 def modules():
     """Return {dotted name inside the package: path} of all modules."""
     found = {}

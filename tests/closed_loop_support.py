@@ -4,21 +4,13 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 import thermorender as tr
-from scenes import coarse, write_raster, write_terrain
+from scenes import coarse, scene_object, write_raster, write_terrain
 from thermorender.apps.link.stage import Stage
 
 MAP = "fok-1to1"
 # Middle of the fire [m].
 FIRE = np.array([0.0, 0.0, 1.5])
-_OBJECT = """[[object]]
-name = "fire"
-shape = "box"
-size = [4.0, 4.0, 3.0]
-position = [0.0, 0.0, 1.5]
-temperature = 390.0
-material = "paint_black"
-colour = [255, 120, 30]
-"""
+_OBJECT = scene_object("fire", [4.0, 4.0, 3.0], [0.0, 0.0, 1.5], temperature=390.0, colour=[255, 120, 30])
 
 
 def field(folder):
@@ -30,4 +22,4 @@ def field(folder):
     write_raster(folder / "elevation.tif", np.zeros((1, 100, 100), np.float32), 4.0, nodata=np.nan)
     scene = coarse(tr.load_scene(folder), 8)
     renderer = tr.Renderer(scene, rays=4, samples=1)
-    return Stage(renderer, maps=(MAP,), settings={"rays": 4, "samples": 1})
+    return Stage(renderer, maps=(MAP,))

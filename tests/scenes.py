@@ -1,6 +1,13 @@
 """Tiny scenes written to disk for tests."""
 
+import json
+from dataclasses import replace
+
 import numpy as np
+
+import thermorender as tr
+from thermorender.materials.csv_tables import INDEX_COLUMNS
+from thermorender.sensor.camera import load_camera
 
 # A day in July: the weather keys that a heat balance needs.
 WEATHER = """[weather]
@@ -67,6 +74,39 @@ temperature = "temperature.tif"
     return folder
 
 
+def scene_object(
+    name, size=None, position=(0.0, 0.0, 0.0), temperature=330.0, material="paint_black", shape="box", **more
+):
+    """Return an object of a scene file, by default a hot black box; `more` holds further keys."""
+    keys = {"shape": shape} if "file" not in more else {}
+    keys |= {} if size is None else {"size": list(map(float, size))}
+    keys |= {"position": list(map(float, position)), "temperature": temperature, "material": material, **more}
+    return f'[[object]]\nname = "{name}"\n' + "".join(f"{key} = {json.dumps(value)}\n" for key, value in keys.items())
+
+
+MARKER = scene_object("marker", [3, 3, 1], [2, 1, 0], material="asphalt")
+
+
+def write_materials(folder):
+    """Write the materials "black" and "sheen", which emits by angle, beside a scene."""
+    angles, sheen = (0, 30, 60, 80, 90), (0.9, 0.88, 0.7, 0.3, 0.0)
+    spectra = folder / "materials" / "spectra"
+    spectra.mkdir(parents=True)
+    rows = [",".join(INDEX_COLUMNS)]
+    for name, kind in (("black", "lambertian"), ("sheen", "table")):
+        cells = dict.fromkeys(INDEX_COLUMNS, "x") | dict.fromkeys([c for c in INDEX_COLUMNS if "colour" in c], "9")
+        cells |= {"name": name, "directional": kind, "solar_absorptance": "1", "temperature_k": "300", "samples": "1"}
+        rows.append(",".join(cells[column] for column in INDEX_COLUMNS))
+    (spectra.parent / "index.csv").write_text("\n".join(rows) + "\n")
+    (spectra / "black.csv").write_text("wavelength_um,emissivity,emissivity_std\n7,1,\n14,1,\n")
+    lines = [",".join(["wavelength_um", *(f"at_{angle}" for angle in angles)])]
+    # Twice as shiny at the band's end as at its start, so that band means would not suffice.
+    for wavelength, share in ((7, 0.7), (14, 1.4)):
+        shiny = [1.0 - share * (1.0 - value) * (0.7 if value < 0.5 else 1.0) for value in sheen]
+        lines.append(",".join([str(wavelength), *(f"{max(value, 0.0):.6f}" for value in shiny)]))
+    (spectra / "sheen.csv").write_text("\n".join(lines) + "\n")
+
+
 def write_balance(folder, extra, source='source = "balance"', **terrain):
     """Write a terrain scene with another temperature source and without truth; `extra` holds its [weather]."""
     path = write_terrain(folder, extra=extra, **terrain) / "scene.toml"
@@ -95,6 +135,29 @@ temperature = {sky}
         encoding="utf-8",
     )
     return folder
+
+
+# 16 × 12 pixels over the field of view of a shipped camera.
+CAMERA = replace(load_camera("zenmuse-xt2"), width=16, height=12, pixel_pitch_um=400.0, f_number=12.0)
+NARROW = replace(CAMERA, name="narrow", band_um=(8.0, 12.0))
+
+
+def frame_of(scene, **settings):
+    """The radiance of a small frame, looking down."""
+    return tr.Renderer(scene, rays=2, samples=1, **settings).frame(tr.pose(0, 0, 12, pitch_deg=-90)).radiance
+
+
+def flat(east, north):
+    """Height of level ground at 0 m."""
+    return np.zeros(np.shape(east))
+
+
+def plane(side, up=0.0):
+    """A level square around the origin, as a trimesh object."""
+    import trimesh
+
+    h = side / 2
+    return trimesh.Trimesh([[-h, -h, up], [h, -h, up], [h, h, up], [-h, h, up]], [[0, 1, 2], [0, 2, 3]])
 
 
 def coarse(scene, factor=4):

@@ -2,10 +2,12 @@
 
 import atexit
 import functools
+import json
 import os
 import shutil
 import tarfile
 import tempfile
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -37,6 +39,28 @@ def _unpacked():
         with tarfile.open(archive) as tar:
             tar.extractall(folder / archive.relative_to(HERE / "data").with_suffix("").with_suffix(""), filter="data")
     return folder
+
+
+def contents(folder):
+    """{name: bytes} of the files in a folder."""
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.is_file()}
+
+
+def records(folder):
+    """The records of a flight's frames."""
+    return [json.loads(line) for line in (folder / "frames.jsonl").read_text(encoding="utf-8").splitlines()]
+
+
+@contextmanager
+def interrupted(at):
+    """Yield a progress function that raises KeyboardInterrupt when it is told `at`; the block must end by that."""
+
+    def stop(done, total):
+        if done == at:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        yield stop
 
 
 def allowed_skips(path=HERE / "allowed_skips.txt"):

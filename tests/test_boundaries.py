@@ -1,6 +1,7 @@
 """Imports: rooms import only downwards, libraries stay with their owners, and light use loads little."""
 
 import ast
+import re
 import subprocess
 import sys
 from collections import defaultdict
@@ -11,6 +12,8 @@ from support import slow
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "docs"))
 import architecture
+
+from thermorender import link
 
 OWNERS = {"mitsuba": {"render"}, "drjit": {"render"}, "torch": {"learned", "apps.training"}}
 ORDER = list(architecture.CORE)
@@ -52,6 +55,26 @@ def test_the_core_imports_no_application_and_applications_only_public_names():
     assert architecture.crossings() == []
 
 
+def test_users_page_lists_each_exported_name_once():
+    page = architecture.USERS.read_text(encoding="utf-8")
+    blocks = re.findall(r"^```{public-api}\n(.*?)^```", page, flags=re.S | re.M)
+    assert sorted(" ".join(blocks).split()) == sorted(set(architecture.exported()) - {"link"})
+    listed = architecture.listed(architecture.USERS)
+    assert {name for module, name in listed if module == "apps.link"} == set(link.__all__)
+
+
+def test_users_page_lists_further_what_pages_and_examples_use_and_no_more():
+    further = {(module, name) for module, name in architecture.listed(architecture.USERS) if module != "apps.link"}
+    front = {(home, name) for name, home in architecture.exported().items()}
+    assert further == architecture.used_by_scripts() - front
+
+
+def test_applications_page_lists_further_what_applications_use_and_no_more():
+    front = {(home, name) for name, home in architecture.exported().items()}
+    known = front | architecture.listed(architecture.USERS)
+    assert architecture.listed(architecture.APPLICATIONS) == set(architecture.used_by_applications()) - known
+
+
 def test_module_and_class_names_of_the_core_are_unique():
     homes = defaultdict(set)
     for module, path in architecture.modules().items():
@@ -65,12 +88,16 @@ def test_module_and_class_names_of_the_core_are_unique():
 
 
 def test_public_names_exist():
-    for module, names in architecture.public_names().items():
-        tree = ast.parse(architecture.modules()[module].read_text(encoding="utf-8"))
+    known, names = architecture.modules(), {}
+    for module, name in architecture.public_names():
+        if f"{module}.{name}" not in known:
+            names.setdefault(module, set()).add(name)
+    for module, wanted in names.items():
+        tree = ast.parse(known[module].read_text(encoding="utf-8"))
         found = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
         found |= {node.name for node in tree.body if hasattr(node, "name")}
         found |= {alias.name for node in tree.body if isinstance(node, ast.ImportFrom) for alias in node.names}
-        assert names <= found, module
+        assert wanted <= found, module
 
 
 def test_no_circular_imports():
@@ -96,15 +123,24 @@ def test_every_form_of_import_is_found(source, found, tmp_path):
     assert found <= architecture.imports(tmp_path / "m.py")
 
 
+HEAVY = ("mitsuba", "drjit", "torch", "rasterio", "scipy", "cv2", "matplotlib", "trimesh")
+# What a scene without a heat balance or a moved map does not need.
+BALANCE = tuple(
+    f"thermorender.{name}"
+    for name in ("render.heat.simulation", "scene.open_ground", "physics.balance", "weather.station")
+)
+MOVED = ("thermorender.render.heat.moved", "thermorender.materials.shifted", "thermorender.render.heat.simulation")
+HEATH = "import thermorender as tr; heath = tr.load_scene('heath')"
+
+
 @pytest.mark.parametrize(
     ("code", "absent"),
     [
-        (
-            "import thermorender, thermorender.cli.app",
-            ("mitsuba", "drjit", "torch", "rasterio", "scipy", "cv2", "matplotlib", "trimesh"),
-        ),
-        ("import thermorender as tr; tr.load_scene('heath')", ("mitsuba", "drjit", "torch", "matplotlib", "trimesh")),
-        *slow(("import thermorender as tr; tr.Renderer(tr.load_scene('heath'), rays=1)", ("torch", "matplotlib"))),
+        ("import thermorender, thermorender.cli.app", HEAVY),
+        ("import thermorender.apps.link", (*HEAVY, "typer")),
+        (HEATH, ("mitsuba", "drjit", "torch", "matplotlib", "trimesh")),
+        (f"from thermorender.render.renderer import Renderer; {HEATH}", BALANCE),
+        *slow((f"{HEATH}; tr.Renderer(heath, rays=1)", ("torch", "matplotlib", *MOVED))),
     ],
 )
 def test_light_use_loads_few_libraries(code, absent):

@@ -11,6 +11,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from thermorender.cli import registry
@@ -131,9 +132,36 @@ def test_examples_run(script, tmp_path):
     assert done.stdout
 
 
+def _roofs_look_colder(change, roof, before, after, pose, **_):
+    """Roofs by kelvins and the rest by far less, at the same kinetic temperatures."""
+    assert change[roof].mean() < -1.0 and 0.0 < np.abs(change[~roof]).mean() < 0.1 * -change[roof].mean()
+    kinetic = (each.frame(pose).truth["kinetic_temperature"] for each in (before, after))
+    np.testing.assert_array_equal(*kinetic)
+
+
+def _surfaces_reflect_the_cold_sky(difference, frame, image, **_):
+    assert -5.0 < np.nanmedian(difference) < 0.0
+    assert frame.targets["marker"]["visible"] and image.std() > 0.0
+    assert len(np.unique(frame.counts)) > len(np.unique(frame.display)) > 16
+
+
+def _most_of_a_maps_error_is_an_offset(errors, constant, **_):
+    assert 0.0 < constant < 10.0 and list(errors) == ["fok-1to1", "procedural-palette"]
+    for error in errors.values():
+        assert abs(error.mean()) > 0.5 * np.abs(error).mean()
+
+
+# What each notebook says of its results, by the names of its variables.
+STATED = {
+    "edit_a_roof.ipynb": _roofs_look_colder,
+    "first_frame.ipynb": _surfaces_reflect_the_cold_sky,
+    "map_against_render.ipynb": _most_of_a_maps_error_is_an_offset,
+}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("notebook", [pytest.param(path, id=path.name) for path in NOTEBOOKS])
-def test_notebooks_run(notebook, tmp_path, monkeypatch):
+def test_results_of_notebooks_are_what_they_say(notebook, tmp_path, monkeypatch):
     import matplotlib
 
     matplotlib.use("Agg")
@@ -142,6 +170,7 @@ def test_notebooks_run(notebook, tmp_path, monkeypatch):
     for cell in json.loads(notebook.read_text(encoding="utf-8"))["cells"]:
         if cell["cell_type"] == "code":
             exec(compile("".join(cell["source"]), notebook.name, "exec"), namespace)
+    STATED[notebook.name](**namespace)
 
 
 @pytest.mark.parametrize("notebook", [pytest.param(path, id=path.name) for path in NOTEBOOKS])
@@ -175,7 +204,7 @@ def test_verbs_and_options_of_a_page_exist(page):
         verb = registry.command(words[0])
         if getattr(verb, "commands", None) and len(words) > 1 and words[1] in verb.commands:
             verb = verb.commands[words[1]]
-        known = {option for parameter in verb.params for option in parameter.opts} | {"--help"}
+        known = {option for parameter in verb.params for option in parameter.opts} | {"--help", "--help-all"}
         given = {word.split("=")[0] for word in words[1:] if re.match(r"--?[a-z]", word)}
         assert given <= known, f"thermorender {command}"
 

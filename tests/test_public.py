@@ -25,8 +25,9 @@ def test_type_checkers_see_the_exported_names():
     (block,) = (node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
     imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
     seen = {alias.asname: node.module for node in imports for alias in node.names if alias.asname == alias.name}
-    assert seen == tr._PUBLIC
-    for name in tr.__all__:
+    assert set(seen) == set(tr.__all__)
+    for name, home in seen.items():
+        assert getattr(tr, name) is getattr(import_module(home), name)
         assert getattr(tr, name).__name__.rpartition(".")[2] == name
 
 
@@ -42,8 +43,7 @@ def test_the_modules_of_all_public_names_are_checked():
     with open(ROOT / "pyproject.toml", "rb") as file:
         checked = tomllib.load(file)["tool"]["mypy"]["files"]
     assert all((ROOT / name).exists() for name in checked)
-    homes = [import_module(home) for home in tr._PUBLIC.values()]
-    found = [getattr(home, name) for name, home in zip(tr._PUBLIC, homes, strict=True)]
+    found = [getattr(tr, name) for name in tr.__all__]
     homes = [sys.modules[each.__module__] if hasattr(each, "__module__") else each for each in found]
     modules = {Path(home.__file__).relative_to(ROOT) for home in homes}
     for module in modules:

@@ -109,7 +109,7 @@ def test_converged_image_agrees_with_the_renderer():
     scene = scene.with_camera(replace(scene.camera, principal_offset_px=(3.3, -2.7)))
     pose = bench.views(scene)["oblique"]
     renderer = tr.Renderer(scene, samples=16, taps=1, edge_mk=np.inf, rays=4)
-    finest, image = metrics.converged(renderer, pose, {"rays": 4}), renderer.radiance(pose)
+    finest, image = metrics.converged(renderer, pose), renderer.radiance(pose)
     error = metrics.rms_mk(image, finest, scene.camera)
     for axis in (0, 1):
         # With a quarter at the wrong corner, or half a pixel off, the error would be that of neighbouring pixels.
@@ -224,7 +224,7 @@ def test_convergence_measures_missing_cases_only(tmp_path, monkeypatch):
     assert {record["group"] for record in far} == {"sampling"} and min(r["sampling_mk"] for r in far) > 200.0
     assert "1 · 1 · inf mK" in (tmp_path / "convergence.md").read_text(encoding="utf-8")
     assert (tmp_path / f"convergence_{scene.name}.png").stat().st_size > 5000
-    monkeypatch.setattr(convergence._Site, "measure", lambda *_, **__: pytest.fail("measured a case that was there"))
+    monkeypatch.setattr(convergence.Site, "measure", lambda *_, **__: pytest.fail("measured a case that was there"))
     assert convergence.convergence((scene,), tmp_path, mode=mode) == first
     with pytest.raises(ThermorenderError, match=r"convergence.json has cases of other settings; give another folder"):
         convergence.convergence((scene,), tmp_path, mode=replace(mode, reference_paths=8))
@@ -382,10 +382,11 @@ def test_bench_command_writes_its_result(tmp_path, monkeypatch):
 
 def test_edits_measure_times_and_errors_of_each_kind(tmp_path, monkeypatch):
     folder = write_terrain(tmp_path / "land", 2.0 * np.indices((40, 40))[0] % 7)
-    monkeypatch.setattr(edits, "_POSE", (0.0, -10.0, 30.0))
+    monkeypatch.setattr(edits, "POSE", (0.0, -10.0, 30.0))
     result = edits.run([folder], ["fast"], edits=2, exact_every=2)
     assert [case["kind"] for case in result["cases"]] == [*edits.KINDS, edits.SUCCESSION]
-    assert len(edits.rows(result)) == 5 and all(each.holds for each in verdicts._edits(result))
+    (own,) = (each for each in verdicts.STUDIES if each.name == "edits")
+    assert len(edits.rows(result)) == 5 and all(each.holds for each in own.read(result))
     for case in result["cases"]:
         assert ["solution_ms" in edit for edit in case["edits"]] == [False, True]
         assert case["edits"][1]["true_rms_mk"] < case["edits"][1]["stated_rms_mk"]

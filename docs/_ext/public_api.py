@@ -14,18 +14,17 @@ def _lines(module, name):
     if inspect.isclass(value):
         members = [] if issubclass(value, BaseException) else ["   :members:"]
         return [f".. autoclass:: {module.__name__}.{name}", *members, ""]
-    if callable(value):
-        return [f".. autofunction:: {module.__name__}.{name}", ""]
-    return []
+    return [f".. autofunction:: {module.__name__}.{name}", ""]
 
 
 class PublicApi(Directive):
-    """`.. public-api::` documents what `thermorender.__all__` names: functions first, then classes."""
+    """`.. public-api::` documents names of `thermorender`, in the order of its lines."""
+
+    has_content = True
 
     def run(self):
         """Return the nodes of the documented names."""
-        names = sorted(thermorender.__all__, key=lambda name: (name[0].isupper(), name))
-        lines = [line for name in names for line in _lines(thermorender, name)]
+        lines = [line for name in " ".join(self.content).split() for line in _lines(thermorender, name)]
         return self.state_machine and self._parsed(lines)
 
     def _parsed(self, lines):

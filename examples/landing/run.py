@@ -164,7 +164,7 @@ def _kinds(scene, loaded, settings):
     made = {"A": (reference, None)}
     for text, model in loaded:
         flat = methods.translated(model)[0]
-        solid = methods.rendered(scene, text, model, reference, settings=settings)[0]
+        solid = methods.rendered(scene, text, model, reference)[0]
         made[f"B {model.name}"], made[f"C {model.name}"] = (reference, flat), (reference, solid)
     return made
 

@@ -4,15 +4,35 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_atmosphere import tape7
+from support import shared_data
 
 from thermorender.atmosphere.absorbers import saturation_g_m3
 from thermorender.atmosphere.model import Atmosphere
-from thermorender.atmosphere.modtran import read_tape7
+from thermorender.atmosphere.modtran import atmosphere, read_tape7
 from thermorender.atmosphere.profile import read_profile
 from thermorender.errors import ThermorenderError
 
 ROWS = [(690.0 + 5 * i, 0.5 + 0.003 * i) for i in range(150)]
+
+
+def tape7(path, rows, cards="    1    1    0", geometry="   0.00000   0.00000   0.00000   1.00000", end=" -9999."):
+    lines = [
+        f"T F{cards}    0    1",
+        "    1    1    1    0    0    0  23.00000   0.00000   0.00000   0.00000   0.00000",
+        " -99.000 -99.000 -99.000",
+        " -99.00000 -99.00000 -99.00000",
+        "   36TROPICAL MODEL",
+        geometry + "   0.00000   0.00000    0        0.00000",
+        "  -99  -99  -99  -99",
+        " -99.00000 -99.00000",
+        "     700.0    1400.0       5.0      10.0NW",
+        "    0   0    0.000",
+        "    FREQ COMBIN    H2O",
+        "    CM-1  TRANS  TRANS",
+        *(f"{wavenumber:8.2f} {value:6.4f} 0.9000" for wavenumber, value in rows),
+    ]
+    path.write_text("\n".join([*lines, end]) + "\n")
+    return path
 
 
 def with_card(path, card):
@@ -61,6 +81,67 @@ def test_other_spectral_units_are_refused(tmp_path):
     path.write_text(path.read_text().replace("CM-1", "MICRN"))
     with pytest.raises(ThermorenderError, match="spectral unit 'MICRN'"):
         read_tape7(path, 8.0, 12.0)
+
+
+def test_imported_table_has_the_transmittance_of_the_file(tmp_path):
+    wavenumber = np.arange(690.0, 1431.0, 5.0)
+    spectrum = 0.5 + 0.4 * np.sin(wavenumber / 7.0)
+    tape = read_tape7(tape7(tmp_path / "tape7", zip(wavenumber, spectrum, strict=True)), 8.0, 12.0)
+    assert (tape.model, tape.aerosol, tape.range_m) == ("tropical", "rural-23km", 1000.0)
+    air = atmosphere(tape, 8.0, 12.0)
+    planck = air.planck(285.0)
+    seen = (air.transmittance(0.0, 0.0, 1000.0) * planck).sum() / planck.sum()
+    assert seen == pytest.approx(tape.band(8.0, 12.0)[0], abs=2e-4)
+    isothermal = replace(air, temperature=0.0 * air.temperature + 290.0)
+    assert isothermal.path(0.0, 0.0, 1000.0)[1].sum() < air.planck(290.0).sum()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"end": ""}, "is truncated: its closing line -9999. is missing"),
+        ({"rows": [(2000.0 + 5 * i, 0.5) for i in range(50)]}, "covers 4.454–5 µm, .* run MODTRAN from 741 to 1333"),
+        ({"rows": [(900.0 + 5 * i, 0.5) for i in range(90)]}, "does not include the camera's band 7.5–13.5 µm"),
+        ({"rows": [(700.0, 0.5), (690.0, 0.5)]}, "is damaged: its cards or columns are not numbers"),
+        ({"cards": "    7    1    0"}, "has model 7, a user-defined profile"),
+        ({"cards": "    1    3    0", "geometry": "   0.00000   0.00000 120.00000   0.00000"}, "unsupported path .*"),
+    ],
+)
+def test_wrong_tape7_is_refused(tmp_path, change, words):
+    rows = [(690.0 + 5 * i, 0.5) for i in range(150)]
+    with pytest.raises(ThermorenderError, match=words):
+        read_tape7(tape7(tmp_path / "tape7", **{"rows": rows, **change}), 7.5, 13.5)
+
+
+def test_missing_tape7_columns_are_refused(tmp_path):
+    (tmp_path / "list.txt").write_text("2000 0.9963\n2001 0.9982\n")
+    with pytest.raises(ThermorenderError, match="is not a tape7 of MODTRAN: it has no line of column names"):
+        read_tape7(tmp_path / "list.txt", 8.0, 12.0)
+    with pytest.raises(ThermorenderError, match="cannot be read"):
+        read_tape7(tmp_path / "none", 8.0, 12.0)
+
+
+def test_modtran_agrees_with_the_embedded_lowtran():
+    """MODTRAN 4, tropical, rural 23 km: a level 5 km path, and straight up, against the embedded LOWTRAN7."""
+    level = read_tape7(shared_data("emissivity/pyradi_modtran/horizon5kmtropical.fl7"), 7.5, 13.5)
+    up = read_tape7(shared_data("emissivity/pyradi_modtran/tape7.LWIRSun"), 8.0, 12.0)
+    for tape, band in ((level, (7.5, 13.5)), (level, (8.0, 12.0)), (up, (8.0, 12.0))):
+        air = Atmosphere.standard(tape.model, tape.aerosol).in_band(*band)
+        planck = air.planck(285.0)
+        if tape.cos_zenith is None:
+            through = air.transmittance(tape.from_m, tape.to_m, tape.range_m)
+        else:
+            through = air.sun_transmittance(tape.from_m, tape.cos_zenith)
+        expected, light = tape.band(*band)
+        assert (through * planck).sum() / planck.sum() == pytest.approx(expected, abs=0.025)
+        if light is not None:
+            # MODTRAN includes multiple scattering; the embedded table does not.
+            assert air.sky_radiance(tape.from_m, tape.cos_zenith).sum() == pytest.approx(light, rel=0.02)
+    words = r"covers 8–12 µm, which does not include the camera's band 7\.5–13\.5 µm"
+    with pytest.raises(ThermorenderError, match=words):
+        read_tape7(shared_data("emissivity/pyradi_modtran/tape7.LWIRSun"), 7.5, 13.5)
+    with pytest.raises(ThermorenderError, match=r"covers 4.762–5 µm"):
+        read_tape7(shared_data("emissivity/pyradi_modtran/ModTrantape7file"), 8.0, 12.0)
 
 
 # --- air without absorption -----------------------------------------------------------------------------------------

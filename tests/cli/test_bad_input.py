@@ -1,7 +1,5 @@
 """Every user error ends in one sentence and status 2, without traceback or warning, and leaves no partial output."""
 
-import base64
-import io
 import json
 import os
 import struct
@@ -12,7 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mesh_support import Gltf
 
+from scenes import scene_object, write_raster
 from thermorender import files
 from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
@@ -39,13 +39,7 @@ temperature = 250.0
 [camera]
 model = "small.toml"
 """
-OBJECT = """[[object]]
-name = "marker"
-shape = "disc"
-position = [0.0, 0.0, 0.0]
-temperature = 330.0
-material = "paint_black"
-"""
+OBJECT = scene_object("marker", shape="disc")
 MESH = """[terrain]
 mesh = "model.obj"
 [temperature]
@@ -81,16 +75,9 @@ FACES_UV = "vt 0 0\nusemtl a\nf 1/1 2/1 3/1\nf 1/1 3/1 4/1\n"
 
 
 def raster(path, bands, crs="EPSG:32632", corner=(500000.0, 5600000.0), size_m=16.0, nodata=None):
-    import rasterio
-
     bands = np.asarray(bands)
     bands = bands[None] if bands.ndim == 2 else bands
-    step = size_m / bands.shape[1]
-    with rasterio.open(
-        path, "w", driver="GTiff", count=len(bands), height=bands.shape[1], width=bands.shape[2], dtype=bands.dtype,
-        crs=crs, transform=rasterio.Affine(step, 0.0, corner[0], 0.0, -step, corner[1]), nodata=nodata,
-    ) as dataset:  # fmt: skip
-        dataset.write(bands)
+    write_raster(path, bands, size_m / bands.shape[1], crs, corner, nodata=nodata)
 
 
 @pytest.fixture
@@ -574,128 +561,10 @@ def test_failed_import_leaves_nothing(scene, refused, call, tmp_path):
 # --- meshes -----------------------------------------------------------------------------------------------------
 
 
-def mesh_scene(scene, name, data):
+def mesh_scene(scene, name, text=None):
     (scene / "scene.toml").write_text(MESH.replace("model.obj", name))
-    (scene / name).write_bytes(data if isinstance(data, bytes) else data.encode())
-
-
-@pytest.mark.parametrize("suffix", ["obj", "glb", "gltf", "ply"])
-def test_garbage_and_empty_meshes(scene, refused, suffix):
-    mesh_scene(scene, f"model.{suffix}", b"garbage \x00\xff\n no mesh")
-    refused([f"model.{suffix} cannot be read as a mesh", "give an OBJ, GLB or PLY file"], "render", scene)
-    mesh_scene(scene, f"model.{suffix}", b"")
-    refused([f"model.{suffix} is empty", "give an OBJ, GLB or PLY file"], "render", scene)
-
-
-@pytest.mark.parametrize(
-    "text, words",
-    [
-        (QUAD, "holds no triangles"),
-        ("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "holds no triangles of any area"),
-        (QUAD + "f 1 2 30\n", "cannot be read as a mesh"),
-        (QUAD + "f 1 2 0\n", "has a face with a corner of number 0"),
-        (QUAD + "f 0/1 2/1 3/1\n", "has a face with a corner of number 0"),
-        ("mtllib no.mtl\n" + QUAD + FACES, "names 'no.mtl', which does not exist"),
-        ("mtllib missing.mtl\n" + QUAD + FACES_UV, "names 'no such.png', which does not exist"),
-        ("mtllib broken.mtl\n" + QUAD + FACES_UV, "the texture 'broken.png' cannot be read"),
-        ("mtllib good.mtl\n" + QUAD + "usemtl a\n" + FACES, "has a texture but no map coordinates"),
-        ("mtllib deep.mtl\n" + QUAD + FACES_UV, "a single band of more than 8 bits"),
-        ("mtllib program.mtl\n" + QUAD + FACES_UV, "the texture 'program.eps' cannot be read (it is EPS)"),
-        ("mtllib good.mtl\n" + QUAD + FACES_UV.replace("0 0", "nan 0"), "a map coordinate that is not finite"),
-        ("mtllib good.mtl\n" + QUAD + FACES_UV.replace("0 0", "0 0\nvt 9e8 1").replace("2/1", "2/2"), "repeats of"),
-        (QUAD + "v 1e300 0 0\nf 1 2 5\n", "a vertex that is not finite or is more than 100 km from its origin"),
-        ("mtllib good.mtl\nmtllib deep.mtl\n" + QUAD + FACES_UV, "libraries have two materials 'a'"),
-        ("mtllib " + 300 * "x" + "\n" + QUAD + FACES, "which cannot be read (File name too long)"),
-        (QUAD + "v 4 8 0\nv 4 0 0\nv -4 0 0\nv -4 8 0\nf 1 2 3 5 6 7 8 4\n", "has a concave polygon"),
-    ],
-)
-def test_wrong_obj(scene, refused, text, words):
-    from PIL import Image
-
-    (scene / "missing.mtl").write_text("newmtl a\nmap_Kd no such.png\n")
-    (scene / "broken.mtl").write_text("newmtl a\nmap_Kd broken.png\n")
-    (scene / "broken.png").write_text("garbage")
-    (scene / "good.mtl").write_text("newmtl a\nmap_Kd good one.png\n")
-    Image.new("RGB", (4, 4)).save(scene / "good one.png")
-    (scene / "deep.mtl").write_text("newmtl a\nmap_Kd deep.png\n")
-    Image.fromarray(np.full((4, 4), 40000, np.uint16)).save(scene / "deep.png")
-    (scene / "program.mtl").write_text("newmtl a\nmap_Kd program.eps\n")
-    (scene / "program.eps").write_text("%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\nshowpage\n")
-    mesh_scene(scene, "model.obj", text)
-    refused(words, "render", scene)
-
-
-def test_archive_is_refused_as_a_mesh(scene, refused):
-    import zipfile
-
-    with zipfile.ZipFile(scene / "model.zip", "w") as archive:
-        archive.writestr("model.obj", QUAD + FACES)
-    mesh_scene(scene, "model.zip", (scene / "model.zip").read_bytes())
-    refused("model.zip is not in a supported format; give one of .obj, .glb", "render", scene)
-
-
-def test_valid_obj_is_accepted(scene, call, tmp_path):
-    from PIL import Image
-
-    (scene / "good.mtl").write_bytes("# by Zoë\nnewmtl a\nmap_Kd good one.png\n".encode("latin-1"))
-    Image.new("RGB", (4, 4), (200, 0, 0)).save(scene / "good one.png")
-    faces = "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nusemtl a\nf 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
-    mesh_scene(scene, "model.obj", "mtllib good.mtl\n" + QUAD + faces)
-    status, _, errors = call("render", scene, "-o", tmp_path / "o", "--pose", "0,0,20,0,-90,0", *QUICK)
-    assert (status, errors) == (0, "")
-    assert load_scene(scene).surfaces[0].colour.shape == (4, 4, 3)
-
-
-def test_non_planar_and_concave_polygons_are_accepted(scene):
-    mesh_scene(scene, "model.obj", QUAD + "v 0 12 0\nf 1 2 3 5 4\n")
-    first = load_scene(scene).surfaces[0]
-    a, b, c = np.moveaxis(first.vertices[first.faces].astype(np.float64), 1, 0)
-    assert np.isclose(0.5 * np.cross(b - a, c - a)[:, 2].sum(), 16.0**2 + 32.0, rtol=1e-6)
-    # Concave polygons that triangles from one of their corners cover.
-    for text, area in (
-        ("v 4 -4 0\nf 5 1 2 3\n", 64.0), ("v 4 -4 0\nf 3 5 1 2\n", 64.0), ("v 0 -6 0\nf 1 2 3 5 4\n", 144.0),
-        ("v 0 -6 0\nf -5 -4 -3 \\\n-1 -2\n", 144.0),
-    ):  # fmt: skip
-        mesh_scene(scene, "model.obj", QUAD + text)
-        first = load_scene(scene).surfaces[0]
-        a, b, c = np.moveaxis(first.vertices[first.faces].astype(np.float64), 1, 0)
-        assert np.isclose(0.5 * np.abs(np.cross(b - a, c - a)[:, 2]).sum(), area, rtol=1e-6)
-
-
-def test_part_without_image_has_its_material_colour(scene):
-    import trimesh
-
-    (scene / "plain.mtl").write_text("newmtl a\nKd 0.2 0.4 0.8\n")
-    mesh_scene(scene, "model.obj", "mtllib plain.mtl\n" + QUAD + FACES_UV)
-    assert load_scene(scene).surfaces[0].colour.tolist() == [[[51, 102, 204]]]
-    square = trimesh.Trimesh([[0, 0, 0], [9, 0, 0], [9, 0, -9]], [[0, 1, 2]])
-    for factor, expected in (([51, 102, 204, 255], [[[124, 170, 231]]]), (None, [[[255, 255, 255]]])):
-        material = trimesh.visual.material.PBRMaterial(baseColorFactor=factor)
-        square.visual = trimesh.visual.TextureVisuals(material=material)
-        mesh_scene(scene, "model.glb", square.export(file_type="glb"))
-        # GLB factors are linear: 0.2, 0.4 and 0.8 are sRGB 0.485, 0.665 and 0.906.
-        assert load_scene(scene).surfaces[0].colour.tolist() == expected
-
-
-def test_wrong_glb(scene, refused):
-    import trimesh
-    from PIL import Image
-
-    material = trimesh.visual.material.PBRMaterial(name="paint", baseColorTexture=Image.new("RGB", (4, 4)))
-    square = trimesh.Trimesh([[0, 0, 0], [9, 0, 0], [9, 0, -9]], [[0, 1, 2]])
-    square.visual = trimesh.visual.TextureVisuals(uv=np.zeros((3, 2)), material=material)
-    whole = square.export(file_type="glb")
-    mesh_scene(scene, "model.glb", whole[: len(whole) // 2])
-    refused("model.glb cannot be read as a mesh", "render", scene)
-    start = whole.index(b"\x89PNG")
-    mesh_scene(scene, "model.glb", whole[:start] + b"XXXX" + whole[start + 4 :])
-    refused("model.glb: the texture of material 'paint' cannot be read", "render", scene)
-    start = whole.index(b"IDAT")
-    mesh_scene(scene, "model.glb", whole[: start + 4] + b"XXXX" + whole[start + 8 :])
-    refused("model.glb: the texture of material 'paint' cannot be read (broken", "render", scene)
-    square.visual = trimesh.visual.TextureVisuals(uv=None, material=material)
-    mesh_scene(scene, "model.glb", square.export(file_type="glb"))
-    refused("has a texture but no map coordinates", "render", scene)
+    if text is not None:
+        (scene / name).write_text(text)
 
 
 def test_damaged_object_mesh_and_mesh_with_map_rasters(scene, refused):
@@ -707,67 +576,6 @@ def test_damaged_object_mesh_and_mesh_with_map_rasters(scene, refused):
     change(scene / "scene.toml", 'source = "constant"\nvalue = 300.0', 'source = "raster"\nraster = "temperature.tif"')
     words = "temperature.tif is a raster for surface 'model:mesh', which has no texture that it could lie on"
     refused(words, "render", scene)
-
-
-def painted(image, **named):
-    """A square of 16 m around the origin, z up, as (buffer, glTF dictionary that names its image)."""
-    corner = np.array([[-8, 0, 8], [8, 0, 8], [8, 0, -8]], np.float32)
-    data = corner.tobytes() + np.zeros((3, 2), np.float32).tobytes() + np.arange(3, dtype=np.uint32).tobytes()
-    views = [{"buffer": 0, "byteOffset": at, "byteLength": size} for at, size in ((0, 36), (36, 24), (60, 12))]
-    accessors = [
-        {"bufferView": number, "componentType": kind, "count": 3, "type": shape}
-        for number, (kind, shape) in enumerate(((5126, "VEC3"), (5126, "VEC2"), (5125, "SCALAR")))
-    ]
-    accessors[0] |= {"min": corner.min(axis=0).tolist(), "max": corner.max(axis=0).tolist()}
-    primitive = {"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2, "material": 0}
-    return data, {
-        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [primitive]}], "accessors": accessors, "bufferViews": views,
-        "buffers": [{"byteLength": len(data), **named}], "textures": [{"source": 0}], "images": [{"uri": image}],
-        "materials": [{"name": "paint", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
-    }  # fmt: skip
-
-
-def glb(data, tree):
-    text = json.dumps(tree).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(data), b"BIN\0") + data
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
-
-
-def uri_of(image):
-    from PIL import Image
-
-    file = io.BytesIO()
-    Image.fromarray(image).save(file, "PNG")
-    return "data:image/png;base64," + base64.b64encode(file.getvalue()).decode()
-
-
-def test_unsupported_texture_mappings_are_refused(scene, refused):
-    uri = uri_of(np.full((4, 4, 3), (200, 0, 0), np.uint8))
-    once = {"samplers": [{"wrapS": 33071}], "textures": [{"source": 0, "sampler": 0}]}
-    data, tree = painted(uri)
-    beyond = data[:36] + np.array([[0, 0], [2, 0], [2, 2]], np.float32).tobytes() + data[60:]
-    for within in (glb(data, tree), glb(data, tree | once), glb(beyond, tree)):
-        mesh_scene(scene, "model.glb", within)
-        assert (load_scene(scene).surfaces[0].colour == [200, 0, 0]).all()
-    mesh_scene(scene, "model.glb", glb(beyond, tree | once))
-    refused("model.glb: the texture of material 'paint' is clamped or mirrored at its edge", "render", scene)
-    paint = {"name": "paint", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0, "texCoord": 1}}}
-    mesh_scene(scene, "model.glb", glb(data, tree | {"materials": [paint]}))
-    refused("model.glb has a texture but no map coordinates for it (TEXCOORD_1)", "render", scene)
-
-
-def test_texture_is_multiplied_by_its_material_factor_in_linear_light(scene):
-    import colour
-
-    for name, shade, factor in (("white", 255, (0.25, 0.5, 1.0)), ("grey", 200, (0.4, 0.4, 0.4))):
-        data, tree = painted(uri_of(np.full((4, 4, 3), shade, np.uint8)))
-        coat = {"baseColorTexture": {"index": 0}, "baseColorFactor": [*factor, 1.0]}
-        mesh_scene(scene, "model.glb", glb(data, tree | {"materials": [{"name": name, "pbrMetallicRoughness": coat}]}))
-        light = colour.models.eotf_sRGB(shade / 255.0) * np.array(factor)
-        expected = 255.0 * colour.models.eotf_inverse_sRGB(light)
-        assert np.abs(load_scene(scene).surfaces[0].colour[0, 0] - expected).max() <= 0.501
 
 
 PLY = """ply
@@ -796,12 +604,10 @@ def textured_mesh(scene, kind, image):
         mesh_scene(scene, "model.obj", "mtllib own.mtl\n" + QUAD + FACES_UV)
     elif kind == "ply":
         mesh_scene(scene, "model.ply", PLY.format(image))
-    elif kind == "glb":
-        mesh_scene(scene, "model.glb", glb(*painted(image)))
     else:
-        data, tree = painted(image, uri="model.bin")
-        (scene / "model.bin").write_bytes(data)
-        mesh_scene(scene, "model.gltf", json.dumps(tree))
+        file = Gltf().square()
+        file.tree["images"] = [{"uri": image}]
+        mesh_scene(scene, file.write(scene / f"model.{kind}").name)
 
 
 TEXTURED = ("obj", "ply", "glb", "gltf")
@@ -843,9 +649,7 @@ def test_texture_must_be_inside_the_scene(scene, refused, kind):
 
 
 def test_other_files_of_a_mesh_must_be_inside_the_scene(scene, refused):
-    data, tree = painted("x.png", uri="../out.bin")
-    (scene.parent / "out.bin").write_bytes(data)
-    mesh_scene(scene, "model.gltf", json.dumps(tree))
+    mesh_scene(scene, Gltf().square().write(scene / "model.gltf", buffer="../out.bin").name)
     refused("model.gltf names '../out.bin', which is outside the scene's folder", "render", scene)
     (scene.parent / "out.mtl").write_text("newmtl a\nKd 1 0 0\n")
     mesh_scene(scene, "model.obj", "mtllib ../out.mtl\n" + QUAD + FACES_UV)
@@ -1244,7 +1048,7 @@ def test_as_a_process(scene, tmp_path, case):
         cut(scene / "orthophoto.tif", 0.8)
         words = "orthophoto.tif cannot be read as a raster"
     elif case == "mesh":
-        mesh_scene(scene, "model.glb", b"garbage")
+        mesh_scene(scene, "model.glb", "garbage")
         words = "model.glb cannot be read as a mesh"
     elif case == "log":
         (scene / "flight.csv").write_text("time_s\n")

@@ -47,13 +47,26 @@ def test_every_verb_is_found():
 
 @pytest.mark.parametrize("words", VERBS, ids=" ".join)
 def test_help_is_printed_in_full_with_units(words, call):
-    status, output, errors = call(*words, "--help")
+    status, output, errors = call(
+        *words, "--help-all" if len(words) == 1 and not hasattr(VERBS[words], "commands") else "--help"
+    )
     assert (status, errors) == (0, "")
     # The help text appears in full, units included, whatever the terminal's width and frames.
     shown = "".join(re.sub(r"[│╭╮╰╯─]", " ", output).split())
     verb = VERBS[words]
     for text in (verb.help, *(parameter.help for parameter in verb.params if getattr(parameter, "help", None))):
         assert "".join(text.split()) in shown
+
+
+@pytest.mark.parametrize("name", ["fly", "compare"])
+def test_help_of_long_verbs_fits_a_screen_and_names_every_option(name, call, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "100")
+    monkeypatch.setenv("TERMINAL_WIDTH", "100")
+    status, output, _ = call(name, "--help")
+    lines = output.splitlines()
+    assert status == 0 and len(lines) <= 50 and max(map(len, lines)) <= 100
+    options = {each.opts[0] for each in VERBS[name,].params if each.param_type_name == "option"}
+    assert options <= set(re.findall(r"--?[a-z][a-z0-9-]*", output))
 
 
 def test_some_help_has_units():

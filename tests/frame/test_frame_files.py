@@ -1,6 +1,7 @@
 """A frame in Python: aimed, shown, saved by suffix, labelled, and laid on the map."""
 
 import json
+import re
 import sys
 import types
 
@@ -282,9 +283,13 @@ def test_a_notebook_shows_the_picture(frame, monkeypatch):
 def test_a_terminal_shows_colours_and_a_file_one_line(frame, monkeypatch, capsys):
     frame.show()
     assert capsys.readouterr().out == f"{frame!r}\n"
-    text = picture._half_blocks(frame.apparent_temperature, 40)
-    lines = text.plain.splitlines()
-    assert len(lines) == 17 and set(lines[0]) == {"▀"} and len(lines[0]) == 40
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setenv("COLUMNS", "50")
+    frame.show()
+    *lines, last = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out).splitlines()
+    assert last == repr(frame)
+    assert len(lines) == 21 and set(lines[0]) == {"▀"} and len(lines[0]) == 50
     low, high = picture.limits(frame.apparent_temperature)
     assert lines[-1].startswith(f"{low:.1f} K") and lines[-1].endswith(f"{high:.1f} K")
     assert frame.apparent_temperature.min() <= low < high <= frame.apparent_temperature.max()

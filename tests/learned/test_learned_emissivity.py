@@ -743,7 +743,7 @@ def test_training_settings_are_checked(scene, tmp_path):
         train_on([], tmp_path / "labels.geojson")
     with pytest.raises(ThermorenderError, match="--texel-m=0 is not allowed"):
         train_on([scene], None, texel_m=0.0)
-    with pytest.raises(ThermorenderError, match="--augmentations=-1 is not allowed"):
+    with pytest.raises(ThermorenderError, match="augmentations=-1 is not allowed"):
         train_on([write_terrain(tmp_path / "classes")], augmentations=-1)
     with pytest.raises(ThermorenderError, match=r"has no class raster to train on \(emissivity.source='learned'\)"):
         train_on([scene])
@@ -806,9 +806,9 @@ def test_evaluation_on_training_seeds_is_refused():
 
 def test_temperature_errors_match_those_of_grey_surfaces():
     temperature = np.array([[280.0, 300.0, 320.0]])
-    judge = validation._Errors([grey("black", 1.0), grey("grey", 0.9)], temperature, 250.0)
+    judge = validation.Errors([grey("black", 1.0), grey("grey", 0.9)], temperature, 250.0)
     truth = np.zeros((1, 3), int)
-    _, emissivity, kelvin = judge(truth, *validation._pure(truth + 1))
+    _, emissivity, kelvin = judge(truth, *validation.pure(truth + 1))
     band = (7.5, 13.5)
     wanted = brightness_temperature(0.9 * band_radiance(temperature, *band) + 0.1 * band_radiance(250.0, *band), *band)
     assert emissivity == pytest.approx([-0.1] * 3, abs=1e-6)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from scenes import WEATHER, write_balance
+from scenes import WEATHER, scene_object, write_balance
 from thermorender.errors import ThermorenderError
 from thermorender.output.provenance import weather_of
 from thermorender.scene import open_ground
@@ -101,10 +101,7 @@ def test_texels_of_a_mesh_count_by_their_area(tmp_path):
 def test_materials_of_objects_keep_their_table(folders):
     path = folders["granite"] / "scene.toml"
     text = path.read_text()
-    box = (
-        '[[object]]\nname = "box"\nshape = "box"\nsize = [2, 2, 2]\nposition = [2.0, 2.0, 0.0]\n'
-        'temperature = 300.0\nmaterial = "sand_gypsum"\n'
-    )
+    box = scene_object("box", [2, 2, 2], [2.0, 2.0, 0.0], 300.0, "sand_gypsum")
     try:
         path.write_text(f"{text}\n{box}")
         scene = load_scene(folders["granite"])

@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_scene_edits import CAMERA, NARROW
 
 import thermorender as tr
-from scenes import write_terrain
+from scenes import CAMERA, NARROW, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.materials.extended import assumptions, missing, within_band
 from thermorender.materials.library import load_library

@@ -425,46 +425,7 @@ def test_user_defined_rough_fresnel_material(tmp_path):
         load_library(write_library(tmp_path / "b", [row | {"rms_slope": "2"}], spectrum, columns))
 
 
-# --- the importer ------------------------------------------------------------------------------------------
-
-
-def ecostress_file(path, wavelength, percent, measurement="Hemispherical reflectance", y_units="Reflectance (percent)"):
-    header = [
-        "Name: Made-up rock", "Type: rock", "Description: at 10\xb0: rough", f"Measurement: {measurement}",
-        "X Units: Wavelength (micrometers)", f"Y Units:{y_units}", "",
-    ]  # fmt: skip
-    lines = [f" {w:.4f}\t{p:.4f}" for w, p in zip(wavelength, percent, strict=True)]
-    path.write_text("\n".join(header + lines) + "\n", encoding="latin-1")
-    return path
-
-
-def test_mean_and_spread_over_samples_in_either_order(tmp_path):
-    coarse = np.linspace(2.0, 14.2, 123)
-    fine = np.linspace(14.01, 0.4, 2001)
-    paths = [
-        ecostress_file(tmp_path / "a.txt", coarse, 10.0 + coarse),
-        ecostress_file(tmp_path / "b.txt", fine, 12.0 + fine),
-    ]
-    rock = from_samples([read_ecostress(path) for path in paths], "rock", title="Rock", temperature=301.0)
-    np.testing.assert_allclose(rock.wavelength_um, np.arange(64, 281) * 0.05)
-    np.testing.assert_allclose(rock.emissivity[1:-1], 0.89 - rock.wavelength_um[1:-1] / 100, atol=1e-6)
-    np.testing.assert_allclose(rock.emissivity_std[1:-1], np.sqrt(2.0) * 0.01, atol=2e-6)
-    assert rock.samples == 2 and rock.source.endswith("a.txt; b.txt")
-    # Only the second extends to sunlight, where it reflects 12.4 to 14.5 %.
-    assert 0.855 < rock.solar_absorptance < 0.876 and "from 1 of 2 samples" in rock.note
-    write_material(rock, tmp_path / "m")
-    back = load_library(tmp_path / "m")["rock"]
-    np.testing.assert_allclose(back.emissivity, rock.emissivity, atol=5.1e-7)
-    assert (back.title, back.temperature) == ("Rock", 301.0)
-    assert (back.source, back.note) == (rock.source, rock.note)
-
-
-def test_repeated_wavelengths_are_averaged_and_percent_is_converted(tmp_path):
-    path = ecostress_file(tmp_path / "a.txt", [14.0, 9.0, 9.0, 2.0], [10.0, 20.0, 40.0, 5.0])
-    sample = read_ecostress(path)
-    np.testing.assert_allclose(sample.wavelength_um, [2.0, 9.0, 14.0])
-    np.testing.assert_allclose(sample.reflectance, [0.05, 0.30, 0.10])
-    assert sample.name == "Made-up rock"
+# --- written files ------------------------------------------------------------------------------------------
 
 
 def test_a_material_that_emits_by_angle_is_written_with_its_table(tmp_path):
@@ -516,114 +477,14 @@ def test_failed_write_leaves_the_folder_unchanged(tmp_path, monkeypatch):
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
 
 
-def test_samples_without_usable_emissivity_are_refused(tmp_path):
-    wavelength = np.linspace(2.0, 14.5, 200)
-
-    def refused(words, *, wavelength=wavelength, percent=5.0, solar=0.5, **kwargs):
-        path = ecostress_file(tmp_path / "a.txt", wavelength, percent + 0.0 * wavelength, **kwargs)
-        with pytest.raises(ThermorenderError, match=words):
-            from_samples([read_ecostress(path)], "rock", solar_absorptance=solar)
-
-    refused(r"less than two steps of 0.05 µm in common within 3.2–15 µm", wavelength=np.linspace(0.4, 2.5, 99))
-    refused(r"measured as 'Bidirectional'; .* leave the sample out", measurement="Bidirectional")
-    refused(r"has reflectance -0.5 % at .* outside 0…100 % at", percent=-0.5)
-    refused(r"no sample of material 'rock' covers 0.42–2.5 µm.*give an assumed value", solar=None)
-    refused(r"y units 'Transmittance'; only hemispherical reflectance", y_units="Transmittance")
-    with pytest.raises(ThermorenderError, match=r"b.txt does not exist; order the spectrum"):
-        read_ecostress(tmp_path / "b.txt")
-    with pytest.raises(ThermorenderError, match=r"'rock' has no sample"):
-        from_samples([], "rock")
-
-
-def test_libraries_that_end_at_different_wavelengths_make_one_table(tmp_path):
-    """Over 7–14 µm the mean is over the samples that extend there, and the note gives their number."""
-    samples = [
-        read_ecostress(ecostress_file(tmp_path / "a.txt", np.linspace(3.0, 12.5, 400), np.full(400, 10.0))),
-        read_ecostress(ecostress_file(tmp_path / "b.txt", np.linspace(8.0, 14.2, 400), np.full(400, 20.0))),
-    ]
-    rock = from_samples(samples, "rock", solar_absorptance=0.5)
-    assert rock.valid_range_um == (7.0, 14.0)
-    np.testing.assert_allclose(rock.emissivity_at([7.5, 10.0, 13.0]), [0.9, 0.85, 0.8], atol=1e-9)
-    assert "samples: 1 over 7–7.95 µm, 2 over 8–12.5 µm, 1 over 12.55–14 µm" in rock.note
-    assert np.isnan(rock.emissivity_std[0])
-    apart = read_ecostress(ecostress_file(tmp_path / "c.txt", np.linspace(9.0, 14.2, 400), np.full(400, 20.0)))
-    short = read_ecostress(ecostress_file(tmp_path / "d.txt", np.linspace(6.0, 8.0, 400), np.full(400, 20.0)))
-    with pytest.raises(ThermorenderError, match=r"no sample of material 'rock' covers 8.05 µm, between those that do"):
-        from_samples([apart, short], "rock", solar_absorptance=0.5)
-
-
-def test_gaps_of_a_sample_are_not_interpolated(tmp_path):
-    path = tmp_path / "own.csv"
-
-    def write(*ranges):
-        rows = "".join(f"{w:.3f},0.9\n" for low, high in ranges for w in np.arange(low, high, 0.02))
-        path.write_text("wavelength_um,emissivity\n" + rows)
-        return from_samples([read_sample(path)], "rock", solar_absorptance=0.5)
-
-    assert write((0.4, 2.5), (8.0, 14.01)).valid_range_um == (8.0, 14.0)
-    with pytest.raises(ThermorenderError, match=r"own.csv of material 'rock' has no point between 8.98 and 10 µm"):
-        write((7.0, 8.99), (10.0, 14.01))
-
-
 def test_thinned_table_stays_within_0_and_1(tmp_path):
     """A spectrum that touches 100 % between the table's points is followed without exceeding it."""
     wavelength = np.linspace(6.9, 14.1, 1500)
     percent = 3.0 + 3.0 * np.sign(np.sin(40.0 * wavelength))
-    rock = from_samples([read_ecostress(ecostress_file(tmp_path / "a.txt", wavelength, percent))], "rock",
-                        solar_absorptance=0.5)  # fmt: skip
+    rows = "".join(f"{w:.4f},{p:.4f}\n" for w, p in zip(wavelength, percent, strict=True))
+    (tmp_path / "a.csv").write_text("wavelength_um,reflectance_percent\n" + rows)
+    rock = from_samples([read_sample(tmp_path / "a.csv")], "rock", solar_absorptance=0.5)
     assert rock.emissivity.max() <= 1.0
     written = np.round(1.0 - np.round(percent, 4) / 100.0, 6)
     expected = band_emissivity(np.round(wavelength, 4), written, 8.0, 13.0)
     assert rock.band_emissivity(8.0, 13.0, 300.0) == pytest.approx(expected, abs=2e-5)
-
-
-@pytest.mark.parametrize(
-    ("header", "rows"),
-    [
-        ("wavelength_um,emissivity", [(7.0, 0.9), (10.0, 0.8), (14.0, 0.95)]),
-        ("wavelength_nm,reflectance_percent", [(7000, 10.0), (10000, 20.0), (14000, 5.0)]),
-        ("wavenumber_cm-1,reflectance", [(1e4 / 7.0, 0.1), (1000.0, 0.2), (1e4 / 14.0, 0.05)]),
-        ("emissivity_percent,wavelength_um", [(90.0, 7.0), (80.0, 10.0), (95.0, 14.0)]),
-    ],
-)
-def test_two_column_tables_state_their_units(tmp_path, header, rows):
-    path = tmp_path / "own.csv"
-    path.write_text(header + "\n" + "".join(f"{a!r},{b!r}\n" for a, b in rows))
-    sample = read_sample(path)
-    np.testing.assert_allclose(sample.wavelength_um, [7.0, 10.0, 14.0], rtol=1e-12)
-    np.testing.assert_allclose(sample.reflectance, [0.1, 0.2, 0.05], atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("text", "column", "words"),
-    [
-        ("um,eps\n7,0.9\n14,0.9\n", None, r"row 1 holds um, eps; the headings must be one of wavelength_um, wave"),
-        ("wavelength_um,emissivity\n7,x\n", None, r"row 2: emissivity='x' is not a number"),
-        ("wavelength_um,emissivity\n7,nan\n8,0.1\n", None, r"row 2: emissivity=nan is not within"),
-        ("wavelength_um,emissivity\n7,0.9\n7,0.9\n", None, r"at least two rows with different, positive"),
-        ("wavelength,A001,A002\n8,0.9,0.8\n9,0.9,0.8\n", "A9", r"holds the samples A001, A002 … A002, not 'A9'"),
-        ("wavelength,A001,A002\n8,0.9,0.8\n9,0.9,0.8\n", None, r"not None; name one as column"),
-    ],
-)
-def test_faults_of_sample_files_are_reported(tmp_path, text, column, words):
-    path = tmp_path / "own.csv"
-    path.write_text(text)
-    with pytest.raises(ThermorenderError, match=words):
-        read_sample(path, column)
-
-
-def test_selection_accepts_bare_file_names_only(tmp_path):
-    selection = tmp_path / "selection.csv"
-    header = "material,file,title,colour_r,colour_g,colour_b,solar_absorptance,temperature_k,note\n"
-    selection.write_text(header + "rock,a.txt,Rock,1,2,3,0.5,20,\n")
-    ecostress_file(tmp_path / "a.txt", np.linspace(2.0, 14.5, 200), np.full(200, 5.0))
-    with pytest.raises(ThermorenderError, match=r"selection.csv, row 2: temperature_k=20 is not within 100…6000"):
-        read_selection(selection, [tmp_path])
-    selection.write_text(header + "rock,a.txt,Rock,1,2,3,0.5,300,\n")
-    assert read_selection(selection, [tmp_path])[0].emissivity_at(10.0) == pytest.approx(0.95)
-    selection.write_text(header + "rock,../a.txt,Rock,1,2,3,0.5,300,\n")
-    with pytest.raises(ThermorenderError, match=r"file='../a.txt' is not the bare name of a file"):
-        read_selection(selection, [tmp_path])
-    selection.write_text(header + "rock,b.txt,Rock,1,2,3,0.5,300,\n")
-    with pytest.raises(ThermorenderError, match=r"b.txt is in none of .*; add the folder that holds it"):
-        read_selection(selection, [tmp_path])

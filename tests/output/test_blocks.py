@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import slow
+from support import contents, slow
 
 import thermorender as tr
 from scenes import coarse, write_terrain
@@ -20,10 +20,6 @@ from thermorender.output.flight_part import fly_part
 from thermorender.sensor.display import DisplaySettings
 
 PRODUCTS = ("exr", "counts", "display")
-
-
-def contents(folder):
-    return {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.is_file()}
 
 
 def renderer_of(folder, **camera):

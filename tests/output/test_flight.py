@@ -9,10 +9,10 @@ import mitsuba
 import numpy as np
 import pytest
 import trimesh
-from support import slow
+from support import contents, interrupted, records, slow
 
 import thermorender as tr
-from scenes import coarse, write_mesh, write_terrain
+from scenes import coarse, scene_object, write_mesh, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.formats import write_image
 from thermorender.frame.exr import read_exr
@@ -24,15 +24,7 @@ from thermorender.sensor.display import DisplaySettings
 from thermorender.sensor.radiometric_files import read_temperature
 from thermorender.sensor.radiometry import ThermographySettings
 
-MARKER = """
-[[object]]
-name = "marker"
-shape = "disc"
-size = [1, 1, 0.1]
-position = [0.0, 0.0, 0.0]
-temperature = 330.0
-material = "paint_black"
-"""
+MARKER = scene_object("marker", [1, 1, 0.1], shape="disc")
 
 
 @pytest.fixture(scope="module")
@@ -45,14 +37,6 @@ def setting(tmp_path_factory):
         quaternion=np.array([[0.0, 1.0, 0.0, 0.0]] * 2),
     )
     return renderer, path
-
-
-def contents(folder):
-    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
-
-
-def records(folder):
-    return [json.loads(line) for line in (folder / "frames.jsonl").read_text().splitlines()]
 
 
 def test_products_and_records(setting, tmp_path):
@@ -147,13 +131,8 @@ def test_frames_carry_the_budget_of_the_last_audit(setting, tmp_path):
     assert stated[1] != own[1]
     header = read_exr(tmp_path / "whole/frame_000003.exr")[1]
     assert (header["budget_mk"], header["budget_frame"]) == (stated[2], 2)
-
-    def stop(done, total):
-        if done == 3:
-            raise KeyboardInterrupt
-
     # The part that follows starts between two audits.
-    with pytest.raises(KeyboardInterrupt):
+    with interrupted(3) as stop:
         fly(renderer, path, tmp_path / "part", flight, progress=stop)
     fly(renderer, path, tmp_path / "part", flight, resume=True)
     assert contents(tmp_path / "part") == contents(tmp_path / "whole")
@@ -224,12 +203,7 @@ def test_resume_restores_the_pixels_memory(setting, tmp_path, lost):
     renderer, path = setting
     flight = FlightOptions(rate_hz=100.0, stop_s=0.05, products=("counts",))
     fly(renderer, path, tmp_path / "whole", flight)
-
-    def stop(done, total):
-        if done == 3:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
+    with interrupted(3) as stop:
         fly(renderer, path, tmp_path / "part", flight, progress=stop)
     state = tmp_path / "part/sensor_even.npz"
     assert state.exists()
@@ -248,12 +222,7 @@ def test_resume_continues_the_gain_control(setting, tmp_path, lost):
     display = DisplaySettings("plateau", "ironbow", memory_s=1.0)
     flight = FlightOptions(rate_hz=4.0, products=("display",), display=display)
     fly(renderer, path, tmp_path / "whole", flight)
-
-    def stop(done, total):
-        if done == 3:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
+    with interrupted(3) as stop:
         fly(renderer, path, tmp_path / "part", flight, progress=stop)
     if lost:
         (tmp_path / "part/sensor_even.npz").unlink()
@@ -433,12 +402,7 @@ def test_frames_without_terrain_are_counted(setting, tmp_path):
     assert json.loads((tmp_path / "whole/flight.json").read_text())["frames_without_terrain"] == seen.count(False)
     lines = (tmp_path / "whole/frames.jsonl").read_text().splitlines()
     assert [json.loads(line)["shows_terrain"] for line in lines] == seen
-
-    def stop(done, total):
-        if done == 7:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
+    with interrupted(7) as stop:
         fly(renderer, turning, tmp_path / "part", flight, progress=stop)
     summary = fly(renderer, turning, tmp_path / "part", flight, resume=True)
     assert summary["rendered"] == 2 and summary["frames_without_terrain"] == seen.count(False)

@@ -5,12 +5,13 @@ import re
 import shutil
 from dataclasses import replace
 from html import escape
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import thermorender as tr
-from scenes import coarse, write_terrain
+from scenes import coarse, scene_object, write_terrain
 from thermorender.apps.material_tables.plot import plot
 from thermorender.errors import ThermorenderError
 from thermorender.formats import label
@@ -25,15 +26,7 @@ from thermorender.output.flight_pages.prospect import Prospect, prospect
 from thermorender.output.products import check
 
 DOWN = (0.0, 1.0, 0.0, 0.0)
-MARKER = """
-[[object]]
-name = "marker"
-shape = "disc"
-size = [2, 2, 0.1]
-position = [0.0, 0.0, 0.0]
-temperature = 330.0
-material = "paint_black"
-"""
+MARKER = scene_object("marker", [2, 2, 0.1], shape="disc")
 
 
 @pytest.fixture(scope="module")
@@ -248,7 +241,7 @@ def test_command_previews_without_a_folder_and_flies_with_one(tmp_path, monkeypa
     refused = CliRunner().invoke(app, ["fly", *scene, "--preview", "--resume"])
     assert "--preview writes no frames; leave --resume and --verify out" in str(refused.exception)
     shutil.rmtree(tmp_path / "o", ignore_errors=True)
-    monkeypatch.setattr("shutil.disk_usage", lambda folder: shutil._ntuple_diskusage(10, 10, 10))
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: SimpleNamespace(free=10))
     run = CliRunner().invoke(app, ["fly", *scene, "--products", "counts", "-o", str(tmp_path / "o")])
     assert run.exit_code == 0 and "3 frames take" in run.output and "warning: " in run.output
     assert "look at" not in run.output

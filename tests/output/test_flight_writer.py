@@ -12,6 +12,7 @@ from functools import partial
 import cv2
 import numpy as np
 import pytest
+from support import contents, interrupted
 
 from tests.robustness import crash_targets
 from thermorender import files, timing
@@ -36,10 +37,6 @@ def flown(scene, folder, **more):
     (folder / "scene").symlink_to(scene)
     (folder / "work").mkdir()
     crash_targets.flight(folder / "work", **more)
-
-
-def contents(folder):
-    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
 # --- the writer -------------------------------------------------------------------------------------------------
@@ -197,12 +194,7 @@ def test_the_video_is_encoded_from_the_frames_as_they_are_finished(scene, tmp_pa
     flown(scene, tmp_path / "whole", products=products)
     assert not read and images_of(tmp_path / "whole/work/out/flight.mp4") == crash_targets.FRAMES
     (tmp_path / "part").mkdir()
-
-    def stop(done, total):
-        if done == 5:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
+    with interrupted(5) as stop:
         flown(scene, tmp_path / "part", products=products, progress=stop)
     left = contents(tmp_path / "part/work/out")
     assert not [name for name in left if name.endswith(".mp4")], "half a video is removed"

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from support import interrupted
 
 import thermorender as tr
 from scenes import coarse, write_terrain
@@ -88,11 +89,7 @@ def test_images_calibration_and_poses_are_those_of_the_frames(renderer, flown, r
 
 
 def test_resume_writes_the_same_file(renderer, flown, tmp_path):
-    def stop(done, total):
-        if done == 2:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
+    with interrupted(2) as stop:
         fly(renderer, path_from(2.25), tmp_path / "f", OPTIONS, progress=stop)
     assert not (tmp_path / "f/flight.mcap").exists()
     assert fly(renderer, path_from(2.25), tmp_path / "f", OPTIONS, resume=True)["rendered"] < 3

@@ -9,7 +9,7 @@ import trimesh
 from support import shared_data, slow
 
 import thermorender as tr
-from scenes import write_mesh
+from scenes import plane, scene_object, write_mesh
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.rays import MEAN_RADIUS_M
 from thermorender.errors import ThermorenderError
@@ -31,11 +31,6 @@ from thermorender.render.variant import activate
 BAND = (7.5, 13.5)
 DOWN = {"pitch_deg": -90.0}
 AIR = '[atmosphere]\nstandard = "midlatitude-summer"\naerosol = "rural-23km"\n'
-
-
-def plane(side):
-    h = side / 2
-    return trimesh.Trimesh([[-h, -h, 0], [h, -h, 0], [h, h, 0], [-h, h, 0]], [[0, 1, 2], [0, 2, 3]])
 
 
 def write(folder, mesh, air=AIR, temperature=300.0, material=None, emissivity=1.0, extra=""):
@@ -159,8 +154,7 @@ def test_sky_bins_on_a_wall_and_on_a_slope(tmp_path):
 
 
 def test_sun_lights_surfaces_that_face_it(tmp_path):
-    roof = '[[object]]\nname = "roof"\nshape = "box"\nsize = [4.0, 4.0, 0.2]\nposition = [0, 0, 2.0]\n'
-    roof += 'temperature = 300.0\nmaterial = "paint_metallic"\n'
+    roof = scene_object("roof", [4.0, 4.0, 0.2], [0, 0, 2.0], 300.0, "paint_metallic")
     bright = "[sun]\nelevation_deg = 30.0\nazimuth_deg = 90.0\n"
     mesh = plane(16.0)
     for _ in range(4):
@@ -239,8 +233,7 @@ def test_plan_states_the_effects_of_air(tmp_path):
 @pytest.mark.slow
 def test_neglected_air_between_surfaces_is_in_the_stated_error(tmp_path):
     """A floor under a roof at 60 m: view factor of the roof × change of light by 60 m of air × reflectance."""
-    roof = '[[object]]\nname = "roof"\nshape = "box"\nsize = [60.0, 60.0, 0.2]\nposition = [0, 0, 60.0]\n'
-    roof += 'temperature = 340.0\nmaterial = "asphalt"\n'
+    roof = scene_object("roof", [60.0, 60.0, 0.2], [0, 0, 60.0], 340.0, "asphalt")
     scene = tr.load_scene(write(tmp_path / "s", plane(4.0), emissivity=0.8, extra=roof))
     renderer = tr.Renderer(scene, rays=1024)
     baked = renderer.baked
@@ -322,8 +315,7 @@ def test_surfaces_above_the_cloud_base_are_refused_before_any_work(tmp_path, mon
     over = tr.load_scene(write(tmp_path / "over", plane(4.0), air.replace("0.3", "1.0"), emissivity=0.9))
     seen = tr.Renderer(over, rays=16).frame(tr.pose(0, 0, 99.9, pitch_deg=60.0)).apparent_temperature
     assert np.abs(seen - over.air.air_temperature(500.0)).max() < 0.005
-    roof = '[[object]]\nname = "roof"\nshape = "box"\nsize = [4.0, 4.0, 0.2]\nposition = [0, 0, 99.9]\n'
-    roof += 'temperature = 300.0\nmaterial = "paint_metallic"\n'
+    roof = scene_object("roof", [4.0, 4.0, 0.2], [0, 0, 99.9], 300.0, "paint_metallic")
     high = write(tmp_path / "high", plane(4.0), air, extra=roof)
     words = r"scene.toml: the highest surface is 500\.\d+ m above sea level, above the cloud base at 500 m"
     with pytest.raises(ThermorenderError, match=words):
@@ -352,8 +344,7 @@ def test_standard_air_replaces_the_scenes_sky(tmp_path):
 
 @pytest.mark.slow
 def test_dynamic_object_in_air_equals_a_static_one(tmp_path):
-    item = '[[object]]\nname = "car"\nshape = "box"\nsize = [1.8, 4.0, 1.2]\nposition = [0, 0, 0.0]\n'
-    item += 'temperature = 310.0\nmaterial = "paint_metallic"\n'
+    item = scene_object("car", [1.8, 4.0, 1.2], temperature=310.0, material="paint_metallic")
     mesh = plane(20.0)
     for _ in range(5):
         mesh = mesh.subdivide()

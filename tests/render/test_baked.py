@@ -14,22 +14,14 @@ import numpy as np
 import pytest
 
 import thermorender as tr
-from scenes import write_terrain
+from scenes import scene_object, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.render.light import radiosity
 from thermorender.scene.spec import AtmosphereSpec, TemperatureSpec
 from thermorender.scene.surface import SATURATED
 
 DOWN = {"pitch_deg": -90.0}
-CAR = """[[object]]
-name = "car"
-shape = "box"
-size = [2.0, 2.0, 1.5]
-position = [0.0, 0.0, 0.0]
-temperature = 320.0
-material = "paint_black"
-track = "car.csv"
-"""
+CAR = scene_object("car", [2.0, 2.0, 1.5], temperature=320.0, track="car.csv")
 
 
 @pytest.fixture(scope="module")

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from test_instances import write_crown
-from test_woods import apart
+from copies_support import apart, write_crown
 
 import thermorender as tr
-from scenes import WEATHER, coarse, write_balance, write_terrain
+from scenes import WEATHER, coarse, scene_object, write_balance, write_terrain
 from thermorender.apps.lands.solids.plants import write_leaf_tables
 from thermorender.errors import ThermorenderError
 from thermorender.render.geometry import Geometry
@@ -18,27 +17,14 @@ from thermorender.render.variant import activate
 PLACES = "east_m,north_m,yaw_deg\n0,0,30\n4,3,200\n"
 
 
-def write_crowns(folder, extra="", kelvin='"balance"', clusters=90, write=write_balance):
+def write_crowns(folder, extra="", kelvin="balance", clusters=90, write=write_balance):
     """Write a flat scene with two porous crowns and return its folder."""
     folder.mkdir(parents=True)
     write_crown(folder, 3 * clusters, 0.5, clusters)
     (folder / "places.csv").write_text(PLACES, encoding="utf-8")
     write_leaf_tables(folder)
-    trees = f"""[[object]]
-name = "trees"
-file = "crown.ply"
-instances = "places.csv"
-position = [0.0, 0.0, 0.0]
-temperature = {kelvin}
-material = "broadleaf"
-"""
-    still = """[[object]]
-name = "stone"
-shape = "box"
-position = [-5.0, -5.0, 0.0]
-temperature = 285.0
-material = "granite"
-"""
+    trees = scene_object("trees", temperature=kelvin, material="broadleaf", file="crown.ply", instances="places.csv")
+    still = scene_object("stone", position=[-5.0, -5.0, 0.0], temperature=285.0, material="granite")
     return write(folder, extra=WEATHER + still + trees + extra)
 
 
@@ -98,8 +84,7 @@ def test_kelvin_of_an_edit_replaces_the_balance(tmp_path):
     [
         ({"write": write_terrain}, r"temperature of object 'trees' is 'balance', .*source='raster'; give the object"),
         (
-            {"extra": '[[object]]\nname = "b"\nshape = "box"\nposition = [1,1,0]\ntemperature = "balance"\n'
-             'material = "granite"\n'},
+            {"extra": scene_object("b", position=[1, 1, 0], temperature="balance", material="granite")},
             r"object.*temperature='balance' is not allowed; give it with instances only; give kelvin",
         ),
     ],

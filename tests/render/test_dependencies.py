@@ -10,7 +10,7 @@ import trimesh
 from packaging.requirements import Requirement
 
 import thermorender as tr
-from scenes import write_terrain
+from scenes import scene_object, write_terrain
 from thermorender.render.variant import activate
 
 if sys.version_info >= (3, 11):
@@ -77,12 +77,11 @@ def test_frames_do_not_depend_on_how_minimum_and_clip_treat_nan(tmp_path, monkey
     mesh = trimesh.creation.icosphere(subdivisions=1, radius=1.0)
     folder = tmp_path / "s"
     extra = "".join(
-        f'[[object]]\nname = "{name}"\n{shape}\nposition = [{east}, 2, 1.5]\ntemperature = 330.0\n'
-        f'material = "{material}"\n'
-        for name, shape, east, material in (
-            ("ball", 'file = "ball.ply"', 0, "paint_black"),
-            ("plate", 'shape = "box"\nsize = [2, 1, 2]', -3, "gold_polished"),
-            ("car", 'shape = "box"\nsize = [1, 1, 1]\ntrack = "t.csv"', 3, "gold_polished"),
+        scene_object(name, position=[east, 2, 1.5], material=material, **more)
+        for name, east, material, more in (
+            ("ball", 0, "paint_black", {"file": "ball.ply"}),
+            ("plate", -3, "gold_polished", {"size": [2, 1, 2]}),
+            ("car", 3, "gold_polished", {"size": [1, 1, 1], "track": "t.csv"}),
         )
     )
     if air:

@@ -5,7 +5,7 @@ import pytest
 from support import slow
 
 import thermorender as tr
-from scenes import write_terrain
+from scenes import scene_object, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.formats import write_image
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
@@ -16,10 +16,7 @@ BAND = (7.5, 13.5)
 
 
 def scene_with(folder, track=None, shape="box", size=(3, 3, 1.5), rest="", **keywords):
-    extra = (
-        f'[[object]]\nname = "target"\nshape = "{shape}"\nsize = {list(size)}\nposition = [1, 2, 0.5]\nyaw_deg = 30\n'
-        f'temperature = 340.0\nmaterial = "paint_black"\n{rest}'
-    )
+    extra = scene_object("target", size, [1, 2, 0.5], 340.0, shape=shape, yaw_deg=30) + rest
     if track:
         extra += 'track = "track.csv"\n'
         folder.mkdir(parents=True, exist_ok=True)
@@ -121,8 +118,7 @@ def test_track_is_part_of_the_scene_digest(tmp_path):
 
 
 def test_texture_mapping_of_a_tracked_model_is_part_of_the_scene_digest(tmp_path):
-    extra = '[[object]]\nname = "car"\nfile = "car.obj"\nposition = [0.0, 0.0, 0.0]\ntemperature = 330.0\n' \
-            'material = "paint_black"\ntrack = "car.csv"\n'  # fmt: skip
+    extra = scene_object("car", file="car.obj", track="car.csv")  # fmt: skip
     folder = write_terrain(tmp_path / "tiny", extra=extra)
     (folder / "car.csv").write_text("time_s,east_m\n0,0\n1,1\n")
     write_image(folder / "car.png", np.arange(48, dtype=np.uint8).reshape(4, 4, 3))
@@ -230,16 +226,16 @@ def test_the_truth_of_rays_cast_before_is_that_of_rays_cast_again(tmp_path):
     track = "time_s,east_m\n0,-3\n1,3\n"
     scene = scene_with(tmp_path, track)
     renderer = tr.Renderer(scene, "fast", rays=4)
-    frame = renderer.frame(tr.pose(0, -12, 6, pitch_deg=-20), 0.6)
-    assert frame._view.rays.last_hits[0] is frame._sampling.hit
-    before, again = (frame._view.truth(sampling) for sampling in (frame._sampling, None))
+    pose = tr.pose(0, -12, 6, pitch_deg=-20)
+    frame, late = (renderer.frame(pose, 0.6) for _ in range(2))
+    before, again = frame.truth, renderer.frame_of(frame.radiance, pose, {}, 0.6).truth
     assert list(before) == list(again) and {0, 1} == set(np.unique(before["object"]))
     assert 0.2 < np.isfinite(before["depth"]).mean() < 0.9
     for name, image in before.items():
         np.testing.assert_array_equal(image, again[name], err_msg=name)
     # The rays of a later frame are not those of this one.
     renderer.frame(tr.pose(0, -12, 9, pitch_deg=-40), 0.1)
-    np.testing.assert_array_equal(frame.truth["depth"], before["depth"])
+    np.testing.assert_array_equal(late.truth["depth"], before["depth"])
     # With several rays per pixel none goes through the middle.
-    several = tr.Renderer(scene, samples=4, rays=4).frame(tr.pose(0, -12, 6, pitch_deg=-20))
-    assert several._view.rays.last_hits is None
+    several = tr.Renderer(scene, samples=4, rays=4).frame(pose, 0.6)
+    np.testing.assert_array_equal(several.truth["depth"], before["depth"])

@@ -5,17 +5,9 @@ import pytest
 from support import slow
 
 import thermorender as tr
-from scenes import narrow, write_terrain
+from scenes import narrow, scene_object, write_terrain
 from thermorender.apps.compare.sampling_error import converged
-from thermorender.render.pixels import sampling
 from thermorender.render.pixels.pyramid import sizes, squares
-
-
-def test_the_net_of_rays_is_the_sobol_sequence_of_scipy():
-    from scipy.stats import qmc
-
-    number = (qmc.Sobol(2, scramble=False).random(64) * 64).astype(int)
-    np.testing.assert_array_equal(sampling._net(), ((number ^ 0b001010) + 0.5) / 64)
 
 
 def test_squares_are_means_of_texels():
@@ -97,16 +89,13 @@ def test_pixel_is_the_mean_of_its_texels(tmp_path, up, pitch_deg):
 def test_budget_covers_the_sampling_error_from_any_height(tmp_path, up, pitch_deg):
     random = np.random.default_rng(4)
     height, warm = random.uniform(0, 1.5, (256, 256)), random.uniform(270, 330, (512, 512))
-    extra = (
-        '[[object]]\nname = "box"\nshape = "box"\nsize = [12, 7, 9]\nposition = [1, 2, 0]\nyaw_deg = 20\n'
-        'temperature = 360.0\nmaterial = "paint_black"\n'
-    )
+    extra = scene_object("box", [12, 7, 9], [1, 2, 0], yaw_deg=20, temperature=360.0)
     scene = narrow(tr.load_scene(write_terrain(tmp_path / "s", height=height, temperature=warm, extra=extra)))
     renderer = tr.Renderer(scene, rays=8)
     pose = tr.pose(0, 0 if pitch_deg == -90 else -up / np.tan(np.radians(-pitch_deg)), up, pitch_deg=pitch_deg)
     frame = renderer.frame(pose)
     shown = np.isfinite(frame.truth["depth"])
-    error = (frame.radiance - converged(renderer, pose, {"rays": 8}))[shown] / renderer.plan.radiance_per_mk
+    error = (frame.radiance - converged(renderer, pose))[shown] / renderer.plan.radiance_per_mk
     true = float(np.sqrt((error**2).mean()))
     assert true < frame.budget_mk["sampling"] < 3 * true
 
@@ -125,7 +114,7 @@ def test_budget_covers_correlated_footprint_errors(tmp_path):
         pose = tr.pose(0, away, up, yaw_deg=yaw_deg, pitch_deg=-30.0)
         frame = renderer.frame(pose)
         shown = np.isfinite(frame.error_mk)
-        error = (frame.radiance - converged(renderer, pose, {"rays": 8}))[shown] / renderer.plan.radiance_per_mk
+        error = (frame.radiance - converged(renderer, pose))[shown] / renderer.plan.radiance_per_mk
         true = float(np.sqrt((error**2).mean()))
         assert shown.sum() > 200
         assert abs(error.mean()) > 0.3 * true and true < frame.budget_mk["sampling"] < 3 * true

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from heat_support import COLUMNS, forcing, ground, sunny
 from scipy.optimize import brentq
-from test_heat_balance import COLUMNS, forcing, ground, sunny
 
 from tests.robustness.stepped import DOUBLE, SINGLE, run
 from thermorender.physics import balance, turbulence

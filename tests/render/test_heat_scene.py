@@ -153,20 +153,6 @@ def test_mixture_emits_the_sum_of_its_parts(walled):
     assert kelvin(mix(parts)) == pytest.approx(expected, abs=0.2)
 
 
-@pytest.mark.slow
-def test_scene_without_heat_balance_imports_none_of_it():
-    import subprocess
-    import sys
-
-    code = (
-        "import sys; from thermorender.render.renderer import Renderer; from thermorender.scene.load import load_scene;"
-        "load_scene('heath'); print([name for name in sys.modules if name in ('thermorender.render.heat.simulation',"
-        "'thermorender.scene.open_ground', 'thermorender.physics.balance', 'thermorender.weather.station')])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
-
-
 def test_missing_snow_material_under_snow_is_reported(tmp_path):
     scene = scene_of(tmp_path / "snow")
     assert not any("m of snow" in note for note in scene.weather_notes)

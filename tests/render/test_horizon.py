@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import thermorender as tr
-from scenes import narrow, write_terrain
+from scenes import narrow, scene_object, write_terrain
 from thermorender.apps.compare.sampling_error import converged
 from thermorender.physics.planck import band_radiance
 
@@ -55,7 +55,7 @@ def test_budget_of_the_image_covers_the_horizon(tmp_path, air):
     frame = renderer.frame(pose)
     shown = np.isfinite(frame.error_mk)
     assert 0.02 < shown.mean() < 0.9
-    error = (frame.radiance - converged(renderer, pose, {"rays": 8})) / renderer.plan.radiance_per_mk
+    error = (frame.radiance - converged(renderer, pose)) / renderer.plan.radiance_per_mk
     behind, everywhere = (float(np.sqrt((part**2).mean())) for part in (error[~shown], error))
     budget = frame.budget_mk
     assert behind < 0.5 * everywhere < everywhere < budget["image"]
@@ -72,16 +72,12 @@ def test_budget_of_a_full_image_is_the_total(tmp_path):
 
 def test_faces_in_uneven_light_are_averaged(tmp_path):
     """A metal box beside a hot wall, whose faces are smaller than a pixel and know the wall from few rays each."""
-    extra = (
-        '[[object]]\nname = "box"\nshape = "box"\nsize = [8, 8, 1]\nposition = [0, 0, 0.5]\n'
-        'temperature = 300.0\nmaterial = "paint_metallic"\n'
-        '[[object]]\nname = "wall"\nshape = "box"\nsize = [0.4, 12, 4]\nposition = [6, 0, 2]\n'
-        'temperature = 900.0\nmaterial = "paint_black"\n'
-    )
+    extra = scene_object("box", [8, 8, 1], [0, 0, 0.5], 300.0, "paint_metallic")
+    extra += scene_object("wall", [0.4, 12, 4], [6, 0, 2], 900.0)
     scene = narrow(tr.load_scene(write_terrain(tmp_path / "s", height=np.zeros((32, 32)), extra=extra)))
     renderer, pose = tr.Renderer(scene, rays=64), tr.pose(0, 0, 600, pitch_deg=-90)
     frame = renderer.frame(pose)
-    error = (frame.radiance - converged(renderer, pose, {"rays": 64})) / renderer.plan.radiance_per_mk
+    error = (frame.radiance - converged(renderer, pose)) / renderer.plan.radiance_per_mk
     own, names = renderer.objects_seen(pose)
     inside = own == names.index("box")
     for axis in (0, 1):

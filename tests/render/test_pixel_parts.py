@@ -9,20 +9,13 @@ from path_tracer import PathTracer
 from support import slow
 
 import thermorender as tr
-from scenes import narrow, write_mesh, write_terrain
+from scenes import narrow, scene_object, write_mesh, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.physics.band import emitted_radiance
 from thermorender.physics.planck import band_radiance
 
 BAND = (7.5, 13.5)
-WALL = """[[object]]
-name = "wall"
-shape = "box"
-size = [8.0, 1.0, 6.0]
-position = [0.0, 3.0, 3.0]
-temperature = 340.0
-material = "paint_black"
-"""
+WALL = scene_object("wall", [8.0, 1.0, 6.0], [0.0, 3.0, 3.0], temperature=340.0)
 POSE = {"pitch_deg": -60.0, "yaw_deg": 0.0}
 
 

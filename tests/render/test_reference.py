@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import ConvexHull
-from test_specular import item, own_materials
 
 import thermorender as tr
-from scenes import coarse, write_mesh, write_terrain
+from scenes import coarse, scene_object, write_materials, write_mesh, write_terrain
 from thermorender.apps.lands.solids.plants import leaves
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
@@ -69,10 +68,8 @@ def test_thin_leaves_hide_their_projected_area(tmp_path):
     middle = np.column_stack([*(each.ravel() for each in np.mgrid[-2:3, -2:3] * 0.6), np.full(25, 1.0)])
     vertices, faces = leaves(np.random.default_rng(4), middle, 0.4)
     trimesh.Trimesh(vertices, faces, process=False).export(folder / "leaves.ply")
-    own_materials(folder)
-    extra = item("leaves", "black", 280.0, [1, 1, 1], [0, 0, 0], shape="disc").replace(
-        'shape = "disc"', 'file = "leaves.ply"'
-    )
+    write_materials(folder)
+    extra = scene_object("leaves", [1, 1, 1], [0, 0, 0], 280.0, "black", file="leaves.ply")
     floor = trimesh.creation.box(extents=(40.0, 40.0, 0.1)).apply_translation([0.0, 0.0, -0.05])
     scene = small(tr.load_scene(write_mesh(folder, floor, 340.0, 1.0, sky=0.0, extra=extra)))
     pose = tr.pose(0, 0, 6, pitch_deg=-90)

@@ -8,7 +8,7 @@ import trimesh
 from support import slow
 
 import thermorender as tr
-from scenes import narrow, write_mesh, write_terrain
+from scenes import narrow, scene_object, write_mesh, write_terrain
 from thermorender.apps.compare.sampling_error import converged, rms_mk
 from thermorender.errors import ThermorenderError
 from thermorender.physics.band import emitted_radiance
@@ -128,8 +128,7 @@ def test_occluded_directions_return_solved_radiance(tmp_path):
         280.0,
         0.5,
         sky=200.0,
-        extra='[[object]]\nname = "roof"\nfile = "roof.ply"\nposition = [0, 0, 1.0]\n'
-        'temperature = 330.0\nmaterial = "soot"\n',
+        extra=scene_object("roof", file="roof.ply", position=[0, 0, 1.0], material="soot"),
     )
     ceiling.apply_translation([0, 0, -1.0])
     ceiling.invert()
@@ -261,10 +260,7 @@ def test_places_around_a_ray_replace_more_rays(tmp_path):
 
 @pytest.mark.slow
 def test_pixels_on_an_edge_are_shared(tmp_path):
-    extra = (
-        '[[object]]\nname = "box"\nshape = "box"\nsize = [4, 4, 1]\nposition = [0, 0, 3]\nyaw_deg = 20\n'
-        'temperature = 350.0\nmaterial = "paint_black"\n'
-    )
+    extra = scene_object("box", [4, 4, 1], [0, 0, 3], yaw_deg=20, temperature=350.0)
     flat, even = np.zeros((32, 32)), np.full((64, 64), 280.0)
     scene = tr.load_scene(write_terrain(tmp_path / "s", height=flat, temperature=even, extra=extra))
     pose = tr.pose(0, 0, 40, **DOWN)
@@ -279,16 +275,13 @@ def test_pixels_on_an_edge_are_shared(tmp_path):
 @pytest.mark.parametrize("quality", ["fast", "standard", "high"])
 def test_the_sampling_error_is_below_its_budget(tmp_path, quality):
     random = np.random.default_rng(6)
-    extra = (
-        '[[object]]\nname = "box"\nshape = "box"\nsize = [2, 1, 1]\nposition = [1, 2, 0]\nyaw_deg = 20\n'
-        'temperature = 330.0\nmaterial = "paint_black"\n'
-    )
+    extra = scene_object("box", [2, 1, 1], [1, 2, 0], yaw_deg=20)
     height, warm = random.uniform(0, 2, (32, 32)), random.uniform(285, 305, (64, 64))
     scene = narrow(tr.load_scene(write_terrain(tmp_path / "s", height=height, temperature=warm, extra=extra)))
     renderer = tr.Renderer(scene, quality=quality, rays=16)
     pose = tr.pose(0, -18, 22, pitch_deg=-50)
     budget = renderer.frame(pose).budget_mk
-    truth = converged(renderer, pose, {"quality": quality, "rays": 16})
+    truth = converged(renderer, pose)
     error = rms_mk(renderer.radiance(pose), truth, scene.camera)
     assert 0.2 * budget["sampling"] < error < budget["sampling"]
     assert budget["total"] == pytest.approx(np.sqrt(sum(budget[part] ** 2 for part in ("nodes", "bake", "sampling"))))
@@ -321,11 +314,7 @@ def test_targets_and_their_visibility(tmp_path):
         ("roof", "box", [-3.0, 0.0, 2.0]),
         ("hidden", "disc", [-3.0, 0.0, 0.0]),
     )
-    extra = "".join(
-        f'[[object]]\nname = "{name}"\nshape = "{shape}"\nsize = [1, 1, 1]\nposition = {place}\n'
-        f'temperature = 330.0\nmaterial = "paint_black"\n'
-        for name, shape, place in targets
-    )
+    extra = "".join(scene_object(name, [1, 1, 1], place, shape=shape) for name, shape, place in targets)
     scene = tr.load_scene(write_terrain(tmp_path / "s", height=np.zeros((16, 16)), extra=extra))
     frame = tr.Renderer(scene, rays=1).frame(tr.pose(0, 0, 20, **DOWN))
     seen = frame.targets
@@ -391,8 +380,7 @@ def test_an_edge_is_where_depth_jumps_and_radiance_differs():
 def test_a_part_of_an_image_equals_the_whole_there(tmp_path):
     """This includes edges at the rim of a part, which only rays beyond it detect."""
     hot = "".join(
-        f'\n[[object]]\nname = "box {number}"\nshape = "box"\nsize = [{side}, {side}, 2.0]\n'
-        f'position = [{east}, {north}, 0.0]\nyaw_deg = {turn}\ntemperature = 345.0\nmaterial = "paint_black"\n'
+        scene_object(f"box {number}", [side, side, 2.0], [east, north, 0.0], 345.0, yaw_deg=turn)
         for number, (side, east, north, turn) in enumerate(
             [(2.0, -4.0, 1.0, 10.0), (0.6, 1.0, 2.0, 40.0), (1.0, 3.0, -2.0, 0.0), (0.3, -1.0, -3.0, 25.0)]
         )

@@ -21,10 +21,9 @@ import pytest
 import trimesh
 from path_tracer import PathTracer
 from scipy.stats import t as student
-from test_specular import own_materials
 
 import thermorender as tr
-from scenes import write_mesh, write_terrain
+from scenes import scene_object, write_materials, write_mesh, write_terrain
 from thermorender.apps.lands.solids.plants import Plants
 from thermorender.physics.planck import band_radiance_derivative, brightness_temperature
 from thermorender.render import reference
@@ -181,14 +180,6 @@ def turned(mesh, angle_deg, axis, up=0.0):
     return mesh
 
 
-def item(name, material, temperature, size, position, rest="", shape="box"):
-    size, position = ([float(value) for value in values] for values in (size, position))
-    return (
-        f'[[object]]\nname = "{name}"\nshape = "{shape}"\nsize = {size}\nposition = {position}\n'
-        f'temperature = {temperature}\nmaterial = "{material}"\n{rest}\n'
-    )
-
-
 def written(folder, mesh, material, temperature=300.0, sky=230.0, air=None, extra="", plain=None):
     """Write a scene of one mesh of a material of the library, under a sky of one temperature or under air.
 
@@ -238,24 +229,24 @@ def _(folder):
 @case("mirror, tilted: what only it shows")
 def _(folder):
     # Black, because in mirrors the renderer treats light on other surfaces as diffuse: 57 mK under black paint.
-    hot = item("hot", "black", 330.0, [12, 6, 3], [0, 3.4, 8])
-    own_materials(folder)
+    hot = scene_object("hot", [12, 6, 3], [0, 3.4, 8], 330.0, "black")
+    write_materials(folder)
     scene = written(folder, turned(quad(30.0), 20.0, [1, 0, 0]), "gold_polished", 300.0, 290.0, extra=hot)
     return Case(scene, tr.pose(0, -16, 12, pitch_deg=-35), 64, stock=True)
 
 
 @case("mirror under air: what stands 150 m behind a lake")
 def _(folder):
-    hot = item("hot", "paint_black", 340.0, [120, 2, 60], [0, 150, 0])
+    hot = scene_object("hot", [120, 2, 60], [0, 150, 0], 340.0)
     scene = written(folder, quad(800.0, cells=4), "water_fresnel", 290.0, air=AIR, extra=hot, plain=quad(800.0))
     return Case(scene, tr.pose(0, 0, 4, pitch_deg=-15), 32)
 
 
 @case("mirror in a mirror")
 def _(folder):
-    hot = item("hot", "black", 280.0, [1, 1, 1], [1.5, 0, 0])
-    own_materials(folder)
-    plate = item("plate", "gold_polished", 300.0, [8, 0.1, 8], [0, 6, 0])
+    hot = scene_object("hot", [1, 1, 1], [1.5, 0, 0], 280.0, "black")
+    write_materials(folder)
+    plate = scene_object("plate", [8, 0.1, 8], [0, 6, 0], 300.0, "gold_polished")
     scene = written(folder, quad(30.0), "gold_polished", extra=hot + plate)
     return Case(scene, tr.pose(0, -8, 4, pitch_deg=-20), 100, stock=True)
 
@@ -274,7 +265,7 @@ def _(folder):
 
 @case("air, level from 2 m")
 def _(folder):
-    far = item("far", "paint_black", 330.0, [500, 20, 250], [0, 1500, 0])
+    far = scene_object("far", [500, 20, 250], [0, 1500, 0], 330.0)
     scene = written(folder, quad(4000.0), "grass_green", 295.0, air=AIR, extra=far)
     return Case(scene, tr.pose(0, -900, 2, pitch_deg=0), 16)
 
@@ -282,7 +273,7 @@ def _(folder):
 @case("air in the light between surfaces: a valley 1 km wide")
 def _(folder):
     # A slope of metallic paint sees a wall 60 K warmer than the air.
-    hot = item("hot", "paint_black", 360.0, [1000, 1, 500], [0, 1000, 0])
+    hot = scene_object("hot", [1000, 1, 500], [0, 1000, 0], 360.0)
     slope = turned(quad(300.0), -60.0, [1, 0, 0], 131.0)
     land = trimesh.util.concatenate([quad(2400.0, cells=2), slope])
     scene = written(folder, land, "paint_metallic", 290.0, air=AIR, extra=hot)
@@ -295,7 +286,7 @@ SUN = "[sun]\nelevation_deg = 40.0\nazimuth_deg = 160.0\n"
 
 @case("sun, with shadow")
 def _(folder):
-    roof = item("roof", "paint_black", 300.0, [4, 4, 0.2], [0, 0, 3])
+    roof = scene_object("roof", [4, 4, 0.2], [0, 0, 3], 300.0)
     shapes = quad(16.0, cells=24), "paint_metallic", 300.0, 0.0, AIR
     dark = written(folder / "dark", *shapes, roof, quad(16.0))
     scene = written(folder, *shapes, SUN + roof, quad(16.0))
@@ -323,9 +314,7 @@ def _(folder):
     mesh = plants.mesh("crown")
     folder.mkdir()
     trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(folder / "crown.ply")
-    crown = item("crown", "paint_metallic", 294.0, [1, 1, 1], [0, 0, 0], shape="disc").replace(
-        'shape = "disc"', 'file = "crown.ply"'
-    )
+    crown = scene_object("crown", [1, 1, 1], [0, 0, 0], 294.0, "paint_metallic", file="crown.ply")
     scene = written(folder, quad(40.0, cells=32), "sand_quartz", 290.0, 280.0, extra=crown, plain=quad(40.0))
     (folder / "plain" / "crown.ply").write_bytes((folder / "crown.ply").read_bytes())
     return Case(scene, tr.pose(0, -6, 9, pitch_deg=-45), 48, stock=True)
@@ -338,7 +327,7 @@ def _(folder):
 
 @case("distortion and principal offset")
 def _(folder):
-    hot = item("hot", "paint_black", 360.0, [5, 4, 1], [7.5, 4, 0])
+    hot = scene_object("hot", [5, 4, 1], [7.5, 4, 0], 360.0)
     scene = written(folder, quad(40.0, cells=40), "grass_green", extra=hot, plain=quad(40.0))
     bent = {"distortion": (-0.26, 0.10, 7e-4, 3e-4, -0.026), "principal_offset_px": (2.3, -1.7)}
     return Case(scene, tr.pose(0, 0, 25, pitch_deg=-80), 64, camera=bent, stock=True)
@@ -349,7 +338,7 @@ def _(folder):
     folder.mkdir()
     track = "time_s,east_m,north_m,yaw_deg,temperature_k\n0,-4,1,350,300\n10,6,3,30,380\n"
     (folder / "car.csv").write_text(track)
-    car = item("car", "paint_metallic", 290.0, [3, 5, 2], [0, 0, 0], 'track = "car.csv"')
+    car = scene_object("car", [3, 5, 2], [0, 0, 0], 290.0, "paint_metallic", track="car.csv")
     scene = written(folder, quad(40.0, cells=32), "sand_quartz", extra=car, plain=quad(40.0))
     (folder / "plain" / "car.csv").write_text(track)
     return Case(scene, tr.pose(0, 0, 25, pitch_deg=-75), 32, {"time_s": 6.5})

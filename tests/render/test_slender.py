@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 import thermorender as tr
-from scenes import write_mesh
+from scenes import plane, scene_object, write_mesh
 from thermorender.apps.compare.sampling_error import converged
 from thermorender.materials.library import load_library
 from thermorender.physics.band import emitted_radiance
@@ -17,23 +17,14 @@ BAND = (7.5, 13.5)
 GROUND_K = 290.0
 
 
-def ground(side):
-    h = side / 2
-    return trimesh.Trimesh([[-h, -h, 0], [h, -h, 0], [h, h, 0], [-h, h, 0]], [[0, 1, 2], [0, 2, 3]])
-
-
 def item(size, kelvin, place=(0.0, 0.0), yaw=0.0, name="item"):
-    where, sides = [*map(float, place), 0.0], list(map(float, size))
-    return (
-        f'[[object]]\nname = "{name}"\nshape = "box"\nsize = {sides}\nposition = {where}\nyaw_deg = {yaw}\n'
-        f'temperature = {kelvin}\nmaterial = "paint_black"\n'
-    )
+    return scene_object(name, size, [*place, 0.0], kelvin, yaw_deg=yaw)
 
 
 def added(tmp_path, up, size, kelvin, **turned):
     """(increase of a nadir frame by an object, value of the object's projected area), in ground area times radiance."""
     side = 1.2 * up
-    path = write_mesh(tmp_path / "s", ground(side), GROUND_K, 1.0, sky=0.0, extra=item(size, kelvin, **turned))
+    path = write_mesh(tmp_path / "s", plane(side), GROUND_K, 1.0, sky=0.0, extra=item(size, kelvin, **turned))
     scene = load_scene(path)
     pose = tr.pose(0, 0, up, pitch_deg=-90)
     image = tr.Renderer(scene, rays=1, edge_mk=1.0).radiance(pose).astype(np.float64)
@@ -111,11 +102,11 @@ def test_posts_are_seen_from_afar(tmp_path):
     extra = "".join(
         item((0.04, 0.04, 2.0), 420.0, tuple(random.uniform(-20, 20, 2)), name=f"post {k}") for k in range(40)
     )
-    scene = load_scene(write_mesh(tmp_path / "s", ground(200.0), GROUND_K, 1.0, sky=GROUND_K, extra=extra))
+    scene = load_scene(write_mesh(tmp_path / "s", plane(200.0), GROUND_K, 1.0, sky=GROUND_K, extra=extra))
     renderer = tr.Renderer(scene, rays=1)
     pose = tr.pose(0, -120, 120, pitch_deg=-45)
     frame = renderer.frame(pose)
-    truth = converged(renderer, pose, {"rays": 1})
+    truth = converged(renderer, pose)
     once = tr.Renderer(scene, rays=1, edge_mk=np.inf).radiance(pose)
     true, lost = (
         float(np.sqrt((((image - truth) / renderer.plan.radiance_per_mk) ** 2).mean()))

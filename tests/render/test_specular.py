@@ -7,10 +7,9 @@ import pytest
 import trimesh
 
 import thermorender as tr
-from scenes import write_mesh, write_terrain
+from scenes import plane, scene_object, write_materials, write_mesh, write_terrain
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.rays import MEAN_RADIUS_M
-from thermorender.materials.csv_tables import INDEX_COLUMNS
 from thermorender.physics.band import quadrature
 from thermorender.physics.planck import band_radiance_derivative, brightness_temperature, spectral_radiance
 from thermorender.render.geometry import Geometry
@@ -19,13 +18,6 @@ from thermorender.render.reflection import mirrors
 
 BAND = (7.5, 13.5)
 AIR = '[atmosphere]\nstandard = "midlatitude-summer"\naerosol = "rural-23km"\n'
-ANGLES = (0, 30, 60, 80, 90)
-SHEEN = (0.9, 0.88, 0.7, 0.3, 0.0)
-
-
-def plane(side, up=0.0):
-    h = side / 2
-    return trimesh.Trimesh([[-h, -h, up], [h, -h, up], [h, h, up], [-h, h, up]], [[0, 1, 2], [0, 2, 3]])
 
 
 def write(folder, mesh, material, temperature=300.0, sky=250.0, air=None, extra=""):
@@ -34,34 +26,8 @@ def write(folder, mesh, material, temperature=300.0, sky=250.0, air=None, extra=
     path = folder / "scene.toml"
     text = path.read_text().replace('source = "constant"\nvalue = 0.9', f'source = "material"\nmaterial = "{material}"')
     path.write_text(text.replace(f"[sky]\ntemperature = {sky}\n", air) if air else text)
-    own_materials(folder)
+    write_materials(folder)
     return folder
-
-
-def own_materials(folder):
-    spectra = folder / "materials" / "spectra"
-    spectra.mkdir(parents=True)
-    rows = [",".join(INDEX_COLUMNS)]
-    for name, kind in (("black", "lambertian"), ("sheen", "table")):
-        cells = dict.fromkeys(INDEX_COLUMNS, "x") | dict.fromkeys([c for c in INDEX_COLUMNS if "colour" in c], "9")
-        cells |= {"name": name, "directional": kind, "solar_absorptance": "1", "temperature_k": "300", "samples": "1"}
-        rows.append(",".join(cells[column] for column in INDEX_COLUMNS))
-    (spectra.parent / "index.csv").write_text("\n".join(rows) + "\n")
-    (spectra / "black.csv").write_text("wavelength_um,emissivity,emissivity_std\n7,1,\n14,1,\n")
-    lines = [",".join(["wavelength_um", *(f"at_{angle}" for angle in ANGLES)])]
-    # Twice as shiny at the band's end as at its start, so that band means would not suffice.
-    for wavelength, share in ((7, 0.7), (14, 1.4)):
-        shiny = [1.0 - share * (1.0 - value) * (0.7 if value < 0.5 else 1.0) for value in SHEEN]
-        lines.append(",".join([str(wavelength), *(f"{max(value, 0.0):.6f}" for value in shiny)]))
-    (spectra / "sheen.csv").write_text("\n".join(lines) + "\n")
-
-
-def item(name, material, temperature, size, position, rest="", shape="box"):
-    size, position = ([float(value) for value in values] for values in (size, position))
-    return (
-        f'[[object]]\nname = "{name}"\nshape = "{shape}"\nsize = {size}\nposition = {position}\n'
-        f'temperature = {temperature}\nmaterial = "{material}"\n{rest}\n'
-    )
 
 
 def directions(camera, pose):
@@ -136,7 +102,7 @@ def even_air(folder, absorption=(2e-3, 1e-2)):
 @pytest.mark.parametrize("material", ["gold_polished", "sheen"])
 def test_a_mirror_image_is_seen_through_the_air_between(tmp_path, material, track):
     """A level mirror, a black roof of 400 K above it, and a camera between them, all in air of one density."""
-    roof = item("roof", "black", 400.0, (400, 400, 1), (0, 0, 60), track)
+    roof = scene_object("roof", (400, 400, 1), (0, 0, 60), 400.0, "black") + track
     folder = write(tmp_path / "s", plane(100.0), material, 300.0, extra=roof)
     (folder / "still.csv").write_text("time_s,yaw_deg\n0,0\n1,0\n")
     (folder / "scene.toml").write_text(
@@ -202,7 +168,7 @@ def test_level_mirror_behind_air(tmp_path, height, pitch, material):
 
 def test_a_mirror_image_is_where_geometry_puts_it(tmp_path):
     low, high = np.array([-2.0, 19.0, 3.0]), np.array([1.0, 22.0, 6.0])
-    extra = item("hot", "black", 600.0, high - low, [*(0.5 * (low + high))[:2], low[2]])
+    extra = scene_object("hot", high - low, [*(0.5 * (low + high))[:2], low[2]], 600.0, "black")
     scene = tr.load_scene(write(tmp_path / "s", plane(400.0), "water_fresnel", 290.0, extra=extra))
     renderer = tr.Renderer(scene, rays=16, samples=1, taps=1, edge_mk=np.inf)
     pose = tr.pose(0, 0, 5, pitch_deg=-14)
@@ -256,7 +222,7 @@ def test_isothermal_enclosure_with_mirrors_reads_the_wall(tmp_path, material):
 def test_isothermal_air_is_invisible_on_the_way_to_a_mirror_too(tmp_path, track):
     folder = tmp_path / "s"
     rest = 'track = "t.csv"' if track else ""
-    wall = item("wall", "black", 290.0, [200, 2, 60], [0, 150, 0], rest)
+    wall = scene_object("wall", [200, 2, 60], [0, 150, 0], 290.0, "black") + rest
     # Clouds near the ground, so that the air above the wall is as warm.
     air = '[atmosphere]\nfile = "air.npz"\ncloud_fraction = 1.0\ncloud_base_m = 100.0\n'
     write(folder, plane(400.0), "water_fresnel", 290.0, air=air, extra=wall)
@@ -271,8 +237,8 @@ def test_dynamic_mirrors_and_dynamic_objects_in_mirrors(tmp_path):
     frames = []
     for track in (None, "time_s,yaw_deg\n0,30\n"):
         rest = 'track = "t.csv"\n' if track else "yaw_deg = 30\n"
-        extra = item("hot", "black", 340.0, [3, 3, 3], [0, 20, 3], rest)
-        extra += item("plate", "gold_polished", 300.0, [4, 4, 0.5], [6, 14, 4], rest)
+        extra = scene_object("hot", [3, 3, 3], [0, 20, 3], 340.0, "black") + rest
+        extra += scene_object("plate", [4, 4, 0.5], [6, 14, 4], 300.0, "gold_polished") + rest
         folder = tmp_path / str(bool(track))
         write(folder, plane(100.0), "water_fresnel", 290.0, extra=extra)
         (folder / "t.csv").write_text(track or "")
@@ -291,7 +257,7 @@ def test_dynamic_mirrors_and_dynamic_objects_in_mirrors(tmp_path):
 def test_a_mirror_in_a_mirror(tmp_path, monkeypatch, depth):
     """The sky in a wall of gold in water: where the wall is rendered as diffuse, the frame reports its error."""
     monkeypatch.setattr(mirrors, "DEPTH", depth)
-    extra = item("wall", "gold_polished", 330.0, [120, 2, 80], [0, 31, 0])
+    extra = scene_object("wall", [120, 2, 80], [0, 31, 0], 330.0, "gold_polished")
     scene = tr.load_scene(write(tmp_path / "s", plane(400.0), "water_fresnel", 290.0, extra=extra))
     pose = tr.pose(0, 0, 5, pitch_deg=-18)
     renderer = tr.Renderer(scene, rays=1024)

@@ -1,17 +1,14 @@
 """Drawn woods: copies with a few patches each, against the same leaves with light and temperatures of their own."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import trimesh
+from copies_support import apart
 
 import thermorender as tr
-from scenes import coarse, write_balance
+from scenes import coarse, scene_object, write_balance
 from thermorender.apps.lands.solids.plants import edge_of, leaves, surface_m2, write_leaf_tables
 from thermorender.physics.sun import position_at
-from thermorender.scene.instances import expanded
-from thermorender.scene.meshes.mesh import one_texel_each
 
 SIDE_M, SEEDS = 40, range(6)
 # Shares of a crown's half height at which a crown of each shape is as wide as its radius times the second number.
@@ -55,14 +52,8 @@ air_high_c = {random.uniform(18.0, 30.0):.1f}
 humidity = {random.uniform(0.4, 0.9):.2f}
 wind_m_s = {what["wind"]}
 cloud = {what["cloud"]}
-[[object]]
-name = "trees"
-file = "crown.ply"
-instances = "places.csv"
-position = [0.0, 0.0, 0.0]
-temperature = "balance"
-material = "broadleaf"
 """
+    trees = scene_object("trees", temperature="balance", material="broadleaf", file="crown.ply", instances="places.csv")
     folder.mkdir(parents=True)
     shape = (what[name] for name in ("shape", "radius_m", "height_m", "density"))
     crown(random, *shape).export(folder / "crown.ply")
@@ -73,22 +64,8 @@ material = "broadleaf"
     text = "east_m,north_m,yaw_deg,scale\n" + "".join(",".join(f"{v:.3f}" for v in row) + "\n" for row in rows)
     (folder / "places.csv").write_text(text, encoding="utf-8")
     write_leaf_tables(folder)
-    write_balance(folder, weather, sky=what["sky_k"], height=np.zeros((SIDE_M, SIDE_M)))
+    write_balance(folder, weather + trees, sky=what["sky_k"], height=np.zeros((SIDE_M, SIDE_M)))
     return folder, what
-
-
-def apart(scene):
-    """The scene with leaves of their own in its terrain, so that its heat balance solves each."""
-    made = []
-    for surface in scene.surfaces:
-        if surface.instances is not None:
-            surface = expanded(surface)
-            uv, shape = one_texel_each(len(surface.faces))
-            one = {name: np.broadcast_to(getattr(surface, name)[0, 0], shape) for name in ("material", "temperature")}
-            colour = np.broadcast_to(surface.colour[0, 0], (*shape, 3))
-            surface = replace(surface, uv=uv, colour=colour, flags=np.zeros(shape, np.uint8), **one)
-        made.append(surface)
-    return scene.with_surfaces(made, terrain_count=2).with_temperature("balance")
 
 
 def compared(folder, seed):

@@ -355,7 +355,7 @@ def lowtran():
 
 @case("faults", "inputs cut to nothing, a quarter, half and nine tenths: neither a sentence nor finite numbers")
 def cut():
-    from tests.robustness.fuzz.run import _infinite
+    from tests.robustness.fuzz.run import infinite
 
     wrong = []
     for name, reader in READERS.items():
@@ -366,7 +366,7 @@ def cut():
             for share in _CUTS:
                 path.write_bytes(whole[: int(share * len(whole))])
                 try:
-                    wrong += [(name, share, what) for what in _infinite(reader.read(path))]
+                    wrong += [(name, share, what) for what in infinite(reader.read(path))]
                 except ThermorenderError as error:
                     wrong += [] if sentence(str(error)) else [(name, share, error)]
                 except Exception as error:

@@ -88,7 +88,7 @@ def hot_texel(up):
     warm[130, 127] = 1000.0
     renderer, pose = _shown([level(0.5, np.zeros(warm.shape, int), warm)], up)
     frame = renderer.frame(pose)
-    difference = (frame.radiance - converged(renderer, pose, {"device": "cpu"}))[np.isfinite(frame.error_mk)]
+    difference = (frame.radiance - converged(renderer, pose))[np.isfinite(frame.error_mk)]
     found = float(np.sqrt(np.mean(np.square(difference, dtype=np.float64)))) / renderer.plan.radiance_per_mk
     return Found(1e-3 * found, 0.0, 1e-3 * frame.budget_mk["total"])
 

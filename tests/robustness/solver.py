@@ -109,7 +109,7 @@ def _hills():
     camera = replace(scene.camera, width=160, height=128, pixel_pitch_um=68.0, f_number=5.0)
     renderer = Renderer(scene.with_camera(camera), device="cpu")
     view = pose(0.0, -120.0, 120.0, pitch_deg=-45.0)
-    return renderer, view, converged(renderer, view, {"device": "cpu"})
+    return renderer, view, converged(renderer, view)
 
 
 @case("solver", "hills by {0[0]:d} rays per pixel, at edges to {0[1]:g} mK: error of a frame by what is stated",

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.robustness.fuzz import run as fuzz
 from tests.robustness.fuzz.corpus import READERS
-from tests.robustness.test_fuzz import judged
 from thermorender.schema import read_toml, toml_text
 
 DOCUMENTS = [name for name, each in READERS.items() if each.file.endswith((".toml", ".json", ".geojson", ".gltf"))
@@ -105,7 +105,7 @@ def test_documents_with_arbitrary_content_are_refused_or_read(name, tmp_path):
         except (OverflowError, TypeError, ValueError):
             # Words that are not Unicode, numbers without a text form, and values that TOML cannot express.
             return
-        judged(name, path)
+        fuzz.check(name, path)
 
     check()
 
@@ -119,6 +119,6 @@ def test_tables_with_arbitrary_content_are_refused_or_read(name, tmp_path):
     @given(rearranged(path.read_text(encoding="utf-8")))
     def check(text):
         path.write_bytes(text.encode(errors="surrogatepass"))
-        judged(name, path)
+        fuzz.check(name, path)
 
     check()

@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 
 import thermorender as tr
-from scenes import write_terrain
+from scenes import scene_object, write_terrain
 
 
 def notes(folder, *objects, **terrain):
     tables = "".join(
-        f'[[object]]\nname = "{name}"\nshape = "box"\nsize = {size}\nposition = {place}\nyaw_deg = {yaw}\n'
-        f'temperature = {kelvin}\nmaterial = "asphalt"\n'
-        for name, size, place, yaw, kelvin in objects
+        scene_object(name, size, place, kelvin, "asphalt", yaw_deg=yaw) for name, size, place, yaw, kelvin in objects
     )
     return tr.load_scene(write_terrain(folder, extra=tables, **terrain)).surface_notes
 
@@ -46,8 +44,7 @@ def test_undersides_on_the_ground_are_not(tmp_path):
 def test_an_object_that_only_faces_down_is_no_error(tmp_path):
     sheet = "v -1 -1 2\nv 1 -1 2\nv 1 1 2\nv -1 1 2\nf 1 4 3 2\n"
     folder = write_terrain(
-        tmp_path / "s", extra='[[object]]\nname = "sheet"\nfile = "sheet.obj"\nposition = [0, 0, 0]\n'
-        'temperature = 300.0\nmaterial = "asphalt"\n',
+        tmp_path / "s", extra=scene_object("sheet", file="sheet.obj", temperature=300.0, material="asphalt"),
     )  # fmt: skip
     (folder / "sheet.obj").write_text(sheet)
     assert tr.load_scene(folder).surface_notes == ()

@@ -6,7 +6,6 @@ edits a scene, and records the same change in a `Fresh`, from which a scene file
 
 import copy
 import dataclasses
-import hashlib
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
+from scene_content import different, refusal
 
 import thermorender as tr
 from scenes import write_raster, write_terrain
@@ -384,50 +384,6 @@ def test_each_key_of_a_scene_file_has_an_edit_or_none_by_choice():
 # --- the property -------------------------------------------------------------------------------------------------
 
 
-def content(value: Any) -> Any:
-    """A value as plain ones: two have the same content if they are the same to the bit."""
-    if isinstance(value, np.ndarray):
-        return value.dtype.str, value.shape, hashlib.blake2b(value.tobytes()).hexdigest()
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        own = {row.name: content(getattr(value, row.name)) for row in dataclasses.fields(value)}
-        return type(value).__name__, own
-    if isinstance(value, (tuple, list)):
-        return [content(each) for each in value]
-    if isinstance(value, dict):
-        return {key: content(each) for key, each in value.items()}
-    if callable(value):
-        return getattr(value, "__qualname__", type(value).__name__)
-    return repr(value)
-
-
-def refusal(act: Any) -> Any:
-    """The content of a result, or the sentence that refuses it."""
-    try:
-        return content(act())
-    except ThermorenderError as error:
-        return str(error)
-
-
-def everything(scene: tr.Scene) -> dict[str, Any]:
-    """The content of all that a scene declares and all that follows from it."""
-    names = ("spec", "camera", "time", "frame", "grid", "surfaces", "terrain_count", "solved_count", "materials", "air",
-             "tracked_objects", "temperature_state", "emissivity_report", "where", "altitude_m", "sky_temperature",
-             "surroundings_temperature", "sun", "weather", "sky_notes", "surface_notes", "targets",
-             "geoid_undulation_m", "truth_temperature_spec")  # fmt: skip
-    found = {name: refusal(lambda name=name: getattr(scene, name)) for name in names}
-    calls = {
-        "digest": scene.digest, "weather_digest": scene.weather_digest, "agreement": scene.refuse_disagreement,
-        "text": lambda: str(scene), "line": lambda: repr(scene), "ground": lambda: scene.ground(0.3, 0.4),
-    }  # fmt: skip
-    return found | {name: refusal(act) for name, act in calls.items()}
-
-
-def different(one: tr.Scene, other: tr.Scene) -> list[str]:
-    """Names of what differs between two scenes."""
-    first, second = everything(one), everything(other)
-    return [name for name in first if first[name] != second[name]]
-
-
 def steps(edits: dict[str, Edit], most: int = 5) -> Any:
     """Strategy of some edits: (name, number of the value, whether to look at the scene before)."""
     one = st.sampled_from(sorted(edits)).flatmap(
@@ -548,7 +504,8 @@ def test_solved_temperatures_stay_after_edits_they_do_not_depend_on(balanced, ch
 
 
 NEEDED = [("weather.cloud", 1), ("at", 1), ("a material", 0), ("object.marker", 0), ("weather.inside_c", 1),
-          ("an area", 0), ("temperature", 8), ("weather.albedo", 0), ("object.bush", 1), ("atmosphere", 2)]  # fmt: skip
+          ("an area", 0), ("temperature", 8), ("weather.albedo", 0), ("object.bush", 1), ("atmosphere", 2),
+          ("object.marker", 1), ("a named day", 1)]  # fmt: skip
 
 
 @pytest.mark.parametrize(("name", "number"), NEEDED)

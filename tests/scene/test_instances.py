@@ -5,11 +5,10 @@ from dataclasses import replace
 import drjit as dr
 import numpy as np
 import pytest
-import trimesh
+from copies_support import write_crown
 
 import thermorender as tr
-from scenes import coarse, write_terrain
-from thermorender.apps.lands.solids.plants import leaves
+from scenes import coarse, scene_object, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.render.geometry import Geometry
 from thermorender.render.light import radiosity, transport_cache
@@ -22,27 +21,13 @@ from thermorender.scene.instances import alone, expanded, placed
 PLACES = "east_m,north_m,above_ground_m,yaw_deg,scale\n-3,2,0,0,1\n3,1.5,0.2,70,0.7\n0,-3,0,200,1.3\n2,-2.5,0,-35,1\n"
 
 
-def write_crown(folder, drawn, side, most=None):
-    """Write crown.ply, a porous sphere of clusters of leaves, into a folder; `drawn` points are tried."""
-    random = np.random.default_rng(4)
-    middle = random.uniform(-1.0, 1.0, (drawn, 3))
-    middle = 1.2 * middle[(middle**2).sum(axis=1) < 1.0][:most] + [0.0, 0.0, 2.0]
-    trimesh.Trimesh(*leaves(random, middle, side), process=False).export(folder / "crown.ply")
-
-
 def write_copies(folder, places=PLACES, extra="", material="broadleaf", kelvin=290.0, **terrain):
     """Write a flat scene with four porous crowns and return its folder."""
     folder.mkdir(parents=True)
     write_crown(folder, 500, 0.4)
     (folder / "places.csv").write_text(places, encoding="utf-8")
-    return write_terrain(folder, extra=f"""[[object]]
-name = "trees"
-file = "crown.ply"
-instances = "places.csv"
-position = [0.0, 0.0, 0.0]
-temperature = {kelvin}
-material = "{material}"
-{extra}""", **terrain)  # fmt: skip
+    trees = scene_object("trees", temperature=kelvin, material=material, file="crown.ply", instances="places.csv")
+    return write_terrain(folder, extra=trees + extra, **terrain)
 
 
 def apart(scene):
@@ -230,7 +215,7 @@ def test_light_is_kept_by_the_copies_too(tmp_path):
         ({"places": "east_m;north_m\n0,5;1\n"}, r"the column 'east_m;north_m'; give .*, separated by commas"),
         ({"places": 'east_m,north_m\n"0,5",1\n'}, r"row 2: '0,5,1' is not 2 finite numbers"),
         ({"places": "east_m,north_m\n"}, r"places.csv lacks east_m, north_m or rows of numbers"),
-        ({"kelvin": '"balance"'}, r"temperature of object 'trees' is 'balance', and .*source='raster'; give"),
+        ({"kelvin": "balance"}, r"temperature of object 'trees' is 'balance', and .*source='raster'; give"),
         ({"places": "east_m,yaw_deg\n0,0\n"}, r"places.csv lacks east_m, north_m or rows of numbers"),
         ({"places": "east_m,north_m,size\n0,0,1\n"}, r"places.csv has the column 'size'; give a header with east_m"),
         ({"places": "east_m,north_m\n0,nan\n"}, r"places.csv, row 2: '0,nan' is not 2 finite numbers"),

@@ -5,9 +5,11 @@ import io
 import json
 import re
 import struct
+import zipfile
 
 import numpy as np
 import pytest
+from mesh_support import BLUE, CODES, GREEN, QUARTERS, RED, WHITE, WIDTH, Gltf, png
 from PIL import Image
 
 from thermorender.errors import ThermorenderError
@@ -15,19 +17,10 @@ from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
 from thermorender.scene.load import load_scene
 from thermorender.scene.meshes.mesh import load
 
-RED, GREEN, BLUE, WHITE = (200, 0, 0), (0, 180, 0), (0, 0, 160), (255, 255, 255)
-# Upper left, upper right, lower left, lower right quadrant of `QUARTERS`.
-QUARTERS = np.repeat(np.repeat(np.array([[RED, GREEN], [BLUE, WHITE]], np.uint8), 8, axis=0), 8, axis=1)
-CODES = {5120: "b", 5121: "B", 5122: "h", 5123: "H", 5125: "I", 5126: "f"}
 LARGEST = {5120: 127, 5121: 255, 5122: 32767, 5123: 65535}
-WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+
+
 LETTERS = {"b": "char", "B": "uchar", "h": "short", "H": "ushort", "i": "int", "I": "uint", "f": "float", "d": "double"}
-
-
-def png(image, **options):
-    file = io.BytesIO()
-    Image.fromarray(np.asarray(image, np.uint8)).save(file, "PNG", **options)
-    return file.getvalue()
 
 
 def plain(colour):
@@ -61,70 +54,6 @@ def refused(path, *words):
 
 
 # --- glTF -------------------------------------------------------------------------------------------------------
-
-
-class Gltf:
-    """A glTF file in the making: one square of 2 m, its material 'paint' with an image of quarters."""
-
-    def __init__(self):
-        self.data = bytearray()
-        self.tree = {
-            "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
-            "meshes": [{"primitives": [{"attributes": {}, "material": 0}]}], "accessors": [], "bufferViews": [],
-            "textures": [{"source": 0}], "images": [{"bufferView": 0, "mimeType": "image/png"}],
-            "materials": [{"name": "paint", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
-        }  # fmt: skip
-        self.view(png(QUARTERS))
-        self.primitive = self.tree["meshes"][0]["primitives"][0]
-        self.paint = self.tree["materials"][0]
-        self.texture = self.paint["pbrMetallicRoughness"]["baseColorTexture"]
-
-    def view(self, data, **more):
-        self.data += bytes(-len(self.data) % 4)
-        self.tree["bufferViews"].append({"buffer": 0, "byteOffset": len(self.data), "byteLength": len(data), **more})
-        self.data += data
-        return len(self.tree["bufferViews"]) - 1
-
-    def add(self, values, kind=5126, normalized=False, stride=None, base=True, sparse=()):
-        """An accessor of raw values; `sparse` lists rows that are stored apart, and zeros stand in their place."""
-        values = np.asarray(values).reshape(len(values), -1)
-        rows = [struct.pack(f"<{len(row)}{CODES[kind]}", *row.tolist()) for row in values]
-        accessor = {
-            "componentType": kind,
-            "count": len(rows),
-            "type": {v: k for k, v in WIDTH.items()}[values.shape[1]],
-        }
-        if normalized:
-            accessor["normalized"] = True
-        if base:
-            kept = [bytes(len(row)) if k in sparse else row for k, row in enumerate(rows)]
-            more = {"byteStride": stride} if stride else {}
-            accessor["bufferView"] = self.view(
-                b"\7\7\7\7" + b"".join(r.ljust(stride or 0, b"\xaa") for r in kept), **more
-            )
-            accessor["byteOffset"] = 4
-        if len(sparse):
-            place = self.view(struct.pack(f"<{len(sparse)}H", *sparse))
-            new = self.view(b"".join(rows[k] for k in sparse))
-            accessor["sparse"] = {"count": len(sparse), "indices": {"bufferView": place, "componentType": 5123},
-                                  "values": {"bufferView": new}}  # fmt: skip
-        self.tree["accessors"].append(accessor)
-        return len(self.tree["accessors"]) - 1
-
-    def square(self, uv=((0, 1), (1, 1), (1, 0), (0, 0)), **options):
-        corners = [[-1.0, 0, 1], [1, 0, 1], [1, 0, -1], [-1, 0, -1]]
-        self.primitive["attributes"] |= {"POSITION": self.add(corners), "TEXCOORD_0": self.add(uv, **options)}
-        self.primitive["indices"] = self.add(np.array([0, 1, 2, 0, 2, 3]), 5123)
-        return self
-
-    def write(self, path):
-        self.tree["buffers"] = [{"byteLength": len(self.data)}]
-        text = json.dumps(self.tree).encode()
-        text += b" " * (-len(text) % 4)
-        data = bytes(self.data) + bytes(-len(self.data) % 4)
-        chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(data), b"BIN\0") + data
-        path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
-        return path
 
 
 def reference(path):
@@ -311,6 +240,19 @@ def coloured(file):
     file.primitive["attributes"]["COLOR_0"] = file.add(np.eye(4)[:, :3])
 
 
+def beyond(file):
+    file.primitive["attributes"]["TEXCOORD_0"] = file.add([[0, 2], [2, 2], [2, 0], [0, 0]])
+
+
+def clamped(file):
+    file.tree.update(samplers=[{"wrapS": 33071}], textures=[{"source": 0, "sampler": 0}])
+
+
+def spoil(file, at, data):
+    start = file.data.index(at)
+    file.data[start : start + len(data)] = data
+
+
 def see_through(file):
     file.paint["alphaMode"] = "MASK"
     file.tree["images"][0]["bufferView"] = file.view(png(np.dstack([QUARTERS, np.arange(256).reshape(16, 16)])))
@@ -346,6 +288,11 @@ REFUSED = {
     "has 2 scenes and names none as the default": lambda f: (f.tree.pop("scene"), f.tree["scenes"].append({})),
     "it names number 7 of 1 materials": lambda f: f.primitive.update(material=7),
     "node 0 has two parents or is below": lambda f: f.tree["nodes"][0].update(children=[0]),
+    "the texture of material 'paint' is clamped or mirrored at its edge": lambda f: (beyond(f), clamped(f)),
+    "has a texture but no map coordinates for it (TEXCOORD_1)": lambda f: f.texture.update(texCoord=1),
+    "has a texture but no map coordinates": lambda f: f.primitive["attributes"].pop("TEXCOORD_0"),
+    "the texture of material 'paint' cannot be read": lambda f: spoil(f, b"\x89PNG", b"XXXX"),
+    "the texture of material 'paint' cannot be read (broken": lambda f: spoil(f, b"IDAT", b"IDATXXXX"),
 }  # fmt: skip
 
 
@@ -365,6 +312,48 @@ def test_alpha_without_effect_is_accepted(tmp_path):
         assert at(load(file.write(tmp_path / "m.glb")), (0.5, 0.4)) == GREEN
 
 
+def test_textures_may_repeat_or_end_at_their_edge(tmp_path):
+    for change, shown in ((beyond, WHITE), (clamped, GREEN)):
+        assert at(load(changed(change).write(tmp_path / "m.glb")), (0.8, 0.1)) == shown
+
+
+@pytest.mark.parametrize("factor", [(0.25, 0.5, 1.0), (0.4, 0.4, 0.4), None])
+@pytest.mark.parametrize("shade", [255, 200])
+def test_texture_is_multiplied_by_its_material_factor_in_linear_light(tmp_path, shade, factor):
+    import colour
+
+    file = Gltf().square()
+    file.tree["images"][0]["bufferView"] = file.view(plain(shade))
+    if factor:
+        file.paint["pbrMetallicRoughness"]["baseColorFactor"] = [*factor, 1.0]
+    (part,) = load(file.write(tmp_path / "m.glb"))
+    light = colour.models.eotf_sRGB(shade / 255.0) * np.array(factor or (1.0, 1.0, 1.0))
+    assert np.abs(part.colour[0, 0] - 255.0 * colour.models.eotf_inverse_sRGB(light)).max() <= 0.501
+
+
+@pytest.mark.parametrize(("factor", "shown"), [([0.2, 0.4, 0.8, 1.0], (124, 170, 231)), (None, (255, 255, 255))])
+def test_part_without_image_has_its_material_colour(tmp_path, factor, shown):
+    file = Gltf().square()
+    file.paint["pbrMetallicRoughness"] = {"baseColorFactor": factor} if factor else {}
+    assert at(load(file.write(tmp_path / "m.glb")), (0.5, 0.4)) == shown
+
+
+@pytest.mark.parametrize("suffix", ["obj", "glb", "gltf", "ply"])
+def test_garbage_and_empty_meshes_are_refused(tmp_path, suffix):
+    path = tmp_path / f"model.{suffix}"
+    half = Gltf().square().write(tmp_path / "m.glb").read_bytes()[:500]
+    for data, words in ((b"garbage \x00\xff\n no mesh", "cannot be read as a mesh"), (b"", "is empty"),
+                        (half, "cannot be read as a mesh")):  # fmt: skip
+        path.write_bytes(data)
+        refused(path, f"model.{suffix} {words}", "give an OBJ, GLB or PLY file")
+
+
+def test_an_archive_is_refused(tmp_path):
+    with zipfile.ZipFile(tmp_path / "model.zip", "w") as archive:
+        archive.writestr("model.obj", SQUARE + FACES)
+    refused(tmp_path / "model.zip", "model.zip is not in a supported format; give one of .obj, .glb")
+
+
 # --- OBJ --------------------------------------------------------------------------------------------------------
 
 SQUARE = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
@@ -372,7 +361,8 @@ FACES = "f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
 MATERIALS = {
     "one.mtl": "newmtl m\nKd 0.8 0.8 0.8\nmap_Kd t.png\n", "two.mtl": "newmtl a\nmap_Kd t.png\n\nnewmtl b\nKd 0 0 1\n",
     "b.mtl": "newmtl b\nmap_Kd -clamp off -o 0 0 0 -s 1 1 1 -mm 0 1 -blendu on two words.png\n",
-    "windows.mtl": "newmtl m\r\nmap_Kd tex\\t.png\r\n", "my lib.mtl": "newmtl my stone\nmap_Kd two words.png\n",
+    "windows.mtl": "newmtl m\r\nmap_Kd tex\\t.png\r\n", "plain.mtl": "newmtl m\nKd 0.2 0.4 0.8\n",
+    "my lib.mtl": "# by Zo\xeb\nnewmtl my stone\nmap_Kd two words.png\n",
 }  # fmt: skip
 
 
@@ -383,8 +373,12 @@ def obj(tmp_path):
     (tmp_path / "two words.png").write_bytes(plain(BLUE))
     (tmp_path / "tex").mkdir()
     (tmp_path / "tex" / "t.png").write_bytes(png(QUARTERS))
+    (tmp_path / "broken.png").write_text("garbage")
+    Image.fromarray(np.full((4, 4), 40000, np.uint16)).save(tmp_path / "deep.png")
+    program = "%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\nshowpage\n"
+    (tmp_path / "program.eps").write_text(program)
     for name, text in MATERIALS.items():
-        (tmp_path / name).write_bytes(text.encode())
+        (tmp_path / name).write_bytes(text.encode("latin-1"))
 
     def write(text, mtl=None):
         if mtl is not None:
@@ -416,11 +410,15 @@ def obj(tmp_path):
         (re.sub(r"(v .*)", r"\1 10 20 30", SQUARE) + "f 1 2 3 4\n", [(10, 20, 30), (10, 20, 30)]),
         ("mtllib one.mtl\nusemtl m\n" + SQUARE + "f 1/1/ 2/2/ 3/3/ 4/4/\n", [RED, GREEN]),
         (SQUARE + "f 1//1 2//1 3//1 4//1\n", [(102, 102, 102), (102, 102, 102)]),
+        ("mtllib plain.mtl\nusemtl m\n" + SQUARE + FACES, [(51, 102, 204), (51, 102, 204)]),
     ],
 )
 def test_obj_shows_the_materials_that_it_names(obj, text, shown):
     parts = load(obj(text))
     assert [at(parts, point) for point in ((-0.5, 0.6), (0.6, 0.4 if shown[1] == GREEN else -0.6))] == shown
+
+
+OWN = "mtllib own.mtl\nusemtl m\n"
 
 
 @pytest.mark.parametrize(
@@ -429,33 +427,64 @@ def test_obj_shows_the_materials_that_it_names(obj, text, shown):
         ("mtllib one.mtl\nusemtl other\n", None, "uses the material 'other', but its library one.mtl has 'm'"),
         ("mtllib one.mtl\nusemtl M\n", None, "uses the material 'M', but its library one.mtl has 'm'"),
         ("usemtl m\n", None, "uses the material 'm', but it has no mtllib line"),
-        ("mtllib own.mtl\nusemtl m\n", "# none\n", "but its library own.mtl has no material"),
+        (OWN, "# none\n", "but its library own.mtl has no material"),
         ("mtllib two.mtl\n", None, "has faces before any usemtl, and its library has 2 materials"),
         ("mtllib gone.mtl\nusemtl m\n", None, "names 'gone.mtl', which does not exist; put it beside the mesh"),
         (
-            "mtllib own.mtl\nusemtl m\n",
+            OWN,
             "newmtl m\nmap_Kd C:\\a\\gone.png\n",
             "put it beside the mesh and name it without",
         ),
-        ("mtllib own.mtl\nusemtl m\n", "newmtl m\nmap_Kd ../t.png\n", "is outside the scene's folder"),
-        ("mtllib own.mtl\nusemtl m\n", "newmtl m\nmap_Kd -s 2 2 1 t.png\n", "option -s 2 2 1, which is not supported"),
-        ("mtllib own.mtl\nusemtl m\n", "newmtl m\nmap_Kd -o 0.5 t.png\n", "option -o 0.5, which is not supported"),
+        (OWN, "newmtl m\nmap_Kd ../t.png\n", "is outside the scene's folder"),
+        (OWN, "newmtl m\nmap_Kd -s 2 2 1 t.png\n", "option -s 2 2 1, which is not supported"),
+        (OWN, "newmtl m\nmap_Kd -o 0.5 t.png\n", "option -o 0.5, which is not supported"),
         (
-            "mtllib own.mtl\nusemtl m\n",
+            OWN,
             "newmtl m\nmap_Kd -mm 0.1 2 t.png\n",
             "option -mm 0.1 2, which is not supported",
         ),
-        ("mtllib own.mtl\nusemtl m\n", "newmtl m\nmap_Kd -imfchan r t.png\n", "option -imfchan r, which is not"),
-        ("mtllib own.mtl\nusemtl m\n", "newmtl m\nmap_Kd\n", "has map_Kd without a file"),
-        ("mtllib own.mtl\nusemtl m\n", "newmtl m\nmap_Kd t.png\nmap_d t.png\n", "has holes by its map_d"),
-        ("mtllib own.mtl\nusemtl m\n", "newmtl m\nKd spectral file.rfl\n", "has Kd spectral file.rfl; give red"),
-        ("mtllib own.mtl\nusemtl m\n", "newmtl m\nKd 1 0 0\nnewmtl m\nKd 0 1 0\n", "two materials 'm'"),
+        (OWN, "newmtl m\nmap_Kd -imfchan r t.png\n", "option -imfchan r, which is not"),
+        (OWN, "newmtl m\nmap_Kd\n", "has map_Kd without a file"),
+        (OWN, "newmtl m\nmap_Kd t.png\nmap_d t.png\n", "has holes by its map_d"),
+        (OWN, "newmtl m\nKd spectral file.rfl\n", "has Kd spectral file.rfl; give red"),
+        (OWN, "newmtl m\nKd 1 0 0\nnewmtl m\nKd 0 1 0\n", "two materials 'm'"),
         ("surf 0 1 0 1 1 2\n", None, "cannot be read as a mesh (line 1 begins with 'surf')"),
         ("usemap t.png\n", None, "cannot be read as a mesh (line 1 begins with 'usemap')"),
+        (OWN, "newmtl m\nmap_Kd no such.png\n", "names 'no such.png', which does not exist"),
+        (OWN, "newmtl m\nmap_Kd broken.png\n", "the texture 'broken.png' cannot be read"),
+        (OWN, "newmtl m\nmap_Kd deep.png\n", "a single band of more than 8 bits"),
+        (OWN, "newmtl m\nmap_Kd program.eps\n", "the texture 'program.eps' cannot be read (it is EPS)"),
+        ("mtllib one.mtl\nmtllib windows.mtl\nusemtl m\n", None, "libraries have two materials 'm'"),
+        ("mtllib " + 300 * "x" + "\n", None, "which cannot be read (File name too long)"),
+        ("mtllib one.mtl\n" + SQUARE + "f 1 2 3\nf 1 3 4\n", None, "has a texture but no map coordinates"),
+        ("mtllib one.mtl\n" + SQUARE.replace("vt 0", "vt nan") + FACES, None, "a map coordinate that is not finite"),
+        ("mtllib one.mtl\n" + SQUARE.replace("vt 1 1", "vt 9e8 1") + FACES, None, "repeats of"),
+        (SQUARE, None, "holds no triangles"),
+        ("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", None, "holds no triangles of any area"),
+        (SQUARE + "f 1 2 30\n", None, "cannot be read as a mesh"),
+        (SQUARE + "f 1 2 0\n", None, "has a face with a corner of number 0"),
+        (SQUARE + "f 0/1 2/1 3/1\n", None, "has a face with a corner of number 0"),
+        (SQUARE + "v 1e300 0 0\nf 1 2 5\n", None, "a vertex that is not finite or is more than 100 km from its origin"),
+        (SQUARE + "v .5 1 0\nv .5 0 0\nv -.5 0 0\nv -.5 1 0\nf 1 2 3 5 6 7 8 4\n", None, "has a concave polygon"),
     ],
 )
-def test_obj_with_another_material_than_it_has_is_refused(obj, text, mtl, words):
-    refused(obj(text + SQUARE + FACES, mtl), "m.obj", words)
+def test_what_cannot_be_read_of_an_obj_is_refused(obj, text, mtl, words):
+    refused(obj(text if "v " in text else text + SQUARE + FACES, mtl), "m.obj", words)
+
+
+def test_non_planar_and_concave_polygons_are_accepted(obj):
+    def faces(text):
+        (part,) = load(obj("v -8 -8 0\nv 8 -8 0\nv 8 8 0\nv -8 8 0\n" + text))
+        a, b, c = np.moveaxis(part.vertices[part.faces].astype(np.float64), 1, 0)
+        return 0.5 * np.cross(b - a, c - a)[:, 2]
+
+    assert np.isclose(faces("v 0 12 0\nf 1 2 3 5 4\n").sum(), 16.0**2 + 32.0, rtol=1e-6)
+    # Concave polygons that triangles from one of their corners cover.
+    for text, area in (
+        ("v 4 -4 0\nf 5 1 2 3\n", 64.0), ("v 4 -4 0\nf 3 5 1 2\n", 64.0), ("v 0 -6 0\nf 1 2 3 5 4\n", 144.0),
+        ("v 0 -6 0\nf -5 -4 -3 \\\n-1 -2\n", 144.0),
+    ):  # fmt: skip
+        assert np.isclose(np.abs(faces(text)).sum(), area, rtol=1e-6)
 
 
 def test_faces_without_map_coordinates_and_clamped_textures_are_refused(obj):

@@ -1,11 +1,10 @@
 """Maps moved to another hour and weather: the model against draws from it, and scenes through the whole renderer."""
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from heat_support import short_simulations
 
 import thermorender as tr
 from scenes import write_raster, write_terrain
@@ -46,14 +45,8 @@ def written(folder, extra=TABLES, **options):
 
 @pytest.fixture(scope="module", autouse=True)
 def _short_simulations():
-    """Simulations start as late as possible: these tests do not judge their accuracy, only how they are used."""
-    from thermorender.render.heat import simulation as heat
-    from thermorender.scene import open_ground
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(heat, "_BEFORE_S", 6 * 3600.0)
-        patch.setattr(open_ground, "_LOOK_BACK", np.timedelta64(86400, "s"))
-        patch.setattr(open_ground, "_MOST_DAYS", 2)
+    """These tests do not judge the accuracy of simulations, only how they are used."""
+    with short_simulations():
         yield
 
 
@@ -323,15 +316,6 @@ def test_wrong_settings_are_refused(tmp_path, call, tools):
     (folder / "station.csv").write_text("time_utc,air_c\n" + rows)
     with pytest.raises(ThermorenderError, match=r"\[temperature.trained\] time=2017-07-15T12:36:00Z is outside"):
         moved.moved(tr.load_scene(folder), [TRAINED])
-
-
-@pytest.mark.slow
-def test_scene_without_a_moved_map_imports_none_of_it():
-    code = "import thermorender as tr; tr.Renderer(tr.load_scene('heath'), rays=1)"
-    absent = ("thermorender.render.heat.moved", "thermorender.materials.shifted", "thermorender.render.heat.simulation")
-    check = f"import sys\n{code}\nfound = [n for n in {absent!r} if n in sys.modules]\nsys.exit(str(found or ''))"
-    run = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True)
-    assert not run.stderr.strip(), run.stderr
 
 
 # --- the study --------------------------------------------------------------------------------------------------

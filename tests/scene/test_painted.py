@@ -8,18 +8,10 @@ import trimesh
 from rasterio.warp import transform
 
 import thermorender as tr
-from scenes import write_mesh, write_terrain
+from scenes import scene_object, write_mesh, write_terrain
 from thermorender.scene.georeference import place_of
 
-MARKER = """
-[[object]]
-name = "marker"
-shape = "disc"
-size = [2, 2, 0.1]
-position = [-4.0, -4.0, 0.0]
-temperature = 330.0
-material = "paint_black"
-"""
+MARKER = scene_object("marker", [2, 2, 0.1], [-4.0, -4.0, 0.0], shape="disc")
 # A roof of 4 m × 2 m: local east and north [m].
 ROOF = [(1.0, 2.0), (5.0, 2.0), (5.0, 4.0), (1.0, 4.0)]
 

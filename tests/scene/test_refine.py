@@ -7,37 +7,18 @@ import pytest
 import trimesh
 
 import thermorender as tr
-from scenes import write_mesh, write_terrain
+from scenes import scene_object, write_mesh, write_terrain
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render import reference
-from thermorender.scene.refine import _lattice, evened
+from thermorender.scene.refine import evened
 from thermorender.trajectory.path import pose
 
-DISC = """
-[[object]]
-name = "plate"
-shape = "disc"
-size = [2.0, 2.0, 0.1]
-position = [0.3, 0.2, 0.05]
-temperature = 360.0
-material = "paint_black"
-"""
+DISC = scene_object("plate", [2.0, 2.0, 0.1], [0.3, 0.2, 0.05], shape="disc", temperature=360.0)
 
 
 def area(surface):
     corner = surface.vertices[surface.faces]
     return np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=-1) / 2
-
-
-def test_lattice_covers_the_triangle_once():
-    for n in (1, 2, 5):
-        weights = _lattice(n)
-        assert weights.shape == (n * n, 3, 3)
-        np.testing.assert_allclose(weights.sum(axis=-1), 1.0)
-        # Equal areas that add up, all with the winding of the whole triangle.
-        flat = weights[..., 1:]
-        signed = np.linalg.det(np.stack([flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]], axis=1))
-        np.testing.assert_allclose(signed, 1.0 / n**2)
 
 
 def test_refining_keeps_shapes_and_maps(tmp_path):
@@ -47,6 +28,8 @@ def test_refining_keeps_shapes_and_maps(tmp_path):
     fine = scene.surfaces[0]
     assert len(fine.faces) > 1.5 * len(plain.faces)
     np.testing.assert_allclose(area(fine).sum(), area(plain).sum(), rtol=1e-9)
+    corner = fine.vertices[fine.faces]
+    assert (np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, 2] > 0.0).all()
     # The map is the same function of position: affine here, so one fit must hold for the corners of all triangles.
     position, uv = fine.vertices[fine.faces].reshape(-1, 3)[:, :2], fine.uv.reshape(-1, 2)
     system = np.column_stack([position, np.ones(len(position))])

@@ -6,10 +6,9 @@ import pickle
 import numpy as np
 import pytest
 from support import slow
-from test_scene_edits import CAMERA, MARKER, frame_of
 
 import thermorender as tr
-from scenes import WEATHER, write_balance, write_terrain
+from scenes import CAMERA, MARKER, WEATHER, frame_of, scene_object, write_balance, write_terrain
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance
@@ -146,6 +145,36 @@ NOTHING = EmissivitySpec("constant", value=0.9)
         (lambda s: s.with_surfaces(materials=s.materials * 150), "materials; give 255 at most"),
         (lambda s: s.with_surfaces(terrain_count=99), "terrain_count=99 is not allowed; give a whole number 1…"),
         (lambda s: s.with_surfaces(terrain_count=0), "terrain_count=0 is not allowed"),
+        (lambda s: s.with_camera("none"), "with_camera: camera 'none' is unknown; give one of"),
+        (lambda s: s.with_camera(640), "with_camera was given a int; give the name of a camera"),
+        (lambda s: s.with_camera(dataclasses.replace(CAMERA, band_um=(2.0, 5.0))), "lacks 2% of the band"),
+        (lambda s: s.with_air("mars"), "standard='mars' is unknown"),
+        (lambda s: s.with_air(3), "with_air was given a int; give the name of a standard atmosphere"),
+        (lambda s: s.with_sky(-5.0), "with_sky: kelvin=-5 is"),
+        (lambda s: s.with_sun(120.0, 0.0), "elevation_deg=120.0 is not allowed; give a number -90…90"),
+        (lambda s: s.with_sun(30.0), r"has no azimuth, and the scene declares no sun; give azimuth_deg"),
+        (lambda s: s.with_weather(), "with_weather was given nothing"),
+        (lambda s: s.with_weather(wind=3), "unknown key 'wind'; did you mean 'wind_m_s'"),
+        (lambda s: s.with_weather(humidity=60), "humidity=60 is not allowed; give a number above 0 and up to 1"),
+        (lambda s: s.with_weather(air_low_c=40.0), "air_low_c=40.0 is not allowed; give a value not above"),
+        (lambda s: s.with_weather("rain"), "with_weather was given a str"),
+        (lambda s: s.with_temperature(21.5), "with_temperature=21.5 is below 100 K"),
+        (lambda s: s.with_temperature("gone.tif"), "gone.tif does not exist; give a raster of kelvin"),
+        (lambda s: s.with_temperature("fok-1to2"), "learned map 'fok-1to2' is unknown; did you mean 'fok-1to1'"),
+        (lambda s: s.with_temperature(TemperatureSpec("raster"), kelvin=[np.zeros((2, 2))]), "holds arrays of shape"),
+        (lambda s: s.with_material(moon="sand_quartz"), "given 'moon', which this scene does not have; give one of"),
+        (lambda s: s.with_material({7: "sand_quartz"}), "given class 7, which this scene does not have"),
+        (lambda s: s.with_material(grass_green="gras_green"), "with_material: grass_green"),
+        (lambda s: s.with_material(grass_green=1.2), "grass_green=1.2 is not allowed; give an emissivity above 0"),
+        (lambda s: s.with_material(grass_green=None), "grass_green=None is not a material; give a name"),
+        (lambda s: s.with_objects({"marke": 300.0}), "has no object 'marke'; did you mean 'marker'"),
+        (lambda s: s.with_objects({"marker": {"up": 1.0}}), "object 'marker' has no 'up' to set; give east_m"),
+        (lambda s: s.with_objects({"marker": {"east_m": 900.0}}), "where there is no terrain; give a position on"),
+        (lambda s: s.with_objects({"marker": "hot"}), "temperature_k='hot' is not allowed; give a finite number"),
+        (lambda s: s.with_surfaces(materials=s.materials[:1]), "a texel has material number 2, but there are 1 mater"),
+        (lambda s: s.with_surfaces().with_material(grass_green="snow"), "with_material needs materials that files"),
+        (lambda s: s.with_surfaces().with_objects({"marker": 300.0}), "an object cannot be edited, because its surf"),
+        (lambda s: s.with_solved_temperatures(s.time, [300.0]), "are not solved for an instant; call with_temperature"),
     ],
 )  # fmt: skip
 def test_impossible_arguments_are_refused(scene, edit, match):
@@ -180,8 +209,8 @@ def test_frames_of_a_scene_do_not_change_with_what_it_was_given(scene):
 
 def test_a_temperature_below_100_k_needs_its_unit(tmp_path):
     """A target at 77 K under a sky of 3 K: ε B(77 K) + (1 − ε) B(3 K), which is nothing."""
-    cold = MARKER.replace("temperature = 330", 'temperature = "77 K"').replace("asphalt", "paint_black")
-    scene = tr.load_scene(write_terrain(tmp_path / "tiny", extra=cold.replace("[3, 3, 1]", "[40, 40, 1]")))
+    cold = scene_object("marker", [40.0, 40.0, 1.0], [2.0, 1.0, 0.0], "77 K")
+    scene = tr.load_scene(write_terrain(tmp_path / "tiny", extra=cold))
     scene = scene.with_camera(CAMERA).with_sky("3 K")
     assert scene.sky_temperature == 3.0 and scene.with_air("tropical").with_air(None).sky_temperature == 3.0
     seen = tr.Renderer(scene, rays=4).frame(tr.pose(0, 0, 12, pitch_deg=-90)).radiance

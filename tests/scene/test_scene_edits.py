@@ -11,10 +11,10 @@ import pickle
 import numpy as np
 import pytest
 import trimesh
+from scene_content import different
 
 import thermorender as tr
-from scenes import WEATHER, write_balance, write_mesh, write_terrain
-from thermorender.atmosphere.model import Atmosphere
+from scenes import CAMERA, MARKER, NARROW, WEATHER, frame_of, write_balance, write_mesh, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import MODELS
 from thermorender.materials.library import load_library
@@ -22,25 +22,9 @@ from thermorender.render.plan import make_plan
 from thermorender.scene.spec import AtmosphereSpec, EmissivitySpec, TemperatureSpec, WeatherSpec
 from thermorender.scene.surface import SURFACE
 from thermorender.scene.temperature_state import Available, Balance, Moved, Pending
-from thermorender.sensor.camera import load_camera
 
-CAMERA = dataclasses.replace(load_camera("zenmuse-xt2"), width=16, height=12, pixel_pitch_um=400.0, f_number=12.0)
-NARROW = dataclasses.replace(CAMERA, name="narrow", band_um=(8.0, 12.0))
 AT = "2018-07-28T15:00Z"
-MARKER = """[[object]]
-name = "marker"
-shape = "box"
-size = [3, 3, 1]
-position = [2, 1, 0]
-temperature = 330
-material = "asphalt"
-"""
 CAR = MARKER.replace("marker", "car") + 'track = "car.csv"\n'
-
-
-def frame_of(scene, **settings):
-    """The radiance of a small frame, looking down."""
-    return tr.Renderer(scene, rays=2, samples=1, **settings).frame(tr.pose(0, 0, 12, pitch_deg=-90)).radiance
 
 
 def written(folder, extra=WEATHER + MARKER):
@@ -99,36 +83,12 @@ PAIRS = [set(pair) for pair in itertools.combinations(EDITS, 2)]
 
 @pytest.mark.parametrize("pair", [sorted(pair) for pair in PAIRS if pair not in SAME + CONTRADICT], ids=" and ".join)
 def test_two_edits_in_either_order_make_the_same_scene(weathered, pair):
-    """Same digest and same declarations, under air where the sun needs it."""
+    """Under air where the sun needs it."""
     base = weathered if "sun" not in pair or pair == ["sky", "sun"] else weathered.with_air("midlatitude-summer")
     one, two = (EDITS[name] for name in pair)
-    both, other = two(one(base)), one(two(base))
-    assert both.digest() == other.digest()
+    both = two(one(base))
+    assert different(both, one(two(base))) == []
     assert (both.digest(), both.spec) != (base.digest(), base.spec)
-    assert both.spec == other.spec and both.time == other.time and repr(both) == repr(other)
-    assert type(both.temperature_state) is type(other.temperature_state)
-    for first, second in zip(both.surfaces, other.surfaces, strict=True):
-        for field in dataclasses.fields(first):
-            np.testing.assert_array_equal(getattr(first, field.name), getattr(second, field.name))
-
-
-# A sky takes the air away, without which a sun is refused.
-# A grey material has no heat balance. A frame of learned materials takes a minute, so one pair stands for all of them;
-# the scenes of the others are compared above.
-FRAMES = [
-    sorted(pair)
-    for pair in PAIRS
-    if pair not in [*SAME, *CONTRADICT, {"sky", "sun"}, {"balance", "class"}]
-    and ("learned materials" not in pair or "camera" in pair)
-]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("pair", FRAMES, ids=" and ".join)
-def test_two_edits_in_either_order_make_the_same_frame(weathered, pair):
-    base = weathered.with_air("midlatitude-summer")
-    one, two = (EDITS[name] for name in pair)
-    assert frame_of(two(one(base))).tobytes() == frame_of(one(two(base))).tobytes()
 
 
 @pytest.mark.parametrize("pair", [sorted(pair) for pair in CONTRADICT[:2]], ids=" and ".join)
@@ -147,13 +107,6 @@ def test_air_follows_the_band_of_a_later_camera(weathered, band_um):
     before = weathered.with_camera(camera).with_air("tropical")
     assert (after.air.lower_um.min(), after.air.upper_um.max()) == pytest.approx(band_um)
     assert frame_of(after).tobytes() == frame_of(before).tobytes()
-
-
-def test_an_atmosphere_in_memory_follows_the_band_too(weathered):
-    air = Atmosphere.standard("tropical")
-    named = weathered.with_air("tropical").with_camera(NARROW)
-    given = weathered.with_air(air).with_camera(NARROW)
-    assert given.digest() == named.digest()
 
 
 # --- no edit may leave a part stale ---------------------------------------------------------------------------------
@@ -205,39 +158,14 @@ def test_temperatures_follow_an_edit_of_time_or_weather(balanced, solved):
     assert solved.surfaces[0].temperature.mean() - cold.surfaces[0].temperature.mean() > 10.0
 
 
-@pytest.mark.parametrize(
-    "edit",
-    [
-        lambda scene: scene.at(AT),
-        lambda scene: scene.with_weather(cloud=0.9),
-        lambda scene: scene.with_weather(WeatherSpec(np.datetime64(AT[:-1], "s"), air_low_c=5.0, air_high_c=9.0,
-                                                     humidity=0.9, wind_m_s=6.0, cloud=1.0)),
-        lambda scene: scene.with_material(grass_green="asphalt"),
-        lambda scene: scene.with_objects({"marker": 300.0}),
-        lambda scene: scene.with_objects({"marker": {"east_m": -3.0}}),
-        lambda scene: scene.with_surfaces(materials=scene.materials[::-1]),
-    ],
-)  # fmt: skip
-def test_solved_temperatures_are_pending_again_after_an_edit_they_depend_on(balanced, solved, edit):
+def test_solved_temperatures_are_asked_for_again_after_an_edit_they_depend_on(balanced, solved):
     """They stayed unchanged, up to 18.5 K off."""
     assert isinstance(solved.temperature_state, Available) and isinstance(solved.temperature_state.source, Balance)
-    edited, unsolved = edit(solved), edit(balanced)
+    edited, unsolved = (each.with_surfaces(materials=each.materials[::-1]) for each in (solved, balanced))
     assert isinstance(edited.temperature_state, Pending) and isinstance(edited.temperature_state.source, Balance)
     assert np.isnan(edited.surfaces[0].temperature).all() and edited.digest() == unsolved.digest()
     with pytest.raises(ThermorenderError, match="are not solved yet"):
         make_plan(edited)
-
-
-@pytest.mark.parametrize(
-    "edit",
-    [lambda s: s.with_camera(NARROW), lambda s: s.with_air("tropical"), lambda s: s.with_sky(230.0)],
-    ids=["camera", "air", "sky"],
-)
-def test_solved_temperatures_stay_after_an_edit_they_do_not_depend_on(balanced, solved, edit):
-    edited = edit(solved)
-    assert isinstance(edited.temperature_state, Available) and edited.time == solved.time
-    np.testing.assert_array_equal(edited.surfaces[0].temperature, solved.surfaces[0].temperature)
-    assert edited.digest() == tr.Renderer(edit(balanced), rays=2, samples=1).scene.digest()
 
 
 def test_another_air_keeps_the_sun_of_a_solved_scene(solved):
@@ -282,7 +210,7 @@ def test_an_object_has_the_temperature_and_place_declared(weathered, tmp_path):
     near = np.linalg.norm(moved.surfaces[0].vertices[:, :2] - [-4.0, 1.0], axis=1) < 1.5
     assert near.sum() > 3 * (np.linalg.norm(weathered.surfaces[0].vertices[:, :2] - [-4.0, 1.0], axis=1) < 1.5).sum()
     direct = tmp_path / "direct"
-    write_terrain(direct, extra=WEATHER + MARKER.replace("position = [2, 1, 0]", "position = [-4, 1, 0]\nyaw_deg = 30"))
+    write_terrain(direct, extra=WEATHER + MARKER.replace("[2.0, 1.0, 0.0]", "[-4.0, 1.0, 0.0]\nyaw_deg = 30"))
     np.testing.assert_array_equal(frame_of(moved), frame_of(tr.load_scene(direct).with_camera(CAMERA)))
 
 
@@ -340,47 +268,6 @@ def test_a_truth_raster_is_of_its_own_weather(weathered):
 
 
 # --- refusals -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("edit", "words"),
-    [
-        (lambda s: s.with_camera("none"), "with_camera: camera 'none' is unknown; give one of"),
-        (lambda s: s.with_camera(640), "with_camera was given a int; give the name of a camera"),
-        (lambda s: s.with_camera(dataclasses.replace(CAMERA, band_um=(2.0, 5.0))), "lacks 2% of the band"),
-        (lambda s: s.with_air("mars"), "standard='mars' is unknown"),
-        (lambda s: s.with_air(3), "with_air was given a int; give the name of a standard atmosphere"),
-        (lambda s: s.with_sky(-5.0), "with_sky: kelvin=-5 is"),
-        (lambda s: s.with_sun(120.0, 0.0), "elevation_deg=120.0 is not allowed; give a number -90…90"),
-        (lambda s: s.with_sun(30.0), r"has no azimuth, and the scene declares no sun; give azimuth_deg"),
-        (lambda s: s.with_weather(), "with_weather was given nothing"),
-        (lambda s: s.with_weather(wind=3), "unknown key 'wind'; did you mean 'wind_m_s'"),
-        (lambda s: s.with_weather(humidity=60), "humidity=60 is not allowed; give a number above 0 and up to 1"),
-        (lambda s: s.with_weather(air_low_c=40.0), "air_low_c=40.0 is not allowed; give a value not above"),
-        (lambda s: s.with_weather("rain"), "with_weather was given a str"),
-        (lambda s: s.with_temperature(21.5), "with_temperature=21.5 is below 100 K"),
-        (lambda s: s.with_temperature("gone.tif"), "gone.tif does not exist; give a raster of kelvin"),
-        (lambda s: s.with_temperature("fok-1to2"), "learned map 'fok-1to2' is unknown; did you mean 'fok-1to1'"),
-        (lambda s: s.with_temperature(TemperatureSpec("raster"), kelvin=[np.zeros((2, 2))]), "holds arrays of shape"),
-        (lambda s: s.with_material(moon="sand_quartz"), "given 'moon', which this scene does not have; give one of"),
-        (lambda s: s.with_material({7: "sand_quartz"}), "given class 7, which this scene does not have"),
-        (lambda s: s.with_material(grass_green="gras_green"), "with_material: grass_green"),
-        (lambda s: s.with_material(grass_green=1.2), "grass_green=1.2 is not allowed; give an emissivity above 0"),
-        (lambda s: s.with_material(grass_green=None), "grass_green=None is not a material; give a name"),
-        (lambda s: s.with_objects({"marke": 300.0}), "has no object 'marke'; did you mean 'marker'"),
-        (lambda s: s.with_objects({"marker": {"up": 1.0}}), "object 'marker' has no 'up' to set; give east_m"),
-        (lambda s: s.with_objects({"marker": {"east_m": 900.0}}), "where there is no terrain; give a position on"),
-        (lambda s: s.with_objects({"marker": "hot"}), "temperature_k='hot' is not allowed; give a finite number"),
-        (lambda s: s.with_surfaces(materials=s.materials[:1]), "a texel has material number 2, but there are 1 mater"),
-        (lambda s: s.with_surfaces().with_material(grass_green="snow"), "with_material needs materials that files"),
-        (lambda s: s.with_surfaces().with_objects({"marker": 300.0}), "an object cannot be edited, because its surf"),
-        (lambda s: s.with_solved_temperatures(s.time, [300.0]), "are not solved for an instant; call with_temperature"),
-    ],
-)  # fmt: skip
-def test_impossible_edits_are_refused_in_one_sentence(weathered, edit, words):
-    with pytest.raises(ThermorenderError, match=words) as error:
-        edit(weathered)
-    assert "\n" not in str(error.value)
 
 
 def test_a_sun_without_air_is_refused_when_the_scene_is_rendered(weathered):

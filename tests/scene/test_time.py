@@ -15,6 +15,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 import trimesh
+from support import contents, interrupted
 
 import thermorender as tr
 from scenes import coarse, write_balance, write_mesh, write_terrain
@@ -354,10 +355,6 @@ def test_the_sun_position_follows_the_instant(tmp_path):
 # --- flights ------------------------------------------------------------------------------------------------------
 
 
-def contents(folder):
-    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
-
-
 def test_a_flight_uses_temperatures_of_its_own_time(scene, path, simulations, tmp_path):
     renderer = tr.Renderer(scene, rays=4, samples=1)
     fly(renderer, path, tmp_path / "f", FlightOptions(rate_hz=0.1, products=("counts",)))
@@ -397,12 +394,7 @@ def test_a_resumed_flight_over_steps_gives_the_same_bytes(scene, path, tmp_path,
     monkeypatch.setattr(timed, "TOGETHER", 1)
     flight = FlightOptions(rate_hz=0.1, products=("counts", "display"))
     fly(tr.Renderer(scene, rays=4, samples=1), path, tmp_path / "whole", flight)
-
-    def stop(finished, total):
-        if finished == done:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
+    with interrupted(done) as stop:
         fly(tr.Renderer(scene, rays=4, samples=1), path, tmp_path / "part", flight, progress=stop)
     (tmp_path / "part/sensor_even.npz").unlink(missing_ok=True)
     fly(tr.Renderer(scene, rays=4, samples=1), path, tmp_path / "part", flight, resume=True)
@@ -503,11 +495,7 @@ def test_a_day_of_one_view(scene, simulations, tmp_path):
 
 
 def test_a_day_that_is_stopped_leaves_nothing(scene, tmp_path):
-    def stop(what, share):
-        if what == "frame 2 of 4":
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
+    with interrupted("frame 2 of 4") as stop:
         day(scene, tr.pose(0, 0, 12, pitch_deg=-90), tmp_path / "d", 360, ("counts",), progress=stop, rays=4, samples=1)
     assert [path.name for path in tmp_path.iterdir()] == ["tiny"]
 

@@ -39,7 +39,8 @@ class Plate:
     def radiance(self, time_s, camera, at):
         """Its exact share of each pixel, times its contrast with the ground, plus the ground, (H, W) float32."""
         self.rendered.append(time_s)
-        middle, scale = camera._principal_point, camera.focal_length_px / HEIGHT_M
+        scale = camera.focal_length_px / HEIGHT_M
+        middle = 0.5 * np.array([camera.width, camera.height]) + camera.principal_offset_px
         shares = []
         for size, point, offset in ((camera.width, middle[0], self.east(time_s) - at[0]),
                                     (camera.height, middle[1], at[1] - self.north(time_s))):  # fmt: skip

@@ -248,15 +248,15 @@ def test_fast_motion_with_rolling_rows_agrees_with_64_instants_per_time_constant
     assert how["renders"] < 0.5 * how["instants"] if render_px else how["renders"] == how["instants"]
     seen = radiance_of(signal, taken)
     rows = range(3, 64, 12)
-    expected = past_of(COARSE, rocket, taken._delays, rows)
+    expected = past_of(COARSE, rocket, rows)
     mk = lambda image: 1e3 / SLOPE * np.sqrt(np.mean((image - expected) ** 2))  # noqa: E731
     assert mk(seen[list(rows)]) < 20.0
     assert mk(now[list(rows)]) > 100.0
 
 
-def past_of(camera, path, delays, rows, **ground):
+def past_of(camera, path, rows, **ground):
     """Radiance of some rows from 64 instants per time constant, (len(rows), W)."""
-    tau = camera.time_constant_s
+    tau, delays = camera.time_constant_s, detector.row_delays(camera)
     times = (np.arange(-8 * 64, 0) + 0.5) / 64 * tau
     found = []
     for row in rows:
@@ -272,7 +272,7 @@ def test_one_image_suffices_for_sub_pixel_motion(speed):
     now, rows = textured(COARSE, path(0.0)), range(3, 64, 12)
     signal, how = taken.signal(at_rest(COARSE), 0.0, now)
     assert 0.02 < how["motion_px"] < 0.8 and how["renders"] == 1 and not rendered
-    expected = past_of(COARSE, path, taken._delays, rows)
+    expected = past_of(COARSE, path, rows)
     mk = lambda image: 1e3 / SLOPE * np.sqrt(np.mean((image[list(rows)] - expected)[:, 3:-3] ** 2))  # noqa: E731
     # OpenCV moves images by whole 32nds of a pixel, 0.01 pixels root mean square.
     gradient = np.hypot(*np.gradient(now.astype(float))).mean() * 1e3 / SLOPE
@@ -290,7 +290,7 @@ def test_the_estimated_lag_error_is_near_the_true_one(slope, finer, speed):
     now = textured(COARSE, path(0.0), depth=depth, finer=finer)
     signal, how = taken.signal(at_rest(COARSE), 0.0, now)
     rows = range(0, 64, 7)
-    expected = past_of(COARSE, path, taken._delays, rows, depth=depth, finer=finer)
+    expected = past_of(COARSE, path, rows, depth=depth, finer=finer)
     error = 1e3 / SLOPE * np.sqrt(np.mean((radiance_of(signal, taken)[list(rows)] - expected) ** 2))
     # An estimate, not a bound.
     assert error < 1.1 * how["lag_mk"] < 5.0 * error, how
@@ -298,7 +298,7 @@ def test_the_estimated_lag_error_is_near_the_true_one(slope, finer, speed):
 
 def followed(taken, radiance_at, each=32):
     """A frame at time 0 from `each` instants per time constant, all rows."""
-    tau, delays = taken.sensor.camera.time_constant_s, taken._delays
+    tau, delays = taken.sensor.camera.time_constant_s, detector.row_delays(taken.sensor.camera, 1.0 / 30.0)
     times = delays[-1] + np.arange(-round(each * (9 + (delays[-1] - delays[0]) / tau)), 1) * tau / each
     pixels = detector.Follower(None, delays, tau, (taken.sensor.camera.height, taken.sensor.camera.width))
     for time_s in times:
@@ -359,7 +359,7 @@ def test_steep_ground_moves_by_its_depth():
     for assumed in (depth, plane_depth()):
         taken, _ = exposure(COARSE, path, depth=depth, relief_depth=assumed)
         signal, _ = taken.signal(at_rest(COARSE), 0.0, now)
-        expected = past_of(COARSE, path, taken._delays, rows, depth=depth)
+        expected = past_of(COARSE, path, rows, depth=depth)
         found.append(1e3 / SLOPE * np.sqrt(np.mean((radiance_of(signal, taken)[list(rows)] - expected) ** 2)))
     # The remaining error comes from the spacing of instants.
     assert found[0] < 0.5 * found[1]
@@ -463,13 +463,13 @@ def test_small_targets_keep_their_area_and_their_error_depends_on_position():
 
     lens = load_camera("zenmuse-xt2")
     for side in (0.5, 3.0):
-        line = validation._covered(12.25, side, 28)
+        line = validation.covered(12.25, side, 28)
         assert line.sum() / validation.DRAWN == pytest.approx(side) and line.max() == pytest.approx(1.0)
-    few = {record["side_px"]: record for record in validation._small_targets(lens)}
+    few = {record["side_px"]: record for record in validation.small_targets(lens)}
     assert few[0.5]["peak_mk"] < few[1.0]["peak_mk"] < few[3.0]["peak_mk"] < few[3.0]["contrast_mk"]
     assert all(0.0 < record["error_mk"] < record["worst_mk"] for record in few.values())
     # A softer lens leaves less aliasing.
-    soft = validation._small_targets(replace(lens, blur_sigma_px=1.2))
+    soft = validation.small_targets(replace(lens, blur_sigma_px=1.2))
     assert all(record["worst_mk"] < 0.6 * few[record["side_px"]]["worst_mk"] for record in soft)
 
 

@@ -4,16 +4,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from scenes import flat
 from thermorender.errors import ThermorenderError
 from thermorender.trajectory.column_mapping import load_mapping
 from thermorender.trajectory.readers import read_trajectory
 from thermorender.trajectory.rotations import rotation_from_wxyz, wxyz
 
 TIME = np.arange(40) * 0.1
-
-
-def flat(east, north):
-    return np.zeros(np.shape(east))
 
 
 def write(path, columns):

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from scenes import flat
 from thermorender.cli.options import TrajectoryOptions
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
@@ -20,10 +21,6 @@ FRAME = LocalFrame(47.0, 8.0, 400.0)
 ANCHOR = Anchor(0.0, 0.0, 80.0, 0.0)
 EAST, NORTH, UP = np.eye(3)
 GUIDE = Path(__file__).resolve().parents[2] / "docs/guides/flight-logs.md"
-
-
-def flat(east, north):
-    return np.zeros(np.shape(east))
 
 
 def read(path, name, **options):

@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from support import shared_data
 
+from scenes import flat
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.trajectory.path import (
@@ -21,10 +22,6 @@ from thermorender.trajectory.rotations import rotation_from_angles, wxyz
 FRAME = LocalFrame(47.2, 8.5, 430.0)
 
 EAST, NORTH, UP = np.eye(3)
-
-
-def flat(east, north):
-    return np.zeros(np.shape(east))
 
 
 def slope(east, north):

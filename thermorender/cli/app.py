@@ -14,7 +14,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     # Markup would swallow units such as [m], here and in all verbs.
     rich_markup_mode=None,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 
 

@@ -32,12 +32,12 @@ Products = Annotated[
 Thermography = Annotated[
     str | None,
     typer.Option(help="Settings of thermography software, e.g. emissivity=0.95,reflected_c=-20,air_c=15,humidity=0.5,"
-                 "distance_m=100: its reading goes into EXR and radiometric."),
+                 "distance_m=100: its reading goes into EXR and radiometric.", rich_help_panel="pictures"),
 ]  # fmt: skip
 Air = Annotated[
     str | None,
     typer.Option(help="Standard atmosphere in place of the scene's own sky: midlatitude-summer, or with an aerosol "
-                 "tropical,rural-23km."),
+                 "tropical,rural-23km.", rich_help_panel="scene"),
 ]  # fmt: skip
 # Where a view is without --pose.
 _POSE = "0,0,120,0,-90,0"
@@ -77,7 +77,7 @@ def profiled(verb: Callable[..., Any]) -> Callable[..., Any]:
     says = "Print the seconds of each phase to the error stream, and add them to the record."
     option = inspect.Parameter(
         "profile", inspect.Parameter.KEYWORD_ONLY, default=False,
-        annotation=Annotated[bool, typer.Option("--profile", help=says)],
+        annotation=Annotated[bool, typer.Option("--profile", help=says, rich_help_panel="files")],
     )  # fmt: skip
 
     def run(*arguments: Any, profile: bool = False, **options: Any) -> Any:
@@ -190,7 +190,9 @@ class TemperatureOptions:
     temperature: Annotated[
         str | None, typer.Option(help="Learned map that gives the temperatures in place of the scene's own source.")
     ] = None
-    range_c: Annotated[str | None, typer.Option(help="COLD,WARM: °C of intensity 0 and 1 of a learned map.")] = None
+    range_c: Annotated[
+        str | None, typer.Option(help="COLD,WARM: °C of intensity 0 and 1 of a learned map.", rich_help_panel="scene")
+    ] = None
 
     def source(self) -> "TemperatureSpec | None":
         """Return the source of temperatures; None for the scene's own."""
@@ -255,11 +257,16 @@ class ViewOptions:
 class SamplingOptions:
     """How finely pixels, light and wavelengths are sampled."""
 
-    quality: Annotated[str, typer.Option(help="fast, standard or high: sampling of pixels and light.")] = "standard"
+    quality: Annotated[str, typer.Option(help="Sampling: fast, standard or high.")] = "standard"
     rays: Annotated[
-        int | None, typer.Option(help="Rays per face for the light between surfaces; default: the quality's.")
+        int | None,
+        typer.Option(
+            help="Rays per face for the light between surfaces; default: the quality's.", rich_help_panel="sampling"
+        ),
     ] = None
-    tolerance_mk: Annotated[float, typer.Option(help="Allowed error of the spectral nodes [mK].")] = 5.0
+    tolerance_mk: Annotated[
+        float, typer.Option(help="Allowed error of the spectral nodes [mK].", rich_help_panel="sampling")
+    ] = 5.0
 
     def settings(self) -> dict[str, Any]:
         """Return the keywords of Renderer."""
@@ -282,8 +289,12 @@ class SamplingOptions:
 class DisplayOptions:
     """How counts become display images."""
 
-    display: Annotated[str, typer.Option(help="linear, plateau or local: how counts become 8 bits.")] = "linear"
-    palette: Annotated[str, typer.Option(help="white-hot, black-hot or ironbow.")] = "white-hot"
+    display: Annotated[
+        str, typer.Option(help="linear, plateau or local: how counts become 8 bits.", rich_help_panel="pictures")
+    ] = "linear"
+    palette: Annotated[str, typer.Option(help="white-hot, black-hot or ironbow.", rich_help_panel="pictures")] = (
+        "white-hot"
+    )
 
     def settings(self, memory_s: float = 0.0) -> "DisplaySettings":
         """Return the DisplaySettings."""
@@ -307,25 +318,36 @@ class TrajectoryOptions:
                      "CSV."),
     ] = None  # fmt: skip
     anchor: Annotated[
-        str | None, typer.Option(help="E,N,U,HEADING: move the start of the log there [m, m, m above ground, deg].")
+        str | None,
+        typer.Option(
+            help="E,N,U,HEADING: move the start of the log there [m, m, m above ground, deg].", rich_help_panel="log"
+        ),
     ] = None
     duplicates: Annotated[
         str,
         typer.Option(help="Samples of the same time: refuse, spread (evenly, within the last digit of the log's clock) "
-                     "or first (keep the first)."),
+                     "or first (keep the first).", rich_help_panel="log"),
     ] = "refuse"  # fmt: skip
-    clock_offset_s: Annotated[float, typer.Option(help="Added to the log's times [s].")] = 0.0
-    mount: Annotated[str | None, typer.Option(help="YAW,PITCH,ROLL of the camera on the vehicle [deg].")] = None
-    lever_arm_m: Annotated[str, typer.Option(help="FORWARD,RIGHT,DOWN: the camera's position on the vehicle [m].")] = (
-        "0,0,0"
-    )
+    clock_offset_s: Annotated[float, typer.Option(help="Added to the log's times [s].", rich_help_panel="log")] = 0.0
+    mount: Annotated[
+        str | None, typer.Option(help="YAW,PITCH,ROLL of the camera on the vehicle [deg].", rich_help_panel="log")
+    ] = None
+    lever_arm_m: Annotated[
+        str, typer.Option(help="FORWARD,RIGHT,DOWN: the camera's position on the vehicle [m].", rich_help_panel="log")
+    ] = "0,0,0"
     course: Annotated[
-        bool, typer.Option("--course", help="Turn a vehicle whose log has no yaw to its course over ground.")
+        bool,
+        typer.Option(
+            "--course", help="Turn a vehicle whose log has no yaw to its course over ground.", rich_help_panel="log"
+        ),
     ] = False
     start_s: Annotated[float | None, typer.Option(help="First time to fly [s].")] = None
     stop_s: Annotated[float | None, typer.Option(help="Last time to fly [s].")] = None
     allow_below_ground: Annotated[
-        bool, typer.Option("--allow-below-ground", help="Fly even where the path is under the terrain.")
+        bool,
+        typer.Option(
+            "--allow-below-ground", help="Fly even where the path is under the terrain.", rich_help_panel="log"
+        ),
     ] = False
 
     @phase("trajectory")

@@ -14,6 +14,7 @@ import typer
 from typer.core import TyperGroup
 
 from thermorender import apps
+from thermorender.cli.help import Command
 from thermorender.errors import ThermorenderError
 
 # Verb → "module:function" within `thermorender.cli`; a function's docstring is its help.
@@ -51,7 +52,7 @@ def command(name: str) -> Any:
     found = getattr(import_module(module), attribute)
     if not isinstance(found, typer.Typer):
         verb, found = found, typer.Typer(add_completion=False, rich_markup_mode=None)
-        found.command(name)(verb)
+        found.command(name, cls=Command)(verb)
     made = typer.main.get_command(found)
     made.name = name
     return made

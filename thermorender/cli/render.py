@@ -138,16 +138,22 @@ def fly(
     situation: SceneOptions,
     products: Products = "exr,truth,counts,display,video,report",
     look: DisplayOptions,
-    agc_memory_s: Annotated[float, typer.Option(help="Time constant of the gain control; 0: none [s].")] = 0.0,
+    agc_memory_s: Annotated[
+        float, typer.Option(help="Time constant of the gain control; 0: none [s].", rich_help_panel="pictures")
+    ] = 0.0,
     thermography: Thermography = None,
     audit: Annotated[
-        int, typer.Option(help="Frames from one measurement of the error budget to the next; 1: every frame.")
+        int,
+        typer.Option(
+            help="Frames from one measurement of the error budget to the next; 1: every frame.", rich_help_panel="files"
+        ),
     ] = defaults.AUDIT,
     exr_compression: Annotated[
         str,
         typer.Option(
             help="rle: fast; zip: a quarter smaller in five times the time; htj2k32: less than half the size in twice "
-            "the time, for programs with OpenEXR 3.4 or later; none. All are lossless."
+            "the time, for programs with OpenEXR 3.4 or later; none. All are lossless.",
+            rich_help_panel="files",
         ),
     ] = defaults.EXR_COMPRESSION,
     source: TemperatureOptions,
@@ -157,7 +163,12 @@ def fly(
     ] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a stopped flight.")] = False,
     verify: Annotated[
-        bool, typer.Option("--verify", help="Continue from the first frame whose files differ from those written.")
+        bool,
+        typer.Option(
+            "--verify",
+            help="Continue from the first frame whose files differ from those written.",
+            rich_help_panel="files",
+        ),
     ] = False,
     cluster: ClusterOptions,
     seed: Seed = 0,

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 ReadTime = Callable[["Scene", str], Any]
 Time = Annotated[
     str | None,
-    typer.Option(help="Instant of the scene's temperatures, UTC or with an offset: 2018-07-28T14:30Z, "
+    typer.Option(help="Instant of the scene's temperatures, UTC or with an offset, "
                  "2018-07-28T16:30+02:00. Default: the scene's weather.time."),
 ]  # fmt: skip
 

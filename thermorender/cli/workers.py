@@ -46,10 +46,13 @@ class ClusterOptions:
     frames: Annotated[
         str | None,
         typer.Option(help="FIRST:STOP: render only these frames, beside other processes that render others; "
-                     "--resume puts them together."),
+                     "--resume puts them together.", rich_help_panel="workers"),
     ] = None  # fmt: skip
     block: Annotated[
-        int | None, typer.Option(help="Frames that a worker renders at a time; default: by the sensor's memory.")
+        int | None,
+        typer.Option(
+            help="Frames that a worker renders at a time; default: by the sensor's memory.", rich_help_panel="workers"
+        ),
     ] = None
 
     def refuse_with(self, preview: bool, resume: bool) -> None:

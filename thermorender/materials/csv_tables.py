@@ -49,19 +49,24 @@ Fault = tuple[int | None, str]  # Row, or None for the whole table; sentence wit
 Floats = NDArray[np.float64]
 
 
-def read_text(path: str | Path, directory: str | Path | None = None) -> str:
-    """Return the text of a UTF-8 file inside `directory`."""
-    path = Path(path)
-    if directory is not None and not inside(path, directory):
+def contained(path: Path, directory: str | Path) -> Path:
+    """Return the path of a file inside `directory`; refuse one that leads out of it."""
+    if not inside(path, directory):
         raise ThermorenderError(f"{path} leads out of {directory}; put the file itself into the folder")
+    return path
+
+
+def read_text(path: str | Path) -> str:
+    """Return the text of a UTF-8 file."""
+    path = Path(path)
     if not path.is_file():
         raise ThermorenderError(f"{path} does not exist; a materials folder holds index.csv and spectra/<name>.csv")
     return formats.read_text(path, "'CSV UTF-8' in the spreadsheet")
 
 
-def read_table(path: str | Path, columns: Sequence[str], directory: str | Path | None = None) -> Rows:
+def read_table(path: str | Path, columns: Sequence[str]) -> Rows:
     """Return the rows of a CSV file as `parsed_table` does; its first fault is an error."""
-    _, rows, faults = parsed_table(read_text(path, directory), columns)
+    _, rows, faults = parsed_table(read_text(path), columns)
     for row, sentence in faults:
         raise ThermorenderError(f"{path}, row {row}: {sentence}" if row else f"{path}, {sentence}")
     return rows
@@ -153,10 +158,10 @@ def gaps(wavelength_um: ArrayLike) -> list[tuple[float, float]]:
     return [(float(wavelength[i]), float(wavelength[i + 1])) for i in np.flatnonzero(wide)]
 
 
-def read_emissivity(path: str | Path, directory: str | Path | None = None) -> dict[str, Any]:
+def read_emissivity(path: str | Path) -> dict[str, Any]:
     """Return a Lambertian table as arguments of a Material: wavelength_um, emissivity, emissivity_std, gaps_um."""
     advice = "give the standard deviation over the samples, or leave the cell empty"
-    rows, wavelength = _rows(path, SPECTRUM_COLUMNS, directory)
+    rows, wavelength = _rows(path, SPECTRUM_COLUMNS)
     return {
         "wavelength_um": wavelength,
         "emissivity": np.array([share_in_cell(path, row, "emissivity", cells["emissivity"]) for row, cells in rows]),
@@ -170,13 +175,13 @@ def read_emissivity(path: str | Path, directory: str | Path | None = None) -> di
     }
 
 
-def read_refractive_index(path: str | Path, rms_slope: float, directory: str | Path | None = None) -> dict[str, Any]:
+def read_refractive_index(path: str | Path, rms_slope: float) -> dict[str, Any]:
     """Return the emissivity by wavelength and angle of a table of n and k, as arguments of a Material.
 
     n and k are linear between rows; the emissivity is computed at every row and at steps of at most 0.05 µm.
     """
     advice = "give the refractive index n + ik, k not negative"
-    rows, wavelength = _rows(path, INDEX_OF_REFRACTION_COLUMNS, directory)
+    rows, wavelength = _rows(path, INDEX_OF_REFRACTION_COLUMNS)
     n, k = (
         np.array([number_in_cell(path, row, key, cells[key], low, LARGEST_INDEX, advice) for row, cells in rows])
         for key, low in (("n", 1e-3), ("k", 0.0))
@@ -193,13 +198,13 @@ def read_refractive_index(path: str | Path, rms_slope: float, directory: str | P
     return _directional(fine, fresnel.COSINES, by_angle, gaps(wavelength), text)
 
 
-def read_angles(path: str | Path, directory: str | Path | None = None) -> dict[str, Any]:
+def read_angles(path: str | Path) -> dict[str, Any]:
     """Return a table with columns at_0, at_10 … at_90 [degrees] as arguments of a Material.
 
     The angles must cover 0 to 90 degrees, because nothing is extrapolated. Emissivity is linear in the cosine between
     them.
     """
-    rows, wavelength = _rows(path, ("wavelength_um", "at_0", "at_90"), directory)
+    rows, wavelength = _rows(path, ("wavelength_um", "at_0", "at_90"))
     matches = [match for match in map(ANGLE_COLUMN.fullmatch, rows[0][1]) if match]
     columns, angle = [match[0] for match in matches], np.array([float(match[1]) for match in matches])
     if angle.max() > 90.0:
@@ -234,9 +239,9 @@ def _text(columns: Sequence[str], rows: Rows) -> str:
     return "".join(f"{','.join(line)}\n" for line in lines)
 
 
-def _rows(path: str | Path, columns: Sequence[str], directory: str | Path | None) -> tuple[Rows, Floats]:
+def _rows(path: str | Path, columns: Sequence[str]) -> tuple[Rows, Floats]:
     """Return the rows of a spectrum table and their wavelengths (N,) [µm], checked to be ascending."""
-    rows = read_table(path, columns, directory)
+    rows = read_table(path, columns)
     wavelength: list[float] = []
     for row, cells in rows:
         value = number_in_cell(

@@ -20,6 +20,7 @@ from thermorender.materials.csv_tables import (
     OPTIONAL_COLUMNS,
     ROUGHNESS_COLUMN,
     SOLAR_STD_COLUMN,
+    contained,
     parsed_number,
     read_angles,
     read_emissivity,
@@ -144,7 +145,7 @@ def read_library(directory: Path) -> dict[str, Material]:
     library: dict[str, Material] = {}
     if thermals and not index.exists():
         return library
-    for row, cells in read_table(index, INDEX_COLUMNS, directory):
+    for row, cells in read_table(contained(index, directory), INDEX_COLUMNS):
         name = cells["name"]
         # The name becomes a file name, so it must not contain a path.
         if not NAME.fullmatch(name):
@@ -187,11 +188,11 @@ def _read_material(
     for fault in faults:
         raise ThermorenderError(f"{index}, row {row}: {fault}")
     number = {column: value or 0.0 for column, value in numbers.items()}
-    path = directory / "spectra" / f"{cells['name']}.csv"
+    path = contained(directory / "spectra" / f"{cells['name']}.csv", directory)
     if cells["directional"] == "fresnel":
-        spectrum = read_refractive_index(path, number[ROUGHNESS_COLUMN], directory)
+        spectrum = read_refractive_index(path, number[ROUGHNESS_COLUMN])
     else:
-        spectrum = {"lambertian": read_emissivity, "table": read_angles}[cells["directional"]](path, directory)
+        spectrum = {"lambertian": read_emissivity, "table": read_angles}[cells["directional"]](path)
     red, green, blue = (round(number[f"colour_{c}"]) for c in "rgb")
     return Material(
         name=cells["name"], title=cells["title"], **spectrum, rms_slope=number[ROUGHNESS_COLUMN],

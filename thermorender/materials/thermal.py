@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.materials.csv_tables import Fault, parsed_number, read_table
+from thermorender.materials.csv_tables import Fault, contained, parsed_number, read_table
 from thermorender.physics.moisture import TEXTURES
 from thermorender.schema import closest
 from thermorender.units import ZERO_CELSIUS_K
@@ -125,9 +125,9 @@ class Thermal:
         return "\n".join(lines)
 
 
-def read_thermal(path: str | Path, directory: str | Path | None = None) -> Thermal:
+def read_thermal(path: str | Path) -> Thermal:
     """Return the Thermal of a CSV table of property, value, uncertainty, source; a missing row is an empty value."""
-    thermal, faults = parsed(read_table(path, THERMAL_COLUMNS, directory))
+    thermal, faults = parsed(read_table(path, THERMAL_COLUMNS))
     if thermal is None:
         row, sentence = faults[0]
         raise ThermorenderError(f"{path}{f', row {row}' if row else ''}: {sentence}")
@@ -242,7 +242,8 @@ def table_text(thermal: Thermal) -> str:
 def read_thermals(directory: str | Path) -> dict[str, Thermal]:
     """Return {name: Thermal} of all tables in a materials folder's `thermal/`."""
     directory = Path(directory)
-    return {path.stem: read_thermal(path, directory) for path in sorted((directory / "thermal").glob("*.csv"))}
+    tables = sorted((directory / "thermal").glob("*.csv"))
+    return {path.stem: read_thermal(contained(path, directory)) for path in tables}
 
 
 def beneath(thermals: Mapping[str, Thermal]) -> set[str]:

@@ -9,7 +9,7 @@ Carlo noise.
 
 import itertools
 from collections.abc import Callable, Iterator
-from types import SimpleNamespace
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -38,6 +38,18 @@ _SAMPLES_AT_ONCE = 64
 # Distance of the copies behind faces, relative to the largest coordinate or to the camera's distance; near cameras see
 # no more than this [m].
 _BEHIND, _MOST_BEHIND_M = 64.0 * 2.0**-24, 1e-3
+
+
+@dataclass
+class _Lent:
+    """Large arrays on their way to plugin instances, which end with their scene.
+
+    Mitsuba keeps registered classes until the process ends, so they hold this object and not the arrays. Its fields are
+    None once the instances exist.
+    """
+
+    texels: Any  # What `_texel_reader` returns
+    slopes: Jit = None  # Camera rays (x/z, y/z) at the pixels' corners
 
 
 def render(
@@ -101,9 +113,7 @@ def mitsuba_scene(mi: Mitsuba, scene: Scene, pose: Floats, integrator: str, dept
     name, lens = f"thermal{number}", f"lens{number}"
     limits = box_of(scene)
     middle = float(limits[:, 2].mean())
-    # Mitsuba keeps registered classes until the process ends. Large arrays therefore belong to the instances, which end
-    # with their scene; `loaded` holds the arrays only until the instances exist.
-    loaded = SimpleNamespace(texels=_texel_reader(mi, scene))
+    loaded = _Lent(texels=_texel_reader(mi, scene))
     outside = scene.sky_temperature, scene.surroundings_temperature
     mi.register_texture(name, _texture(mi, outside, middle, loaded))
     mi.register_bsdf(f"{name}-mirror", _mirror(mi, loaded))
@@ -143,11 +153,11 @@ def mitsuba_scene(mi: Mitsuba, scene: Scene, pose: Floats, integrator: str, dept
     for number, surface in enumerate(scene.surfaces):
         parts[f"s{number}"] = _mesh(mi, name, number, surface, pose, mirrors)
     world = mi.load_dict(parts)
-    vars(loaded).clear()
+    loaded.texels = loaded.slopes = None
     return world
 
 
-def _register_lens(mi: Mitsuba, name: str, camera: Camera, pose: Floats, loaded: SimpleNamespace) -> None:
+def _register_lens(mi: Mitsuba, name: str, camera: Camera, pose: Floats, loaded: _Lent) -> None:
     """Register the sensor: a camera's rays through its distortion and principal point, exact at the pixels' corners and
     bilinear between them: within a pixel a lens is linear to 3e-4 of a pixel, up to k1 = −0.26."""
     width, height = camera.width, camera.height
@@ -289,7 +299,7 @@ def _planck(wavelength: Jit, temperature: Jit) -> Jit:
     return C1L / wavelength**5 / (dr.exp(C2 / (wavelength * temperature)) - 1.0)
 
 
-def _texture(mi: Mitsuba, outside: tuple[float, float], horizon_m: float, loaded: SimpleNamespace) -> type:
+def _texture(mi: Mitsuba, outside: tuple[float, float], horizon_m: float, loaded: _Lent) -> type:
     """The texture: spectral radiance emitted at the angle of view, or the reflectance of diffuse materials."""
 
     class ThermalTexture(mi.Texture):
@@ -322,7 +332,7 @@ def _texture(mi: Mitsuba, outside: tuple[float, float], horizon_m: float, loaded
     return ThermalTexture
 
 
-def _mirror(mi: Mitsuba, loaded: SimpleNamespace) -> type:
+def _mirror(mi: Mitsuba, loaded: _Lent) -> type:
     """The material of surfaces that are diffuse at some texels and mirrors at others."""
 
     class MirrorBSDF(mi.BSDF):

@@ -20,6 +20,7 @@ from thermorender.render.air import Vacuum, refuse_camera
 from thermorender.render.arrays import Mitsuba, aligned, opaque_view, view_ray
 from thermorender.render.baked import BakedScene, Progress, bake
 from thermorender.render.dynamic import Objects, object_states
+from thermorender.render.flight.frames import FlightFrames
 from thermorender.render.geometry import Geometry, refuse_other_surfaces
 from thermorender.render.heat.instants import solved_at
 from thermorender.render.layers import CasterView, Layer, OutgoingRadiance
@@ -40,7 +41,6 @@ from thermorender.trajectory.path import Trajectory
 from thermorender.trajectory.rotations import checked_pose
 
 if TYPE_CHECKING:
-    from thermorender.render.flight.frames import FlightFrames
     from thermorender.render.pixels.parts import PixelParts
 
 # Error above which edge pixels of a visible view get more rays: a share of white, summed over the colours.
@@ -212,7 +212,7 @@ class Renderer:
     def frames(
         self, trajectory: Trajectory, rate_hz: float | None = None, start_s: float | None = None,
         stop_s: float | None = None, audit: int = defaults.AUDIT,
-    ) -> "FlightFrames":  # fmt: skip
+    ) -> FlightFrames:  # fmt: skip
         """Return the frames of a flight, to loop over: those that `thermorender.fly` writes, to the same bytes.
 
         The detector keeps its state from frame to frame, and temperatures of a heat balance follow the flight's time.
@@ -234,8 +234,6 @@ class Renderer:
             Times outside the trajectory, weather that ends before it, a camera above the range of the air or above its
             clouds, or an `audit` below 1.
         """
-        from thermorender.render.flight.frames import FlightFrames
-
         return FlightFrames(self, trajectory, rate_hz, start_s, stop_s, audit=audit)
 
     def radiance(

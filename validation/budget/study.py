@@ -123,7 +123,7 @@ class _Views:
             if quality not in self.renderers:
                 like = next(iter(self.renderers.values()), None)
                 self.renderers[quality] = Renderer(scene, quality, rays=_RAYS, device=self.device, like=like)
-        truth = converged(self.renderers[self.first], view.pose(scene), {"device": self.device})
+        truth = converged(self.renderers[self.first], view.pose(scene))
         return {
             _key(scene, view, quality): {
                 "scene": scene.name, "view": view.name, "height_m": view.height_m, "pitch_deg": view.pitch_deg,

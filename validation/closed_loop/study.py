@@ -144,7 +144,7 @@ def _served(device):
         scene = tr.load_scene(place)
         scene = scene.with_camera(scene.camera.coarser(8))
         renderer = tr.Renderer(scene, device=device, **SAMPLING)
-        server = Server(Stage(renderer, maps=(MAP,), settings=SAMPLING | {"device": device}), port=0)
+        server = Server(Stage(renderer, maps=(MAP,)), port=0)
         server.token = new_token(Path(folder) / "token")
         thread = threading.Thread(target=server.run)
         thread.start()

@@ -151,7 +151,7 @@ def convergence(scenes=defaults.SCENES, folder="validation", progress=None, mode
     # Converted by JSON, so that it equals the settings read back.
     settings = json.loads(json.dumps({**asdict(mode), "device": device}))
     kept = {} if overwrite else _read(path, settings)
-    sites = [_Site(scene if not isinstance(scene, str) else load_scene(scene), mode, device) for scene in scenes]
+    sites = [Site(scene if not isinstance(scene, str) else load_scene(scene), mode, device) for scene in scenes]
     jobs = [(site, case) for site in sites for case in _cases(site, mode)]
     jobs += [(None, case) for case in cavity.cases(mode.emissivities, mode.rays, device)]
     for number, (site, (name, measure)) in enumerate(jobs):
@@ -210,7 +210,7 @@ def _cases(site, mode):
             yield from named(name, "stock", f"{samples} paths", integrator=STOCK[name], samples=samples)
 
 
-class _Site:
+class Site:
     """A scene and the data that its cases share, each made when first needed."""
 
     def __init__(self, scene, mode, device):
@@ -294,7 +294,7 @@ class _Site:
 
     def _finest(self, view):
         part = Renderer(self.part, **self.own, like=self.base())
-        return converged(part, self.poses[view], self.own)
+        return converged(part, self.poses[view])
 
     def _error(self, image, view, name, sigma):
         """Return the RMS error of pixels that show a surface [mK], and its range of two standard errors."""

@@ -18,7 +18,7 @@ from thermorender.apps.compare.machine import machine
 from thermorender.versions import versions
 
 # (east, north, height [m]) of the camera; it looks at the middle.
-_POSE = (0.0, -100.0, 120.0)
+POSE = (0.0, -100.0, 120.0)
 # Edits before those that count: kernels are compiled.
 _FIRST = 2
 HEADER = ("scene", "quality", "edit", "preview [ms]", "95 %", "solution [ms]", "95 %", "most stated [mK]", "most true",
@@ -77,7 +77,7 @@ def run(scenes, qualities, edits=25, exact_every=5, seed=0, device="auto", progr
     for number, (name, quality) in enumerate(jobs):
         report(f"{name}, {quality}", number / len(jobs))
         renderer = tr.Renderer(tr.load_scene(name), quality=quality, device=device)
-        pose = renderer.scene.pose(*_POSE, look_at=(0.0, 0.0, 0.0))
+        pose = renderer.scene.pose(*POSE, look_at=(0.0, 0.0, 0.0))
         renderer.radiance(pose)
         shown = _shown(renderer.scene)
         for kind in (*KINDS, SUCCESSION):

@@ -96,9 +96,9 @@ def evaluate(model="procedural", seeds=(201, 202), fallback="soil_loam", confide
         )  # fmt: skip
         weighed, why = _with_heights(model, scene, mapped)
         with_heights = _mixture(own[weighed.index[..., 0]], weighed.confidence < confidence, weighed.probability, own)
-        guesses = dict(zip(METHODS, ((index, share), with_heights, *map(_pure, simple)), strict=True))
+        guesses = dict(zip(METHODS, ((index, share), with_heights, *map(pure, simple)), strict=True))
         kelvin = np.array([library[name].temperature for name in names], dtype=np.float32)
-        errors_of = _Errors(list(library.values()), kelvin[truth], scene.sky_temperature)
+        errors_of = Errors(list(library.values()), kelvin[truth], scene.sky_temperature)
         found = {}
         for method, guess in guesses.items():
             errors = errors_of(truth, *guess)
@@ -153,7 +153,7 @@ def rows(result):
 HEADER = ("method", "accuracy", "mean |Δε|", "rms Δε", "mean |ΔT|, mK", "rms ΔT, mK", "95 % of |ΔT|, mK")
 
 
-class _Errors:
+class Errors:
     """Errors of predicted materials on the texels of a scene with known temperatures."""
 
     def __init__(self, materials, temperature, sky):
@@ -171,7 +171,7 @@ class _Errors:
     def __call__(self, truth, index, share):
         """Return (correct, Δε, ΔT [K]) of every texel, (N,) each."""
         radiance, emissivity = self._seen(index, share)
-        true_radiance, true_emissivity = self._seen(*_pure(truth))
+        true_radiance, true_emissivity = self._seen(*pure(truth))
         error = self.apparent.inverse(radiance) - self.apparent.inverse(true_radiance)
         right = index[..., 0] == truth
         return right.ravel(), np.float32(emissivity - true_emissivity).ravel(), np.float32(error).ravel()
@@ -199,7 +199,7 @@ def _mixture(best, unknown, probability, own):
     return index, share
 
 
-def _pure(index):
+def pure(index):
     return index[..., None].astype(np.int64), np.ones((*index.shape, 1))
 
 

@@ -67,7 +67,7 @@ def compare(paths, output, base=defaults.CAMERA, scale=None, scene=defaults.SCEN
         "simulated, as the file has it": None,
         "simulated, fitted": None,
     }
-    radiance = _views(scene, camera, seed, report, options)
+    radiance = views_of(scene, camera, seed, report, options)
     for side, model in zip(list(sides)[1:], (camera, load_camera(fitted_path)), strict=True):
         sides[side] = _readings(radiance, model, seed)
     statistics = {side: _statistics(images, camera) for side, images in sides.items()}
@@ -87,7 +87,7 @@ def rows(result):
     return found
 
 
-def _views(scene, camera, seed, report, options):
+def views_of(scene, camera, seed, report, options):
     """Return band radiance of views straight down at positions and headings drawn from the seed."""
     from thermorender.render.renderer import Renderer
     from thermorender.scene.load import load_scene

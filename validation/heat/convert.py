@@ -63,7 +63,7 @@ _HOUR = timedelta(hours=1)
 # Sensitivities of the radiometers [µV per W/m²], from the station's configuration: short-wave down and up, long-wave
 # down and up.
 _LOGGERS = {"ice_margin": (14.01, 12.72, 11.08, 11.42), "roof": (13.34, 11.90, 9.63, 9.72)}
-_LOGGER_NAMES = {
+LOGGER_NAMES = {
     "ice_margin": ("AirPressure_Avg", "Temperature_Avg", "RelativeHumidity_Avg", "WindSpeed",
                          "ShortwaveRadiationIn_Avg", "ShortwaveRadiationOut_Avg", "LongwaveRadiationIn_Avg",
                          "LongwaveRadiationOut_Avg", "TemperatureRadSensor_Avg"),
@@ -100,7 +100,7 @@ def logger(name, data):
     lines = data.decode("utf-8").splitlines()
     table = _columns("\n".join([lines[1], *lines[4:]]))
     time = [datetime.fromisoformat(cell) - _HOUR / 12 for cell in table["TIMESTAMP"]]
-    pressure, air, humidity, wind, *raw, body = (_numbers(table[each]) for each in _LOGGER_NAMES[name])
+    pressure, air, humidity, wind, *raw, body = (_numbers(table[each]) for each in LOGGER_NAMES[name])
     body = np.where(np.abs(body) > 80.0, np.nan, body)
     gains = _LOGGERS[name]
     emitted = STEFAN_BOLTZMANN * (body + ZERO_CELSIUS_K) ** 4

@@ -51,7 +51,7 @@ _LIKE = {
     "ice": ("snow", "water"), "roof_felt": ("asphalt", "asphalt"), "roof_tile_loft": ("asphalt", "asphalt"),
     "metal_painted": ("asphalt", "asphalt"), "brick_clay": ("asphalt", "asphalt"), "glass": ("asphalt", "asphalt"),
 }  # fmt: skip
-_CONDITIONS = tuple(f"{part}, {kind}" for part in ("high sun", "low sun", "night") for kind in ("clear", "cloudy"))
+CONDITIONS = tuple(f"{part}, {kind}" for part in ("high sun", "low sun", "night") for kind in ("clear", "cloudy"))
 # Sites, layers and time steps of the study of run time, and the settings that serve as truth.
 _COST_SITES, _COST_LAYERS, _COST_STEPS_S = ("grass", "desert", "square"), (6, 8, 12, 16), (300.0, 900.0, 1800.0, 3600.0)
 _FINE = {"layers": 24, "step_s": 60.0}
@@ -133,7 +133,7 @@ def _of_site(folder, site):
         "scored_from": str(found.weather.time[found.scored][0]), "scored": int(found.scored.sum()),
         "without_offset": found.site.without_offset,
         "fitted_factor": fitted[1] if factors else None, "notes": list(found.weather.notes),
-        "scores": {name: _scores(found, values) for name, values in series.items()},
+        "scores": {name: scores_of(found, values) for name, values in series.items()},
         "where": where(found, series["balance"]),
         "series": {
             "time": [str(at) for at in found.weather.time], "measured": found.observed_k.tolist(),
@@ -163,7 +163,7 @@ def _rms(found, values):
     return float(np.sqrt(np.mean((_without_offset(found, values) - found.observed_k)[found.scored] ** 2)))
 
 
-def _scores(found, values):
+def scores_of(found, values):
     error, elevation = values - found.observed_k, found.elevation_deg
     parts = {"day": elevation > _EDGE_DEG, "night": elevation < -_EDGE_DEG}
     scores = {}
@@ -295,9 +295,9 @@ def page(path, result):
     lines += ["| " + " | ".join(row) + " |" for row in rows(result)]
     lines += ["", *(f"- {sentence}" for sentence in _beaten(result))]
     lines += ["", "Bias / mean absolute error [K] of the balance by sun and sky, and the number of rows:", ""]
-    lines += ["| site | " + " | ".join(_CONDITIONS) + " |", "|---|" + "---|" * len(_CONDITIONS)]
+    lines += ["| site | " + " | ".join(CONDITIONS) + " |", "|---|" + "---|" * len(CONDITIONS)]
     for name, site in result["sites"].items():
-        cells = [site["where"].get(condition) for condition in _CONDITIONS]
+        cells = [site["where"].get(condition) for condition in CONDITIONS]
         lines.append(f"| {name} | " + " | ".join(
             f"{c['bias']:+.1f} / {c['mae']:.1f} ({c['rows']})" if c else "" for c in cells) + " |")  # fmt: skip
     lines += ["", "| site | what | starts from | scored from | rows | notes |", "|---|---|---|---|---|---|"]

@@ -81,7 +81,7 @@ def test_errors_are_parted_by_sun_and_sky(tmp_path):
     site = site_of(tmp_path, text, surface_c=np.full(49, 20.0), lw_down_w_m2=longwave)
     found = measured(site, tmp_path)
     parts = heat.where(found, found.observed_k + np.where(overcast, -2.0, 1.0))
-    assert set(parts) == set(heat._CONDITIONS)
+    assert set(parts) == set(heat.CONDITIONS)
     assert sum(part["rows"] for part in parts.values()) == (np.abs(found.elevation_deg) > 3.0).sum()
     for name, part in parts.items():
         assert part["bias"] == pytest.approx(1.0 if name.endswith("clear") else -2.0)
@@ -154,7 +154,7 @@ def test_published_figures_match_the_code(name):
     site = next(site for site in read_sites(SITES) if site.name == name)
     shared_data(f"weather/{site.file}")
     found = measured(site, shared_data("weather"))
-    scores = heat._scores(found, modelled(found))
+    scores = heat.scores_of(found, modelled(found))
     for part in ("day", "night"):
         assert scores[part]["mae"] == pytest.approx(stated[part]["mae"], abs=2e-3, nan_ok=True)
 

@@ -24,7 +24,7 @@ def test_held_out_sites_are_not_among_those_of_the_project():
 
 def test_logger_gives_irradiances_in_the_middle_of_ten_minutes():
     """120 µV over 12 µV per W/m², as 10 times the hundred-thousandth of a volt; long-wave adds the body's emission."""
-    names = convert._LOGGER_NAMES["roof"]
+    names = convert.LOGGER_NAMES["roof"]
     row = [1000.0, 20.0, 50.0, 2.0, 133.4, 11.9, -96.3, 9.72, 0.0]
     lines = ["a logger", "TIMESTAMP," + ",".join(names), "units", "kinds"]
     lines += ["2022-06-20 00:10:00," + ",".join(map(str, row)), "2022-06-20 00:20:00," + ",".join(["NAN"] * 9)]

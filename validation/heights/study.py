@@ -64,7 +64,7 @@ def run(folder, scenes=defaults.SCENES, heights=HEIGHTS_M, airs=tuple(AIRS), pro
             if not all(name in kept for name in names.values()):
                 renderers = renderers or _renderers(scene, air, device)
                 pose = bench.views(scene, height)["oblique"]
-                truth = converged(renderers["standard"], pose, {"device": device})
+                truth = converged(renderers["standard"], pose)
                 keep({names[q]: {"scene": scene.name, "height_m": height, "air": air, "quality": q,
                                  **_measure(renderers[q], pose, truth)} for q in QUALITIES})  # fmt: skip
     name = f"peers/{sites[0][0].name}"

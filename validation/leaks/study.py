@@ -81,9 +81,9 @@ def run(folders, seed=0, progress=None):
         A folder with too few pictures.
     """
     report = progress or (lambda step, share: None)
-    sets = {"procedural": _procedural(report)}
+    sets = {"procedural": procedural_pictures(report)}
     for folder in map(Path, folders):
-        sets[folder.parent.name if folder.name == "visible" else folder.name] = _pictures(folder)
+        sets[folder.parent.name if folder.name == "visible" else folder.name] = pictures_in(folder)
     found = {}
     for number, (name, (known, innocent)) in enumerate(sets.items()):
         report(f"searching {name}", number / len(sets))
@@ -104,7 +104,7 @@ def rows(result):
     ]  # fmt: skip
 
 
-def _procedural(report):
+def procedural_pictures(report):
     """{name: picture} of training and of innocent procedural pictures."""
     pictures = {}
     for number in range(TRAINING + INNOCENT):
@@ -115,7 +115,7 @@ def _procedural(report):
     return tuple({name: pictures[name] for name in some} for some in (names[:TRAINING], names[TRAINING:]))
 
 
-def _pictures(folder):
+def pictures_in(folder):
     """{name: picture} of training and of innocent pictures of a folder."""
     paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in PICTURES and "label" not in path.stem)
     if len(paths) < 3 * PLANTED // 2:

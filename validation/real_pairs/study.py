@@ -93,7 +93,7 @@ def _scored(dataset, own, methods, seed):
     """Scores of one set."""
     began = time.perf_counter()
     entries, levels = dataset.entries, Levels(dataset.scale)
-    fold = _folds([entry.sequence for entry in entries], own.get("folds"))
+    fold = folds_of([entry.sequence for entry in entries], own.get("folds"))
     labels = [*methods, CONSTANT, OWN_MEAN]
     rows = {label: np.zeros((len(entries), sums.WIDTH)) for label in labels}
     scores = {label: np.full((len(entries), structure.WIDTH), np.nan) for label in labels}
@@ -134,7 +134,7 @@ def _scored(dataset, own, methods, seed):
     }  # fmt: skip
 
 
-def _folds(groups, count):
+def folds_of(groups, count):
     """The fold of each pair: one per group, or `count` folds of about equal size."""
     names, number, sizes = np.unique(groups, return_inverse=True, return_counts=True)
     if len(names) < 2:

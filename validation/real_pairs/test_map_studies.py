@@ -22,7 +22,7 @@ def test_planted_leaks_are_counted_and_innocent_pictures_named(monkeypatch):
     monkeypatch.setattr(leaks, "PLANTED", 2)
     known = {f"t{seed}": picture(seed) for seed in range(3)}
     innocent = {"new": picture(50), "copy of t1": picture(1)[::-1]}
-    monkeypatch.setattr(leaks, "_procedural", lambda report: (known, innocent))
+    monkeypatch.setattr(leaks, "procedural_pictures", lambda report: (known, innocent))
     result = leaks.run([], seed=1)
     cases = result["sets"]["procedural"]["cases"]
     assert {kind: each["number"] for kind, each in cases.items()} == {**dict.fromkeys(leaks.LEAKS, 2),
@@ -37,7 +37,7 @@ def test_planted_leaks_are_counted_and_innocent_pictures_named(monkeypatch):
 def test_a_folder_with_too_few_pictures_to_plant_leaks_is_refused(tmp_path):
     cv2.imwrite(str(tmp_path / "one.png"), picture(0))
     with pytest.raises(ThermorenderError, match="has 1 pictures; give a folder of at least 30"):
-        leaks._pictures(tmp_path)
+        leaks.pictures_in(tmp_path)
 
 
 def write_plots(folder):
@@ -83,9 +83,9 @@ def test_unknown_sets_and_folders_without_sets_are_refused(tmp_path):
 
 def test_folds_keep_groups_together_and_are_of_about_equal_size():
     groups = np.repeat(list("abcdef"), [30, 20, 10, 10, 5, 5])
-    fold = np.array(real_pairs._folds(groups, 3))
+    fold = np.array(real_pairs.folds_of(groups, 3))
     assert all(len(set(fold[groups == name])) == 1 for name in "abcdef")
     assert sorted(np.bincount(fold)) == [25, 25, 30]
-    assert real_pairs._folds(["x", "y", "x"], None) == [0, 1, 0]
+    assert real_pairs.folds_of(["x", "y", "x"], None) == [0, 1, 0]
     with pytest.raises(ThermorenderError, match="so none can be left out"):
-        real_pairs._folds(["x", "x"], None)
+        real_pairs.folds_of(["x", "x"], None)

@@ -98,7 +98,7 @@ def sensor(folder, scene=defaults.SCENE, flights=tuple(FLIGHTS), device="auto", 
         "camera": loaded.camera.name,
         "lag": lags,
         "blur": _blur(renderer, loaded.camera),
-        "aliasing": {"views": _aliasing(renderer, loaded.camera), "targets": _small_targets(loaded.camera)},
+        "aliasing": {"views": _aliasing(renderer, loaded.camera), "targets": small_targets(loaded.camera)},
         "chain": _chain(renderer, of),
     }
     with files.output_folder(folder) as folder:
@@ -220,7 +220,7 @@ def _aliasing(renderer, camera):
     return records
 
 
-def _small_targets(camera):
+def small_targets(camera):
     """Return the error of blurring after sampling on squares of a few pixels, at several places within a pixel."""
     dark, bright = band_radiance(np.array([300.0, 300.0 + TARGET_K]), *camera.band_um)
     per_mk = band_radiance_derivative(300.0, *camera.band_um) * 1e-3
@@ -228,7 +228,7 @@ def _small_targets(camera):
     for side in TARGETS_PX:
         peaks, errors, worst = [], [], 0.0
         for place in np.ndindex(PLACES, PLACES):
-            down, right = (_covered(12.0 + index / PLACES, side, 28) for index in place)
+            down, right = (covered(12.0 + index / PLACES, side, 28) for index in place)
             expected, after, _ = blurred_before_and_after((bright - dark) * np.outer(down, right), camera, DRAWN)
             peaks.append(expected.max() / per_mk)
             errors.append((after.max() - expected.max()) / per_mk)
@@ -274,7 +274,7 @@ def blurred_before_and_after(fine, camera, times):
     return sampled(before), after, pixels
 
 
-def _covered(start, side, count):
+def covered(start, side, count):
     """Return the share of each subpixel of `count` pixels in a line that a target covers, (DRAWN · count,)."""
     edge = np.arange(DRAWN * count + 1) / DRAWN
     return np.diff(np.clip(edge - start, 0.0, side)) * DRAWN

@@ -73,7 +73,7 @@ def run(models, dataset, scene=defaults.SCENE, pictures=6, progress=None):
 
 
 def _measure(name, folder, scene, pictures):
-    shown = _pictures(folder, pictures)
+    shown = pictures_of(folder, pictures)
     forget_peak_memory()
     began = time.perf_counter()
     model = load_model(name)
@@ -90,7 +90,7 @@ def _measure(name, folder, scene, pictures):
     return {"load_s": loaded, "translate_s": float(np.median(seconds[1:])), "peak_mib": peak, "seams": seams}
 
 
-def _pictures(folder, number):
+def pictures_of(folder, number):
     """Return Inputs of 640×512 pixels of a data set's test part."""
     dataset = read_dataset(folder)
     test = dataset.of("test")
@@ -122,15 +122,15 @@ def _seams(model, shown):
                 given = applied.radiance(inputs)
                 lines = applied.predictor.joints(inputs) if hasattr(applied.predictor, "joints") else ((), ())
             else:
-                given = _side_by_side(applied, inputs)
+                given = side_by_side(applied, inputs)
                 lines = tuple(np.arange(SIDE, n, SIDE) for n in given.shape)
-            sums += _steps(apparent_temperature(given, model.band_um), lines)
+            sums += steps_of(apparent_temperature(given, model.band_um), lines)
         if sums[0, 1]:
             found[way] = tuple((sums[:, 0] / sums[:, 1]).tolist())
     return found
 
 
-def _side_by_side(model, inputs):
+def side_by_side(model, inputs):
     """Return the radiance of a picture in squares, each translated alone; partial squares are left out."""
     height, width = (n // SIDE * SIDE for n in inputs.rgb.shape[:2])
     found = np.empty((height, width))
@@ -141,7 +141,7 @@ def _side_by_side(model, inputs):
     return found
 
 
-def _steps(temperature, lines):
+def steps_of(temperature, lines):
     """Return the sum [K] and number of steps from pixel to pixel, at given lines and elsewhere, (2, 2)."""
     sums = np.zeros((2, 2))
     for axis, places in enumerate(lines):

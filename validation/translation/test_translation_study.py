@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from test_evaluation import linear_map
+from compare_support import linear_map
 from training_support import map_of, network, picture
 
 from thermorender.apps.training.dataset import Entry, ThermalScale
@@ -31,13 +31,13 @@ def make_dataset(folder, shape, pairs=2):
 def test_steps_are_summed_at_borders_and_elsewhere():
     temperature = 290.0 + np.repeat([0.1 * np.arange(600)], 300, axis=0)
     temperature[:, 256:] += 3.0
-    sums = translation._steps(temperature, (np.array([], int), np.array([256])))
+    sums = translation.steps_of(temperature, (np.array([], int), np.array([256])))
     # Across the line 3.1 K, from column to column 0.1 K, from row to row nothing.
     assert sums[0] == pytest.approx([300 * 3.1, 300])
     assert sums[1] == pytest.approx([300 * 598 * 0.1, 300 * 598 + 299 * 600])
     # Pixels without temperature do not count.
     temperature[7, 255] = np.nan
-    assert translation._steps(temperature, ((), np.array([256])))[0] == pytest.approx([299 * 3.1, 299])
+    assert translation.steps_of(temperature, ((), np.array([256])))[0] == pytest.approx([299 * 3.1, 299])
 
 
 def test_tiles_have_equal_weights_at_their_borders():
@@ -69,7 +69,7 @@ def test_steps_of_squares_of_known_temperatures():
         return band_radiance(np.full(inputs.rgb.shape[:2], 290.0 + next(numbers)), *BAND_UM)
 
     stand_in = SimpleNamespace(radiance=radiance, band_um=BAND_UM, method="none", predictor=None)
-    steps = translation._steps(apparent_temperature(translation._side_by_side(stand_in, Inputs(picture(0, 520, 640))),
+    steps = translation.steps_of(apparent_temperature(translation.side_by_side(stand_in, Inputs(picture(0, 520, 640))),
                                                     BAND_UM), (np.array([256]), np.array([256])))  # fmt: skip
     # Of squares 0, 1 above and 2, 3 below: 1 K from left to right, 2 K from above to below.
     assert steps == pytest.approx(np.array([[512 * 3.0, 1024], [0.0, 2 * 512 * 510]]), abs=0.1)
@@ -95,7 +95,7 @@ def test_costs_and_border_steps_of_maps_are_measured(tmp_path):
 def test_impossible_requests_are_refused(tmp_path):
     data = make_dataset(tmp_path / "d", (100, 120))
     with pytest.raises(ThermorenderError, match="no test pairs of 640×512 pixels or more"):
-        translation._pictures(data, 3)
+        translation.pictures_of(data, 3)
     with pytest.raises(ThermorenderError, match="pictures=0 is not allowed"):
         translation.run(["fok-1to1"], data, pictures=0)
     with pytest.raises(ThermorenderError, match="nowhere"):

@@ -10,6 +10,7 @@ from contextlib import suppress
 import dask
 import numpy as np
 import pytest
+from support import contents
 
 import thermorender as tr
 from scenes import coarse, write_terrain
@@ -20,11 +21,6 @@ from thermorender.output import flight as here
 from thermorender.output.flight import FlightOptions
 
 OPTIONS = FlightOptions(rate_hz=30.0, products=("exr", "counts"), audit=5)
-
-
-def contents(folder):
-    """{name: bytes} of the files in a folder."""
-    return {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.is_file()}
 
 
 @pytest.fixture(scope="module")

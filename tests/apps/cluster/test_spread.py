@@ -7,8 +7,7 @@ from contextlib import nullcontext
 
 import numpy as np
 import pytest
-from compare_lands import flight, structured, uniform_map
-from test_evaluation import linear_map, make_dataset
+from compare_support import flight, linear_map, make_dataset, structured, uniform_map
 from typer.testing import CliRunner
 
 import thermorender as tr
@@ -94,13 +93,8 @@ def test_changed_work_is_refused(in_process, tmp_path):
 
 @pytest.mark.slow
 def test_pairs_are_scored_alike_in_any_order(in_process, tmp_path):
-    dataset = make_dataset(tmp_path / "d", pairs=5, test=3)
-    save_map(linear_map(), tmp_path / "linear.npz")
-    models = [str(tmp_path / "linear.npz"), "fok-1to1"]
-    one = evaluate(dataset, models, tmp_path / "one")
     with spreading("local:2", tmp_path / "two") as spread:
-        two = evaluate(dataset, models, tmp_path / "two", spread=spread)
-    same_evaluation(one, two, tmp_path)
+        same_evaluation(spread, tmp_path)
 
 
 @pytest.mark.parametrize(("verb", "more"), [
@@ -118,7 +112,12 @@ def test_commands_take_a_cluster(call, tmp_path, monkeypatch, verb, more):
         CliRunner().invoke(app_of(main), [*more, "-o", "out/here", "--cluster", "here"], catch_exceptions=False)
 
 
-def same_evaluation(one, two, folder):
+def same_evaluation(spread, folder):
+    dataset = make_dataset(folder / "d", pairs=5, test=3)
+    save_map(linear_map(), folder / "linear.npz")
+    models = [str(folder / "linear.npz"), "fok-1to1"]
+    one = evaluate(dataset, models, folder / "one")
+    two = evaluate(dataset, models, folder / "two", spread=spread)
     assert untimed(one) == untimed(two)
     cost = two["methods"]["linear"]
     assert cost["seconds_per_mpixel"] > 0.0 and cost["pairs"] == 3
@@ -130,11 +129,7 @@ def same_evaluation(one, two, folder):
 
 @pytest.mark.slow
 def test_two_processes_evaluate_as_one(by_workers, tmp_path):
-    dataset = make_dataset(tmp_path / "d", pairs=5, test=3)
-    save_map(linear_map(), tmp_path / "linear.npz")
-    models = [str(tmp_path / "linear.npz"), "fok-1to1"]
-    one = evaluate(dataset, models, tmp_path / "one")
-    same_evaluation(one, evaluate(dataset, models, tmp_path / "two", spread=by_workers), tmp_path)
+    same_evaluation(by_workers, tmp_path)
 
 
 @pytest.mark.slow

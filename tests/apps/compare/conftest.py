@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from compare_lands import structured
+from compare_support import structured
 
 from scenes import write_terrain
 

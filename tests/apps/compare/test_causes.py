@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from compare_lands import BAND, view
+from compare_support import BAND, view
 from scipy.ndimage import gaussian_filter, shift
 
 from thermorender.apps.compare import (
@@ -16,11 +16,7 @@ from thermorender.physics.planck import band_radiance, brightness_temperature
 from validation.referee import study
 
 SKY_K = 250.0
-
-
 SHAPE = (128, 160)
-
-
 NAMES, EMISSIVITY = ("grass", "asphalt", "sand"), np.array([0.97, 0.95, 0.93])
 
 

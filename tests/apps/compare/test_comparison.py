@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from compare_lands import BAND, DOWN, black, errors, flight, frames_of, kinds, summary_of, uniform_map
+from compare_support import BAND, DOWN, black, errors, flight, frames_of, kinds, summary_of, uniform_map
 
 import thermorender as tr
 from scenes import WEATHER, coarse, write_balance, write_terrain

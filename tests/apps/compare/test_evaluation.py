@@ -1,7 +1,6 @@
 """Evaluation of learned maps in kelvin: known errors are reproduced, tables and figures written, mistakes refused."""
 
 import dataclasses
-import functools
 import json
 import sys
 import types
@@ -9,6 +8,7 @@ import types
 import cv2
 import numpy as np
 import pytest
+from compare_support import HIDDEN_K, SHAPE, known_pair, linear_map, make_dataset
 
 from thermorender.apps.compare import (
     evaluation,
@@ -22,71 +22,12 @@ from thermorender.apps.training.map_inputs import inputs_of
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.learned.correlation import Correlation
-from thermorender.learned.temperature_map import Inputs, TemperatureMap, save_map
+from thermorender.learned.temperature_map import save_map
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.sensor.radiometric_files import write_tlinear
 
-SHAPE = (48, 64)
-
-
-MATERIALS = ["grass_green", "asphalt", "own_material"]
-
-
 BALANCE, REDRAWN = "heat balance of tables", "floor: hidden state redrawn, over √2"
-
-
 MEAN = "constant: mean of the training part"
-
-
-HIDDEN_K = 0.8
-
-
-def linear_map(name="linear", intercept=0.0):
-    kernel = np.array([[[0.3, 0.4, -0.2]]])
-    return TemperatureMap(
-        name, "correlation-1to1", Correlation(kernel, intercept), (285.0, 305.0), BAND_UM, 0.1, (0.05, 0.2),
-        "zenmuse-xt2", 255.0, "a test", about={"training_s": 3.0},
-    )  # fmt: skip
-
-
-@functools.cache
-def known_pair(number):
-    """(visible, temperature [K], error of `linear_map` [K], material) of a pair."""
-    rng = np.random.default_rng(number)
-    visible = cv2.GaussianBlur(rng.integers(0, 256, (*SHAPE, 3)).astype(np.uint8), (0, 0), 2.0)
-    error = rng.normal(0.3 * number, 1.0 + 0.1 * number, SHAPE)
-    material = rng.integers(0, 3, SHAPE).astype(np.uint8)
-    material[:2] = 255
-    given = brightness_temperature(linear_map().radiance(Inputs(visible)), *BAND_UM)
-    return visible, given - error, error, material
-
-
-def make_dataset(folder, pairs=10, test=6, truth=True, terrain=("sun",)):
-    """A data set of rendered views whose last pairs are the test part."""
-    scale = ThermalScale("radiance", 0.002, 0.0)
-    card = {"title": "a toy", **({"materials": MATERIALS, "terrain": list(terrain)} if truth else {})}
-    writer, members = Writer(folder, card, scale), []
-    for number in range(pairs):
-        visible, temperature, _, material = known_pair(number)
-        radiance = band_radiance(temperature, *BAND_UM)
-        rng = np.random.default_rng(100 + number)
-        middle = temperature - rng.normal(0.0, HIDDEN_K, SHAPE)
-        planes = {
-            "radiance": radiance, "material": material, "sun": np.full(SHAPE, 0.5, np.float32),
-            "balance": band_radiance(temperature + 1.5, *BAND_UM),
-            "redrawn": band_radiance(middle + rng.normal(0.0, HIDDEN_K, SHAPE), *BAND_UM),
-        }  # fmt: skip
-        valid = np.ones(SHAPE, bool)
-        valid[:, :3] = False
-        entry = Entry(
-            f"p{number}", "test" if number >= pairs - test else "train", f"p{number}", f"world{number}", 0, SHAPE, 0.1,
-            conditions={"air_k": 290.0, "solar_hour": 6.0 + number},
-            labels={"kind": "heath" if number % 2 else "village", "view": "nadir"},
-        )  # fmt: skip
-        thermal = np.rint(radiance / scale.step).astype(np.uint16)
-        members.append((entry, packed(visible, thermal, valid, planes if truth else None)))
-    writer.shard("all", members)
-    return read_dataset(folder)
 
 
 def known_errors(numbers, valid=np.s_[2:, 3:]):
@@ -173,7 +114,7 @@ def test_baselines_have_the_expected_errors(scored):
 
 
 def test_exact_map_has_no_error(undrawn, tmp_path, monkeypatch):
-    monkeypatch.setitem(globals(), "known_pair", lambda n, of=known_pair: _exact(*of(n)))
+    monkeypatch.setattr("compare_support.known_pair", lambda n: _exact(*known_pair(n)))
     dataset = make_dataset(tmp_path / "d", 4, 2)
     save_map(linear_map(), tmp_path / "m.npz")
     found = evaluate(dataset, [tmp_path / "m.npz"], tmp_path / "o")["methods"]["linear"]

@@ -1,6 +1,6 @@
 """Findings in sentences."""
 
-from compare_lands import summary_of
+from compare_support import summary_of
 
 from thermorender.apps.compare import (
     findings,

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from compare_lands import errors, flight, uniform_map
+from compare_support import errors, flight, uniform_map
 
 import thermorender as tr
 from scenes import WEATHER, write_balance

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from compare_lands import errors, flight, frames_of, structured, uniform_map
+from compare_support import errors, flight, frames_of, structured, uniform_map
 
 import thermorender as tr
-from scenes import WEATHER, write_terrain
+from scenes import WEATHER, scene_object, write_terrain
 from thermorender.apps.compare import methods, predictors
 from thermorender.apps.compare.comparison import Options, compare
 from thermorender.errors import ThermorenderError
@@ -18,8 +18,7 @@ from thermorender.learned.temperature_map import Inputs
 
 @pytest.mark.slow
 def test_only_the_method_with_true_objects_knows_their_temperatures(tmp_path):
-    hot = ('[[object]]\nname = "plate"\nshape = "disc"\nsize = [4.0, 4.0, 0.1]\nposition = [0.0, 0.0, 0.05]\n'
-           'temperature = 360.0\nmaterial = "paint_black"\ncolour = [40, 40, 40]\n')  # fmt: skip
+    hot = scene_object("plate", [4.0, 4.0, 0.1], [0.0, 0.0, 0.05], 360.0, shape="disc", colour=[40, 40, 40])
     folder = write_terrain(tmp_path / "s", height=np.zeros((32, 32)), extra=hot)
     level = uniform_map(tmp_path / "level.npz", 0.5)
     found = compare([flight(folder, height=15.0)], tmp_path / "c", [level], Options(settings={"rays": 8}))

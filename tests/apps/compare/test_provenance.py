@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from compare_lands import flight, kinds, uniform_map
+from compare_support import flight, kinds, uniform_map
 
 import thermorender as tr
 from scenes import write_terrain

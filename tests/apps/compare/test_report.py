@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from compare_lands import flight, summary_of, uniform_map, view
+from compare_support import flight, summary_of, uniform_map, view
 
 from thermorender.apps.compare import (
     figures,

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from compare_lands import view
+from compare_support import view
 
 from thermorender.apps.compare import (
     hot_spots,

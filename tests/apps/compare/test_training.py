@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from compare_lands import BAND, black, errors, flight, structured
+from compare_support import BAND, black, errors, flight, structured
 
 import thermorender as tr
-from scenes import WEATHER, write_terrain
+from scenes import WEATHER, scene_object, write_terrain
 from thermorender.apps.compare import (
     training,
 )
@@ -26,7 +26,7 @@ def test_a_land_is_the_same_under_snow_but_differs_from_other_lands(tmp_path):
     snow = np.where(rng.uniform(size=one.shape) < 0.2, 0.03, 0.0)
     heights = {"bare": one, "snowy": one + snow, "other": other, "flat": np.zeros((32, 32))}
     # The ground's mesh is finer around an object.
-    box = '[[object]]\nname = "box"\nshape = "box"\nposition = [1, 2, 0]\ntemperature = 330.0\nmaterial = "brass"\n'
+    box = scene_object("box", position=[1, 2, 0], material="brass")
     scenes = [
         tr.load_scene(write_terrain(tmp_path / name, height, extra=box if name == "snowy" else ""))
         for name, height in heights.items()

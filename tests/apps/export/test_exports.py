@@ -1,6 +1,7 @@
 """Exports of frames, read back by other programs: COCO labels, masks, geotagged TIFFs."""
 
 import json
+import pickle
 import re
 import shutil
 import subprocess
@@ -13,22 +14,23 @@ import pytest
 import rasterio
 from scipy.ndimage import distance_transform_cdt
 from scipy.spatial.transform import Rotation
+from support import records
 
 import thermorender as tr
-from scenes import narrow, write_mesh, write_terrain
+from scenes import narrow, scene_object, write_mesh, write_terrain
 from thermorender.apps.export.labels import coco, masks, run_lengths
-from thermorender.apps.export.survey import _degrees, geotiff, ground
+from thermorender.apps.export.survey import geotiff, ground
 from thermorender.errors import ThermorenderError
-from thermorender.frame.exr import read_exr
+from thermorender.frame.exr import read_exr, write_exr
+from thermorender.physics.geodesy import LocalFrame
+from thermorender.scene.georeference import Place
 from thermorender.sensor.radiometric_files import read_temperature
 
-BOX = '[[object]]\nname = "{}"\nshape = "box"\nsize = {}\nposition = {}\ntemperature = {}\nmaterial = "paint_black"\n'
 # car_1 is under one half of roof-1; car_2 drives east.
 OBJECTS = (
-    BOX.format("car_1", [2.0, 2.0, 1.0], [0.0, 0.0, 0.0], 330.0)
-    + BOX.format("roof-1", [1.0, 1.0, 0.0001], [0.5, 0.5, 2.0], 280.0)
-    + BOX.format("car_2", [1.0, 1.0, 1.0], [-4.0, 0.0, 0.0], 340.0)
-    + 'track = "track.csv"\n'
+    scene_object("car_1", [2.0, 2.0, 1.0])
+    + scene_object("roof-1", [1.0, 1.0, 0.0001], [0.5, 0.5, 2.0], 280.0)
+    + scene_object("car_2", [1.0, 1.0, 1.0], [-4.0, 0.0, 0.0], 340.0, track="track.csv")
 )
 
 
@@ -59,10 +61,6 @@ def flight(renderer, scene, tmp_path_factory):
     path = tr.load_trajectory(log, scene)
     tr.fly(renderer, path, folder / "out", tr.FlightOptions(rate_hz=1.0, products=("exr", "truth", "display")))
     return folder / "out"
-
-
-def records(folder):
-    return [json.loads(line) for line in (folder / "frames.jsonl").read_text().splitlines()]
 
 
 def test_boxes_and_hidden_shares_of_known_geometry(renderer, scene):
@@ -238,9 +236,28 @@ def test_files_that_are_not_frames_stay_out(flight, tmp_path):
     assert [image["id"] for image in labels["images"]] == [1, 2, 3, 1000001]
 
 
-def test_seconds_of_a_position_stay_below_60():
-    for value in (20.0, 20.0 - 1e-13, 19.999999999, -0.5, 179.99999999999):
-        degrees, minutes, seconds = map(float, _degrees(value))
+@pytest.fixture(scope="module")
+def frame(renderer):
+    """A frame from the origin of the scene, with all that is written of it."""
+    return pickle.loads(pickle.dumps(renderer.frame(np.eye(4))))
+
+
+def tags_at(folder, frame, latitude_deg, longitude_deg, height_m=0.0, time=None):
+    """GPS and EXIF tags of a frame at the origin of a scene at a place on Earth."""
+    from PIL import Image
+
+    place = Place(LocalFrame(latitude_deg, longitude_deg, height_m), frame.place.crs)
+    folder.mkdir()
+    write_exr(folder / "frame_000000.exr", replace(frame, place=place, time=time and np.datetime64(time)), truth=False)
+    assert geotiff(folder, folder / "out") == 1
+    with Image.open(folder / "out" / "frame_000000.tif") as image:
+        return [image.getexif().get_ifd(number) for number in (0x8825, 0x8769)]
+
+
+def test_seconds_of_a_position_stay_below_60(frame, tmp_path):
+    for number, value in enumerate((20.0, 20.0 - 1e-13, 19.999999999, -0.5, 179.99999999999)):
+        gps, _ = tags_at(tmp_path / str(number), frame, 10.0, value)
+        degrees, minutes, seconds = map(float, gps[4])
         assert minutes < 60.0 and seconds < 60.0
         assert degrees + minutes / 60.0 + seconds / 3600.0 == pytest.approx(abs(value), abs=1e-10)
 
@@ -261,19 +278,8 @@ def test_geotiff_is_kelvin_for_gdal_and_this_package(flight, tmp_path):
         assert cv2.imread(str(path), cv2.IMREAD_UNCHANGED).dtype == kind
 
 
-def test_time_of_a_survey_is_utc(tmp_path):
-    from thermorender.apps.export import survey
-
-    lens = {"width": 64, "height": 48, "pixel_pitch_um": 17.0, "focal_length_mm": 13.0, "f_number": 1.0,
-            "principal_offset_px": [0, 0], "distortion": [0.0] * 5}  # fmt: skip
-    place = {"latitude_deg": -33.5, "longitude_deg": -70.25, "height_m": -12.5}
-    about = {"lens": lens, "place": place, "world_from_camera": np.eye(4).tolist(), "camera": "own",
-             "time": "2018-07-28T12:34:56.250000000Z"}  # fmt: skip
-    survey._write(tmp_path / "frame.tif", np.full((48, 64), 290.0, np.float32), about, False)
-    from PIL import Image
-
-    with Image.open(tmp_path / "frame.tif") as image:
-        gps, more = (image.getexif().get_ifd(number) for number in (0x8825, 0x8769))
+def test_time_of_a_survey_is_utc(frame, tmp_path):
+    gps, more = tags_at(tmp_path / "f", frame, -33.5, -70.25, -12.5, "2018-07-28T12:34:56.250000000")
     assert (gps[1], gps[3], gps[5]) == ("S", "W", b"\x01") and abs(float(gps[6]) - 12.5) < 1e-6
     assert [float(v) for v in gps[2]] == [33.0, 30.0, 0.0] and [float(v) for v in gps[4]] == [70.0, 15.0, 0.0]
     assert [float(v) for v in gps[7]] == [12.0, 34.0, 56.25] and gps[29] == "2018:07:28"

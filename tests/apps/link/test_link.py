@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -10,7 +11,7 @@ from link_support import connected, serving
 from scipy.spatial.transform import Rotation
 
 import thermorender as tr
-from scenes import WEATHER, coarse, write_balance, write_terrain
+from scenes import WEATHER, coarse, scene_object, write_balance, write_terrain
 from thermorender.apps.link import Code, LinkError
 from thermorender.apps.link.messages import Open, Request
 from thermorender.apps.link.session import ServerSession
@@ -26,16 +27,7 @@ from thermorender.trajectory.rotations import rotation_from_wxyz, wxyz
 
 DOWN = (0.0, 1.0, 0.0, 0.0)
 PRODUCTS = ("exr", "truth", "counts", "display")
-OBJECTS = """
-[[object]]
-name = "plate"
-shape = "disc"
-size = [2, 2, 0.1]
-position = [0.5, 0.0, 0.2]
-temperature = 330.0
-material = "paint_black"
-track = "plate.csv"
-"""
+OBJECTS = scene_object("plate", [2, 2, 0.1], [0.5, 0.0, 0.2], shape="disc", track="plate.csv")
 TRACK = "time_s,east_m,temperature_k\n0,-1,320\n0.4,1,340\n1,1.5,335\n"
 
 
@@ -67,7 +59,7 @@ def flown(renderer, path, tmp_path_factory):
 @pytest.fixture(scope="module")
 def server(renderer):
     cameras = {"half": renderer.scene.camera.coarser(2)}
-    with serving(Stage(renderer, cameras, ("fok-1to1",), {"rays": 4, "samples": 1})) as made:
+    with serving(Stage(renderer, cameras, ("fok-1to1",))) as made:
         yield made
 
 
@@ -198,7 +190,8 @@ def test_map_on_the_orthophoto_is_that_of_compare(client, renderer):
 
     pose = tr.pose(0.0, -3.0, 14.0, pitch_deg=-75.0)
     model = load_model("fok-1to1")
-    method = rendered(renderer.scene, "fok-1to1", model, renderer, settings={"rays": 4, "samples": 1})[0]
+    method = rendered(renderer.scene, "fok-1to1", model, renderer)[0]
+    assert method.renderer.plan.sampling == renderer.plan.sampling
     reply = client.open(method="C", map="fok-1to1").frame(0.0, pose, products=("radiance",))
     wanted = method.renderer.radiance(pose, 0.0, method.objects)
     assert reply.radiance.tobytes() == wanted.tobytes()
@@ -266,7 +259,7 @@ def test_impossible_requests_are_refused_in_one_sentence(client, request_, sente
 
 
 def test_requests_added_one_by_one_give_the_frame_of_all_together(renderer):
-    stage = Stage(renderer, {}, (), {"rays": 4, "samples": 1})
+    stage = Stage(renderer)
     asked = [Request(t, poses=np.array([[t, x, 0.0, 12.0, *DOWN]]), objects=[("plate", t, {"yaw_deg": 90.0 * x})])
              for t, x in ((0.0, 0.0), (0.01, 0.3), (0.02, 0.8), (0.03, 1.5))]  # fmt: skip
     whole, parts = (stage.open(Open(seed=5, rate_hz=9.0)) for _ in range(2))
@@ -386,7 +379,10 @@ def test_paths_are_those_of_logs_up_to_rounding(renderer, tmp_path, position):
     wanted = tr.load_trajectory(tmp_path / "log.csv", scene, mount=mount, lever_arm_m=lever)
     session = ServerSession(Open("", "", "A", position, "angles", mount_deg=mount, lever_arm_m=lever), renderer)
     for pieces in ([rows], np.split(rows, 40), np.split(rows, [3, 20])):
-        paths = [session._path(piece) for piece in pieces]
+        paths = []
+        session.frames = SimpleNamespace(add=lambda time_s, path, objects, paths=paths: paths.append(path))
+        for piece in pieces:
+            session.add(Request(piece[-1, 0], poses=piece))
         for name, most in (("time_s", 0.0), ("position", 1e-13), ("quaternion", 1e-15)):
             found = np.concatenate([getattr(path, name) for path in paths])
             np.testing.assert_allclose(found, getattr(wanted, name), rtol=0.0, atol=most)

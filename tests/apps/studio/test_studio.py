@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import thermorender as tr
-from scenes import write_terrain
+from scenes import scene_object, write_terrain
 from thermorender.apps.studio import ground
 from thermorender.apps.studio.session import Session
 
@@ -341,15 +341,7 @@ def test_a_tab_with_outdated_values_is_refused_and_refreshed(page, browser, addr
 
 @pytest.mark.slow
 def test_text_being_typed_stays_while_another_tab_edits(browser, tmp_path):
-    hut = """
-[[object]]
-name = "hut"
-shape = "box"
-size = [3.0, 3.0, 3.0]
-position = [0.0, 0.0, 1.5]
-material = "asphalt"
-temperature = 305.0
-"""
+    hut = scene_object("hut", [3.0, 3.0, 3.0], [0.0, 0.0, 1.5], material="asphalt", temperature=305.0)
     folder = write_terrain(tmp_path / "hut", classes=np.ones((32, 32)), extra=hut)
     with served(folder) as address:
         first, other = Page(browser, address), Page(browser, address)

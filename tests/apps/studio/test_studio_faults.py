@@ -13,7 +13,6 @@ import pytest
 import thermorender as tr
 from scenes import write_hut, write_terrain
 from thermorender.apps.studio import ground
-from thermorender.apps.studio.renders import Renders
 from thermorender.apps.studio.session import History, Session
 from thermorender.apps.studio.spectrum import read_spectrum
 from thermorender.apps.studio.view import Pose, View, commands
@@ -232,7 +231,7 @@ def test_after_quick_edits_a_solution_waits_for_a_pause(session, monkeypatch):
     assert len(begun) == 1 and not renders.light.exact
     # The studio ends without it.
     renders.stop()
-    assert not renders._solver.is_alive()
+    assert not solves()
 
 
 def test_a_full_disk_is_one_sentence_and_changes_no_file(session, monkeypatch, tmp_path):
@@ -325,25 +324,31 @@ def test_an_orbit_keeps_the_point_in_the_middle_of_the_picture(session, turn, zo
     assert (moved.east - pose.east, moved.north - pose.north) == pytest.approx((-0.1 * pose.distance_m, 0.0))
 
 
+def solves():
+    """Whether a solution is under way."""
+    return any(thread.name == "studio solves" for thread in threading.enumerate())
+
+
 def slow_reference(monkeypatch):
     """Solutions of what differences are to wait for the Event that is returned, and note their scenes in the list."""
-    exact, going, solved = Renders._exact, threading.Event(), []
+    solved_for, going, solved = Renderer.solved_for, threading.Event(), []
 
-    def slow(self, scene, start, progress):
+    def slow(self, scene, progress=None):
         if threading.current_thread().name == "studio renders":
             while not going.is_set():
                 time.sleep(0.01)
                 progress("", 0.0)
             solved.append(scene)
-        return exact(self, scene, start, progress)
+        return solved_for(self, scene, progress)
 
-    monkeypatch.setattr(Renders, "_exact", slow)
+    monkeypatch.setattr(Renderer, "solved_for", slow)
     return going, solved
 
 
 def test_a_view_that_needs_a_solution_is_not_shown_after_a_later_view(session, monkeypatch):
     going, _ = slow_reference(monkeypatch)
     renders, shown = session.renders, []
+    before = renders.saved
     one, two = (View(Pose.typed(pose, session.base)) for pose in ("0,-6,10,0,-55,0", "2,-6,10,0,-55,0"))
     renders.compare_with(session.base)
     renders.start()
@@ -352,7 +357,7 @@ def test_a_view_that_needs_a_solution_is_not_shown_after_a_later_view(session, m
     renders.look("tab", two, shown.append)
     wait_for(lambda: shown)
     going.set()
-    wait_for(lambda: renders._reference is None)
+    wait_for(lambda: renders.saved is not before)
     # The first view is dropped now, before a job.
     assert renders.call(lambda: 7) == 7
     assert [picture.number for picture in shown] == [1]
@@ -438,6 +443,6 @@ def test_an_edit_during_a_preview_leaves_the_pause_before_the_next_solution(sess
     session.edit(1, "", emissive("grass_green", "0.75"))
     going.set()
     wait_for(lambda: renders.light.version == 2)
-    wait_for(lambda: renders._solver is not None)
+    wait_for(solves)
     time.sleep(0.2)
     assert not begun

@@ -19,7 +19,7 @@ from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.chain import Sensor, in_sequence
-from thermorender.sensor.noise import noise_power
+from thermorender.sensor.noise import half_waves, noise_power
 from thermorender.sensor.psf import otf
 from thermorender.sensor.radiometric_files import write_tlinear
 from thermorender.sensor.readout import radiance_from_counts
@@ -174,13 +174,20 @@ def test_fit_of_whole_image_parameters(base, tmp_path, static, frames, fits, tru
     assert mean == pytest.approx(netd, abs=3.0 * 1.2 / np.sqrt(takes) + 1.0)
 
 
+def field_of(images):
+    """A Field of images of 32 × 32 pixels, none of which is cut off."""
+    field = Field((32, 32))
+    for image in images:
+        field.add(image, np.zeros((32, 32), bool))
+    return field
+
+
 def test_shading_excludes_what_changing_scenes_add():
     # One mode of 0.4 K, and nine that the scene changes by 0.5 K from frame to frame.
-    draws, rng, found = 400, np.random.default_rng(3), []
+    draws, rng, found, wave = 400, np.random.default_rng(3), [], half_waves(32)
     for _ in range(draws):
-        field = Field((96, 128))
-        field._waves = list(rng.normal(0.0, 0.5, (24, 4, 4)) + np.where(np.arange(16).reshape(4, 4) == 4, 0.4, 0.0))
-        found.append(field.shading())
+        amplitudes = rng.normal(0.0, 0.5, (24, 4, 4)) + np.where(np.arange(16).reshape(4, 4) == 4, 0.4, 0.0)
+        found.append(field_of(290.0 + wave.T @ each @ wave for each in amplitudes).shading())
     value, uncertainty = np.array(found).T
     # The mean of the square is compared, as some squares are negative and no root is below zero.
     square = value**2
@@ -195,10 +202,10 @@ def test_stated_uncertainty_of_scale_drift_matches_its_error(frames, rate_hz):
     camera, rng, takes = replace(CAMERA, scale_drift_mk=1.0), np.random.default_rng(5), 80
     one_k, time_s, found = noise_power(camera, 1.0), np.arange(frames) / rate_hz, []
     for seed in range(takes):
-        course, start_s, field = Wander(camera, seed), rng.uniform(0.0, 1000.0), Field((96, 96))
+        course, start_s = Wander(camera, seed), rng.uniform(0.0, 1000.0)
         drift = [course.scale_drift(start_s, start_s + t) / one_k for t in time_s]
-        field._levels = list(0.03 * np.array(drift) + rng.normal(0.0, 0.01, frames))
-        found.append(field.wander(rate_hz, 0.0))
+        levels = 290.0 + 0.03 * np.array(drift) + rng.normal(0.0, 0.01, frames)
+        found.append(field_of(np.full((32, 32), level) for level in levels).wander(rate_hz, 0.0))
     for (value, uncertainty), true in zip(np.moveaxis(found, 0, -1), (0.01, 0.03), strict=True):
         error, stated = (np.sqrt(np.mean(np.square(values))) for values in (value - true, uncertainty))
         # A root mean square of 80 draws has an error of 8 %; with tails as long as these, twice that.
@@ -516,7 +523,7 @@ def test_simulated_frames_have_the_noise_of_the_footage(fitted, base, tmp_path, 
     scene = TABLE(polygons(2 * CAMERA.height, 2 * CAMERA.width).astype(float)).astype(np.float32)
     cuts = [(10, 20), (200, 40), (30, 300), (250, 310)]
     views = [scene[i : i + CAMERA.height, j : j + CAMERA.width] for i, j in cuts]
-    monkeypatch.setattr(sensor_statistics, "_views", lambda *rest: views)
+    monkeypatch.setattr(sensor_statistics, "views_of", lambda *rest: views)
     monkeypatch.setattr(sensor_statistics, "fit_camera", lambda *rest: fitted[1])
     result = sensor_statistics.compare([fitted[0]], tmp_path, base)
     assert {path.name for path in tmp_path.iterdir()} == {"footage.json", "footage.png", "footage.toml"}

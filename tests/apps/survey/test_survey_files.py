@@ -107,6 +107,10 @@ def test_tags_that_are_no_pose_are_refused(tmp_path, gps, values, words):
         (HEAD.strip() + ",east_m\na,1,2,40,0,-90,0,7\n", "'east_m' 2 times"),
         (HEAD + 'a,"1,5",2,40,0,-90,0\n', "point as decimal mark"),
         (HEAD + "\n", "has no rows"),
+        (
+            HEAD.strip() + ",omega_deg,phi_deg,kappa_deg\na,1,2,40,0,-90,0,0,0,0\n",
+            "yaw_deg, pitch_deg, roll_deg or omega_deg, phi_deg, kappa_deg",
+        ),
     ],
 )
 def test_tables_of_other_forms_are_refused(scene, tmp_path, text, words):
@@ -177,12 +181,6 @@ def test_omega_phi_kappa_are_the_angles_of_the_optical_axis(scene, tmp_path, tur
     (metashape,) = read_poses(written(tmp_path / "m.txt", text), scene).values()
     np.testing.assert_allclose(own.rotation.as_matrix(), expected, atol=1e-12)
     np.testing.assert_allclose(metashape.rotation.as_matrix(), expected, atol=1e-12)
-
-
-def test_angles_of_both_kinds_are_refused(scene, tmp_path):
-    head = HEAD.strip() + ",omega_deg,phi_deg,kappa_deg\n"
-    with pytest.raises(ThermorenderError, match="yaw_deg, pitch_deg, roll_deg or omega_deg, phi_deg, kappa_deg"):
-        read_poses(written(tmp_path / "p.csv", head + "a,1,2,40,0,-90,0,0,0,0\n"), scene)
 
 
 LENS = {"projection_type": "brown", "width": 640, "height": 512, "focal_x": 1.2, "focal_y": 1.2, "k1": -0.1}
@@ -335,9 +333,15 @@ def test_fractions_without_a_unit_are_asked_for_with_the_likely_one(tmp_path, st
     assert read_temperature(path, (step, zero)).max() == pytest.approx(311.2, abs=1e-3)
 
 
-def test_means_of_counts_are_asked_for_with_the_scale_of_counts(tmp_path):
-    path = tiff(tmp_path / "a.tif", np.linspace(7100.5, 7500.25, 20, dtype=np.float32).reshape(4, 5))
-    with pytest.raises(ThermorenderError, match=r"look like scale=0\.04,0 for counts of 0\.04 K"):
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [(np.linspace(7100.5, 7500.25, 20, dtype=np.float32), r"look like scale=0\.04,0 for counts of 0\.04 K"),
+     (np.linspace(19_000, 43_000, 20).astype(np.uint16), r"look like scale=0\.001,273\.15"),
+     (np.full(20, 200, np.uint8), "8 bits a pixel, which is a picture for display")],
+)  # fmt: skip
+def test_values_without_a_unit_are_refused_with_the_likely_scale(tmp_path, values, words):
+    path = tiff(tmp_path / "a.tif", values.reshape(4, 5))
+    with pytest.raises(ThermorenderError, match=words):
         read_temperature(path)
 
 
@@ -366,17 +370,6 @@ def test_names_that_differ_between_poses_and_frames_are_shown(scene, tmp_path):
     places = read_poses(written(tmp_path / "p.csv", HEAD + "DJI_1.DNG,0,0,40,0,-90,0\n"), scene)
     with pytest.raises(ThermorenderError, match=r"it names DJI_1\.DNG, and the frames are dji_1\.tif; write"):
         read_frames(frame_files([tmp_path]), places, scene)
-
-
-def test_pictures_for_display_are_not_temperatures(tmp_path):
-    with pytest.raises(ThermorenderError, match="8 bits a pixel, which is a picture for display"):
-        read_temperature(tiff(tmp_path / "a.tif", np.full((4, 5), 200, np.uint8)))
-
-
-def test_thousandths_of_a_degree_are_a_likely_scale(tmp_path):
-    path = tiff(tmp_path / "a.tif", np.linspace(19_000, 43_000, 20).astype(np.uint16).reshape(4, 5))
-    with pytest.raises(ThermorenderError, match=r"look like scale=0\.001,273\.15"):
-        read_temperature(path)
 
 
 @pytest.mark.parametrize("name", ["a.tif", "big.tif", "a.jpg"])

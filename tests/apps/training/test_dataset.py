@@ -8,7 +8,6 @@ import sys
 import tarfile
 import textwrap
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -271,19 +270,21 @@ def test_two_processes_fill_one_folder(tmp_path):
     script = textwrap.dedent("""
         import sys
         from pathlib import Path
-        sys.path.insert(0, sys.argv[3])
-        from test_dataset import CARD, SCALE, Writer, shard_of
+        import numpy as np
+        from thermorender.apps.training.dataset import Entry, ThermalScale
+        from thermorender.apps.training.dataset_writer import Writer, packed
         ready, turn = Path(sys.argv[1]), int(sys.argv[2])
         (ready / f"ready{turn}").touch()
         while not (ready / f"ready{1 - turn}").exists():
             pass
-        writer = Writer(ready / "set", CARD, SCALE, resume=True)
+        writer = Writer(ready / "set", {"name": "pictures"}, ThermalScale("radiance", 1e-3, 2.0), resume=True)
+        pair = packed(np.zeros((24, 32, 3), np.uint8), np.full((24, 32), turn, np.uint16))
         for number in range(turn, 40, 2):
-            writer.shard(f"s{number}", shard_of(f"s{number}", 1))
+            name = f"s{number}"
+            writer.shard(name, [(Entry(f"{name}-0", "train", f"{name}-0", name, 0, (24, 32)), pair)])
     """)
-    here = str(tmp_path), str(Path(__file__).parent)
     both = [
-        subprocess.Popen([sys.executable, "-c", script, here[0], str(turn), here[1]], stderr=subprocess.PIPE, text=True)
+        subprocess.Popen([sys.executable, "-c", script, tmp_path, str(turn)], stderr=subprocess.PIPE, text=True)
         for turn in (0, 1)
     ]
     for process in both:

@@ -215,7 +215,6 @@ def test_command_trains_and_writes_a_map(tmp_path, call):
         (("trees+", "{d}"), "needs the terrain's relief, hour and weather"),
         (("trees", "{d}", "--texel-m", "0.2"), "belong to `train emissivity`, not to 'trees'; leave them out"),
         (("trees", "{d}", "--labels", "x.geojson"), "belong to `train emissivity`, not to 'trees'; leave them out"),
-        (("trees", "{d}", "--augmentations", "0"), "belong to `train emissivity`, not to 'trees'; leave them out"),
         (("emissivity", "--privileged"), "--privileged, --run and --resume belong to maps"),
         (("emissivity", "--set", "a=b"), "--privileged, --run and --resume belong to maps"),
         (("correlation-1to1", "{d}", "--split", "{d}/card.json"), "card.json"),

@@ -1,5 +1,6 @@
 """The training loop of networks: what it learns, keeps, resumes and refuses, and when it stops."""
 
+import itertools
 import json
 import os
 import signal
@@ -279,16 +280,23 @@ def test_two_processes_have_the_losses_of_one(tmp_path):
 def test_a_training_that_explodes_keeps_its_best_state(tmp_path, monkeypatch):
     """The discriminator's weights explode half-way: the training stops, and the result is the best state so far."""
     task = task_of("pix2pix", examples(), tmp_path / "r", width=4, batch=2, crops=24, every=4)
-    original, steps = loop._Run._step, iter(range(100))
+    learner_of, steps = loop.learner_of, iter(range(100))
 
-    def step(self):
-        if next(steps) == 7:
-            with torch.no_grad():
-                for weight in self.learner.parts["discriminator"].parameters():
-                    weight *= 1e20
-        return original(self)
+    def exploding(*given):
+        learner = learner_of(*given)
+        step = learner.step
 
-    monkeypatch.setattr(loop._Run, "_step", step)
+        def stepped(batch):
+            if next(steps) == 7:
+                with torch.no_grad():
+                    for weight in learner.parts["discriminator"].parameters():
+                        weight *= 1e20
+            return step(batch)
+
+        learner.step = stepped
+        return learner
+
+    monkeypatch.setattr(loop, "learner_of", exploding)
     found = train_network(task, "pix2pix")
     assert "training exploded at crop 16" in found.trained["stopped"]
     assert all(np.isfinite(values).all() for values in found.state.values())
@@ -306,8 +314,8 @@ def test_a_training_that_explodes_at_once_is_refused(tmp_path):
 
 def test_published_keeps_the_last_epoch_and_else_the_best_is_kept(tmp_path, monkeypatch):
     """The validation error rises after the first epoch here."""
-    errors = iter([1.0, 2.0, 3.0] * 2)
-    monkeypatch.setattr(loop._Run, "_guessed", lambda run, net, half=False: _of_error(run, next(errors, 1.0)))
+    predicted, offsets = loop.predicted, itertools.count(10.0, 10.0)
+    monkeypatch.setattr(loop, "predicted", lambda *given: predicted(*given) + next(offsets))
     crops = {}
     for published in (False, True):
         options = {"width": 4, "crops": 3, "every": 1, "published": published, "jitter": 256}
@@ -319,12 +327,6 @@ def test_published_keeps_the_last_epoch_and_else_the_best_is_kept(tmp_path, monk
         name = "down.0.0.weight"
         assert np.array_equal(found.state[name], kept[f"net/net/{name}"])
     assert crops == {False: 1, True: 3}
-
-
-def _of_error(run, error):
-    (crop,) = run.validated[:1]
-    true, _ = run.kelvin(crop, crop.target)
-    yield crop, true, true + error
 
 
 def test_colourless_and_invalid_pictures_do_not_stop_a_training(tmp_path):

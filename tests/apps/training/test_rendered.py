@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from heat_support import short_simulations
 
 from thermorender.apps.lands.procedural import deviations as deviations_module
 from thermorender.apps.lands.procedural.canvas import Canvas
@@ -20,7 +21,6 @@ from thermorender.physics import srgb
 from thermorender.render.heat import conditions as conditions_module
 from thermorender.render.heat import simulation as heat
 from thermorender.render.renderer import Renderer
-from thermorender.scene import open_ground
 from thermorender.sensor.camera import model_path
 
 # A clear morning in August, with land in each view and sky in the last view.
@@ -44,12 +44,8 @@ def campaign(tmp_path_factory):
         seen.append(SimpleNamespace(**dict(zip(NAMED, given, strict=True))))
         return own(*given)
 
-    with pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch, short_simulations():
         patch.setattr(rendered, "SIDE_TEXELS", 100)
-        # The simulation starts as late as it may: its accuracy does not matter here.
-        patch.setattr(heat, "_BEFORE_S", 6 * 3600.0)
-        patch.setattr(open_ground, "_LOOK_BACK", np.timedelta64(86400, "s"))
-        patch.setattr(open_ground, "_MOST_DAYS", 2)
         patch.setattr(rendered, "_pair", pair)
         for module in (rendered, conditions_module, deviations_module):
             patch.setattr(module, "load_library", cache(load_library))
@@ -236,7 +232,8 @@ def test_a_camera_is_never_under_ground_or_off_the_land(campaign, monkeypatch):
 def test_a_second_draw_keeps_the_photograph(monkeypatch):
     """The photograph, its classes and heights stay bit for bit; the hidden properties differ."""
     monkeypatch.setattr(rendered, "SIDE_TEXELS", 100)
-    sizes = rendered._sizes("village")
+    kind = KINDS["village"]
+    sizes = rendered.COARSER * np.array([100 * kind.texel_m, kind.texel_m, kind.post_m])
     first, second, third = (make("village", 5, *sizes, again=again) for again in (0, 1, 2))
     for name in ("orthophoto", "classes", "elevation"):
         assert np.array_equal(getattr(first, name), getattr(second, name)), name
@@ -300,7 +297,7 @@ def test_materials_are_drawn_again(campaign):
 def test_complete_worlds_are_not_rendered_again(campaign, monkeypatch):
     dataset, _ = campaign
     before = {path: path.read_bytes() for path in dataset.folder.rglob("*") if path.is_file()}
-    monkeypatch.setattr(rendered, "_pairs", lambda *_: pytest.fail("rendered again"))
+    monkeypatch.setattr(rendered, "make", lambda *_, **more: pytest.fail("a land was made again"))
     again = rendered.render_campaign(dataset.folder, [WORLD], 1, 3, dataset.card["camera"], resume=True)
     assert again.entries == dataset.entries
     assert {path: path.read_bytes() for path in dataset.folder.rglob("*") if path.is_file()} == before

@@ -93,13 +93,13 @@ def run(
     for number, name in enumerate(names):
         if progress:
             progress(name, number / len(names))
-        ends = _ends(name, READERS[name].read, range(count), seed, READING)
+        ends = ends_of(name, READERS[name].read, range(count), seed, READING)
         counts[name] = Counter(end.kind for end in ends)
         rest = [end.number for end in ends if end.kind == "accepted"] if name in USES else []
         while rest and counts[name]["rendered"] < rendered:
             # A process compiles kernels first, so it is not started for a few.
             some = max(rendered - counts[name]["rendered"], _AT_LEAST)
-            used, rest = _ends(name, USES[name], rest[:some], seed, RENDERING), rest[some:]
+            used, rest = ends_of(name, USES[name], rest[:some], seed, RENDERING), rest[some:]
             found = [replace(end, kind=_USED.get(end.kind, end.kind)) for end in used]
             counts[name].update(end.kind for end in found)
             ends += found
@@ -127,7 +127,7 @@ def damaged(whole: bytes, reader: str, number: int, seed: int = 0) -> bytes:
     return whole
 
 
-def _ends(name, job, numbers, seed, limits):
+def ends_of(name, job, numbers, seed, limits):
     """Outcomes of inputs of a reader in a job: [End, …]."""
     # The parent process has no threads: LightGBM's would be missing in a copy of a process that has used them.
     context = multiprocessing.get_context("forkserver")
@@ -182,10 +182,10 @@ def _work(pipe, name, job, path, whole, numbers, seed, limits):
         path.write_bytes(damaged(whole, name, number, seed))
         signal.alarm(most_s)
         try:
-            wrong = next(_infinite(job(path)), None)
+            wrong = next(infinite(job(path)), None)
             sent = ("infinite", wrong) if wrong else ("accepted", "")
         except ThermorenderError as error:
-            sent = ("refused", "") if _is_sentence(str(error)) else ("foreign", f"words: {str(error)[:200]!r}")
+            sent = ("refused", "") if is_sentence(str(error)) else ("foreign", f"words: {str(error)[:200]!r}")
         except TimeoutError:
             sent = "slow", ""
         except (Exception, SystemExit) as error:
@@ -199,11 +199,11 @@ def _too_slow(signum, frame):
     raise TimeoutError
 
 
-def _is_sentence(words):
+def is_sentence(words):
     return bool(words.strip()) and "\n" not in words
 
 
-def _infinite(value, where="", depth=0):
+def infinite(value, where="", depth=0):
     """Yield the places where values are not finite."""
     if depth > 8:
         return
@@ -215,13 +215,25 @@ def _infinite(value, where="", depth=0):
             yield where or "number"
     elif is_dataclass(value) and not isinstance(value, type):
         for field in fields(value):
-            yield from _infinite(getattr(value, field.name, None), f"{where}.{field.name}", depth + 1)
+            yield from infinite(getattr(value, field.name, None), f"{where}.{field.name}", depth + 1)
     elif isinstance(value, dict):
         for key, item in value.items():
-            yield from _infinite(item, f"{where}.{key}", depth + 1)
+            yield from infinite(item, f"{where}.{key}", depth + 1)
     elif isinstance(value, (list, tuple)):
         for number, item in enumerate(value):
-            yield from _infinite(item, f"{where}[{number}]", depth + 1)
+            yield from infinite(item, f"{where}[{number}]", depth + 1)
+
+
+def check(name, path):
+    """Read a file: an accepted file must be finite, and a refused one refused in a sentence."""
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        try:
+            found, words = READERS[name].read(path), None
+        except ThermorenderError as error:
+            found, words = None, str(error)
+    assert words is None or is_sentence(words), words
+    assert not list(infinite(found))
 
 
 # --- changes ----------------------------------------------------------------------------------------------------

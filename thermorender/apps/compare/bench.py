@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from thermorender import defaults
 from thermorender.apps.compare.machine import forget_peak_memory, machine, peak_memory_mib
-from thermorender.apps.compare.sampling_error import SAMPLING, cache_off, converged, optics_sigma_px, rms_mk
+from thermorender.apps.compare.sampling_error import cache_off, converged, optics_sigma_px, rms_mk
 from thermorender.errors import ThermorenderError
-from thermorender.render.baked import Progress
+from thermorender.progress import Progress
 from thermorender.render.renderer import Renderer
 from thermorender.scene.load import load_scene
 from thermorender.scene.scene import Scene
@@ -94,7 +94,7 @@ def _measure(scene: Scene, settings: Settings, device: str, repeats: int) -> dic
     poses, sigma = views(scene), optics_sigma_px(scene.camera)
     first: Renderer | None = None
     done: dict[str, dict[str, Any]] = {}
-    renderers: list[tuple[Renderer, dict[str, Any]]] = []
+    renderers: list[Renderer] = []
     for label, keywords in settings:
         start = time.perf_counter()
         renderer = Renderer(scene, **{"device": device, "like": first, **keywords})
@@ -105,16 +105,16 @@ def _measure(scene: Scene, settings: Settings, device: str, repeats: int) -> dic
             first, build_s, bake_s = renderer, built - start, time.perf_counter() - built
         times = {view: _times(renderer, pose, repeats) for view, pose in poses.items()}
         done[label] = {"plan": renderer.plan.as_dict(), "views": times}
-        renderers.append((renderer, keywords))
+        renderers.append(renderer)
     # The peak is read here, because users do not render the converged images below.
     peak = peak_memory_mib()
     finest_of: dict[Any, NDArray[np.float64]] = {}
-    for (renderer, keywords), measured in zip(renderers, done.values(), strict=True):
-        light = {key: value for key, value in keywords.items() if key not in SAMPLING}
+    for renderer, measured in zip(renderers, done.values(), strict=True):
+        sampling = renderer.plan.sampling
         for view, pose in poses.items():
-            key = view, renderer.plan.sampling.rays, tuple(sorted(light.items()))
+            key = view, sampling.rays, sampling.tolerance_mk
             if key not in finest_of:
-                finest_of[key] = converged(renderer, pose, light)
+                finest_of[key] = converged(renderer, pose)
             finest, image = finest_of[key], renderer.radiance(pose)
             measured["views"][view]["error_mk"] = rms_mk(image, finest, scene.camera)
             measured["views"][view]["optics_error_mk"] = rms_mk(image, finest, scene.camera, sigma)

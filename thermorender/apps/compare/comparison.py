@@ -32,7 +32,7 @@ from thermorender.progress import Progress, Spread
 from thermorender.render.renderer import Renderer
 from thermorender.scene.scene import Scene
 from thermorender.scene.spec import EmissivitySpec
-from thermorender.trajectory.path import Trajectory
+from thermorender.trajectory import Trajectory
 from thermorender.versions import versions
 
 COLUMNS = (
@@ -227,7 +227,7 @@ def _setup(
         report("classifying materials from the orthophoto", 0.0)
         learned = scene.with_learned_materials(options.emissivity)
     given = methods.Given(scene, reference, truth is not None, campaign, learned, contestants.privileged,
-                          contestants.foreign[number], options.settings, report)  # fmt: skip
+                          contestants.foreign[number], report)  # fmt: skip
     made, left_out = methods.methods_of(options.letters, contestants.maps, given)
     frames = Frames(work, flight, reference.scene, learned, dict(options.settings))
     return Setup(flight, land, reference, truth is not None, campaign, frames, made), left_out

@@ -21,7 +21,7 @@ from thermorender.apps.compare.methods import Method
 from thermorender.apps.compare.terms import Terms
 from thermorender.apps.compare.view import Flight
 from thermorender.errors import ThermorenderError
-from thermorender.render.baked import Progress
+from thermorender.progress import Progress
 from thermorender.scene.scene import Scene
 from thermorender.versions import versions
 

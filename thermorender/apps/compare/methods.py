@@ -39,8 +39,6 @@ from thermorender.render.renderer import Renderer
 from thermorender.scene.scene import Scene
 from thermorender.scene.spec import EmissivitySpec, TemperatureSpec
 
-Settings = Mapping[str, Any]
-
 OWN, REFITTED, CALIBRATED = "own", "refitted", "calibrated"
 # Label of the D that takes each frame's mean from the reference.
 OWN_MEAN = "D the frame's own mean"
@@ -133,7 +131,6 @@ class Given:
     learned: Scene | None  # The scene with learned materials
     privileged: tuple[str, TemperatureMap] | None
     foreign: Sequence[Foreign]
-    settings: Settings  # Keywords of Renderer
     report: Progress
 
     @property
@@ -191,15 +188,14 @@ def _photographs(given: Given, text: str, model: TemperatureMap) -> Iterator[Met
 
 
 def _true_materials(given: Given, text: str, model: TemperatureMap) -> Iterator[Method | str]:
-    yield from rendered(given.scene, text, model, given.reference, given.campaign, settings=given.settings)
+    yield from rendered(given.scene, text, model, given.reference, given.campaign)
 
 
 def _learned_materials(given: Given, text: str, model: TemperatureMap) -> Iterator[Method | str]:
     if given.learned is None:
         yield f"C2 is left out of {given.scene.name}: without an orthophoto, materials cannot be learned."
     else:
-        yield from rendered(given.scene, text, model, given.reference, given.campaign, False, given.learned,
-                            given.settings)  # fmt: skip
+        yield from rendered(given.scene, text, model, given.reference, given.campaign, False, given.learned)
 
 
 _Variant = tuple[str | None, TemperatureMap, tuple[float, float] | None]
@@ -236,12 +232,11 @@ def rendered(
     campaign: Training | None = None,
     true_materials: bool = True,
     learned: Scene | None = None,
-    settings: Settings | None = None,
 ) -> list[Method]:
     """Return the C methods of a map in a scene: C1 with all bounds and once with true objects, C2 with the best bounds.
 
-    `text` is the map's name or file, `model` the map, `reference` a Renderer of the same surfaces. `true_materials`
-    includes C1; `learned`, the scene with learned materials, includes C2. `settings` are keywords of Renderer. A method
+    `text` is the map's name or file, `model` the map, `reference` a Renderer of the same surfaces, whose sampling the
+    methods share. `true_materials` includes C1; `learned`, the scene with learned materials, includes C2. A method
     renders nothing before its `renderer` is used.
     """
     if not isinstance(model.predictor, Remembered):
@@ -256,7 +251,7 @@ def rendered(
 
         def build() -> Renderer:
             solved = cold.with_temperature(source, at).with_objects(kelvin)
-            return Renderer(solved, like=reference, **(settings or {}))
+            return _rendered_like(reference, solved)
 
         return Method(letter, model.name, bounds, _knows(bounds, *knows, *needs), objects, at, build, kelvin)
 
@@ -273,6 +268,11 @@ def rendered(
     return found
 
 
+def _rendered_like(reference: Renderer, scene: Scene) -> Renderer:
+    """The Renderer of a scene with the surfaces and the sampling of a reference."""
+    return Renderer(scene, like=reference, **reference.plan.sampling.settings())
+
+
 def _balance(given: Given) -> Iterator[Method | str]:
     scene = given.scene
     if not given.has_truth:
@@ -287,7 +287,7 @@ def _balance(given: Given) -> Iterator[Method | str]:
 
     def build() -> Renderer:
         asked = scene.with_sun(None).with_temperature("balance").with_objects(kelvin)
-        return Renderer(asked, like=given.reference, **given.settings)
+        return _rendered_like(given.reference, asked)
 
     method = Method("F", "heat balance of tables", None, "the materials, hour and weather, relief", build=build,
                     kelvin=kelvin)  # fmt: skip
@@ -313,7 +313,7 @@ def _privileged(given: Given) -> Iterator[Method | str]:
     def build() -> Renderer:
         asked = scene.with_sun(None).with_temperature(TemperatureSpec(source="learned", model=str(text)), model)
         (solved,) = mapped(asked.with_objects(kelvin), [time], given.reference.baked.geometry, material=True)
-        return Renderer(solved, like=given.reference, **given.settings)
+        return _rendered_like(given.reference, solved)
 
     knows = _knows(None, "the materials", *(_WORDS[name] for name in model.needs))
     yield Method("P", model.name, None, knows, model=model, build=build, kelvin=kelvin)
@@ -437,6 +437,6 @@ def _table_temperatures(scene: Scene) -> dict[str, float]:
     return {item.name: kelvin[item.material] for item in scene.spec.objects}
 
 
-def learned_materials(model: str = EMISSIVITY_MAP, fallback: str = FALLBACK_MATERIAL) -> EmissivitySpec:
-    """Return the EmissivitySpec of a learned material map, with `fallback` for texels that the map does not know."""
-    return EmissivitySpec(source="learned", model=model, fallback=fallback)
+def learned_materials(model: str = EMISSIVITY_MAP) -> EmissivitySpec:
+    """Return the EmissivitySpec of a learned material map, with the usual material where the map knows none."""
+    return EmissivitySpec(source="learned", model=model, fallback=FALLBACK_MATERIAL)

@@ -1,10 +1,9 @@
 """Error of an image against a converged one, in mK: as it is, and after the camera's optics."""
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,8 +18,6 @@ from thermorender.sensor.psf import filtered, gaussian_otf, lens_otf
 FINER, RAYS = 8, 4
 # A threshold that no edge error exceeds, so only objects thinner than a pixel get extra rays.
 _NO_EDGE_MK = 1e12
-# Keywords of Renderer that affect the sampling of a pixel only.
-SAMPLING = ("quality", "samples", "taps", "edge_mk")
 
 
 @contextmanager
@@ -38,19 +35,15 @@ def cache_off() -> Iterator[None]:
             os.environ[name] = before
 
 
-def converged(renderer: Renderer, pose: ArrayLike, keywords: Mapping[str, Any]) -> NDArray[np.float64]:
-    """Return the band radiance with 256 rays per pixel, (H, W) [W m⁻² sr⁻¹], from the renderer's baked light.
-
-    `keywords` are those that the renderer was made with.
-    """
+def converged(renderer: Renderer, pose: ArrayLike) -> NDArray[np.float64]:
+    """Return the band radiance with 256 rays per pixel, (H, W) [W m⁻² sr⁻¹], from the renderer's baked light."""
     camera = renderer.scene.camera
-    settings = {"rays": renderer.plan.sampling.rays, **keywords}
-    settings |= {"samples": RAYS, "taps": 1, "edge_mk": _NO_EDGE_MK, "like": renderer}
+    sampling = replace(renderer.plan.sampling, samples=RAYS, taps=1, edge_mk=_NO_EDGE_MK)
     quarters = []
     for lower in range(2):
         for right in range(2):
             part = renderer.scene.with_camera(_quarter(camera, right, lower))
-            image = Renderer(part, **settings).radiance(pose).astype(np.float64)
+            image = Renderer(part, like=renderer, **sampling.settings()).radiance(pose).astype(np.float64)
             rows, columns = image.shape
             quarters.append(image.reshape(rows // FINER, FINER, columns // FINER, FINER).mean(axis=(1, 3)))
     return np.block([quarters[:2], quarters[2:]])

@@ -34,7 +34,8 @@ def compare(
         defaults.TEMPERATURE_MAPS
     ),
     privileged: Annotated[
-        str | None, typer.Option(help="A map (.npz) that takes the true material as extra input.")
+        str | None, typer.Option(help="A map (.npz) that takes the true material as extra input.",
+                                 rich_help_panel="maps and files")
     ] = None,
     foreign: Annotated[
         list[str] | None,
@@ -43,19 +44,22 @@ def compare(
     ] = None,
     dataset: Annotated[
         list[Path] | None,
-        typer.Option(help="Data set that maps were trained on: the scenes are searched in it. Repeat for more."),
+        typer.Option(help="Data set that maps were trained on: the scenes are searched in it. Repeat for more.",
+                     rich_help_panel="maps and files"),
     ] = None,
     methods: Annotated[
         str, typer.Option(help="Comma-separated: B, maps applied to photographs; C1 and C2, to the orthophoto and "
                           "rendered with true and with learned materials; D, E, means; F, the heat balance.")
     ] = "B,C1,C2,D,E,F",
-    emissivity: Annotated[str, typer.Option(help="Emissivity map of C2.")] = defaults.EMISSIVITY_MAP,
-    fallback: Annotated[
-        str, typer.Option(help="Material of texels that this map does not recognise.")
-    ] = defaults.FALLBACK_MATERIAL,
+    emissivity: Annotated[
+        str, typer.Option(help="Emissivity map of C2.", rich_help_panel="maps and files")
+    ] = defaults.EMISSIVITY_MAP,
     log: TrajectoryOptions,
     rate_hz: Annotated[float, typer.Option(help="Poses per second of flight.")] = 1.0,
-    arrays: Annotated[bool, typer.Option("--arrays", help="Keep the frames as .npz, apparent temperature.")] = False,
+    arrays: Annotated[
+        bool, typer.Option("--arrays", help="Keep the frames as .npz, apparent temperature.",
+                           rich_help_panel="maps and files")
+    ] = False,
     situation: SceneOptions,
     seed: Seed = 0,
     sampling: SamplingOptions,
@@ -78,7 +82,7 @@ def compare(
             flights.append(Flight.of(loaded, log.read(loaded, rate_hz), rate_hz, log.start_s, log.stop_s))
         options = comparison.Options(
             letters, privileged, folders, [read_dataset(one) for one in dataset or ()],
-            learned_materials(emissivity, fallback), arrays, seed, {"device": device, **sampling.settings()},
+            learned_materials(emissivity), arrays, seed, {"device": device, **sampling.settings()},
         )  # fmt: skip
         summary = comparison.compare(flights, output, split(models), options, advance, spread)
     for each in report.terminal(summary):

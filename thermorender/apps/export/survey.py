@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 from thermorender import files
 from thermorender.apps.export.exr_frames import exr_frames
 from thermorender.errors import ThermorenderError
-from thermorender.frame.frame import apparent_temperature
+from thermorender.frame import apparent_temperature
 from thermorender.frame.orthoimage import orthorectified
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene.georeference import Place

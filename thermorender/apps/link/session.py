@@ -32,7 +32,7 @@ class ServerSession:
         self.settings, self.renderer, self.model = settings, renderer, model
         self.last: Frame | None = None
         how = settings.rate_hz or None, settings.audit, settings.below_ground
-        self.frames: LiveFrames
+        self.frames: LiveFrames[Renderer]
         if settings.method == "B":
             assert model is not None
             self.frames = TranslatedFrames(renderer, model, *how)
@@ -134,7 +134,7 @@ class ServerSession:
         )  # fmt: skip
 
 
-class TranslatedFrames(LiveFrames):
+class TranslatedFrames(LiveFrames[Renderer]):
     """Frames that a learned map makes of the visible view, or of the client's own picture."""
 
     def __init__(
@@ -150,7 +150,9 @@ class TranslatedFrames(LiveFrames):
         self.picture: NDArray[np.uint8] | None = None
         self.texel_m: float | None = None
 
-    def made(self, timed: TimedRenderer, time_s: float, pose: NDArray[np.float64], index: int, reading: bool) -> Frame:
+    def made(
+        self, timed: TimedRenderer[Renderer], time_s: float, pose: NDArray[np.float64], index: int, reading: bool
+    ) -> Frame:
         """Return the translated frame; a camera at rest reads it."""
         renderer, objects, picture, texel_m = timed.at(time_s), self.objects_at(time_s), self.picture, self.texel_m
         if picture is None:

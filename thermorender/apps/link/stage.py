@@ -28,8 +28,6 @@ class Stage:
     cameras: Mapping[str, Camera] = field(default_factory=dict)
     # Learned maps that a session may choose, names or files; a file goes by its own name
     maps: tuple[str, ...] = ()
-    # Keywords of Renderer, for other cameras and for method C
-    settings: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         own = self.renderer.scene.camera
@@ -109,7 +107,7 @@ class Stage:
 
     def _seen_by(self, camera: str) -> Renderer:
         scene = self.renderer.scene.with_camera(self.cameras[camera])
-        return Renderer(scene, like=self.renderer, **self.settings)
+        return Renderer(scene, like=self.renderer, **self.renderer.plan.sampling.settings())
 
     def _translated(self, camera: str, model: str) -> Renderer:
         """The Renderer of method C, with the temperatures of the map also in objects."""
@@ -117,4 +115,4 @@ class Stage:
 
         reference = self._renderer(camera, "")
         text, loaded = self._models[model]
-        return rendered(reference.scene, text, loaded, reference, settings=self.settings)[0].renderer
+        return rendered(reference.scene, text, loaded, reference)[0].renderer

@@ -81,7 +81,7 @@ def serve(
         renderer = sampling.renderer(loaded, 0, device, report)
         _ = renderer.baked
     print_cache_note(renderer)
-    stage = Stage(renderer, cameras, tuple(map or ()), sampling.settings() | {"device": device})
+    stage = Stage(renderer, cameras, tuple(map or ()))
     server = Server(stage, host, port)
     kept = token_file or default_file(server.address, server.port)
     end_on_signals(signal.default_int_handler)

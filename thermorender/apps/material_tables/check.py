@@ -28,6 +28,7 @@ from thermorender.materials.csv_tables import (
     SPECTRUM_COLUMNS,
     Fault,
     Rows,
+    contained,
     decimal,
     gaps,
     parsed_table,
@@ -233,7 +234,7 @@ def _table(
     """(Column names, rows, findings) of a CSV file, continuing after faults if possible."""
     findings = []
     try:
-        text = read_text(path, folder)
+        text = read_text(path if folder is None else contained(path, folder))
     except ThermorenderError as error:
         findings.append(Finding(True, where, str(error).removeprefix(f"{path} ")))
         if not isinstance(error.__cause__, UnicodeDecodeError):

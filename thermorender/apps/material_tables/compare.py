@@ -138,7 +138,7 @@ def merge(
     taken, taken_thermal = winners(*libraries), winners(*thermals)
     with atomic_folder(output) as scratch:
         for number, folder in enumerate(folders):
-            for _, cells in read_table(folder / "index.csv", INDEX_COLUMNS, folder) if libraries[number] else ():
+            for _, cells in read_table(folder / "index.csv", INDEX_COLUMNS) if libraries[number] else ():
                 if taken[cells["name"]] == number:
                     table = read_text(folder / "spectra" / f"{cells['name']}.csv")
                     row = {key: cells[key] for key in (*INDEX_COLUMNS, *OPTIONAL_COLUMNS) if key in cells}

@@ -107,7 +107,7 @@ def import_files(
     paths: Sequence[str | Path], directory: str | Path, name: str, *, columns: Sequence[str] | None = None,
     title: str = "", colour: Sequence[float] = (128, 128, 128), solar_absorptance: float | None = None,
     temperature: float = 300.0, rms_slope: float = 0.0, source: str = "", citation: str = "", licence: str = "",
-    note: str = "", replace: bool = False,
+    replace: bool = False,
 ) -> Material:  # fmt: skip
     """Write a material from spectra for `read_sample`, or from one table of n and k; return it as read back.
 
@@ -127,7 +127,7 @@ def import_files(
         if solar_absorptance is None:
             raise ThermorenderError(f"n and k do not give the solar absorptance of {name!r}; add solar_absorptance")
         cells = words | {
-            "name": name, "title": title or name, "samples": "1", "note": note, "temperature_k": f"{temperature:g}",
+            "name": name, "title": title or name, "samples": "1", "note": "", "temperature_k": f"{temperature:g}",
             "solar_absorptance": f"{solar_absorptance:g}", "rms_slope": f"{rms_slope:g}",
         } | {f"colour_{key}": f"{value:g}" for key, value in zip("rgb", colour, strict=True)}  # fmt: skip
         write_refractive_index(files[0], cells, directory, replace)
@@ -135,7 +135,7 @@ def import_files(
         if rms_slope:
             raise ThermorenderError(f"rms_slope={rms_slope:g} is for tables of n and k; leave it out for {name!r}")
         material = from_samples(
-            samples, name, title, tuple(int(value) for value in colour), solar_absorptance, temperature, note,
+            samples, name, title, tuple(int(value) for value in colour), solar_absorptance, temperature,
             source=source, citation=citation, licence=licence,
         )  # fmt: skip
         write_material(material, directory, replace)

@@ -117,7 +117,6 @@ def import_spectra(
     source: Annotated[str, typer.Option(help="Origin of the numbers; required for your own.")] = "",
     citation: Annotated[str, typer.Option(help="Publication to cite; required for your own.")] = "",
     licence: Annotated[str, typer.Option(help="Licence; required for your own.")] = "",
-    note: Annotated[str, typer.Option(help="Note for users.")] = "",
     selection: Annotated[Path | None, typer.Option(help="CSV that lists samples of many materials.")] = None,
     replace: Annotated[bool, typer.Option("--replace", help="Replace a material of that name.")] = False,
 ) -> None:
@@ -135,7 +134,7 @@ def import_spectra(
     stored = import_files(
         files, into, name, columns=column, title=title, colour=_numbers("--colour", colour, ("R", "G", "B")),
         solar_absorptance=solar_absorptance, temperature=temperature, rms_slope=rms_slope, source=source,
-        citation=citation, licence=licence, note=note, replace=replace,
+        citation=citation, licence=licence, replace=replace,
     )  # fmt: skip
     typer.echo(str(stored))
 

@@ -69,19 +69,15 @@ def reconstruct(
     references: Annotated[
         Path | None, typer.Option(help="CSV of places with known temperature, which fix the common level.")
     ] = None,
-    rounds: Annotated[int, typer.Option(help="Joint solutions of map, offsets, lens and poses.")] = 4,
     scale: Scale = None,
 ) -> None:  # fmt: skip
     """Reconstruct a map of temperatures with its uncertainty, and corrected poses, from the frames of a survey."""
     from thermorender.apps.survey.inverse.run import Inputs, run
 
     metres, degrees = parse_numbers("--pose-error", pose_error, ("METRES", "DEGREES"))
-    if min(metres, degrees) < 0.0 or rounds < 2:
-        raise ThermorenderError(
-            f"--pose-error={pose_error} and --rounds={rounds} are not allowed; give numbers from 0 on and 2 rounds or "
-            "more"
-        )
-    inputs = Inputs(scene, tuple(frames), poses, camera, texel_m, (metres, degrees), above_ground, references, rounds,
+    if min(metres, degrees) < 0.0:
+        raise ThermorenderError(f"--pose-error={pose_error} is not allowed; give numbers from 0 on")
+    inputs = Inputs(scene, tuple(frames), poses, camera, texel_m, (metres, degrees), above_ground, references,
                     parse_scale(scale), lens)  # fmt: skip
     with progress() as report:
         facts = run(inputs, output, report)

@@ -55,7 +55,7 @@ def train_on(
         labelled = varied(PROCEDURAL_SEEDS, seed)
         texel_m, augmentations = texel_m or DEFAULT_TEXEL_M, 1 if augmentations is None else augmentations
     if not 0 <= augmentations <= 20:
-        raise ThermorenderError(f"--augmentations={augmentations} is not allowed; give 0…20")
+        raise ThermorenderError(f"augmentations={augmentations} is not allowed; give 0…20")
     return train(labelled, texel_m, name, band_emissivity_of(folders), augmentations, seed, progress)
 
 

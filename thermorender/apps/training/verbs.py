@@ -202,11 +202,6 @@ def train(
     texel_m: Annotated[
         float | None, typer.Option(help="Emissivity: ground sampling distance to train at [m].")
     ] = None,
-    augmentations: Annotated[
-        int | None,
-        typer.Option(help="Emissivity: additional copies of each orthophoto with random exposure, balance, contrast "
-                     "and saturation; default 0, procedural 1."),
-    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the training.", min=0)] = 0,
     run: Annotated[
         Path | None,
@@ -222,14 +217,13 @@ def train(
                 "--split, --set, --privileged, --run and --resume belong to maps of temperature; leave them out"
             )
         if base is not None:
-            _update_emissivity(sources, output, labels, base, seed, (texel_m, augmentations) == (None, None))
+            _update_emissivity(sources, output, labels, base, seed, texel_m is None)
             return
-        _train_emissivity(sources, output, labels, texel_m, augmentations, seed)
+        _train_emissivity(sources, output, labels, texel_m, seed)
         return
-    if (labels, base, texel_m, augmentations) != (None,) * 4:
+    if (labels, base, texel_m) != (None,) * 3:
         raise ThermorenderError(
-            f"--labels, --from, --texel-m and --augmentations belong to `train emissivity`, not to {method!r}; leave "
-            "them out"
+            f"--labels, --from and --texel-m belong to `train emissivity`, not to {method!r}; leave them out"
         )
     _train_temperature(method, sources or [], output, of, setting or [], privileged, seed, run, resume)
 
@@ -273,15 +267,14 @@ def _train_temperature(
 
 
 def _train_emissivity(
-    scenes: list[str] | None, output: Path, labels: Path | None, texel_m: float | None, augmentations: int | None,
-    seed: int,
-) -> None:  # fmt: skip
+    scenes: list[str] | None, output: Path, labels: Path | None, texel_m: float | None, seed: int
+) -> None:
     """Train a map from colour and texture to materials, and print its accuracy."""
     from thermorender.apps.training.material_training import train_on
     from thermorender.learned.emissivity.mapping import save_map
 
     with progress() as report:
-        model, confusion = train_on(scenes or (), labels, output.stem, texel_m, augmentations, seed, report)
+        model, confusion = train_on(scenes or (), labels, output.stem, texel_m, seed=seed, progress=report)
         save_map(model, output)
     typer.echo(str(model))
     rows = [
@@ -303,8 +296,9 @@ def _update_emissivity(
     from thermorender.learned.emissivity.mapping import save_map
 
     if not alone or len(scenes or ()) != 1:
-        raise ThermorenderError("--from updates a map with the labels of one scene, without --texel-m or "
-                                "--augmentations; give one scene and leave those out")  # fmt: skip
+        raise ThermorenderError(
+            "--from updates a map with the labels of one scene, without --texel-m; give one scene and leave that out"
+        )
     assert scenes is not None
     model = adapted_to(scenes[0], base, labels, output.stem, seed)
     save_map(model, output)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from thermorender import defaults
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.frame import Frame
-from thermorender.render.flight.timed import TimedRenderer
+from thermorender.render.flight.timed import InstantRenderer, InstantRendererT, TimedRenderer
 from thermorender.scene.scene import Scene
 from thermorender.scene.tracks import TrackedObject
 from thermorender.sensor.chain import in_sequence, sensor_of
@@ -22,7 +22,6 @@ from thermorender.trajectory.path import Trajectory
 
 if TYPE_CHECKING:
     from thermorender.render.dynamic import Objects
-    from thermorender.render.renderer import Renderer
 
 
 class FlightFrames:
@@ -59,7 +58,7 @@ class FlightFrames:
     """
 
     def __init__(
-        self, renderer: "Renderer", trajectory: Trajectory, rate_hz: float | None = None,
+        self, renderer: InstantRenderer, trajectory: Trajectory, rate_hz: float | None = None,
         start_s: float | None = None, stop_s: float | None = None,
         progress: Callable[[str, float], object] | None = None, audit: int = defaults.AUDIT,
     ) -> None:  # fmt: skip
@@ -81,7 +80,7 @@ class FlightFrames:
         # The frame that was audited last.
         self._audited: Frame | None = None
 
-    def by(self, renderer: "Renderer") -> "FlightFrames":
+    def by(self, renderer: InstantRenderer) -> "FlightFrames":
         """Return the frames of this flight, from its start, by another renderer of its first instant."""
         return FlightFrames(renderer, self._trajectory, *self._part, audit=self._audit)
 
@@ -159,8 +158,8 @@ def pose_within(trajectory: Trajectory, time_s: float) -> NDArray[np.float64]:
 
 
 def exposure_of(
-    timed: TimedRenderer, pose_at: Callable[[float], NDArray[np.float64]], interval_s: float, movers: Sequence[Mover],
-    objects_at: Callable[[float], "Objects"] = lambda time_s: {},
+    timed: TimedRenderer[InstantRendererT], pose_at: Callable[[float], NDArray[np.float64]], interval_s: float,
+    movers: Sequence[Mover], objects_at: Callable[[float], "Objects"] = lambda time_s: {},
 ) -> Exposure:  # fmt: skip
     """Return the sensor of a flight, as it is before the first frame. `pose_at` maps time [s] to world_from_camera (4,
     4), `interval_s` is the frame interval [s], `movers` are from `movers_of`, and `objects_at` maps time [s] to values

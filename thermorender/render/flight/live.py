@@ -6,7 +6,7 @@ last sample the path stands still. Only the part that the sensor's memory needs 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Generic
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,15 +15,12 @@ from thermorender.errors import ThermorenderError
 from thermorender.frame import Frame
 from thermorender.physics.geodesy import FARTHEST_M
 from thermorender.render.flight.frames import exposure_of, movers_of, pose_within
-from thermorender.render.flight.timed import STEP_S, TimedRenderer
+from thermorender.render.flight.timed import STEP_S, InstantRendererT, TimedRenderer
 from thermorender.sensor.detector import row_delays
 from thermorender.sensor.movers import Mover
 from thermorender.sensor.schedule import MEMORY
 from thermorender.trajectory.path import Trajectory
 from thermorender.units import utc_text
-
-if TYPE_CHECKING:
-    from thermorender.render.renderer import Renderer
 
 # Part of a path kept from before the sensor's memory [s].
 _MARGIN_S = 0.1
@@ -37,7 +34,7 @@ _MOST_HZ = 1e6
 ObjectSample = tuple[str, float, Mapping[str, float]]
 
 
-class LiveFrames:
+class LiveFrames(Generic[InstantRendererT]):
     """Frames of a camera whose path arrives piece by piece.
 
     Parameters
@@ -69,7 +66,7 @@ class LiveFrames:
     """
 
     def __init__(
-        self, renderer: "Renderer", rate_hz: float | None = None, audit: int = 0, allow_below_ground: bool = False
+        self, renderer: InstantRendererT, rate_hz: float | None = None, audit: int = 0, allow_below_ground: bool = False
     ) -> None:
         self.rate_hz = renderer.scene.camera.frame_rate_hz if rate_hz is None else float(rate_hz)
         if not 1.0 / _MOST_HZ <= self.rate_hz <= _MOST_HZ:
@@ -81,7 +78,7 @@ class LiveFrames:
         self._renderer, self._audit, self._below = renderer, audit, allow_below_ground
         self._path: Trajectory | None = None
         self._given: dict[str, dict[str, tuple[list[float], list[float]]]] = {}
-        self._timed: TimedRenderer | None = None
+        self._timed: TimedRenderer[InstantRendererT] | None = None
         self._last_s = np.inf
         self._movers: list[Mover] = []
         self._audited: Frame | None = None
@@ -264,7 +261,7 @@ class LiveFrames:
         self._exposure = exposure_of(self._timed, self._pose_at, 1.0 / self.rate_hz, self._movers, self.objects_at)
         self._movers[:] = movers_of(renderer.scene, self.objects_at, {})
 
-    def renderer_at(self, time_s: float) -> "Renderer":
+    def renderer_at(self, time_s: float) -> InstantRendererT:
         """Return the Renderer of a time at which a frame was taken [s]."""
         assert self._timed is not None
         return self._timed.at(time_s)
@@ -276,7 +273,10 @@ class LiveFrames:
             for name, own in self._given.items()
         }
 
-    def made(self, timed: TimedRenderer, time_s: float, pose: NDArray[np.float64], index: int, reading: bool) -> Frame:
+    def made(
+        self, timed: TimedRenderer[InstantRendererT], time_s: float, pose: NDArray[np.float64], index: int,
+        reading: bool,
+    ) -> Frame:  # fmt: skip
         """Return the frame of a pose; see `take`."""
         frame = timed.at(time_s).frame(pose, time_s=time_s, index=index, objects=self.objects_at(time_s))
         if not reading:
@@ -286,7 +286,9 @@ class LiveFrames:
             self._movers[:] = movers_of(self._renderer.scene, self.objects_at, times)
         return frame.with_reading(*self._exposure.read(index, time_s, frame.radiance))
 
-    def _taken(self, timed: TimedRenderer, time_s: float, pose: NDArray[np.float64], reading: bool) -> Frame:
+    def _taken(
+        self, timed: TimedRenderer[InstantRendererT], time_s: float, pose: NDArray[np.float64], reading: bool
+    ) -> Frame:
         first = time_s if self.last is None else self._first_s
         index = max(self.index + 1, round((time_s - first) * self.rate_hz))
         frame = replace(self.made(timed, time_s, pose, index, reading), time=timed.time(time_s))

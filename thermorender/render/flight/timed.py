@@ -5,21 +5,23 @@ bounded. A renderer depends only on its instant, not on earlier requests.
 """
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError
+from thermorender.frame import Frame
 from thermorender.render.heat.instants import solved_at
 from thermorender.scene.scene import Scene
+from thermorender.sensor.camera import Camera
 from thermorender.units import utc_text
 
 if TYPE_CHECKING:
     # These import Mitsuba, which is loaded if there is a renderer.
-    from thermorender.render.baked import Progress
+    from thermorender.render.baked import BakedScene, Progress
+    from thermorender.render.dynamic import Objects
     from thermorender.render.geometry import Geometry
-    from thermorender.render.renderer import Renderer
 
 # Step of the temperatures of a flight [s]; a frame takes the nearest: at 3 K an hour the error is up to 25 mK.
 STEP_S = 60.0
@@ -36,16 +38,51 @@ def solved_in_parts(
         yield from solved_at(scene, list(times[first : first + TOGETHER]), geometry, progress)
 
 
-class TimedRenderer:
+_Self = TypeVar("_Self", bound="InstantRenderer")
+InstantRendererT = TypeVar("InstantRendererT", bound="InstantRenderer")
+
+
+class InstantRenderer(Protocol):
+    """What flights use of a `Renderer`, the renderer of one instant."""
+
+    scene: Scene
+    seed: int
+
+    @property
+    def baked(self) -> "BakedScene":
+        """The scene with its light."""
+
+    def solved_for(self: _Self, scene: Scene) -> _Self:
+        """Return the renderer of the same surfaces at other temperatures."""
+
+    def refuse_camera(self, positions: ArrayLike) -> None:
+        """Raise for cameras at local positions (…, 3) without air or above its clouds."""
+
+    def frame(self, pose: ArrayLike, time_s: float = ..., index: int = ..., objects: "Objects | None" = ...) -> Frame:
+        """Return the Frame of a pose."""
+
+    def radiance(
+        self, pose: ArrayLike, time_s: float = ..., objects: "Objects | None" = ..., *, camera: Camera | None = ...,
+        lit_s: float | None = ..., lit_objects: "Objects | None" = ...,
+    ) -> NDArray[np.float32]:  # fmt: skip
+        """Return the band radiance of `frame`, (H, W) [W m⁻² sr⁻¹]."""
+
+    def depth(self, pose: ArrayLike, camera: Camera | None = ...) -> NDArray[np.float32]:
+        """Return the depth of the static scene along the camera's axis, (H, W) [m]."""
+
+
+class TimedRenderer(Generic[InstantRendererT]):
     """The renderer of each instant of a flight; `renderer`, kept as `first`, is that of the first instant. `first_s`
     and `last_s` are the times of the whole trajectory [s], even if only a part is flown. `progress` is called with
     (what, share done) while a heat balance is solved."""
 
-    def __init__(self, renderer: "Renderer", first_s: float, last_s: float, progress: "Progress | None" = None) -> None:
+    def __init__(
+        self, renderer: InstantRendererT, first_s: float, last_s: float, progress: "Progress | None" = None
+    ) -> None:
         self.first, self._first_s, self._progress = renderer, first_s, progress
         self._last_step = round((last_s - first_s) / STEP_S) if renderer.scene.temperature_state.weather_driven else 0
         # At most two steps, since the memory of pixels reaches back over a change of the step.
-        self._made: dict[int, Renderer] = {}
+        self._made: dict[int, InstantRendererT] = {}
         self._part: tuple[int, dict[int, Scene]] = (-1, {})
         if self._last_step:
             end, weather = self._instant(self._last_step), renderer.scene.weather
@@ -55,7 +92,7 @@ class TimedRenderer:
                     f"{utc_text(weather.time[-1])}; give an earlier time, or longer weather"
                 )
 
-    def at(self, time_s: float) -> "Renderer":
+    def at(self, time_s: float) -> InstantRendererT:
         """Return the Renderer for a time of the trajectory [s]."""
         step = self._step(time_s)
         if step == 0:

@@ -27,7 +27,6 @@ class Inputs:
     pose_error: tuple[float, float] = (1.0, 0.7)  # (2,) floats [m], [deg]
     above_ground_m: float | None = None  # Of the first frame
     references: Path | None = None
-    rounds: int = 4
     scale: tuple[float, float] | None = None  # (2,) floats (kelvin per count, kelvin of count 0)
     lens: Path | None = None  # File of a lens, in place of that of the poses or the camera
 
@@ -45,7 +44,7 @@ def run(inputs: Inputs, folder: Path, progress: Progress | None = None) -> dict[
         survey = replace(survey, notes=(*survey.notes, said))
     references = read_references(inputs.references) if inputs.references else []
     texel_m = scene.surfaces[0].texel_m if inputs.texel_m is None else inputs.texel_m
-    settings = Settings(texel_m=texel_m, rounds=inputs.rounds, pose_error=PoseError(*inputs.pose_error))
+    settings = Settings(texel_m=texel_m, pose_error=PoseError(*inputs.pose_error))
     with files.output_folder(folder) as out, files.in_use(out):
         files.remove_parts(out)
         found = reconstruct(scene, survey, camera, settings, references, out, progress)

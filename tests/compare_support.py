@@ -1,18 +1,27 @@
-"""Small lands, maps and frames for comparisons."""
+"""Small lands, maps, frames and data sets for comparisons."""
 
+import functools
+
+import cv2
 import numpy as np
 
 import thermorender as tr
 from scenes import coarse
 from thermorender.apps.compare.view import Flight, View
+from thermorender.apps.training.dataset import Entry, ThermalScale, read_dataset
+from thermorender.apps.training.dataset_writer import Writer, packed
+from thermorender.defaults import BAND_UM
 from thermorender.learned.correlation import Correlation
-from thermorender.learned.temperature_map import TemperatureMap, save_map
+from thermorender.learned.temperature_map import Inputs, TemperatureMap, save_map
+from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.sensor.radiometric_files import write_tlinear
 
 DOWN = [0.0, 1.0, 0.0, 0.0]
-
-
 BAND = (7.5, 13.5)
+# Of a data set: size, materials, and the deviation of temperatures from their middles [K].
+SHAPE = (48, 64)
+MATERIALS = ["grass_green", "asphalt", "own_material"]
+HIDDEN_K = 0.8
 
 
 def flight(folder, height=8.0, poses=3, step=0.6, factor=4):
@@ -84,3 +93,51 @@ def summary_of(methods=(), references=(True,), assumed=False, computed=False):
                    for known in references],
         "findings": [], "notes": [],
     }  # fmt: skip
+
+
+def linear_map(name="linear", intercept=0.0):
+    kernel = np.array([[[0.3, 0.4, -0.2]]])
+    return TemperatureMap(
+        name, "correlation-1to1", Correlation(kernel, intercept), (285.0, 305.0), BAND_UM, 0.1, (0.05, 0.2),
+        "zenmuse-xt2", 255.0, "a test", about={"training_s": 3.0},
+    )  # fmt: skip
+
+
+@functools.cache
+def known_pair(number):
+    """(visible, temperature [K], error of `linear_map` [K], material) of a pair."""
+    rng = np.random.default_rng(number)
+    visible = cv2.GaussianBlur(rng.integers(0, 256, (*SHAPE, 3)).astype(np.uint8), (0, 0), 2.0)
+    error = rng.normal(0.3 * number, 1.0 + 0.1 * number, SHAPE)
+    material = rng.integers(0, 3, SHAPE).astype(np.uint8)
+    material[:2] = 255
+    given = brightness_temperature(linear_map().radiance(Inputs(visible)), *BAND_UM)
+    return visible, given - error, error, material
+
+
+def make_dataset(folder, pairs=10, test=6, truth=True, terrain=("sun",)):
+    """A data set of rendered views whose last pairs are the test part."""
+    scale = ThermalScale("radiance", 0.002, 0.0)
+    card = {"title": "a toy", **({"materials": MATERIALS, "terrain": list(terrain)} if truth else {})}
+    writer, members = Writer(folder, card, scale), []
+    for number in range(pairs):
+        visible, temperature, _, material = known_pair(number)
+        radiance = band_radiance(temperature, *BAND_UM)
+        rng = np.random.default_rng(100 + number)
+        middle = temperature - rng.normal(0.0, HIDDEN_K, SHAPE)
+        planes = {
+            "radiance": radiance, "material": material, "sun": np.full(SHAPE, 0.5, np.float32),
+            "balance": band_radiance(temperature + 1.5, *BAND_UM),
+            "redrawn": band_radiance(middle + rng.normal(0.0, HIDDEN_K, SHAPE), *BAND_UM),
+        }  # fmt: skip
+        valid = np.ones(SHAPE, bool)
+        valid[:, :3] = False
+        entry = Entry(
+            f"p{number}", "test" if number >= pairs - test else "train", f"p{number}", f"world{number}", 0, SHAPE, 0.1,
+            conditions={"air_k": 290.0, "solar_hour": 6.0 + number},
+            labels={"kind": "heath" if number % 2 else "village", "view": "nadir"},
+        )  # fmt: skip
+        thermal = np.rint(radiance / scale.step).astype(np.uint16)
+        members.append((entry, packed(visible, thermal, valid, planes if truth else None)))
+    writer.shard("all", members)
+    return read_dataset(folder)

@@ -1,0 +1,247 @@
+"""Spectra from the field: the quantity and the units that a header states are obeyed or refused."""
+
+import numpy as np
+import pytest
+
+from thermorender.apps.material_tables.check import check
+from thermorender.apps.material_tables.from_samples import from_samples, read_selection
+from thermorender.apps.material_tables.samples import read_ecostress, read_sample
+from thermorender.errors import ThermorenderError
+from thermorender.materials.library import load_library
+from thermorender.materials.store import write_material
+
+WAVELENGTH = np.linspace(14.2, 6.8, 200)
+
+
+def ecostress_file(path, wavelength, percent, measurement="Hemispherical reflectance", y_units="Reflectance (percent)"):
+    header = [
+        "Name: Made-up rock", "Type: rock", "Description: at 10\xb0: rough", f"Measurement: {measurement}",
+        "X Units: Wavelength (micrometers)", f"Y Units:{y_units}", "",
+    ]  # fmt: skip
+    lines = [f" {w:.4f}\t{p:.4f}" for w, p in zip(wavelength, percent, strict=True)]
+    path.write_text("\n".join(header + lines) + "\n", encoding="latin-1")
+    return path
+
+
+def spectrum(path, values=5.0, x=WAVELENGTH, x_units=None, **kwargs):
+    path = ecostress_file(path, x, values + 0.0 * x, **kwargs)
+    if x_units:
+        path.write_text(path.read_text("latin-1").replace("Wavelength (micrometers)", x_units), "latin-1")
+    return path
+
+
+def columns(header, *values, unit=1.0):
+    """The text of a table of these values at all wavelengths."""
+    return "\n".join([header, *(",".join(map(str, [unit * w, *values])) for w in np.round(WAVELENGTH, 3))])
+
+
+def emissivity(path):
+    return from_samples([read_sample(path)], "rock", solar_absorptance=0.5).emissivity_at(10.0)
+
+
+@pytest.mark.parametrize(
+    ("x_units", "to_x", "y_units", "value"),
+    [("Wavelength (micrometers)", lambda um: um, "Reflectance (percentage)", 5.0),
+     ("Wavelength (nanometers)", lambda um: 1e3 * um, "Reflectence (percent)", 5.0),
+     ("Wavenumber (cm-1)", lambda um: 1e4 / um, "Reflectance (fraction)", 0.05),
+     ("Wavenumber (cm^-1)", lambda um: 1e4 / um, "Reflectance (unitless)", 0.05)],
+)  # fmt: skip
+def test_stated_units_are_obeyed(tmp_path, x_units, to_x, y_units, value):
+    path = spectrum(tmp_path / "a.txt", value, to_x(WAVELENGTH), x_units, y_units=y_units)
+    assert emissivity(path) == pytest.approx(0.95, abs=1e-4)
+    assert not [each for each in check(path) if each.fault]
+
+
+@pytest.mark.parametrize(
+    ("x_units", "y_units"),
+    [(None, "Emissivity (percent)"), (None, "Transmittance (percentage)"), (None, "Transmittance"),
+     (None, "Reflectance"), (None, "percent"), ("Frequency (THz)", "Reflectance (percent)")],
+)  # fmt: skip
+def test_other_quantities_and_units_are_refused(tmp_path, x_units, y_units):
+    path = spectrum(tmp_path / "a.txt", 95.0, x_units=x_units, y_units=y_units)
+    with pytest.raises(ThermorenderError, match="only hemispherical reflectance in percent or as a fraction"):
+        read_sample(path)
+    assert any("only hemispherical reflectance" in each.text for each in check(path) if each.fault)
+
+
+@pytest.mark.parametrize("percent", [0.05, 0.95, 99.5])
+def test_reflectance_that_no_surface_has_is_refused(tmp_path, percent):
+    with pytest.raises(ThermorenderError, match="which no surface has; its heading may state percent for shares"):
+        emissivity(spectrum(tmp_path / "a.txt", percent))
+    (tmp_path / "a.csv").write_text(columns("wavelength_um,emissivity_percent", percent))
+    with pytest.raises(ThermorenderError, match="which no surface has"):
+        emissivity(tmp_path / "a.csv")
+
+
+def test_emissivity_under_a_heading_of_reflectance_is_remarked_on(tmp_path):
+    for percent, remarked in ((96.0, True), (5.0, False)):
+        sample = read_sample(spectrum(tmp_path / "a.txt", percent))
+        note = from_samples([sample], "rock", solar_absorptance=0.5).note
+        assert ("if the values are emissivities, their heading is wrong" in note) == remarked
+
+
+def test_impossible_wavelengths_are_refused(tmp_path):
+    path = spectrum(tmp_path / "a.txt")
+    path.write_text(path.read_text("latin-1") + "1e18\t5.0\n", "latin-1")
+    with pytest.raises(ThermorenderError, match=r"pair 1e\+18, 5, a wavelength outside 0.1…1000 µm"):
+        read_sample(path)
+    path = spectrum(tmp_path / "a.txt", x=1e4 / WAVELENGTH)
+    with pytest.raises(ThermorenderError, match="a wavelength outside"):
+        read_sample(path)
+
+
+@pytest.mark.parametrize(("count", "last"), [(250, 6.8), (200, 0.4), (200, 6.8)])
+def test_a_stated_extent_must_be_the_files(tmp_path, count, last):
+    path = spectrum(tmp_path / "a.txt")
+    stated = f"First X Value: 14.2\nLast X Value: {last}\nNumber of X Values: {count}\nX Units:"
+    path.write_text(path.read_text("latin-1").replace("X Units:", stated), "latin-1")
+    if (count, last) == (200, 6.8):
+        assert emissivity(path) == pytest.approx(0.95, abs=1e-4)
+        return
+    with pytest.raises(
+        ThermorenderError, match=f"holds 200 pairs from 6.8 to 14.2 where its header states {count} from"
+    ):
+        read_sample(path)
+
+
+# --- tables of samples -----------------------------------------------------------------------------------------------
+
+
+def test_mean_and_spread_over_samples_in_either_order(tmp_path):
+    coarse = np.linspace(2.0, 14.2, 123)
+    fine = np.linspace(14.01, 0.4, 2001)
+    paths = [
+        ecostress_file(tmp_path / "a.txt", coarse, 10.0 + coarse),
+        ecostress_file(tmp_path / "b.txt", fine, 12.0 + fine),
+    ]
+    rock = from_samples([read_ecostress(path) for path in paths], "rock", title="Rock", temperature=301.0)
+    np.testing.assert_allclose(rock.wavelength_um, np.arange(64, 281) * 0.05)
+    np.testing.assert_allclose(rock.emissivity[1:-1], 0.89 - rock.wavelength_um[1:-1] / 100, atol=1e-6)
+    np.testing.assert_allclose(rock.emissivity_std[1:-1], np.sqrt(2.0) * 0.01, atol=2e-6)
+    assert rock.samples == 2 and rock.source.endswith("a.txt; b.txt")
+    # Only the second extends to sunlight, where it reflects 12.4 to 14.5 %.
+    assert 0.855 < rock.solar_absorptance < 0.876 and "from 1 of 2 samples" in rock.note
+    write_material(rock, tmp_path / "m")
+    back = load_library(tmp_path / "m")["rock"]
+    np.testing.assert_allclose(back.emissivity, rock.emissivity, atol=5.1e-7)
+    assert (back.title, back.temperature) == ("Rock", 301.0)
+    assert (back.source, back.note) == (rock.source, rock.note)
+
+
+def test_repeated_wavelengths_are_averaged_and_percent_is_converted(tmp_path):
+    path = ecostress_file(tmp_path / "a.txt", [14.0, 9.0, 9.0, 2.0], [10.0, 20.0, 40.0, 5.0])
+    sample = read_ecostress(path)
+    np.testing.assert_allclose(sample.wavelength_um, [2.0, 9.0, 14.0])
+    np.testing.assert_allclose(sample.reflectance, [0.05, 0.30, 0.10])
+    assert sample.name == "Made-up rock"
+
+
+def test_samples_without_usable_emissivity_are_refused(tmp_path):
+    wavelength = np.linspace(2.0, 14.5, 200)
+
+    def refused(words, *, wavelength=wavelength, percent=5.0, solar=0.5, **kwargs):
+        path = ecostress_file(tmp_path / "a.txt", wavelength, percent + 0.0 * wavelength, **kwargs)
+        with pytest.raises(ThermorenderError, match=words):
+            from_samples([read_ecostress(path)], "rock", solar_absorptance=solar)
+
+    refused(r"less than two steps of 0.05 µm in common within 3.2–15 µm", wavelength=np.linspace(0.4, 2.5, 99))
+    refused(r"measured as 'Bidirectional'; .* leave the sample out", measurement="Bidirectional")
+    refused(r"has reflectance -0.5 % at .* outside 0…100 % at", percent=-0.5)
+    refused(r"no sample of material 'rock' covers 0.42–2.5 µm.*give an assumed value", solar=None)
+    with pytest.raises(ThermorenderError, match=r"b.txt does not exist; order the spectrum"):
+        read_ecostress(tmp_path / "b.txt")
+    with pytest.raises(ThermorenderError, match=r"'rock' has no sample"):
+        from_samples([], "rock")
+
+
+def test_libraries_that_end_at_different_wavelengths_make_one_table(tmp_path):
+    """Over 7–14 µm the mean is over the samples that extend there, and the note gives their number."""
+    samples = [
+        read_ecostress(ecostress_file(tmp_path / "a.txt", np.linspace(3.0, 12.5, 400), np.full(400, 10.0))),
+        read_ecostress(ecostress_file(tmp_path / "b.txt", np.linspace(8.0, 14.2, 400), np.full(400, 20.0))),
+    ]
+    rock = from_samples(samples, "rock", solar_absorptance=0.5)
+    assert rock.valid_range_um == (7.0, 14.0)
+    np.testing.assert_allclose(rock.emissivity_at([7.5, 10.0, 13.0]), [0.9, 0.85, 0.8], atol=1e-9)
+    assert "samples: 1 over 7–7.95 µm, 2 over 8–12.5 µm, 1 over 12.55–14 µm" in rock.note
+    assert np.isnan(rock.emissivity_std[0])
+    apart = read_ecostress(ecostress_file(tmp_path / "c.txt", np.linspace(9.0, 14.2, 400), np.full(400, 20.0)))
+    short = read_ecostress(ecostress_file(tmp_path / "d.txt", np.linspace(6.0, 8.0, 400), np.full(400, 20.0)))
+    with pytest.raises(ThermorenderError, match=r"no sample of material 'rock' covers 8.05 µm, between those that do"):
+        from_samples([apart, short], "rock", solar_absorptance=0.5)
+
+
+def test_gaps_of_a_sample_are_not_interpolated(tmp_path):
+    path = tmp_path / "own.csv"
+
+    def write(*ranges):
+        rows = "".join(f"{w:.3f},0.9\n" for low, high in ranges for w in np.arange(low, high, 0.02))
+        path.write_text("wavelength_um,emissivity\n" + rows)
+        return from_samples([read_sample(path)], "rock", solar_absorptance=0.5)
+
+    assert write((0.4, 2.5), (8.0, 14.01)).valid_range_um == (8.0, 14.0)
+    with pytest.raises(ThermorenderError, match=r"own.csv of material 'rock' has no point between 8.98 and 10 µm"):
+        write((7.0, 8.99), (10.0, 14.01))
+
+
+@pytest.mark.parametrize(
+    ("header", "rows"),
+    [
+        ("wavelength_um,emissivity", [(7.0, 0.9), (10.0, 0.8), (14.0, 0.95)]),
+        ("wavelength_nm,reflectance_percent", [(7000, 10.0), (10000, 20.0), (14000, 5.0)]),
+        ("wavenumber_cm-1,reflectance", [(1e4 / 7.0, 0.1), (1000.0, 0.2), (1e4 / 14.0, 0.05)]),
+        ("emissivity_percent,wavelength_um", [(90.0, 7.0), (80.0, 10.0), (95.0, 14.0)]),
+    ],
+)
+def test_two_column_tables_state_their_units(tmp_path, header, rows):
+    path = tmp_path / "own.csv"
+    path.write_text(header + "\n" + "".join(f"{a!r},{b!r}\n" for a, b in rows))
+    sample = read_sample(path)
+    np.testing.assert_allclose(sample.wavelength_um, [7.0, 10.0, 14.0], rtol=1e-12)
+    np.testing.assert_allclose(sample.reflectance, [0.1, 0.2, 0.05], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "column", "words"),
+    [
+        ("um,eps\n7,0.9\n14,0.9\n", None, r"row 1 holds um, eps; the headings must be one of wavelength_um, wave"),
+        ("wavelength_um,emissivity\n7,x\n", None, r"row 2: emissivity='x' is not a number"),
+        ("wavelength_um,emissivity\n7,nan\n8,0.1\n", None, r"row 2: emissivity=nan is not within"),
+        ("wavelength_um,emissivity\n7,0.9\n7,0.9\n", None, r"at least two rows with different, positive"),
+        ("wavelength,A001,A002\n8,0.9,0.8\n9,0.9,0.8\n", "A9", r"holds the samples A001, A002 … A002, not 'A9'"),
+        ("wavelength,A001,A002\n8,0.9,0.8\n9,0.9,0.8\n", None, r"not None; name one as column"),
+        (
+            columns("wavelength_um,reflectance,transmittance", 0.1, 0.6),
+            None,
+            "has a column 'transmittance'; emissivity is one minus reflectance",
+        ),
+        (columns("wavelength_um,reflectance,emissivity", 0.1, 0.9), None, "the headings must be one of"),
+        (
+            columns("wavelength_um,emissivity", 0.9, unit=1000.0),
+            None,
+            "by its heading wavelength_um, but spectra lie within",
+        ),
+    ],
+)
+def test_faults_of_sample_files_are_reported(tmp_path, text, column, words):
+    path = tmp_path / "own.csv"
+    path.write_text(text)
+    with pytest.raises(ThermorenderError, match=words):
+        read_sample(path, column)
+
+
+def test_selection_accepts_bare_file_names_only(tmp_path):
+    selection = tmp_path / "selection.csv"
+    header = "material,file,title,colour_r,colour_g,colour_b,solar_absorptance,temperature_k,note\n"
+    selection.write_text(header + "rock,a.txt,Rock,1,2,3,0.5,20,\n")
+    ecostress_file(tmp_path / "a.txt", np.linspace(2.0, 14.5, 200), np.full(200, 5.0))
+    with pytest.raises(ThermorenderError, match=r"selection.csv, row 2: temperature_k=20 is not within 100…6000"):
+        read_selection(selection, [tmp_path])
+    selection.write_text(header + "rock,a.txt,Rock,1,2,3,0.5,300,\n")
+    assert read_selection(selection, [tmp_path])[0].emissivity_at(10.0) == pytest.approx(0.95)
+    selection.write_text(header + "rock,../a.txt,Rock,1,2,3,0.5,300,\n")
+    with pytest.raises(ThermorenderError, match=r"file='../a.txt' is not the bare name of a file"):
+        read_selection(selection, [tmp_path])
+    selection.write_text(header + "rock,b.txt,Rock,1,2,3,0.5,300,\n")
+    with pytest.raises(ThermorenderError, match=r"b.txt is in none of .*; add the folder that holds it"):
+        read_selection(selection, [tmp_path])
