@@ -16,6 +16,7 @@ from thermorender.apps.compare.machine import forget_peak_memory, machine, peak_
 from thermorender.apps.compare.sampling_error import cache_off, converged, optics_sigma_px, rms_mk
 from thermorender.errors import ThermorenderError
 from thermorender.progress import Progress
+from thermorender.render.quality import QUALITIES
 from thermorender.render.renderer import Renderer
 from thermorender.scene.load import load_scene
 from thermorender.scene.scene import Scene
@@ -23,7 +24,7 @@ from thermorender.trajectory import path
 from thermorender.versions import versions
 
 Settings = Sequence[tuple[str, dict[str, Any]]]
-SETTINGS: Settings = tuple((name, {"quality": name}) for name in ("fast", "standard", "high"))
+SETTINGS: Settings = tuple((name, {"quality": name}) for name in QUALITIES)
 HEIGHT_M = 120.0
 # Camera pitch [deg] of each view; every view looks at the middle of the scene.
 VIEWS = {"nadir": -90.0, "oblique": -45.0}
