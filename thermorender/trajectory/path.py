@@ -126,7 +126,7 @@ class Trajectory:
 
     @cached_property
     def rotation(self) -> Rotation:
-        """Attitudes as N SciPy `Rotation`s from camera axes to east, north, up."""
+        """Attitudes, N rotations of SciPy from camera axes to east, north, up."""
         return rotation_from_wxyz(self.quaternion)
 
     @cached_property

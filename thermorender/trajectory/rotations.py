@@ -1,4 +1,4 @@
-"""Attitudes of vehicles and cameras as SciPy `Rotation`s: aviation angles, axis conventions and interpolation.
+"""Attitudes of vehicles and cameras as rotations of SciPy: aviation angles, axis conventions and interpolation.
 
 *Body* axes are x forward, y right, z down (FRD); *NED* north, east, down at the vehicle; *camera* x right, y down, z
 forward along the optical axis.
