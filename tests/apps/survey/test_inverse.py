@@ -13,7 +13,7 @@ import thermorender as tr
 from thermorender.apps.lands.procedural.procedural_scene import make
 from thermorender.apps.lands.procedural.truth import write
 from thermorender.apps.survey.inverse.frames import Survey, camera_rotation, frame_files, read_frames
-from thermorender.apps.survey.inverse.kinetic import light_of
+from thermorender.apps.survey.inverse.kinetic import Light, kinetic_of, light_of
 from thermorender.apps.survey.inverse.level import Reference
 from thermorender.apps.survey.inverse.linear import LinearKelvin
 from thermorender.apps.survey.inverse.normal import Prior
@@ -379,6 +379,8 @@ def test_files_hold_the_reconstruction(survey, fixed, tmp_path):
     record = json.loads((tmp_path / "reconstruction.json").read_text())
     assert record["frames"] == 12
     made = tr.load_scene(tmp_path / "scene")
+    # The poses belong to the camera of the frames, with its lens.
+    assert replace(made.camera, name=found.camera.name) == found.camera
     with rasterio.open(made.spec.temperature.raster) as file:
         temperature = file.read(1)[tuple(window(found))]
     known = np.isfinite(found.kinetic)
@@ -496,3 +498,30 @@ def test_a_camera_that_looks_down_has_the_top_of_its_image_ahead():
     np.testing.assert_allclose(
         turn.apply([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0]]), [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], atol=1e-12
     )
+
+
+@pytest.mark.parametrize("sky_k", [220.0, 255.0, 300.0])
+def test_the_error_of_the_emissivity_is_part_of_kinetic_temperatures(sky_k):
+    """Against the temperatures that emissivities 0.92 ± 0.001 give for the same radiance, by bisection."""
+    from types import SimpleNamespace
+
+    from scipy.optimize import brentq
+
+    from thermorender.materials.material import grey
+    from thermorender.physics.planck import band_radiance
+
+    emissivity, std, band = 0.92, 0.015, (7.5, 13.5)
+    material = replace(grey("soil", emissivity), emissivity_std=np.full(2, std))
+    linear = LinearKelvin(band, 300.0)
+    incident, seen = (float(band_radiance(kelvin, *band)) for kelvin in (sky_k, 296.0))
+
+    def kinetic_at(epsilon):
+        return brentq(lambda t: epsilon * band_radiance(t, *band) + (1 - epsilon) * incident - seen, 250.0, 350.0)
+
+    one = lambda value: np.full((1, 1), value)  # noqa: E731
+    light = Light(one(296.0), one((1 - emissivity) * incident), np.zeros((1, 1), np.uint8), one(297.0))
+    renderer = SimpleNamespace(scene=SimpleNamespace(materials=(material,)))
+    kinetic, _, found, trusted = kinetic_of(linear.of(one(296.0)), light, renderer, linear)
+    assert trusted.all() and kinetic[0, 0] == pytest.approx(kinetic_at(emissivity), abs=2e-3)
+    expected = abs(kinetic_at(emissivity + 1e-3) - kinetic_at(emissivity - 1e-3)) / 2e-3 * std
+    assert found[0, 0] == pytest.approx(expected, rel=0.02)

@@ -13,11 +13,14 @@ from thermorender.apps.survey.inverse.linear import RANGE_K, LinearKelvin
 from thermorender.apps.survey.inverse.weights import Lattice
 from thermorender.learned.apply import LOWEST_EMISSIVITY
 from thermorender.physics.band import RadianceTable, emitted_radiance, reflected_radiance
+from thermorender.physics.planck import band_radiance
 
 if TYPE_CHECKING:
     from thermorender import Renderer
 
 Floats = NDArray[np.float64]
+# A sky without weather may be so much warmer than its setting: under clouds instead of a clear sky [K].
+_WARMER_K = 30.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,19 +56,21 @@ def light_of(renderer: "Renderer", lattice: Lattice, linear: LinearKelvin) -> Li
 
 def kinetic_of(
     apparent: Floats, light: Light, renderer: "Renderer", linear: LinearKelvin
-) -> tuple[Floats, Floats, NDArray[np.bool_]]:  # fmt: skip
-    """Return (kinetic temperature [K], its change with linear kelvin, trusted), each (h, w); unknown input is NaN.
+) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:  # fmt: skip
+    """Return (kinetic temperature [K], its change with linear kelvin, standard deviation by that of the emissivity [K],
+    trusted), each (h, w); unknown input is NaN.
 
     Not trusted are emissivities below 0.5, reflection by angle (water, glass), and equations without a solution; the
     kinetic temperature is then the scene's.
     """
     scene = renderer.scene
     emitted = linear.radiance(apparent) - light.reflected
-    kinetic, change = light.kinetic.copy(), np.zeros(apparent.shape)
+    kinetic, change, std = light.kinetic.copy(), np.zeros(apparent.shape), np.zeros(apparent.shape)
     trusted = np.zeros(apparent.shape, bool)
     for number in np.unique(light.material):
         here, material = light.material == number, scene.materials[number]
-        low = material.band_emissivity(*linear.band_um, linear.reference_k) < LOWEST_EMISSIVITY
+        emissivity = float(material.band_emissivity(*linear.band_um, linear.reference_k))
+        low = emissivity < LOWEST_EMISSIVITY
         table = _table(renderer, int(number), linear)
         step = 0.05 * linear.slope
         found = table.inverse(emitted[here])
@@ -75,8 +80,36 @@ def kinetic_of(
             known[:] = False
         kinetic[here] = np.where(known, found, kinetic[here])
         change[here] = np.where(known, slope, 0.0)
+        # ε B(T) + (1 − ε) E is seen, so T falls by (B − E) / (ε dB/dT) per unit of ε.
+        error = np.nan_to_num(material.band_emissivity_std(*linear.band_um, linear.reference_k))
+        incident = light.reflected[here] / max(1.0 - emissivity, 1e-6)
+        per_kelvin = linear.slope / linear.kelvin_per_linear(kinetic[here])
+        contrast = np.abs(linear.radiance(linear.of(kinetic[here])) - incident)
+        std[here] = np.where(known, error * contrast / (emissivity * per_kelvin), 0.0)
         trusted[here] = known
-    return kinetic, change, trusted
+    return kinetic, change, std, trusted
+
+
+def unknowns(renderer: "Renderer", material: NDArray[np.uint8], linear: LinearKelvin) -> list[str]:
+    """Return sentences on what kinetic temperatures of a map's materials, (h, w), assume without a stated error."""
+    scene, notes = renderer.scene, []
+    present = [scene.materials[number] for number in np.unique(material)]
+    unstated = [each.name for each in present if np.isnan(each.band_emissivity_std(*linear.band_um, 300.0))]
+    if unstated:
+        notes.append(
+            f"the emissivity of {', '.join(unstated[:4])}{' and others' if len(unstated) > 4 else ''} has no stated "
+            "error, so kinetic_std leaves it out; 0.01 is about 0.4 K under a cold sky"
+        )
+    if scene.spec.weather is None:
+        sky = float(scene.sky_temperature)
+        shares = [1.0 / float(each.band_emissivity(*linear.band_um, linear.reference_k)) - 1.0 for each in present]
+        warmer, now = band_radiance(np.array([sky + _WARMER_K, sky]), *linear.band_um)
+        notes.append(
+            f"the reflected sky of {sky:.0f} K is a setting of the scene, not of a weather: if it is {_WARMER_K:.0f} K "
+            f"warmer, kinetic temperatures are {max(shares) * float(warmer - now) / linear.slope:.2f} K lower at most; "
+            "give the scene [weather], or its sky"
+        )
+    return notes
 
 
 def apparent_of(kinetic_k: float, number: int, reflected: float, renderer: "Renderer", linear: LinearKelvin) -> float:

@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from thermorender import formats
+from thermorender import formats, load_camera
 from thermorender.apps.survey.inverse.poses import deviation
 from thermorender.apps.survey.inverse.reconstruct import Reconstruction
 from thermorender.apps.survey.inverse.solve import vignetting
 from thermorender.apps.survey.inverse.weights import Lattice
+from thermorender.defaults import CAMERA
 from thermorender.frame.picture import png
 from thermorender.frame.tiff import write_kelvin
 from thermorender.output.flight_pages.html import document, figure, table, text
@@ -150,8 +151,15 @@ def _scene(found: Reconstruction, folder: Path) -> None:
     _write(folder / "reconstructed.tif", values, whole, "kinetic temperature")
     error = float(np.sqrt(np.nanmean(found.kinetic_std**2) + found.level_std_k**2)) if known.any() else None
     tables["temperature"] = {"source": "raster", "raster": "reconstructed.tif"}
+    if error is not None:
+        tables["temperature"] |= {"map_error_k": round(min(error, 50.0), 3)}
+    model = str(tables.get("camera", {}).get("model", CAMERA))
+    if found.camera != load_camera(source / model if model.endswith(".toml") else model):
+        # The poses belong to the camera and lens that the frames were read with.
+        fields = {name: value for name, value in vars(found.camera).items() if name != "name"}
+        formats.write_text(folder / "camera.toml", toml_text(fields, f"{found.camera.name}, as the frames were read."))
+        tables["camera"] = {"model": "camera.toml"}
     if "weather" in tables:
-        tables["temperature"] |= {"map_error_k": None if error is None else round(min(error, 50.0), 3)}
         tables["temperature"] |= {"trained": dict(tables["weather"])}
     formats.write_text(folder / "scene.toml", toml_text(tables, "Temperatures reconstructed from frames."))
 

@@ -14,7 +14,7 @@ from thermorender import Camera, Scene, files, formats
 from thermorender.apps.survey.inverse import level
 from thermorender.apps.survey.inverse.air import without_air
 from thermorender.apps.survey.inverse.frames import Survey
-from thermorender.apps.survey.inverse.kinetic import Light, kinetic_of, light_of
+from thermorender.apps.survey.inverse.kinetic import Light, kinetic_of, light_of, unknowns
 from thermorender.apps.survey.inverse.linear import LinearKelvin
 from thermorender.apps.survey.inverse.normal import Prior
 from thermorender.apps.survey.inverse.notes import Level, notes_of
@@ -58,7 +58,8 @@ class Reconstruction:
     apparent, apparent_std : (h, w) float64
         Apparent temperature and its standard deviation without the common level [K]; NaN where no frame shows a texel.
     kinetic, kinetic_std : (h, w) float64
-        Kinetic temperature, in the same way; NaN also where it is not trusted.
+        Kinetic temperature, in the same way; NaN also where it is not trusted. Its standard deviation includes that of
+        the emissivity, where the material states one.
     views : (h, w) int32
         Frames that show each texel.
     residual : (h, w) float64
@@ -157,13 +158,14 @@ def reconstruct(
     notes = notes_of(survey, blind, state, spread, settings, pixel_m, found_level, scene.time)
     apparent = np.where(seen, linear.kelvin(means), np.nan)
     per_linear = linear.kelvin_per_linear(np.where(seen, apparent, linear.reference_k))
-    found, change, trusted = kinetic_of(np.where(seen, means, np.nan), light, renderer, linear)
+    found, change, by_emissivity, trusted = kinetic_of(np.where(seen, means, np.nan), light, renderer, linear)
     trusted &= seen
     return Reconstruction(
         survey, camera, settings, lattice, apparent, np.where(seen, spread.std * per_linear, np.nan),
-        np.where(trusted, found, np.nan), np.where(trusted, spread.std * np.abs(change), np.nan), spread.views,
+        np.where(trusted, found, np.nan), np.where(trusted, np.hypot(spread.std * change, by_emissivity), np.nan),
+        spread.views,
         np.where(seen, spread.residual, np.nan), linear.kelvin(light.apparent), state, spread, shift, level_std,
-        residuals, (*survey.notes, *notes), renderer, light,
+        residuals, (*survey.notes, *notes, *unknowns(renderer, light.material, linear)), renderer, light,
     )  # fmt: skip
 
 
