@@ -323,3 +323,12 @@ def test_objects_print_what_they_are(scene, tmp_path):
     camera = str(tr.load_camera("boson-640"))
     for words in ("µm", "°", "mrad per pixel", "NETD", "mK", "bits over", "no visible camera beside it"):
         assert words in camera
+
+
+def test_render_says_that_a_camera_below_the_ground_sees_backs(tmp_path, call):
+    folder = write_terrain(tmp_path / "tiny")
+    for name, pose, backs in (("below", "0,0,-20,0,90,0", True), ("above", "0,0,30,0,-90,0", False)):
+        options = ("--local-up", "--pose", pose, "--rays", 8, "-o", tmp_path / name)
+        status, _, errors = call("render", folder, *options)
+        assert status == 0, errors
+        assert ("100% of the pixels with a surface see backs of faces: the camera is below the" in errors) == backs
