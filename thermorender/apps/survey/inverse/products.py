@@ -4,7 +4,7 @@ import csv
 import io
 import shutil
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -156,8 +156,8 @@ def _scene(found: Reconstruction, folder: Path) -> None:
     model = str(tables.get("camera", {}).get("model", CAMERA))
     if found.camera != load_camera(source / model if model.endswith(".toml") else model):
         # The poses belong to the camera and lens that the frames were read with.
-        fields = {name: value for name, value in vars(found.camera).items() if name != "name"}
-        formats.write_text(folder / "camera.toml", toml_text(fields, f"{found.camera.name}, as the frames were read."))
+        keys = {each.name: getattr(found.camera, each.name) for each in fields(found.camera) if each.name != "name"}
+        formats.write_text(folder / "camera.toml", toml_text(keys, f"{found.camera.name}, as the frames were read."))
         tables["camera"] = {"model": "camera.toml"}
     if "weather" in tables:
         tables["temperature"] |= {"trained": dict(tables["weather"])}
