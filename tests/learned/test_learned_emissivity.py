@@ -172,7 +172,7 @@ def test_untested_materials_are_reported(tmp_path, capsys, monkeypatch):
 
     for model, warned in ((partly, True), (whole, False)):
         size = len(model.materials)
-        monkeypatch.setattr(material_training, "train_on", lambda *a, m=model, n=size: (m, np.eye(n, dtype=int)))
+        monkeypatch.setattr(material_training, "train_on", lambda *a, m=model, n=size, **_: (m, np.eye(n, dtype=int)))
         cli.train("emissivity", output=tmp_path / "m.npz")
         printed = capsys.readouterr()
         assert ("warning: not tested: asphalt, of which no texel" in printed.err) == warned, printed.err

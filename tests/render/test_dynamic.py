@@ -15,8 +15,8 @@ from thermorender.scene.tracks import read_track
 BAND = (7.5, 13.5)
 
 
-def scene_with(folder, track=None, shape="box", size=(3, 3, 1.5), rest="", **keywords):
-    extra = scene_object("target", size, [1, 2, 0.5], 340.0, shape=shape, yaw_deg=30) + rest
+def scene_with(folder, track=None, shape="box", size=(3, 3, 1.5), rest="", up_m=0.5, **keywords):
+    extra = scene_object("target", size, [1, 2, up_m], 340.0, shape=shape, yaw_deg=30) + rest
     if track:
         extra += 'track = "track.csv"\n'
         folder.mkdir(parents=True, exist_ok=True)
@@ -201,11 +201,9 @@ def test_object_below_the_ground_does_not_light_it(tmp_path):
 @pytest.mark.slow
 def test_half_buried_tracked_object_is_lit_as_a_static_one(tmp_path):
     moving = scene_with(tmp_path / "moving", "time_s,above_ground_m\n0,-0.5\n")
-    scene_with(tmp_path / "still")
-    toml = tmp_path / "still" / "scene.toml"
-    toml.write_text(toml.read_text().replace("position = [1, 2, 0.5]", "position = [1, 2, -0.5]"))
+    still = scene_with(tmp_path / "still", up_m=-0.5)
     pose = tr.pose(1, 2, 12, pitch_deg=-90)
-    one, other = (tr.Renderer(one, rays=512).frame(pose) for one in (tr.load_scene(tmp_path / "still"), moving))
+    one, other = (tr.Renderer(one, rays=512).frame(pose) for one in (still, moving))
     ground = one.truth["kinetic_temperature"] != 340.0
     apart = 1e3 * (other.apparent_temperature - one.apparent_temperature)[ground]
     assert ground.sum() > 100_000 and abs(apart.mean()) < 20.0

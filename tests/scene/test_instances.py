@@ -212,7 +212,7 @@ def test_light_is_kept_by_the_copies_too(tmp_path):
             {"places": "east_m,north_m,above_ground_m\n0,0,-5\n"},
             r"copy at 0 m east, 0 m north whose top is .*below the",
         ),
-        ({"places": "east_m;north_m\n0,5;1\n"}, r"the column 'east_m;north_m'; give .*, separated by commas"),
+        ({"places": "east_m north_m\n0,5 1\n"}, r"the column 'east_m north_m'; give .*, separated by commas"),
         ({"places": 'east_m,north_m\n"0,5",1\n'}, r"row 2: '0,5,1' is not 2 finite numbers"),
         ({"places": "east_m,north_m\n"}, r"places.csv lacks east_m, north_m or rows of numbers"),
         ({"kelvin": "balance"}, r"temperature of object 'trees' is 'balance', and .*source='raster'; give"),

@@ -41,7 +41,7 @@ class Correlation:
         """Names of the required fields of Inputs."""
         return ("conditions",) if self.above_air else ()
 
-    def predict(self, inputs: "Inputs", texel_m: float) -> np.ndarray:
+    def predict(self, inputs: "Inputs", texel_m: float | None) -> np.ndarray:
         """Return intensity, or kelvin above the air, (h, w) float64.
 
         Notes
@@ -53,7 +53,9 @@ class Correlation:
         import cv2
 
         image = inputs.rgb.astype(np.float64) / 255.0
-        kernel = self.kernel if inputs.texel_m is None else self._kernel_at(texel_m / inputs.texel_m)
+        kernel = self.kernel
+        if inputs.texel_m is not None and texel_m is not None:
+            kernel = self._kernel_at(texel_m / inputs.texel_m)
         found = [
             cv2.filter2D(image[..., c], cv2.CV_64F, kernel[..., c], borderType=cv2.BORDER_REPLICATE) for c in range(3)
         ]

@@ -48,7 +48,7 @@ class Linear:
         """Names of the required fields of Inputs."""
         return self.extra.needs
 
-    def predict(self, inputs: Inputs, texel_m: float) -> np.ndarray:
+    def predict(self, inputs: Inputs, texel_m: float | None) -> np.ndarray:
         """Return kelvin above the air, (h, w) float64; an image at another texel is resampled to the map's and back."""
         image = at_texel(inputs, texel_m)
         self.extra.check(image)

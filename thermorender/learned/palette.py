@@ -49,7 +49,7 @@ class Palette:
             found[start : start + _CHUNK] = (index[:, 0] * along + index[:, 1]) * along + index[:, 2]
         return found.reshape(rgb.shape[:-1])
 
-    def predict(self, inputs: Inputs, texel_m: float) -> np.ndarray:
+    def predict(self, inputs: Inputs, texel_m: float | None) -> np.ndarray:
         """Return intensity, (h, w) float64, by colour alone, at any ground sampling distance."""
         return self.value.ravel()[self.cells(inputs.rgb)]
 

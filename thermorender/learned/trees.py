@@ -50,7 +50,7 @@ class Trees:
         """Whether it predicts kelvin above the air instead of intensity."""
         return self.extra.above_air
 
-    def predict(self, inputs: Inputs, texel_m: float) -> np.ndarray:
+    def predict(self, inputs: Inputs, texel_m: float | None) -> np.ndarray:
         """Return intensity, or kelvin above the air, (h, w) float64."""
         image = at_texel(inputs, texel_m)
         found = np.empty(image.rgb.shape[:2])

@@ -290,7 +290,8 @@ def test_values_that_no_surface_has_are_left_out_and_counted(scene, tmp_path):
     tiff(tmp_path / "a.tif", kelvin, unit="K", tiled=True, blockxsize=16, blockysize=16, BIGTIFF="YES")
     found = survey_of(tmp_path, scene)
     assert np.isnan(found.kelvin[0, 0, :4]).all() and (found.kelvin[0, 1:] == 290.0).all()
-    assert found.notes[0].startswith("3 pixels outside 150–700 K")
+    # Values that are not above 0 K are no data.
+    assert found.notes[0].startswith("1 pixels outside 150–700 K")
 
 
 @pytest.mark.parametrize(
@@ -318,9 +319,14 @@ def test_names_are_compared_beyond_neighbours_in_the_folder(tmp_path):
         frame_files([tmp_path])
 
 
+def test_floats_that_are_kelvin_of_a_landscape_only_need_no_unit(tmp_path):
+    kelvin = np.linspace(283.3, 311.2, 20).reshape(4, 5).astype(np.float32)
+    np.testing.assert_allclose(read_temperature(tiff(tmp_path / "a.tif", kelvin)), kelvin)
+
+
 @pytest.mark.parametrize(
     ("step", "zero", "words"),
-    [(1.0, 0.0, "scale=1,0 for counts of 1 K"), (1.0, 273.15, r"scale=1,273\.15 for counts of 1 °C"),
+    [(1.0, 273.15, r"scale=1,273\.15 for counts of 1 °C"),
      (5.0 / 9.0, 273.15 - 160.0 / 9.0, r"scale=0\.555556,255\.372 for counts of 1 °F")],
 )  # fmt: skip
 def test_fractions_without_a_unit_are_asked_for_with_the_likely_one(tmp_path, step, zero, words):
