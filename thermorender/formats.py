@@ -48,11 +48,11 @@ def read_text(path: PathLike, kind: str = "UTF-8", other: str | None = None) -> 
         raise ThermorenderError(f"{path} cannot be read ({error.strerror}); give a text file") from error
 
 
-def csv_rows(text: str) -> list[list[str]]:
+def csv_rows(text: str, strict: bool = True) -> list[list[str]]:
     """Return the rows of a CSV text as lists of stripped cells; a row that is not CSV raises csv.Error.
 
-    If its first line has semicolons, tabs or bars and no comma, these separate the cells, and decimal commas of numbers
-    become points.
+    If its first line has semicolons, tabs or bars and no comma, these separate the cells. Decimal commas of numbers
+    then become points, unless some number has a point. `strict` refuses loose quotation marks.
     """
     import csv
     import re
@@ -61,13 +61,15 @@ def csv_rows(text: str) -> list[list[str]]:
     mark = next((mark for mark in ";\t|" if mark in first and "," not in first), ",")
     rows: list[list[str]] = []
     try:
-        for row in csv.reader(io.StringIO(text), delimiter=mark, strict=True):
+        for row in csv.reader(io.StringIO(text), delimiter=mark, strict=strict):
             rows.append([cell.strip() for cell in row])
     except csv.Error as error:
         raise csv.Error(f"row {len(rows) + 1}: {error}") from None
     if mark == ",":
         return rows
     decimal = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
+    if any(re.fullmatch(r"[-+]?\d*\.\d+(?:[eE][-+]?\d+)?", cell) for row in rows for cell in row):
+        return rows
     return [[cell.replace(",", ".") if decimal.fullmatch(cell) else cell for cell in row] for row in rows]
 
 

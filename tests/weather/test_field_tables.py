@@ -73,10 +73,13 @@ def test_random_rain_of_intervals_does_not_look_like_a_total(seed):
     """Showers at any hour, and a drizzle of one amount for hours of each day."""
     random = np.random.default_rng(seed)
     rain = np.where(random.random(24 * 14) < 0.2, np.round(random.gamma(0.7, 1.5, 24 * 14), 1), 0.0)
-    assert looks_like_total(rain, 3600.0) == ""
+    second = 3600.0 * np.arange(24 * 14)
+    assert looks_like_total(rain, second, 3600.0) == ""
     drizzle = np.tile([0.0] * 6 + [0.2] * 8 + [0.0] * 10, 14)
-    assert looks_like_total(drizzle, 3600.0) == ""
-    assert looks_like_total(np.cumsum(rain), 3600.0) == "a total that is never reset"
+    assert looks_like_total(drizzle, second, 3600.0) == ""
+    storm = np.repeat([0.0, 0.3, 1.2, 2.4, 3.0, 0.0], [2, 3, 3, 3, 3, 6])
+    assert looks_like_total(storm, second[:20], 3600.0) == ""
+    assert looks_like_total(np.cumsum(rain), second, 3600.0) == "a total that is never reset"
 
 
 def test_columns_under_other_names_are_listed_in_one_sentence(tmp_path):
@@ -103,3 +106,40 @@ def test_a_gap_of_a_year_file_far_from_the_instant_leaves_rows_out(tmp_path):
     assert any(note.startswith("Rows before 2018-06-2") and "global_w_m2" in note for note in found.notes)
     with pytest.raises(ThermorenderError, match="choose an instant outside of it, or give a station"):
         read_epw(broken, np.datetime64("2018-06-15T12:00"))
+
+
+@pytest.mark.parametrize("lost", [None, slice(30, 32)], ids=["whole", "with gaps"])
+def test_a_total_with_gaps_is_recognised_and_its_rise_spread_over_them(tmp_path, lost):
+    total = np.tile([0.0] * 6 + [1.0, 2.0, 3.0, 4.0] + [5.0] * 14, 3)
+    column = [str(value) for value in total]
+    if lost:
+        column[lost] = [""] * 2
+    with pytest.raises(ThermorenderError, match="looks like a total since midnight"):
+        read_station(station(tmp_path / "a.csv", {"rain_mm": column}), *PLACE)
+    found = read_station(station(tmp_path / "b.csv", {"rain_total_mm": column}), *PLACE)
+    assert found.rain_mm_h.sum() == pytest.approx(15.0)
+
+
+def test_jitter_of_a_counter_is_no_rain(tmp_path):
+    found = read_station(station(tmp_path / "a.csv", {"rain_total_mm": [150.2, 150.3] * 36}), *PLACE)
+    assert found.rain_mm_h.sum() < 4.0
+
+
+def test_semicolons_with_points_do_not_make_decimals_of_thousands(tmp_path):
+    path = station(tmp_path / "a.csv")
+    path.write_text(path.read_text().replace(",", ";").replace(";2.0;", ";1,013;"))
+    with pytest.raises(ThermorenderError, match="wind_m_s='1,013' is not a number"):
+        read_station(path, *PLACE)
+
+
+def test_a_common_year_with_a_gap_serves_a_leap_year(tmp_path):
+    whole = write_epw(tmp_path / "a.epw", days=365, start="2019-01-01")
+    lines = whole.read_text().splitlines()
+    first = next(k for k, line in enumerate(lines) if line.startswith("DATA PERIODS")) + 1
+    for k in range(first + 24 * 273, first + 24 * 273 + 6):
+        cells = lines[k].split(",")
+        cells[13] = "9999"
+        lines[k] = ",".join(cells)
+    whole.write_text("\n".join(lines) + "\n")
+    found = read_epw(whole, np.datetime64("2020-07-24T12:00"))
+    assert any(note.startswith("Rows after 2020-09-") for note in found.notes), found.notes

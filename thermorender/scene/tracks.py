@@ -108,7 +108,7 @@ def read_columns(
     The file must have the columns `needed`, and at least `least` of `others`.
     """
     try:
-        lines = csv_rows(read_text(path, "CSV UTF-8"))
+        lines = csv_rows(read_text(path, "CSV UTF-8"), strict=False)
     except csv.Error as error:
         raise ThermorenderError(f"{path} is not CSV ({error}); save it as CSV UTF-8") from None
     numbers = [number for number, line in enumerate(lines, start=1) if any(line)]

@@ -117,8 +117,10 @@ def orientation(path: Path) -> int:
     value: object = 1
     try:
         if path.suffix.lower() not in (".tif", ".tiff"):
-            with Image.open(path) as image:
-                value = image.getexif().get(_ORIENTATION, 1)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+                with Image.open(path) as image:
+                    value = image.getexif().get(_ORIENTATION, 1)
         else:
             # Pillow opens fewer kinds of pixels than TIFF has.
             with path.open("rb") as file:
@@ -128,7 +130,7 @@ def orientation(path: Path) -> int:
                 file.seek(tags.next)
                 tags.load(file)
                 value = tags.get(_ORIENTATION, 1)
-    except (OSError, SyntaxError, ValueError, struct.error):
+    except (OSError, SyntaxError, ValueError, struct.error, Image.DecompressionBombError):
         pass  # Who reads the pixels says what is wrong with the file.
     return value if isinstance(value, int) and 1 <= value <= 8 else 1
 

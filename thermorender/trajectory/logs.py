@@ -161,7 +161,7 @@ def _in_time_order(
 ) -> NDArray[np.int64]:
     """Indices of the rows that are kept, in order of time."""
     rows = table.rows()
-    backwards = len(rows) > 2 and bool((np.diff(time_s) < 0.0).all())
+    backwards = len(rows) > 2 and time_s[-1] < time_s[0] and bool((np.diff(time_s) <= 0.0).all())
     order = np.argsort(time_s, kind="stable") if mapping.sort_by_time or backwards else np.arange(len(rows))
     keep = [k for j, k in enumerate(order) if j == 0 or rows[k] != rows[order[j - 1]]]
     if duplicates == "first":

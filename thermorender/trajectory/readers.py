@@ -111,7 +111,8 @@ def read_trajectory(
     notes = _notes(logs, mapping, jump)
 
     body_log, gimbal_log = _attitude_logs(logs, mount)
-    course_log = _course(position_log, position, body_log, gimbal_log, course, notes)
+    heading = None if mapping.gimbal_on_body else gimbal_log
+    course_log = _course(position_log, position, body_log, heading, course, notes)
     time_s = _common_times([log for log in (position_log, body_log, gimbal_log) if log is not None])
     position = np.stack([np.interp(time_s, position_log.time_s, position[:, k]) for k in range(3)], axis=-1)
     enu_from_ned = enu_from_ned_at(position, frame if horizontal == POSITION_GEODETIC else None)
@@ -122,7 +123,7 @@ def read_trajectory(
     ned_from_optical = (
         ned_from_body * rotation_from_angles(*mount_deg)
         if gimbal_log is None
-        else _gimbal(gimbal_log, time_s, ned_from_body, mapping, notes)
+        else _gimbal(gimbal_log, time_s, ned_from_body, mapping, body_log is not None, notes)
     )
     trajectory = of_vehicle(
         time_s + clock_offset_s, position, enu_from_ned * ned_from_body, enu_from_ned * ned_from_optical, lever
@@ -385,11 +386,11 @@ def _body(log: Log | None, mapping: Mapping, time_s: NDArray[np.float64]) -> Rot
 
 
 def _gimbal(
-    log: Log, time_s: NDArray[np.float64], ned_from_body: Rotation, mapping: Mapping, notes: list[str]
+    log: Log, time_s: NDArray[np.float64], ned_from_body: Rotation, mapping: Mapping, heads: bool, notes: list[str]
 ) -> Rotation:
     """Rotations from the gimbal's axes (x along the view, y right, z down in the image) to NED.
 
-    `notes` gets a note if angles against the Earth look sideways from the vehicle's nose.
+    `notes` gets a note if angles against the Earth look sideways from a nose whose heading the log has (`heads`).
     """
     zero = np.zeros(log.time_s.size)
     angles = [log.values.get(name, zero) for name in GIMBAL]
@@ -403,7 +404,7 @@ def _gimbal(
     yaw = np.interp(time_s, log.time_s, np.unwrap(log.values[GIMBAL[0]], period=360.0))
     aside = float(np.median(np.abs((yaw - heading + 180.0) % 360.0 - 180.0)))
     # A bundled format knows what its angles are measured against.
-    if aside > _ASIDE_DEG and mapping.name not in bundled_formats():
+    if aside > _ASIDE_DEG and heads and mapping.name not in bundled_formats():
         notes.append(
             f"{log.path}: {GIMBAL[0]} is read against north and differs from the vehicle's heading by {aside:.0f}° in "
             'the median; if it is measured against the airframe, give a mapping with [gimbal] relative_to = "body" as '

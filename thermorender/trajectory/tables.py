@@ -107,7 +107,7 @@ def rows_of(path: str | PathLike[str]) -> tuple[list[str], list[tuple[str, dict[
 def read_csv(path: str | PathLike[str]) -> list[Table]:
     """Return the `Table` of a CSV file, in a list; blank rows are skipped."""
     try:
-        lines = csv_rows(read_text(path, "CSV UTF-8"))
+        lines = csv_rows(read_text(path, "CSV UTF-8"), strict=False)
     except csv.Error as error:
         raise ThermorenderError(f"{path} is not CSV ({error}); save it as CSV UTF-8") from None
     if not lines or not any(lines[0]):

@@ -133,7 +133,7 @@ def _moved(numbers: Floats, rows: float, periodic: bool) -> Floats:
 def _calendar(path: object, file: YearFile, year: int) -> tuple[NDArray[np.datetime64], NDArray[np.int64]]:
     """(Labels in the zone's time (M,) datetime64[s], rows of the file (M,)) for a year."""
     first_row = {date: file.per_day * k for k, date in enumerate(file.days)}
-    if file.whole and (2, 28) in first_row:
+    if (2, 28) in first_row and (3, 1) in first_row:
         first_row.setdefault((2, 29), first_row[2, 28])
     day = np.timedelta64(1, "D")
     start, end = np.datetime64(f"{year:04d}-01-01"), np.datetime64(f"{year:04d}-12-31")

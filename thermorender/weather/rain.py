@@ -15,7 +15,7 @@ _PERIODS_H = (1, 2, 3, 4, 6, 12, 15, 18, 24)
 # extremes); above the second limits a note asks.
 _HOUR_MM, _YEAR_MM = (200.0, 100.0), (26_500.0, 4000.0)
 # A total rises further at least so often in a file, and stays above zero so long [s].
-_RISES, _HELD_S = 3, 6 * 3600.0
+_RISES, _HELD_S, _HELD_LONG_S = 3, 6 * 3600.0, 24 * 3600.0
 
 
 def in_mm(column: str, depth: Floats, fewest: int, notes: list[str]) -> Floats:
@@ -76,21 +76,22 @@ def by_hour(
     return amount
 
 
-def looks_like_total(depth: Floats, step_s: float) -> str:
-    """Return what a column of amounts (N,) in steps of `step_s` looks like: "a total …", or "" for amounts.
+def looks_like_total(depth: Floats, second: Floats, step_s: float) -> str:
+    """Return what amounts (N,) at times [s] in steps of `step_s` look like: "a total …", or "" for amounts.
 
-    A total rises from values above zero or stays, for hours, and falls to nearly zero once a day or never; amounts
-    fall soon after they rise.
-    NaN is missing.
+    A total rises from values above zero or stays, for hours, and falls to nearly zero at one time of day or never;
+    amounts fall soon after they rise. A single fall or none needs a day of evidence. NaN is missing.
     """
-    known = depth[~np.isnan(depth)]
-    change = np.diff(known)
+    known = ~np.isnan(depth)
+    value, at = depth[known], second[known]
+    change = np.diff(value)
     fall = np.flatnonzero(change < 0.0) + 1
-    wet = known[:-1] > 0.0
+    wet = value[:-1] > 0.0
     rises, held_s = int((wet & (change > 0.0)).sum()), step_s * int((wet & (change == 0.0)).sum())
-    day = 86400.0 / step_s
-    off = np.abs((np.diff(fall) + 0.5 * day) % day - 0.5 * day)
-    if rises < _RISES or held_s < _HELD_S or (known[fall] > 0.5 * known[fall - 1]).any() or (off > 1.0).any():
+    off_s = np.abs((np.diff(at[fall]) + 43200.0) % 86400.0 - 43200.0)
+    if rises < _RISES or held_s < (_HELD_S if fall.size > 1 else _HELD_LONG_S):
+        return ""
+    if (value[fall] > 0.5 * value[fall - 1]).any() or (off_s > step_s).any():
         return ""
     return "a total since midnight" if fall.size else "a total that is never reset"
 
@@ -98,13 +99,16 @@ def looks_like_total(depth: Floats, step_s: float) -> str:
 def amounts_of(total: Floats) -> Floats:
     """Return the amounts (N,) of a total (N,) that grows and is reset to zero; the first amount is 0.
 
-    After missing values (NaN) the whole rise falls in the first interval with a value.
+    A rise over missing values (NaN) is spread over their intervals. A small fall is a sensor's jitter, not a reset.
     """
-    known = ~np.isnan(total)
-    values = total[known]
-    step = np.diff(values, prepend=values[:1])
+    index = np.flatnonzero(~np.isnan(total))
+    value = total[index]
+    step = np.diff(value)
+    rise = np.where(value[1:] < 0.5 * value[:-1], value[1:], np.maximum(step, 0.0))
     found = np.full(total.shape, np.nan)
-    found[known] = np.where(step < 0.0, values, step)
+    found[index[:1]] = 0.0
+    for first, last, amount in zip(index[:-1], index[1:], rise, strict=True):
+        found[first + 1 : last + 1] = amount / (last - first)
     return found
 
 

@@ -78,6 +78,7 @@ def read_station(
     others = [name for name in header if name and name not in COLUMNS and name not in _TIMES]
     notes += [f"Columns that are not read: {shortened(', '.join(others), 200)}."] if others else []
     values, column_of = _quantities(path, header, cells, rows, notes)
+    _refuse_totals(path, time, values, column_of, step_s)
     if around is not None:
         ends = unbroken(time, values, column_of, step_s, longest_gap_h, around, notes)
         kept = slice(*np.searchsorted(time, [ends[0], ends[1] + np.timedelta64(1, "s")]))
@@ -100,6 +101,20 @@ def read_station(
     return found
 
 
+def _refuse_totals(
+    path: object, time: Times, values: Mapping[str, Floats], column_of: Mapping[str, str], step_s: float
+) -> None:
+    """Refuse rain of intervals that looks like a running total."""
+    for quantity in ("rain_mm", "rain_mm_h"):
+        if column_of.get(quantity) in COLUMNS:
+            like = looks_like_total(values[quantity], (time - time[0]).astype(np.float64), step_s)
+            if like:
+                raise ThermorenderError(
+                    f"{path}: {column_of[quantity]} looks like {like}, as it seldom falls; rename the column to "
+                    "rain_total_mm, or write the rain of each interval"
+                )
+
+
 def _repair(
     path: object, time: Times, values: dict[str, Floats], column_of: Mapping[str, str], elevation: Floats,
     step_s: float, longest_gap_h: float, notes: list[str],
@@ -108,12 +123,6 @@ def _repair(
     for quantity in list(values):
         column = column_of[quantity]
         if quantity.startswith("rain_mm"):
-            like = looks_like_total(values[quantity], step_s)
-            if like and column in COLUMNS:
-                raise ThermorenderError(
-                    f"{path}: {column} looks like {like}, as it seldom falls; rename the column to rain_total_mm, or "
-                    "write the rain of each interval"
-                )
             rate = values[quantity] * (3600.0 / step_s if quantity == "rain_mm" else 1.0)
             check_rain(path, column, rate, step_s, notes)
         if quantity in _LIGHT:
@@ -187,6 +196,7 @@ def read_columns(
     header, cells, rows = _read(path, {})
     time = _times(path, header, cells, rows, utc_offset_h)
     keep = np.flatnonzero(_within(path, time, during))
+    keep = keep[::-1] if (np.diff(time) < np.timedelta64(0, "s")).all() else keep
     for name in columns:
         if name not in header:
             raise ThermorenderError(f"{path} has no column {name!r}; row 1 names {shortened(', '.join(header))}")
@@ -299,7 +309,7 @@ def _times(
         text, more_s = _within_a_day(line[k].replace("Z", "+00:00"))
         try:
             moment = datetime.fromisoformat(text) + timedelta(seconds=more_s)
-        except ValueError:
+        except (ValueError, OverflowError):
             raise ThermorenderError(
                 f"{path}, row {number}: {column}={line[k]!r} is not a time; write it as 2018-07-28T14:30Z"
             ) from None

@@ -553,8 +553,8 @@ def test_pictures_are_turned_by_their_orientation_as_for_a_translation(tmp_path,
     rgb = np.kron(np.random.default_rng(1).integers(0, 256, (5, 7, 3), np.uint8), np.ones((8, 8, 1), np.uint8))
     tags = Image.Exif()
     tags[274] = value
-    for name in ("a.jpg", "a.png"):
-        Image.fromarray(rgb).save(tmp_path / name, exif=tags, **({"quality": 100} if name == "a.jpg" else {}))
+    for name, more in (("a.jpg", {"quality": 100}), ("a.png", {}), ("a.tif", {})):
+        Image.fromarray(rgb).save(tmp_path / name, exif=tags, **more)
         ours, theirs = pictures.read_visible(tmp_path / name)[0], read_picture(tmp_path / name)[0]
         assert ours.shape == theirs.shape and np.abs(ours.astype(int) - theirs).max() <= 8
 

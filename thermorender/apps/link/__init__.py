@@ -1,4 +1,6 @@
-"""The link: a running renderer behind a simulator, frame by frame over a socket::
+"""The link: a running renderer behind a simulator, frame by frame over a socket.
+
+A client::
 
     from thermorender import link
     with link.connect() as server:  # started by `thermorender serve heath`

@@ -255,7 +255,8 @@ def _decoded(path: str | Path) -> np.ndarray:
     image = decoded(data, flags)
     if image is None:
         raise ThermorenderError(f"{path} is not a readable picture; copy it again, or leave it out")
-    return _upright(image, Path(path))
+    # OpenCV itself turns a TIFF by its tag.
+    return image if Path(path).suffix.lower() in (".tif", ".tiff") else _upright(image, Path(path))
 
 
 def _upright(image: np.ndarray, path: Path) -> np.ndarray:

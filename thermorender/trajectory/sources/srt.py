@@ -75,6 +75,10 @@ def read_srt(path: str) -> list[Table]:
 
 
 def _values(text: str) -> dict[str, float]:
+    gps = _GPS.search(text)
+    if gps and "." not in gps[1] and gps[1].count(",") > 2:
+        # Decimal commas; a blank follows the commas between numbers.
+        text = re.sub(r"(?<=\d),(?=\d)", ".", text)
     values = {_KEYS[key]: float(value.replace(",", ".")) for key, value in _PAIR.findall(text) if key in _KEYS}
     gps = _GPS.search(text)
     if gps:
@@ -91,11 +95,6 @@ def _values(text: str) -> dict[str, float]:
 def _position(text: str) -> dict[str, float]:
     """Latitude and longitude of "GPS(…)": in the order of their letters, else by the third number; {} without."""
     parts = [part.strip() for part in text.split(",")]
-    if len(parts) > 3:
-        # Decimal commas, with blanks after the commas between numbers.
-        parts = [part.strip().replace(",", ".") for part in re.split(r",\s+", text)]
-        if len(parts) > 3:
-            return {}
     found = [re.fullmatch(rf"(?:([ENSW])\s*:?\s*)?{_NUMBER}\s*([mM°]?)", part) for part in parts]
     if len(parts) < 2 or not all(found[:2]):
         return {}

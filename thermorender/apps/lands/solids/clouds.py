@@ -79,6 +79,11 @@ def _check_counts(path: Path) -> None:
         if len(head) == 375 and head[25] >= 4:
             begin, extended = struct.unpack_from("<QI", head, 235)
             counted.append((extended, 60, size - begin if extended else 0))
+        if not head[104] & 0x80:
+            record, points = struct.unpack_from("<HI", head, 105)
+            if len(head) == 375 and head[25] >= 4:
+                points = max(points, *struct.unpack_from("<Q", head, 247))
+            counted.append((points, record, size - points_at))
         if head[104] & 0x80 and size >= points_at + 8:
             # LAZ: the point data begin with the place of the table of chunks; -1 where it is in the last bytes.
             file.seek(points_at)

@@ -21,7 +21,8 @@ from thermorender.scene.raster import Grid, grid_of, onto, read_classes
 _KEYS = ("building", "building:part")
 # Main tags of OpenStreetMap that a map of an area has.
 _MAIN = {*_KEYS, "landuse", "natural", "leisure", "highway", "amenity", "waterway", "water", "landcover", "surface",
-         "barrier", "railway", "man_made"}  # fmt: skip
+         "barrier", "railway", "man_made", "aeroway", "boundary", "tourism", "place", "shop", "office", "power",
+         "historic", "military", "sport", "public_transport", "route", "craft", "geological"}  # fmt: skip
 # Values of these tags without a building that stands.
 _NONE = ("no", "false", "0", "entrance", "proposed", "planned", "demolished", "razed", "removed")
 # Tags of a building or part that begins above the ground, and values of `building` without walls.
@@ -41,7 +42,7 @@ def outlines_in(path: Path, grid: Grid) -> tuple[list[Outline], tuple[str, ...]]
     left_out: Counter[str] = Counter()
     all_tags = [tagged(feature, path, number) for number, feature in enumerate(features, 1)]
     # Footprints from pictures, such as those of Microsoft and Google, have no tags: all polygons are buildings.
-    plain = not any(_MAIN & tags.keys() for _, tags in all_tags)
+    plain = not any(_MAIN & {key.lower() for key in tags} for _, tags in all_tags)
     for number, (geometry, tags) in enumerate(all_tags, 1):
         tags = {"building": "yes"} if plain else tags
         where = f"{path}, feature {number}"
