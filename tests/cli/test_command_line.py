@@ -157,3 +157,15 @@ def test_one_study_does_not_need_the_common_folder(tmp_path, call_module, monkey
     assert status == 2 and "nothing is not the folder of a training" in errors
     status, _, errors = call_module("validation")
     assert status == 2 and "output folder validation cannot be made: File exists" in errors
+
+
+def test_a_warning_of_the_package_is_a_note_and_another_one_stays():
+    code = (
+        "import typer, warnings; from thermorender.cli.process import run; "
+        "from thermorender.errors import ThermorenderWarning; app = typer.Typer()\n"
+        "@app.command()\ndef verb():\n    warnings.warn('nothing moves', ThermorenderWarning)\n"
+        "    warnings.warn('of a library', UserWarning)\nrun(app, ())"
+    )
+    made = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert made.returncode == 0 and "note: nothing moves\n" in made.stderr
+    assert "UserWarning: of a library" in made.stderr and "ThermorenderWarning" not in made.stderr

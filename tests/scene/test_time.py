@@ -7,6 +7,7 @@ each texel is warmer than the air by the kelvins that its material's number give
 import csv
 import json
 import sys
+import warnings
 from collections import namedtuple
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta, timezone
@@ -546,7 +547,9 @@ def test_verbs_accept_an_instant(tmp_path, call, simulations):
 
 def test_a_warning_for_an_hour_that_changes_nothing(tmp_path, call):
     folder = write_terrain(tmp_path / "tiny", extra=DAY)
-    status, _, errors = call("plan", folder, "--time", "2018-07-28T18:00Z")
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", ThermorenderWarning)
+        status, _, errors = call("plan", folder, "--time", "2018-07-28T18:00Z")
     assert status == 0 and "note: temperatures of source 'raster' do not change with time" in errors
 
 

@@ -4,7 +4,8 @@ import io
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, NoReturn
 
 import typer
@@ -24,15 +25,6 @@ def run(app: typer.Typer, without_arguments: Sequence[str] = ("--help",)) -> NoR
         # A terminal without a letter such as µ shows a question mark.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
-    shown = warnings.showwarning
-
-    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-        if issubclass(category, ThermorenderWarning):
-            typer.echo(f"note: {message}", err=True)
-        else:
-            shown(message, category, *where, **more)
-
-    warnings.showwarning = show
     end_on_signals(lambda number, _: sys.exit(128 + number))
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     odd = next((text for text in arguments if not _is_unicode(text)), None)
@@ -40,7 +32,8 @@ def run(app: typer.Typer, without_arguments: Sequence[str] = ("--help",)) -> NoR
         # OpenCV aborts the process at such a name, and GDAL refuses it.
         _fail(f"{odd!a} is not valid Unicode; rename the file or folder, or set LANG to a locale of UTF-8")
     try:
-        status = app(args=arguments or list(without_arguments), standalone_mode=False)
+        with _warnings_as_notes():
+            status = app(args=arguments or list(without_arguments), standalone_mode=False)
     except UsageError as error:
         command = error.ctx.command_path if error.ctx else "thermorender"
         _fail(f"{error.format_message().rstrip('.')}; `{command} --help` lists what is allowed")
@@ -53,6 +46,22 @@ def run(app: typer.Typer, without_arguments: Sequence[str] = ("--help",)) -> NoR
     if status == 130:
         typer.echo("stopped; flights, data sets and trainings continue with --resume", err=True)
     raise SystemExit(status or 0)
+
+
+@contextmanager
+def _warnings_as_notes() -> Iterator[None]:
+    """Print the package's own warnings as notes, and others as before."""
+    with warnings.catch_warnings():
+        shown = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if issubclass(category, ThermorenderWarning):
+                typer.echo(f"note: {message}", err=True)
+            else:
+                shown(message, category, *where, **more)
+
+        warnings.showwarning = show
+        yield
 
 
 def end_on_signals(handler: Callable[[int, Any], Any]) -> None:

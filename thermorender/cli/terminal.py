@@ -1,6 +1,5 @@
 """What commands share at the terminal: options for outputs, a progress bar, a table, comma-separated options."""
 
-import warnings
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -8,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from thermorender import files
-from thermorender.errors import ThermorenderError, ThermorenderWarning
+from thermorender.errors import ThermorenderError
 from thermorender.progress import Progress as Progress
 from thermorender.progress import progress as progress
 from thermorender.timing import phase
@@ -61,12 +60,7 @@ def at_time(
         scene = scene.with_temperature(temperature)
     if time is None:
         return scene
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always", ThermorenderWarning)
-        scene = scene.at(read(scene, time))
-    for each in said:
-        typer.echo(f"note: {each.message}", err=True)
-    return scene
+    return scene.at(read(scene, time))
 
 
 def table(header: Sequence[object], rows: Iterable[Sequence[object]]) -> None:

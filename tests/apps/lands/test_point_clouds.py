@@ -1,5 +1,7 @@
 """Point clouds in LAS and LAZ: surface, ground and buildings, and what their headers declare."""
 
+import struct
+
 import laspy
 import numpy as np
 import pytest
@@ -163,3 +165,27 @@ def test_overlap_of_flight_lines_is_left_out(tmp_path):
     cloud.write(str(path))
     for found in (old, read_cloud(path)):
         assert np.nanmax(found.surface) == pytest.approx(26.0) and "overlap" in found.notes[0]
+
+
+@pytest.mark.parametrize(("at", "form", "value"), [(100, "<I", 2**32 - 1), (107, "<I", 2**31), (247, "<Q", 10**12)])
+def test_records_that_a_file_has_no_bytes_for_are_refused_before_they_are_read(tmp_path, at, form, value):
+    """Variable length records, points and points of LAS 1.4; the library would read on for hours."""
+    path = written(tmp_path / "a.las")
+    data = bytearray(path.read_bytes())
+    assert data[25] == 4
+    struct.pack_into(form, data, at, value)
+    path.write_bytes(data)
+    with pytest.raises(ThermorenderError, match="counts more records than it has bytes for"):
+        read_cloud(path)
+
+
+def test_a_table_of_chunks_longer_than_its_file_is_refused(tmp_path):
+    """Its decoder would reserve memory for it, and end the interpreter."""
+    path = written(tmp_path / "a.laz")
+    data = bytearray(path.read_bytes())
+    (points_at,) = struct.unpack_from("<I", data, 96)
+    (table,) = struct.unpack_from("<q", data, points_at)
+    struct.pack_into("<I", data, table + 4, 0xF0000000)
+    path.write_bytes(data)
+    with pytest.raises(ThermorenderError, match="counts more records than it has bytes for"):
+        read_cloud(path)

@@ -137,6 +137,19 @@ def test_half_messages_and_silent_clients_are_closed():
         settled(server)
 
 
+def test_a_message_has_its_time_from_its_first_byte_to_its_last():
+    """A client that sends the head late has no more time for the rest."""
+    with serving(message_s=1.0) as server:
+        slow, data = opened(server), request(3, 1.0)
+        start = time.monotonic()
+        slow.sendall(data[:10])
+        time.sleep(0.7)
+        slow.sendall(data[10:40])
+        assert read(slow) is None
+        assert time.monotonic() - start < 1.5
+        slow.close()
+
+
 def test_a_client_that_does_not_read_is_closed():
     gate = threading.Event()
     with serving(Stills(gate, (200, 200)), reply_s=0.3, memory_bytes=8 << 20) as server:
