@@ -366,3 +366,22 @@ def test_a_weather_gives_an_import_its_heat_balance(tmp_path, call):
     assert scene.balanced and scene.spec.emissivity.source == "learned"
     assert scene.spec.atmosphere.standard == "weather"
     assert scene.spec.emissivity.fallback == "soil_loam" and str(scene.time) == "2021-06-15T12:00:00"
+
+
+@pytest.mark.parametrize("kind", [0, 99])
+def test_a_private_tag_of_unknown_type_is_skipped_as_gdal_skips_it(tmp_path, kind):
+    """GDAL warns of the tag, and its next call would raise the warning."""
+    import struct
+
+    import tifffile
+
+    from thermorender.scene.orthophoto import read_colour
+
+    rgb = np.random.default_rng(3).integers(40, 200, (24, 24, 3), np.uint8)
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, rgb, photometric="rgb", extratags=[(65000, "H", 1, 5, True)])
+    data = path.read_bytes()
+    entry = struct.pack("<HHI", 65000, 3, 1)
+    assert data.count(entry) == 1
+    path.write_bytes(data.replace(entry, struct.pack("<HHI", 65000, kind, 1)))
+    np.testing.assert_array_equal(read_colour(path)[0], rgb)

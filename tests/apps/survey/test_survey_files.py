@@ -431,3 +431,17 @@ def test_the_emissivity_in_a_radiometric_jpeg_is_not_removed_beside_the_scene_s(
     assert any(
         "distance 40 m, air 17 °C, humidity 0.4" in note and "emissivity 0.8 is not" in note for note in found.notes
     )
+
+
+def test_metashape_in_wgs84_with_heights_is_read_and_other_heads_are_named(scene, tmp_path):
+    """EPSG:4979 has the three axes of EPSG:4326 and a height, and so the same places."""
+    columns, row = "X/Longitude,Y/Latitude,Z/Altitude,Yaw,Pitch,Roll", "a,21.0,52.2,180,10,1,2"
+    found = [
+        read_poses(written(tmp_path / "m.txt", f"# CoordinateSystem: {system}\n#Label,{columns}\n{row}\n"), scene)["a"]
+        for system in (WGS84, WGS84.replace('"4326"', '"4979"'))
+    ]
+    assert found[0].where == pytest.approx(found[1].where) and WGS84.replace('"4326"', '"4979"') != WGS84
+    np.testing.assert_allclose(found[0].rotation.as_matrix(), found[1].rotation.as_matrix(), atol=1e-12)
+    text = f"# CoordinateSystem: {WGS84}\n#Labels,{columns}\n{row}\n"
+    with pytest.raises(ThermorenderError, match=r"has the columns Labels, .*, not a label with positions"):
+        read_poses(written(tmp_path / "m.txt", text), scene)
