@@ -1,5 +1,6 @@
 """Spectral nodes of scenes with many mixed materials or very cold texels behind air, against the fine quadrature."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 import thermorender as tr
 from thermorender.atmosphere.model import Atmosphere
+from thermorender.errors import ThermorenderWarning
 from thermorender.materials.library import load_library
 from thermorender.materials.mixture import mix
 from thermorender.physics.planck import band_radiance_derivative
@@ -92,6 +94,30 @@ def test_frame_of_mixed_materials_and_a_cold_texel_agrees_with_many_nodes(monkey
     budget = own.frame(pose).budget_mk
     assert np.sqrt(np.mean(change**2)) < np.hypot(budget["nodes"], budget["air"])
     assert np.abs(change).max() < TOLERANCE_MK + budget["air"]
+
+
+def test_nodes_that_miss_the_tolerance_are_warned_of_and_counted_in_the_budget(monkeypatch):
+    rough = terrain(300, 24, side_m=60.0)
+    kinds = np.indices(rough.surfaces[0].material.shape).sum(axis=0) % len(STONES)
+    surface = replace(rough.surfaces[0], material=kinds.astype(np.uint8))
+    scene = in_memory("stones", (surface,), [LIBRARY[name] for name in STONES]).with_air("tropical")
+    scene = scene.with_camera(replace(scene.camera, width=48, height=40))
+    fine = tr.Renderer(scene, rays=32)
+    assert fine.plan.nodes > 2 and fine.plan.beyond_tolerance is None
+    monkeypatch.setattr(spectrum, "MOST_NODES", 2)
+    with pytest.warns(
+        ThermorenderWarning, match=r"^tolerance_mk=5 is not reached with 2 .*: up to .* mK remain"
+    ) as told:
+        coarse = tr.Renderer(scene, rays=32)
+    accepted = float(str(told[0].message).partition("--tolerance-mk ")[2].split()[0])
+    assert TOLERANCE_MK < coarse.plan.spectrum.nodes_mk <= accepted
+    assert any("above the tolerance of 5 mK" in why for _, _, why in coarse.plan.rows())
+    pose = tr.pose(0, 0, 60, pitch_deg=-90)
+    change = (coarse.radiance(pose) - fine.radiance(pose)) / fine.plan.radiance_per_mk
+    budget = coarse.frame(pose).budget_mk
+    assert 0.0 < np.sqrt(np.mean(change**2)) < budget["nodes"] and budget["nodes"] >= coarse.plan.spectrum.nodes_mk
+    with warnings.catch_warnings(action="error"):
+        tr.Renderer(scene, rays=32, tolerance_mk=accepted)
 
 
 @pytest.mark.parametrize("edit", ["one coloured", "all grey", "another order", "colder sky"])

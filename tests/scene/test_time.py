@@ -420,6 +420,23 @@ def test_a_flight_beyond_its_weather_is_refused(scene, path, tmp_path):
     assert not (tmp_path / "f").exists()
 
 
+def test_a_wrong_pose_a_used_folder_and_a_late_flight_are_refused_before_the_heat_balance(
+    scene, simulations, call, tmp_path
+):
+    folder, log, used = tmp_path / "tiny", tmp_path / "log.csv", tmp_path / "used"
+    head = "time_s,east_m,north_m,above_ground_m,yaw_deg,pitch_deg,roll_deg\n"
+    log.write_text(f"{head}0,0,0,12,0,-90,0\n200000,1,0,12,0,-90,0\n")
+    used.mkdir()
+    (used / "frames.jsonl").touch()
+    for words, verb, *options in (
+        ("the camera is 70", "render", "--pose", "0,0,70000,0,-90,0", "--air", "tropical"),
+        ("after its weather, which ends at", "fly", "--trajectory", log, "--rate-hz", 0.0001),
+        ("already holds a flight", "fly", "--trajectory", log, "-o", used),
+    ):
+        status, _, errors = call(verb, folder, "-o", tmp_path / "new", *options)
+        assert status == 2 and words in errors and not simulations
+
+
 def test_a_scene_without_an_hour_needs_no_simulation(tmp_path, path, simulations):
     renderer = tr.Renderer(tr.load_scene(write_terrain(tmp_path / "tiny")), rays=4, samples=1)
     fly(renderer, path, tmp_path / "f", FlightOptions(rate_hz=0.02, products=("counts",)))

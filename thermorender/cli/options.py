@@ -354,6 +354,8 @@ class TrajectoryOptions:
     def read(self, scene: "Scene", rate_hz: float | None) -> "Trajectory":
         """Return the Trajectory over a scene, refused if it is below ground at a frame; print warnings on the log."""
         from thermorender.output.terrain_in_view import empty_frames_note
+        from thermorender.render.air import refuse_camera
+        from thermorender.render.flight.timed import refuse_late
         from thermorender.scene.load import load_trajectory
         from thermorender.trajectory import (
             check_above_ground,
@@ -380,6 +382,9 @@ class TrajectoryOptions:
         frames = path.sampled(path.frame_times(rate_hz, self.start_s, self.stop_s))
         if not self.allow_below_ground:
             check_above_ground(frames, scene.ground)
+        # Refused before the temperatures are solved.
+        refuse_camera(scene, frames.position)
+        refuse_late(scene, path.span_s[1] - path.span_s[0])
         for note in path.notes:
             warn(note)
         warn(empty_frames_note(scene, frames.poses()))

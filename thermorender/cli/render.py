@@ -68,6 +68,7 @@ def render(
         from thermorender.output import products as frame_files
         from thermorender.output.photograph import photograph
         from thermorender.output.provenance import made_by, weather_of
+        from thermorender.render.air import refuse_camera
 
     if engine not in ("renderer", "reference"):
         raise ThermorenderError(f"--engine={engine!r} is unknown; give renderer or reference")
@@ -83,6 +84,7 @@ def render(
         loaded = situation.load(scene, source.source())
         wanted = frame_files.check(wanted, settings, loaded.camera)
         world_from_camera = view.over(loaded)
+        refuse_camera(loaded, world_from_camera[:3, 3])
         renderer = sampling.renderer(loaded, seed, device, report)
         with files.output_folder(output) as folder:
             if engine == "renderer":
@@ -200,12 +202,15 @@ def fly(
         from thermorender.output.flight import FlightOptions
         from thermorender.output.flight import fly as run
         from thermorender.output.flight_pages.flight_preview import preview as foresee
+        from thermorender.output.resume import refuse_used
 
     if output is None and not preview:
         raise ThermorenderError("-o is missing; give the folder for the flight, or --preview to see what it will show")
     if preview and (resume or verify):
         raise ThermorenderError("--preview writes no frames; leave --resume and --verify out")
     cluster.refuse_with(preview, resume or verify)
+    if output is not None and not (preview or resume or verify or cluster.frames):
+        refuse_used(output)
     settings = parse_thermography(thermography)
     options = FlightOptions(
         rate_hz=rate_hz, start_s=log.start_s, stop_s=log.stop_s, display=look.settings(agc_memory_s),

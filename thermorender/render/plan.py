@@ -1,5 +1,6 @@
 """The plan of a scene: spectral nodes, bake, air and samples, each choice with its error in mK."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -75,19 +76,33 @@ class Plan:
         """Number of spectral nodes solved, 0 where reflection is left out."""
         return self.spectrum.nodes if self.bake else 0
 
+    @property
+    def beyond_tolerance(self) -> str | None:
+        """A warning if the most spectral nodes err by more than the tolerance, else None."""
+        error, tolerance = self.spectrum.nodes_mk, self.sampling.tolerance_mk
+        if error <= tolerance:
+            return None
+        return (
+            f"tolerance_mk={tolerance:g} is not reached with {self.nodes} spectral nodes: up to {error:.3g} mK remain, "
+            f"which the error budget counts; --tolerance-mk {math.ceil(error)} accepts them"
+        )
+
     def rows(self) -> list[tuple[str, str, str]]:
         """Return the plan as (item, in or out, reason) rows for a table."""
         needed = "in" if self.bake else "out"
         dynamic = ("dynamic objects", "out", "none has a track")
         if self.dynamic:
             dynamic = (dynamic[0], str(self.dynamic), "cast in their own frames; light by one bounce each way")
+        nodes = f"error up to {self.spectrum.nodes_mk:.3g} mK on the scene's envelope"
+        if self.beyond_tolerance:
+            nodes += f", above the tolerance of {self.sampling.tolerance_mk:g} mK"
         edges = ("more rays at edges", "out", "edge_mk is infinite")
         if self.sampling.edge_mk < np.inf:
             edges = (edges[0], "in", f"up to {STAGES[-1]} where an edge's error exceeds {self.sampling.edge_mk:g} mK")
         return [
             ("emission", "in", f"full spectral integral per material, {self.coldest:.1f}–{self.warmest:.1f} K"),
             ("reflection", needed, f"adds at most {_kelvin(self.reflection_mk)} to a diffuse surface at 300 K"),
-            ("spectral nodes", str(self.nodes), f"error up to {self.spectrum.nodes_mk:.3g} mK on the scene's envelope"),
+            ("spectral nodes", str(self.nodes), nodes),
             ("bake rays per face", str(self.sampling.rays if self.bake else 0), "sky visibility and inter-reflection"),
             ("rays per pixel", str(self.sampling.samples), "band radiance averaged, never temperature"),
             (
@@ -184,7 +199,7 @@ def make_plan(scene: Scene, sampling: Sampling | None = None, kept: "tuple[Plan,
     bake = reflection_mk > 0.1 * sampling.tolerance_mk
     air_mk = sun_mk = None
     if scene.air is not None:
-        _refuse_surfaces(scene.where, *envelope.altitude_m)
+        refuse_surfaces(scene)
         below = scene.altitude_m
         passed, added = (values[0] for values in scene.air.path(below, below, [1000.0]))
         arrives = passed @ scene.air.planck(REFERENCE_K) + added.sum()
@@ -228,13 +243,22 @@ def _assumed(scene: Scene, per_mk: float) -> tuple[tuple[Assumption, float], ...
     return tuple((one, one.emissivity_std * contrast / float(per_mk)) for one in found)
 
 
-def _refuse_surfaces(where: str, low: float, high: float) -> None:
-    """Raise for surfaces at altitudes above sea level [m] outside the range of the air."""
+def refuse_surfaces(scene: Scene) -> None:
+    """Raise for surfaces of a scene outside the range of its air."""
+    if scene.air is None:
+        return
+    low, high = _altitudes_m(scene)
     if low < LOWEST_M or high > HIGHEST_CAMERA_M:
         raise ThermorenderError(
-            f"{where}: surfaces are at {low:.7g} … {high:.7g} m above sea level, outside the range of the air; give "
+            f"{scene.where}: surfaces are at {low:.7g} … {high:.7g} m above sea level, outside the range of the air; give "
             f"−{-LOWEST_M:.0f} … {HIGHEST_CAMERA_M:.0f} m by the terrain's heights or altitude_m of [atmosphere]"
         )
+
+
+def _altitudes_m(scene: Scene) -> tuple[float, float]:
+    """Altitudes of the lowest and the highest surface above sea level [m]."""
+    height = [float(limit(surface.vertices[:, 2])) for surface in scene.surfaces for limit in (np.min, np.max)]
+    return scene.altitude_m + min(height), scene.altitude_m + max(height)
 
 
 def _envelope(scene: Scene) -> Envelope:
@@ -250,7 +274,6 @@ def _envelope(scene: Scene) -> Envelope:
             own.setdefault(int(surface.material.flat[0]), []).extend(tracked.temperatures())
     extremes = {material: {float(min(values)), float(max(values))} for material, values in own.items()}
     objects = [(material, temperature) for material, both in extremes.items() for temperature in sorted(both)]
-    height = [limit(surface.vertices[:, 2]) for surface in scene.surfaces for limit in (np.min, np.max)]
     return Envelope(
         band_um=scene.camera.band_um,
         ground=(min(ground), max(ground)),
@@ -258,7 +281,7 @@ def _envelope(scene: Scene) -> Envelope:
         sky_temperature=scene.spec.sky_temperature,
         surroundings_temperature=scene.surroundings_temperature,
         air=scene.air,
-        altitude_m=(scene.altitude_m + float(min(height)), scene.altitude_m + float(max(height))),
+        altitude_m=_altitudes_m(scene),
     )
 
 

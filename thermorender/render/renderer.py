@@ -1,5 +1,6 @@
 """The renderer: frames of one baked scene, each a function of camera, pose, time and objects alone."""
 
+import warnings
 from collections.abc import Sequence
 from functools import partial
 from operator import index as whole
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermorender import defaults
-from thermorender.errors import ThermorenderError, shortened
+from thermorender.errors import ThermorenderError, ThermorenderWarning, shortened
 from thermorender.frame import Frame
 from thermorender.physics.planck import band_radiance
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
@@ -28,7 +29,7 @@ from thermorender.render.object_numbers import object_names, object_numbers
 from thermorender.render.pixels import slender
 from thermorender.render.pixels.sampling import CameraRays
 from thermorender.render.pixels.tracer import SampledImage, Tracer
-from thermorender.render.plan import Plan, make_plan
+from thermorender.render.plan import Plan, make_plan, refuse_surfaces
 from thermorender.render.quality import Sampling
 from thermorender.render.variant import activate, active_device
 from thermorender.render.view import View, parts_of
@@ -63,7 +64,8 @@ class Renderer:
     rays : int, optional
         Rays per face of the bake, instead of the quality's.
     tolerance_mk : float
-        Error allowed to the spectral nodes and to the solution of the bake [mK].
+        Error allowed to the spectral nodes and to the solution of the bake [mK]. A warning names the error of the
+        nodes, which the error budget counts, where the most nodes do not reach it.
     seed : int
         Seed of the sensor's noise.
     device : {"auto", "cpu", "cuda"}
@@ -117,6 +119,7 @@ class Renderer:
             self._camera_rays = _CamerasRays(self._geometry.mi) if like is None else like._camera_rays
             return
         scene.refuse_disagreement()
+        refuse_surfaces(scene)
         if scene.temperature_state.solved:
             # Before the device is started, so that wrong settings are refused at once.
             self.plan = make_plan(scene, sampling)
@@ -130,6 +133,8 @@ class Renderer:
         if not scene.temperature_state.solved:
             scene = _solved(scene, like, self._geometry, progress)
             self.plan = make_plan(scene, sampling)
+        if self.plan.beyond_tolerance:
+            warnings.warn(self.plan.beyond_tolerance, ThermorenderWarning, stacklevel=2)
         self.scene = scene
         if like is None:
             return

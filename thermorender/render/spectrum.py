@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermorender.atmosphere.model import Atmosphere
-from thermorender.errors import ThermorenderError
 from thermorender.materials.material import Material
 from thermorender.materials.mixture import Mixture, spectra_of
 from thermorender.physics.band import Emissivity, RadianceTable, emitted_radiance, quadrature
@@ -228,7 +227,8 @@ class Envelope:
 
 
 def make_spectrum(materials: Sequence[Material], envelope: Envelope, tolerance_mk: float, reflects: bool) -> Spectrum:
-    """Return the Spectrum of a scene, with errors up to `tolerance_mk` on the envelope; one node unless it `reflects`.
+    """Return the Spectrum of a scene, with errors up to `tolerance_mk` on the envelope; one node unless it `reflects`,
+    and at most MOST_NODES, whose error may be larger.
     A material's reflection of a node's light is not its mean reflectance in the node. It is a least-squares fit, over
     the envelope's light, to the reflection at the points, regularised towards the mean. This corrects most variation
     within a node and needs a third of the nodes."""
@@ -248,11 +248,8 @@ def make_spectrum(materials: Sequence[Material], envelope: Envelope, tolerance_m
     for count in range(1, MOST_NODES + 1):
         found = case.spectrum(fcluster(tree, count, "maxclust") - 1, basis, solver, channels_mk, wanted)
         if found.nodes_mk <= tolerance_mk:
-            return _mixed(found, shares)
-    raise ThermorenderError(
-        f"tolerance_mk={tolerance_mk:g} is not reached with {MOST_NODES} spectral nodes ({found.nodes_mk:.3g} mK "
-        "remain); give a larger tolerance"
-    )
+            break
+    return _mixed(found, shares)
 
 
 def kept_spectrum(

@@ -126,7 +126,7 @@ def _errors_mk(
     nodes = plan.spectrum.nodes_mk
     # The solution may have other nodes: where these err too much, where most faces change, and where the rounding of
     # edits has added up.
-    more = nodes + plan.sampling.tolerance_mk
+    more = nodes + max(plan.sampling.tolerance_mk, baked.plan.spectrum.nodes_mk)
     # The solutions before and after the edit have errors of their own, and texels are rounded.
     brightest = max(float(values.max()) for values in baked.texels)
     rounding = float(np.finfo(np.float32).eps) * brightest / plan.radiance_per_mk

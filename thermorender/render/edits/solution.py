@@ -46,7 +46,7 @@ def solved_change(
     if (
         not plan.bake
         or plan.sun != old.sun
-        or max(spectrum.nodes_mk, spectrum.channels_mk) > plan.sampling.tolerance_mk
+        or max(spectrum.nodes_mk, spectrum.channels_mk) > max(plan.sampling.tolerance_mk, old.spectrum.nodes_mk)
     ):
         return None
     prior = baked.prior

@@ -80,17 +80,11 @@ class TimedRenderer(Generic[InstantRendererT]):
         self, renderer: InstantRendererT, first_s: float, last_s: float, progress: "Progress | None" = None
     ) -> None:
         self.first, self._first_s, self._progress = renderer, first_s, progress
-        self._last_step = round((last_s - first_s) / STEP_S) if renderer.scene.temperature_state.weather_driven else 0
+        self._last_step = _steps(renderer.scene, last_s - first_s)
         # At most two steps, since the memory of pixels reaches back over a change of the step.
         self._made: dict[int, InstantRendererT] = {}
         self._part: tuple[int, dict[int, Scene]] = (-1, {})
-        if self._last_step:
-            end, weather = self._instant(self._last_step), renderer.scene.weather
-            if end > weather.time[-1]:
-                raise ThermorenderError(
-                    f"{renderer.scene.where}: the flight ends at {utc_text(end)}, after its weather, which ends at "
-                    f"{utc_text(weather.time[-1])}; give an earlier time, or longer weather"
-                )
+        refuse_late(renderer.scene, last_s - first_s)
 
     def at(self, time_s: float) -> InstantRendererT:
         """Return the Renderer for a time of the trajectory [s]."""
@@ -129,9 +123,7 @@ class TimedRenderer(Generic[InstantRendererT]):
         return min(max(round((time_s - self._first_s) / STEP_S), 0), self._last_step)
 
     def _instant(self, step: int) -> np.datetime64:
-        start = self.first.scene.time
-        assert start is not None
-        return start + np.timedelta64(round(step * STEP_S), "s")
+        return _instant(self.first.scene, step)
 
     def _scenes(self, step: int) -> dict[int, Scene]:
         """The scenes of the part of the flight around a step, and of the step before this part."""
@@ -142,6 +134,27 @@ class TimedRenderer(Generic[InstantRendererT]):
             found = solved_at(self.first.scene, times, self.first.baked.geometry, self._progress)
             self._part = part, dict(zip(steps, found, strict=True))
         return self._part[1]
+
+
+def refuse_late(scene: Scene, duration_s: float) -> None:
+    """Raise for a flight that lasts longer than its weather."""
+    steps = _steps(scene, duration_s)
+    if steps and (end := _instant(scene, steps)) > scene.weather.time[-1]:
+        raise ThermorenderError(
+            f"{scene.where}: the flight ends at {utc_text(end)}, after its weather, which ends at "
+            f"{utc_text(scene.weather.time[-1])}; give an earlier time, or longer weather"
+        )
+
+
+def _steps(scene: Scene, duration_s: float) -> int:
+    """Number of steps of the temperatures in a time; 0 for temperatures that stay."""
+    return round(duration_s / STEP_S) if scene.temperature_state.weather_driven else 0
+
+
+def _instant(scene: Scene, step: int) -> np.datetime64:
+    """The instant of a step of the temperatures."""
+    assert scene.time is not None
+    return scene.time + np.timedelta64(round(step * STEP_S), "s")
 
 
 def _rms_change_k(one: Scene, other: Scene) -> float:
