@@ -250,8 +250,8 @@ def refuse_surfaces(scene: Scene) -> None:
     low, high = _altitudes_m(scene)
     if low < LOWEST_M or high > HIGHEST_CAMERA_M:
         raise ThermorenderError(
-            f"{scene.where}: surfaces are at {low:.7g} … {high:.7g} m above sea level, outside the range of the air; give "
-            f"−{-LOWEST_M:.0f} … {HIGHEST_CAMERA_M:.0f} m by the terrain's heights or altitude_m of [atmosphere]"
+            f"{scene.where}: surfaces are at {low:.7g} … {high:.7g} m above sea level, outside the range of the air; "
+            f"give −{-LOWEST_M:.0f} … {HIGHEST_CAMERA_M:.0f} m by the terrain's heights or altitude_m of [atmosphere]"
         )
 
 
