@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 from typing_extensions import assert_type
 
@@ -41,6 +42,8 @@ def frames() -> None:
     assert_type(frame.camera.width, int)
     frame.save("frame.exr")
     assert_type(frame.orthorectified(0.25).kelvin, NDArray[np.float32])
+    assert_type(frame.to_xarray(), xr.Dataset)
+    assert_type(frame.orthorectified(0.25).to_xarray(), xr.DataArray)
     assert_type(renderer.radiance(pose, 1.0), NDArray[np.float32])
     assert_type(renderer.visible(pose, time_s=1.0), tuple[NDArray[np.uint8], NDArray[np.bool_]])
 

@@ -175,7 +175,9 @@ def encoded_image(suffix: str, image: np.ndarray) -> bytes:
     import numpy as np
 
     ordered = image[..., ::-1] if image.ndim == 3 else image
-    encoded, data = cv2.imencode(suffix, np.ascontiguousarray(ordered))
+    # Deflate, which every reader of TIFF decodes; OpenCV's own choice is LZW.
+    how = [cv2.IMWRITE_TIFF_COMPRESSION, cv2.IMWRITE_TIFF_COMPRESSION_ADOBE_DEFLATE] if "tif" in suffix.lower() else []
+    encoded, data = cv2.imencode(suffix, np.ascontiguousarray(ordered), how)
     if not encoded:
         raise OSError(f"OpenCV cannot encode a {image.dtype} image")
     return data.tobytes()

@@ -15,6 +15,7 @@ from rasterio.warp import transform
 
 import thermorender as tr
 from scenes import write_mesh, write_terrain
+from thermorender.formats import encoded_image
 from thermorender.frame import picture
 from thermorender.frame.exr import read_exr
 from thermorender.progress import interactive
@@ -131,6 +132,18 @@ def test_a_tiff_is_float32_kelvin(frame, tmp_path):
     with file:
         assert (file.dtypes, file.units, file.crs) == (("float32",), ("K",), None)
         np.testing.assert_array_equal(file.read(1), frame.apparent_temperature)
+
+
+def test_tiffs_open_in_tifffile_without_imagecodecs(frame, tmp_path):
+    import tifffile
+
+    frame.save(tmp_path / "f.tif")
+    (tmp_path / "counts.tif").write_bytes(encoded_image(".tif", frame.counts))
+    for name, wanted in (("f.tif", frame.apparent_temperature), ("counts.tif", frame.counts)):
+        with tifffile.TiffFile(tmp_path / name) as file:
+            # Codecs of zlib, and horizontal differencing: what tifffile decodes itself.
+            assert (int(file.pages[0].compression), int(file.pages[0].predictor)) == (8, 2)
+            assert np.array_equal(file.asarray(), wanted)
 
 
 def test_an_npz_has_the_images_and_no_pickle(frame, tmp_path):

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +23,9 @@ from thermorender.sensor import readout
 from thermorender.sensor.camera import Camera
 from thermorender.sensor.chain import sensor_of
 from thermorender.sensor.display import DisplaySettings
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 @dataclass(frozen=True)
@@ -166,7 +169,7 @@ class Frame:
 
         save(self, path)
 
-    def to_xarray(self) -> Any:
+    def to_xarray(self) -> "xr.Dataset":
         """Return an xarray.Dataset of the images and the truth, with units.
 
         Its coordinates are the pixels' middles (x, y) [px], the position that each pixel shows (east, north, up) [m]

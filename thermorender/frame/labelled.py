@@ -11,6 +11,8 @@ from thermorender.frame.save import images
 from thermorender.scene import surface
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from thermorender.frame.frame import Frame
     from thermorender.frame.orthoimage import Orthoimage
 
@@ -33,12 +35,12 @@ def _crs_attributes(crs: Any) -> dict[str, str]:
     return {"crs_wkt": crs.to_wkt(), "spatial_ref": crs.to_wkt()}
 
 
-def of_orthoimage(image: "Orthoimage") -> Any:
+def of_orthoimage(image: "Orthoimage") -> "xr.DataArray":
     """Return the DataArray of an Orthoimage."""
     x, _ = image.grid.to_map(np.arange(image.grid.width) + 0.5, 0.0)
     _, y = image.grid.to_map(0.0, np.arange(image.grid.height) + 0.5)
     unit = "degrees" if image.grid.crs.is_geographic else image.grid.crs.linear_units
-    return _xarray().DataArray(
+    array: xr.DataArray = _xarray().DataArray(
         image.kelvin, dims=("y", "x"), name="apparent_temperature",
         coords={
             "x": ("x", x, {"units": unit}),
@@ -47,9 +49,10 @@ def of_orthoimage(image: "Orthoimage") -> Any:
         },
         attrs={"units": "K", "grid_mapping": "spatial_ref"},
     )  # fmt: skip
+    return array
 
 
-def of_frame(frame: "Frame") -> Any:
+def of_frame(frame: "Frame") -> "xr.Dataset":
     """Return the Dataset of a Frame."""
     xarray = _xarray()
     found, variables = images(frame), dict[str, Any]()
@@ -78,4 +81,5 @@ def of_frame(frame: "Frame") -> Any:
             coordinates[name] = (("y", "x"), values, {"units": unit, "grid_mapping": "spatial_ref"})
         coordinates["spatial_ref"] = ((), 0, _crs_attributes(frame.place.crs))
     record: dict[str, Any] = {"camera": frame.camera.name, "time_s": frame.time_s, "record": json.dumps(header(frame))}
-    return xarray.Dataset(variables, coordinates, record)
+    data: xr.Dataset = xarray.Dataset(variables, coordinates, record)
+    return data

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +16,8 @@ from thermorender.scene.raster import Grid
 from thermorender.scene.surface import MOST_TEXELS
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from thermorender.scene.georeference import Place
 
 # A little more than half the diagonal of a pixel's footprint, since footprints are oblique.
@@ -64,7 +66,7 @@ class Orthoimage:
             raise ThermorenderError(f"{path} is not the name of a GeoTIFF; end it in .tif")
         write_kelvin(path, self.kelvin, self.grid.crs, self.grid.transform)
 
-    def to_xarray(self) -> Any:
+    def to_xarray(self) -> "xr.DataArray":
         """Return an xarray.DataArray with coordinates x, y of the pixels' middles in map units, and the CRS."""
         from thermorender.frame.labelled import of_orthoimage
 
