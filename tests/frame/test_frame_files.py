@@ -4,6 +4,7 @@ import json
 import re
 import sys
 import types
+from dataclasses import replace
 
 import matplotlib
 import numpy as np
@@ -255,6 +256,12 @@ def test_a_dataset_has_units_coordinates_and_crs(scene, frame):
     assert inside.all()
     names = found.material.flag_meanings.split()
     assert names[int(found.material[0, 0])] == frame.materials[frame.truth["material"][0, 0]]
+
+
+def test_the_meanings_of_material_numbers_are_one_word_each(frame):
+    pytest.importorskip("xarray")
+    mixed = replace(frame, materials=("0.5 grass_green + 0.5 sand_quartz", "asphalt"))
+    assert mixed.to_xarray().material.attrs["flag_meanings"] == "0.5_grass_green_+_0.5_sand_quartz asphalt"
 
 
 def test_an_orthoimage_has_the_coordinates_of_its_pixels(frame):

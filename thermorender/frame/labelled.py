@@ -60,7 +60,8 @@ def of_frame(frame: "Frame") -> "xr.Dataset":
     for name, values in found.items():
         attributes: dict[str, Any] = {"units": UNITS.get(name, "1")}
         if name == "truth.material":
-            attributes["flag_meanings"] = " ".join(frame.materials)
+            # Words without spaces, as CF has them: mixtures are "0.5 grass + 0.5 sand".
+            attributes["flag_meanings"] = " ".join(name.replace(" ", "_") for name in frame.materials)
         if name == "truth.mask":
             attributes |= {"flag_meanings": _FLAGS.lower(), "flag_masks": [getattr(surface, f) for f in _FLAGS.split()]}
         variables[name.removeprefix("truth.")] = (("y", "x"), values, attributes)

@@ -58,6 +58,15 @@ def spectra_of(material: Material) -> tuple[tuple[Material, float], ...]:
     return material.possible or material.parts if isinstance(material, Mixture) else ((material, 1.0),)
 
 
+def largest_part(name: str) -> str:
+    """Return the material with the largest share in the name that `mix` gives; a name of one material is itself."""
+    shares = [part.partition(" ") for part in name.split(" + ")]
+    try:
+        return max(shares, key=lambda part: float(part[0]))[2]
+    except ValueError:
+        return name
+
+
 def mix(parts: Sequence[tuple[Material, float]], possible: Sequence[tuple[Material, float]] = ()) -> Material:
     """Return the Mixture of (Material, share) pairs whose shares sum to one; for a single part, that Material.
 

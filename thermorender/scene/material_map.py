@@ -34,7 +34,9 @@ _MOST_MIXES = 200
 UNKNOWN_CLASS = 255
 # Temperature for which band means are taken [K].
 _REFERENCE_K = 300.0
-_UNKNOWN_COLOUR = (255, 0, 255)
+_UNKNOWN_COLOUR, _OTHER_COLOUR = (255, 0, 255), (200, 200, 200)
+# Entries of the picture's legend, in addition to the one of all others.
+_MOST_NAMED = 10
 _Colour = tuple[int, ...]
 # Distance in CIELAB from which colours of a legend are easy to distinguish.
 _DISTINCT = 20.0
@@ -344,13 +346,17 @@ def _picture(
     path: Path, rgb: NDArray[np.uint8], classes: NDArray[np.uint8], shown: Mapping[int, tuple[str, Any]],
     colours: Mapping[int, _Colour],
 ) -> None:  # fmt: skip
-    """Write orthophoto and classes side by side with a legend of the shares."""
+    """Write orthophoto and classes side by side with a legend of the largest shares; other classes have one colour."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 
+    order = sorted(shown, key=lambda value: -shown[value][1])
+    # One entry more than fits stays by itself.
+    named, others = (order, []) if len(order) <= _MOST_NAMED + 1 else (order[:_MOST_NAMED], order[_MOST_NAMED:])
     table = np.full((256, 3), 255, dtype=np.uint8)
-    for value in shown:
+    table[others] = _OTHER_COLOUR
+    for value in named:
         table[value] = colours.get(value, _UNKNOWN_COLOUR)
     step = max(1, -(-max(classes.shape) // 1400))
     figure = Figure(figsize=(15.0, 7.0), layout="constrained")
@@ -360,10 +366,12 @@ def _picture(
     right.imshow(table[classes[::step, ::step]], interpolation="nearest")
     for axes in (left, right):
         axes.set_axis_off()
-    order = sorted(shown, key=lambda value: -shown[value][1])
     patches = [
-        Patch(color=table[value] / 255.0, label=formats.label("{} {:.1%}".format(*shown[value]))) for value in order
+        Patch(color=table[value] / 255.0, label=formats.label("{} {:.1%}".format(*shown[value]))) for value in named
     ]
+    if others:
+        share = sum(shown[value][1] for value in others)
+        patches.append(Patch(color=np.divide(_OTHER_COLOUR, 255.0), label=f"{len(others)} others {share:.1%}"))
     figure.legend(handles=patches, loc="outside right center", frameon=False)
     with files.atomic(path) as part:
         figure.savefig(part, dpi=110)

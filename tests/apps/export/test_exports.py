@@ -160,6 +160,34 @@ def test_masks_are_the_truth(flight, tmp_path):
     assert ((channels["truth.material"] == paint) == (channels["truth.object"] > 0)).all()
 
 
+def test_masks_of_many_mixtures_have_ten_classes_and_other_over_all_frames(tmp_path, monkeypatch):
+    # Material m fills m + 1 columns of the first frame; 30 to 33 are mixtures, in the second.
+    names = [f"kind {number}" for number in range(30)]
+    mixed = {
+        "0.625 kind 3 + 0.375 kind 29": "kind 3", "0.25 kind 1 + 0.375 kind 2 + 0.375 kind 4": "kind 2",
+        "0.125 kind 29 + 0.875 kind 2": "kind 2", "0.5 kind 0 + 0.5 kind 9": "kind 0",
+    }  # fmt: skip
+    first = np.repeat(np.arange(30), np.arange(30) + 1)[None].repeat(2, axis=0)
+    second = np.full_like(first, 255)
+    second[0, :400] = np.arange(400) % 4 + 30
+    frames = [
+        (n, {"truth.material": image, "truth.object": 0 * image}, {"materials": [*names, *mixed], "objects": ["a"]})
+        for n, image in enumerate((first, second))
+    ]
+    monkeypatch.setattr("thermorender.apps.export.labels.exr_frames", lambda *_: iter(frames))
+    assert masks(tmp_path, tmp_path / "out") == 2
+    legend = json.loads((tmp_path / "out/legend.json").read_text())
+    # Pixels: kind 2 has 6 + 200, kind 3 has 8 + 100, kind 0 has 2 + 100, kind 29 has 60, kind 28 has 58 …
+    wanted = ["kind 2", "kind 3", "kind 0", *(f"kind {n}" for n in range(29, 22, -1)), "other"]
+    assert legend["class"] == {str(n): name for n, name in enumerate(wanted)} | {"255": "none"}
+    one, two = (cv2.imread(str(tmp_path / f"out/frame_{n:06d}_class.png"), cv2.IMREAD_UNCHANGED) for n in (0, 1))
+    assert one.dtype == np.uint8 and all(
+        legend["class"][str(shown)] == (name if name in wanted else "other")
+        for shown, name in zip(one[1], [names[n] for n in first[1]], strict=True)
+    )
+    assert [wanted[n] for n in two[0, :4]] == list(mixed.values()) and (two[0, 400:] == 255).all()
+
+
 def angles_and_position(tags):
     """Angles of both conventions [deg] and (latitude, longitude, height) from ExifTool's JSON with -n."""
     nadir, gimbal = (

@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,13 @@ from numpy.typing import NDArray
 from thermorender import files, formats
 from thermorender.apps.export.exr_frames import exr_frames
 from thermorender.errors import ThermorenderError
+from thermorender.materials.mixture import largest_part
 
 # The surrounding of an object: pixels without an object, farther from it than the first and up to the second [px].
 # A pixel beside its silhouette may hold a part of it.
 _SURROUNDING_PX = (1, 5)
+# Classes of the masks, in addition to "other".
+_MOST_CLASSES = 10
 _NUMBERED = re.compile(r"[ _-]*\d+$")
 
 
@@ -82,15 +86,18 @@ def masks(folder: str | PathLike[str], output: str | PathLike[str]) -> int:
     folder : path
         As of `coco`.
     output : path
-        Gets frame_NNNNNN_material.png (uint8, 255 for none), frame_NNNNNN_object.png (uint16, 0 for none), and
-        legend.json with {"material": {number: name}, "object": {number: name}}.
+        Gets frame_NNNNNN_material.png (uint8, 255 for none), frame_NNNNNN_object.png (uint16, 0 for none),
+        frame_NNNNNN_class.png (uint8, 255 for none), and legend.json with {number: name} of each. A class is the
+        material with the largest share of a mixture: the ten that most pixels of all frames show, and "other".
 
     Raises
     ------
     ThermorenderError
         A folder without frames or without truth, or more objects than a PNG can number.
     """
-    count = 0
+    import cv2
+
+    count, shown = 0, np.zeros(256, int)
     with files.output_folder(output) as out:
         for number, channels, about in exr_frames(folder, ("truth.material", "truth.object"), ("materials", "objects")):
             if len(about["objects"]) > 65535:
@@ -100,13 +107,34 @@ def masks(folder: str | PathLike[str], output: str | PathLike[str]) -> int:
                 )
             for name, kind in (("material", np.uint8), ("object", np.uint16)):
                 formats.write_image(out / f"frame_{number:06d}_{name}.png", channels[f"truth.{name}"].astype(kind))
-            legend = {
-                "material": dict(enumerate(about["materials"])) | {255: "none"},
-                "object": {0: "none"} | dict(enumerate(about["objects"], start=1)),
-            }
-            formats.write_json(out / "legend.json", legend)
+            shown += np.bincount(channels["truth.material"].astype(np.uint8).ravel(), minlength=256)
+            materials, objects = about["materials"], about["objects"]
             count += 1
+        names, class_of = _classes(materials, shown)
+        for number in range(count):
+            material = cv2.imread(str(out / f"frame_{number:06d}_material.png"), cv2.IMREAD_UNCHANGED)
+            formats.write_image(out / f"frame_{number:06d}_class.png", class_of[material])
+        legend = {
+            "material": dict(enumerate(materials)) | {255: "none"},
+            "class": dict(enumerate(names)) | {255: "none"},
+            "object": {0: "none"} | dict(enumerate(objects, start=1)),
+        }
+        formats.write_json(out / "legend.json", legend)
     return count
+
+
+def _classes(materials: Sequence[str], pixels: NDArray[np.integer]) -> tuple[list[str], NDArray[np.uint8]]:
+    """(names of the classes, class of each material's number (256,), 255 for none), by the pixels (256,) of each."""
+    parts = [largest_part(name) for name in materials]
+    total = {part: sum(int(pixels[n]) for n, own in enumerate(parts) if own == part) for part in parts}
+    names = sorted((part for part in total if total[part]), key=lambda part: -total[part])
+    if len(names) > _MOST_CLASSES:
+        names = [*names[:_MOST_CLASSES], "other"]
+    class_of = np.full(256, 255, np.uint8)
+    for number, part in enumerate(parts):
+        if total[part]:
+            class_of[number] = names.index(part) if part in names else len(names) - 1
+    return names, class_of
 
 
 def run_lengths(mask: NDArray[np.bool_]) -> dict[str, list[int]]:
