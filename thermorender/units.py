@@ -5,7 +5,7 @@ import re
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError, shortened
 
@@ -68,8 +68,8 @@ def kelvin_scale(unit: str | None) -> tuple[float, float] | None:
 def instant(name: str, value: str | datetime.datetime | np.datetime64) -> np.datetime64:
     """Return an instant as datetime64[s], UTC, by its `name` in messages.
 
-    `value` is ISO 8601 with a zone, such as 2018-07-28T14:30Z or 2018-07-28T16:30:00+02:00, to whole seconds; a
-    datetime with a zone; or a datetime64, which is UTC.
+    `value` is ISO 8601 with a zone, such as 2018-07-28T14:30Z or 2018-07-28T16:30:00+02:00, to whole seconds; or a
+    datetime with a zone. NumPy's datetime64 cannot have a zone: it is UTC in all of this package.
     """
     if isinstance(value, np.datetime64) and not np.isnat(value):
         return value.astype("datetime64[s]")
@@ -92,6 +92,15 @@ def instant(name: str, value: str | datetime.datetime | np.datetime64) -> np.dat
     if seconds > _FARTHEST_ZONE_S:
         raise ThermorenderError(f"{name}={text} has an impossible offset from UTC; give one from -14:00 to +14:00")
     return clock - np.timedelta64(seconds if sign == "+" else -seconds, "s")
+
+
+def instants(name: str, values: ArrayLike) -> NDArray[np.datetime64]:
+    """Return instants of any shape as datetime64[s], UTC; each is as of `instant`."""
+    given = np.asarray(values)
+    if given.dtype.kind == "M":
+        return given.astype("datetime64[s]")
+    found = [instant(name, value) for value in given.ravel().tolist()]
+    return np.array(found, "datetime64[s]").reshape(given.shape)
 
 
 def utc_text(time: np.datetime64) -> str:

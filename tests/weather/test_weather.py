@@ -2,7 +2,7 @@
 
 import re
 from dataclasses import replace
-from datetime import datetime
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -40,6 +40,24 @@ def test_weather_is_linear_in_time_and_refuses_instants_outside(tmp_path):
     with pytest.raises(ThermorenderError, match="2018-07-19T23:00:00Z is outside the weather, which runs from 2018-07"):
         weather.at(np.datetime64("2018-07-19T23:00"))
     assert "air_k: 282.15" in repr(weather) and "Long-wave is missing" in repr(weather)
+
+
+def test_texts_and_datetimes_of_a_weather_need_a_zone_and_datetime64_is_utc(tmp_path):
+    weather = read_station(station(tmp_path / "s.csv"), *PLACE)
+    east = timezone(timedelta(hours=2))
+    written = [f"{time + np.timedelta64(7200, 's')}+02:00" for time in weather.time]
+    local = [datetime.fromisoformat(text) for text in written]
+    at = weather.at(weather.time[5])
+    for times in (weather.time, weather.time.astype("datetime64[ms]"), written, local):
+        made = replace(weather, time=times)
+        assert made.time.dtype == "datetime64[s]" and np.array_equal(made.time, weather.time)
+        assert made.at(times[5]) == at and made.sun(times[5]) == weather.sun(weather.time[5])
+    assert local[0].tzinfo == east
+    for bare in (written[5].partition("+")[0], local[5].replace(tzinfo=None)):
+        with pytest.raises(ThermorenderError, match="has no zone; add Z for UTC"):
+            weather.at(bare)
+        with pytest.raises(ThermorenderError, match=r"time=.* has no zone; add Z for UTC"):
+            replace(weather, time=[*written[:5], str(bare), *written[6:]])
 
 
 def test_weather_refuses_gaps_and_repeated_times(tmp_path):

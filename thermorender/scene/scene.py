@@ -426,7 +426,8 @@ class Scene:
         Parameters
         ----------
         time : str, datetime or datetime64
-            As by `thermorender.units.instant`: text with its zone; a datetime64 is UTC.
+            Text or datetime with its zone; without one it is refused. A datetime64 has no zone and is UTC, as all
+            instants of this package are.
 
         Raises
         ------

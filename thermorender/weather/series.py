@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics import moisture, sun
-from thermorender.units import ZERO_CELSIUS_K
+from thermorender.units import ZERO_CELSIUS_K, instants
 
 Floats = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ class Weather:
     Attributes
     ----------
     time : (N,) datetime64[s]
-        UTC, rising; the middles of averaging intervals.
+        Rising; the middles of averaging intervals. A datetime64 is UTC; text and datetimes need their zone.
     air_k, vapour_pa, wind_m_s : (N,)
         Air temperature, vapour pressure, wind speed.
     direct_w_m2, diffuse_w_m2, longwave_w_m2 : (N,)
@@ -80,7 +80,7 @@ class Weather:
 
     def __post_init__(self) -> None:
         """Refuse times that do not rise, series of other lengths, and values that are not finite or out of range."""
-        time = np.array(self.time, "datetime64[s]")
+        time = np.array(instants("time", self.time))
         time.flags.writeable = False
         object.__setattr__(self, "time", time)
         if self.time.ndim != 1 or self.time.size < 2 or not (np.diff(self.time) > np.timedelta64(0, "s")).all():
@@ -104,14 +104,14 @@ class Weather:
                 )
 
     def at(self, time: sun.Times) -> Conditions:
-        """Return the Conditions, linearly interpolated, at instants (datetime64, UTC) of any shape.
+        """Return the Conditions, linearly interpolated, at instants of any shape, as of `time`.
 
         Raises
         ------
         ThermorenderError
-            An instant is outside the series.
+            An instant is outside the series, or a text or datetime without a zone.
         """
-        time = np.asarray(time, "datetime64[s]")
+        time = instants("time", time)
         outside = (time < self.time[0]) | (time > self.time[-1]) | np.isnat(time)
         if outside.any():
             raise ThermorenderError(
@@ -161,7 +161,7 @@ class Weather:
 
     def sun(self, time: sun.Times) -> tuple[Floats, Floats]:
         """Return the sun's (azimuth clockwise from north, elevation) [deg] at instants; see `sun.position_at`."""
-        return sun.position_at(time, self.latitude_deg, self.longitude_deg)
+        return sun.position_at(instants("time", time), self.latitude_deg, self.longitude_deg)
 
     def __repr__(self) -> str:
         """Return period, place, ranges and notes, one per line."""
