@@ -437,6 +437,14 @@ def test_a_wrong_pose_a_used_folder_and_a_late_flight_are_refused_before_the_hea
         assert status == 2 and words in errors and not simulations
 
 
+def test_plan_shows_its_progress_and_keeps_notes_on_the_standard_output(scene, call, tmp_path, monkeypatch):
+    # As on a terminal whose standard output goes to a file.
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    status, output, errors = call("plan", tmp_path / "tiny")
+    assert status == 0 and "weather: " in output and "spectral nodes" in output
+    assert "loading the scene" in errors and "simulating the heat balance" in errors and "weather: " not in errors
+
+
 def test_a_scene_without_an_hour_needs_no_simulation(tmp_path, path, simulations):
     renderer = tr.Renderer(tr.load_scene(write_terrain(tmp_path / "tiny")), rays=4, samples=1)
     fly(renderer, path, tmp_path / "f", FlightOptions(rate_hz=0.02, products=("counts",)))

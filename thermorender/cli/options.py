@@ -121,9 +121,11 @@ class SceneOptions:
 
     @phase("scene")
     def load(
-        self, name: str, temperature: "TemperatureSpec | None" = None, read_time: ReadTime = read_instant
-    ) -> "Scene":
+        self, name: str, temperature: "TemperatureSpec | None" = None, read_time: ReadTime = read_instant,
+        progress: Progress = lambda what, share: None,
+    ) -> "Scene":  # fmt: skip
         """Return the Scene of a folder or name; print notes on its weather and learned maps."""
+        progress("loading the scene", 0.0)
         scene = at_time(name, self.time, read_time, temperature)
         if self.air is not None:
             scene = scene.with_air(*parse_air(self.air))
@@ -131,6 +133,7 @@ class SceneOptions:
             scene = scene.with_objects(parse_object(text))
         for text in self.paint or ():
             scene = scene.with_material_in(*parse_paint(text))
+        progress("loading the scene", 1.0)
         if scene.temperature_state.weather_driven:
             for note in (_sun_of(scene), *scene.weather_notes):
                 typer.echo(f"weather: {note}")
@@ -241,6 +244,12 @@ class ViewOptions:
         (east, north, up, *angles), point = self.numbers()
         yaw, pitch, roll = angles or (0.0, 0.0, 0.0)
         if self.local_up:
+            below = float(scene.ground(east, north)) - up
+            if below > 0.0:
+                warn(
+                    f"--pose={self.pose!r} with --local-up is {below:.6g} m under the ground; leave --local-up out to "
+                    "give U in metres above the ground"
+                )
             return pose(east, north, up, yaw, pitch, roll, look_at=point)
         ground = float(scene.ground(east, north))
         if ground != ground:

@@ -81,7 +81,7 @@ def render(
     # A wrong pose is refused before the scene is loaded.
     view.numbers()
     with progress() as report:
-        loaded = situation.load(scene, source.source())
+        loaded = situation.load(scene, source.source(), progress=report)
         wanted = frame_files.check(wanted, settings, loaded.camera)
         world_from_camera = view.over(loaded)
         refuse_camera(loaded, world_from_camera[:3, 3])
@@ -218,7 +218,7 @@ def fly(
         audit=audit, exr_compression=exr_compression,
     )  # fmt: skip
     with progress() as report:
-        loaded = situation.load(scene, source.source())
+        loaded = situation.load(scene, source.source(), progress=report)
         path = log.read(loaded, rate_hz)
         renderer = sampling.renderer(loaded, seed, device, report)
         if preview:
@@ -288,7 +288,7 @@ def day(
     wanted = frame_files.check(split(products), settings)
     view.numbers()
     with progress() as report:
-        loaded = SceneOptions(time, air).load(scene, None, instant_of)
+        loaded = SceneOptions(time, air).load(scene, None, instant_of, report)
         model = getattr(loaded.temperature_state.source, "model", None)
         if model is not None:
             warn(model.texel_warning(loaded.surfaces[0].texel_m))

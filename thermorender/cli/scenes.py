@@ -46,11 +46,14 @@ def plan(scene: SceneName, *, sampling: SamplingOptions, situation: SceneOptions
     from thermorender.render.quality import Sampling
     from thermorender.sensor.schedule import plan_row
 
-    loaded = situation.load(scene)
-    if not loaded.temperature_state.solved:
-        # The plan depends on the temperatures.
-        with progress() as report:
-            loaded = sampling.renderer(loaded, 0, "auto", report).scene
+    with progress() as report:
+        loaded = situation.load(scene, progress=report)
+        if loaded.temperature_state.solved:
+            report("choosing the spectral nodes", 0.0)
+            made = make_plan(loaded, Sampling.of(**sampling.settings()))
+        else:
+            # The plan depends on the temperatures.
+            renderer = sampling.renderer(loaded, 0, "auto", report)
+            loaded, made = renderer.scene, renderer.plan
     typer.echo(str(loaded))
-    rows = make_plan(loaded, Sampling.of(**sampling.settings())).rows()
-    table(("item", "in", "why"), [*rows, plan_row(loaded.camera)])
+    table(("item", "in", "why"), [*made.rows(), plan_row(loaded.camera)])

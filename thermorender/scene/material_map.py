@@ -34,7 +34,7 @@ _MOST_MIXES = 200
 UNKNOWN_CLASS = 255
 # Temperature for which band means are taken [K].
 _REFERENCE_K = 300.0
-_UNKNOWN_COLOUR, _OTHER_COLOUR = (255, 0, 255), (200, 200, 200)
+_UNKNOWN_COLOUR, _OTHER_COLOUR = (255, 0, 255), (204, 204, 204)
 # Entries of the picture's legend, in addition to the one of all others.
 _MOST_NAMED = 10
 _Colour = tuple[int, ...]
@@ -371,7 +371,7 @@ def _picture(
     ]
     if others:
         share = sum(shown[value][1] for value in others)
-        patches.append(Patch(color=np.divide(_OTHER_COLOUR, 255.0), label=f"{len(others)} others {share:.1%}"))
+        patches.append(Patch(color="0.8", label=f"{len(others)} others {share:.1%}"))
     figure.legend(handles=patches, loc="outside right center", frameon=False)
     with files.atomic(path) as part:
         figure.savefig(part, dpi=110)

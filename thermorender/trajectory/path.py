@@ -260,7 +260,8 @@ def check_above_ground(trajectory: Trajectory, ground: GroundHeight, minimum_m: 
         raise ThermorenderError(
             f"trajectory: at {trajectory.time_s[k]:.3f} s the camera is {minimum_m - height[k]:.2f} m below "
             f"{limit} ({int(low.sum())} of {len(trajectory)} samples are); check the height column's "
-            "reference, raise the flight with an anchor, or allow flights below ground"
+            "reference, raise the flight with an anchor (--anchor), or allow it to be below ground "
+            "(--allow-below-ground)"
         )
     return float(np.nanmin(height)) if np.isfinite(height).any() else float("nan")
 
