@@ -13,6 +13,7 @@ import rasterio
 import trimesh
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.warp import transform
+from scipy.stats import norm
 
 import thermorender as tr
 from scenes import write_mesh, write_terrain
@@ -290,6 +291,16 @@ def test_printing_a_frame_teaches(frame):
     assert len(repr(frame).splitlines()) == 1
 
 
+def test_warm_cars_at_night_leave_the_colours_to_the_ground():
+    ground = np.random.default_rng(7).normal(283.0, 0.5, (100, 100))
+    ground[:, :4] = 318.0
+    low, high = picture.limits(ground)
+    # The range ends three widths of the middle 80 % beyond them.
+    lower, upper = 283.0 + 0.5 * norm.ppf(np.array([0.1, 0.9]) / 0.96)
+    assert 281.3 < low < 281.9 and high == pytest.approx(upper + 3.0 * (upper - lower), abs=0.15)
+    assert picture.limits(np.where(ground > 300.0, 290.0, 283.0))[1] == 290.0
+
+
 def test_a_notebook_shows_the_picture(frame, monkeypatch):
     assert frame._repr_html_().startswith('<img alt="Frame(0')
     shown = []
@@ -311,7 +322,7 @@ def test_a_terminal_shows_colours_and_a_file_one_line(frame, monkeypatch, capsys
     assert last == repr(frame)
     assert len(lines) == 21 and set(lines[0]) == {"▀"} and len(lines[0]) == 50
     low, high = picture.limits(frame.apparent_temperature)
-    assert lines[-1].startswith(f"{low:.1f} K") and lines[-1].endswith(f"{high:.1f} K")
+    assert lines[-1].startswith(f"≤{low:.1f} K") and lines[-1].endswith(f"≥{high:.1f} K")
     assert frame.apparent_temperature.min() <= low < high <= frame.apparent_temperature.max()
 
 

@@ -60,6 +60,30 @@ def test_linear_stretches_between_the_tails():
         assert np.abs(shown - np.clip((ramp - low) / (high - low), 0, 1) * 255.0).max() < 0.6
 
 
+def night_with_cars(share, sigma=30.0):
+    """Ground of 3500 ± 30 counts, and a share of the pixels 3300 counts above it: 0.3 K and 33 K of a Zenmuse XT2."""
+    counts = RNG.normal(3500, sigma, (512, 640))
+    counts[:, : round(640 * share)] += 3300
+    return np.clip(np.rint(counts), 0, 16383).astype(np.uint16)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.03, 0.08])
+def test_a_few_warm_cars_leave_the_ground_at_night_half_of_the_levels_and_saturate(share):
+    shown = DisplaySettings().image(night_with_cars(share))[1]
+    ground, cars = shown[:, 60:], shown[:, : round(640 * share)]
+    assert np.ptp(np.percentile(ground, [5, 95])) > 50 and ground.mean() > 40 and (cars == 255).all()
+
+
+def test_more_than_a_tenth_and_tails_of_zero_and_ordinary_scenes_are_not_cut():
+    for share, tails in ((0.15, (0.5, 0.5)), (0.03, (0.0, 0.0))):
+        counts = night_with_cars(share)
+        shown = DisplaySettings(tails_percent=tails).image(counts)[1]
+        assert (shown == 255).mean() < 0.01
+    # Half a percent on each side of a normal distribution is within 2.58 of its standard deviations.
+    plain = DisplaySettings().measure(night_with_cars(0.0, 300.0))
+    assert np.allclose((plain - 3500) / 300, [-2.5758, 2.5758], atol=0.03)
+
+
 @pytest.mark.parametrize("mode", MODES)
 def test_noise_on_a_flat_scene_is_not_amplified(mode):
     quiet = RNG.normal(5000, 2, (512, 640)).astype(np.uint16)

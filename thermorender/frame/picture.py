@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from thermorender.formats import label
 from thermorender.progress import in_notebook
+from thermorender.sensor.display import INNER_PERCENT, without_outliers
 from thermorender.sensor.palettes import palette
 
 # Share of the pixels at each end that may lie outside the colours, such as a few of sky [%].
@@ -31,9 +32,12 @@ def span(kelvin: NDArray[Any]) -> str:
 
 
 def limits(kelvin: NDArray[Any]) -> tuple[float, float]:
-    """Return the temperatures of the first and the last colour [K]."""
+    """Return the temperatures of the first and the last colour [K]; a few pixels may lie far beyond them."""
     known = kelvin[np.isfinite(kelvin)]
-    low, high = np.percentile(known, [_TAILS, 100.0 - _TAILS]) if known.size else (0.0, 0.0)
+    low = high = 0.0
+    if known.size:
+        low, high, *inner = np.percentile(known, [_TAILS, 100.0 - _TAILS, *INNER_PERCENT]).tolist()
+        low, high = without_outliers(low, high, (inner[0], inner[1]))
     middle, half = 0.5 * (low + high), 0.5 * max(high - low, _LEAST_K)
     return float(middle - half), float(middle + half)
 
@@ -129,8 +133,8 @@ def _half_blocks(kelvin: NDArray[Any], columns: int) -> Any:
         for one, other in zip(upper.tolist(), lower.tolist(), strict=True):
             text.append("▀", style=f"rgb({one[0]},{one[1]},{one[2]}) on rgb({other[0]},{other[1]},{other[2]})")
         text.append("\n")
-    text.append(f"{low:.1f} K ")
+    text.append(f"≤{low:.1f} K ")
     for one in table[:: 256 // 32].tolist():
         text.append("█", style=f"rgb({one[0]},{one[1]},{one[2]})")
-    text.append(f" {high:.1f} K")
+    text.append(f" ≥{high:.1f} K")
     return text

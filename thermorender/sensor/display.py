@@ -27,6 +27,10 @@ _PLATEAU_SHARE = 150.0 / (640 * 512)
 _LOCAL_CLIP, _LOCAL_TILES = 3.0, (8, 8)
 
 
+# Values that a display always shows within its range, and how many widths of these it reaches beyond them.
+INNER_PERCENT, _REACH = (10.0, 90.0), 3.0
+
+
 @dataclass(frozen=True)
 class DisplaySettings:
     """How counts become display levels.
@@ -42,6 +46,7 @@ class DisplaySettings:
         Time constant of the running mean of the gain control [s]; 0 uses each frame's own measure.
     tails_percent : (2,) floats
         Shares of the darkest and of the brightest pixels that may saturate, except in plateau mode; set by the camera.
+        More may where they lie far from all others, such as warm cars at night; with 0 none does.
     """
 
     mode: str = "linear"
@@ -85,11 +90,24 @@ class DisplaySettings:
         return levels if self.palette == "white-hot" else np.take(palette(self.palette), levels, axis=0)
 
 
+def without_outliers(low: float, high: float, inner: tuple[float, float]) -> tuple[float, float]:
+    """Return the ends of a display's range, at most three widths of the `INNER_PERCENT` of the values beyond these.
+
+    A few hot or cold things then saturate, instead of leaving a few levels to all else.
+    """
+    reach = _REACH * (inner[1] - inner[0])
+    # A range of one value, as of a sky without noise, says nothing on what is far.
+    return (max(low, inner[0] - reach), min(high, inner[1] + reach)) if reach > 0.0 else (low, high)
+
+
 def _ends(counts: _Counts, tails_percent: tuple[float, float]) -> _Measure:
     """The counts shown black and white, (2,) float64, at least 64 apart, so that noise on a flat scene stays faint."""
     below = np.cumsum(np.bincount(counts.ravel()))
-    low = int(np.searchsorted(below, tails_percent[0] / 100.0 * below[-1], side="right"))
-    high = int(np.searchsorted(below, (1.0 - tails_percent[1] / 100.0) * below[-1]))
+    low = float(np.searchsorted(below, tails_percent[0] / 100.0 * below[-1], side="right"))
+    high = float(np.searchsorted(below, (1.0 - tails_percent[1] / 100.0) * below[-1]))
+    inner = tuple(float(np.searchsorted(below, share / 100.0 * below[-1])) for share in INNER_PERCENT)
+    within = without_outliers(low, high, (inner[0], inner[1]))
+    low, high = (own if tail else end for own, end, tail in zip(within, (low, high), tails_percent, strict=True))
     middle, half = 0.5 * (low + high), 0.5 * max(high - low, _LEAST_SPAN)
     return np.array([middle - half, middle + half])
 
