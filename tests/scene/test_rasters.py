@@ -1,14 +1,17 @@
 """Rasters as the field delivers them: what a file declares is followed, or it is refused; open ground is stated."""
 
+import warnings
+
 import numpy as np
 import pytest
 import rasterio
 from rasterio.enums import ColorInterp, Resampling
 from rasterio.shutil import copy
 
+from scenes import write_terrain
 from thermorender.apps.lands.import_settings import ImportSettings
 from thermorender.apps.lands.import_terrain import import_terrain
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, ThermorenderWarning
 from thermorender.scene import terrain
 from thermorender.scene.load import load_scene
 from thermorender.scene.orthophoto import read_colour
@@ -184,6 +187,28 @@ def test_empty_pixels_do_not_bleed_into_their_neighbours(tmp_path, most):
     # A texel counts as known from half of its area on.
     assert 0.6 < missing.mean() * 32**2 / 100 < 1.4
     np.testing.assert_array_equal(surface.colour[~missing], np.broadcast_to([200, 90, 40], (most, most, 3))[~missing])
+
+
+def test_heights_given_as_temperatures_are_named_and_warm_hills_are_not(tmp_path):
+    def heights(rows, columns):
+        return 280.0 + 12.0 * np.sin(rows / 4.0) + columns
+
+    # Posts of 1 m, and texels of 0.5 m whose middles lie between them.
+    height = heights(*np.indices((16, 16)))
+    rows, columns = np.indices((32, 32)) / 2.0 - 0.25
+    fine = heights(rows, columns)
+    noise = np.random.default_rng(2).normal(0.0, 0.2, fine.shape)
+    for name, values, named in (
+        ("heights", fine, True),
+        ("lapse", 290.0 - 0.0065 * (fine - 280.0) + noise, False),
+        ("slopes", 290.0 + 5.0 * np.cos(rows / 4.0), False),
+    ):
+        folder = write_terrain(tmp_path / name, height=height, temperature=values)
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always", ThermorenderWarning)
+            assert load_scene(folder).surfaces
+        words = "follows the heights of the terrain by 1.00 per metre, so it may hold heights"
+        assert [words in str(one.message) for one in told] == [True] * named
 
 
 @pytest.mark.parametrize("most", [24, 11], ids=["bilinear", "average"])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from support import shared_data
 
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, ThermorenderWarning
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.flir_jpeg import read_flir_jpeg
@@ -164,6 +164,39 @@ def test_a_missing_scale_is_refused(tmp_path):
     ):
         with pytest.raises(ThermorenderError, match=words):
             read_temperature(tmp_path / name, (0.04, 0.0))
+
+
+def test_a_margin_of_zeros_in_degrees_celsius_is_no_data(tmp_path):
+    import tifffile
+
+    celsius = np.random.default_rng(3).uniform(12.0, 30.0, (40, 60))
+    for name, step, kind in (("tenths", 0.1, np.uint16), ("floats", 1.0, np.float32)):
+        for where, low, blank in (("margin", 0.0, True), ("winter", -20.0, False)):
+            counts = ((celsius + low) / step).astype(np.int16 if low else kind)
+            counts[:, 50:] = 0
+            tifffile.imwrite(tmp_path / f"{name}{where}.tif", counts)
+            with warnings.catch_warnings(record=True) as told:
+                warnings.simplefilter("always", ThermorenderWarning)
+                found = read_temperature(tmp_path / f"{name}{where}.tif", (step, 273.15))
+            assert np.isnan(found[:, 50:]).all() == blank and np.isfinite(found[:, :50]).all()
+            assert np.abs(found[:, :50] - celsius[:, :50] - low - 273.15).max() <= max(step, 1e-4 if not low else 1.0)
+            assert [str(one.message)[:34] for one in told] == ["pixels of exactly 273.15 K, which "] * blank
+
+
+def test_a_verb_without_scale_is_not_told_to_give_one(tmp_path):
+    import tifffile
+
+    tifffile.imwrite(tmp_path / "a.tif", np.arange(28000, 30400, dtype=np.uint16).reshape(40, 60))
+    tifffile.imwrite(tmp_path / "b.tif", np.zeros((4, 4), np.uint8))
+    edit = r"`gdal_edit.py -scale 0.01 -offset 0 -units K "
+    with pytest.raises(ThermorenderError, match=f"counts; state kelvin per count .* in the file, .*{edit}"):
+        read_temperature(tmp_path / "a.tif")
+    with pytest.raises(
+        ThermorenderError, match=f"counts, perhaps 0.01 K or 0.001 °C; declare it in the file, for .*{edit}"
+    ):
+        read_temperature(tmp_path / "a.tif", takes_scale=False)
+    with pytest.raises(ThermorenderError, match=r"give the radiometric file$"):
+        read_temperature(tmp_path / "b.tif", takes_scale=False)
 
 
 # Ends of the colour scale that the cameras printed into the pictures themselves [°C], read by eye.

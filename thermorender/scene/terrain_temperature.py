@@ -1,5 +1,6 @@
 """Temperatures of the terrain: from a number, raster or map, or pending until the heat balance solves them."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.errors import ThermorenderError, shortened
+from thermorender.errors import ThermorenderError, ThermorenderWarning, shortened
 from thermorender.materials.material import Material
 from thermorender.scene.cover import Cover, Painted
 from thermorender.scene.shape import Placement, Shape
@@ -25,6 +26,10 @@ if TYPE_CHECKING:
 
 # How temperatures follow the weather; "" where they do not.
 Follows = Literal["", "balance", "conditional", "moved"]
+
+
+# Faces at which temperatures are compared with heights, and least standard deviation of both [m, K].
+_COMPARED_FACES, _LEAST_RELIEF_M = 10_000, 0.5
 
 
 class TemperatureInputs(NamedTuple):
@@ -141,7 +146,28 @@ def _resolved(
             painted.colour, painted.material, materials, shape.grid, surface.texel_m, where, source.report,
             source.model, on_ground, surface if texture else None, texture,
         )))  # fmt: skip
+        if chosen.raster is not None:
+            _warn_of_heights(chosen.raster, found[-1][0], surface)
     return found
+
+
+def _warn_of_heights(path: Path, kelvin: NDArray[Any], surface: Surface) -> None:
+    """Warn where temperatures rise by a kelvin per metre with the heights of the surface, as heights themselves do."""
+    some = slice(None, None, max(1, len(surface.faces) // _COMPARED_FACES))
+    height = surface.vertices[surface.faces[some], 2].mean(axis=1)
+    rows, columns = kelvin.shape
+    place = (surface.uv[some].mean(axis=1, dtype=np.float64) * (columns, rows)).astype(int)
+    there = kelvin[np.clip(place[:, 1], 0, rows - 1), np.clip(place[:, 0], 0, columns - 1)].astype(np.float64)
+    if len(height) < 10 or min(height.std(), there.std()) < _LEAST_RELIEF_M:
+        return
+    covariance = np.cov(height, there)
+    slope, correlation = covariance[0, 1] / covariance[0, 0], np.corrcoef(height, there)[0, 1]
+    if correlation > 0.99 and abs(slope - 1.0) < 0.1:
+        warnings.warn(
+            f"{path} follows the heights of the terrain by {slope:.2f} per metre, so it may hold heights, which are "
+            "read as kelvin; give the raster of temperatures",
+            ThermorenderWarning, stacklevel=2,
+        )  # fmt: skip
 
 
 def _filled(values: NDArray[Any], surface: Surface) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, ThermorenderWarning
 from thermorender.sensor.radiometry import ThermographySettings
 from thermorender.units import ZERO_CELSIUS_K, kelvin_scale
 
@@ -34,6 +34,8 @@ _AS_INTENSITY = ("0.04 K", "0.01 °C", "0.001 °C")
 _COMMON_K, _RARE_K = (238.0, 338.0), (150.0, 1000.0)
 # Largest share of pixels that may be a margin of zeros.
 _MOST_MARGIN = 0.9
+# Temperatures of a picture have no gap of so many kelvin around 0 °C, which some of its pixels have exactly.
+_APART_K = 2.0
 FLIR_JPEG = (".jpg", ".jpeg")
 SUFFIXES = (".tif", ".tiff", *FLIR_JPEG)
 # The tag of EXIF and TIFF.
@@ -67,13 +69,13 @@ def write_tlinear_counts(path: str | PathLike[str], counts: NDArray[np.uint16], 
 
 def read_temperature(
     path: str | PathLike[str], scale: tuple[float, float] | None = None,
-    thermography: ThermographySettings | None = None,
+    thermography: ThermographySettings | None = None, *, takes_scale: bool = True,
 ) -> NDArray[np.float64]:  # fmt: skip
     """Return the temperatures of a TIFF of one band or of FLIR's radiometric JPEG, (H, W) float64 [K]; NaN where none.
 
     `scale` is (kelvin per count, kelvin of count 0) of a TIFF that does not declare them; floats between 238 and 338
     are kelvin without it. `thermography` replaces the settings stored in a JPEG. Values that are not above 0 K count as
-    no data.
+    no data, and so do zeros of °C or °F far from all other values. `takes_scale` is whether the user can state a scale.
     """
     path = Path(path)
     if path.suffix.lower() in FLIR_JPEG:
@@ -87,16 +89,20 @@ def read_temperature(
     counts, declared, kind = read_tiff(path)
     if scale is None and declared is None and kind in ("uint8", "int8"):
         raise ThermorenderError(
-            f"{path} has 8 bits a pixel, which is a picture for display; give the radiometric file, or state kelvin "
-            "per count and kelvin of count 0 as scale"
+            f"{path} has 8 bits a pixel, which is a picture for display; give the radiometric file"
+            + (", or state kelvin per count and kelvin of count 0 as scale" if takes_scale else "")
         )
     if scale is None and declared is None and kind.startswith("float") and likely_scales(counts) == ["1 K"]:
         # Floats that are a landscape's temperatures in kelvin only.
         scale = 1.0, 0.0
     if scale is None and declared is None:
+        likely = likely_scales(counts)
+        step, zero = _LIKELY[likely[0]] if likely else (TLINEAR_STEP_K, 0.0)
+        asked = f", perhaps {' or '.join(likely)};" if likely else ";"
+        asked = f"; {scale_request(likely)}, or" if takes_scale else asked
         raise ThermorenderError(
-            f"{path} does not declare the unit of its counts; {scale_request(likely_scales(counts))}, or declare them "
-            "in the file, for example with `gdal_edit.py -scale STEP -offset ZERO -units K`"
+            f"{path} does not declare the unit of its counts{asked} declare it in the file, for example with "
+            f"`gdal_edit.py -scale {step:g} -offset {zero:g} -units K {path}`"
         )
     if scale is not None and declared is not None and not np.allclose(scale, declared):
         raise ThermorenderError(
@@ -105,7 +111,7 @@ def read_temperature(
             "`gdal_edit.py -scale STEP -offset ZERO`"
         )
     step, zero = scale or declared  # type: ignore[misc]  # one of them is given
-    found = counts * float(step) + float(zero)
+    found = kelvin_of_counts(counts, (step, zero))
     # The margin of a warped picture, for example, is 0 in a file without a mark of no data.
     return np.where(found > 0.0, found, np.nan)
 
@@ -155,6 +161,23 @@ def sequence_hint(paths: Iterable[Path]) -> str:
         f"; {found} is a sequence of FLIR, so export its frames as radiometric JPEG or as TIFF in kelvin, for example "
         "with FLIR Thermal Studio"
     )
+
+
+def kelvin_of_counts(counts: NDArray[np.float64], scale: Sequence[float]) -> NDArray[np.float64]:
+    """Return the temperatures of counts by their scale (step, zero) [K]. Zeros of °C or °F far from all others are NaN,
+    as in the margin of a warped picture, with a warning."""
+    step, zero = float(scale[0]), float(scale[1])
+    blank = counts == 0.0
+    rest = np.abs(counts[np.isfinite(counts) & ~blank])
+    if zero > 0.0 and blank.any() and rest.size and rest.min() * step >= _APART_K:
+        # The same text for all files, so that it is told once.
+        warnings.warn(
+            f"pixels of exactly {zero:g} K, which are 0 in the file, are taken for no data, since all others are at "
+            f"least {_APART_K:g} K from it",
+            ThermorenderWarning, stacklevel=3,
+        )  # fmt: skip
+        counts = np.where(blank, np.nan, counts)
+    return counts * step + zero
 
 
 def likely_scales(counts: ArrayLike, signed: bool = True) -> list[str]:

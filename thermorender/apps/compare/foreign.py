@@ -80,7 +80,7 @@ class Foreign:
 
         image: NDArray[Any] | None
         if self.scaled:
-            image = read_temperature(path)
+            image = read_temperature(path, takes_scale=False)
         else:
             image = decoded(path.read_bytes(), cv2.IMREAD_UNCHANGED) if path.is_file() else None
         if image is not None and image.ndim == 3 and (image[..., :3] == image[..., :1]).all():

@@ -17,6 +17,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.formats import decoded
 from thermorender.sensor.flir_jpeg import DJI, dji_thermal, read_flir_jpeg
 from thermorender.sensor.radiometric_files import (
+    kelvin_of_counts,
     likely_scales,
     orientation,
     read_tiff,
@@ -290,7 +291,7 @@ def _of_tiff(path: Path, scale: Sequence[float] | None, intensity: bool) -> Ther
                 f"{path} has floats around {np.nanmedian(values):.0f} without a unit, which would be °C; give "
                 "--scale=1,0 if they are kelvin"
             )
-        return _of_kelvin(values * scale[0] + scale[1] if scale else values + ZERO_CELSIUS_K)
+        return _of_kelvin(kelvin_of_counts(values, scale or (1.0, ZERO_CELSIUS_K)))
     if kind not in ("uint8", "int16", "uint16", "int32", "uint32"):
         raise ThermorenderError(f"{path} has {kind} values; give integers of 8, 16 or 32 bits, or °C in floats")
     return _of_counts(path, values, scale, intensity, kind)
@@ -299,7 +300,7 @@ def _of_tiff(path: Path, scale: Sequence[float] | None, intensity: bool) -> Ther
 def _of_counts(path: Path, values: np.ndarray, scale: Sequence[float] | None, intensity: bool, kind: str) -> Thermal:
     """Counts in kelvin by a scale; without one, refuse those that look like temperatures."""
     if scale is not None:
-        return _of_kelvin(values * float(scale[0]) + float(scale[1]))
+        return _of_kelvin(kelvin_of_counts(values, scale))
     valid = np.isfinite(values)
     likely = [] if kind == "uint8" else likely_scales(values, signed=kind != "uint16")
     if kind not in ("uint8", "uint16") or (likely and not intensity):
