@@ -51,14 +51,20 @@ def read_text(path: PathLike, kind: str = "UTF-8", other: str | None = None) -> 
 def csv_rows(text: str, strict: bool = True) -> list[list[str]]:
     """Return the rows of a CSV text as lists of stripped cells; a row that is not CSV raises csv.Error.
 
-    If its first line has semicolons, tabs or bars and no comma, these separate the cells. Decimal commas of numbers
-    then become points, unless some number has a point. `strict` refuses loose quotation marks.
+    If its first line of several cells has semicolons, tabs or bars and no comma, these separate the cells. Decimal
+    commas of numbers then become points, unless some number has a point. A line such as sep=; before it states the
+    separator, as Excel writes it, and is not a row. `strict` refuses loose quotation marks.
     """
     import csv
     import re
 
-    first = text.partition("\n")[0]
-    mark = next((mark for mark in ";\t|" if mark in first and "," not in first), ",")
+    first, _, rest = text.partition("\n")
+    stated = re.fullmatch(r'"?sep=([,;\t|])"?', first.strip(" \r"), re.IGNORECASE)
+    if stated:
+        mark, text = stated[1], rest
+    else:
+        first = next((line for line in text.splitlines() if any(mark in line for mark in ",;\t|")), "")
+        mark = next((mark for mark in ";\t|" if mark in first and "," not in first), ",")
     rows: list[list[str]] = []
     try:
         for row in csv.reader(io.StringIO(text), delimiter=mark, strict=strict):

@@ -606,6 +606,27 @@ def test_gpx_points_without_a_time_are_dropped_with_their_share(tmp_path):
     assert any("1 of 6 track points (16.7%) lack time and are dropped" in note for note in found.notes)
 
 
+def test_the_second_60_of_gpx_is_the_second_after_59(tmp_path):
+    stamps = ["2024-05-01T10:00:59Z", "2024-05-01T10:00:60Z", "2024-05-01T10:01:01Z", "2016-12-31T23:59:60.5Z"]
+    path = read(write(tmp_path / "a.gpx", gpx(*((stamp, "") for stamp in stamps[:3]))), "gpx", geoid_undulation_m=50.0)
+    np.testing.assert_array_equal(path.time_s, [0.0, 1.0, 2.0])
+    late = [("2016-12-31T23:59:59Z", ""), (stamps[3], "")]
+    path = read(write(tmp_path / "b.gpx", gpx(*late)), "gpx", geoid_undulation_m=50.0)
+    np.testing.assert_array_equal(path.time_s, [0.0, 1.5])
+
+
+@pytest.mark.parametrize("above", ["sep=;\n", "Flight 12 of 1 May\n", "sep=;\nFlight 12 of 1 May\n"])
+def test_a_title_and_a_separator_above_the_names_of_a_log_are_not_read(tmp_path, above):
+    rows = ["time_s,east_m,north_m,up_m,yaw_deg", *(f"{k},{k}.5,0,50,90" for k in range(5))]
+    expected = read_trajectory(write(tmp_path / "a.csv", "\n".join(rows)))
+    given = above + "\n".join(rows).replace(",", ";").replace(".", ",")
+    found = read_trajectory(write(tmp_path / "b.csv", given))
+    np.testing.assert_array_equal(found.position, expected.position)
+    broken = write(tmp_path / "c.csv", given.replace("2;2,5", "2;x"))
+    with pytest.raises(ThermorenderError, match=f"row {4 + ('Flight' in above)}, column 'east_m': 'x' is not"):
+        read_trajectory(broken)
+
+
 def test_points_stamped_before_satellites_are_dropped_and_a_pause_is_named(tmp_path):
     stamps = ["1970-01-01T00:00:03Z", "2024-05-01T10:00:00Z", "2024-05-01T10:00:04Z", "2024-05-11T10:00:00Z"]
     path = read(write(tmp_path / "a.gpx", gpx(*((stamp, "") for stamp in stamps))), "gpx", geoid_undulation_m=50.0)

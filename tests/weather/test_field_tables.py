@@ -29,6 +29,37 @@ def test_a_table_with_decimal_commas_is_read(tmp_path, mark):
     same(path, expected)
 
 
+@pytest.mark.parametrize("above", [
+    "sep=;\r\n", '"sep=;"\n', "Station Falkenberg, 73 m\n\n# mean of ten minutes; raw\n", "sep=;\nexported by hand\n",
+])  # fmt: skip
+def test_lines_above_the_names_of_the_columns_are_not_read(tmp_path, above):
+    expected = read_station(station(tmp_path / "a.csv"), *PLACE)
+    path = station(tmp_path / "b.csv")
+    path.write_text(above + path.read_text().replace(",", ";").replace(".", ","))
+    lines = above.count("\n") - ("sep=" in above)
+    note = f"Lines above the names of the columns ({lines}) are not read."
+    assert same(path, expected).notes == ((note,) if lines else ()) + expected.notes
+    path.write_text(path.read_text().replace("60,0", "x", 1))
+    # Excel does not show the line of the separator, which is not counted.
+    with pytest.raises(ThermorenderError, match=f"row {lines + 2}: rh_percent='x'"):
+        read_station(path, *PLACE)
+
+
+def test_a_leap_second_beside_the_row_of_midnight_is_left_out(tmp_path):
+    whole = {"time_utc": lambda t: [f"{x}Z" for x in np.datetime64("2018-07-20T00:00:00") + (t - t[0])]}
+    expected = read_station(station(tmp_path / "a.csv", whole), *PLACE)
+    for newest_first in (False, True):
+        path = station(tmp_path / "b.csv", whole)
+        rows = path.read_text().splitlines()
+        at = next(k for k, row in enumerate(rows) if "T00:00:00" in row and k > 1)
+        day, _, cells = rows[at].partition(",")
+        before = np.datetime64(day[:-1]) - np.timedelta64(1, "s")
+        rows.insert(at, f"{str(before).replace(':59Z', '')[:-2]}60Z,{cells}")
+        path.write_text("\n".join([rows[0], *(rows[:0:-1] if newest_first else rows[1:])]) + "\n")
+        assert "T23:59:60Z" in path.read_text()
+        same(path, expected)
+
+
 def test_a_table_with_the_newest_row_first_is_read_in_reverse(tmp_path):
     expected = read_station(station(tmp_path / "a.csv"), *PLACE)
     newest = station(tmp_path / "b.csv", lines=lambda rows: [rows[0], *rows[:0:-1]])

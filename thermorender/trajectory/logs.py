@@ -3,7 +3,7 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from datetime import datetime, timezone
+from datetime import datetime, timedelta, timezone
 
 import numpy as np
 from numpy.typing import NDArray
@@ -219,7 +219,10 @@ def _seconds(where: str, text: str, pattern: str, fraction: str) -> float:
     try:
         if pattern == "iso":
             # Python 3.10 does not read Z, and only three or six decimals of the second.
-            moment = datetime.fromisoformat(_six_decimals(text).replace("Z", "+00:00").replace("z", "+00:00"))
+            # A leap second, or 59.9996 s after rounding, is the second after 59.
+            plain, late = re.subn(r"([T ]\d\d:\d\d):60", r"\1:59", _six_decimals(text))
+            moment = datetime.fromisoformat(plain.replace("Z", "+00:00").replace("z", "+00:00"))
+            moment += timedelta(seconds=late)
         else:
             moment = datetime.strptime(text, pattern)
         # Only digits are allowed; float would read exponents too.

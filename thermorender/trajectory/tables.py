@@ -113,9 +113,11 @@ def read_csv(path: str | PathLike[str]) -> list[Table]:
     if not lines or not any(lines[0]):
         what = "row 1 is blank" if any(map(any, lines)) else "the file is empty"
         raise ThermorenderError(f"{path}: {what}; row 1 must name the columns, one sample per row follows")
-    header = tuple(lines[0])
+    # Lines of one cell above the names, such as the title of an export, are not read.
+    top = next((k for k, cells in enumerate(lines) if sum(map(bool, cells)) > 1), 0)
+    header = tuple(lines[top])
     rows, numbers = [], []
-    for number, cells in enumerate(lines[1:], start=2):
+    for number, cells in enumerate(lines[top + 1 :], start=top + 2):
         if not any(cells):
             continue
         if len(cells) != len(header):

@@ -37,6 +37,8 @@ from thermorender.weather.series import Floats, Weather
 
 _TIMES = ("time_utc", "time", "time_local")
 _LONGEST_STEP_S = 3 * 3600.0
+# Lines in which the names of the columns are looked for, below notes on the station.
+_MOST_NOTES = 50
 # Of cloud in oktas, where fog or snow hides the sky: WMO-No. 306, code table 2700.
 _OBSCURED = 9.0
 _LIGHT = ("global_w_m2", "direct_w_m2", "diffuse_w_m2")
@@ -61,12 +63,12 @@ def read_station(
     `longest_gap_h` are interpolated. `wind_m_s` (2.5 m/s by default) and `snow_depth_m` are used if the file has none.
     """
     place = latitude_deg, longitude_deg, altitude_m
-    header, cells, rows = _read(path, names or {})
+    notes: list[str] = []
+    header, cells, rows = _read(path, names or {}, notes)
     _refuse_near_misses(path, header)
-    time = _times(path, header, cells, rows, utc_offset_h)
+    time, cells, rows = _times(path, header, cells, rows, utc_offset_h)
     keep = _within(path, time, during)
     time, rows, cells = time[keep], rows[keep], [cells[k] for k in np.flatnonzero(keep)]
-    notes = []
     if (np.diff(time) < np.timedelta64(0, "s")).all():
         time, rows, cells = time[::-1], rows[::-1], cells[::-1]
         notes.append("Its rows are newest first, and read in reverse.")
@@ -193,8 +195,8 @@ def read_columns(
 
     It reads columns that `read_station` does not use, such as other measurements; the rows are the same.
     """
-    header, cells, rows = _read(path, {})
-    time = _times(path, header, cells, rows, utc_offset_h)
+    header, cells, rows = _read(path, {}, [])
+    time, cells, rows = _times(path, header, cells, rows, utc_offset_h)
     keep = np.flatnonzero(_within(path, time, during))
     keep = keep[::-1] if (np.diff(time) < np.timedelta64(0, "s")).all() else keep
     for name in columns:
@@ -209,14 +211,19 @@ def read_columns(
 # The file
 
 
-def _read(path: str | PathLike[str], names: Mapping[str, str]) -> tuple[list[str], list[list[str]], NDArray[np.int64]]:
+def _read(
+    path: str | PathLike[str], names: Mapping[str, str], notes: list[str]
+) -> tuple[list[str], list[list[str]], NDArray[np.int64]]:
     """(Header in our names, rows of cells, row numbers)."""
     try:
-        table = csv_rows(read_text(path, "CSV UTF-8"))
+        above, text = _below_notes(read_text(path, "CSV UTF-8"), names)
+        table = [[""]] * above + csv_rows(text)
     except csv.Error as error:
         raise ThermorenderError(f"{path} is not CSV ({error}); correct the quotation marks") from None
     numbers = [number for number, line in enumerate(table, start=1) if any(line)]
     lines = [table[number - 1] for number in numbers]
+    if above:
+        notes.append(f"Lines above the names of the columns ({above}) are not read.")
     if len(lines) < 3:
         raise ThermorenderError(f"{path} has {max(len(lines) - 1, 0)} rows below a row of names; give at least two")
     unknown = [name for name in names if name not in lines[0]]
@@ -230,6 +237,18 @@ def _read(path: str | PathLike[str], names: Mapping[str, str]) -> tuple[list[str
         if len(line) != len(header):
             raise ThermorenderError(f"{path}, row {number}: {len(line)} cells where row 1 names {len(header)} columns")
     return header, lines[1:], np.array(numbers[1:])
+
+
+def _below_notes(text: str, names: Mapping[str, str]) -> tuple[int, str]:
+    """(Number of lines above the one that names a column of times, the text from there on); (0, text) without one."""
+    times = {*_TIMES, *(own for own, name in names.items() if name in _TIMES)}
+    lines = text.splitlines(keepends=True)
+    # A stated separator belongs to the table.
+    separator = lines.pop(0) if lines and lines[0].lower().lstrip('"').startswith("sep=") else ""
+    for number, line in enumerate(lines[:_MOST_NOTES]):
+        if times & {cell.strip(' "\r\n') for cell in re.split(r"[;,\t|]", line)}:
+            return number, separator + "".join(lines[number:])
+    return 0, text
 
 
 def _refuse_near_misses(path: object, header: list[str]) -> None:
@@ -292,8 +311,9 @@ def _numbers(path: object, name: str, texts: Sequence[str], rows: NDArray[np.int
 
 def _times(
     path: object, header: list[str], cells: list[list[str]], rows: NDArray[np.int64], utc_offset_h: float | None
-) -> Times:
-    """Instants (N,) in UTC."""
+) -> tuple[Times, list[list[str]], NDArray[np.int64]]:
+    """(Instants (N,) in UTC, cells, rows); a leap second beside the row of the midnight that it is read as is left
+    out."""
     column = next((name for name in _TIMES if name in header), None)
     if column is None:
         raise ThermorenderError(
@@ -304,7 +324,7 @@ def _times(
             f"{path}: time_local has no zone; write times in UTC as time_utc, or with an offset as time"
         )
     k = header.index(column)
-    found = []
+    found, leaps = [], []
     for number, line in zip(rows, cells, strict=True):
         text, more_s = _within_a_day(line[k].replace("Z", "+00:00"))
         try:
@@ -323,8 +343,12 @@ def _times(
         if column == "time_utc" and moment.utcoffset():
             raise ThermorenderError(f"{path}, row {number}: time_utc={line[k]!r} is not UTC; name the column time")
         found.append(moment.replace(tzinfo=timezone.utc) if column == "time_local" else moment)
+        leaps.append(more_s == 1)
     time: Any = np.array([int(moment.timestamp()) for moment in found]).astype("datetime64[s]")
-    return time - np.timedelta64(round(3600 * (utc_offset_h or 0.0)), "s") if column == "time_local" else time
+    time = time - np.timedelta64(round(3600 * (utc_offset_h or 0.0)), "s") if column == "time_local" else time
+    same = np.concatenate([[False], time[1:] == time[:-1], [False]])
+    kept = np.flatnonzero(~(np.array(leaps) & (same[1:] | same[:-1])))
+    return time[kept], [cells[k] for k in kept], rows[kept]
 
 
 def _within_a_day(text: str) -> tuple[str, int]:
