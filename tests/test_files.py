@@ -301,6 +301,25 @@ def test_folder_without_permission(tmp_path, monkeypatch):
         files.check_output_file(tmp_path / "a")
 
 
+@pytest.mark.parametrize(
+    ("text", "rows"),
+    [
+        ("a,b\n1,2\n", [["a", "b"], ["1", "2"]]),
+        ("a;b\n1,5;2\n", [["a", "b"], ["1.5", "2"]]),
+        ("time;air, °C;wind, m/s\n0;1,5;2,5\n", [["time", "air, °C", "wind, m/s"], ["0", "1.5", "2.5"]]),
+        ("a,b;c\n1,2\n", [["a", "b;c"], ["1", "2"]]),
+        ('"a;x",b\n"1;2",3\n', [["a;x", "b"], ["1;2", "3"]]),
+        ("a\tb|c\n1\t2\n", [["a", "b|c"], ["1", "2"]]),
+        ("a;b;c\n1;2\n", [["a", "b", "c"], ["1", "2"]]),
+        ("sep=|\na,b|c\n1,5|2\n", [["a,b", "c"], ["1.5", "2"]]),
+        ("title\na;b\n1;2\n", [["title"], ["a", "b"], ["1", "2"]]),
+        ("", []),
+    ],
+)
+def test_the_separator_of_a_table_is_found(text, rows):
+    assert formats.csv_rows(text) == rows
+
+
 def test_text_and_json(tmp_path):
     (tmp_path / "a.txt").write_bytes(b"\xef\xbb\xbfa\xc2\xb5")
     assert formats.read_text(tmp_path / "a.txt") == "aµ"

@@ -51,9 +51,10 @@ def read_text(path: PathLike, kind: str = "UTF-8", other: str | None = None) -> 
 def csv_rows(text: str, strict: bool = True) -> list[list[str]]:
     """Return the rows of a CSV text as lists of stripped cells; a row that is not CSV raises csv.Error.
 
-    If its first line of several cells has semicolons, tabs or bars and no comma, these separate the cells. Decimal
-    commas of numbers then become points, unless some number has a point. A line such as sep=; before it states the
-    separator, as Excel writes it, and is not a row. `strict` refuses loose quotation marks.
+    Commas, semicolons, tabs or bars separate the cells: those that give the first two lines the same number of cells,
+    and the most. Decimal commas of numbers become points beside other separators, unless some number has a point. A
+    line such as sep=; before it states the separator, as Excel writes it, and is not a row. `strict` refuses loose
+    quotation marks.
     """
     import csv
     import re
@@ -63,8 +64,7 @@ def csv_rows(text: str, strict: bool = True) -> list[list[str]]:
     if stated:
         mark, text = stated[1], rest
     else:
-        first = next((line for line in text.splitlines() if any(mark in line for mark in ",;\t|")), "")
-        mark = next((mark for mark in ";\t|" if mark in first and "," not in first), ",")
+        mark = _separator(text)
     rows: list[list[str]] = []
     try:
         for row in csv.reader(io.StringIO(text), delimiter=mark, strict=strict):
@@ -77,6 +77,24 @@ def csv_rows(text: str, strict: bool = True) -> list[list[str]]:
     if any(re.fullmatch(r"[-+]?\d*\.\d+(?:[eE][-+]?\d+)?", cell) for row in rows for cell in row):
         return rows
     return [[cell.replace(",", ".") if decimal.fullmatch(cell) else cell for cell in row] for row in rows]
+
+
+def _separator(text: str) -> str:
+    """The separator of a CSV text by its first two lines of several cells; a comma where none fits."""
+    import csv
+    import itertools
+
+    lines = (line for line in io.StringIO(text) if any(mark in line for mark in ",;\t|"))
+    head = list(itertools.islice(lines, 2))
+    best, most = ",", 1
+    for mark in ",;\t|":
+        counts = {len(row) for row in csv.reader(head, delimiter=mark)}
+        # Decimal commas may number as many as the cells.
+        if len(counts) == 1 and max(counts) >= max(most, 2):
+            best, most = mark, max(counts)
+    if most == 1 and head:
+        best = next((mark for mark in ";\t|" if mark in head[0] and "," not in head[0]), ",")
+    return best
 
 
 def write_text(path: PathLike, text: str) -> None:
