@@ -5,6 +5,7 @@ files of `corpus`, and gives `COUNT` inputs to each reader in a process of its o
 and each fault's input is kept beside it. A process that ends or hangs is counted and begun again.
 """
 
+import faulthandler
 import json
 import os
 import random
@@ -22,6 +23,8 @@ from pathlib import Path
 
 # Longest time of an input [s], after which foreign code is ended too, and its memory [bytes].
 _MOST_S, _MOST_BYTES = 10, 2 << 30
+# Status of a process whose input hangs.
+_HUNG = 1
 _NUMBERS = ("nan", "inf", "-inf", "1e308", "-1e308", "1e-320", "-9999", "-1", "9" * 25, "\\xd9\\xa3", "24:00")
 _WORD = re.compile(rb"[^\s,;:|<>=\"'{}\[\]()]+")
 
@@ -42,8 +45,8 @@ def main(out: Path, count: int, names: list[str]) -> int:
             part.unlink(missing_ok=True)
             ended = subprocess.run([sys.executable, "-m", __spec__.name, "--one", out, name, str(rest), str(seed)])
             found.update(json.loads(part.read_text()) if part.exists() else {})
-            # libFuzzer ends at an input that hangs or that ends the process.
-            found.update({} if ended.returncode == 0 else {"hung" if ended.returncode == 70 else "crashed": 1})
+            # An input that hangs in foreign code, or ends the process, ends libFuzzer too.
+            found.update({} if ended.returncode == 0 else {"hung" if ended.returncode == _HUNG else "crashed": 1})
         counts = json.loads(record.read_text()) if record.exists() else {}
         record.write_text(json.dumps(counts | {name: dict(found)}, indent=1))
         print(name, dict(found), flush=True)
@@ -74,6 +77,7 @@ def one(out: Path, name: str, count: int, seed: int) -> None:
     (seeds / "whole").write_bytes(whole)
     words = folder / "words"
     words.write_text("".join(f'"{number}"\n' for number in _NUMBERS))
+    log = (out / "hung.log").open("a")
     counts: Counter[str] = Counter()
     seen: set[str] = set()
     used = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
@@ -88,6 +92,7 @@ def one(out: Path, name: str, count: int, seed: int) -> None:
         path.write_bytes(data)
         what = ""
         signal.alarm(_MOST_S)
+        faulthandler.dump_traceback_later(3 * _MOST_S, exit=True, file=log)
         try:
             what = next(infinite(reader.read(path)), "")
             kind = "not finite" if what else "accepted"
@@ -101,6 +106,7 @@ def one(out: Path, name: str, count: int, seed: int) -> None:
             kind, what = "foreign", f"{type(error).__name__} at {frame.filename}:{frame.lineno}: {error}"
         finally:
             signal.alarm(0)
+            faulthandler.cancel_dump_traceback_later()
         counts[kind] += 1
         place = f"{kind} {what.partition(': ')[0]}"
         if what and place not in seen and len(seen) < 40:
