@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 # Key of a dict's checksum on file.
 _SEAL = "checksum"
+# Tags of a picture that lead to those of EXIF and GPS, and that of an XMP packet.
+_EXIF, _GPS, _XMP = 34665, 34853, 700
 
 
 # --- text -------------------------------------------------------------------------------------------------------
@@ -221,6 +223,30 @@ def decoded(data: bytes, flags: int) -> np.ndarray | None:
         return None
     finally:
         cv2.utils.logging.setLogLevel(before)
+
+
+def picture_tags(path: PathLike) -> tuple[dict[int, Any], dict[int, Any], dict[int, Any], str]:
+    """Return (tags, those of EXIF, those of GPS, XMP packet) of a picture of any size; ValueError if unreadable."""
+    import warnings
+
+    from PIL import Image
+
+    before = Image.MAX_IMAGE_PIXELS
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            # No pixels are read, so their number does not matter.
+            Image.MAX_IMAGE_PIXELS = None
+            with Image.open(path) as image:
+                exif = image.getexif()
+                inner, gps = (dict(exif.get_ifd(tag)) for tag in (_EXIF, _GPS))
+                tags, packet = dict(exif), image.info.get("xmp") or exif.get(_XMP, b"")
+            text = packet if isinstance(packet, str) else bytes(packet or b"").decode("utf-8", "replace")
+    except Exception as error:  # Pillow raises whatever damaged tags lead to
+        raise ValueError(str(error)) from None
+    finally:
+        Image.MAX_IMAGE_PIXELS = before
+    return tags, inner, gps, text
 
 
 @contextmanager

@@ -638,3 +638,14 @@ def test_two_textures_of_a_mesh_have_their_own_temperatures(images):
     # The same colour has the same temperature on both.
     np.testing.assert_allclose(second.temperature, first.temperature[12, 2], atol=1e-3)
     assert np.ptp(first.temperature) > 10.0
+
+
+@pytest.mark.parametrize(("name", "data", "words"), [
+    ("a.off", b"OFF\n3 4\n0.1 0.2 0.3\n0.2 0.3 0.4\n0.3 0.4 0.5\n0\n220\n4\n", "a.off cannot be read as a mesh"),
+    ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n".encode("utf-16"), "holds zero bytes.; save it as UTF-8 text"),
+])  # fmt: skip
+def test_damaged_and_foreign_texts_are_refused_in_one_line(tmp_path, name, data, words):
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(ThermorenderError, match=words) as raised:
+        load(tmp_path / name)
+    assert "\n" not in str(raised.value)

@@ -207,6 +207,17 @@ def test_ardupilot_has_position_attitude_and_mount(tmp_path):
     assert np.allclose(view(path)[0], [0.0, -np.cos(np.radians(30)), -0.5], atol=1e-4)
 
 
+def test_ardupilot_estimates_of_former_logs_are_read(tmp_path):
+    """Their height above home is RelAlt; the receiver's fixes stand in for no estimate."""
+    fixes = ("QBIHLLf", "TimeUS,Status,GMS,GWk,Lat,Lng,Alt", [(10**6, 3, 10**8, 2100, 480000000, 90000000, 500)])
+    form, fields, rows = ardupilot()["POS"]
+    messages = ardupilot(POS=(form, fields.replace("RelHomeAlt", "RelAlt"), rows), GPS=fixes)
+    found = read(dataflash(tmp_path / "a.bin", messages), "ardupilot")
+    np.testing.assert_array_equal(
+        found.position, read(dataflash(tmp_path / "b.bin", ardupilot()), "ardupilot").position
+    )
+
+
 def test_ardupilot_without_estimates_uses_fixes_of_the_receiver(tmp_path):
     rows = [(k * 10**6, 3 if k > 2 else 1, 10**8 + 1000 * k, 2100, 470000000, 80000000, 500) for k in range(10)]
     messages = ardupilot(GPS=("QBIHLLf", "TimeUS,Status,GMS,GWk,Lat,Lng,Alt", rows))

@@ -48,6 +48,33 @@ def test_letters_in_comments_do_not_matter(tmp_path, encoding):
     np.testing.assert_array_equal(read_epw(path, 2018).air_k, expected.air_k)
 
 
+def test_a_name_with_a_comma_does_not_hide_semicolons(tmp_path):
+    path = station(tmp_path / "a.csv")
+    expected = read_station(path, *PLACE)
+    text = path.read_text().replace(",", ";").replace(".", ",").replace("\n", ";1\n")
+    path.write_text(text.replace(";1", ";Sicht, km", 1))
+    np.testing.assert_array_equal(read_station(path, *PLACE).air_k, expected.air_k)
+
+
+def test_lines_above_the_row_of_names_are_named(tmp_path):
+    path = station(tmp_path / "a.csv")
+    path.write_text("latitude,longitude\n49.0,8.0\n\n" + path.read_text())
+    with pytest.raises(ThermorenderError, match=r"row 4: 5 cells where row 1 names 2 columns; delete lines"):
+        read_station(path, *PLACE)
+
+
+def test_names_of_other_services_are_refused_with_ours_in_their_unit(tmp_path):
+    """Open-Meteo writes units behind its names, and airports' reports have degrees Fahrenheit."""
+    path = edited(
+        station(tmp_path / "a.csv"), ("air_c", "temperature_2m (°C)"), ("sw_down_w_m2", "shortwave_radiation (W/m²)")
+    )
+    with pytest.raises(ThermorenderError, match="not known by this name; rename it to air_c, sw_down_w_m2 if that"):
+        read_station(path, *PLACE)
+    path = edited(station(tmp_path / "b.csv"), ("air_c", "tmpf"), ("wind_m_s", "sknt"))
+    with pytest.raises(ThermorenderError, match="not known by this name; rename it to air_f, wind_knots if that"):
+        read_station(path, *PLACE)
+
+
 # --- clocks -------------------------------------------------------------------------------------------------------
 
 

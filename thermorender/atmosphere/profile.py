@@ -238,7 +238,7 @@ def _rising(altitude: Floats) -> NDArray[np.bool_]:
 def _check(path: object, altitude: Floats, pressure: Floats, temperature: Floats, *others: Floats) -> None:
     """Refuse profiles in other units or out of order."""
     if len(altitude) < 2:
-        raise ThermorenderError(f"profile {path} has {len(altitude)} levels; give at least 2")
+        raise ThermorenderError(f"profile {path} has {len(altitude)} levels with all quantities; give at least 2")
     if not np.isfinite([altitude, pressure, temperature, *others]).all():
         raise ThermorenderError(f"profile {path} has a value that is not finite; leave such levels out")
     falls = np.flatnonzero(np.diff(altitude) <= 0.0)

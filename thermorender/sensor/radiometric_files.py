@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError, ThermorenderWarning
+from thermorender.formats import picture_tags
 from thermorender.sensor.radiometry import ThermographySettings
 from thermorender.units import ZERO_CELSIUS_K, kelvin_scale
 
@@ -118,15 +119,12 @@ def read_temperature(
 
 def orientation(path: Path) -> int:
     """Return how a file's tags state that its pixels are stored, 1 to 8 of EXIF; 1, upright, without a tag."""
-    from PIL import Image, TiffImagePlugin
+    from PIL import TiffImagePlugin
 
     value: object = 1
     try:
         if path.suffix.lower() not in (".tif", ".tiff"):
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-                with Image.open(path) as image:
-                    value = image.getexif().get(_ORIENTATION, 1)
+            value = picture_tags(path)[0].get(_ORIENTATION, 1)
         else:
             # Pillow opens fewer kinds of pixels than TIFF has.
             with path.open("rb") as file:
@@ -136,7 +134,7 @@ def orientation(path: Path) -> int:
                 file.seek(tags.next)
                 tags.load(file)
                 value = tags.get(_ORIENTATION, 1)
-    except (OSError, SyntaxError, ValueError, struct.error, Image.DecompressionBombError):
+    except (OSError, SyntaxError, ValueError, struct.error):
         pass  # Who reads the pixels says what is wrong with the file.
     return value if isinstance(value, int) and 1 <= value <= 8 else 1
 

@@ -61,24 +61,32 @@ COLUMNS = {
     "snow_depth_cm": Column("snow_m", 0.01),
 }
 # Names that other programs use, in lower case with _ between words, by our name in the unit that they usually have:
-# pvlib, NSRDB, PVGIS, and the networks ICOS and FLUXNET.
+# pvlib, NSRDB, PVGIS, Open-Meteo, the DWD, airports' reports, and the networks ICOS and FLUXNET.
 _USUAL = {
     "air_c": "temp_air temperature air_temperature t_air ta tair temp temp_c t2m air_temp drybulb dry_bulb dry_bulb_c "
-    "temperature_c air_temperature_c ta_f",
+    "temperature_c air_temperature_c ta_f temperature_2m temperature_2m_c tt_tu",
+    "air_f": "tmpf temp_f temperature_f",
     "air_k": "temperature_k air_temperature_k",
-    "rh_percent": "relative_humidity relative_humidity_percent humidity humidity_percent rhum relhum rh_f",
-    "dew_point_c": "dew_point temp_dew dewpoint dewpoint_c dew_point_temperature",
+    "rh_percent": "relative_humidity relative_humidity_percent humidity humidity_percent rhum relhum rh_f "
+    "relative_humidity_2m rf_tu relh",
+    "dew_point_c": "dew_point temp_dew dewpoint dewpoint_c dew_point_temperature dew_point_2m_c dwpt",
+    "dew_point_f": "dwpf",
     "vpd_hpa": "vpd vpd_f",
-    "wind_m_s": "wind_speed windspeed wind ws ws_f ws10m wspd wind_speed_m_s wind_speed_ms",
+    "wind_m_s": "wind_speed windspeed wind ws ws_f ws10m wspd wind_speed_m_s wind_speed_ms "
+    "wind_speed_10m wind_speed_10m_m_s",
+    "wind_km_h": "wind_speed_10m_km_h",
+    "wind_knots": "sknt",
     "sw_down_w_m2": "ghi global_w_m2 ghi_w_m2 g_h global_horizontal global_radiation global_radiation_w_m2 sw_in "
-    "sw_in_f rg rs shortwave_w_m2 solar_w_m2 solar_radiation solar_radiation_w_m2 swdown sw_down swin irradiance",
-    "sw_direct_normal_w_m2": "dni dni_w_m2 gb_n direct_w_m2 direct_normal direct_normal_w_m2",
-    "sw_diffuse_w_m2": "dhi dhi_w_m2 gd_h diffuse_w_m2 diffuse_horizontal",
+    "sw_in_f rg rs shortwave_w_m2 solar_w_m2 solar_radiation solar_radiation_w_m2 swdown sw_down swin irradiance "
+    "shortwave_radiation shortwave_radiation_w_m",
+    "sw_direct_normal_w_m2": "dni dni_w_m2 gb_n direct_w_m2 direct_normal direct_normal_w_m2 "
+    "direct_normal_irradiance direct_normal_irradiance_w_m",
+    "sw_diffuse_w_m2": "dhi dhi_w_m2 gd_h diffuse_w_m2 diffuse_horizontal diffuse_radiation diffuse_radiation_w_m",
     "lw_down_w_m2": "lw_in lw_in_f ir_h longwave_w_m2 longwave_down_w_m2 lwdown lw_down lwin",
     "ppfd_umol_m2_s": "ppfd ppfd_in par",
     "cloud": "cloud_cover cloud_fraction clouds cloudiness",
     "rain_mm": "rain precipitation precipitation_mm precip precip_mm rainfall rainfall_mm prcp p_f",
-    "pressure_hpa": "pressure pressure_mbar air_pressure surface_pressure",
+    "pressure_hpa": "pressure pressure_mbar air_pressure surface_pressure surface_pressure_hpa",
     "pressure_kpa": "pa pa_f",
     "pressure_pa": "sp",
     "snow_depth_m": "snow snow_depth snow_m",

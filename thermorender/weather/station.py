@@ -235,7 +235,10 @@ def _read(
         raise ThermorenderError(f"{path}: row 1 names column {twice[0]!r} twice; leave one of them out")
     for number, line in zip(numbers, lines, strict=True):
         if len(line) != len(header):
-            raise ThermorenderError(f"{path}, row {number}: {len(line)} cells where row 1 names {len(header)} columns")
+            raise ThermorenderError(
+                f"{path}, row {number}: {len(line)} cells where row 1 names {len(header)} columns; delete lines of "
+                "place, units or notes around the row of names, or give the row its cells"
+            )
     return header, lines[1:], np.array(numbers[1:])
 
 

@@ -127,20 +127,54 @@ def test_a_crs_after_the_points_is_read(tmp_path):
     assert read_cloud(tmp_path / "e.las").grid.crs == CRS.from_epsg(32634)
 
 
-@pytest.mark.parametrize(("unit", "refused"), [(9001, False), (9003, True), (9002, True), (None, False)])
-def test_keys_of_another_unit_than_the_maps_are_refused(tmp_path, unit, refused):
-    keys = [(3072, 32634), (4099, 9001)] + ([(3076, unit)] if unit else [])
-    cloud = laspy.read(str(written(tmp_path / "c.las", wkt="", format_=3)))
+def keyed(path, keys, **options):
+    """Write a cloud whose CRS is stated by GeoTIFF keys [(key, value), …]."""
+    cloud = laspy.read(str(written(path, wkt="", format_=3, **options)))
     directory = laspy.vlrs.known.GeoKeyDirectoryVlr()
     numbers = [1, 1, 0, len(keys), *(v for key, value in sorted(keys) for v in (key, 0, 1, value))]
     directory.parse_record_data(np.array(numbers, "<u2").tobytes())
     cloud.header.vlrs.append(directory)
-    cloud.write(str(tmp_path / "k.las"))
+    cloud.write(str(path))
+
+
+@pytest.mark.parametrize(("unit", "refused"), [(9001, False), (9003, True), (9002, True), (None, False)])
+def test_keys_of_another_unit_than_the_maps_are_refused(tmp_path, unit, refused):
+    keyed(tmp_path / "k.las", [(3072, 32634), (4099, 9001)] + ([(3076, unit)] if unit else []))
     if refused:
         with pytest.raises(ThermorenderError, match=r"contradicts itself: its map is in (us-)?ft by the key of units"):
             read_cloud(tmp_path / "k.las")
     else:
         assert np.nanmax(read_cloud(tmp_path / "k.las").surface) == pytest.approx(26.0)
+
+
+@pytest.mark.parametrize(("map_", "level", "unit", "metre"), [
+    (32634, 5103, 9001, 1.0), (2903, 5103, 9003, 3937.0 / 1200.0), (2903, 5102, 9003, 3937.0 / 1200.0),
+    (32634, 5105, 9001, 1.0),
+])  # fmt: skip
+def test_vertical_codes_of_the_first_geotiff_have_the_unit_of_its_keys(tmp_path, map_, level, unit, metre):
+    """5103 is NAVD 88 there, and no CRS of EPSG; the ridge of 26 m is 85.3 US survey feet high."""
+    keyed(tmp_path / "k.las", [(3072, map_), (3076, unit), (4096, level), (4099, unit)], metre=metre)
+    assert np.nanmax(read_cloud(tmp_path / "k.las").surface) == pytest.approx(26.0, abs=0.001)
+
+
+@pytest.mark.parametrize("shift", [0.004, -0.004, 1e-9])
+def test_bounds_of_a_header_may_be_rounded(tmp_path, shift):
+    """A projected header keeps all digits of its bounds where points have steps of 10 mm."""
+    path = written(tmp_path / "c.las", scale=0.01)
+    expected = read_cloud(path)
+    data = bytearray(path.read_bytes())
+    for at in (179, 187, 195, 203):  # max x, min x, max y, min y
+        (bound,) = struct.unpack_from("<d", data, at)
+        struct.pack_into("<d", data, at, bound + shift)
+    path.write_bytes(data)
+    found = read_cloud(path)
+    assert np.nanmax(found.surface) == pytest.approx(26.0) and np.nanmin(found.surface) == pytest.approx(20.0)
+    assert found.building.mean() == pytest.approx(expected.building.mean(), abs=0.02)
+    for at, bound in ((179, LEFT), (187, LEFT - 40.0)):
+        struct.pack_into("<d", data, at, bound)
+    path.write_bytes(data)
+    with pytest.raises(ThermorenderError, match="has points outside of the bounds in its header"):
+        read_cloud(path)
 
 
 def test_a_few_stray_points_of_buildings_do_not_hide_the_house(tmp_path):

@@ -205,6 +205,11 @@ def test_two_column_tables_state_their_units(tmp_path, header, rows):
     ("text", "column", "words"),
     [
         ("um,eps\n7,0.9\n14,0.9\n", None, r"row 1 holds um, eps; the headings must be one of wavelength_um, wave"),
+        (
+            "/*** A spectrometer ***/\nname= a\nunits= Radiance, Radiance\n350.0  1.0  2.0  50.0\n",
+            None,
+            r"row 1 holds /\*",
+        ),
         ("wavelength_um,emissivity\n7,x\n", None, r"row 2: emissivity='x' is not a number"),
         ("wavelength_um,emissivity\n7,nan\n8,0.1\n", None, r"row 2: emissivity=nan is not within"),
         ("wavelength_um,emissivity\n7,0.9\n7,0.9\n", None, r"at least two rows with different, positive"),

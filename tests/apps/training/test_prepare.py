@@ -1,5 +1,8 @@
 """Data sets made from folders of pictures: `thermorender prepare`, its readers, bounds, crops and shifts."""
 
+import struct
+import zlib
+
 import cv2
 import numpy as np
 import pytest
@@ -11,7 +14,7 @@ from thermorender.apps.training.cut import Cut, moved, piece
 from thermorender.apps.training.dataset import ThermalScale, read_dataset
 from thermorender.apps.training.registration.rig import Rig, save_rig
 from thermorender.errors import ThermorenderError
-from thermorender.sensor.radiometric_files import write_tlinear
+from thermorender.sensor.radiometric_files import orientation, write_tlinear
 
 
 @pytest.fixture(autouse=True)
@@ -409,6 +412,21 @@ def test_a_place_is_read_from_exif(tmp_path):
     Image.new("RGB", (20, 20)).save(tmp_path / "b.jpg")
     assert pictures.place_of(tmp_path / "a.jpg") == (-33.51, 24.25)
     assert pictures.place_of(tmp_path / "b.jpg") is None
+
+
+def test_tags_are_read_of_pictures_of_any_size(tmp_path):
+    """A header of 20000 × 20000 pixels, which Pillow refuses to open; the tags are before the pixels."""
+    from PIL import Image
+
+    exif = Image.Exif()
+    exif[274], exif[0x8825] = 3, {1: "S", 2: (33.0, 30.0, 36.0), 3: "E", 4: (24.0, 15.0, 0.0)}
+    path = tmp_path / "a.png"
+    Image.new("L", (8, 8)).save(path, exif=exif)
+    data = bytearray(path.read_bytes())
+    data[16:24] = struct.pack(">II", 20000, 20000)
+    data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
+    path.write_bytes(data)
+    assert pictures.place_of(path) == (-33.51, 24.25) and orientation(path) == 3
 
 
 def test_kelvin_floats_without_a_unit_are_refused(tmp_path):

@@ -89,7 +89,11 @@ def read_sample(path: str | Path, column: str | None = None) -> Sample:
         if column is not None:
             raise ThermorenderError(f"{path} is one ECOSTRESS spectrum and has no column {column!r}; leave it out")
         return read_ecostress(path)
-    header = parsed_table(read_text(path), ())[0]
+    text = read_text(path)
+    first = text.partition("\n")[0]
+    if not any(axis.partition("_")[0] in first.lower() for axis in WAVELENGTH_UNITS):
+        raise _other_headings(path, ", ".join(cell.strip() for cell in first.split(",")))
+    header = parsed_table(text, ())[0]
     if column is not None or (len(header) > 2 and header[0].lower() == "wavelength"):
         return read_slum(path, column)
     return read_columns(path)
@@ -223,10 +227,7 @@ def read_columns(path: str | Path) -> Sample:
             "leave the sample out, or delete the column if it is 0 throughout"
         )
     if len(axes) != 1 or len(quantities) != 1:
-        raise ThermorenderError(
-            f"{path}, row 1 holds {shortened(', '.join(header)) or 'nothing'}; the headings must be one of "
-            f"{', '.join(WAVELENGTH_UNITS)} and one of {', '.join(QUANTITIES)}, which state the units"
-        )
+        raise _other_headings(path, ", ".join(header))
     first, second = axes[0], quantities[0]
     values = np.array([[_number(path, row, key, cells[key]) for key in (first, second)] for row, cells in rows])
     with np.errstate(divide="ignore"):
@@ -244,6 +245,13 @@ def read_columns(path: str | Path) -> Sample:
             f"{SHORTEST_UM:g}…{LONGEST_WAVELENGTH_UM:g} µm; correct the heading or the values"
         )
     return Sample(path.stem, path.name, "", wavelength, reflectance, wavelength, reflectance)
+
+
+def _other_headings(path: Path, found: str) -> ThermorenderError:
+    return ThermorenderError(
+        f"{path}, row 1 holds {shortened(found.strip()) or 'nothing'}; the headings must be one of "
+        f"{', '.join(WAVELENGTH_UNITS)} and one of {', '.join(QUANTITIES)}, which state the units"
+    )
 
 
 def _number(path: Path, row: int, column: str, text: str) -> float:

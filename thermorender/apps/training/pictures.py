@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.formats import decoded
+from thermorender.formats import decoded, picture_tags
 from thermorender.sensor.flir_jpeg import DJI, dji_thermal, read_flir_jpeg
 from thermorender.sensor.radiometric_files import (
     kelvin_of_counts,
@@ -140,15 +140,12 @@ def read_valid(path: str | Path, shape: Sequence[int]) -> NDArray[np.bool_]:
 
 def place_of(path: str | Path) -> tuple[float, float] | None:
     """Return (latitude, longitude) [deg] from a picture's EXIF, None without valid coordinates."""
-    from PIL import Image
-
     try:
-        with Image.open(path) as image:
-            gps = image.getexif().get_ifd(0x8825)
+        _, _, gps, _ = picture_tags(path)
         degrees = [float(gps[tag][0]) + float(gps[tag][1]) / 60.0 + float(gps[tag][2]) / 3600.0 for tag in (2, 4)]
         signs = (-1.0 if gps[1] == "S" else 1.0, -1.0 if gps[3] == "W" else 1.0)
         latitude, longitude = (round(sign * value, 7) for sign, value in zip(signs, degrees, strict=True))
-    except (OSError, KeyError, ValueError, TypeError, IndexError, ZeroDivisionError, SyntaxError):
+    except (KeyError, ValueError, TypeError, IndexError, ZeroDivisionError):
         return None
     return (latitude, longitude) if abs(latitude) <= 90.0 and abs(longitude) <= 180.0 else None
 

@@ -66,7 +66,7 @@ def load(path: Path | str, folder: Path | None = None, named: Collection[str] = 
     except ThermorenderError:
         raise
     except Exception as error:  # a broken file breaks its reader in many ways
-        reason = shortened(f"{type(error).__name__}: {error}")
+        reason = shortened(" ".join(f"{type(error).__name__}: {error}".split()))
         raise ThermorenderError(f"{path} cannot be read as a mesh ({reason}); give an OBJ, GLB or PLY file") from None
 
 

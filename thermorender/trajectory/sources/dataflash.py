@@ -21,6 +21,8 @@ _FIELDS = {
     "ATT": {"Yaw": "yaw_deg", "Pitch": "pitch_deg", "Roll": "roll_deg"},
     "MNT": {"YawE": "gimbal_yaw_deg", "Pitch": "gimbal_pitch_deg", "Roll": "gimbal_roll_deg"},
 }
+# Names that fields had before 2016.
+_FORMER = {"RelHomeAlt": "RelAlt"}
 _HEAD = b"\xa3\x95"
 # Head of a message FMT, which declares the length of a type of messages.
 _FORMAT = _HEAD + b"\x80"
@@ -78,7 +80,8 @@ def _row(message: Any) -> list[float] | None:
     if time_us is None:
         # Before 2015 in milliseconds since the start; a GPS message has that time in T, and TimeMS is the satellites'.
         time_us = getattr(message, "T" if message.get_type() == "GPS" else "TimeMS", np.nan) * 1e3
-    values = [float(getattr(message, field, np.nan)) for field in _FIELDS[message.get_type()]]
+    fields = _FIELDS[message.get_type()]
+    values = [float(getattr(message, field, getattr(message, _FORMER.get(field, ""), np.nan))) for field in fields]
     return None if instance != 0 or not np.isfinite([time_us, *values]).all() else [time_us * 1e-6, *values]
 
 

@@ -118,6 +118,22 @@ def _weather(path):
     return read_station(path, 49.0, 8.0, 120.0)
 
 
+# Newest row first, a gap in the rows and in a column, and rain as a running total.
+_GAPPY = "time;air_f;dew_point_f;wind_knots;ppfd_umol_m2_s;cloud_oktas;rain_total_mm;snow_depth_cm;note\n" + "".join(
+    f"2018-07-{28 + k // 24:02d}T{k % 24:02d}:30:00+02:00;{64 + k % 9};{'' if k % 11 == 5 else 50};{k % 7},5;"
+    f"{1600 * np.sin(np.pi * (k % 24 - 5.5) / 15) if 6 < k % 24 < 20 else 0:.0f};{k % 10};{k // 20},4;---;x\n"
+    for k in range(70, -1, -1)
+    if k % 24 != 3
+).replace("---", "NA")
+
+
+@reader("weather with gaps", "weather.csv", _GAPPY)
+def _gappy_weather(path):
+    from thermorender.weather.station import read_station
+
+    return read_station(path, 49.0, 8.0, 120.0, around=np.datetime64("2018-07-29T12:00:00"))
+
+
 # --- logs of other programs -------------------------------------------------------------------------------------
 
 
@@ -307,6 +323,17 @@ _TMY3 = (
 )
 
 reader("weather year TMY3", "year.csv", _TMY3)(_year)
+
+_PSM = (
+    "Source,Location ID,Latitude,Longitude,Time Zone,Elevation,Local Time Zone,Temperature Units,Pressure Units,"
+    "Dew Point Units,Wind Speed Units\nNSRDB,1,49.0,8.0,1,120,1,c,mbar,c,m/s\n"
+    "Year,Month,Day,Hour,Minute,GHI,DNI,DHI,Temperature,Dew Point,Pressure,Wind Speed,Relative Humidity\n"
+) + "".join(
+    f"2018,7,{day},{hour - 1},30,{light:.0f},{0.7 * light:.0f},{0.3 * light:.0f},{air:.1f},11.0,1000,2.5,60\n"
+    for day, hour, air, light in _hours()
+)
+
+reader("weather year PSM", "year.csv", _PSM)(_year)
 
 
 # --- libraries of materials -------------------------------------------------------------------------------------

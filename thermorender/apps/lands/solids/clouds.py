@@ -30,6 +30,11 @@ _AT_ONCE = 2_000_000
 _PROJECTED, _GEOGRAPHIC, _MAP_UNIT, _VERTICAL, _VERTICAL_UNIT = 3072, 2048, 3076, 4096, 4099
 _OWN = 32767
 _UNITS = {9001: "m", 9002: "ft", 9003: "us-ft"}
+# Vertical codes of GeoTIFF 1.0 (section 6.3.4.2), which have no unit of their own, as EPSG codes by unit.
+_OLD_VERTICAL = {
+    (5101, "m"): 5701, (5102, "m"): 7968, (5102, "us-ft"): 5702, (5103, "m"): 5703, (5103, "ft"): 8228,
+    (5103, "us-ft"): 6360, (5104, "m"): 5736, (5105, "m"): 5705, (5106, "m"): 5706,
+}  # fmt: skip
 _STATE = "state it with `pdal translate IN OUT --writers.las.a_srs=EPSG:MAP+HEIGHTS`, such as EPSG:32633+5773"
 
 
@@ -132,12 +137,13 @@ def _rasters(path: Path, file: Any) -> Cloud:
     left_out = dict.fromkeys(("withheld", "noise", "overlap", *_OVERHEAD), 0)
     for x, y, z, kind in _points(path, file, left_out):
         column, row = np.floor((x - left) / post).astype(int), np.floor((top - y) / post).astype(int)
-        if not (np.isfinite(z).all() and (column >= 0).all() and (row >= 0).all()
+        # Headers are rounded, and so are points.
+        if not (np.isfinite(z).all() and (column >= -1).all() and (row >= -1).all()
                 and (column <= columns).all() and (row <= rows).all()):  # fmt: skip
             raise ThermorenderError(
                 f"{path} has points outside of the bounds in its header; write it again, with `pdal translate IN OUT`"
             )
-        post_of = np.minimum(row, rows - 1) * columns + np.minimum(column, columns - 1)
+        post_of = np.clip(row, 0, rows - 1) * columns + np.clip(column, 0, columns - 1)
         np.maximum.at(highest, post_of, z)
         count += np.bincount(post_of, minlength=count.size)
         below = kind == _GROUND
@@ -207,6 +213,7 @@ def _crs_of(path: Path, header: Any) -> tuple[Any, float]:
             if keys:
                 unit = _UNITS.get(keys.get(_VERTICAL_UNIT, 0), "")
                 code, level = keys.get(_PROJECTED, keys.get(_GEOGRAPHIC, 0)), keys.get(_VERTICAL, 0)
+                level = _OLD_VERTICAL.get((level, unit), level)
                 if code and code != _OWN:
                     compound = f"+{level}" if level and level != _OWN else ""
                     crs = CRS.from_user_input(f"EPSG:{code}{compound}")

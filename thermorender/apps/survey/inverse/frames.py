@@ -18,6 +18,7 @@ from thermorender import Scene
 from thermorender.apps.survey.footage.lens_files import Lens
 from thermorender.apps.survey.inverse.linear import RANGE_K
 from thermorender.errors import ThermorenderError
+from thermorender.formats import picture_tags
 from thermorender.sensor.flir_jpeg import read_flir_jpeg
 from thermorender.sensor.radiometric_files import FLIR_JPEG, SUFFIXES, check_upright, read_temperature
 from thermorender.sensor.radiometry import ThermographySettings
@@ -372,17 +373,11 @@ def tagged_place(path: Path) -> Place:
     ThermorenderError
         No position, angles or height in the tags.
     """
-    from PIL import Image
-
     try:
-        with Image.open(path) as image:
-            exif, xmp = image.getexif(), image.info.get("xmp", b"")
-            gps, time = dict(exif.get_ifd(34853)), _time(exif)
-            if not xmp and 700 in exif:
-                xmp = exif[700]
-    except (OSError, SyntaxError, ValueError) as error:
+        tags, exif, gps, xmp = picture_tags(path)
+    except ValueError as error:
         raise ThermorenderError(f"the tags of {path} cannot be read: {error}; give the poses in a file") from None
-    stated = xmp_values(xmp if isinstance(xmp, str) else bytes(xmp).decode("utf-8", "replace"))
+    stated = xmp_values(xmp)
     where = _horizontal(path, gps, stated)
     angles = [stated.get(f"Gimbal{name}Degree") for name in ("Yaw", "Pitch", "Roll")]
     absent = [name for name, value in zip(("yaw", "pitch", "roll"), angles, strict=True) if value is None]
@@ -400,23 +395,21 @@ def tagged_place(path: Path) -> Place:
             "poses in a file"
         )
     numbers = [_number(path, name, value) for name, value in zip(("yaw", "pitch", "roll"), angles, strict=True)]
-    return Place(where, True, height, kind, camera_rotation(*numbers), time)
+    return Place(where, True, height, kind, camera_rotation(*numbers), _time(tags, exif))
 
 
 def tagged_time(path: Path) -> str:
     """Return the time that a frame's EXIF tags state, as in the file; empty if they state none or cannot be read."""
-    from PIL import Image
-
     try:
-        with Image.open(path) as image:
-            return _time(image.getexif())
-    except (OSError, SyntaxError, ValueError):
+        tags, exif, _, _ = picture_tags(path)
+    except ValueError:
         return ""
+    return _time(tags, exif)
 
 
-def _time(exif: Any) -> str:
-    """The time in tags of EXIF: of the exposure, otherwise of the file."""
-    return str(exif.get_ifd(34665).get(36867, "") or exif.get(306, "")).strip("\0 ")
+def _time(tags: Mapping[int, Any], exif: Mapping[int, Any]) -> str:
+    """The time in a picture's tags: of the exposure, otherwise of the file."""
+    return str(exif.get(36867, "") or tags.get(306, "")).strip("\0 ")
 
 
 def camera_rotation(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Rotation:
