@@ -56,9 +56,10 @@ def test_a_name_with_a_comma_does_not_hide_semicolons(tmp_path):
     np.testing.assert_array_equal(read_station(path, *PLACE).air_k, expected.air_k)
 
 
-def test_lines_above_the_row_of_names_are_named(tmp_path):
+def test_lines_above_names_of_which_none_is_a_time_are_named(tmp_path):
     path = station(tmp_path / "a.csv")
-    path.write_text("latitude,longitude\n49.0,8.0\n\n" + path.read_text())
+    names, _, rest = path.read_text().partition("\n")
+    path.write_text("latitude,longitude\n49.0,8.0\n\n" + names.replace("time", "when") + "\n" + rest)
     with pytest.raises(ThermorenderError, match=r"row 4: 5 cells where row 1 names 2 columns; delete lines"):
         read_station(path, *PLACE)
 
