@@ -255,6 +255,8 @@ class ObjectSpec:
     size: tuple[float, float, float] = key(number(0.0, FARTHEST_M, above=True, count=3, unit="m"), (1.0, 1.0, 1.0))
     position: tuple[float, float, float] = key(number(-FARTHEST_M, FARTHEST_M, count=3, unit="m"))
     yaw_deg: float = key(number(), 0.0)
+    # Whether it stands upright on a slope; by default `thermorender.scene.footing.upright` decides.
+    upright: bool | None = key(flag, None)
     # Kelvin; None, for instances only, is solved by the heat balance.
     temperature: float | None = key(kelvin_or_balance)
     material: str = key(text)
@@ -269,6 +271,8 @@ class ObjectSpec:
             where.of("name").refuse(self.name, "a name without ':', which separates the parts of an object")
         if self.track and self.instances:
             where.of("instances").refuse(str(self.instances), "it without track: copies do not move")
+        if self.instances and self.upright is False:
+            where.of("upright").refuse(False, "it without instances: copies stand upright")
         if self.temperature is None and not self.instances:
             where.of("temperature").refuse(BALANCE, "it with instances only; give kelvin")
 
