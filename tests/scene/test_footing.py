@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import thermorender as tr
-from scenes import scene_object, write_terrain
+from scenes import coarse, plane, scene_object, write_mesh, write_terrain
 from thermorender.errors import ThermorenderError
 
 SLOPE = np.tan(np.radians(15.0))
@@ -186,3 +186,21 @@ def test_copies_stand_upright_and_refuse_another_statement(tmp_path):
     (folder / "scene.toml").write_text((folder / "scene.toml").read_text().replace("upright = false\n", ""))
     body = tr.load_scene(folder).surfaces[1].instances
     assert np.array_equal(body.matrices[:, :, :3], np.broadcast_to(np.eye(3), (2, 3, 3)))
+
+
+def test_a_sloping_scene_is_lit_as_the_level_one_turned(tmp_path):
+    cos, sin = np.cos(np.radians(15.0)), np.sin(np.radians(15.0))
+    turn = np.array([[cos, 0, -sin, 0], [0, 1, 0, 0], [sin, 0, cos, 0], [0, 0, 0, 1]])
+    # Sky and surroundings are one temperature in all directions, so only the ground's slope differs.
+    box = scene_object("box", [3, 3, 1.5], [0, 0, 0], 340.0, "asphalt") + "[surroundings]\ntemperature = 250.0\n"
+    images = []
+    for name, matrix in (("level", np.eye(4)), ("slope", turn)):
+        ground = plane(40.0).subdivide_to_size(1.0).apply_transform(matrix)
+        of = coarse(tr.load_scene(write_mesh(tmp_path / name, ground, extra=box)), 8)
+        frame = tr.Renderer(of, quality="fast").frame(matrix @ tr.pose(-6, 0, 12, yaw_deg=90, pitch_deg=-60))
+        images.append((frame.apparent_temperature, frame.truth["object"]))
+    (level, number), (slope, turned) = images
+    assert (number > 0).sum() > 500 and (number != turned).mean() < 0.005
+    box, bare = (((number == k) & (turned == k)) for k in (1, 0))
+    # The ground beside the box differs by the noise of its light only.
+    assert np.percentile(np.abs(level - slope)[box], 98) < 0.05 and abs((level - slope)[bare].mean()) < 0.01

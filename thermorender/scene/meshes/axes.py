@@ -35,6 +35,9 @@ class Axes:
         return vertices if self.scale_to_m == 1.0 else vertices * self.scale_to_m
 
 
+AS_STORED = Axes()
+
+
 def terrain_doubts(what: str, extent: _Floats, facing: _Floats, axes: Axes, own: str) -> list[str]:
     """Return sentences on a terrain of an extent (3,) [m] and a `vector_area` (3,) [m²].
 
@@ -84,8 +87,8 @@ def object_doubts(
         lies = axes.up is None and abs(foot) < 0.05 * extent[1] and abs(2.0 * low[2] + extent[2]) < 0.1 * extent[2]
         why = f'it looks {other} up: write up = "{other}" in its table, or' if lies else "its file begins below 0 m:"
         found.append(
-            f"{what} has {sunk:.3g} m of its {extent[2]:.3g} m in the ground; {why} raise it by {sunk:.3g} m (the third "
-            "number of its position, or above_ground_m)"
+            f"{what} has {sunk:.3g} m of its {extent[2]:.3g} m in the ground; {why} raise it by {sunk:.3g} m (the "
+            "third number of its position, or above_ground_m)"
         )
     if _inward(triangles):
         found.append(f"{what} has faces that look inwards, whose backs a camera sees; {_flip(axes)} in its table")

@@ -19,7 +19,7 @@ from thermorender.errors import ThermorenderError, shortened
 from thermorender.physics.geodesy import FARTHEST_M
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
 from thermorender.scene.meshes import gltf, obj, ply
-from thermorender.scene.meshes.axes import Axes
+from thermorender.scene.meshes.axes import AS_STORED, Axes
 from thermorender.scene.meshes.mesh_pieces import GREY, Beside, Coat, Piece, of_faces, several
 from thermorender.scene.surface import MOST_TEXELS
 
@@ -50,7 +50,9 @@ class Part:
     texture: tuple[int, int] | None = None
 
 
-def load(path: Path | str, folder: Path | None = None, named: Collection[str] = (), axes: Axes = Axes()) -> list[Part]:
+def load(
+    path: Path | str, folder: Path | None = None, named: Collection[str] = (), axes: Axes = AS_STORED
+) -> list[Part]:
     """Return the Parts of a mesh file in metres, z up, faces counter-clockwise seen from outside.
 
     Files that it names must be inside `folder`, by default its own. `named` are names that keep pieces apart.
