@@ -177,6 +177,17 @@ def test_an_object_on_a_track_is_named_with_a_place_where_it_is_in_the_ground(tm
     assert int(re.search(r"(\d+)%", note)[1]) == pytest.approx(100 * share, abs=3)
 
 
+def test_flat_copies_in_a_slope_are_named_and_trees_are_not(tmp_path):
+    for name, size, named in (("mats", [2, 2, 0.05], True), ("trees", [2, 2, 6], False)):
+        extra = scene_object(name, size, instances="places.csv")
+        folder = write_terrain(tmp_path / name, height=sloping(), extra=extra)
+        (folder / "places.csv").write_text("east_m,north_m,scale\n1,2,1\n3,4,1\n-8,9,1\n")
+        found = tr.load_scene(folder).surface_notes
+        assert len(found) == named
+        # The ground is 1 cm above the level top beyond this distance from its middle.
+        assert not named or int(re.search(r"(\d+)%", found[0])[1]) == pytest.approx(50 * (1 - 0.06 / SLOPE), abs=4)
+
+
 def test_copies_stand_upright_and_refuse_another_statement(tmp_path):
     copies = scene_object("posts", [0.5, 0.5, 0.2], instances="places.csv", upright=False)
     folder = write_terrain(tmp_path / "s", height=sloping(), extra=copies)

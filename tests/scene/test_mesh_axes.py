@@ -177,6 +177,16 @@ def test_an_object_whose_file_begins_below_its_foot_is_named_until_it_is_raised(
     assert np.allclose(triangles(raised, 1), triangles(with_object(tmp_path / "u", CAR), 1), atol=1e-6)
 
 
+def test_copies_in_another_frame_are_named(tmp_path):
+    tree = trimesh.creation.cone(1.5, 6.0)
+    for name, body, words in (("right", tree, None), ("lying", y_up(tree), 'write up = "y"'),
+                              ("large", tree.copy().apply_scale(100.0), "write scale_to_m = 0.01")):  # fmt: skip
+        folder = with_object(tmp_path / name, body, position=[0.0, 0.0, 0.0], instances="places.csv")
+        (folder / "places.csv").write_text("east_m,north_m,scale\n1,2,1\n3,4,0.9\n")
+        found = doubts(folder)
+        assert len(found) == (words is not None) and all(words in doubt for doubt in found)
+
+
 def town():
     """Ground with two houses and a tower, closed from above only."""
     bodies = [trimesh.creation.box([10, 8, high]).apply_translation([east, 0, high / 2])

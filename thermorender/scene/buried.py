@@ -6,29 +6,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.scene.ground import Ground
+from thermorender.scene.instances import alone
 from thermorender.scene.surface import Surface
 from thermorender.scene.tracks import TrackedObject
 
 _Floats = NDArray[np.float64]
 # Largest share that needs no note, and depth that counts [m].
 _MOST, _DEPTH_M = 0.1, 0.01
-# Shares of an object's area at a place, and places along a track, that are looked at.
-_TRIANGLES, _PLACES = 150, 20
+# Points of an object at a place, and places along a track or copies, that are looked at.
+_POINTS, _PLACES = 150, 20
 _MOST_NAMED = 5
 
 
 def notes(
     surfaces: Sequence[Surface], terrain_count: int, tracked: Sequence[TrackedObject], ground: Ground
 ) -> tuple[str, ...]:
-    """Return a sentence on each object that is more than 10 % under the ground, seen from above; copies are left out.
+    """Return a sentence on each object that is more than 10 % under the ground, seen from above.
 
-    An object with a track is looked at along it.
+    An object with a track is looked at along it, and of copies some are.
     """
     still: dict[str, list[Surface]] = {}
     for surface in surfaces[terrain_count:]:
-        if surface.instances is None:
-            still.setdefault(surface.name.split(":")[0], []).append(surface)
-    parts = [(name, "", _tops(own, np.eye(4))) for name, own in still.items()]
+        still.setdefault(surface.name.split(":")[0], []).append(surface)
+    parts = [(name, "", _copies(own) if own[0].instances else _tops(own, np.eye(4))) for name, own in still.items()]
     parts += [part for one in tracked for part in _along(one, ground)]
     if not parts:
         return ()
@@ -51,6 +51,16 @@ def notes(
     return tuple(told)
 
 
+def _copies(surfaces: Sequence[Surface]) -> _Floats:
+    """Tops (n, 3) of some copies of a body."""
+    assert surfaces[0].instances is not None
+    matrix = surfaces[0].instances.matrices
+    some = matrix[np.linspace(0, len(matrix) - 1, min(len(matrix), _PLACES)).astype(int)]
+    body = _tops([alone(surface) for surface in surfaces], np.eye(4))
+    found: _Floats = (np.einsum("nij,pj->npi", some[:, :, :3], body) + some[:, None, :, 3]).reshape(-1, 3)
+    return found
+
+
 def _along(one: TrackedObject, ground: Ground) -> Iterator[tuple[str, str, _Floats]]:
     """(name, place in words, tops) of an object at times of its track, where it is over the terrain."""
     for time_s in np.linspace(one.time_s[0], one.time_s[-1], _PLACES):
@@ -63,14 +73,18 @@ def _along(one: TrackedObject, ground: Ground) -> Iterator[tuple[str, str, _Floa
 
 
 def _tops(surfaces: Sequence[Surface], matrix: _Floats) -> _Floats:
-    """Middles (n, 3) of triangles that face up, for equal shares of their area in plan, of surfaces placed by (4, 4).
+    """Points (n, 3) of triangles that face up, for equal shares of their area in plan, of surfaces placed by (4, 4).
 
-    A body without such triangles, as an upright sheet, has middles of all its triangles.
+    A body without such triangles, as an upright sheet, has points of all its triangles.
     """
     corner = np.concatenate([one.vertices[one.faces] for one in surfaces]) @ matrix[:3, :3].T + matrix[:3, 3]
     across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     up = np.maximum(across[:, 2], 0.0)
     reached = np.cumsum(up if up.any() else np.linalg.norm(across, axis=1))
-    shares = (np.arange(_TRIANGLES) + 0.5) / _TRIANGLES
-    found: _Floats = corner[np.searchsorted(reached, shares * reached[-1])].mean(axis=1)
+    number = np.arange(_POINTS)
+    a, b, c = np.moveaxis(corner[np.searchsorted(reached, (number + 0.5) / _POINTS * reached[-1])], 1, 0)
+    # Even points of a unit square, folded into a triangle: the additive sequence of the plastic number.
+    even = np.outer(number + 0.5, [0.7548776662466927, 0.5698402909980532]) % 1.0
+    even = np.where(even.sum(axis=1, keepdims=True) > 1.0, 1.0 - even, even)
+    found: _Floats = a + even[:, :1] * (b - a) + even[:, 1:] * (c - a)
     return found

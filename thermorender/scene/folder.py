@@ -64,10 +64,13 @@ def _doubts(spec: SceneSpec, files: SceneFiles) -> Iterator[str]:
         facing = np.sum([vector_area(surface.vertices, surface.faces) for surface in files.ground], axis=0)
         yield from terrain_doubts(f"the mesh {path.name}", extent, facing, spec.terrain.axes, mesh.up_of(path))
     for one in files.objects:
-        if one.item.file and not one.item.instances:
+        if one.item.file:
             above_m = float(one.columns.get("above_ground_m", np.array(one.item.position[2])).min())
             what, own = f"object {one.name!r}", mesh.up_of(one.item.file)
             triangles = np.concatenate([surface.vertices[surface.faces] for surface in one.surfaces])
+            if one.places is not None:
+                above_m += float(np.median(one.places["above_ground_m"]))
+                triangles = triangles * np.median(one.places["scale"])
             yield from object_doubts(what, triangles, one.item.axes, own, above_m, float(extent.max()))
 
 
