@@ -362,5 +362,5 @@ def test_render_says_that_a_camera_below_the_ground_sees_backs(tmp_path, call):
         options = ("--local-up", "--pose", pose, "--rays", 8, "-o", tmp_path / name)
         status, _, errors = call("render", folder, *options)
         assert status == 0, errors
-        assert ("100% of the pixels with a surface see backs of faces: the camera is below the" in errors) == backs
+        assert ("100% of what the camera sees is backs of faces: the camera is below the" in errors) == backs
         assert ("with --local-up is 20 m under the ground; leave --local-up out" in errors) == backs

@@ -84,6 +84,15 @@ def test_footprint_of_a_view_beyond_the_terrain_ends_on_it(renderer):
     assert seen.shows_terrain.all() and np.isnan(seen.outline).all()
 
 
+def test_backs_of_faces_in_view_are_counted_and_named(renderer, path):
+    assert prospect(renderer, path, path.frame_times(4.0), 4.0).backs == 0.0
+    # Below the ground a camera that looks up sees its back, and beyond its edge nothing.
+    up = tr.Trajectory(np.array([0.0, 1.0]), np.array([[-1.0, 0, -12], [1.0, 0, -12]]), np.array([[0.0, 0, 0, 1]] * 2))
+    seen = prospect(renderer, up, up.frame_times(1.0), 1.0)
+    assert seen.backs == 1.0 and "100% of what the camera sees is backs of faces" in seen.warning
+    assert replace(seen, backs=0.5).warning is None and seen.as_dict()["backs"] == 1.0
+
+
 def test_long_flights_are_looked_at_in_some_frames(renderer, monkeypatch):
     monkeypatch.setattr("thermorender.output.flight_pages.prospect.MOST_FRAMES", 10)
     slow = flight((-1.0, 0.0, 12.0), (1.0, 0.0, 12.0), seconds=9.0)

@@ -38,8 +38,6 @@ if TYPE_CHECKING:
 
 # A texel this many pixels wide makes a frame look blurred.
 _COARSE_PX = 12.0
-# Share of the pixels with a surface that may see backs of faces without a warning.
-_MOST_BACKS = 0.5
 
 
 @profiled
@@ -117,16 +115,11 @@ def _backs(frame: "Frame") -> str | None:
     """A warning if most pixels with a surface see backs of faces, else None."""
     import numpy as np
 
+    from thermorender.output.flight_pages.prospect import backs_warning
     from thermorender.scene.surface import BEHIND
 
     mask = frame.truth["mask"][np.isfinite(frame.truth["depth"])]
-    share = float(np.mean((mask & BEHIND) != 0)) if mask.size else 0.0
-    if share <= _MOST_BACKS:
-        return None
-    return (
-        f"{share:.0%} of the pixels with a surface see backs of faces: the camera is below the ground or in a body, "
-        "or the faces of a mesh are wound clockwise seen from outside, which its program can flip (normals)"
-    )
+    return backs_warning(float(np.mean((mask & BEHIND) != 0)) if mask.size else 0.0)
 
 
 def _coarse(scene: "Scene", frame: "Frame") -> str | None:
@@ -253,10 +246,7 @@ def _print_outlook(outlook: "Prospect | Cost") -> None:
     """Print what a flight will show or cost."""
     for line in outlook.lines():
         typer.echo(line)
-    from thermorender.output.flight_pages.cost import Cost
-
-    if isinstance(outlook, Cost):
-        warn(outlook.warning)
+    warn(outlook.warning)
 
 
 @flat

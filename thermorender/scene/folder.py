@@ -1,19 +1,21 @@
 """The content of a scene folder before any edit: terrain, orthophoto, classes, objects and materials."""
 
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.errors import ThermorenderError, shortened
+from thermorender.errors import ThermorenderError, ThermorenderWarning, shortened
 from thermorender.materials import library as material_tables
 from thermorender.materials.material import Material
 from thermorender.physics.geodesy import FARTHEST_M, LocalFrame
 from thermorender.scene import terrain
 from thermorender.scene.instances import read_places
 from thermorender.scene.meshes import mesh
+from thermorender.scene.meshes.axes import object_doubts, terrain_doubts, vector_area
 from thermorender.scene.orthophoto import read_colour
 from thermorender.scene.raster import Grid, bounds_in, grid_of, onto, read_classes
 from thermorender.scene.spec import ObjectSpec, SceneSpec
@@ -47,7 +49,29 @@ def read_files(spec: SceneSpec, where: str) -> SceneFiles:
     own = spec.folder / "materials"
     library = material_tables.load_library(own if own.is_dir() else None)
     parts = _raster_terrain(spec, where, library) if spec.terrain.elevation else _mesh_terrain(spec, where, library)
-    return replace(parts, objects=tuple(_object(item, spec.folder) for item in spec.objects))
+    files = replace(parts, objects=tuple(_object(item, spec.folder) for item in spec.objects))
+    for doubt in _doubts(spec, files):
+        warnings.warn(f"{where}: {doubt}", ThermorenderWarning, stacklevel=3)
+    return files
+
+
+def _doubts(spec: SceneSpec, files: SceneFiles) -> Iterator[str]:
+    """Sentences on meshes that look as if they were in another frame or unit."""
+    ends = [each(surface.vertices, axis=0) for surface in files.ground for each in (np.min, np.max)]
+    extent = np.ptp(ends, axis=0)
+    if spec.terrain.mesh:
+        path = spec.terrain.mesh
+        facing = np.sum([vector_area(surface.vertices, surface.faces) for surface in files.ground], axis=0)
+        yield from terrain_doubts(f"the mesh {path.name}", extent, facing, spec.terrain.axes, mesh.up_of(path))
+    for one in files.objects:
+        if one.item.file:
+            above_m = float(one.columns.get("above_ground_m", np.array(one.item.position[2])).min())
+            what, own = f"object {one.name!r}", mesh.up_of(one.item.file)
+            triangles = np.concatenate([surface.vertices[surface.faces] for surface in one.surfaces])
+            if one.places is not None:
+                above_m += float(np.median(one.places["above_ground_m"]))
+                triangles = triangles * np.median(one.places["scale"])
+            yield from object_doubts(what, triangles, one.item.axes, own, above_m, float(extent.max()))
 
 
 def _raster_terrain(spec: SceneSpec, where: str, library: Mapping[str, Material]) -> SceneFiles:
@@ -151,7 +175,7 @@ def _refuse_unnamed(classes: NDArray[np.uint8], path: Path, spec: SceneSpec, whe
 def _mesh_terrain(spec: SceneSpec, where: str, library: Mapping[str, Material]) -> SceneFiles:
     assert spec.terrain.mesh is not None
     names = [one.name for one in spec.surfaces]
-    parts = mesh.load(spec.terrain.mesh, spec.folder, names)
+    parts = mesh.load(spec.terrain.mesh, spec.folder, names, spec.terrain.axes)
     ground = tuple(_part_surface(part) for part in parts)
     textures = _with_classes(spec, ground, [Texture(part.names, part.texture) for part in parts], where)
     unseen = [one is not None and one.inferred for one in stating(textures, spec.surfaces, ("inferred",), where)]
@@ -196,7 +220,7 @@ def _object(item: ObjectSpec, folder: Path) -> TrackedObject:
         parts = [mesh.Part(item.shape, vertices, faces, np.full((len(faces), 3, 2), 0.5, np.float32), colour)]
     else:
         assert item.file is not None
-        parts = mesh.load(item.file, folder)
+        parts = mesh.load(item.file, folder, axes=item.axes)
     # A disc is slightly above the ground, so that neither hides the other.
     lift = 0.02 if item.shape == "disc" else 0.0
     surfaces = tuple(_part_surface(replace(part, name=f"{item.name}:{part.name}")) for part in parts)

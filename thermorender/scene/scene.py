@@ -118,7 +118,7 @@ class Scene:
     ground : callable
         (east, north) → local height of the terrain [m], NaN off it.
     surface_notes : tuple of str
-        Sentences on objects that share a plane with another surface, so that pixels show either.
+        Sentences on objects that are partly under the ground, and on those that share a plane with another surface.
     """
 
     _declared: Declared

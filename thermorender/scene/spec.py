@@ -17,6 +17,7 @@ from thermorender import defaults, units
 from thermorender.errors import ThermorenderError
 from thermorender.paths import inside
 from thermorender.physics.geodesy import FARTHEST_M
+from thermorender.scene.meshes.axes import Axes
 from thermorender.scene.raster import FORMATS, files_of
 from thermorender.scene.surface import scene_kelvin
 from thermorender.schema import (
@@ -69,6 +70,7 @@ def kelvin_or_balance(value: Any, where: Where) -> float | None:
 
 cold = partial(kelvin, allow_zero=True)
 share = number(0.0, 1.0, above=True)
+scale = number(0.0, 1e6, above=True)
 
 
 def instant(value: Any, where: Where) -> "np.datetime64":
@@ -130,6 +132,13 @@ def _needed(where: Where, values: Any, needs: Mapping[str, list[str]]) -> None:
             raise where.error(f"{where.of(name).key} is missing; source={values.source!r} needs it")
 
 
+def _of_mesh_file(where: Where, given: Mapping[str, Any], is_mesh: bool, name: str) -> None:
+    """Refuse keys of a mesh file where there is none."""
+    for each in ("up", "scale_to_m", "flip"):
+        if each in given and not is_mesh:
+            where.of(each).refuse(given[each], f"it with {name} only")
+
+
 # Tables
 
 
@@ -144,10 +153,19 @@ class TerrainSpec:
     geoid_undulation_m: float | None = key(number(), None)
     # Fills enclosed gaps in the heights and flags them in the truth mask; otherwise they are holes.
     fill: bool = key(flag, False)
+    # up, scale_to_m, flip: of the mesh, as in `thermorender.scene.meshes.axes.Axes`
+    up: str | None = key(choice("y", "z"), None)
+    scale_to_m: float = key(scale, 1.0)
+    flip: bool = key(flag, False)
+
+    @property
+    def axes(self) -> Axes:
+        """How the numbers of the mesh are meant."""
+        return Axes(self.up, self.scale_to_m, self.flip)
 
     def check(self, where: Where, given: Mapping[str, Any]) -> None:
-        """Refuse none or two kinds of ground, and keys of a raster with a mesh."""
-        where.exactly_one(given, ("elevation", "mesh"))
+        """Refuse none or two kinds of ground, and keys of the other kind."""
+        _of_mesh_file(where, given, where.exactly_one(given, ("elevation", "mesh")) == "mesh", "mesh")
         if self.mesh and self.fill:
             raise where.error("terrain.fill fills islands of an elevation raster, and this is a mesh; leave it out")
         if self.mesh and self.orthophoto:
@@ -255,6 +273,12 @@ class ObjectSpec:
     size: tuple[float, float, float] = key(number(0.0, FARTHEST_M, above=True, count=3, unit="m"), (1.0, 1.0, 1.0))
     position: tuple[float, float, float] = key(number(-FARTHEST_M, FARTHEST_M, count=3, unit="m"))
     yaw_deg: float = key(number(), 0.0)
+    # up, scale_to_m, flip: of the file, as in `thermorender.scene.meshes.axes.Axes`
+    up: str | None = key(choice("y", "z"), None)
+    scale_to_m: float = key(scale, 1.0)
+    flip: bool = key(flag, False)
+    # Whether it stands upright on a slope; by default `thermorender.scene.footing.upright` decides.
+    upright: bool | None = key(flag, None)
     # Kelvin; None, for instances only, is solved by the heat balance.
     temperature: float | None = key(kelvin_or_balance)
     material: str = key(text)
@@ -264,13 +288,20 @@ class ObjectSpec:
 
     def check(self, where: Where, given: Mapping[str, Any]) -> None:
         """Refuse none or two kinds of solid, and a name that could be a part's."""
-        where.exactly_one(given, ("shape", "file"))
+        _of_mesh_file(where, given, where.exactly_one(given, ("shape", "file")) == "file", "file")
         if ":" in self.name:
             where.of("name").refuse(self.name, "a name without ':', which separates the parts of an object")
         if self.track and self.instances:
             where.of("instances").refuse(str(self.instances), "it without track: copies do not move")
+        if self.instances and self.upright is False:
+            where.of("upright").refuse(False, "it without instances: copies stand upright")
         if self.temperature is None and not self.instances:
             where.of("temperature").refuse(BALANCE, "it with instances only; give kelvin")
+
+    @property
+    def axes(self) -> Axes:
+        """How the numbers of the file are meant."""
+        return Axes(self.up, self.scale_to_m, self.flip)
 
     @property
     def kelvin(self) -> float:

@@ -17,7 +17,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.materials.extended import within_band
 from thermorender.materials.material import Material
 from thermorender.physics.geodesy import LocalFrame
-from thermorender.scene import coplanar
+from thermorender.scene import buried, coplanar
 from thermorender.scene.albedo import shares, with_albedo
 from thermorender.scene.cover import WHY, Cover, Covering, Replaced, cover_of
 from thermorender.scene.declared import Declared, InMemory
@@ -473,9 +473,12 @@ def agreement(
         )
 
 
-def surface_notes(surfaces: tuple[Surface, ...], terrain_count: int) -> tuple[str, ...]:
-    """Return sentences on objects that share a plane with another surface, so that pixels show either."""
-    return coplanar.notes(surfaces, terrain_count)
+def surface_notes(
+    surfaces: tuple[Surface, ...], terrain_count: int, tracked_objects: tuple[TrackedObject, ...], ground: Ground
+) -> tuple[str, ...]:
+    """Return sentences on objects under the ground, and on those that share a plane with another surface."""
+    sunk = buried.notes(surfaces, terrain_count, tracked_objects, ground)
+    return (*sunk, *coplanar.notes(surfaces, terrain_count))
 
 
 PIPELINE = Pipeline(

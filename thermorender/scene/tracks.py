@@ -1,8 +1,9 @@
 """Dynamic objects: position, heading and temperature over time."""
 
 import csv
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.formats import csv_rows, read_text
 from thermorender.physics.geodesy import FARTHEST_M
+from thermorender.scene import footing
 from thermorender.scene.spec import ObjectSpec
 from thermorender.scene.surface import Surface, scene_kelvin
 
@@ -70,8 +72,7 @@ class TrackedObject:
 
     def stations(self, most: int = 100) -> list[dict[str, float]]:
         """Return values as by `at` along the track, an object's length apart; empty if there are more than `most`."""
-        corner = np.concatenate([surface.vertices for surface in self.surfaces])
-        extent = float((corner.max(axis=0) - corner.min(axis=0)).max())
+        extent = float(np.ptp(self._corner, axis=0).max())
         position = np.column_stack([self.columns.get(name, np.zeros(len(self.time_s))) for name in COLUMNS[:3]])
         distance = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(position, axis=0), axis=1))])
         count = int(np.ceil(distance[-1] / extent)) + 1
@@ -81,10 +82,20 @@ class TrackedObject:
         keep = np.concatenate([[True], np.diff(distance) > 0.0])
         return [self.at(t) for t in np.interp(np.linspace(0.0, distance[-1], count), distance[keep], self.time_s[keep])]
 
-    def world_from_own(
-        self, values: Mapping[str, float], ground: Callable[[float, float], float]
-    ) -> NDArray[np.float64]:
-        """Return world_from_object (4, 4) for values as by `at`; `ground` maps (east, north) to terrain height [m]."""
+    @cached_property
+    def _corner(self) -> NDArray[np.float64]:
+        """Vertices in the object's own frame, (V, 3) [m]."""
+        return np.concatenate([surface.vertices for surface in self.surfaces])
+
+    @cached_property
+    def _foot(self) -> NDArray[np.float64]:
+        return footing.footprint(self._corner)
+
+    def world_from_own(self, values: Mapping[str, float], ground: footing.Height) -> NDArray[np.float64]:
+        """Return world_from_object (4, 4) for values as by `at`; `ground` maps (east, north) to terrain height [m].
+
+        On the slope of the ground, the height above it counts along its normal, so that parts of a body stay together.
+        """
         east, north = values["east_m"], values["north_m"]
         height = float(ground(east, north))
         if not np.isfinite(height):
@@ -96,7 +107,16 @@ class TrackedObject:
         matrix = np.eye(4)
         # The heading is clockwise from north, and the object's y axis points along it.
         matrix[:2, :2] = [[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]]
-        matrix[:3, 3] = east, north, height + values["above_ground_m"] + self.lift_m
+        matrix[:3, 3] = east, north, height
+        above, upright = values["above_ground_m"], self.item.upright
+        if upright is None:
+            upright = footing.upright(self._corner, above)
+        slope = None if upright else footing.resting(self._foot, matrix, ground, above)
+        if slope is None:
+            matrix[2, 3] = height + above + self.lift_m
+            return matrix
+        matrix = matrix @ slope
+        matrix[:3, 3] += (above + self.lift_m) * matrix[:3, 2]
         return matrix
 
 

@@ -34,6 +34,7 @@ name = "fire"
 shape = "box"
 size = [{side}, {side}, {high}]
 position = [{east}, {north}, {up}]
+upright = true
 temperature = {kelvin}
 material = "paint_black"
 colour = [255, 120, 30]

@@ -139,7 +139,7 @@ def _lands(random):
 
 def _box(name, size, position, kelvin, material="concrete", yaw_deg=0.0):
     return {"name": name, "shape": "box", "size": size, "position": position, "yaw_deg": yaw_deg,
-            "temperature": kelvin, "material": material}  # fmt: skip
+            "upright": True, "temperature": kelvin, "material": material}  # fmt: skip
 
 
 def _small(count):

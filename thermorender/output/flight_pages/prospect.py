@@ -15,6 +15,7 @@ from thermorender.trajectory.path import Trajectory
 
 if TYPE_CHECKING:
     from thermorender.render.renderer import Renderer
+    from thermorender.scene.scene import Scene
     from thermorender.sensor.camera import Camera
 
 Floats = NDArray[np.float64]
@@ -23,6 +24,8 @@ Floats = NDArray[np.float64]
 MOST_FRAMES, _SIDE, _ALONG = 5000, 6, 5
 # Share of a frame's points whose motion is not larger, as in the record of the sensor [%].
 _MOTION = 98.0
+# Share of what is seen that may be backs of faces.
+_MOST_BACKS = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +53,7 @@ class Prospect:
     texel_m: float
     time_constant_s: float
     length_m: float  # Of the path over the ground between the sampled frames
+    backs: float  # Share of the rays that meet a surface from behind, of those that meet one
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures of `lines` as plain values, for the record of the flight."""
@@ -61,7 +65,13 @@ class Prospect:
             "pixel_m": _three(self.pixel_m),
             "texel_m": _rounded(self.texel_m),
             "motion_px": _three(self.motion_px),
+            "backs": _rounded(self.backs),
         }
+
+    @property
+    def warning(self) -> str | None:
+        """What is wrong with what the flight shows; None if nothing is."""
+        return backs_warning(self.backs)
 
     def lines(self) -> list[str]:
         """Return what the flight will show, in sentences."""
@@ -101,6 +111,16 @@ class Prospect:
         return f"; the orthophoto is coarser, with texels of {self.texel_m:.3g} m, {pixels:.3g} pixels wide"
 
 
+def backs_warning(share: float) -> str | None:
+    """Return a warning if most of what is seen, as a share, are backs of faces; else None."""
+    if share <= _MOST_BACKS:
+        return None
+    return (
+        f"{share:.0%} of what the camera sees is backs of faces: the camera is below the ground or in a body, or the "
+        "faces of a mesh are clockwise seen from outside, which flip = true in its table of scene.toml mends"
+    )
+
+
 def chosen(count: int, most: int) -> NDArray[np.int64]:
     """Return the numbers of up to `most` evenly chosen frames of `count`, with the first and the last."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
@@ -116,7 +136,7 @@ def prospect(renderer: "Renderer", trajectory: Trajectory, times_s: Floats, rate
     direction = np.concatenate([slope, np.ones((len(slope), 1))], axis=1)
     world = np.einsum("nij,kj->nki", pose[:, :3, :3], direction)
     origin = np.broadcast_to(pose[:, None, :3, 3], world.shape)
-    distance, _ = renderer.hits(origin.reshape(-1, 3), world.reshape(-1, 3))
+    distance, face = renderer.faces(origin.reshape(-1, 3), world.reshape(-1, 3))
     # Along the axis, in which the directions have length 1.
     depth = distance.reshape(world.shape[:2]) / np.linalg.norm(direction, axis=1)
     depth = np.where(np.isfinite(depth), depth, np.nan).astype(np.float64)
@@ -133,7 +153,21 @@ def prospect(renderer: "Renderer", trajectory: Trajectory, times_s: Floats, rate
         motion_px=_motion(trajectory, camera, time_s, point), texel_m=scene.surfaces[0].texel_m,
         time_constant_s=camera.time_constant_s,
         length_m=float(np.linalg.norm(np.diff(position[:, :2], axis=0), axis=1).sum()),
+        backs=_backs(scene, world.reshape(-1, 3), face),
     )  # fmt: skip
+
+
+def _backs(scene: "Scene", direction: Floats, face: NDArray[np.int64]) -> float:
+    """Share of rays (N, 3) that meet the back of a face (N,), −1 for none, of those that meet one; 0 without any."""
+    first, behind = 0, 0
+    for surface in scene.surfaces:
+        own = np.flatnonzero((face >= first) & (face < first + len(surface.faces)))
+        # Faces of copies stand for others.
+        if surface.instances is None:
+            a, b, c = np.moveaxis(surface.vertices[surface.faces[face[own] - first]], 1, 0)
+            behind += int((np.einsum("ni,ni->n", np.cross(b - a, c - a), direction[own]) > 0.0).sum())
+        first += len(surface.faces)
+    return behind / max(int((face >= 0).sum()), 1)
 
 
 def _slopes(camera: "Camera") -> Floats:

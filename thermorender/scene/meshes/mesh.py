@@ -19,6 +19,7 @@ from thermorender.errors import ThermorenderError, shortened
 from thermorender.physics.geodesy import FARTHEST_M
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
 from thermorender.scene.meshes import gltf, obj, ply
+from thermorender.scene.meshes.axes import AS_STORED, Axes
 from thermorender.scene.meshes.mesh_pieces import GREY, Beside, Coat, Piece, of_faces, several
 from thermorender.scene.surface import MOST_TEXELS
 
@@ -49,8 +50,10 @@ class Part:
     texture: tuple[int, int] | None = None
 
 
-def load(path: Path | str, folder: Path | None = None, named: Collection[str] = ()) -> list[Part]:
-    """Return the Parts of a mesh file in its own coordinates, z up; the y-up axes of glTF are rotated.
+def load(
+    path: Path | str, folder: Path | None = None, named: Collection[str] = (), axes: Axes = AS_STORED
+) -> list[Part]:
+    """Return the Parts of a mesh file in metres, z up, faces counter-clockwise seen from outside.
 
     Files that it names must be inside `folder`, by default its own. `named` are names that keep pieces apart.
     """
@@ -62,7 +65,8 @@ def load(path: Path | str, folder: Path | None = None, named: Collection[str] = 
     try:
         # `_parts` checks for values that are not finite.
         with _largest_image(MOST_TEXELS), np.errstate(all="ignore"):
-            return _parts(path, _pieces(path, Beside(path, folder or path.parent), named), named)
+            pieces = _pieces(path, Beside(path, folder or path.parent), named)
+            return _parts(path, [_turned(piece, path, axes) for piece in pieces], named)
     except ThermorenderError:
         raise
     except Exception as error:  # a broken file breaks its reader in many ways
@@ -98,6 +102,19 @@ def _pieces(path: Path, beside: Beside, named: Collection[str]) -> list[Piece]:
         return obj.read(path, beside, named)
     reader = {".glb": gltf.read, ".gltf": gltf.read, ".ply": ply.read}.get(kind)
     return _plain(path) if reader is None else reader(path, beside)
+
+
+def up_of(path: Path) -> str:
+    """Return the axis that points up in a format: y in glTF; z where it does not say so."""
+    return "y" if path.suffix.lower() in (".glb", ".gltf") else "z"
+
+
+def _turned(piece: Piece, path: Path, axes: Axes) -> Piece:
+    """A piece in metres, z up, with its faces counter-clockwise seen from outside."""
+    piece = replace(piece, vertices=axes.turned(piece.vertices, up_of(path)))
+    if not axes.flip:
+        return piece
+    return replace(piece, faces=piece.faces[:, ::-1], uv=None if piece.uv is None else piece.uv[:, ::-1])
 
 
 def _plain(path: Path) -> list[Piece]:
@@ -153,7 +170,8 @@ def _parts(path: Path, pieces: Sequence[Piece], named: Collection[str]) -> list[
         if not (np.abs(piece.vertices) <= FARTHEST_M).all():
             raise ThermorenderError(
                 f"{path} has a vertex that is not finite or is more than {FARTHEST_M / 1e3:g} km from its origin; "
-                "export the mesh in metres, with map coordinates shifted to an origin near it"
+                "export the mesh with map coordinates shifted to an origin near it, or write scale_to_m, the metres in "
+                "its unit"
             )
         coat, faces, texture = piece.coat, piece.faces.astype(np.int32), None
         if piece.tint is not None and len(faces):

@@ -243,7 +243,7 @@ def car(
         return {
             "name": name + suffix, "shape": "box", "size": size,
             "position": [round(float(east + ahead * s), 2), round(float(north + ahead * c), 2), base],
-            "yaw_deg": round(float(heading_deg) % 360.0, 1), "temperature": round(float(kelvin), 1),
+            "yaw_deg": round(float(heading_deg) % 360.0, 1), "upright": True, "temperature": round(float(kelvin), 1),
             "material": material, "colour": [int(v) for v in tint],
         }  # fmt: skip
 

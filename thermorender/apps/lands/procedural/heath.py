@@ -323,7 +323,7 @@ def _objects(c: Canvas, track: Values) -> list[dict[str, Any]]:
     position = [round(float(nearest[0]), 1), round(float(nearest[1]), 1)]
     car = {
         "name": "car", "shape": "box", "size": [1.8, 4.4, 0.8], "position": [*position, 0.25], "yaw_deg": 12.0,
-        "temperature": 302.0, "material": "paint_metallic", "colour": [176, 178, 182],
+        "upright": True, "temperature": 302.0, "material": "paint_metallic", "colour": [176, 178, 182],
     }  # fmt: skip
     cabin = {**car, "name": "car_cabin", "size": [1.6, 2.3, 0.6], "position": [*position, 1.05], "temperature": 304.5}
     return [marker, car, cabin]
