@@ -79,16 +79,7 @@ def test_kelvin_of_an_edit_replaces_the_balance(tmp_path):
     assert {float(surface.temperature.flat[0]) for surface in warm.surfaces[1:]} == {285.0, 290.0}
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"write": write_terrain}, r"temperature of object 'trees' is 'balance', .*source='raster'; give the object"),
-        (
-            {"extra": scene_object("b", position=[1, 1, 0], temperature="balance", material="granite")},
-            r"object.*temperature='balance' is not allowed; give it with instances only; give kelvin",
-        ),
-    ],
-)  # fmt: skip
-def test_balance_is_refused_where_it_cannot_be_solved(tmp_path, change, words):
+def test_balance_is_refused_where_the_terrain_has_another_source(tmp_path):
+    words = r"temperature of object 'trees' is 'balance', .*source='raster'; give the object"
     with pytest.raises(ThermorenderError, match=words):
-        tr.load_scene(write_crowns(tmp_path / "s", **change))
+        tr.load_scene(write_crowns(tmp_path / "s", write=write_terrain))
