@@ -29,7 +29,7 @@ from thermorender.render.geometry import Geometry
 from thermorender.render.heat.copies import Copies
 from thermorender.render.heat.places import sun_cosine, texel_points
 from thermorender.render.heat.steps import Library, steps_to
-from thermorender.render.light import transport_cache
+from thermorender.render.light import contacts, radiosity, transport_cache
 from thermorender.render.light.exchange import threads
 from thermorender.render.variant import activate
 from thermorender.scene import open_ground
@@ -159,12 +159,25 @@ class _Simulation:
         self.sky = transport.sky.sum(axis=1).astype(np.float32)
         self.background = transport.background.astype(np.float32)
         self.reflectance, self.emissivity = self._of_faces()
+        solid = sum(surface.instances is None for surface in terrain)
+        self.bodies = range(*(int(geometry.face_start[number]) for number in (ground, solid)))
+        self._start_in_the_open(transport.touching)
         inner = np.array([surface.inner_w_m2 for surface in terrain], np.float32)
         self.inner_w_m2 = np.repeat(inner, [len(surface.faces) for surface in terrain]) if inner.any() else None
-        solid = sum(surface.instances is None for surface in terrain)
         copies, self.copies = range(solid, scene.solved_count), None
         if copies:
             self.copies = Copies(geometry, copies, len(asked), lambda at_s: self._sun(self._instant(at_s)))
+
+    def _start_in_the_open(self, touching: NDArray[np.integer]) -> None:
+        """Move the points of bodies' faces that something covers in part to an open part, where their light starts."""
+        faces = touching[(touching >= self.bodies.start) & (touching < self.bodies.stop)]
+        if not len(faces):
+            return
+        rays_of = radiosity.FaceRays(self.geometry, 1)
+        found = rays_of.start_in_the_open(contacts.solid(self.geometry), faces)
+        if found is not None:
+            origin, *_ = rays_of(self.mi.UInt32(aligned(found.faces, np.uint32)), 0)
+            self.middle[found.faces] = np.array(origin).T[::2]
 
     def _of_faces(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(reflectance of sunlight, emissivity) of every face of the scene, by the material at its middle."""
@@ -245,7 +258,10 @@ class _Simulation:
         geometry, mi = self.geometry, self.mi
         last = geometry.face_start[np.searchsorted(geometry.texel_start, texels, "right")] - 1
         face = np.minimum(self.covers[texels], last)
-        point = np.concatenate([self.middle, texel_points(geometry, texels, face)])
+        spot = texel_points(geometry, texels, face)
+        body = (face >= self.bodies.start) & (face < self.bodies.stop)
+        spot[body] = self.middle[face[body]]
+        point = np.concatenate([self.middle, spot])
         face = np.concatenate([np.arange(self.faces, dtype=np.uint32), face.astype(np.uint32)])
         point += np.float32(geometry.hair) * self.normal[face]
         hidden = np.zeros(len(face), np.float32)
