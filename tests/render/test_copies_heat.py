@@ -62,6 +62,10 @@ def test_budget_of_copies_has_the_scatter_of_their_temperatures(tmp_path):
     error = np.sqrt(renderer.baked.face_error[first : first + 24]) / renderer.plan.radiance_per_mk
     assert (error > 900.0 * scatter).all()
     assert scatter.max() > 0.8
+    solved = renderer.scene.surfaces[:2]
+    columns = sum(each.material.size + len(each.faces) for each in solved)
+    row = next(row for row in renderer.plan.rows() if row[0] == "heat columns")
+    assert (row[1], "terrain and of 1 object" in row[2]) == (str(columns), True)
     # Objects with kelvin of their own keep it, and names stay with their surfaces.
     frame = renderer.frame(tr.pose(0.0, 0.0, 20.0, pitch_deg=-90.0))
     shown = {name: frame.truth["object"] == number for number, name in enumerate(frame.objects, start=1)}
