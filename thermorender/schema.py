@@ -29,7 +29,7 @@ else:
 
 _UNITS = {"um": "µm", "mm": "mm", "m": "m", "km": "km", "k": "K", "mk": "mK", "mk_per_k": "mK per K", "c": "°C",
           "hz": "Hz", "px": "px", "s": "s", "ms": "ms", "us": "µs", "deg": "deg", "percent": "%",
-          "m_s": "m/s"}  # fmt: skip
+          "m_s": "m/s", "w": "W"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -133,9 +133,10 @@ def checked(settings: Any, name: str) -> dict[str, Any]:
     return {item.name: item.metadata["read"](getattr(settings, item.name), where.of(item.name)) for item in rows}
 
 
-def every_field(value: Any, without: str = "") -> str:
-    """Return the text of a dataclass with all its fields but one, as `Camera(name='…', …)`, for fingerprints."""
-    shown = ", ".join(f"{item.name}={getattr(value, item.name)!r}" for item in fields(value) if item.name != without)
+def every_field(value: Any, *without: str) -> str:
+    """Return the text of a dataclass with all its fields but some, as `Camera(name='…', …)`, for fingerprints."""
+    names = (item.name for item in fields(value) if item.name not in without)
+    shown = ", ".join(f"{name}={getattr(value, name)!r}" for name in names)
     return f"{type(value).__qualname__}({shown})"
 
 

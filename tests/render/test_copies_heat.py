@@ -62,6 +62,10 @@ def test_budget_of_copies_has_the_scatter_of_their_temperatures(tmp_path):
     error = np.sqrt(renderer.baked.face_error[first : first + 24]) / renderer.plan.radiance_per_mk
     assert (error > 900.0 * scatter).all()
     assert scatter.max() > 0.8
+    solved = renderer.scene.surfaces[:2]
+    columns = sum(each.material.size + len(each.faces) for each in solved)
+    row = next(row for row in renderer.plan.rows() if row[0] == "heat columns")
+    assert (row[1], "terrain and of 1 object" in row[2]) == (str(columns), True)
     # Objects with kelvin of their own keep it, and names stay with their surfaces.
     frame = renderer.frame(tr.pose(0.0, 0.0, 20.0, pitch_deg=-90.0))
     shown = {name: frame.truth["object"] == number for number, name in enumerate(frame.objects, start=1)}
@@ -79,16 +83,7 @@ def test_kelvin_of_an_edit_replaces_the_balance(tmp_path):
     assert {float(surface.temperature.flat[0]) for surface in warm.surfaces[1:]} == {285.0, 290.0}
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"write": write_terrain}, r"temperature of object 'trees' is 'balance', .*source='raster'; give the object"),
-        (
-            {"extra": scene_object("b", position=[1, 1, 0], temperature="balance", material="granite")},
-            r"object.*temperature='balance' is not allowed; give it with instances only; give kelvin",
-        ),
-    ],
-)  # fmt: skip
-def test_balance_is_refused_where_it_cannot_be_solved(tmp_path, change, words):
+def test_balance_is_refused_where_the_terrain_has_another_source(tmp_path):
+    words = r"temperature of object 'trees' is 'balance', .*source='raster'; give the object"
     with pytest.raises(ThermorenderError, match=words):
-        tr.load_scene(write_crowns(tmp_path / "s", **change))
+        tr.load_scene(write_crowns(tmp_path / "s", write=write_terrain))

@@ -242,11 +242,15 @@ def _kelvin_given(fresh: Fresh, kelvin: Any) -> None:
 
 
 def _object(name: str) -> Any:
-    def record(fresh: Fresh, values: dict[str, float]) -> None:
+    def record(fresh: Fresh, values: dict[str, Any]) -> None:
         row = fresh.named("object", name)
         place = dict(zip(("east_m", "north_m", "above_ground_m"), row["position"], strict=True))
         row["position"] = [*(place | {key: value for key, value in values.items() if key in place}).values()]
         row["temperature"] = values.get("temperature_k", row["temperature"])
+        if row["temperature"] != "balance":
+            row.pop("inner_heat_w", None)
+        if "inner_heat_w" in values:
+            row["inner_heat_w"] = values["inner_heat_w"]
         if "yaw_deg" in values:
             row["yaw_deg"] = values["yaw_deg"]
         if "track" in row:
@@ -338,7 +342,8 @@ EDITS: dict[str, Edit] = {
             key: tuple(value) if isinstance(value, list) else value for key, value in v.items()})), _learned,
     ),
     "object.marker": Edit(
-        [{"temperature_k": 310.0}, {"east_m": -2.0, "north_m": 3.0}, {"above_ground_m": 0.5, "yaw_deg": 30.0}],
+        [{"temperature_k": 310.0}, {"east_m": -2.0, "north_m": 3.0}, {"above_ground_m": 0.5, "yaw_deg": 30.0},
+         {"temperature_k": "balance"}, {"temperature_k": "balance", "inner_heat_w": 50.0}, {"inner_heat_w": 20.0}],
         lambda s, v: s.with_objects({"marker": v}), _object("marker"),
     ),
     "object.car": Edit(
@@ -346,7 +351,7 @@ EDITS: dict[str, Edit] = {
         lambda s, v: s.with_objects({"car": v}), _object("car"),
     ),
     "object.bush": Edit(
-        [{"temperature_k": 295.0}, {"north_m": 1.0}, {"yaw_deg": 90.0}],
+        [{"temperature_k": 295.0}, {"north_m": 1.0}, {"yaw_deg": 90.0}, {"temperature_k": "balance"}],
         lambda s, v: s.with_objects({"bush": v}), _object("bush"),
     ),
     "a material": Edit(
@@ -451,6 +456,20 @@ CHAINS = {
     "a column of a track": [("object.car", 1), ("a material", 4), ("object.car", 0)],
     "the weather in memory, of its instant": [("a Weather", 1), ("at", 1), ("temperature", 7)],
     "the sun, of its air": [("atmosphere", 0), ("sun", 0), ("weather.cloud", 1)],
+    "a heat balance, of an object and its inner heat": [
+        ("temperature", 7),
+        ("object.marker", 3),
+        ("a material", 3),
+        ("object.bush", 3),
+        ("object.marker", 5),
+        ("at", 1),
+    ],
+    "kelvin, of an object with inner heat": [
+        ("temperature", 7),
+        ("object.marker", 4),
+        ("object.marker", 0),
+        ("object.marker", 3),
+    ],
     "kelvin in memory, of a material": [("kelvin", 0), ("a material", 0), ("camera.model", 2)],
 }
 
@@ -487,7 +506,7 @@ def test_surfaces_made_in_memory_before_or_after_an_edit_make_the_same_scene(loa
 
 @pytest.fixture(scope="module")
 def balanced(loaded):
-    return loaded["terrain"].with_temperature("balance")
+    return loaded["terrain"].with_temperature("balance").with_objects({"marker": "balance"})
 
 
 def solved(scene: tr.Scene, time: Any = None) -> tr.Scene:
@@ -505,7 +524,7 @@ def test_solved_temperatures_stay_after_edits_they_do_not_depend_on(balanced, ch
 
 NEEDED = [("weather.cloud", 1), ("at", 1), ("a material", 0), ("object.marker", 0), ("weather.inside_c", 1),
           ("an area", 0), ("temperature", 8), ("weather.albedo", 0), ("object.bush", 1), ("atmosphere", 2),
-          ("object.marker", 1), ("a named day", 1)]  # fmt: skip
+          ("object.marker", 1), ("a named day", 1), ("object.marker", 5), ("object.bush", 3)]  # fmt: skip
 
 
 @pytest.mark.parametrize(("name", "number"), NEEDED)

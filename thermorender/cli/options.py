@@ -107,7 +107,7 @@ class SceneOptions:
         typer.Option(
             "--set",
             help="OBJECT.KEY=VALUE, e.g. marker.temperature_k=350; keys east_m, north_m, "
-            "above_ground_m, yaw_deg, temperature_k. Repeat for more.",
+            "above_ground_m, yaw_deg, temperature_k (or balance), inner_heat_w. Repeat for more.",
         ),
     ] = None
     paint: Annotated[

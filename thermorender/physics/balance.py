@@ -63,6 +63,7 @@ class Forcing(NamedTuple):
     pressure_pa: Any
     rain_kg_m2_s: Any
     below_k: Any  # Temperature of the air below the column, if any [K]
+    inner_w_m2: Any = None  # Heat that enters the last layer from below, as of an engine [W m⁻²]; None: 0
 
 
 class State(NamedTuple):
@@ -156,6 +157,8 @@ def _stage(
     drops = [(layers[i] - layers[i + 1]) + (remainder[i] - remainder[i + 1]) for i in range(len(layers) - 1)]
     sources = list(sources or [0.0] * len(layers))
     sources[-1] = sources[-1] + ground.conductance[-1] * ((forcing.below_k - layers[-1]) - remainder[-1])
+    if forcing.inner_w_m2 is not None:
+        sources[-1] = sources[-1] + forcing.inner_w_m2
     surface_sun = forcing.absorbed
     if ground.sun_share is not None:
         heating = [share * forcing.absorbed for share in ground.sun_share]

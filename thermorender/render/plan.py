@@ -54,6 +54,8 @@ class Plan:
     # copies, bodies: Copies of bodies, and bodies that they are copies of
     copies: int = 0
     bodies: int = 0
+    columns: int = 0  # Texels and faces whose heat balance is solved; 0 where temperatures come from elsewhere
+    heated: int = 0  # Objects among them
 
     def __repr__(self) -> str:
         air = "no air" if self.air_mk is None else f"air in {self.spectrum.channels} channels"
@@ -115,9 +117,19 @@ class Plan:
             *self._air_rows(),
             self._specular_row(),
             *self._assumed_rows(),
+            *self._heat_rows(),
             *[(name, "inferred", "nobody has seen its shape; flagged in the truth mask") for name in self.inferred],
             *self._copies_rows(),
         ]
+
+    def _heat_rows(self) -> list[tuple[str, str, str]]:
+        if not self.columns:
+            return []
+        objects = (
+            "" if not self.heated else " and of 1 object" if self.heated == 1 else f" and of {self.heated} objects"
+        )
+        why = f"texels and faces of the terrain{objects}, whose heat balance is solved"
+        return [("heat columns", str(self.columns), why)]
 
     def _copies_rows(self) -> list[tuple[str, str, str]]:
         if not self.copies:
@@ -214,6 +226,7 @@ def make_plan(scene: Scene, sampling: Sampling | None = None, kept: "tuple[Plan,
         spectrum = make_spectrum(scene.materials, envelope, sampling.tolerance_mk, bake)
     specular = make_tables(scene, spectrum, envelope)
     copies = [surface.instances for surface in scene.surfaces if surface.instances is not None]
+    solved = scene.surfaces[: scene.solved_count] if scene.balanced else ()
     return Plan(
         band_um=band,
         sampling=sampling,
@@ -232,6 +245,8 @@ def make_plan(scene: Scene, sampling: Sampling | None = None, kept: "tuple[Plan,
         inferred=tuple(one.name for one in scene.spec.surfaces if one.inferred),
         copies=sum(map(len, copies)),
         bodies=len(copies),
+        columns=sum(surface.material.size + len(surface.faces) for surface in solved),
+        heated=len({each.name.split(":")[0] for each in solved[scene.terrain_count :]}),
     )
 
 

@@ -16,7 +16,7 @@ from thermorender.materials import library as material_tables
 from thermorender.materials.material import Material, grey
 from thermorender.scene.declared import Declared
 from thermorender.scene.raster import FORMATS
-from thermorender.scene.spec import ObjectSpec, SceneSpec, SurfaceSpec, TemperatureSpec, WeatherSpec
+from thermorender.scene.spec import BALANCE, ObjectSpec, SceneSpec, SurfaceSpec, TemperatureSpec, WeatherSpec
 from thermorender.scene.surface import Surface, scene_kelvin
 from thermorender.scene.tracks import COLUMNS
 from thermorender.schema import Where, did_you_mean
@@ -29,6 +29,8 @@ _Spec = TypeVar("_Spec", bound=Any)
 # Of a scene: texels number them in a byte.
 _MOST_MATERIALS = 255
 
+# The key of an object that edits change and tracks do not have.
+_INNER = "inner_heat_w"
 # Keys of [weather] that no Weather holds.
 _OF_SCENE = {"time", "inside_c", "albedo", "albedo_std"}
 # Keys of [weather] that say where the weather comes from, each with the keys that belong to it.
@@ -161,6 +163,12 @@ def surfaces_argument(
             f"with_surfaces: terrain_count={count!r} is not allowed; give a whole number 1…{len(shown)}, as there are "
             f"{len(shown)} surfaces"
         )
+    unknown = [each.name for each in shown[count:] if not np.isfinite(each.temperature).all()]
+    if surfaces is not None and unknown:
+        raise ThermorenderError(
+            f"with_surfaces: texels of object {unknown[0]!r} have no temperature; give kelvin, such as those that "
+            "Renderer(scene).scene has solved"
+        )
     highest = max(int(surface.material.max(initial=0)) for surface in shown)
     if highest >= len(made):
         raise ThermorenderError(
@@ -277,19 +285,30 @@ def _changed_weather(spec: WeatherSpec | None, keys: Mapping[str, Any], now: Dec
 
 
 def changed_object(item: ObjectSpec, values: Mapping[str, Any]) -> ObjectSpec:
-    """Return an ObjectSpec with other values of some columns of a track."""
+    """Return an ObjectSpec with another inner heat, or other values of some columns of a track.
+
+    Kelvin in place of a heat balance leave no inner heat.
+    """
     position = dict(zip(COLUMNS[:3], item.position, strict=True))
     found: dict[str, Any] = {}
     for column, value in values.items():
         what = f"object {item.name!r}: {column}"
-        if column not in COLUMNS:
-            raise ThermorenderError(f"object {item.name!r} has no {column!r} to set; give {', '.join(COLUMNS)}")
-        if column == "temperature_k":
-            found["temperature"] = scene_kelvin(what, number_of(what, with_unit(value)))
-        elif column == "yaw_deg":
-            found["yaw_deg"] = number_of(what, value)
+        if column not in (*COLUMNS, _INNER):
+            allowed = ", ".join((*COLUMNS, _INNER))
+            raise ThermorenderError(f"object {item.name!r} has no {column!r} to set; give {allowed}")
+        if column == "temperature_k" and value == BALANCE:
+            found["temperature"] = None
+        elif column == "temperature_k":
+            found["temperature"] = scene_kelvin(what, number_of(what, with_unit(value), f" of kelvin, or {BALANCE!r}"))
+            found.setdefault(_INNER, 0.0)
+        elif column in ("yaw_deg", _INNER):
+            found[column] = number_of(what, value)
         else:
             position[column] = number_of(what, value)
-    where = Where(f"with_objects: {item.name}")
+    where = Where(f"with_objects: {item.name}", top="")
     rows = {each.name: each.metadata["read"] for each in fields(ObjectSpec)}
-    return replace(item, position=rows["position"](list(position.values()), where.of("position")), **found)
+    found |= {name: rows[name](found[name], where.of(name)) for name in (_INNER,) if name in found}
+    found["position"] = rows["position"](list(position.values()), where.of("position"))
+    made = replace(item, **found)
+    made.check(where, {row.name: 1 for row in fields(made) if getattr(made, row.name) != row.default})
+    return made

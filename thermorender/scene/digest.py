@@ -40,6 +40,8 @@ def digest(
             copies = own.pop("instances")
             if own["scatter_k"] is None:
                 own.pop("scatter_k")
+            if not own["inner_w_m2"]:
+                own.pop("inner_w_m2")
             for value in (*own.values(), *(vars(copies).values() if copies is not None else ())):
                 state.update(_bytes(value))
         for material in materials:
@@ -51,8 +53,9 @@ def digest(
             known = [{key: each for key, each in layer.values.items() if key != "texture" or each} for layer in layers]
             state.update(repr((material.solar_absorptance, known)).encode())
         for tracked in tracked_objects:
-            # What moves has no copies.
-            state.update(f"({every_field(tracked.item, 'instances')}, {tracked.lift_m!r})".encode())
+            # What moves has neither copies nor a heat balance.
+            item = every_field(tracked.item, "instances", "inner_heat_w", "inner_heat_share")
+            state.update(f"({item}, {tracked.lift_m!r})".encode())
             state.update(tracked.time_s.tobytes())
             for name, values in tracked.columns.items():
                 state.update(name.encode() + values.tobytes())

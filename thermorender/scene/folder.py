@@ -20,7 +20,7 @@ from thermorender.scene.orthophoto import read_colour
 from thermorender.scene.raster import Grid, bounds_in, grid_of, onto, read_classes
 from thermorender.scene.spec import ObjectSpec, SceneSpec
 from thermorender.scene.surface import FILLED, SURFACE, Surface
-from thermorender.scene.textures import Texture, onto_texels, stating, texel_size_m
+from thermorender.scene.textures import Texture, areas, named, onto_texels, stating, texel_size_m
 from thermorender.scene.tracks import TrackedObject, read_track
 
 
@@ -49,7 +49,7 @@ def read_files(spec: SceneSpec, where: str) -> SceneFiles:
     own = spec.folder / "materials"
     library = material_tables.load_library(own if own.is_dir() else None)
     parts = _raster_terrain(spec, where, library) if spec.terrain.elevation else _mesh_terrain(spec, where, library)
-    files = replace(parts, objects=tuple(_object(item, spec.folder) for item in spec.objects))
+    files = replace(parts, objects=tuple(_object(item, spec.folder, where) for item in spec.objects))
     for doubt in _doubts(spec, files):
         warnings.warn(f"{where}: {doubt}", ThermorenderWarning, stacklevel=3)
     return files
@@ -212,7 +212,7 @@ def _with_classes(
     return tuple(found)
 
 
-def _object(item: ObjectSpec, folder: Path) -> TrackedObject:
+def _object(item: ObjectSpec, folder: Path, where: str) -> TrackedObject:
     """The TrackedObject of one object: its surfaces in its own frame, and its track; one row where it has none."""
     if item.shape:
         vertices, faces = mesh.primitive(item.shape, item.size)
@@ -220,13 +220,28 @@ def _object(item: ObjectSpec, folder: Path) -> TrackedObject:
         parts = [mesh.Part(item.shape, vertices, faces, np.full((len(faces), 3, 2), 0.5, np.float32), colour)]
     else:
         assert item.file is not None
-        parts = mesh.load(item.file, folder, axes=item.axes)
+        parts = mesh.load(item.file, folder, item.inner_heat_share, item.axes)
     # A disc is slightly above the ground, so that neither hides the other.
     lift = 0.02 if item.shape == "disc" else 0.0
     surfaces = tuple(_part_surface(replace(part, name=f"{item.name}:{part.name}")) for part in parts)
     time_s, columns = read_track(item.track) if item.track else (np.zeros(1), {})
     places = read_places(item.instances) if item.instances else None
-    return TrackedObject(item, surfaces, lift, time_s, columns, places)
+    inner = _inner_shares(item, surfaces, [Texture(part.names) for part in parts], where)
+    return TrackedObject(item, surfaces, lift, time_s, columns, places, inner)
+
+
+def _inner_shares(
+    item: ObjectSpec, surfaces: Sequence[Surface], textures: Sequence[Texture], where: str
+) -> tuple[float, ...]:
+    """Share of an object's inner heat on a square metre of each of its surfaces [m⁻²]."""
+    area = np.array([areas(surface).sum() for surface in surfaces])
+    if not item.inner_heat_share:
+        return tuple(np.full(len(area), 1.0 / area.sum()).tolist())
+    names, part = list(item.inner_heat_share), np.array(list(item.inner_heat_share.values()))
+    found = named(textures, names, where, f"inner_heat_share of object {item.name!r}: part", "")
+    of = np.array([len(names) if number is None else number for number in found])
+    per_m2 = np.append(part / part.sum() / np.maximum(np.bincount(of, area, len(names) + 1)[:-1], 1e-300), 0.0)
+    return tuple(per_m2[of].tolist())
 
 
 def _part_surface(part: mesh.Part) -> Surface:

@@ -15,6 +15,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
 from thermorender.scene.meshes.mesh import one_texel_each
 from thermorender.scene.surface import Surface
+from thermorender.scene.textures import colour_of_faces
 
 Floats = NDArray[np.float64]
 
@@ -112,9 +113,7 @@ def placed(surface: Surface, place: Mapping[str, Floats]) -> Surface:
 
 def _colours(surface: Surface, body: Instances) -> NDArray[np.uint8]:
     """Mean colour of the texture on each patch of a body, (patches, 3) sRGB, read at the middles of its triangles."""
-    rows, columns = surface.colour.shape[:2]
-    column, row = (surface.uv.mean(axis=1, dtype=np.float64) * (columns, rows)).astype(np.int64).T
-    light = linear_from_bytes(surface.colour[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)])
+    light = linear_from_bytes(colour_of_faces(surface))
     area = np.maximum(body.face_area, 1e-12)
     total = np.column_stack([np.bincount(body.patch, area * band) for band in light.T])
     return bytes_from_linear(total / np.bincount(body.patch, area)[:, None])

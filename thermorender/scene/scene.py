@@ -91,7 +91,7 @@ class Scene:
     terrain_count : int
         How many of them are terrain.
     solved_count : int
-        How many of them have temperatures that the heat balance solves: the terrain, and copies of bodies.
+        How many of them have temperatures that the heat balance solves: the terrain, and objects of that kind.
     materials : tuple of Material
         Indexed by `Surface.material`.
     air : Atmosphere or None
@@ -523,14 +523,15 @@ class Scene:
             temperature_map=learned_map(spec) if model is None else model, given_kelvin=given,
         ))  # fmt: skip
 
-    def with_objects(self, objects: Mapping[str, float | Mapping[str, float]]) -> "Scene":
+    def with_objects(self, objects: "Mapping[str, float | str | Mapping[str, float | str]]") -> "Scene":
         """Return this scene with objects at other temperatures or places.
 
         Parameters
         ----------
         objects : dict
-            {name: kelvin}, or {name: {column of a track: value}}: `east_m`, `north_m`, `above_ground_m`, `yaw_deg`,
-            `temperature_k`. A column that a track has is held at the value.
+            {name: kelvin or "balance"}, or {name: {key: value}}: `temperature_k` (kelvin or "balance"), `inner_heat_w`
+            (W, with "balance" only), and `east_m`, `north_m`, `above_ground_m`, `yaw_deg`. A column that a track has is
+            held at the value.
 
         Raises
         ------
@@ -587,7 +588,8 @@ class Scene:
         painted = tuple(Painted(s.material, s.colour, s.flags & ~np.uint8(FALLBACK | UNMOVED)) for s in ground)
         shape = replace(
             shape, ground=ground, static=static, static_of=(), tracked=self.tracked_objects, tracked_of=(),
-            textures=(), balanced=0, highest_m=max(float(surface.vertices[:, 2].max()) for surface in shown),
+            textures=(), balanced=shape.balanced if surfaces is None else 0, inner_1_m2=(),
+            highest_m=max(float(surface.vertices[:, 2].max()) for surface in shown),
         )  # fmt: skip
         cover = Cover((), painted, (), self.emissivity_report)
         return self._edited(stages.made_in_memory(now, shape, cover, made))
@@ -632,13 +634,13 @@ class Scene:
         self.weather.at(moment)
         known = Available(state.source, moment, report or state.report, moved_report or {}, notes)
         count = self.terrain_count
-        copies = kelvin[count:]
-        spread = [None] * (len(copies) - len(scatter_k)) + [np.asarray(each, np.float32) for each in scatter_k]
+        objects = kelvin[count:]
+        spread = [None] * (len(objects) - len(scatter_k)) + [np.asarray(each, np.float32) for each in scatter_k]
         result = Temperatures(
             kelvin[:count],
             [each & np.uint8(FALLBACK | UNMOVED) for each in own[:count]],
             known,
-            [(own, None if std is None else std.reshape(own.shape)) for own, std in zip(copies, spread, strict=True)],
+            [(own, None if std is None else std.reshape(own.shape)) for own, std in zip(objects, spread, strict=True)],
         )
         assert now.spec.weather is not None
         if moment != now.time:

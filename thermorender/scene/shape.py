@@ -15,7 +15,7 @@ from thermorender.scene.ground import Ground
 from thermorender.scene.raster import Grid
 from thermorender.scene.refine import evened, refined
 from thermorender.scene.surface import Surface
-from thermorender.scene.textures import Texture
+from thermorender.scene.textures import Texture, with_texel_per_face
 from thermorender.scene.tracks import TrackedObject
 
 # Columns of a track that an edit holds at one value, by the name of the object.
@@ -47,21 +47,23 @@ class Shape:
     # One per surface of a mesh; empty for a raster terrain and for surfaces made in memory
     textures: tuple[Texture, ...] = ()
     balanced: int = 0  # Number of `static`, the first ones, whose temperatures the heat balance solves
+    inner_1_m2: tuple[float, ...] = ()  # Share of its object's inner heat on a square metre of each of `static` [m⁻²]
 
 
 def shape_of(files: SceneFiles, placements: Sequence[Placement], held: Held, where: str) -> Shape:
     """Return the Shape of a scene's files with its objects where `placements` says."""
     ground = Ground(files.ground)
     posed = [_posed(part, place, held) for part, place in zip(files.objects, placements, strict=True)]
-    # Those that the heat balance solves come first.
+    # Those that the heat balance solves come first, copies last of them.
     still = [number for number, one in enumerate(posed) if not one.item.track]
-    still.sort(key=lambda number: not placements[number].balanced)
-    static, static_of, balanced = list[Surface](), list[int](), 0
+    still.sort(key=lambda number: 1 + (posed[number].places is not None) if placements[number].balanced else 3)
+    static, static_of, inner, balanced = list[Surface](), list[int](), list[float](), 0
     for number in still:
         one = posed[number]
         own = _copies(one, ground, where) if one.places else _placed(one, one.at(0.0), ground, where)
         static += own
         static_of += [number] * len(own)
+        inner += one.inner_1_m2
         balanced += len(own) if placements[number].balanced else 0
     tracked_of = [number for number, one in enumerate(posed) if one.item.track]
     tracked = [posed[number] for number in tracked_of]
@@ -73,6 +75,10 @@ def shape_of(files: SceneFiles, placements: Sequence[Placement], held: Held, whe
     finer, done = refined(files.ground, bodies, along)
     whole = iter(done)
     static = [next(whole) if surface.instances is None else surface for surface in static]
+    static = [
+        with_texel_per_face(surface) if surface.instances is None and number < balanced else surface
+        for number, surface in enumerate(static)
+    ]
     return Shape(
         frame=files.frame,
         grid=files.grid,
@@ -85,6 +91,7 @@ def shape_of(files: SceneFiles, placements: Sequence[Placement], held: Held, whe
         highest_m=highest,
         textures=files.textures,
         balanced=balanced,
+        inner_1_m2=tuple(inner),
     )
 
 

@@ -49,6 +49,8 @@ _WARMEST_COLD_C = 150.0
 WEATHER = "weather"
 # The temperature of an object that the heat balance solves.
 BALANCE = "balance"
+# Shares written in two digits sum to 1 within this.
+_SHARES_OFF = 0.01
 _CLASS_NUMBERS = {str(count): count for count in range(1, 256)}
 
 
@@ -279,9 +281,13 @@ class ObjectSpec:
     flip: bool = key(flag, False)
     # Whether it stands upright on a slope; by default `thermorender.scene.footing.upright` decides.
     upright: bool | None = key(flag, None)
-    # Kelvin; None, for instances only, is solved by the heat balance.
+    # Kelvin; None is solved by the heat balance.
     temperature: float | None = key(kelvin_or_balance)
     material: str = key(text)
+    # Heat that enters the sheets from within, such as an engine's, and its shares by parts of the mesh's file; without
+    # shares it is even over the area.
+    inner_heat_w: float = key(number(0.0, 1e9), 0.0)
+    inner_heat_share: dict[str, float] = key(mapping(share), {})
     colour: tuple[float, float, float] = key(number(0.0, 255.0, count=3, unit="(sRGB)"), (128.0, 128.0, 128.0))
     track: Path | None = key(file_inside, None)
     instances: Path | None = key(file_inside, None)
@@ -295,8 +301,25 @@ class ObjectSpec:
             where.of("instances").refuse(str(self.instances), "it without track: copies do not move")
         if self.instances and self.upright is False:
             where.of("upright").refuse(False, "it without instances: copies stand upright")
-        if self.temperature is None and not self.instances:
-            where.of("temperature").refuse(BALANCE, "it with instances only; give kelvin")
+        if self.temperature is None and self.track:
+            where.of("temperature").refuse(
+                BALANCE, "it to what stands still only: kelvin here or temperature_k in its track, or leave track out"
+            )
+        self._check_inner_heat(where)
+
+    def _check_inner_heat(self, where: Where) -> None:
+        """Refuse inner heat that no temperature follows, and shares of parts that are none."""
+        if self.inner_heat_w and (self.temperature is not None or self.instances):
+            where.of("inner_heat_w").refuse(
+                self.inner_heat_w, "it with temperature='balance' only, and without instances"
+            )
+        if self.inner_heat_share and not self.file:
+            where.of("inner_heat_share").refuse(dict(self.inner_heat_share), "it with file only, whose parts it names")
+        total = sum(self.inner_heat_share.values())
+        if self.inner_heat_share and abs(total - 1.0) > _SHARES_OFF:
+            where.of("inner_heat_share").refuse(
+                dict(self.inner_heat_share), f"shares whose sum is 1; that of these is {total:g}"
+            )
 
     @property
     def axes(self) -> Axes:

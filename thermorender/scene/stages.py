@@ -3,7 +3,7 @@
 Inputs are the fields of `Declared`; the key `x` of the scene file is `spec_x`.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -16,6 +16,7 @@ from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
 from thermorender.materials.extended import within_band
 from thermorender.materials.material import Material
+from thermorender.materials.mixture import parts_of
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene import buried, coplanar
 from thermorender.scene.albedo import shares, with_albedo
@@ -119,7 +120,7 @@ def terrain_count(shape: Shape) -> int:
 
 
 def solved_count(shape: Shape) -> int:
-    """Return the number of surfaces whose temperatures the heat balance solves: the terrain, and copies of bodies."""
+    """Return the number of surfaces whose temperatures the heat balance solves: the terrain, objects and copies."""
     return len(shape.ground) + shape.balanced
 
 
@@ -335,7 +336,7 @@ def temperature_inputs(
     """Return what the temperatures are solved from; None where they do not follow the weather."""
     if not follows:
         return None
-    still = tuple(item.temperature for item in spec_objects if item.track is None)
+    still = tuple((item.temperature, item.inner_heat_w) for item in spec_objects if item.track is None)
     sky = (spec_sky_temperature if air is None else air) if follows == "conditional" else None
     return TemperatureInputs(spec_weather, given_weather, time, stated_altitude_m, still, spec_sun, sky)
 
@@ -354,14 +355,14 @@ def covered(
     return None if given or (plain and not follows) else (cover, materials)
 
 
-def object_kelvin(spec_objects: Sequence[ObjectSpec]) -> tuple[float | None, ...]:
-    """Return the temperature of each object [K]; None where the heat balance solves it."""
-    return tuple(item.temperature for item in spec_objects)
+def object_heat(spec_objects: Sequence[ObjectSpec]) -> tuple[tuple[float | None, float], ...]:
+    """Return (temperature [K], None where the heat balance solves it, and inner heat [W]) of each object."""
+    return tuple((item.temperature, item.inner_heat_w) for item in spec_objects)
 
 
 def surfaces(
     shape: Shape, cover: Cover, materials: tuple[Material, ...], temperatures: Temperatures,
-    object_kelvin: tuple[float | None, ...], in_memory: InMemory | None, where: str,
+    object_heat: tuple[tuple[float | None, float], ...], in_memory: InMemory | None, where: str,
 ) -> tuple[Surface, ...]:  # fmt: skip
     """Return the surfaces: the terrain's first, then those of objects without a track."""
     terrain = tuple(
@@ -370,21 +371,39 @@ def surfaces(
             shape.ground, cover.ground, temperatures.kelvin, temperatures.flags, strict=True
         )
     )
-    if in_memory:
-        return (*terrain, *shape.static)
-    static = []
-    for surface, number in zip(shape.static, shape.static_of, strict=True):
-        material = materials[cover.objects[number]]
-        if surface.instances is not None and material.emissivity_by_angle is not None:
-            raise ThermorenderError(
-                f"{where}: object {surface.name.split(':')[0]!r} has instances of the material "
-                f"{material.name!r}, whose emissivity depends on the angle, which copies do not support; give "
-                "them another material"
-            )
-        static.append(_covered(surface, cover.objects[number], object_kelvin[number]))
-    for number, (kelvin, scatter_k) in enumerate(temperatures.copies):
+    static = list(shape.static if in_memory else _objects(shape, cover, materials, object_heat, where))
+    for number, (kelvin, scatter_k) in enumerate(temperatures.objects):
         static[number] = replace(static[number], temperature=kelvin, scatter_k=scatter_k)
     return (*terrain, *static)
+
+
+def _objects(
+    shape: Shape, cover: Cover, materials: tuple[Material, ...], object_heat: tuple[tuple[float | None, float], ...],
+    where: str,
+) -> Iterator[Surface]:  # fmt: skip
+    """Yield the surfaces of objects without a track, NaN where the heat balance solves their temperature."""
+    for surface, number, inner_1_m2 in zip(shape.static, shape.static_of, shape.inner_1_m2, strict=True):
+        name, material = surface.name.split(":")[0], materials[cover.objects[number]]
+        kelvin, inner_w = object_heat[number]
+        if kelvin is None:
+            _refuse_without_thermal(name, material, where)
+        if surface.instances is not None and material.emissivity_by_angle is not None:
+            raise ThermorenderError(
+                f"{where}: object {name!r} has instances of the material {material.name!r}, whose emissivity depends "
+                "on the angle, which copies do not support; give them another material"
+            )
+        yield replace(_covered(surface, cover.objects[number], kelvin), inner_w_m2=inner_w * inner_1_m2)
+
+
+def _refuse_without_thermal(name: str, material: Material, where: str) -> None:
+    """Refuse an object whose heat balance is asked for and whose material has no thermal table."""
+    for part, _ in parts_of(material):
+        if part.thermal is None:
+            raise ThermorenderError(
+                f"{where}: object {name!r} has temperature='balance' and the material {part.name!r}, which has no "
+                f"thermal properties; give it another material, add thermal/{part.name}.csv to the scene's "
+                "materials, or give the object kelvin"
+            )
 
 
 def tracked_objects(
@@ -485,7 +504,7 @@ PIPELINE = Pipeline(
     (where, frame, geoid_undulation_m, stated_altitude_m, altitude_m, placements, shape, grid, terrain_count,
      solved_count, band_um, air_of_weather, no_snow, snow, covering, cover, emissivity_report, albedo, materials, air,
      clear_of_clouds, follows, temperature_inputs, part_temperatures, covered, temperatures, temperature_state,
-     solution_notes, object_kelvin, surfaces, tracked_objects),
+     solution_notes, object_heat, surfaces, tracked_objects),
     lazy=(weather, weather_now, noted_weather, sun, ground, refuse_unsolved, surroundings_temperature, agreement,
           surface_notes, digest, weather_digest),
 )  # fmt: skip

@@ -45,6 +45,8 @@ class Surface:
     instances: "Instances | None" = None  # Copies of a body that rays meet; the faces then stand for their patches
     # (h, w) float32 standard deviation of the temperature within texels [K], of copies whose heat balance is solved
     scatter_k: NDArray[np.float32] | None = None
+    # Heat that enters its sheet from within, of an object whose heat balance is solved [W m⁻²]
+    inner_w_m2: float = 0.0
 
     def __post_init__(self) -> None:
         """Make the arrays read-only: a scene does not change, and what follows from them must not become stale."""

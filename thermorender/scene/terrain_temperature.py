@@ -39,20 +39,20 @@ class TemperatureInputs(NamedTuple):
     given_weather: "Weather | None"
     time: "np.datetime64 | None"
     altitude_m: float | None  # As stated, not from the frame
-    objects: tuple[float | None, ...]  # Temperatures of those without a track [K]
+    objects: tuple[tuple[float | None, float], ...]  # Temperatures [K] and inner heat [W] of those without a track
     sun: SunSpec | None  # The declared one, which contradicts the weather's and is refused
     sky: "Atmosphere | float | None"  # Which a conditional map's apparent temperatures depend on
 
 
 @dataclass(frozen=True, eq=False)
 class Temperatures:
-    """Temperatures of the terrain's surfaces, and of copies that the heat balance solves."""
+    """Temperatures of the terrain's surfaces, and of objects that the heat balance solves."""
 
     kelvin: Sequence[NDArray[np.float32]]  # (h, w) of each terrain surface [K]; NaN while pending
     flags: Sequence[NDArray[np.uint8]]  # (h, w) FALLBACK and UNMOVED of these texels
     state: TemperatureState
-    # (temperatures [K], standard deviation within texels [K] or None) of each surface of copies, once solved
-    copies: Sequence[tuple[NDArray[np.float32], NDArray[np.float32] | None]] = ()
+    # (temperatures [K], standard deviation within texels [K] or None) of each surface of such objects, once solved
+    objects: Sequence[tuple[NDArray[np.float32], NDArray[np.float32] | None]] = ()
 
 
 def follows(

@@ -1,7 +1,7 @@
 """Textures of a mesh's surfaces: what the file calls them, which texels faces use, and rasters in their pixels."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
+from thermorender.scene.meshes.mesh import one_texel_each
 from thermorender.scene.spec import SurfaceSpec
 from thermorender.scene.surface import Surface
 from thermorender.schema import did_you_mean
 
 # Fractional bits of the corners that OpenCV fills.
 _BITS = 4
+# End of a message on a name that a mesh does not have.
+_OF_EDITS = "; edits may name an object or group of an OBJ once a [[surface]] of scene.toml does"
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,16 +37,20 @@ class Texture:
         return frozenset(name for piece in self.names for name in piece)
 
 
-def named(textures: Sequence[Texture], names: Sequence[str], where: str, what: str = "surface") -> list[int | None]:
-    """Return the place in `names` of the one that names each of a mesh's surfaces; None where none does."""
+def named(
+    textures: Sequence[Texture], names: Sequence[str], where: str, what: str = "surface", more: str = _OF_EDITS
+) -> list[int | None]:
+    """Return the place in `names` of the one that names each of a mesh's surfaces; None where none does.
+
+    `what` and `more` begin and end the message on a name that the mesh does not have.
+    """
     known = dict.fromkeys(name for texture in textures for piece in texture.names for name in piece)
     found: list[int | None] = [None] * len(textures)
     for number, name in enumerate(names):
         if name not in known:
             raise ThermorenderError(
                 f"{where}: {what} {shortened(repr(name))} is not a node, group, material or texture of the mesh; "
-                f"{did_you_mean(name, known)}it has {shortened(', '.join(known), 300) or 'none'}"
-                "; edits may name an object or group of an OBJ once a [[surface]] of scene.toml does"
+                f"{did_you_mean(name, known)}it has {shortened(', '.join(known), 300) or 'none'}{more}"
             )
         for k, texture in enumerate(textures):
             has = [name in piece for piece in texture.names]
@@ -91,6 +98,25 @@ def onto_texels(values: NDArray[Any], path: Path, surface: Surface, texture: Tex
 def separate(surface: Surface) -> bool:
     """Return whether each face shows a single texel, so that neighbouring texels are not neighbours in space."""
     return bool((np.ptp(surface.uv, axis=1) == 0.0).all())
+
+
+def colour_of_faces(surface: Surface) -> NDArray[np.uint8]:
+    """Return the colour of the texel at the middle of each face, (F, 3) sRGB."""
+    rows, columns = surface.colour.shape[:2]
+    column, row = (surface.uv.mean(axis=1, dtype=np.float64) * (columns, rows)).astype(np.int64).T
+    found: NDArray[np.uint8] = surface.colour[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)]
+    return found
+
+
+def with_texel_per_face(surface: Surface) -> Surface:
+    """Return a surface whose faces have a texel each, whatever texture they share; materials are placeholders."""
+    uv, shape = one_texel_each(len(surface.faces))
+    made = replace(
+        surface, uv=uv, colour=np.resize(colour_of_faces(surface), (*shape, 3)),
+        material=np.full(shape, surface.material.flat[0]), temperature=np.full(shape, surface.temperature.flat[0]),
+        flags=np.full(shape, surface.flags.flat[0]),
+    )  # fmt: skip
+    return replace(made, texel_m=texel_size_m(made))
 
 
 def used_texels(surface: Surface) -> NDArray[np.bool_]:

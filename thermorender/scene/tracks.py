@@ -39,6 +39,7 @@ class TrackedObject:
     columns: Mapping[str, NDArray[np.float64]]  # {name of COLUMNS: (n,) float64}
     # {column: (n,) float64} of the copies of an object with instances, from `read_places`
     places: Mapping[str, NDArray[np.float64]] | None = None
+    inner_1_m2: tuple[float, ...] = ()  # Share of its inner heat on a square metre of each of `surfaces` [m⁻²]
 
     @property
     def name(self) -> str:

@@ -29,7 +29,7 @@ from thermorender.render.geometry import Geometry
 from thermorender.render.heat.copies import Copies
 from thermorender.render.heat.places import sun_cosine, texel_points
 from thermorender.render.heat.steps import Library, steps_to
-from thermorender.render.light import transport_cache
+from thermorender.render.light import contacts, radiosity, transport_cache
 from thermorender.render.light.exchange import threads
 from thermorender.render.variant import activate
 from thermorender.scene import open_ground
@@ -61,9 +61,9 @@ def solved(
     scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None,
     deviations: Deviations | None = None,
 ) -> list[Scene]:  # fmt: skip
-    """Return the scene with the temperatures of terrain and copies at each of some instants (UTC), from its heat
-    balance. Other objects keep the temperatures of the scene file, cast shadows and radiate. `deviations` make a truth
-    that differs from the material tables. `progress` is called with (what, share done)."""
+    """Return the scene with the temperatures of terrain and objects that ask for it at each of some instants (UTC),
+    from its heat balance. Other objects keep the temperatures of the scene file, cast shadows and radiate. `deviations`
+    make a truth that differs from the material tables. `progress` is called with (what, share done)."""
     asked = sorted(set(times))
     geometry = geometry or Geometry(activate(), scene.surfaces)
     report_progress = progress or (lambda what, share: None)
@@ -118,6 +118,7 @@ class _Columns:
     indoors: Any
     cooler: Any  # air temperature there minus that of the weather [K]
     hidden: Any  # share of the sky lost by a leaf that differs from the mean of its patch; 0 elsewhere
+    inner_w_m2: Any  # heat from within; None: no object has any
 
 
 class _Simulation:
@@ -130,15 +131,15 @@ class _Simulation:
         self.scene, self.parts, self.geometry, self.mi, self.asked = scene, parts, geometry, geometry.mi, asked
         assert scene.spec.weather is not None
         self.weather, self.inside_k = scene.weather, scene.spec.weather.inside_c + ZERO_CELSIUS_K
-        # Terrain, followed by the copies of bodies whose temperatures are solved.
-        terrain, solid = scene.surfaces[: scene.solved_count], scene.terrain_count
+        # Terrain, followed by the objects whose temperatures are solved, copies of bodies last.
+        terrain, ground = scene.surfaces[: scene.solved_count], scene.terrain_count
         self.faces = int(geometry.face_start[scene.solved_count])
         self.texels = int(geometry.texel_start[scene.solved_count])
         self.material = np.concatenate([surface.material.ravel() for surface in terrain])
         self.deviations = None if deviations is None else deviations.columns(self.texels)
         corner = np.concatenate([surface.vertices[surface.faces] for surface in terrain])
         across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-        if across[: geometry.face_start[solid], 2].sum() < 0.0:
+        if across[: geometry.face_start[ground], 2].sum() < 0.0:
             raise ThermorenderError(
                 f"{scene.where}: most of the terrain's faces point down, so the sun would light their undersides; "
                 "reverse the order of their corners, to counter-clockwise seen from above"
@@ -158,9 +159,25 @@ class _Simulation:
         self.sky = transport.sky.sum(axis=1).astype(np.float32)
         self.background = transport.background.astype(np.float32)
         self.reflectance, self.emissivity = self._of_faces()
+        solid = sum(surface.instances is None for surface in terrain)
+        self.bodies = range(*(int(geometry.face_start[number]) for number in (ground, solid)))
+        self._start_in_the_open(transport.touching)
+        inner = np.array([surface.inner_w_m2 for surface in terrain], np.float32)
+        self.inner_w_m2 = np.repeat(inner, [len(surface.faces) for surface in terrain]) if inner.any() else None
         copies, self.copies = range(solid, scene.solved_count), None
         if copies:
             self.copies = Copies(geometry, copies, len(asked), lambda at_s: self._sun(self._instant(at_s)))
+
+    def _start_in_the_open(self, touching: NDArray[np.integer]) -> None:
+        """Move the points of bodies' faces that something covers in part to an open part, where their light starts."""
+        faces = touching[(touching >= self.bodies.start) & (touching < self.bodies.stop)]
+        if not len(faces):
+            return
+        rays_of = radiosity.FaceRays(self.geometry, 1)
+        found = rays_of.start_in_the_open(contacts.solid(self.geometry), faces)
+        if found is not None:
+            origin, *_ = rays_of(self.mi.UInt32(aligned(found.faces, np.uint32)), 0)
+            self.middle[found.faces] = np.array(origin).T[::2]
 
     def _of_faces(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(reflectance of sunlight, emissivity) of every face of the scene, by the material at its middle."""
@@ -222,23 +239,29 @@ class _Simulation:
 
     def _brightness(self) -> NDArray[np.float32]:
         """Factor on the reflectance of each texel, (T,) float32: its luminance over the mean of its class, or 1."""
+        found = np.ones(self.texels, dtype=np.float32)
         if not self.scene.spec.temperature.brightness:
-            return np.ones(self.texels, dtype=np.float32)
-        colour = np.concatenate([s.colour.reshape(-1, 3) for s in self.scene.surfaces[: self.scene.solved_count]])
-        light = linear_from_bytes(colour) @ np.array(_LUMINANCE, dtype=np.float32)
-        mean = np.bincount(self.material, light) / np.maximum(np.bincount(self.material), 1)
-        ratio = light / np.maximum(mean[self.material], 1e-4)
+            return found
+        # An object has the colour of its file, which no light of the scene lit.
+        colour = np.concatenate([s.colour.reshape(-1, 3) for s in self.scene.surfaces[: self.scene.terrain_count]])
+        light, material = linear_from_bytes(colour) @ np.array(_LUMINANCE, np.float32), self.material[: len(colour)]
+        mean = np.bincount(material, light) / np.maximum(np.bincount(material), 1)
+        ratio = light / np.maximum(mean[material], 1e-4)
         # Dark spots in vegetation, water and snow are shade or depth, not absorption.
         mineral = np.array([all(open_ground.bare(part) for part, _ in parts) for parts in self.parts])
-        ratio[~mineral[self.material]] = 1.0
-        return np.clip(ratio, 1.0 / _BRIGHTEST, _BRIGHTEST).astype(np.float32)
+        ratio[~mineral[material]] = 1.0
+        found[: len(ratio)] = np.clip(ratio, 1.0 / _BRIGHTEST, _BRIGHTEST)
+        return found
 
     def _columns(self, texels: NDArray[np.integer]) -> tuple[_Columns, State]:
         """The _Columns of all faces, then of some texels (without a face: the last of their surface), and the State."""
         geometry, mi = self.geometry, self.mi
         last = geometry.face_start[np.searchsorted(geometry.texel_start, texels, "right")] - 1
         face = np.minimum(self.covers[texels], last)
-        point = np.concatenate([self.middle, texel_points(geometry, texels, face)])
+        spot = texel_points(geometry, texels, face)
+        body = (face >= self.bodies.start) & (face < self.bodies.stop)
+        spot[body] = self.middle[face[body]]
+        point = np.concatenate([self.middle, spot])
         face = np.concatenate([np.arange(self.faces, dtype=np.uint32), face.astype(np.uint32)])
         point += np.float32(geometry.hair) * self.normal[face]
         hidden = np.zeros(len(face), np.float32)
@@ -268,9 +291,10 @@ class _Simulation:
         upload = lambda values: (mi.Float(aligned(axis)) for axis in values.T)  # noqa: E731
         face = mi.UInt32(aligned(face, np.uint32))
         normal = dr.gather(mi.Vector3f, mi.Vector3f(*upload(self.normal)), face)
+        inner = None if self.inner_w_m2 is None else dr.gather(mi.Float, mi.Float(aligned(self.inner_w_m2)), face)
         return _Columns(
             mi.Point3f(*upload(point)), normal, face, ground, absorptance, row(self.columns.wind_factor),
-            row(self.columns.indoors) > 0.5, mi.Float(aligned(cooler)), mi.Float(aligned(hidden)),
+            row(self.columns.indoors) > 0.5, mi.Float(aligned(cooler)), mi.Float(aligned(hidden)), inner,
         ), state  # fmt: skip
 
     def _simulated(
@@ -359,6 +383,7 @@ class _Simulation:
             pressure_pa=one(found.pressure_pa) * thinner,
             rain_kg_m2_s=one(found.rain_mm_h / 3600.0),
             below_k=dr.select(columns.indoors, one(self.inside_k), air),
+            inner_w_m2=columns.inner_w_m2,
         )
 
     def _light(self, at_s: float, seen_k: Jit, columns: _Columns) -> "_Light":
