@@ -213,6 +213,28 @@ def test_records_that_a_file_has_no_bytes_for_are_refused_before_they_are_read(t
         read_cloud(path)
 
 
+def test_a_header_cut_short_is_refused_before_its_records_are_read(tmp_path):
+    """249 bytes of LAS 1.4 state the number of extended records, and the library looks for each of them."""
+    path = written(tmp_path / "a.las")
+    data = bytearray(path.read_bytes()[:249])
+    struct.pack_into("<I", data, 243, 2**32 - 1)
+    path.write_bytes(data)
+    with pytest.raises(ThermorenderError, match="counts more records than it has bytes for"):
+        read_cloud(path)
+
+
+@pytest.mark.parametrize("layer", range(9))
+def test_layers_longer_than_their_chunk_are_refused(tmp_path, layer):
+    """The decoder would reserve 4 GB for each."""
+    path = written(tmp_path / "a.laz")
+    data = bytearray(path.read_bytes())
+    (points_at,) = struct.unpack_from("<I", data, 96)
+    struct.pack_into("<I", data, points_at + 8 + 30 + 4 + 4 * layer, 0xF0000000)
+    path.write_bytes(data)
+    with pytest.raises(ThermorenderError, match="counts more records than it has bytes for"):
+        read_cloud(path)
+
+
 def test_a_table_of_chunks_longer_than_its_file_is_refused(tmp_path):
     """Its decoder would reserve memory for it, and end the interpreter."""
     path = written(tmp_path / "a.laz")

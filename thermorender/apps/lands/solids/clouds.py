@@ -25,6 +25,8 @@ _OVERHEAD = {"wires": (13, 14, 15, 16), "bridges": (17,), "overhead structures":
 # Points in a post on average, and limits of a post's side [m]; posts this near to a point get its height.
 _IN_POST, _POST_M, _NEAR = 2.0, (0.1, 1.0), 2.0
 _AT_ONCE = 2_000_000
+# The record of LASzip.
+_LASZIP = 22204
 # GeoTIFF 1.1, requirement classes for keys: CRS of the map, geographic CRS, unit of the map, vertical CRS, and unit of
 # heights.
 _PROJECTED, _GEOGRAPHIC, _MAP_UNIT, _VERTICAL, _VERTICAL_UNIT = 3072, 2048, 3076, 4096, 4099
@@ -79,14 +81,16 @@ def _check_counts(path: Path) -> None:
         head = file.read(375)
         if len(head) < 227 or head[:4] != b"LASF":
             return  # the library refuses it
+        if head[25] >= 4 and len(head) < 375:
+            raise _short(path)
         header_size, points_at, records = struct.unpack_from("<HII", head, 94)
-        counted = [(records, 54, points_at - header_size)]
-        if len(head) == 375 and head[25] >= 4:
+        counted = [(records, 54, min(points_at, size) - header_size)]
+        if head[25] >= 4:
             begin, extended = struct.unpack_from("<QI", head, 235)
             counted.append((extended, 60, size - begin if extended else 0))
         if not head[104] & 0x80:
             record, points = struct.unpack_from("<HI", head, 105)
-            if len(head) == 375 and head[25] >= 4:
+            if head[25] >= 4:
                 points = max(points, *struct.unpack_from("<Q", head, 247))
             counted.append((points, record, size - points_at))
         if head[104] & 0x80 and size >= points_at + 8:
@@ -102,9 +106,48 @@ def _check_counts(path: Path) -> None:
                 # A chunk has one byte of points at least.
                 counted.append((chunks, 1, size - points_at))
     if any(number * least > max(room, 0) for number, least, room in counted):
-        raise ThermorenderError(
-            f"{path} counts more records than it has bytes for; it is damaged, so copy it again or give another file"
-        )
+        raise _short(path)
+    # Chunks of LAZ in layers.
+    if head[104] & 0x80 and head[104] & 0x3F >= 6:
+        _check_layers(path, size)
+
+
+def _check_layers(path: Path, size: int) -> None:
+    """Refuse layers of compressed points longer than their chunk, for which the decoder would reserve memory.
+
+    A chunk begins with one whole point and the number of points, then has a length for each layer. LASzip's record
+    lists items (type, size, version): 10 is a point of 9 layers, 11 and 12 are colours, 14 is a layer for each byte.
+    """
+    with open(path, "rb") as file, _named(path):
+        import lazrs
+
+        head = file.read(375)
+        header_size, points_at, records = struct.unpack_from("<HII", head, 94)
+        (record,) = struct.unpack_from("<H", head, 105)
+        file.seek(header_size)
+        for _ in range(records):
+            kind, length = struct.unpack_from("<HH", file.read(54), 18)
+            body = file.read(length)
+            if kind == _LASZIP:
+                break
+        else:
+            return  # the library refuses it
+        items = [struct.unpack_from("<HH", body, 34 + 6 * k) for k in range((len(body) - 34) // 6)]
+        layers = sum({10: 9, 11: 1, 12: 2, 13: 1, 14: length}.get(kind, 0) for kind, length in items)
+        file.seek(points_at)
+        at = points_at + 8
+        for _, length in lazrs.read_chunk_table(file, lazrs.LazVlr(body)):
+            file.seek(at + record + 4)
+            lengths = np.frombuffer(file.read(4 * layers), "<u4")
+            if at + length > size or lengths.sum(dtype=np.int64) > length:
+                raise _short(path)
+            at += length
+
+
+def _short(path: Path) -> ThermorenderError:
+    return ThermorenderError(
+        f"{path} counts more records than it has bytes for; it is damaged, so copy it again or give another file"
+    )
 
 
 @contextmanager
@@ -112,6 +155,8 @@ def _named(path: Path) -> Iterator[None]:
     """Turn what laspy and its decoders raise for damaged files, of many types, into one sentence."""
     try:
         yield
+    except ThermorenderError:
+        raise
     except Exception as error:
         raise ThermorenderError(
             f"{path} cannot be read as a point cloud ({type(error).__name__}: {error}); give a whole LAS or LAZ file"
