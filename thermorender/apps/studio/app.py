@@ -16,6 +16,7 @@ from starlette.requests import HTTPConnection
 from starlette.responses import PlainTextResponse, RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from thermorender.apps.studio.connections import Connection
 from thermorender.apps.studio.ground import map_picture
 from thermorender.apps.studio.page import Tab
 from thermorender.apps.studio.session import Session
@@ -99,8 +100,8 @@ def run(
     token, port = secrets.token_urlsafe(24), int(listening.getsockname()[1])
     session = Session(renderer, quality, files)
     config = uvicorn.Config(
-        Guard(_application(session, pose), token, host, port), log_level="error", access_log=False, lifespan="on",
-        timeout_graceful_shutdown=_LEAVES_S, ws_max_size=4_000_000, server_header=False,
+        Guard(_application(session, pose), token, host, port), http=Connection, log_level="error", access_log=False,
+        lifespan="on", timeout_graceful_shutdown=_LEAVES_S, ws_max_size=4_000_000, server_header=False,
     )  # fmt: skip
     reached = "127.0.0.1" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     session.renders.start()
