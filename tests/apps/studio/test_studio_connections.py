@@ -8,12 +8,6 @@ from contextlib import contextmanager
 
 import pytest
 
-pytest.importorskip("nicegui", reason="needs thermorender[studio]")
-
-import uvicorn
-
-from thermorender.apps.studio import connections
-
 LIMIT_S = 0.6
 HOST = "Host: 127.0.0.1\r\n"
 WEBSOCKET = f"GET / HTTP/1.1\r\n{HOST}Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n" \
@@ -40,6 +34,9 @@ async def application(scope, receive, send):
 @pytest.fixture
 def connect(monkeypatch):
     """A function that opens a connection to a server of the studio's kind."""
+    uvicorn = pytest.importorskip("uvicorn", reason="needs thermorender[studio]")
+    from thermorender.apps.studio import connections
+
     monkeypatch.setattr(connections, "REQUEST_S", LIMIT_S)
     monkeypatch.setattr(connections, "MOST_CONNECTIONS", 12)
     config = uvicorn.Config(application, http=connections.Connection, lifespan="off", log_level="error")
@@ -118,7 +115,7 @@ def test_whole_requests_are_answered_however_long_they_take(connect):
 
 
 def test_idle_connections_keep_nobody_out(connect, monkeypatch):
-    monkeypatch.setattr(connections, "REQUEST_S", 60.0)
+    monkeypatch.setattr("thermorender.apps.studio.connections.REQUEST_S", 60.0)
     idle = [connect("GET /") for _ in range(40)]
     asked = connect(f"GET / HTTP/1.1\r\n{HOST}Connection: close\r\n\r\n")
     assert rest(asked).endswith(b"ok")
