@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import hmac
+import re
 import secrets
 import sys
 from collections.abc import Callable
@@ -67,7 +68,8 @@ class Guard:
     def _fault(self, headers: Headers) -> str:
         """Why the addresses of a request are not the studio's; "" if they are."""
         host, origin = headers.get("host", ""), headers.get("origin")
-        if self._names is not None and host.rpartition(":")[0] not in self._names:
+        # Browsers leave out port 80.
+        if self._names is not None and re.sub(r":\d+$", "", host) not in self._names:
             return f"host {host[:80]!r} is not the studio's; open the address that thermorender printed"
         if origin not in (None, f"http://{host}", f"https://{host}"):
             return f"origin {str(origin)[:80]!r} is not the studio's page; open the address that thermorender printed"
